@@ -1,0 +1,54 @@
+# `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
+.DEFAULT_GOAL := help
+.PHONY: reports test lock bench lab data clean help
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+UV := $(shell command -v uv 2>/dev/null)
+PARAMS ?=
+JOBS ?= auto
+
+$(VENV)/.stamp: environment.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "trustlab needs Python 3.11 or newer; say which with: make PYTHON=python3.12 ..."; exit 1; }
+	rm -rf $(VENV)
+ifneq ($(UV),)
+	$(UV) venv --quiet --python $(PYTHON) $(VENV)
+	$(UV) pip install --quiet --python $(BIN)/python --no-deps --require-hashes -r environment.lock
+	$(UV) pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation -e .
+else
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r environment.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+endif
+	@touch $@
+
+reports: $(VENV)/.stamp  ## every notebook, run and published under reports/ (PARAMS="-p name value" passes parameters on)
+	$(BIN)/python -m trustlab.publishing --jobs $(JOBS) $(PARAMS)
+
+test: $(VENV)/.stamp  ## formatting, linting and every test
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/python -m pytest -n $(JOBS)
+
+bench: $(VENV)/.stamp  ## benchmarks beside the peers, written under reports/
+	$(BIN)/python -m benchmarks
+
+lab: $(VENV)/.stamp  ## JupyterLab in notebooks/
+	$(BIN)/jupyter lab --notebook-dir=notebooks
+
+data: $(VENV)/.stamp  ## write data/sessions/ again from its seeds
+	$(BIN)/python data/sessions/make_sessions.py
+
+lock:  ## resolve environment.lock again (needs uv)
+	uv pip compile pyproject.toml --extra cluster --group dev --universal --python-version 3.11 \
+	  --generate-hashes --no-annotate --no-header --no-emit-index-url -o environment.lock
+
+clean:  ## remove the environment, the caches and what was generated
+	rm -rf $(VENV) benchmarks/.venv .pytest_cache .ruff_cache .hypothesis
+	find reports -mindepth 1 -maxdepth 1 ! -name README.md ! -name figures -exec rm -rf {} +
+	find trustlab tests benchmarks data notebooks -name __pycache__ -prune -exec rm -rf {} +
+
+help:  ## this list
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 20
