@@ -1,0 +1,153 @@
+"""Human utilization (2.5) and human performance (2.6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from trustlab.models.checks import finite_number, mode_array, open_unit
+
+__all__ = ["HumanModel"]
+
+
+@numba.njit(cache=True)
+def yerkes_dodson(r, beta):
+    """Return (r/β)^β ((1 − r)/(1 − β))^(1 − β): 0 at r = 0 and 1, 1 at r = β."""
+    if r <= 0.0 or r >= 1.0:
+        return 0.0
+    return np.exp(beta * np.log(r / beta) + (1.0 - beta) * np.log((1.0 - r) / (1.0 - beta)))
+
+
+@numba.njit(cache=True)
+def human_performance(mode, a, beta, p_min, p_max, r0):
+    """Run (2.5) from `r0` and read (2.6) off at every sample."""
+    r = np.empty(mode.size)
+    p_h = np.empty(mode.size)
+    now = r0
+    for k in range(mode.size):
+        r[k] = now
+        p_h[k] = (p_max - p_min) * yerkes_dodson(now, beta) + p_min
+        now = min(max(a * now + (1.0 - a) * mode[k], 0.0), 1.0)
+    return r, p_h
+
+
+@numba.njit(cache=True)
+def performance_curve(r, beta, p_min, p_max):
+    """Read (2.6) off at each utilization of `r`."""
+    p_h = np.empty(r.size)
+    for k in range(r.size):
+        p_h[k] = (p_max - p_min) * yerkes_dodson(r[k], beta) + p_min
+    return p_h
+
+
+@dataclass(frozen=True)
+class HumanModel:
+    """
+    How busy the operator is, and how well they perform for it (Yerkes–Dodson).
+
+    r(k+1) = a r(k) + (1 − a) M(k), equation (2.5), and
+    P_h(k) = (P_max − P_min)(r/β)^β ((1 − r)/(1 − β))^(1 − β) + P_min, equation (2.6).
+
+    Parameters
+    ----------
+    a : float
+        a_r = 1 − 1/τ, the share of utilization kept over one sample, in (0, 1). b_r is 1 − a.
+    beta : float
+        β, the utilization at which the operator performs best, in (0, 1); smaller for a harder task.
+    p_min, p_max : float
+        Human performance at r = 0 and r = 1, and at r = β, in the unit of the measure.
+
+    Raises
+    ------
+    ValueError
+        If a or beta is outside (0, 1) or p_min is not below p_max.
+
+    Notes
+    -----
+    Saeidi, *Trust-based control of (semi)autonomous mobile robotic systems*, Section 2.2.3.
+
+    Examples
+    --------
+    >>> human = HumanModel(a=0.9991, beta=0.74, p_min=0.391, p_max=0.4602)
+    >>> round(float(human.performance(0.74)), 4)
+    0.4602
+    """
+
+    a: float
+    beta: float
+    p_min: float
+    p_max: float
+
+    def __post_init__(self):
+        a, beta = open_unit("a", self.a), open_unit("beta", self.beta)
+        p_min, p_max = finite_number("p_min", self.p_min), finite_number("p_max", self.p_max)
+        if not p_min < p_max:
+            raise ValueError(f"p_min must be below p_max, got p_min = {p_min} and p_max = {p_max}")
+        for name, value in zip(("a", "beta", "p_min", "p_max"), (a, beta, p_min, p_max), strict=True):
+            object.__setattr__(self, name, value)
+
+    @property
+    def b(self) -> float:
+        """b_r = 1 − a_r = 1/τ, equation (2.5)."""
+        return 1.0 - self.a
+
+    @property
+    def tau(self) -> float:
+        """τ = 1/(1 − a_r), the time constant of utilization, in samples (2.5)."""
+        return 1.0 / (1.0 - self.a)
+
+    def performance(self, r: float | np.ndarray) -> float | np.ndarray:
+        """
+        Return human performance at utilization `r`, equation (2.6).
+
+        Parameters
+        ----------
+        r : float or array_like
+            Utilization, in [0, 1].
+
+        Returns
+        -------
+        float or numpy.ndarray
+            Performance, of the shape of `r`.
+
+        Raises
+        ------
+        ValueError
+            If a utilization lies outside [0, 1].
+        """
+        array = np.asarray(r, dtype=float)
+        inside = (array >= 0.0) & (array <= 1.0)
+        if not inside.all():
+            raise ValueError(f"utilization r must lie in [0, 1], got {array[~inside].flat[0]}")
+        p_h = performance_curve(np.ascontiguousarray(array.ravel()), self.beta, self.p_min, self.p_max)
+        return float(p_h[0]) if array.ndim == 0 else p_h.reshape(array.shape)
+
+    def simulate(self, mode: np.ndarray, r0: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Simulate (2.5) and (2.6).
+
+        Parameters
+        ----------
+        mode : array_like, shape (N,)
+            1 manual, 0 autonomous, or a manual share in [0, 1], per sample.
+        r0 : float
+            Utilization at the first sample, in [0, 1]; 0 is a rested operator.
+
+        Returns
+        -------
+        r : numpy.ndarray, shape (N,)
+            Utilization; sample k + 1 follows from sample k.
+        p_h : numpy.ndarray, shape (N,)
+            Human performance.
+
+        Raises
+        ------
+        ValueError
+            If a mode or `r0` lies outside [0, 1].
+        """
+        start = finite_number("r0", r0)
+        if not 0.0 <= start <= 1.0:
+            raise ValueError(f"r0 must lie in [0, 1], got {start}")
+        return human_performance(mode_array(mode), self.a, self.beta, self.p_min, self.p_max, start)

@@ -1,0 +1,137 @@
+"""Trust and self-confidence (TSC), (2.1)-(2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trustlab.models.human import HumanModel
+from trustlab.models.robot import RobotModel
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["TscModel"]
+
+
+@dataclass(frozen=True)
+class TscModel:
+    """
+    The difference between trust in the robot and self-confidence, from the performance of both.
+
+    TSC(k) = a_T P_r(k) − b_T P_h(k), equation (2.1), with a_T and b_T of (2.2), so that TSC is +1 where the
+    robot is at its best and the operator at their worst, and −1 the other way round.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Robot performance (2.3).
+    human : HumanModel
+        Human utilization and performance (2.5)-(2.6).
+
+    Raises
+    ------
+    ValueError
+        If the ranges of performance give no positive a_T and b_T.
+
+    Notes
+    -----
+    Saeidi, *Trust-based control of (semi)autonomous mobile robotic systems*, Section 2.2.1.
+    """
+
+    robot: RobotModel
+    human: HumanModel
+
+    def __post_init__(self):
+        if not isinstance(self.robot, RobotModel) or not isinstance(self.human, HumanModel):
+            raise ValueError(
+                "TscModel takes a RobotModel and a HumanModel, in this order; "
+                f"got {type(self.robot).__name__} and {type(self.human).__name__}"
+            )
+        if not (self._denominator > 0.0 and self.a_T > 0.0 and self.b_T > 0.0):
+            raise ValueError(
+                "a_T and b_T of (2.2) must be positive, but the ranges of performance "
+                f"[{self.robot.p_min}, {self.robot.p_max}] (robot) and [{self.human.p_min}, {self.human.p_max}] "
+                f"(human) give {self.a_T} and {self.b_T}; use measures of performance that are not negative"
+            )
+
+    @property
+    def _denominator(self) -> float:
+        return self.robot.p_max * self.human.p_max - self.robot.p_min * self.human.p_min
+
+    @property
+    def a_T(self) -> float:  # noqa: N802
+        """a_T = (P_h,max + P_h,min)/(P_r,max P_h,max − P_r,min P_h,min), equation (2.2)."""
+        return (self.human.p_max + self.human.p_min) / self._denominator
+
+    @property
+    def b_T(self) -> float:  # noqa: N802
+        """b_T = (P_r,max + P_r,min)/(P_r,max P_h,max − P_r,min P_h,min), equation (2.2)."""
+        return (self.robot.p_max + self.robot.p_min) / self._denominator
+
+    def value(self, p_r: float | np.ndarray, p_h: float | np.ndarray) -> float | np.ndarray:
+        """
+        Return TSC = a_T P_r − b_T P_h, equation (2.1).
+
+        Parameters
+        ----------
+        p_r, p_h : float or array_like
+            Robot and human performance, of shapes that broadcast.
+        """
+        return self.a_T * np.asarray(p_r, dtype=float)[()] - self.b_T * np.asarray(p_h, dtype=float)[()]
+
+    def delta(self, delta_p_r: float, delta_p_h: float) -> float:
+        """
+        Return the largest one-step change of TSC, a_T δ_Pr + b_T δ_Ph (Remark 3).
+
+        Parameters
+        ----------
+        delta_p_r, delta_p_h : float
+            Largest one-step changes of robot and human performance; not negative.
+
+        Raises
+        ------
+        ValueError
+            If a change is negative.
+        """
+        if delta_p_r < 0.0 or delta_p_h < 0.0:
+            raise ValueError(f"largest changes cannot be negative, got {delta_p_r} and {delta_p_h}")
+        return self.a_T * delta_p_r + self.b_T * delta_p_h
+
+    def simulate(self, mode: np.ndarray, r0: float = 0.0, p_r0: float | None = None) -> pd.DataFrame:
+        """
+        Simulate (2.1), (2.3), (2.5) and (2.6) under a given sequence of modes.
+
+        Parameters
+        ----------
+        mode : array_like, shape (N,)
+            1 manual, 0 autonomous, or a manual share in [0, 1], per sample.
+        r0 : float
+            Utilization at the first sample, in [0, 1].
+        p_r0 : float, optional
+            Robot performance at the first sample; the robot's P_min when not given.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns r, p_r, p_h, tsc, mode; one row per sample.
+
+        Raises
+        ------
+        ValueError
+            If a mode or `r0` lies outside [0, 1].
+        """
+        import pandas as pd
+
+        r, p_h = self.human.simulate(mode, r0)
+        p_r = self.robot.simulate(mode, p_h, p_r0)
+        columns = {
+            "r": r,
+            "p_r": p_r,
+            "p_h": p_h,
+            "tsc": self.value(p_r, p_h),
+            "mode": np.asarray(mode, float),
+        }
+        return pd.DataFrame(columns)

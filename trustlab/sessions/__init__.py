@@ -1,0 +1,16 @@
+"""Logged runs: read, check, measure."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach(
+    __name__,
+    submod_attrs={
+        "errors": ["RecipeError", "SessionError"],
+        "metrics": ["tracking_error"],
+        "readers": ["read_session", "read_sessions"],
+        "recipes": ["load_recipe", "recipes"],
+        "session": ["Metadata", "Session"],
+        "vocabulary": ["vocabulary"],
+        "writers": ["write_session"],
+    },
+)

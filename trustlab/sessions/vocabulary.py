@@ -1,0 +1,80 @@
+"""The columns a session can have, with their units and what they mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["VOCABULARY", "Column", "vocabulary"]
+
+
+@dataclass(frozen=True)
+class Column:
+    """
+    One column of the vocabulary.
+
+    Parameters
+    ----------
+    name : str
+        The column's name in a session.
+    unit : str
+        SI unit; "1" for a pure number, "measure" for the unit of the performance measure.
+    meaning : str
+        What the column holds.
+    low, high : float, optional
+        The least and the greatest value allowed.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    low: float | None = None
+    high: float | None = None
+
+
+def _axes(stem: str, unit: str, meaning: str) -> list[Column]:
+    return [Column(f"{stem}_{axis}", unit, f"{meaning}, {axis} axis") for axis in "xyz"]
+
+
+VOCABULARY: dict[str, Column] = {
+    column.name: column
+    for column in [
+        Column("mode", "1", "who drives: 1 manual, 0 autonomous, between them the manual share α", 0.0, 1.0),
+        Column("p_r", "measure", "robot performance P_r as measured"),
+        Column("p_h", "measure", "human performance P_h as measured"),
+        Column("r", "1", "human utilization r", 0.0, 1.0),
+        Column("tsc", "1", "trust and self-confidence TSC"),
+        Column("path_error", "m", "deviation e from the path or target (a distance)", 0.0),
+        Column("step_distance", "m", "distance Δd travelled since the sample before", 0.0),
+        Column("v_command", "m/s", "linear velocity commanded by the operator"),
+        Column("w_command", "rad/s", "angular velocity commanded by the operator (its size counts in (2.7))"),
+        Column(
+            "suggested_mode", "1", "mode the decision aid suggests: 1, 0, or −1 for no suggestion", -1.0, 1.0
+        ),
+        *_axes("robot", "m", "robot position"),
+        *_axes("reference", "m", "position of the path or target"),
+        *_axes("human", "m", "position commanded by the operator"),
+        *_axes("u_h", "1", "the operator's command u_h"),
+        *_axes("u_a", "1", "the autonomous controller's command u_a"),
+        *_axes("u_i", "1", "the ideal command u_i"),
+        *_axes("velocity", "m/s", "robot velocity"),
+        Column("yaw", "rad", "robot heading"),
+        Column("beta", "1", "force feedback scaling β", 0.0),
+        Column("trust_hr", "1", "human-to-robot trust T_hr"),
+        Column("trust_rh", "1", "robot-to-human trust T_rh"),
+    ]
+}
+
+
+def vocabulary():
+    """
+    Return the vocabulary of session columns as a table.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Index `column`; columns unit, low, high, meaning. The index of a session, t, is in seconds.
+    """
+    import pandas as pd
+
+    rows = [(c.name, c.unit, c.low, c.high, c.meaning) for c in VOCABULARY.values()]
+    return pd.DataFrame(rows, columns=["column", "unit", "low", "high", "meaning"]).set_index("column")
