@@ -1,0 +1,152 @@
+"""Starting values from a coarse search on block means; the parameters that enter linearly are solved for."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from trustlab.identification.greybox import UNIT_MARGIN
+from trustlab.identification.traces import Trace, blocks
+from trustlab.models.human import yerkes_dodson
+
+__all__ = ["human_start", "robot_start"]
+
+REST_STARTS = np.array([0.05, 0.5])
+BETAS = np.linspace(0.15, 0.95, 9)
+
+
+@numba.njit(cache=True)
+def _solve2(s11, s12, s22, t1, t2):
+    determinant = s11 * s22 - s12 * s12
+    if determinant <= 1e-12 * s11 * s22:
+        return np.nan, np.nan
+    return (s22 * t1 - s12 * t2) / determinant, (s11 * t2 - s12 * t1) / determinant
+
+
+@numba.njit(cache=True)
+def _human_grid(mode, p_h, starts, rates, betas, rests):
+    """Return Σ e², a, beta, p_min, p_max, r0 of the best grid point with p_max > p_min."""
+    best = np.array([np.inf, np.nan, np.nan, np.nan, np.nan, np.nan])
+    total = np.sum(p_h**2)
+    for a in rates:
+        for rest in rests:
+            for beta in betas:
+                s11 = s12 = s22 = t1 = t2 = 0.0
+                for i in range(starts.size - 1):
+                    r = rest
+                    for k in range(starts[i], starts[i + 1]):
+                        middle = r + 0.5 * (1.0 - a) * (mode[k] - r)
+                        high = yerkes_dodson(middle, beta)
+                        low = 1.0 - high
+                        s11 += low * low
+                        s12 += low * high
+                        s22 += high * high
+                        t1 += low * p_h[k]
+                        t2 += high * p_h[k]
+                        r += (1.0 - a) * (mode[k] - r)
+                p_min, p_max = _solve2(s11, s12, s22, t1, t2)
+                squares = total - p_min * t1 - p_max * t2
+                if p_max > p_min and squares < best[0]:
+                    best[:] = [squares, a, beta, p_min, p_max, rest]
+    return best
+
+
+@numba.njit(cache=True)
+def _robot_grid(mode, p_h, p_r, starts, rates, p_h_max):
+    """Return Σ e², a, p_min, p_max of the best grid point."""
+    best = np.array([np.inf, np.nan, np.nan, np.nan])
+    for a in rates:
+        s11 = s12 = s22 = t1 = t2 = total = 0.0
+        for i in range(starts.size - 1):
+            low, high, left = 0.0, 0.0, p_r[starts[i]]
+            for k in range(starts[i], starts[i + 1]):
+                y = p_r[k] - left
+                s11 += low * low
+                s12 += low * high
+                s22 += high * high
+                t1 += low * y
+                t2 += high * y
+                total += y * y
+                share = mode[k] * p_h[k] / p_h_max
+                low += (1.0 - a) * (1.0 - share - low)
+                high += (1.0 - a) * (share - high)
+                left *= a
+        p_min, p_max = _solve2(s11, s12, s22, t1, t2)
+        squares = total - p_min * t1 - p_max * t2
+        if np.isfinite(p_min) and squares < best[0]:
+            best[:] = [squares, a, p_min, p_max]
+    return best
+
+
+def _rates(longest: int, length: int, low: float, high: float) -> np.ndarray:
+    """Return shares kept per block, for time constants from a few samples to many runs."""
+    taus = np.geomspace(min(20.0, 0.2 * longest), 4.0 * longest, 18)
+    rates = np.clip(1.0 - 1.0 / taus, low, high)
+    return np.unique(rates) ** length
+
+
+def _joined(data: list[dict[str, np.ndarray]], name: str) -> np.ndarray:
+    return np.concatenate([run[name] for run in data])
+
+
+def human_start(runs: list[Trace], bounds: dict[str, tuple[float, float]]) -> dict[str, float]:
+    """
+    Return starting values of a, beta, p_min, p_max and r0 of the human model.
+
+    Parameters
+    ----------
+    runs : list of Trace
+        Runs with mode and p_h.
+    bounds : dict
+        Lowest and highest value by parameter; equal values fix it.
+    """
+    data, length = blocks(runs)
+    starts = np.cumsum([0, *(run["mode"].size for run in data)])
+    longest = max(run.mode.size for run in runs)
+    betas = np.unique(np.clip(BETAS, *bounds["beta"]))
+    rests = np.unique(np.clip(REST_STARTS, *bounds["r0"]))
+    rates = _rates(longest, length, *bounds["a"])
+    found = _human_grid(_joined(data, "mode"), _joined(data, "p_h"), starts, rates, betas, rests)
+    if not np.isfinite(found[0]):
+        p_h = _joined(data, "p_h")
+        found = np.array(
+            [0.0, rates[rates.size // 2], betas[betas.size // 2], p_h.min(), p_h.max(), rests[0]]
+        )
+        if not found[4] > found[3]:
+            found[4] = found[3] + max(abs(found[3]), 1.0) * 1e-3
+    a = min(max(found[1] ** (1.0 / length), UNIT_MARGIN), 1.0 - UNIT_MARGIN)
+    return {"a": a, "beta": found[2], "p_min": found[3], "p_max": found[4], "r0": found[5]}
+
+
+def robot_start(
+    runs: list[Trace], p_h: list[np.ndarray] | None, p_h_max: float, bounds: dict[str, tuple[float, float]]
+) -> dict[str, float | np.ndarray]:
+    """
+    Return starting values of a, p_min and p_max of the robot model and of p_r0 for every run.
+
+    Parameters
+    ----------
+    runs : list of Trace
+        Runs with mode, p_h and p_r.
+    p_h : list of numpy.ndarray, optional
+        Human performance per run to use in place of the measured one.
+    p_h_max : float
+        Greatest human performance.
+    bounds : dict
+        Lowest and highest value by parameter; equal values fix it.
+    """
+    if p_h is not None:
+        runs = [
+            Trace(run.label, run.synthetic, run.t, run.mode, h, run.p_r)
+            for run, h in zip(runs, p_h, strict=True)
+        ]
+    data, length = blocks(runs)
+    starts = np.cumsum([0, *(run["mode"].size for run in data)])
+    rates = _rates(max(run.mode.size for run in runs), length, *bounds["a"])
+    found = _robot_grid(*(_joined(data, name) for name in ("mode", "p_h", "p_r")), starts, rates, p_h_max)
+    if not np.isfinite(found[0]):
+        p_r = _joined(data, "p_r")
+        found = np.array([0.0, rates[rates.size // 2], p_r.min(), p_r.max()])
+    a = min(max(found[1] ** (1.0 / length), UNIT_MARGIN), 1.0 - UNIT_MARGIN)
+    first = np.array([run["p_r"][0] for run in data])
+    return {"a": a, "p_min": found[2], "p_max": found[3], "p_r0": first}

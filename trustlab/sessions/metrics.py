@@ -1,0 +1,322 @@
+"""Performance measured from logs: (2.4), (2.7), their UAV variants, (3.26)-(3.27), and the tracking error of trials."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import finite_array, finite_number
+from trustlab.sessions.errors import SessionError
+
+__all__ = [
+    "command_deviation",
+    "command_quality",
+    "goal_speed",
+    "manoeuvring",
+    "mixed_initiative",
+    "nearness",
+    "tracking_error",
+    "window_mean",
+    "with_performance",
+]
+
+
+def _positive(name: str, value: float) -> float:
+    number = finite_number(name, value)
+    if not number > 0.0:
+        raise ValueError(f"{name} must be positive, got {number}")
+    return number
+
+
+def window_mean(values: np.ndarray, sample_time: float, window: float) -> np.ndarray:
+    """
+    Return the mean over the window of length W that ends at each sample, (1/W) Σ z(i).
+
+    The beginning, where less than W has been seen, is the mean of what there is.
+
+    Parameters
+    ----------
+    values : array_like, shape (N,)
+        The measure z at every sample.
+    sample_time : float
+        Time between samples [s].
+    window : float
+        Length W of the window [s].
+
+    Raises
+    ------
+    ValueError
+        If the window is shorter than one sample or a value is not finite.
+    """
+    values = finite_array("values", values)
+    samples = round(_positive("window", window) / _positive("sample_time", sample_time))
+    if samples < 1:
+        raise ValueError(f"window = {window} s is shorter than one sample ({sample_time} s)")
+    return pd.Series(values).rolling(samples, min_periods=1).mean().to_numpy()
+
+
+def nearness(distance: np.ndarray, largest: float) -> np.ndarray:
+    """
+    Return N(y) = (y_max − y)/y_max: 1 on the spot, 0 at y_max, negative beyond it (never clipped).
+
+    Parameters
+    ----------
+    distance : array_like, shape (N,)
+        y, a deviation; not negative.
+    largest : float
+        y_max, in the unit of `distance`.
+
+    Raises
+    ------
+    ValueError
+        If `largest` is not positive or a distance is negative.
+    """
+    distance = finite_array("distance", distance)
+    if (distance < 0.0).any():
+        k = int(np.argmax(distance < 0.0))
+        raise ValueError(f"a deviation cannot be negative, but sample {k} is {distance[k]}")
+    return 1.0 - distance / _positive("largest", largest)
+
+
+def goal_speed(
+    step_distance: np.ndarray, path_error: np.ndarray, sample_time: float, e_max: float = 2.0
+) -> np.ndarray:
+    """
+    Return (Δd/Δt)(e_max − e)/e_max, what (2.4) averages: speed, worth less the farther from the path.
+
+    Parameters
+    ----------
+    step_distance : array_like, shape (N,)
+        Δd, distance travelled since the sample before [m].
+    path_error : array_like, shape (N,)
+        e, deviation from the path [m].
+    sample_time : float
+        Time between samples [s].
+    e_max : float
+        Greatest acceptable deviation [m].
+
+    Returns
+    -------
+    numpy.ndarray, shape (N,)
+        In m/s, the unit of the printed values (Remark 7).
+    """
+    step_distance = finite_array("step_distance", step_distance)
+    return step_distance / _positive("sample_time", sample_time) * nearness(path_error, e_max)
+
+
+def manoeuvring(
+    v_command: np.ndarray, w_command: np.ndarray, path_error: np.ndarray, e_max: float = 2.0
+) -> np.ndarray:
+    """
+    Return v (e_max − e)/e_max + |ω| e/e_max, what (2.7) averages: drive on near the path, turn when off it.
+
+    Parameters
+    ----------
+    v_command, w_command : array_like, shape (N,)
+        Linear [m/s] and angular [rad/s] velocity commands; the size of ω counts, so that left and right turns
+        do not cancel.
+    path_error : array_like, shape (N,)
+        e, deviation from the path [m].
+    e_max : float
+        Greatest acceptable deviation [m].
+    """
+    near = nearness(path_error, e_max)
+    v_command = finite_array("v_command", v_command, length=near.size)
+    w_command = finite_array("w_command", w_command, length=near.size)
+    return v_command * near + np.abs(w_command) * (1.0 - near)
+
+
+def command_quality(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndarray:
+    """
+    Return 1 − ‖u_i − u_h‖₁/Δu_max, the quality of the operator's commands in Section 2.4.2.
+
+    The text prints the deviation itself (`command_deviation`), which grows as the operator gets worse.
+
+    Parameters
+    ----------
+    u_h, u_i : array_like, shape (N, axes)
+        The operator's and the ideal command.
+    u_max : float
+        Δu_max, the deviation that counts as 0, in the unit of the commands.
+    """
+    return nearness(_norm1(u_h, u_i), u_max)
+
+
+def command_deviation(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndarray:
+    """
+    Return Σ (u_i − u_h)/Δu_max as printed in Section 2.4.2: signed, and larger for a worse operator.
+
+    Parameters
+    ----------
+    u_h, u_i : array_like, shape (N, axes)
+        The operator's and the ideal command.
+    u_max : float
+        Δu_max, in the unit of the commands.
+    """
+    difference = np.asarray(u_i, dtype=float) - np.asarray(u_h, dtype=float)
+    return difference.sum(axis=1) / _positive("u_max", u_max)
+
+
+def mixed_initiative(
+    u_h: np.ndarray,
+    u_a: np.ndarray,
+    u_i: np.ndarray,
+    error: np.ndarray,
+    alpha: np.ndarray,
+    u_max: float,
+    e_max: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return p'_r and p'_h of (3.27), what (3.26) averages.
+
+    p'_r = N(‖u_a − u_i‖₁) N((1 − α)‖e‖₁) and p'_h = N(‖u_h − u_i‖₁) N(α‖e‖₁), N(y) = (y_max − y)/y_max.
+
+    Parameters
+    ----------
+    u_h, u_a, u_i : array_like, shape (N, axes)
+        The operator's, the autonomous controller's and the ideal command.
+    error : array_like, shape (N, axes)
+        e, target minus robot [m].
+    alpha : array_like, shape (N,)
+        α, the manual share, in [0, 1].
+    u_max, e_max : float
+        y_max of a command's deviation (unit of the commands) and of the tracking error [m].
+    """
+    off = np.abs(np.asarray(error, dtype=float)).sum(axis=1)
+    alpha = finite_array("alpha", alpha, length=off.size)
+    p_r = nearness(_norm1(u_a, u_i), u_max) * nearness((1.0 - alpha) * off, e_max)
+    p_h = nearness(_norm1(u_h, u_i), u_max) * nearness(alpha * off, e_max)
+    return p_r, p_h
+
+
+def _norm1(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.abs(np.asarray(one, dtype=float) - np.asarray(other, dtype=float)).sum(axis=1)
+
+
+def _vector(session, stem: str, axes: str) -> np.ndarray:
+    names = [f"{stem}_{axis}" for axis in axes]
+    session.require(*names)
+    return session.data[names].to_numpy()
+
+
+def with_performance(
+    session,
+    window: float = 100.0,
+    measure: str = "ground_robot",
+    e_max: float | None = None,
+    u_max: float | None = None,
+    axes: str = "xyz",
+):
+    """
+    Return a session with measured performance, columns p_r and p_h, as window means.
+
+    Parameters
+    ----------
+    session : Session
+        Needs step_distance, path_error, v_command and w_command ("ground_robot"); path_error, u_h and u_i
+        ("uav_tracking"); u_h, u_a, u_i, reference, robot and mode as α ("mixed_initiative").
+    window : float
+        Length W [s]; 100 s in Chapter 2, 10 s in Chapter 3.
+    measure : {"ground_robot", "uav_tracking", "mixed_initiative"}
+        (2.4) and (2.7); Section 2.4.2; (3.26)-(3.27).
+    e_max : float, optional
+        Greatest acceptable deviation [m]; 2 m for "ground_robot", to be given for the others.
+    u_max : float, optional
+        Greatest deviation of a command, in the unit of the commands; to be given for all but "ground_robot".
+    axes : str
+        Axes of the commands and positions that count, for example "yz".
+
+    Raises
+    ------
+    SessionError
+        If a column is missing.
+    ValueError
+        If the measure is unknown or a scale is missing or not positive.
+    """
+    if measure == "ground_robot":
+        e_max = 2.0 if e_max is None else e_max
+        if u_max is not None:
+            raise ValueError("u_max has no part in (2.4) and (2.7); leave it out")
+        session.require("step_distance", "path_error", "v_command", "w_command")
+        p_r = goal_speed(session["step_distance"], session["path_error"], session.sample_time, e_max)
+        p_h = manoeuvring(session["v_command"], session["w_command"], session["path_error"], e_max)
+        equations = "(2.4), (2.7)"
+    elif measure in ("uav_tracking", "mixed_initiative"):
+        if e_max is None or u_max is None:
+            raise ValueError(f"measure {measure!r} needs e_max [m] and u_max (unit of the commands)")
+        u_h, u_i = _vector(session, "u_h", axes), _vector(session, "u_i", axes)
+        if measure == "uav_tracking":
+            session.require("path_error")
+            p_r, p_h = nearness(session["path_error"], e_max), command_quality(u_h, u_i, u_max)
+            equations = "Section 2.4.2.4"
+        else:
+            error = _vector(session, "reference", axes) - _vector(session, "robot", axes)
+            u_a = _vector(session, "u_a", axes)
+            p_r, p_h = mixed_initiative(u_h, u_a, u_i, error, session["mode"], u_max, e_max)
+            equations = "(3.26), (3.27)"
+    else:
+        raise ValueError(
+            f'unknown measure {measure!r}; there are "ground_robot", "uav_tracking" and "mixed_initiative"'
+        )
+    measured = {
+        "p_r": window_mean(p_r, session.sample_time, window),
+        "p_h": window_mean(p_h, session.sample_time, window),
+    }
+    return session.with_columns(**measured).with_metadata(performance=f"{equations}, window {window:g} s")
+
+
+def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
+    """
+    Return the mean tracking error of every participant at every level of autonomy.
+
+    The mean over a block's trials of the trial's mean `path_error`; training is left out, and so are the first
+    `drop_first` trials of each block.
+
+    Parameters
+    ----------
+    sessions : iterable of Session
+        Trials with column path_error [m] and metadata participant, autonomy, block, trial and training.
+    drop_first : int
+        How many trials at the beginning of each block do not count.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns participant, autonomy, traj_err [cm]; one row per participant and level, sorted.
+
+    Raises
+    ------
+    SessionError
+        If a trial lacks path_error or one of the metadata, or a block has no trial left.
+    """
+    rows = []
+    for session in sessions:
+        session.require("path_error")
+        facts = session.metadata.as_dict()
+        lacking = [name for name in ("autonomy", "block", "trial", "training") if name not in facts]
+        if lacking or facts["participant"] is None:
+            raise SessionError(
+                f"metadata {(lacking or ['participant'])[0]!r} is missing", session.metadata.source
+            )
+        if not facts["training"]:
+            names = ("participant", "autonomy", "block", "trial")
+            rows.append([facts[name] for name in names] + [100.0 * session["path_error"].mean()])
+    if not rows:
+        raise SessionError("no trial to take the tracking error of (all are training, or none was given)")
+    trials = pd.DataFrame(rows, columns=["participant", "autonomy", "block", "trial", "traj_err"])
+    if trials.duplicated(["participant", "trial"]).any():
+        twice = trials[trials.duplicated(["participant", "trial"])].iloc[0]
+        raise SessionError(f"trial {twice.trial} of participant {twice.participant} is there twice")
+    order = trials.sort_values("trial").groupby(["participant", "block"]).cumcount()
+    kept = trials[order.reindex(trials.index) >= drop_first]
+    lost = set(map(tuple, trials[["participant", "autonomy"]].to_numpy().tolist())) - set(
+        map(tuple, kept[["participant", "autonomy"]].to_numpy().tolist())
+    )
+    if lost:
+        participant, level = sorted(lost)[0]
+        raise SessionError(
+            f"participant {participant}, autonomy {level}: no trial is left after dropping the first {drop_first}"
+        )
+    return kept.groupby(["participant", "autonomy"], as_index=False)["traj_err"].mean()
