@@ -11,7 +11,7 @@ _lazy_getattr, __dir__, __all__ = lazy.attach(
         "models": ["HumanModel", "RobotModel", "TscModel"],
         "sessions": ["Metadata", "Session", "SessionError", "read_session", "read_sessions", "write_session"],
         "identification": ["IdentificationError", "arx", "fit_human", "fit_robot", "fit_tsc"],
-        "reproduction": ["compare", "published_table"],
+        "reproduction": ["compare", "published_models", "published_table"],
     },
 )
 __getattr__ = _lazy_getattr

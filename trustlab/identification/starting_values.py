@@ -5,13 +5,14 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from trustlab.identification.greybox import UNIT_MARGIN
+from trustlab.identification.greybox import HUMAN, UNIT_MARGIN, Problem
+from trustlab.identification.least_squares import minimise
 from trustlab.identification.traces import Trace, blocks
 from trustlab.models.human import yerkes_dodson
 
 __all__ = ["human_start", "robot_start"]
 
-REST_STARTS = np.array([0.05, 0.5])
+REST_STARTS = np.array([0.03, 0.3, 0.6, 0.9])
 BETAS = np.linspace(0.15, 0.95, 9)
 
 
@@ -25,9 +26,10 @@ def _solve2(s11, s12, s22, t1, t2):
 
 @numba.njit(cache=True)
 def _human_grid(mode, p_h, starts, rates, betas, rests):
-    """Return Σ e², a, beta, p_min, p_max, r0 of the best grid point with p_max > p_min."""
-    best = np.array([np.inf, np.nan, np.nan, np.nan, np.nan, np.nan])
+    """Return Σ e², a, beta, p_min, p_max, r0 of every grid point with p_max > p_min; Σ e² is infinite elsewhere."""
+    out = np.full((rates.size * rests.size * betas.size, 6), np.inf)
     total = np.sum(p_h**2)
+    row = 0
     for a in rates:
         for rest in rests:
             for beta in betas:
@@ -45,10 +47,10 @@ def _human_grid(mode, p_h, starts, rates, betas, rests):
                         t2 += high * p_h[k]
                         r += (1.0 - a) * (mode[k] - r)
                 p_min, p_max = _solve2(s11, s12, s22, t1, t2)
-                squares = total - p_min * t1 - p_max * t2
-                if p_max > p_min and squares < best[0]:
-                    best[:] = [squares, a, beta, p_min, p_max, rest]
-    return best
+                if p_max > p_min:
+                    out[row] = [total - p_min * t1 - p_max * t2, a, beta, p_min, p_max, rest]
+                row += 1
+    return out
 
 
 @numba.njit(cache=True)
@@ -93,6 +95,10 @@ def human_start(runs: list[Trace], bounds: dict[str, tuple[float, float]]) -> di
     """
     Return starting values of a, beta, p_min, p_max and r0 of the human model.
 
+    The likelihood of (2.6) has several valleys (a slow operator past their best looks like a quick one short of it),
+    so the best grid points of different rates and initial utilizations are refined on block means before the best
+    is taken.
+
     Parameters
     ----------
     runs : list of Trace
@@ -106,16 +112,50 @@ def human_start(runs: list[Trace], bounds: dict[str, tuple[float, float]]) -> di
     betas = np.unique(np.clip(BETAS, *bounds["beta"]))
     rests = np.unique(np.clip(REST_STARTS, *bounds["r0"]))
     rates = _rates(longest, length, *bounds["a"])
-    found = _human_grid(_joined(data, "mode"), _joined(data, "p_h"), starts, rates, betas, rests)
-    if not np.isfinite(found[0]):
-        p_h = _joined(data, "p_h")
-        found = np.array(
-            [0.0, rates[rates.size // 2], betas[betas.size // 2], p_h.min(), p_h.max(), rests[0]]
-        )
-        if not found[4] > found[3]:
-            found[4] = found[3] + max(abs(found[3]), 1.0) * 1e-3
+    p_h = _joined(data, "p_h")
+    grid = _human_grid(_joined(data, "mode"), p_h, starts, rates, betas, rests)
+    if not np.isfinite(grid[:, 0]).any():
+        high = p_h.max() + (1e-3 * max(abs(p_h.max()), 1.0) if np.ptp(p_h) == 0.0 else 0.0)
+        grid = np.array([[0.0, rates[rates.size // 2], betas[betas.size // 2], p_h.min(), high, rests[0]]])
+    means = [
+        Trace(run.label, run.synthetic, run.t, d["mode"], d["p_h"]) for run, d in zip(runs, data, strict=True)
+    ]
+    found = min((_refined(means, row, bounds, length) for row in _apart(grid, rates)), key=lambda row: row[0])
     a = min(max(found[1] ** (1.0 / length), UNIT_MARGIN), 1.0 - UNIT_MARGIN)
     return {"a": a, "beta": found[2], "p_min": found[3], "p_max": found[4], "r0": found[5]}
+
+
+def _apart(grid: np.ndarray, rates: np.ndarray, most: int = 5) -> np.ndarray:
+    """Return the best grid points, one for each initial utilization and third of the rates."""
+    third = np.searchsorted(rates, grid[:, 1]) * 3 // max(rates.size, 1)
+    best: dict[tuple, np.ndarray] = {}
+    for row, band in zip(grid, third, strict=True):
+        key = (band, row[5])
+        if np.isfinite(row[0]) and (key not in best or row[0] < best[key][0]):
+            best[key] = row
+    return np.array(sorted(best.values(), key=lambda row: row[0])[:most])
+
+
+def _refined(means: list[Trace], row: np.ndarray, bounds: dict, length: int) -> np.ndarray:
+    """Search from one grid point on block means; p_min and p_max stay free even where the user fixed them."""
+    problem = Problem(HUMAN, means, power=row[2])
+    low_a, high_a = (min(max(bound**length, UNIT_MARGIN), 1.0 - UNIT_MARGIN) for bound in bounds["a"])
+    count = len(means)
+    low = np.array([low_a, bounds["beta"][0], -np.inf, -np.inf] + [bounds["r0"][0]] * count)
+    high = np.array([high_a, bounds["beta"][1], np.inf, np.inf] + [bounds["r0"][1]] * count)
+    start = np.r_[row[1:5], np.full(count, row[5])]
+    found = minimise(
+        problem.search_normal,
+        problem.to_search(np.clip(start, low, high)),
+        problem.to_search(low),
+        problem.to_search(high),
+        tolerance=1e-2,
+        max_iterations=25,
+    )
+    theta = problem.from_search(found.x)
+    if not theta[3] > theta[2]:
+        return row
+    return np.r_[found.normal.squares[0], theta[:4], np.median(theta[4:])]
 
 
 def robot_start(

@@ -1,0 +1,42 @@
+"""What all tests share: one place for hypothesis settings and the synthetic operators."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import HealthCheck, settings
+
+import trustlab as tl
+from trustlab.reproduction import published_models
+
+settings.register_profile(
+    "trustlab", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+settings.load_profile("trustlab")
+
+
+@pytest.fixture(scope="session")
+def operators():
+    """The printed operators: "pilot", "1" … "5"."""
+    return published_models()
+
+
+@pytest.fixture(scope="session")
+def make_session():
+    """A function that simulates a session: model, mode, noise, seed, initial states."""
+
+    def make(model, mode, noise=0.0, seed=0, r0=0.3, p_r0=0.3, sample_time=0.1, participant=1):
+        rng = np.random.default_rng(seed)
+        run = model.simulate(mode, r0, p_r0)
+        frame = run[["mode", "p_r", "p_h"]].copy()
+        for name in ("p_r", "p_h"):
+            frame[name] += noise * rng.standard_normal(len(frame))
+        frame.index = pd.Index(np.arange(len(frame)) * sample_time, name="t")
+        return tl.Session(frame, tl.Metadata(participant=participant, synthetic=True))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def switching():
+    """Eight phases of 2500 samples: manual, autonomous, and so on (seven switches)."""
+    return np.repeat([1.0, 0.0] * 4, 2500)

@@ -1,0 +1,122 @@
+"""Data that cannot tell a parameter: it is named, its interval is wide, or the fit refuses with the reason."""
+
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.identification import IdentificationError
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, 0.4])
+@pytest.mark.parametrize("fit", [tl.fit_robot, tl.fit_tsc])
+def test_a_mode_that_never_changes_is_refused(operators, make_session, fit, value):
+    session = make_session(operators["pilot"], np.full(5000, value), noise=0.003)
+    with pytest.raises(IdentificationError, match="mode never changes") as caught:
+        fit(session)
+    assert any(name.endswith("p_max") for name in caught.value.parameters)
+
+
+def test_fixing_what_is_missing_lets_the_rest_be_found(operators, make_session):
+    # All manual: with p_min known, a and p_max follow from the rise.
+    model = operators["pilot"]
+    session = make_session(model, np.ones(5000), p_r0=0.25)
+    fit = tl.fit_robot(session, p_h_max=model.robot.p_h_max, fixed={"p_min": model.robot.p_min})
+    assert fit.model.a == pytest.approx(model.robot.a, rel=1e-6)
+    assert fit.model.p_max == pytest.approx(model.robot.p_max, rel=1e-6)
+    row = fit.table().loc["p_min"]
+    assert row["status"] == "fixed"
+    assert np.isnan(row["stderr"])
+    assert row["value"] == model.robot.p_min
+
+
+def test_a_rested_operator_who_never_works_is_refused(operators, make_session):
+    session = make_session(operators["pilot"], np.zeros(3000), noise=0.003, r0=0.0)
+    with pytest.raises(IdentificationError) as caught:
+        tl.fit_human(session)
+    assert caught.value.parameters
+
+
+def test_performance_that_never_moves_is_refused(operators, make_session):
+    session = make_session(operators["pilot"], np.repeat([1.0, 0.0], 500))
+    flat = session.with_columns(p_h=np.full(1000, 0.4))
+    with pytest.raises(IdentificationError, match="p_h never moves") as caught:
+        tl.fit_human(flat)
+    assert "beta" in caught.value.parameters
+    with pytest.raises(IdentificationError, match="p_h_max"):
+        tl.fit_robot(flat)
+
+
+def test_utilization_that_hardly_moves_names_beta(operators, make_session):
+    # Quick alternation holds r near one half: the curve of (2.6) cannot be seen.
+    session = make_session(operators["pilot"], np.tile([1.0, 0.0], 5000), noise=0.003, r0=0.5)
+    with pytest.raises(IdentificationError, match="do not determine") as caught:
+        tl.fit_human(session)
+    assert {"beta", "p_min", "p_max"} & set(caught.value.parameters)
+
+
+def test_no_decay_to_see_makes_a_wide_interval(operators, make_session):
+    # Autonomous phases of two seconds: robot performance never gets near its least.
+    mode = np.ones(6000)
+    mode[3000:3020] = 0.0
+    settled = operators["pilot"].robot.steady_state(1.0, operators["pilot"].human.p_min)
+    session = make_session(operators["pilot"], mode, noise=0.003, p_r0=settled, r0=1.0)
+    fit = tl.fit_robot(session, p_h_max=0.4602)
+    table = fit.table()
+    truth = operators["pilot"].robot
+    assert not fit.success
+    assert table.loc["p_min", "status"] == "weak"
+    assert "p_min" in fit.message
+    assert table.loc["p_min", "ci_high"] - table.loc["p_min", "ci_low"] > 0.1
+    assert table.loc["p_min", "ci_low"] <= truth.p_min <= table.loc["p_min", "ci_high"]
+
+
+def test_a_robot_that_is_better_alone_contradicts_the_model(operators, make_session, switching):
+    session = make_session(operators["pilot"], switching, noise=0.001)
+    turned = session.with_columns(p_r=0.7 - session["p_r"])
+    with pytest.raises(IdentificationError, match="does not rise under manual control"):
+        tl.fit_robot(turned)
+
+
+def test_bounds_hold_and_are_reported(operators, make_session, switching):
+    session = make_session(operators["pilot"], switching, noise=0.003)
+    fit = tl.fit_human(session, bounds={"beta": (None, 0.7)})
+    assert fit.model.beta == pytest.approx(0.7, abs=1e-12)
+    assert fit.table().loc["beta", "status"] == "at bound"
+    assert not fit.success
+    assert "beta ran into its bound" in fit.message
+    free = tl.fit_human(session, bounds={"beta": (0.6, 0.9)})
+    assert free.model.beta == pytest.approx(tl.fit_human(session).model.beta, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"method": "pem"}, 'method must be "output_error" or "arx"'),
+        ({"fixed": {"betta": 0.7}}, "did you mean 'beta'"),
+        ({"bounds": {"beta": (0.9, 0.1)}}, "low < high"),
+        ({"bounds": {"beta": (1.5, 2.0)}}, "lie outside"),
+        ({"fixed": {"a": 1.5}}, "outside"),
+        ({"noise": "pink"}, "noise must be"),
+        ({"method": "arx", "fixed": {"a": 0.9}}, "plain least squares"),
+        ({"method": "arx"}, "column r"),
+    ],
+)
+def test_arguments_that_are_not_understood(operators, make_session, switching, arguments, says):
+    session = make_session(operators["pilot"], switching[:6000], noise=0.003)
+    with pytest.raises(ValueError, match=says):
+        tl.fit_human(session, **arguments)
+
+
+def test_sessions_that_do_not_fit_together(operators, make_session, switching):
+    one = make_session(operators["pilot"], switching[:6000])
+    other = make_session(operators["pilot"], switching[:6000], sample_time=0.05)
+    with pytest.raises(IdentificationError, match=r"0.1 s and .*0.05 s"):
+        tl.fit_robot([one, other])
+    with pytest.raises(IdentificationError, match="no session"):
+        tl.fit_robot([])
+    with pytest.raises(ValueError, match="takes sessions, got DataFrame"):
+        tl.fit_robot([one.data])
+    with pytest.raises(tl.SessionError, match="no column 'p_h'"):
+        tl.fit_human(tl.Session(one.data[["mode", "p_r"]]))
+    with pytest.raises(ValueError, match="p_h_max must be positive"):
+        tl.fit_robot(one, p_h_max=-1.0)

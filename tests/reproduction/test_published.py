@@ -1,0 +1,58 @@
+"""Printed tables come back as printed; digits are counted as a reader would."""
+
+import pytest
+
+import trustlab as tl
+from trustlab.reproduction import compare, matching_digits, published_models, published_table
+
+
+def test_strings_keep_their_zeros():
+    table = published_table("2.1")
+    assert table.loc["P_h_min", "3"] == "0.39"
+    assert published_table("2.5").loc["C5", "P_r_sd"] == "0.020"
+    assert published_table("2.3").loc[("TSC_l", "mean"), "1"] == "-0.24"
+
+
+def test_unknown_table_lists_the_known():
+    with pytest.raises(ValueError, match=r"no printed table '9.9'; there are 2.1, 2.2"):
+        published_table("9.9")
+
+
+def test_models_have_the_printed_parameters():
+    models = published_models()
+    assert list(models) == ["pilot", "1", "2", "3", "4", "5"]
+    table = published_table("2.1")
+    for name in table.columns:
+        assert round(models[name].robot.b, 4) == float(table.loc["b_pr", name])
+        assert models[name].human.b == pytest.approx(float(table.loc["b_r", name]), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("ours", "printed", "digits"),
+    [
+        (0.39, "0.390", 3),
+        (0.3906, "0.390", 2),
+        (0.99600, "0.996", 3),
+        (0.9871, "0.996", 1),
+        (0.00127, "0.0013", 2),
+        (5.38e-5, "5.44e-5", 2),
+        (0.999, "1.0", 2),
+        (-0.24, "0.24", 0),
+        (float("nan"), "0.24", 0),
+        (123.4, "120", 2),
+    ],
+)
+def test_matching_digits(ours, printed, digits):
+    assert matching_digits(ours, printed) == digits
+
+
+def test_verdicts():
+    table = compare(
+        {"a": 0.9961, "b": 0.30, "c": 0.2}, {"a": "0.996", "b": "0.29", "c": "0.3"}, {"b": 0.01, "c": 0.01}
+    )
+    assert list(table["verdict"]) == ["rounds to it", "within 2 s.e.", "differs"]
+    with pytest.raises(ValueError, match="only on one side: b"):
+        compare({"a": 1.0, "b": 1.0}, {"a": "1"})
+    with pytest.raises(ValueError, match="as printed"):
+        compare({"a": 1.0}, {"a": "about one"})
+    assert tl.compare is compare
