@@ -9,11 +9,13 @@ import pandas as pd
 from scipy import optimize
 
 from trustlab.identification.arx import regression
+from trustlab.identification.bounds import limits_of
 from trustlab.identification.errors import IdentificationError
 from trustlab.identification.fit_result import FitResult, RunFit
 from trustlab.identification.greybox import HUMAN, Problem
-from trustlab.identification.output_error import Estimate, estimate, limits_of, parameter_table, result
+from trustlab.identification.output_error import Estimate, estimate
 from trustlab.identification.starting_values import human_start
+from trustlab.identification.summary import parameter_table, result
 from trustlab.identification.traces import Trace, traces
 from trustlab.models.human import HumanModel, performance_curve
 from trustlab.sessions.session import Session

@@ -1,23 +1,17 @@
-"""The output-error (prediction-error) method: search, covariance, and a result that says how sure it is."""
+"""The output-error (prediction-error) method: search and covariance."""
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
-from scipy import stats
 
 from trustlab.identification.errors import IdentificationError
-from trustlab.identification.fit_result import FitResult, RunFit
-from trustlab.identification.greybox import Problem, Structure
+from trustlab.identification.greybox import Problem
 from trustlab.identification.least_squares import minimise
 from trustlab.identification.residuals import hac_lags, hac_matrix, ljung_box, pooled_autocorrelation
-from trustlab.identification.traces import Trace
 
-__all__ = ["Estimate", "check_mode_moves", "estimate", "limits_of", "parameter_table", "result"]
+__all__ = ["Estimate", "estimate"]
 
 SINGULAR = 1e-10
 """Smallest eigenvalue of the information matrix, scaled to unit diagonal, that still counts as information."""
@@ -72,51 +66,6 @@ class Estimate:
     noise: str
     converged: bool
     iterations: int
-
-
-def _check_names(structure: Structure, given: Mapping, what: str) -> None:
-    known = structure.shared + structure.initial
-    for name in given:
-        if name not in known:
-            close = difflib.get_close_matches(str(name), known, n=1)
-            hint = f"; did you mean {close[0]!r}?" if close else ""
-            raise ValueError(f"{what} names {name!r}, which is no parameter here ({', '.join(known)}){hint}")
-
-
-def limits_of(structure: Structure, fixed: Mapping, bounds: Mapping) -> dict[str, tuple[float, float]]:
-    """
-    Return lowest and highest value by parameter; equal values for a fixed one.
-
-    Parameters
-    ----------
-    structure : Structure
-        The model structure.
-    fixed : mapping
-        Values to hold, by name.
-    bounds : mapping
-        (low, high) by name; None for an open side.
-    """
-    _check_names(structure, fixed, "fixed")
-    _check_names(structure, bounds, "bounds")
-    out = {}
-    for name in structure.shared + structure.initial:
-        low, high = structure.bounds(name)
-        if name in bounds:
-            own_low, own_high = bounds[name]
-            own_low = low if own_low is None else float(own_low)
-            own_high = high if own_high is None else float(own_high)
-            if not own_low < own_high:
-                raise ValueError(f"bounds of {name} must be (low, high) with low < high, got {bounds[name]}")
-            if own_high <= low or own_low >= high:
-                raise ValueError(f"bounds of {name}, {bounds[name]}, lie outside [{low:g}, {high:g}]")
-            low, high = max(low, own_low), min(high, own_high)
-        if name in fixed:
-            value = float(fixed[name])
-            if not low <= value <= high:
-                raise ValueError(f"{name} is fixed at {value}, outside [{low:g}, {high:g}]")
-            low = high = value
-        out[name] = (low, high)
-    return out
 
 
 def estimate(
@@ -251,174 +200,3 @@ def _meat(
         )
         meat[np.ix_(where, where)] += hac_matrix(scores, lags)
     return meat[np.ix_(free, free)]
-
-
-def check_mode_moves(runs: list[Trace], limits: dict[str, tuple[float, float]], low: str, high: str) -> None:
-    """
-    Refuse data in which nothing separates the least from the greatest robot performance.
-
-    Parameters
-    ----------
-    runs : list of Trace
-        The data.
-    limits : dict
-        From `limits_of`.
-    low, high : str
-        Names of the least and the greatest robot performance.
-
-    Raises
-    ------
-    IdentificationError
-        If mode never changes and neither parameter is fixed, or is 0 throughout and `high` is not fixed.
-    """
-    modes = np.concatenate([run.mode for run in runs])
-    held = {name for name in (low, high) if limits[name][0] == limits[name][1]}
-    if np.ptp(modes) > 0.0 or (held and (modes[0] > 0.0 or high in held)):
-        return
-    lost = (high,) if modes[0] == 0.0 else (low, high)
-    what = " and ".join(lost)
-    raise IdentificationError(
-        f"these data do not determine {what}: mode never changes (it is {modes[0]:g} throughout); log at least one "
-        f"switch between manual and autonomous control, or fix a parameter, for example fixed={{{lost[0]!r}: ...}}",
-        lost,
-    )
-
-
-HINTS = {
-    "a": "record a rise or a decay long enough to see its curvature",
-    "beta": "record phases that take utilization to both sides of its best",
-    "p_min": "record a phase long enough to settle at the least performance",
-    "p_max": "record a phase long enough to come near the greatest performance",
-}
-
-
-def _is_weak(kind: str, value: float, stderr: float, span: float) -> bool:
-    half = stats.norm.ppf(0.975) * stderr
-    if kind == "rate":
-        return half > 0.5 * (1.0 - value)
-    if kind == "logit":
-        return half > 0.25
-    return half > 0.5 * abs(span)
-
-
-def result(
-    problem: Problem, found: Estimate, model: object, table: pd.DataFrame, covariance: pd.DataFrame
-) -> FitResult:
-    """
-    Put an estimate, its model and its table of parameters into a FitResult.
-
-    Parameters
-    ----------
-    problem : Problem
-        Structure and data.
-    found : Estimate
-        The estimate.
-    model : RobotModel, HumanModel or TscModel
-        The model at the estimate.
-    table : pandas.DataFrame
-        Index `parameter`; columns value, stderr, status; statuses of weakly determined parameters are set here.
-    covariance : pandas.DataFrame
-        Covariance of the estimated parameters.
-    """
-    structure, table = problem.structure, table.copy()
-    sentences = [f"Converged in {found.iterations} evaluations."]
-    if not found.converged:
-        sentences = [
-            f"Stopped after {found.iterations} evaluations without reaching a minimum; do not use the numbers."
-        ]
-    maps, success = dict(zip(structure.shared, structure.maps, strict=False)), found.converged
-    for name in structure.shared:
-        value, stderr, status = table.loc[name, ["value", "stderr", "status"]]
-        stem = name.split("_", 1)[1] if name.startswith(("human_", "robot_")) else name
-        prefix = name[: len(name) - len(stem)]
-        span = table.loc[prefix + "p_max", "value"] - table.loc[prefix + "p_min", "value"]
-        if status == "at bound":
-            success = False
-            sentences.append(f"{name} ran into its bound at {value:.6g}: these data do not determine it.")
-        elif status == "estimated" and _is_weak(maps[name], value, stderr, span):
-            success = False
-            table.loc[name, "status"] = "weak"
-            half = stats.norm.ppf(0.975) * stderr
-            sentences.append(
-                f"{name} is hardly determined by these data ({value:.4g} ± {half:.2g}); {HINTS[stem]}, or fix it."
-            )
-    for name in structure.initial:
-        first = len(structure.shared) + structure.initial.index(name)
-        where = np.arange(first, found.theta.size, len(structure.initial))
-        held = int(found.at_bound[where].sum())
-        if held:
-            sentences.append(f"{name} lies on its bound in {held} of {len(where)} run(s).")
-    if found.noise == "hac":
-        sentences.append(
-            f"Residuals are not white (Ljung–Box p = {found.whiteness_p:.2g}): standard errors allow for autocorrelation."
-            if found.whiteness_p < 1e-3
-            else "Standard errors allow for autocorrelated residuals."
-        )
-    elif found.whiteness_p < 1e-3:
-        sentences.append(
-            f"Residuals are not white (Ljung–Box p = {found.whiteness_p:.2g}): these standard errors are too small; "
-            'use noise="hac".'
-        )
-    stderr = np.sqrt(np.where(found.fixed, np.nan, np.diag(found.covariance)))
-    shared, own = len(structure.shared), len(structure.initial)
-    states = {}
-    for j, name in enumerate(structure.initial):
-        states[name] = found.theta[shared + j :: own]
-        states[f"{name}_stderr"] = stderr[shared + j :: own]
-    index = pd.Index([run.label for run in problem.runs], name="run")
-    runs = [
-        RunFit(
-            run.label,
-            run.synthetic,
-            run.t,
-            run.mode,
-            {name: getattr(run, name) for name in structure.outputs},
-            {name: found.fitted[j][i] for j, name in enumerate(structure.outputs)},
-        )
-        for i, run in enumerate(problem.runs)
-    ]
-    return FitResult(
-        model=model,
-        method="output_error",
-        parameters=table,
-        covariance=covariance,
-        initial_states=pd.DataFrame(states, index=index),
-        runs=runs,
-        noise=found.noise,
-        sigma=dict(zip(structure.outputs, found.sigma.tolist(), strict=True)),
-        cost=found.cost,
-        success=bool(success),
-        message=" ".join(sentences),
-        degrees_of_freedom=float(problem.counts.sum() - found.free.size),
-    )
-
-
-def parameter_table(problem: Problem, found: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """
-    Return the shared parameters' table and covariance.
-
-    Parameters
-    ----------
-    problem : Problem
-        Structure and data.
-    found : Estimate
-        The estimate.
-
-    Returns
-    -------
-    table : pandas.DataFrame
-        Index `parameter`; columns value, stderr, status.
-    covariance : pandas.DataFrame
-        Of the estimated shared parameters.
-    """
-    names = list(problem.structure.shared)
-    size = len(names)
-    status = np.where(found.fixed, "fixed", np.where(found.at_bound, "at bound", "estimated"))[:size]
-    stderr = np.where(status == "estimated", np.sqrt(np.abs(np.diag(found.covariance)[:size])), np.nan)
-    index = pd.Index(names, name="parameter")
-    table = pd.DataFrame(
-        {"value": found.theta[:size], "stderr": stderr, "status": status.astype(object)}, index=index
-    )
-    full = pd.DataFrame(found.covariance[:size, :size], index=index, columns=names)
-    kept = [name for name in names if table.loc[name, "status"] == "estimated"]
-    return table, full.loc[kept, kept]

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
 from trustlab.identification.arx import arx
+from trustlab.identification.bounds import limits_of
 from trustlab.identification.errors import IdentificationError
 from trustlab.identification.fit_result import FitResult, RunFit
 from trustlab.identification.greybox import HUMAN, ROBOT, Problem
 from trustlab.identification.human import estimate_human
-from trustlab.identification.output_error import (
-    Estimate,
-    check_mode_moves,
-    estimate,
-    limits_of,
-    parameter_table,
-    result,
-)
+from trustlab.identification.identifiability import check_mode_moves, undetermined
+from trustlab.identification.output_error import Estimate, estimate
 from trustlab.identification.sensitivities import input_influence
 from trustlab.identification.starting_values import robot_start
+from trustlab.identification.summary import parameter_table, result
 from trustlab.identification.traces import Trace, traces
 from trustlab.models.checks import finite_number
 from trustlab.models.robot import RobotModel
@@ -89,7 +86,8 @@ def fit_robot(
     human = None if p_h_max is not None else _best_operator(runs)
     best = float(p_h_max) if human is None else float(human[1].theta[3])
     if method == "arx":
-        return _least_squares(runs, best, np.nan if human is None else _p_max_variance(human[1]))
+        fit = _least_squares(runs, best, np.nan if human is None else _p_max_variance(human[1]))
+        return fit if human is None else _doubt_operator(fit, *human)
     start = robot_start(runs, None, best, limits)
     problem = Problem(ROBOT, runs, p_h_max=best)
     theta = np.r_[[start[name] for name in ROBOT.shared], start["p_r0"]]
@@ -97,7 +95,8 @@ def fit_robot(
     model = build_robot(*found.theta[:3], best)
     table, covariance = parameter_table(problem, found)
     table, covariance = _with_input_noise(table, covariance, problem, found, human)
-    return result(problem, found, model, table, covariance)
+    fit = result(problem, found, model, table, covariance)
+    return fit if human is None else _doubt_operator(fit, *human)
 
 
 def build_robot(a: float, p_min: float, p_max: float, p_h_max: float) -> RobotModel:
@@ -136,6 +135,18 @@ def _best_operator(runs: list[Trace]) -> tuple[Problem, Estimate]:
             "give it as p_h_max=...",
             ("p_max", *error.parameters),
         ) from error
+
+
+def _doubt_operator(fit: FitResult, problem: Problem, found: Estimate) -> FitResult:
+    """Mark p_max as weak where the operator's model, which p_h_max comes from, is not determined itself."""
+    names = undetermined(problem, parameter_table(problem, found)[0])
+    if found.converged and not names:
+        return fit
+    parameters = fit.parameters.copy()
+    parameters.loc[["p_max", "p_h_max"], "status"] = "weak"
+    reason = f"{' and '.join(names)} of the operator's model" if names else "the operator's model"
+    sentence = f"p_h_max, and p_max with it, is not to be trusted: these data do not determine {reason}; give p_h_max=..."
+    return replace(fit, parameters=parameters, success=False, message=f"{fit.message} {sentence}.")
 
 
 def _p_max_variance(found: Estimate) -> float:

@@ -6,18 +6,15 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from trustlab.identification.bounds import limits_of
 from trustlab.identification.fit_result import FitResult
 from trustlab.identification.greybox import JOINT, Problem
 from trustlab.identification.human import build_human, with_derived_b
-from trustlab.identification.output_error import (
-    check_mode_moves,
-    estimate,
-    limits_of,
-    parameter_table,
-    result,
-)
+from trustlab.identification.identifiability import check_mode_moves
+from trustlab.identification.output_error import estimate
 from trustlab.identification.robot import build_robot
 from trustlab.identification.starting_values import human_start, robot_start
+from trustlab.identification.summary import parameter_table, result
 from trustlab.identification.traces import traces
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
