@@ -6,9 +6,10 @@ __getattr__, __dir__, __all__ = lazy.attach(
     __name__,
     submod_attrs={
         "errors": ["RecipeError", "SessionError"],
+        "external": ["external_data"],
         "metrics": ["tracking_error"],
         "readers": ["read_session", "read_sessions"],
-        "recipes": ["load_recipe", "recipes"],
+        "recipes": ["Recipe", "load_recipe", "recipes"],
         "session": ["Metadata", "Session"],
         "vocabulary": ["vocabulary"],
         "writers": ["write_session"],

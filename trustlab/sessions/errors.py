@@ -2,7 +2,26 @@
 
 from __future__ import annotations
 
-__all__ = ["RecipeError", "SessionError"]
+import difflib
+from collections.abc import Iterable
+
+__all__ = ["RecipeError", "SessionError", "nearest"]
+
+
+def nearest(name: object, known: Iterable[object]) -> str:
+    """
+    Return "; did you mean …?" for a misspelt name, or nothing when no known name is near.
+
+    Parameters
+    ----------
+    name : str
+        What was found.
+    known : iterable of str
+        What could have been meant.
+    """
+    known = {str(word).lower(): str(word) for word in known}
+    close = difflib.get_close_matches(str(name)[:100].lower(), known, n=1, cutoff=0.6)
+    return f"; did you mean {known[close[0]]!r}?" if close else ""
 
 
 class SessionError(ValueError):
@@ -15,11 +34,14 @@ class SessionError(ValueError):
         What was found and what to do about it.
     source : str, optional
         The file it was found in; put in front of the message.
+    row : int, optional
+        The sample it was found at, from 0; tells which of two faults comes first.
     """
 
-    def __init__(self, message: str, source: str | None = None):
+    def __init__(self, message: str, source: str | None = None, row: int | None = None):
         super().__init__(f"{source}: {message}" if source else message)
         self.source = source
+        self.row = row
 
 
 class RecipeError(SessionError):

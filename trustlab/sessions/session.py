@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
 
-from trustlab.sessions.errors import SessionError
+from trustlab.sessions.errors import SessionError, nearest
 from trustlab.sessions.vocabulary import VOCABULARY
 
 __all__ = ["STEP_TOLERANCE", "Metadata", "Session"]
@@ -56,12 +55,13 @@ class Metadata:
         return flat | dict(self.more)
 
 
-def _nearest(name: str, known) -> str:
-    close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.6)
-    return f"; did you mean {close[0]!r}?" if close else ""
+def _row(k: int) -> str:
+    return f"row {k}"
 
 
-def check_time(t: np.ndarray, source: str | None = None, first_row: int = 0) -> float:
+def check_time(
+    t: np.ndarray, source: str | None = None, place: Callable[[int], str] = _row, uniform: bool = True
+) -> float:
     """
     Return the sample time of a uniform time axis.
 
@@ -71,8 +71,10 @@ def check_time(t: np.ndarray, source: str | None = None, first_row: int = 0) -> 
         Times [s]; at least two.
     source : str, optional
         The file, for the error.
-    first_row : int
-        The number of the row that holds the first sample, for the error.
+    place : callable
+        Names the place of sample k in the file ("line 7"), for the error.
+    uniform : bool
+        Whether irregular sampling is a fault, which it is not before resampling.
 
     Raises
     ------
@@ -85,32 +87,37 @@ def check_time(t: np.ndarray, source: str | None = None, first_row: int = 0) -> 
         raise SessionError(f"a session needs at least two samples, found {t.size}", source)
     if not np.isfinite(t).all():
         k = int(np.argmax(~np.isfinite(t)))
-        raise SessionError(f"row {first_row + k}, column t: time is {t[k]}; every row needs a time", source)
+        raise SessionError(f"{place(k)}, column t: time is {t[k]}; every row needs a time", source, row=k)
     with np.errstate(over="ignore"):
         steps = np.diff(t)
     if not (steps > 0.0).all():
         k = int(np.argmax(steps <= 0.0)) + 1
         what = "repeats" if steps[k - 1] == 0.0 else "runs backwards"
         raise SessionError(
-            f"row {first_row + k}, column t: time {what} ({t[k - 1]} s, then {t[k]} s); "
+            f"{place(k)}, column t: time {what} ({t[k - 1]} s, then {t[k]} s); "
             "sort or split the log where this happens",
             source,
+            row=k,
         )
     step = float(np.median(steps))
-    off = np.abs(steps - step) > STEP_TOLERANCE * step
+    if not uniform:
+        return step
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(steps - step) > STEP_TOLERANCE * step
     if not np.isfinite(step) or off.any():
         k = int(np.argmax(off)) + 1
         raise SessionError(
-            f"row {first_row + k}, column t: sampling is irregular (a step of {steps[k - 1]:.6g} s at t = {t[k]:.6g} s, "
+            f"{place(k)}, column t: sampling is irregular (a step of {steps[k - 1]:.6g} s at t = {t[k]:.6g} s, "
             f"the median step is {step:.6g} s; {int(off.sum())} of {steps.size} steps are off by more than "
             f"{STEP_TOLERANCE:.0%}); ask for resampling by name, for example "
             f'read_session(..., resample="linear", sample_time={step:.3g})',
             source,
+            row=k,
         )
     return step
 
 
-def check_columns(data: pd.DataFrame, source: str | None = None, first_row: int = 0) -> None:
+def check_columns(data: pd.DataFrame, source: str | None = None, place: Callable[[int], str] = _row) -> None:
     """
     Check names, types, gaps and ranges of a session's columns.
 
@@ -120,8 +127,8 @@ def check_columns(data: pd.DataFrame, source: str | None = None, first_row: int 
         The columns, indexed by time.
     source : str, optional
         The file, for the error.
-    first_row : int
-        The number of the row that holds the first sample, for the error.
+    place : callable
+        Names the place of sample k in the file ("line 7"), for the error.
 
     Raises
     ------
@@ -134,7 +141,7 @@ def check_columns(data: pd.DataFrame, source: str | None = None, first_row: int 
     for name in data.columns:
         if name not in VOCABULARY:
             raise SessionError(
-                f"column {name!r} is not in the vocabulary{_nearest(name, VOCABULARY)} "
+                f"column {name!r} is not in the vocabulary{nearest(name, VOCABULARY) or '.'} "
                 "Map it with a recipe, leave it out, or see trustlab.sessions.vocabulary()",
                 source,
             )
@@ -149,11 +156,13 @@ def check_columns(data: pd.DataFrame, source: str | None = None, first_row: int 
             low = -np.inf if column.low is None else column.low
             high = np.inf if column.high is None else column.high
             bad = (values < low) | (values > high)
-            why = f"lies outside [{low:g}, {high:g}] ({column.meaning})"
+            why = (
+                f"lies outside [{low:g}, {high:g}] ({column.meaning}); correct it, or scale it with a recipe"
+            )
         if bad.any():
             k = int(np.argmax(bad))
             raise SessionError(
-                f"row {first_row + k}, column {name!r}, t = {data.index[k]:.6g} s: {values[k]} {why}", source
+                f"{place(k)}, column {name!r}, t = {data.index[k]:.6g} s: {values[k]} {why}", source, row=k
             )
 
 
@@ -274,7 +283,7 @@ class Session:
         missing = [name for name in names if name not in self.data.columns]
         if missing:
             raise SessionError(
-                f"{self.label} has no column {missing[0]!r}{_nearest(missing[0], self.columns)} "
+                f"{self.label} has no column {missing[0]!r}{nearest(missing[0], self.columns)} "
                 f"(it has: {', '.join(self.columns)}; needed: {', '.join(names)})",
                 self.metadata.source,
             )

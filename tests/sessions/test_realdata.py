@@ -1,0 +1,100 @@
+"""The shared-control study of Pan et al. (2024), where its files are. Oracle: its own header and measures."""
+
+import os
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from trustlab.sessions import SessionError, read_session, read_sessions
+
+DATA = (
+    Path(os.environ.get("TRUSTLAB_DATA") or Path(__file__).parents[2] / "data" / "external")
+    / "autonomy_cl_trust"
+)
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the real sessions are not here: no folder {DATA}")
+
+
+@pytest.fixture(scope="module")
+def sessions():
+    return read_sessions(DATA, recipe="autonomy_cl_trust")
+
+
+def test_what_there_is(sessions):
+    assert [(s.metadata.participant, s.metadata.more["trial"]) for s in sessions] == [
+        (participant, trial) for participant in range(1, 9) for trial in range(1, 31)
+    ]
+    for session in sessions:
+        more = session.metadata.more
+        assert session.metadata.condition == more["autonomy"]
+        assert more["training"] == (more["trial"] <= 5)
+        assert more["block"] == (more["trial"] - 1) // 5
+        assert set(more) == {"autonomy", "trial", "block", "training", "trajectory"}
+        assert session.sample_time == pytest.approx(0.024)
+        np.testing.assert_array_equal(session["mode"], round(1 - more["autonomy"], 1))
+        # Column 10 is the distance in y and z.
+        distance = np.hypot(
+            session["robot_y"] - session["reference_y"], session["robot_z"] - session["reference_z"]
+        )
+        np.testing.assert_allclose(session["path_error"], distance, atol=1e-12)
+
+
+def test_the_robot_followed_the_mixture(sessions):
+    # The recipe's reading of columns 0-8 and of alpha_id: robot = share · human + (1 − share) · reference.
+    for session in sessions:
+        for axis in "yz":
+            share = session["mode"]
+            mixture = share * session[f"human_{axis}"] + (1 - share) * session[f"reference_{axis}"]
+            np.testing.assert_allclose(session[f"robot_{axis}"], mixture, atol=1e-9)
+
+
+def test_each_block_has_one_autonomy_level(sessions):
+    frame = pd.DataFrame([s.metadata.as_dict() for s in sessions])
+    assert (frame.groupby(["participant", "block"])["autonomy"].agg(np.ptp) == 0).all()
+    later = frame[~frame["training"]].drop_duplicates(["participant", "block"])
+    assert (later.groupby("participant")["autonomy"].nunique() == 5).all()
+
+
+def test_mean_errors_against_the_header(sessions):
+    for session in sessions:
+        folder = Path(session.metadata.source).parent
+        header = pd.read_csv(folder / f"{folder.name}_header.csv").set_index("trial_number")
+        printed = header.loc[session.metadata.more["trial"], "overall_ave"]
+        assert session["path_error"].mean() == pytest.approx(printed, rel=1e-9)
+
+
+def test_any_folder_above_and_one_file(sessions):
+    assert read_sessions(DATA / "raw", recipe="autonomy_cl_trust") == sessions
+    assert read_sessions(DATA / "raw" / "part25", recipe="autonomy_cl_trust") == sessions[210:]
+    assert read_session(DATA / "raw" / "part25" / "trial3.csv", recipe="autonomy_cl_trust") == sessions[212]
+
+
+def test_two_hundred_and_forty_files_in_four_seconds():
+    start = time.perf_counter()
+    read_sessions(DATA, recipe="autonomy_cl_trust")
+    assert time.perf_counter() - start < 4.0
+
+
+def test_the_replaced_participant_and_others(tmp_path):
+    for name, source in [("part8", "part1"), ("part25", "part25"), ("part24", "part2")]:
+        shutil.copytree(DATA / "raw" / source, tmp_path / name)
+        header = tmp_path / name / f"{source}_header.csv"
+        header.parent.chmod(0o755)
+        header.rename(header.with_name(f"{name}_header.csv"))
+    with pytest.warns(UserWarning, match="folder 8 were superseded by those of folder 25"):
+        found = read_sessions(tmp_path, recipe="autonomy_cl_trust")
+    assert [s.metadata.participant for s in found] == [8] * 30 + [24] * 30
+    assert all("part25" in s.metadata.source for s in found[:30])
+    # Without its replacement participant 8 stands.
+    shutil.rmtree(tmp_path / "part25")
+    assert [s.metadata.participant for s in read_sessions(tmp_path, recipe="autonomy_cl_trust")] == [
+        8
+    ] * 30 + [24] * 30
+    (tmp_path / "part24" / "trial17.csv").unlink()
+    with pytest.raises(
+        SessionError, match=r"part24_header\.csv: line 18: names trial_number 17, which has no file"
+    ):
+        read_sessions(tmp_path, recipe="autonomy_cl_trust")

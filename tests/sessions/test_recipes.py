@@ -1,0 +1,323 @@
+"""Recipes: what each rule does to a log, what a wrong recipe is told, header files and folders."""
+
+import numpy as np
+import pytest
+
+from trustlab.sessions import RecipeError, SessionError, load_recipe, read_session, read_sessions, recipes
+from trustlab.sessions.patterns import PathPattern, natural_key
+from trustlab.sessions.recipes import Recipe
+from trustlab.sessions.units import UNITS, to_si
+
+LAB = """
+name = "lab"
+kind = "table"
+
+[files]
+pattern = "p{who:int}/run{trial:int}.csv"
+
+[header]
+file = "p{who}/runs.csv"
+keys = { trial = "run" }
+
+[supersedes]
+field = "who"
+pairs = { 8 = 25 }
+
+[table]
+delimiter = ";"
+decimal = ","
+skip_lines = 1
+
+[time]
+column = "stamp"
+unit = "ms"
+from_zero = true
+
+[columns]
+mode = { column = "driver", map = { HUMAN = 1, ROBOT = 0, both = 0.5 } }
+robot_x = { column = "x", unit = "mm" }
+robot_y = { column = "y", unit = "cm", scale = -1.0, offset = 5.0 }
+reference_x = { value = 20, unit = "cm" }
+reference_y = { value = 0.0, unit = "m" }
+yaw = { column = "heading", unit = "deg" }
+r = { from = "header.share", unit = "%" }
+beta = { from = "header.level", map = { low = 0.1, high = 0.9 } }
+path_error = { distance = ["robot", "reference"], axes = ["x", "y"] }
+step_distance = { travelled = "robot", axes = ["x"] }
+
+[metadata]
+participant = { from = "who", map = { 25 = 8 }, keep = true }
+condition = { from = "header.level" }
+trial = { from = "trial" }
+block = { from = "trial", bins = [1, 2] }
+training = { from = "block", map = { 0 = true }, default = false }
+site = { value = "north" }
+synthetic = { value = true }
+"""
+ROWS = "logger v2\nstamp;x;y;heading;driver;junk\n5000;0;5;180;HUMAN;a\n5100;100;1,5;-90;ROBOT;b\n5200;400;5;0;both;c\n"
+
+
+def lay(tmp_path, recipe=LAB, people=(1, 2), runs=(1, 2, 3)):
+    (tmp_path / "lab.toml").write_text(recipe)
+    for who in people:
+        folder = tmp_path / "raw" / f"p{who}"
+        folder.mkdir(parents=True)
+        (folder / "runs.csv").write_text(
+            "run,share,level\n" + "".join(f"{k},{10 * k},{'low' if k < 3 else 'high'}\n" for k in runs)
+        )
+        for k in runs:
+            (folder / f"run{k}.csv").write_text(ROWS)
+    return tmp_path / "lab.toml"
+
+
+def test_every_rule(tmp_path):
+    recipe = lay(tmp_path)
+    session = read_session(tmp_path / "raw/p2/run3.csv", recipe=recipe)
+    expected = {
+        "mode": [1, 0, 0.5],
+        "robot_x": [0, 0.1, 0.4],
+        "robot_y": [0, 0.035, 0],
+        "reference_x": [0.2, 0.2, 0.2],
+        "reference_y": [0, 0, 0],
+        "yaw": [np.pi, -np.pi / 2, 0],
+        "r": [0.3, 0.3, 0.3],
+        "beta": [0.9, 0.9, 0.9],
+        "path_error": [0.2, np.hypot(0.1, 0.035), 0.2],
+        "step_distance": [0, 0.1, 0.3],
+    }
+    assert session.columns == list(expected)
+    for name, values in expected.items():
+        np.testing.assert_allclose(session[name], values, rtol=1e-15, atol=1e-15, err_msg=name)
+    np.testing.assert_allclose(session.t, [0, 0.1, 0.2], rtol=1e-15)
+    metadata = session.metadata
+    assert (metadata.participant, metadata.condition, metadata.synthetic) == (2, "high", True)
+    assert dict(metadata.more) == {
+        "start_time": 5.0,
+        "trial": 3,
+        "block": 2,
+        "training": False,
+        "site": "north",
+    }
+    # Columns by name bring what they are computed from, and no more.
+    assert read_session(tmp_path / "raw/p2/run3.csv", recipe=recipe, columns=["path_error"]).columns == [
+        "path_error"
+    ]
+    with pytest.raises(SessionError, match="no column 'path_eror'; did you mean 'path_error'"):
+        read_session(tmp_path / "raw/p2/run3.csv", recipe=recipe, columns=["path_eror"])
+
+
+@pytest.mark.parametrize("place", [".", "raw"])
+def test_a_folder(tmp_path, place):
+    recipe = lay(tmp_path, people=(10, 9, 25, 8))
+    with pytest.warns(UserWarning, match=r"who 8 were superseded by those of who 25.*left out"):
+        sessions = read_sessions(tmp_path / place, recipe=recipe)
+    found = [(each.metadata.participant, each.metadata.more["trial"]) for each in sessions]
+    assert found == [(who, trial) for who in (8, 9, 10) for trial in (1, 2, 3)]
+    assert all("p25" in each.metadata.source for each in sessions[:3])
+
+
+def test_one_folder_by_itself(tmp_path, monkeypatch, recwarn):
+    recipe = lay(tmp_path, people=(8, 9))
+    monkeypatch.chdir(tmp_path / "raw" / "p8")
+    assert [each.metadata.participant for each in read_sessions(".", recipe=recipe)] == [8, 8, 8]
+    assert read_session("run1.csv", recipe=recipe).metadata.more["block"] == 0
+    assert not recwarn.list
+
+
+def fails(call, *fragments):
+    with pytest.raises(SessionError) as caught:
+        call()
+    for fragment in fragments:
+        assert fragment in str(caught.value)
+
+
+def test_headers_and_files_name_each_other(tmp_path):
+    recipe = lay(tmp_path)
+    read = lambda: read_sessions(tmp_path, recipe=recipe)  # noqa: E731
+    assert len(read()) == 6
+    folder = tmp_path / "raw" / "p2"
+    header, good = folder / "runs.csv", (folder / "runs.csv").read_text()
+
+    (folder / "run3.csv").rename(folder / "away")
+    fails(read, str(header), "line 4", "run 3", "no file")
+    (folder / "away").rename(folder / "run4.csv")
+    fails(read, "run4.csv", str(header), "no row for run 4")
+    fails(lambda: read_session(folder / "run4.csv", recipe=recipe), "run4.csv", "no row for run 4")
+    (folder / "run4.csv").rename(folder / "run3.csv")
+
+    for text, fragments in [
+        (good.replace("run,", "rum,"), ["runs.csv: line 1", "'run' is missing", "did you mean 'rum'"]),
+        (good.replace("share", "run"), ["line 1", "'run' is there twice"]),
+        (good + "3,1,low\n", ["line 5", "there twice", "line 4"]),
+        (good + "4,1\n", ["line 5", "2 cells", "3"]),
+        (good + ",1,low\n", ["line 5", "a key is empty"]),
+        (good.replace("1,10,low", "1,ten,low"), ["run1.csv", "'r'", "'ten'", "not a number"]),
+        (
+            good.replace("1,10,low", "1,10,medium"),
+            ["run1.csv", "'beta'", "'medium'", "does not list", "low, high"],
+        ),
+        (good.replace("1,10,low", "1,,low"), ["run1.csv", "header.share is empty"]),
+        (good.replace("share", "part"), ["run1.csv", "no header.share", "header.part"]),
+        ("", ["line 1", "'run' is missing"]),
+    ]:
+        header.write_text(text)
+        fails(read, *fragments)
+    header.write_bytes(b"\xff\xfe")
+    fails(read, "runs.csv", "UTF-8")
+    header.unlink()
+    fails(read, "p2", "its header", "runs.csv is not there")
+    # A header alone, all of its files gone.
+    header.write_text(good)
+    for path in folder.glob("run[0-9].csv"):
+        path.unlink()
+    fails(read, str(header), "line 2", "run 1", "no file")
+    assert header.exists()
+
+
+def test_faults_are_told_in_the_words_of_the_file(tmp_path):
+    recipe = lay(tmp_path)
+    path = tmp_path / "raw/p1/run1.csv"
+    read = lambda: read_session(path, recipe=recipe)  # noqa: E731
+    for old, new, fragments in [
+        ("100;1,5", "abc;1,5", ["line 4", "'x' (robot_x)", "'abc'"]),
+        ("1,5", "1.5", ["line 4", "'y' (robot_y)", "'1.5'"]),
+        ("ROBOT", "ROBOTT", ["line 4", "'driver' (mode)", "'ROBOTT'", "did you mean 'ROBOT'"]),
+        ("5100", "5000", ["line 4", "repeats"]),
+        ("5200", "5250", ["line 4", "irregular"]),
+        (";x;", ";xx;", ["line 2", "'x' is missing"]),
+        ("stamp;", "stamps;", ["line 2", "'stamp' is missing", "did you mean 'stamps'"]),
+    ]:
+        path.write_text(ROWS.replace(old, new))
+        fails(read, str(path), *fragments)
+    path.write_text(ROWS)
+    fails(
+        lambda: read_session(path.rename(tmp_path / "run1.csv"), recipe=recipe), "does not fit", "p{who:int}"
+    )
+    fails(
+        lambda: read_sessions(tmp_path / "raw" / "p1", recipe="autonomy_cl_trust"),
+        "no file",
+        "part{folder:int}",
+    )
+
+
+def test_the_same_session_twice(tmp_path):
+    recipe = lay(tmp_path)
+    lay(tmp_path / "copy" if (tmp_path / "copy").mkdir() is None else tmp_path)
+    fails(lambda: read_sessions(tmp_path, recipe=recipe), "both who 1, trial 1", "one of the folders")
+
+
+def test_metadata_maps_without_a_way_out(tmp_path):
+    recipe = lay(tmp_path, LAB.replace(", keep = true", ""))
+    fails(
+        lambda: read_session(tmp_path / "raw/p2/run1.csv", recipe=recipe), "'participant'", "who is 2", "25"
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fragments"),
+    [
+        ("[columns]", "[colums]", ["unknown key 'colums'", "did you mean 'columns'"]),
+        ('kind = "table"', 'kind = "tabel"', ["kind must be", "'tabel'"]),
+        ('kind = "table"\n', "", ["kind must be"]),
+        ('kind = "table"', 'kind = "bag"', ["[table] is for"]),
+        ("robot_x =", "robot_xx =", ["robot_xx", "vocabulary", "did you mean 'robot_x'"]),
+        ("yaw =", "t =", ["time goes under [time]"]),
+        ('unit = "mm"', 'unit = "mmm"', ["robot_x", "unknown unit 'mmm'", "did you mean 'mm'"]),
+        ('unit = "mm"', 'unit = "ms"', ["robot_x", "'ms' measures s, but m is needed"]),
+        (', unit = "mm"', "", ["robot_x", "needs its unit", "m"]),
+        ('unit = "ms"', 'unit = "furlong"', ["[time]", "unknown unit 'furlong'"]),
+        ("scale =", "scal =", ["robot_y", "unknown key 'scal'", "did you mean 'scale'"]),
+        ("scale = -1.0", 'scale = "x"', ["robot_y: scale", "'x'"]),
+        ("scale = -1.0", "scale = nan", ["robot_y: scale", "finite"]),
+        ('column = "x"', 'column = "x", value = 1', ["robot_x", "exactly one of"]),
+        ('column = "x", ', "", ["robot_x", "exactly one of"]),
+        ('column = "x"', "column = 3", ["robot_x", "go by name", "3"]),
+        ('column = "x"', 'topic = "/odom"', ["robot_x", "needs field"]),
+        ('column = "x"', 'topic = "/odom", field = "x"', ["robot_x", "topic does not go with"]),
+        ("HUMAN = 1", 'HUMAN = "1"', ["mode", "map entry 'HUMAN'"]),
+        ("HUMAN = 1", '1 = 1, "1.0" = 1', ["mode", "same value"]),
+        (
+            'distance = ["robot", "reference"]',
+            'distance = ["robot", "target"]',
+            ["'target' is not a position"],
+        ),
+        ('distance = ["robot", "reference"]', 'distance = ["robot", "human"]', ["human_x", "no rule"]),
+        ('axes = ["x", "y"]', 'axes = ["x", "w"]', ["axes", "'w'"]),
+        ('from = "who"', 'from = "whom"', ["participant", "nothing is called 'whom'", "did you mean 'who'"]),
+        ('from = "block"', 'from = "traning"', ["training", "nothing is called"]),
+        ("bins = [1, 2]", "bins = [2, 1]", ["block", "rising"]),
+        ('value = "north"', 'value = "north", from = "who"', ["site", "either from or value"]),
+        ("default = false", "defualt = false", ["training", "unknown key", "did you mean 'default'"]),
+        (
+            'keys = { trial = "run" }',
+            'keys = { trail = "run" }',
+            ["[header]", "'trail'", "did you mean 'trial'"],
+        ),
+        ("p{who}/runs", "p{whom}/runs", ["[header] file", "'whom'", "did you mean 'who'"]),
+        ("{who:int}", "{who:integer}", ["unknown type 'integer'", "did you mean 'int'"]),
+        ("{who:int}", "{who:int", ["brace"]),
+        ('field = "who"', 'field = "whom"', ["[supersedes]", "who"]),
+        ('delimiter = ";"', 'delimiter = ";;"', ["delimiter"]),
+        ('decimal = ","', 'decimal = ";"', ["decimal"]),
+        ("skip_lines = 1", "skip_lines = -1", ["skip_lines"]),
+        ("skip_lines = 1", "skip_lines = true", ["skip_lines"]),
+        ("[time]", "[resampling]\nmethod = 'linear'\n[time]", ["[resampling] needs"]),
+        ("[time]", "[resampling]\nmethod = 'lin'\nsample_time = 1\n[time]", ["unknown resampling 'lin'"]),
+        (
+            "[time]",
+            "[resampling]\nmethod = 'linear'\nsample_time = 0\n[time]",
+            ["sample_time must be positive"],
+        ),
+        ("[time]", "[time", ["not a TOML file"]),
+        ("site =", "source =", ["this name is taken"]),
+    ],
+)
+def test_a_wrong_recipe_says_what_is_wrong(old, new, fragments):
+    assert old in LAB
+    with pytest.raises(RecipeError) as caught:
+        Recipe.from_toml(LAB.replace(old, new, 1), "lab.toml")
+    for fragment in ["lab.toml", *fragments]:
+        assert fragment in str(caught.value)
+
+
+def test_recipes_by_name_path_and_object(tmp_path):
+    assert set(recipes()) >= {"autonomy_cl_trust", "ros_ground_robot"}
+    assert all(recipes().values())
+    recipe = load_recipe("autonomy_cl_trust")
+    assert load_recipe(recipe) is recipe
+    path = lay(tmp_path)
+    assert load_recipe(path) == load_recipe(str(path))
+    with pytest.raises(
+        RecipeError, match=r"no recipe 'ros_ground_robt'.*did you mean 'ros_ground_robot'.*known"
+    ):
+        load_recipe("ros_ground_robt")
+    for wrong in (3, None, tmp_path, "", "a\0b"):
+        with pytest.raises(RecipeError):
+            load_recipe(wrong)
+
+
+def test_units_against_their_definitions():
+    # Independent statement of each unit.
+    expected = {
+        "km": 1e3,
+        "cm": 1e-2,
+        "mm": 1e-3,
+        "min": 60,
+        "h": 3600,
+        "km/h": 1000 / 3600,
+        "deg": np.pi / 180,
+        "%": 0.01,
+    }
+    for unit, factor in expected.items():
+        assert to_si(unit, UNITS[unit][0]) == pytest.approx(factor, rel=1e-15)
+    assert to_si("km/h", "measure") == to_si("km/h", "m/s")
+
+
+def test_patterns():
+    pattern = PathPattern("p{who:int}/{name}_run{trial:int}*.csv")
+    match = pattern.match("/data/p07/anna_run12_final.csv")
+    assert (match.base, dict(match.fields)) == ("/data", {"who": 7, "name": "anna", "trial": 12})
+    assert match.texts["who"] == "07"
+    assert PathPattern("p{who}/p{who}.csv").match("p1/p2.csv") is None
+    assert PathPattern("a.csv").match("x/abcsv") is None
+    assert sorted(["b", 10, "a10", "a2", 2, None], key=natural_key) == [2, 10, "a2", "a10", "b", None]

@@ -1,0 +1,24 @@
+"""Where third-party data lie, which the repository does not carry."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+__all__ = ["external_data"]
+
+
+def external_data(name: str) -> Path | None:
+    """
+    Return the folder of a third-party data set, or None where it is absent.
+
+    Parameters
+    ----------
+    name : str
+        The data set's folder, for example "autonomy_cl_trust"; looked for in the folder that the environment
+        variable TRUSTLAB_DATA names, or else in data/external of the repository.
+    """
+    given = os.environ.get("TRUSTLAB_DATA")
+    root = Path(given) if given else Path(__file__).resolve().parents[2] / "data" / "external"
+    folder = root / name
+    return folder if folder.is_dir() else None
