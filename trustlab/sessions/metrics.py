@@ -307,8 +307,12 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
         raise SessionError("no trial to take the tracking error of (all are training, or none was given)")
     trials = pd.DataFrame(rows, columns=["participant", "autonomy", "block", "trial", "traj_err"])
     if trials.duplicated(["participant", "trial"]).any():
-        twice = trials[trials.duplicated(["participant", "trial"])].iloc[0]
-        raise SessionError(f"trial {twice.trial} of participant {twice.participant} is there twice")
+        twice = (
+            trials.loc[trials.duplicated(["participant", "trial"]), ["participant", "trial"]]
+            .astype(str)
+            .iloc[0]
+        )
+        raise SessionError(f"trial {twice['trial']} of participant {twice['participant']} is there twice")
     order = trials.sort_values("trial").groupby(["participant", "block"]).cumcount()
     kept = trials[order.reindex(trials.index) >= drop_first]
     lost = set(map(tuple, trials[["participant", "autonomy"]].to_numpy().tolist())) - set(

@@ -1,0 +1,105 @@
+"""Every public function, method and class says what it does and documents every argument."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[2] / "trustlab"
+
+
+def documented(doc):
+    """Names in the Parameters section of a numpydoc docstring."""
+    section = re.search(
+        r"^\s*Parameters\n\s*-{10}\n(.*?)(?=^\s*\w[\w ]*\n\s*-{3,}\n|\Z)", doc or "", re.M | re.S
+    )
+    if not section:
+        return set()
+    names = re.findall(r"^\s*([*\w, ]+?) : ", section[1], re.M)
+    return {name.strip().lstrip("*") for line in names for name in line.split(",")}
+
+
+def arguments(node):
+    args = node.args
+    names = [a.arg for a in args.posonlyargs + args.args + args.kwonlyargs]
+    names += [a.arg for a in (args.vararg, args.kwarg) if a]
+    return [name for name in names if name not in ("self", "cls")]
+
+
+def fields(node):
+    return [
+        item.target.id
+        for item in node.body
+        if isinstance(item, ast.AnnAssign)
+        and not item.target.id.startswith("_")
+        and "ClassVar" not in ast.unparse(item.annotation)
+    ]
+
+
+def compiled(node):
+    return any("njit" in ast.unparse(decorator) for decorator in node.decorator_list)
+
+
+def undocumented(source):
+    found = []
+
+    def visit(body, inside):
+        for node in body:
+            if not isinstance(node, (ast.FunctionDef, ast.ClassDef)) or node.name.startswith("_"):
+                continue
+            doc = ast.get_docstring(node)
+            name = f"{inside}{node.name}"
+            if not doc:
+                found.append(name)
+            elif isinstance(node, ast.ClassDef):
+                is_data = any("dataclass" in ast.unparse(d) for d in node.decorator_list)
+                init = next(
+                    (n for n in node.body if isinstance(n, ast.FunctionDef) and n.name == "__init__"), None
+                )
+                wanted = fields(node) if is_data else arguments(init) if init else []
+                found.extend(f"{name}({a})" for a in wanted if a not in documented(doc))
+            elif not (compiled(node) and len(doc.splitlines()) == 1):
+                found.extend(f"{name}({a})" for a in arguments(node) if a not in documented(doc))
+            if isinstance(node, ast.ClassDef):
+                visit(node.body, f"{name}.")
+
+    visit(ast.parse(source).body, "")
+    return found
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_every_public_argument_is_documented(path):
+    assert undocumented(path.read_text()) == []
+
+
+def test_the_check_sees_what_it_should():
+    source = '''
+def good(a, *, b=1):
+    """
+    Do it.
+
+    Parameters
+    ----------
+    a, b : int
+        Numbers.
+
+    Returns
+    -------
+    int
+    """
+
+def bad(a, b):
+    """
+    Do it.
+
+    Parameters
+    ----------
+    a : int
+        A number.
+    """
+
+def silent():
+    pass
+'''
+    assert undocumented(source) == ["bad(b)", "silent"]

@@ -1,0 +1,105 @@
+"""Rooms import only rooms above them; importing trustlab loads nothing heavy."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[2] / "trustlab"
+ROOMS = [
+    "models",
+    "campaign",
+    "sessions",
+    "identification",
+    "allocation",
+    "teleoperation",
+    "operators",
+    "testbeds",
+    "studies",
+    "reproduction",
+    "publishing",
+]
+HEAVY = [
+    "pandas",
+    "scipy",
+    "numba",
+    "matplotlib",
+    "statsmodels",
+    "pingouin",
+    "casadi",
+    "rosbags",
+    "pyarrow",
+    "papermill",
+]
+
+
+def room_of(path):
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported(source):
+    """Every trustlab room that a module imports, wherever in it."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative import"
+            names = [node.module] + [
+                f"{node.module}.{alias.name}" for alias in node.names if node.module == "trustlab"
+            ]
+        else:
+            continue
+        for name in names:
+            parts = name.split(".")
+            if parts[0] == "trustlab" and len(parts) > 1:
+                yield parts[1]
+
+
+def faults(room, source):
+    if room not in ROOMS:
+        return [f"{room} is no room"]
+    return [
+        f"{room} imports {other}"
+        for other in imported(source)
+        if other in ROOMS and ROOMS.index(other) > ROOMS.index(room)
+    ]
+
+
+def test_rooms_import_upwards_only():
+    found = []
+    for path in PACKAGE.rglob("*.py"):
+        if path.parent != PACKAGE or path.name != "__init__.py":
+            found += [f"{path.name}: {fault}" for fault in faults(room_of(path), path.read_text())]
+    assert found == []
+
+
+def test_the_check_sees_what_it_should():
+    assert faults("models", "def f():\n    from trustlab.sessions.session import Session") == [
+        "models imports sessions"
+    ]
+    assert faults("models", "from trustlab import sessions") == ["models imports sessions"]
+    assert faults("helpers", "") == ["helpers is no room"]
+    assert faults("sessions", "import trustlab.models.robot") == []
+
+
+def test_no_module_passes_400_lines():
+    long = {str(path): n for path in PACKAGE.rglob("*.py") if (n := len(path.read_text().splitlines())) > 400}
+    assert long == {}
+
+
+def test_import_is_light():
+    code = f"import sys, trustlab; print([name for name in {HEAVY} if name in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
+def test_every_public_name_is_there():
+    code = (
+        "import trustlab as tl\n"
+        "rooms = [getattr(tl, name) for name in tl.__all__]\n"
+        "missing = [f'{r.__name__}.{n}' for r in rooms if type(r).__name__ == 'module' for n in getattr(r, '__all__', [])"
+        " if not hasattr(r, n)]\n"
+        "assert not missing, missing\n"
+        "assert len(rooms) > 15\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

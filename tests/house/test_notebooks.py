@@ -1,0 +1,58 @@
+"""Notebooks are committed without outputs; prose with numbers is produced by code."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
+QUOTED = re.compile(r"“[^”]*”|```.*?```|`[^`]*`", re.S)
+DECIMAL = re.compile(r"(?<![\w.()\-])\d+\.\d+(?![\w.)])")
+EQUATION = re.compile(
+    r"\(\d\.\d+\)(?:[-–]\(\d\.\d+\))?|(?:Fig|Figs|Table|Tables|Section|Sections|Chapter|Algorithm)\.?\s+[\d.]+(?:(?:, | and |[-–])[\d.]+)*"
+)
+
+
+def decimals(text):
+    """Decimal literals in prose: not equation, figure, table or section numbers, not quoted or in code."""
+    return DECIMAL.findall(EQUATION.sub("", QUOTED.sub("", text)))
+
+
+def load(path):
+    return json.loads(path.read_text())["cells"]
+
+
+def test_there_are_notebooks():
+    assert len(NOTEBOOKS) >= 2
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_no_outputs(path):
+    for cell in load(path):
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == []
+            assert cell["execution_count"] is None
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_no_decimal_literals_in_prose(path):
+    found = {}
+    for i, cell in enumerate(load(path)):
+        if cell["cell_type"] == "markdown" and (numbers := decimals("".join(cell["source"]))):
+            found[i] = numbers
+    assert found == {}
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_begins_with_a_title_and_a_sentence(path):
+    first = "".join(load(path)[0]["source"])
+    assert re.match(r"# .+\n\n\w.+", first)
+
+
+def test_the_check_sees_what_it_should():
+    assert decimals("The fit is 95.4 % good.") == ["95.4"]
+    assert (
+        decimals("As in Fig. 2.3, (2.6) and Section 2.4.2; printed “0.39”; `a=0.9`; Tables 2.1, 2.2 and 2.3")
+        == []
+    )

@@ -1,0 +1,172 @@
+"""(2.4), (2.7), Section 2.4.2 and (3.26)-(3.27) against plain loops and printed values."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import trustlab as tl
+from trustlab.sessions import metrics
+
+
+@given(st.integers(1, 40), st.integers(1, 60), st.integers(0, 2**32 - 1))
+def test_window_mean_is_the_plain_loop(window, n, seed):
+    values = np.random.default_rng(seed).normal(size=n)
+    expected = [values[max(0, k - window + 1) : k + 1].mean() for k in range(n)]
+    np.testing.assert_allclose(metrics.window_mean(values, 0.1, window * 0.1), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("speed", "error", "printed"), [(0.49, 0.38, 0.397), (0.39, 0.704, 0.253)])
+def test_speed_near_the_path_is_that_of_remark_7(speed, error, printed):
+    value = metrics.goal_speed(np.full(5, speed * 0.1), np.full(5, error), 0.1)
+    assert np.round(value, 3) == pytest.approx(printed)
+
+
+def ground(n=300, seed=0):
+    rng = np.random.default_rng(seed)
+    columns = {
+        "mode": np.ones(n),
+        "step_distance": rng.random(n) * 0.05,
+        "path_error": rng.random(n) * 2.0,
+        "v_command": rng.normal(size=n),
+        "w_command": rng.normal(size=n),
+    }
+    return tl.Session(pd.DataFrame(columns, index=pd.Index(np.arange(n) * 0.1, name="t")))
+
+
+def test_ground_robot_measures_are_the_printed_sums():
+    session = ground()
+    measured = session.with_performance(window=10.0)
+    k, w = 250, 100
+    own = slice(k - w + 1, k + 1)
+    near = (2.0 - session["path_error"][own]) / 2.0
+    p_r = np.sum(session["step_distance"][own] / 0.1 * near) / w
+    p_h = (
+        np.sum(
+            session["v_command"][own] * near
+            + np.abs(session["w_command"][own]) * session["path_error"][own] / 2
+        )
+        / w
+    )
+    assert measured["p_r"][k] == pytest.approx(p_r, abs=1e-12)
+    assert measured["p_h"][k] == pytest.approx(p_h, abs=1e-12)
+    assert measured.metadata.more["performance"] == "(2.4), (2.7), window 10 s"
+    # A window longer than the session uses what there is.
+    np.testing.assert_allclose(
+        session.with_performance(window=100.0)["p_r"][-1],
+        np.mean(session["step_distance"] / 0.1 * (1 - session["path_error"] / 2)),
+    )
+
+
+def arm(n=50, seed=1, **extra):
+    rng = np.random.default_rng(seed)
+    columns = {"mode": rng.random(n), "path_error": rng.random(n)}
+    for stem in ("u_h", "u_a", "u_i", "reference", "robot"):
+        columns |= {f"{stem}_{axis}": rng.normal(size=n) for axis in "xyz"}
+    return tl.Session(pd.DataFrame(columns | extra, index=pd.Index(np.arange(n) * 0.1, name="t")))
+
+
+def test_uav_measures_and_the_printed_deviation():
+    session = arm()
+    measured = session.with_performance(window=0.1, measure="uav_tracking", e_max=2.0, u_max=3.0)
+    off = sum(abs(session[f"u_i_{axis}"] - session[f"u_h_{axis}"]) for axis in "xyz")
+    np.testing.assert_allclose(measured["p_r"], (2.0 - session["path_error"]) / 2.0, atol=1e-12)
+    np.testing.assert_allclose(measured["p_h"], 1 - off / 3.0, atol=1e-12)
+    u_h, u_i = np.array([[0.0, 0.0], [0.5, 0.0]]), np.array([[1.0, 1.0], [0.5, 0.0]])
+    # As printed the measure grows with the deviation; as a quality it falls.
+    np.testing.assert_allclose(metrics.command_deviation(u_h, u_i, 4.0), [0.5, 0.0])
+    np.testing.assert_allclose(metrics.command_quality(u_h, u_i, 4.0), [0.5, 1.0])
+
+
+def test_mixed_initiative_measures_are_3_27():
+    session = arm()
+    measured = session.with_performance(
+        window=0.1, measure="mixed_initiative", e_max=9.0, u_max=8.0, axes="yz"
+    )
+    alpha = session["mode"]
+
+    def norm(a, b):
+        return sum(abs(session[f"{a}_{axis}"] - session[f"{b}_{axis}"]) for axis in "yz")
+
+    e = norm("reference", "robot")
+    np.testing.assert_allclose(
+        measured["p_r"], (1 - norm("u_a", "u_i") / 8) * (1 - (1 - alpha) * e / 9), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        measured["p_h"], (1 - norm("u_h", "u_i") / 8) * (1 - alpha * e / 9), atol=1e-12
+    )
+
+
+def test_nothing_is_clipped():
+    assert metrics.nearness([3.0], 2.0)[0] == -0.5
+
+
+@pytest.mark.parametrize(
+    ("session", "arguments", "says"),
+    [
+        (arm(), {}, "no column 'step_distance'"),
+        (ground(), {"measure": "speed"}, "unknown measure 'speed'"),
+        (ground(), {"e_max": 0.0}, "must be positive"),
+        (ground(), {"window": 0.01}, "shorter than one sample"),
+        (ground(), {"u_max": 1.0}, "no part in"),
+        (arm(), {"measure": "uav_tracking"}, "needs e_max"),
+        (ground(), {"measure": "uav_tracking", "e_max": 1.0, "u_max": 1.0}, "no column 'u_h_x'"),
+    ],
+)
+def test_refuses(session, arguments, says):
+    with pytest.raises(ValueError, match=says):
+        session.with_performance(**arguments)
+
+
+def test_negative_distance_is_refused():
+    with pytest.raises(ValueError, match="cannot be negative, but sample 1"):
+        metrics.nearness([0.1, -0.1], 2.0)
+
+
+def trial(number, block, level, error, training=False, participant=1):
+    more = {"trial": number, "block": block, "autonomy": level, "training": training}
+    data = pd.DataFrame({"path_error": np.full(4, error)}, index=pd.Index(np.arange(4) * 0.1, name="t"))
+    return tl.Session(data, tl.Metadata(participant=participant, more=more))
+
+
+def test_tracking_error_leaves_out_training_and_the_first_trial():
+    trials = [
+        trial(1, 0, 0.0, 9.0, training=True),
+        trial(6, 1, 0.4, 5.0),
+        trial(8, 1, 0.4, 0.01),
+        trial(7, 1, 0.4, 0.03),
+        trial(11, 2, 0.8, 5.0),
+        trial(12, 2, 0.8, 0.05),
+    ]
+    table = tl.sessions.tracking_error(trials[::-1])
+    assert list(table.columns) == ["participant", "autonomy", "traj_err"]
+    np.testing.assert_allclose(table["traj_err"], [2.0, 5.0])
+    np.testing.assert_allclose(tl.sessions.tracking_error(trials, drop_first=0)["traj_err"], [168.0, 252.5])
+
+
+def test_tracking_error_refuses():
+    with pytest.raises(tl.SessionError, match="no trial"):
+        tl.sessions.tracking_error([trial(1, 0, 0.0, 9.0, training=True)])
+    with pytest.raises(tl.SessionError, match="trial 6 of participant 1 is there twice"):
+        tl.sessions.tracking_error([trial(6, 1, 0.4, 5.0), trial(6, 1, 0.4, 5.0)])
+    with pytest.raises(tl.SessionError, match="no trial is left"):
+        tl.sessions.tracking_error([trial(6, 1, 0.4, 5.0)])
+    bare = tl.Session(trial(6, 1, 0.4, 5.0).data, tl.Metadata(participant=1))
+    with pytest.raises(tl.SessionError, match="metadata 'autonomy' is missing"):
+        tl.sessions.tracking_error([bare])
+
+
+def test_real_tracking_error_is_the_published_one():
+    folder = tl.sessions.external_data("autonomy_cl_trust")
+    if folder is None:
+        pytest.skip(
+            "autonomy_cl_trust is not here: put it in data/external or name its parent in TRUSTLAB_DATA"
+        )
+    sessions = tl.read_sessions(folder, recipe="autonomy_cl_trust")
+    theirs = pd.read_csv(folder / "measures" / "traj_err_all_levels.csv")
+    both = tl.sessions.tracking_error(sessions).merge(
+        theirs, left_on=["participant", "autonomy"], right_on=["pid", "autonomy"], suffixes=("", "_theirs")
+    )
+    assert len(both) == 40
+    np.testing.assert_allclose(both["traj_err"], both["traj_err_theirs"], rtol=0, atol=1e-9)
