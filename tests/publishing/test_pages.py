@@ -1,0 +1,260 @@
+"""Pages, inputs and figures, without running anything."""
+
+import dataclasses
+import os
+
+import matplotlib as mpl
+import nbformat
+import pytest
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
+
+from trustlab.publishing import figures
+from trustlab.publishing.execution import declared_parameters, parse_value
+from trustlab.publishing.html_report import ReportError, report_html
+from trustlab.publishing.inputs import Checkout, input_digest
+from trustlab.publishing.notebooks import find_notebooks, parameters_for
+from trustlab.publishing.page_check import page_faults
+from trustlab.publishing.provenance import commit, provenance
+
+ORIGIN = {
+    "notebook": "01_a.ipynb",
+    "notebook_sha256": "0" * 64,
+    "commit": "abc",
+    "environment_lock": "1" * 12,
+    "inputs": {},
+    "external_data": "absent",
+    "parameters": {"seed": 3},
+    "seeds": {"seed": 3},
+    "versions": {"python": "3.11"},
+    "platform": "Linux x86_64",
+    "started": "2026-01-01T00:00:00+00:00",
+    "seconds": 1.0,
+}
+
+
+def page_of(*cells, **metadata):
+    return report_html(new_notebook(cells=list(cells), metadata=metadata), "01_a", ORIGIN)
+
+
+def shown(**data):
+    kinds = {
+        "html": "text/html",
+        "markdown": "text/markdown",
+        "latex": "text/latex",
+        "plain": "text/plain",
+        "js": "application/javascript",
+    }
+    output = new_output("display_data", data={kinds[name]: value for name, value in data.items()})
+    return new_code_cell("x", outputs=[output])
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    for name in ("notebooks", "trustlab/__pycache__", "data/published", "data/external", "elsewhere"):
+        (tmp_path / name).mkdir(parents=True)
+    for name in (
+        "trustlab/a.py",
+        "trustlab/__pycache__/a.pyc",
+        "data/published/t.csv",
+        "data/external/x",
+        "elsewhere/y",
+        "environment.lock",
+    ):
+        (tmp_path / name).write_text("1")
+    return Checkout.find(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "markup",
+    [
+        "<script>1</script>",
+        "<img src='http://a/b.png'>",
+        "<img src='b.png'>",
+        "<link rel=stylesheet href='//a/b.css'>",
+        "<style>@import 'a.css'</style>",
+        "<p style=\"background: url('http://a')\">",
+        "<p onclick='x()'>",
+        "<iframe src='data:x'></iframe>",
+        "<svg><image xlink:href='a.png'/></svg>",
+        "<a href='javascript:x()'>",
+    ],
+)
+def test_page_that_runs_or_fetches_is_refused(markup):
+    assert page_faults(markup)
+    with pytest.raises(ReportError, match="self-contained"):
+        page_of(shown(html=markup))
+
+
+def test_links_and_embedded_pictures_are_allowed():
+    assert not page_faults(
+        "<a href='https://doi.org/1'>d</a><img src='data:image/png;base64,AA' alt=''><a href='#x'>x</a>"
+    )
+
+
+def test_javascript_is_refused_with_its_cell():
+    with pytest.raises(ReportError, match="JavaScript") as caught:
+        page_of(new_markdown_cell("# A"), shown(js="1", plain="<Javascript>"))
+    assert caught.value.cell == 1
+
+
+def test_outputs_of_every_kind_have_their_formulas():
+    page, _ = page_of(
+        shown(html="<table><tr><td>$R^2$</td><td><code>$x$</code></td></tr></table>"),
+        shown(markdown="$a_b$"),
+        shown(latex=r"\begin{align} a &= b \end{align}"),
+        shown(latex="$$c$$", plain="plain"),
+    )
+    assert page.count("<math") == 4
+    assert "<code>$x$</code>" in page
+
+
+def test_code_is_folded_and_hidden_where_tagged():
+    cells = [new_code_cell("visible = 1"), new_code_cell("secret = 1")]
+    cells[1].metadata["tags"] = ["hide"]
+    cells[1].outputs = [new_output("stream", name="stderr", text="\x1b[31mwatch out\x1b[0m")]
+    page, _ = page_of(*cells)
+    assert "<summary>code</summary>" in page
+    assert "visible" in page
+    assert "secret" not in page
+    assert '<aside class="note">' in page
+    assert "watch out</pre>" in page
+
+
+def test_title_sentence_anchors_and_contents():
+    source = (
+        "# A *title* with $x$\n\nOne sentence, e.g. This one. And another.\n\n## B\n\n## B\n\n### C\n\n## D"
+    )
+    page, card = page_of(new_markdown_cell(source))
+    assert card["title"] == "A title with x"
+    assert card["sentence"] == "One sentence, e.g. This one."
+    assert 'id="b"' in page
+    assert 'id="b-2"' in page
+    assert 'class="toc"' in page
+    assert '<html lang="en">' in page
+    assert 'href="index.html"' in page
+    short, card = page_of(new_markdown_cell("# A\n\nText."), trustlab={"sentence": "Given."})
+    assert 'class="toc"' not in short
+    assert card["sentence"] == "Given."
+
+
+def test_formula_that_fails_names_itself_and_its_cell():
+    with pytest.raises(ReportError, match="nosuch") as caught:
+        page_of(new_markdown_cell("# A"), new_markdown_cell(r"$\nosuch$"))
+    assert caught.value.cell == 1
+
+
+def test_wide_table_scrolls_and_numbers_line_up():
+    page, _ = page_of(
+        shown(
+            html='<table border="1"><thead><tr><th>a</th><th>b</th></tr></thead><tr><td>x</td><td>-1.5e-3</td></tr></table>'
+        )
+    )
+    assert '<div class="scroll" tabindex="0"><table>' in page
+    assert '<td class="number">-1.5e-3</td>' in page
+    assert '<th class="number">b</th>' in page
+
+
+@pytest.mark.parametrize("text", ["True", "False", "None", "3", "-0.5", "1e-5", "abc", "1_000", "true", ""])
+def test_values_are_read_as_papermill_reads_them(text):
+    from papermill.cli import _resolve_type
+
+    assert parse_value(text) == _resolve_type(text)
+    assert type(parse_value(text)) is type(_resolve_type(text))
+
+
+def write(checkout, name, source):
+    cell = new_code_cell(source)
+    cell.metadata["tags"] = ["parameters"]
+    path = checkout.notebooks / f"{name}.ipynb"
+    kernel = {"name": "python3", "language": "python", "display_name": "Python 3"}
+    nbformat.write(new_notebook(cells=[cell], metadata={"kernelspec": kernel}), path)
+    return path
+
+
+def test_declared_parameters_agree_with_papermill(checkout):
+    from papermill import inspect_notebook
+
+    path = write(
+        checkout, "01_a", "seed = 3  # of the noise\nnoise: float = 0.003\nname = 'x'\nmany = [1, 2]"
+    )
+    assert declared_parameters(path) == {"seed": 3, "noise": 0.003, "name": "x", "many": [1, 2]}
+    assert list(declared_parameters(path)) == list(inspect_notebook(str(path)))
+
+
+def test_parameters_go_where_they_are_declared(checkout):
+    a, b = write(checkout, "01_a", "seed = 3\nname = 'x'"), write(checkout, "02_b", "noise = 0.5")
+    got = parameters_for([a, b], {"seed": "4", "name": "7", "noise": "1"})
+    assert got == {a: {"seed": 4, "name": "7"}, b: {"noise": 1}}
+    with pytest.raises(ValueError, match=r"(?s)'sede'; did you mean 'seed'\?.*01_a: seed, name.*02_b: noise"):
+        parameters_for([a, b], {"sede": "4"})
+    with pytest.raises(ValueError, match="another kind"):
+        parameters_for([a, b], {"seed": "four"})
+
+
+def test_notebooks_are_found_by_name(checkout):
+    a, b = write(checkout, "01_first", "x = 1"), write(checkout, "02_second", "x = 1")
+    write(checkout, "scratch", "x = 1")
+    assert find_notebooks(checkout) == [a, b]
+    assert find_notebooks(checkout, ["02"]) == [b]
+    with pytest.raises(ValueError, match="did you mean 01_first"):
+        find_notebooks(checkout, ["01_frist"])
+
+
+@pytest.mark.parametrize(
+    ("name", "matters"),
+    [
+        ("trustlab/a.py", True),
+        ("trustlab/recipe.toml", True),
+        ("data/published/t.csv", True),
+        ("environment.lock", True),
+        ("data/external/x", True),
+        ("notebooks/01_a.ipynb", True),
+        ("trustlab/__pycache__/a.pyc", False),
+        ("notebooks/02_b.ipynb", False),
+        ("elsewhere/y", False),
+    ],
+)
+def test_digest_follows_the_inputs_and_nothing_else(checkout, monkeypatch, name, matters):
+    monkeypatch.delenv("TRUSTLAB_DATA", raising=False)
+    path = write(checkout, "01_a", "x = 1")
+    before = input_digest(checkout, path)
+    assert input_digest(checkout, path) == before
+    (checkout.root / name).write_text("changed")
+    assert (input_digest(checkout, path) != before) == matters
+
+
+def test_digest_follows_parameters_and_external_folder(checkout):
+    path = write(checkout, "01_a", "x = 1")
+    before = input_digest(checkout, path)
+    assert input_digest(checkout, path, {"x": 2}) != before
+    assert input_digest(dataclasses.replace(checkout, external=checkout.root / "none"), path) != before
+    os.utime(checkout.external / "x", (1, 1))
+    assert input_digest(checkout, path) != before
+
+
+def test_provenance_outside_git_names_no_path(checkout):
+    path = write(checkout, "01_a", "seed = 1")
+    found = provenance(checkout, path, {"my_seed": 1, "n": 2})
+    assert found["commit"] == commit(checkout.root) == "not a git checkout"
+    assert found["seeds"] == {"my_seed": 1}
+    assert list(found["inputs"]) == ["data/published/t.csv"]
+    assert str(checkout.root) not in repr(found)
+
+
+def test_folder_without_notebooks_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="no folder of notebooks"):
+        Checkout.find(tmp_path)
+
+
+def test_captions_say_that_data_are_synthetic():
+    with mpl.rc_context():
+        figures.use_house_style()
+        figure = mpl.figure.Figure()
+        axes = figure.subplots()
+        text = figures.caption(axes, "What it shows.", synthetic="pilot, seed 1")
+        figures.caption(axes, "What it shows.", synthetic="pilot, seed 1")
+    assert text.get_text() == "Synthetic data: pilot, seed 1. What it shows."
+    marks = [artist.get_text() for artist in figure.texts if artist.get_gid() == "trustlab-synthetic"]
+    assert marks == ["Synthetic data: pilot, seed 1"]
+    with pytest.raises(ValueError, match="svg"):
+        figures.use_house_style("pdf")

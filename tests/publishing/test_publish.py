@@ -1,0 +1,206 @@
+"""Whole runs on small notebooks, in a checkout of their own."""
+
+import base64
+import os
+import signal
+import subprocess
+import sys
+import time
+from html.parser import HTMLParser
+
+import nbformat
+import psutil
+import pytest
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
+
+from trustlab.publishing.__main__ import main
+from trustlab.publishing.inputs import Checkout
+from trustlab.publishing.notebooks import publish
+from trustlab.publishing.page_check import page_faults
+
+PICTURE = """from IPython.display import Image, display
+import base64, pathlib
+display(Image(data=base64.b64decode("%s"), format="png", alt="one dot"))
+print("data at", pathlib.Path.cwd().parent / "trustlab" / "a.py")"""
+DOT = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+
+
+def write(root, name, *cells):
+    nbformat.write(new_notebook(cells=list(cells)), root / "notebooks" / f"{name}.ipynb")
+
+
+def tagged(source, tag):
+    cell = new_code_cell(source)
+    cell.metadata["tags"] = [tag]
+    return cell
+
+
+def make(root):
+    for name in ("notebooks", "trustlab", "data/published"):
+        (root / name).mkdir(parents=True)
+    (root / "trustlab" / "a.py").write_text("a = 1\n")
+    (root / "data" / "published" / "t.csv").write_text("1\n")
+    return root
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """Build three notebooks, one of which fails, over an earlier report of it."""
+    root = make(tmp_path_factory.mktemp("checkout"))
+    write(
+        root,
+        "01_good",
+        new_markdown_cell("# A good one\n\nIt shows $a_r$ and succeeds."),
+        tagged("seed = 7\nsize = 2", "parameters"),
+        new_code_cell(PICTURE % DOT),
+        new_code_cell("print('seed is', seed)"),
+    )
+    write(
+        root,
+        "02_bad",
+        new_markdown_cell("# A bad one"),
+        tagged("x = 0", "parameters"),
+        new_code_cell("y = 1 / x"),
+    )
+    write(root, "03_plain", new_markdown_cell("# A plain one\n\nWords."))
+    (root / "reports").mkdir()
+    (root / "reports" / "02_bad.html").write_text("old")
+    (root / "reports" / "benchmarks.html").write_text("<title>Bench &amp; marks</title>")
+    lines, failed = [], []
+    checkout = Checkout.find(root)
+    built = publish(
+        checkout=checkout, parameters={"seed": "5"}, report=lines.append, on_failure=failed.append
+    )
+    return checkout, built, lines, failed
+
+
+class Page(HTMLParser):
+    def __init__(self, text):
+        super().__init__()
+        self.tags = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+
+def test_good_report_is_complete_in_itself(world):
+    checkout, built, _, _ = world
+    text = (checkout.reports / "01_good.html").read_text()
+    tags = Page(text).tags
+    names = [tag for tag, _ in tags]
+    assert built[0].state == "built"
+    assert not page_faults(text)
+    assert "script" not in names
+    assert "math" in names
+    pictures = [attrs for tag, attrs in tags if tag == "img"]
+    assert pictures == [{"src": f"data:image/png;base64,{DOT}", "alt": "one dot"}]
+    assert ("html", {"lang": "en"}) in tags
+    assert "<title>A good one</title>" in text
+
+
+def test_provenance_and_parameters_are_in_the_report(world):
+    checkout, *_ = world
+    text = (checkout.reports / "01_good.html").read_text()
+    assert 'id="provenance"' in text
+    assert "not a git checkout" in text
+    assert "data/published/t.csv" in text
+    assert "5 <em>(seed)</em> <em>(given for this run)</em>" in text
+    assert "seed is 5" in text
+    assert "numba" in text
+
+
+def test_no_path_of_this_machine_is_in_a_report(world):
+    checkout, *_ = world
+    for page in checkout.reports.glob("*.html"):
+        assert str(checkout.root) not in page.read_text()
+    assert "data at trustlab/a.py" in (checkout.reports / "01_good.html").read_text()
+
+
+def test_failing_notebook_leaves_no_report_and_says_where(world):
+    checkout, built, lines, failed = world
+    assert [one.state for one in built] == ["built", "failed", "built"]
+    assert failed == [built[1]]
+    assert failed[0].failure["cell"] == 3
+    assert failed[0].failure["source"] == "y = 1 / x"
+    assert "ZeroDivisionError: division by zero" in failed[0].failure["traceback"]
+    assert "\x1b" not in failed[0].failure["traceback"]
+    assert not (checkout.reports / "02_bad.html").exists()
+    assert any("FAILED in cell 3" in line for line in lines)
+    assert any(line.startswith("[1/3] 01_good … built in ") for line in lines)
+    assert not list((checkout.reports / ".build").glob("run-*"))
+
+
+def test_index_has_a_card_for_each(world):
+    checkout, *_ = world
+    text = (checkout.reports / "index.html").read_text()
+    assert not page_faults(text)
+    assert text.count('<li class="card') == 3
+    assert '<a href="01_good.html">A good one</a>' in text
+    assert "<math" in text
+    assert "data:image/png;base64," in text
+    assert "failed in cell 3" in text
+    assert 'href="02_bad.html"' not in text
+    assert '<a href="benchmarks.html">Bench &amp; marks</a>' in text
+    assert text.count(base64.b64encode(b"\x89PNG")[:4].decode()) >= 1
+
+
+def test_rebuilt_only_when_an_input_changed(world):
+    checkout, *_ = world
+    plain = {"names": ["03"], "checkout": checkout}
+    assert publish(**plain)[0].state == "up to date"
+    assert publish(["01"], checkout=checkout, parameters={"seed": 5})[0].state == "up to date"
+    (checkout.package / "a.py").write_text("a = 2\n")
+    assert publish(**plain)[0].state == "built"
+    assert publish(**plain)[0].state == "up to date"
+    assert "older than its inputs" in (checkout.reports / "index.html").read_text()
+
+
+def test_unknown_parameter_is_refused_before_any_run(world, capsys):
+    checkout, *_ = world
+    words = ["--notebooks", str(checkout.notebooks), "-p", "sed", "1", "--force"]
+    before = (checkout.reports / "index.html").stat().st_mtime_ns
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert "did you mean 'seed'" in said.err
+    assert "01_good: seed, size" in said.err
+    assert "running" not in said.out
+    assert (checkout.reports / "index.html").stat().st_mtime_ns == before
+
+
+def test_command_line_tells_of_failure_and_builds_what_was_deleted(world, capsys):
+    checkout, *_ = world
+    (checkout.reports / "03_plain.html").unlink()
+    assert main(["--notebooks", str(checkout.notebooks), "02", "03_plain"]) == 1
+    said = capsys.readouterr()
+    assert "03_plain … built" in said.out
+    assert (checkout.reports / "03_plain.html").is_file()
+    assert "02_bad, cell 3" in said.err
+    assert "    y = 1 / x" in said.err
+    assert "ZeroDivisionError" in said.err
+    assert str(checkout.reports / "index.html") in said.out
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_interrupt_leaves_neither_report_nor_kernel(tmp_path):
+    root = make(tmp_path)
+    write(
+        root,
+        "01_long",
+        new_code_cell(
+            "import os, pathlib, time\npathlib.Path('pid').write_text(str(os.getpid()))\ntime.sleep(60)"
+        ),
+    )
+    command = [sys.executable, "-m", "trustlab.publishing", "--notebooks", str(root / "notebooks")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    mark = root / "notebooks" / "pid"
+    until = time.monotonic() + 60
+    while not (mark.exists() and mark.read_text()) and time.monotonic() < until:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 130, said
+    assert "interrupted" in said
+    assert not psutil.pid_exists(int(mark.read_text()))
+    assert not list((root / "reports").glob("*.html"))
+    assert not list((root / "reports" / ".build").iterdir())

@@ -1,0 +1,210 @@
+"""What a report is made from, and digests of it: a report is built again only when one of them changed."""
+
+import hashlib
+import json
+import os
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["Checkout", "file_digest", "folder_digest", "input_digest", "list_files"]
+
+EXTERNAL_VARIABLE = "TRUSTLAB_DATA"
+SKIPPED = ("__pycache__", ".ipynb_checkpoints")
+
+
+@dataclass(frozen=True)
+class Checkout:
+    """The folders one `make reports` reads and writes.
+
+    Parameters
+    ----------
+    root : pathlib.Path
+        The repository.
+    notebooks : pathlib.Path
+        Folder of the notebooks; also the working directory they run in.
+    reports : pathlib.Path
+        Folder the reports are written to.
+    package : pathlib.Path
+        The package ``trustlab``.
+    data : pathlib.Path
+        Committed data; ``external`` in it is not part of it.
+    lock : pathlib.Path
+        The locked environment.
+    external : pathlib.Path
+        Third-party data: what ``TRUSTLAB_DATA`` names, else ``data/external``. It may be absent.
+    """
+
+    root: Path
+    notebooks: Path
+    reports: Path
+    package: Path
+    data: Path
+    lock: Path
+    external: Path
+
+    @classmethod
+    def find(cls, root=None, notebooks=None, reports=None):
+        """Return the checkout around a folder.
+
+        Parameters
+        ----------
+        root : path-like, optional
+            The repository; by default the parent of ``notebooks``, else the working directory, else the one the
+            package lies in: the first that has a folder ``notebooks``.
+        notebooks : path-like, optional
+            Folder of the notebooks, by default ``notebooks`` in the repository.
+        reports : path-like, optional
+            Folder of the reports, by default ``reports`` in the repository.
+
+        Returns
+        -------
+        Checkout
+            Absolute folders.
+
+        Raises
+        ------
+        ValueError
+            If there is no such folder of notebooks.
+        """
+        own = Path(__file__).resolve().parents[1]
+        if root is None:
+            places = [Path.cwd(), own.parent] if notebooks is None else [Path(notebooks).resolve().parent]
+            root = next((place for place in places if (place / "notebooks").is_dir()), places[0])
+        root = Path(root).resolve()
+        notebooks = Path(notebooks).resolve() if notebooks is not None else root / "notebooks"
+        if not notebooks.is_dir():
+            raise ValueError(
+                f"no folder of notebooks at {notebooks}: run in the repository, or name it with --notebooks"
+            )
+        package = root / "trustlab"
+        data = root / "data"
+        external = os.environ.get(EXTERNAL_VARIABLE) or data / "external"
+        return cls(
+            root=root,
+            notebooks=notebooks,
+            reports=Path(reports).resolve() if reports is not None else root / "reports",
+            package=package if package.is_dir() else own,
+            data=data,
+            lock=root / "environment.lock",
+            external=(root / external).resolve(),
+        )
+
+
+def list_files(folder, without=()):
+    """Return every file below a folder, sorted by name; caches and hidden files are not listed.
+
+    Parameters
+    ----------
+    folder : path-like
+        Where to look; an absent folder has no files.
+    without : iterable of path-like
+        Folders to leave out.
+
+    Returns
+    -------
+    list of pathlib.Path
+        Absolute if ``folder`` is.
+    """
+    without = {Path(place) for place in without}
+    found = []
+    for here, folders, files in os.walk(folder, followlinks=True):
+        kept = [name for name in folders if name not in SKIPPED and not name.startswith(".")]
+        folders[:] = sorted(name for name in kept if Path(here, name) not in without)
+        found += [
+            Path(here, name)
+            for name in files
+            if not name.startswith(".") and not name.endswith((".pyc", "~"))
+        ]
+    return sorted(found)
+
+
+def file_digest(path):
+    """Return the SHA-256 of a file's content.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits, or ``"absent"``.
+    """
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except FileNotFoundError:
+        return "absent"
+
+
+def folder_digest(folder, times=False):
+    """Return a cheap digest of a folder: names and sizes of its files, contents unread.
+
+    Parameters
+    ----------
+    folder : path-like
+        The folder.
+    times : bool
+        Whether the times of last change count too (which differ from one copy to the next).
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits, or ``"absent"``.
+    """
+    if not Path(folder).is_dir():
+        return "absent"
+    digest = hashlib.sha256()
+    for path in list_files(folder):
+        status = path.stat()
+        line = [path.relative_to(folder).as_posix(), status.st_size, status.st_mtime_ns if times else 0]
+        digest.update(json.dumps(line).encode())
+    return digest.hexdigest()
+
+
+def shared_digest(checkout):
+    """Return the digest of all that every report depends on.
+
+    Parameters
+    ----------
+    checkout : Checkout
+        The folders.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits over the package, the committed data, the lock, Python and the external data.
+    """
+    digest = hashlib.sha256(f"{platform.python_version()} {platform.machine()}".encode())
+    for folder in (checkout.package, checkout.data):
+        for path in list_files(folder, without=[checkout.data / "external", checkout.external]):
+            digest.update(f"{path.relative_to(folder.parent).as_posix()} {file_digest(path)}\n".encode())
+    digest.update(f"lock {file_digest(checkout.lock)}\n".encode())
+    digest.update(f"external {folder_digest(checkout.external, times=True)}\n".encode())
+    return digest.hexdigest()
+
+
+def input_digest(checkout, notebook, parameters=None, shared=None):
+    """Return the digest of all that one report depends on.
+
+    Parameters
+    ----------
+    checkout : Checkout
+        The folders.
+    notebook : path-like
+        The notebook.
+    parameters : dict, optional
+        Parameters given to it.
+    shared : str, optional
+        `shared_digest` of the checkout, where it is at hand.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
+    shared = shared_digest(checkout) if shared is None else shared
+    line = [shared, file_digest(notebook), sorted((parameters or {}).items())]
+    return hashlib.sha256(json.dumps(line, default=repr).encode()).hexdigest()

@@ -1,0 +1,112 @@
+"""Where a report comes from: commit, locked environment, inputs, parameters, seeds, versions, time taken."""
+
+import importlib.metadata
+import platform
+import subprocess
+from pathlib import Path
+
+from trustlab.publishing.inputs import file_digest, folder_digest, list_files
+
+__all__ = ["commit", "provenance", "versions"]
+
+PACKAGES = (
+    "trustlab",
+    "numpy",
+    "scipy",
+    "pandas",
+    "matplotlib",
+    "numba",
+    "statsmodels",
+    "pingouin",
+    "casadi",
+)
+SHORT = 12
+
+
+def commit(root):
+    """Return the commit a repository is at.
+
+    Parameters
+    ----------
+    root : path-like
+        The top folder of the repository.
+
+    Returns
+    -------
+    str
+        The hash, with ``" + uncommitted changes"`` if there are any, or ``"not a git checkout"``.
+    """
+
+    def git(*words):
+        command = ["git", "-C", str(root), *words]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout.strip()
+
+    try:
+        if Path(git("rev-parse", "--show-toplevel")).resolve() != Path(root).resolve():
+            return "not a git checkout"
+        found = git("rev-parse", "HEAD")
+        return found + (" + uncommitted changes" if git("status", "--porcelain") else "")
+    except (OSError, subprocess.SubprocessError):
+        return "not a git checkout"
+
+
+def versions():
+    """Return the versions of Python and of the packages results depend on.
+
+    Returns
+    -------
+    dict
+        Name → version; ``"not installed"`` where a package is absent.
+    """
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def provenance(checkout, notebook, parameters=None, started="", seconds=float("nan")):
+    """Return where a report comes from, as plain values without paths, user or host names of this machine.
+
+    Parameters
+    ----------
+    checkout : Checkout
+        The folders.
+    notebook : path-like
+        The notebook.
+    parameters : dict, optional
+        Parameters used: declared ones at their values in this run. Those named ``…seed…`` are the seeds.
+    started : str
+        Start of the run, UTC, ISO 8601.
+    seconds : float
+        Time taken, s.
+
+    Returns
+    -------
+    dict
+        ``notebook notebook_sha256 commit environment_lock inputs external_data parameters seeds versions platform started
+        seconds``; ``inputs`` maps every file of ``data/published`` and ``data/sessions`` to its SHA-256.
+    """
+    parameters = dict(parameters or {})
+    folders = [checkout.data / "published", checkout.data / "sessions"]
+    files = [path for folder in folders for path in list_files(folder)]
+    external = folder_digest(checkout.external)
+    if external != "absent":
+        count = len(list_files(checkout.external))
+        external = f"{count} files, digest of names and sizes {external[:SHORT]}"
+    return {
+        "notebook": Path(notebook).name,
+        "notebook_sha256": file_digest(notebook),
+        "commit": commit(checkout.root),
+        "environment_lock": file_digest(checkout.lock)[:SHORT],
+        "inputs": {path.relative_to(checkout.data.parent).as_posix(): file_digest(path) for path in files},
+        "external_data": external,
+        "parameters": parameters,
+        "seeds": {name: value for name, value in parameters.items() if "seed" in name.lower()},
+        "versions": versions(),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "started": started,
+        "seconds": seconds,
+    }
