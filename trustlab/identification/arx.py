@@ -95,8 +95,8 @@ def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]):
     """
     Solve a least-squares problem and give the covariance of its solution.
 
-    Columns are scaled to unit length. A well-conditioned problem goes through the Cholesky factor of its normal
-    equations with one step of iterative refinement, any other through QR.
+    Columns are scaled to unit length. A well-conditioned problem goes through its normal equations with one
+    step of iterative refinement, any other through QR.
 
     Parameters
     ----------
@@ -117,24 +117,27 @@ def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]):
     ------
     IdentificationError
         If there are too few equations, or a regressor is zero or follows from the others.
+    ValueError
+        If a sample is not finite.
     """
     p, n = design.shape
     if n <= p:
         raise IdentificationError(f"{p} coefficients need more than {p} equations, got {n}", names)
-    gram = design @ design.T
+    gram, moment = design @ design.T, design @ target
     scale = np.sqrt(np.diag(gram))
+    if not np.isfinite(gram.sum() + moment.sum()):
+        raise ValueError("the data must be finite; a sample is NaN or infinite, or too large to square")
     if not (scale > 0.0).all():
         dead = names[int(np.argmin(scale))]
         raise IdentificationError(
             f"coefficient {dead} cannot be told: its regressor is zero throughout", (dead,)
         )
-    scaled = gram / np.outer(scale, scale)
-    eigenvalues = linalg.eigvalsh(scaled)
-    if eigenvalues[0] > 0.0 and eigenvalues[-1] < CONDITION_LIMIT * eigenvalues[0]:
-        inverse = linalg.inv(scaled) / np.outer(scale, scale)
-        coefficients = inverse @ (design @ target)
-        residuals = target - coefficients @ design
-        coefficients += inverse @ (design @ residuals)
+    sizes = np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(gram / sizes)
+    if values[0] > 0.0 and values[-1] < CONDITION_LIMIT * values[0]:
+        inverse = (vectors / values) @ vectors.T / sizes
+        coefficients = inverse @ moment
+        coefficients += inverse @ (design @ (target - coefficients @ design))
     else:
         q, r, order = linalg.qr((design / scale[:, None]).T, mode="economic", pivoting=True)
         diagonal = np.abs(np.diag(r))
@@ -149,7 +152,7 @@ def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]):
         half = np.empty((p, p))
         half[order] = linalg.solve_triangular(r, np.eye(p))
         coefficients /= scale
-        inverse = half @ half.T / np.outer(scale, scale)
+        inverse = half @ half.T / sizes
     residuals = target - coefficients @ design
     return coefficients, inverse * (residuals @ residuals / (n - p)), residuals
 
@@ -210,8 +213,6 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
         u_run = u_run[:, None] if u_run.ndim == 1 else u_run
         if y_run.ndim != 1 or u_run.ndim != 2 or len(u_run) != y_run.size:
             raise ValueError(f"y must be (N,) and u (N,) or (N, m), got {y_run.shape} and {u_run.shape}")
-        if not (np.isfinite(y_run).all() and np.isfinite(u_run).all()):
-            raise ValueError("y and u must be finite; a sample is NaN or infinite")
         inputs = u_run.shape[1]
         nb_, nk_ = _per_input("nb", nb, inputs), _per_input("nk", nk, inputs)
         first = max([na] + [delay + lags - 1 for delay, lags in zip(nk_, nb_, strict=True)])
