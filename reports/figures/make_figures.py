@@ -28,7 +28,7 @@ def identification() -> None:
         axis.plot(run.t, run.fitted[name], lw=1.8, color="C1", label=f"fitted, {fit.fit_percent:.1f} %")
         shade_manual(axis, run.t, run.mode)
         axis.set_ylabel(label)
-        axis.legend(loc="upper right", fontsize="small")
+        axis.legend(loc="upper center", fontsize="small")
     axes[1].set_xlabel("time [s]; manual phases shaded")
     figure.savefig(HERE / "identification.png", dpi=110)
     plt.close(figure)
