@@ -59,7 +59,7 @@ def undocumented(source):
                 )
                 wanted = fields(node) if is_data else arguments(init) if init else []
                 found.extend(f"{name}({a})" for a in wanted if a not in documented(doc))
-            elif not (compiled(node) and len(doc.splitlines()) == 1):
+            elif not compiled(node):
                 found.extend(f"{name}({a})" for a in arguments(node) if a not in documented(doc))
             if isinstance(node, ast.ClassDef):
                 visit(node.body, f"{name}.")

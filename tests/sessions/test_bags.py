@@ -137,7 +137,7 @@ def test_a_lab_bag(tmp_path, name):
     assert np.abs(session["yaw"]).max() <= np.pi
     np.testing.assert_allclose(session["reference_x"], t, **close)
     np.testing.assert_allclose(session["path_error"], 0.3, **close)
-    np.testing.assert_allclose(session["step_distance"], np.r_[0.0, np.full(20, 0.1)], **close)
+    np.testing.assert_allclose(session["step_distance"], np.full(21, 0.1), **close)
     np.testing.assert_allclose(session["w_command"], np.pi * t, **close)
     np.testing.assert_allclose(session["u_h_x"], t, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(session["r"], 0.25 + t / 10, **close)

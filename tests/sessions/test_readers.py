@@ -133,7 +133,10 @@ BAD = {
     "twice": ("t,mode,mode\n0,1,1\n1,1,1\n", ["line 1", "'mode'", "twice"]),
     "no name": (",t,mode\n0,0,1\n1,1,1\n", ["line 1", "has no name", "index=False"]),
     "no header": ("0,1,1\n1,1,1\n", ["line 1", "numbers stand where", "header = false"]),
-    "semicolons": ("t;mode\n0;1\n1;1\n", ["line 1", "not separated by commas"]),
+    "semicolons": (
+        "t;mode\n0;1\n1;1\n",
+        ["line 1", "columns are separated by ';', not by commas", 'delimiter=";"'],
+    ),
     "text": (HEAD + "0,1,1\n1,1,abc\n2,1,1\n", ["line 3", "'p_r'", "'abc' is not a number", "map"]),
     "comma": (HEAD + '0,1,1\n1,1,"0,5"\n', ["line 3", "decimal"]),
     "nan": (HEAD + "0,1,1\n1,1,1\n2,nan,1\n", ["line 4", "'mode'", "'nan' is not a finite number", "rule"]),
@@ -202,7 +205,8 @@ def test_places(tmp_path):
     write(tmp_path, HEAD)
     refused(tmp_path / "rum.csv", "did you mean 'run.csv'")
     refused(tmp_path, "not a rosbag2 recording", "read_sessions")
-    refused(write(tmp_path, "x", "run.xlsx"), "cannot read .xlsx", ".csv")
+    refused(write(tmp_path, "x", "run.xlsx"), "spreadsheet", "CSV UTF-8")
+    refused(write(tmp_path, "x", "run.txt"), "cannot read .txt", ".csv")
     refused(write(tmp_path, "x", "run.parket"), "did you mean '.parquet'")
     refused("a\0b.csv", "no such file")
     with pytest.raises(SessionError, match="a path is needed"):
@@ -336,7 +340,8 @@ def test_no_warnings_and_no_shadowed_names(tmp_path, session):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         read_session(write_session(session, tmp_path / "a.csv"))
-    assert callable(tl.sessions.recipes)
+    assert callable(tl.sessions.list_recipes)
+    assert tl.sessions.recipes.__doc__.startswith("\nRecipes:")
     assert (
         json.loads((tmp_path / "a.csv").read_text().splitlines()[0].removeprefix("# trustlab "))[
             "participant"

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from trustlab.sessions import RecipeError, SessionError, load_recipe, read_session, read_sessions, recipes
+from trustlab.sessions import (
+    RecipeError,
+    SessionError,
+    list_recipes,
+    load_recipe,
+    read_session,
+    read_sessions,
+)
 from trustlab.sessions.patterns import PathPattern, natural_key
 from trustlab.sessions.recipes import Recipe
 from trustlab.sessions.units import UNITS, to_si
@@ -83,7 +90,7 @@ def test_every_rule(tmp_path):
         "r": [0.3, 0.3, 0.3],
         "beta": [0.9, 0.9, 0.9],
         "path_error": [0.2, np.hypot(0.1, 0.035), 0.2],
-        "step_distance": [0, 0.1, 0.3],
+        "step_distance": [0.1, 0.1, 0.3],
     }
     assert session.columns == list(expected)
     for name, values in expected.items():
@@ -281,8 +288,8 @@ def test_a_wrong_recipe_says_what_is_wrong(old, new, fragments):
 
 
 def test_recipes_by_name_path_and_object(tmp_path):
-    assert set(recipes()) >= {"autonomy_cl_trust", "ros_ground_robot"}
-    assert all(recipes().values())
+    assert set(list_recipes()) >= {"autonomy_cl_trust", "ros_ground_robot"}
+    assert all(list_recipes().values())
     recipe = load_recipe("autonomy_cl_trust")
     assert load_recipe(recipe) is recipe
     path = lay(tmp_path)

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.sessions.session import STEP_TOLERANCE, check_time
+from trustlab.sessions.checks import STEP_TOLERANCE, check_time
 from trustlab.sessions.vocabulary import VOCABULARY
 
 
@@ -91,7 +91,7 @@ def test_metadata_travels_and_can_be_added():
     session = tl.Session(
         frame(), tl.Metadata(participant=3, condition="C1", synthetic=True, more={"trial": 2})
     )
-    assert session.label == "participant 3, C1, synthetic"
+    assert session.label == "participant 3, C1, trial 2, synthetic"
     changed = session.with_metadata(condition="C2", block=1)
     assert changed.metadata.as_dict() == {
         "participant": 3,

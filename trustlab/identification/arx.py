@@ -123,10 +123,11 @@ def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]):
     p, n = design.shape
     if n <= p:
         raise IdentificationError(f"{p} coefficients need more than {p} equations, got {n}", names)
-    gram, moment = design @ design.T, design @ target
+    # Row by row: BLAS takes longer for the few, long rows of a product with its own transpose.
+    gram, moment = np.stack([design @ row for row in design]), design @ target
     scale = np.sqrt(np.diag(gram))
     if not np.isfinite(gram.sum() + moment.sum()):
-        raise ValueError("the data must be finite; a sample is NaN or infinite, or too large to square")
+        raise ValueError("the data are too large to square; scale them")
     if not (scale > 0.0).all():
         dead = names[int(np.argmin(scale))]
         raise IdentificationError(
@@ -213,6 +214,8 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
         u_run = u_run[:, None] if u_run.ndim == 1 else u_run
         if y_run.ndim != 1 or u_run.ndim != 2 or len(u_run) != y_run.size:
             raise ValueError(f"y must be (N,) and u (N,) or (N, m), got {y_run.shape} and {u_run.shape}")
+        if not (np.isfinite(y_run).all() and np.isfinite(u_run).all()):
+            raise ValueError("y and u must be finite; a sample is NaN or infinite")
         inputs = u_run.shape[1]
         nb_, nk_ = _per_input("nb", nb, inputs), _per_input("nk", nk, inputs)
         first = max([na] + [delay + lags - 1 for delay, lags in zip(nk_, nb_, strict=True)])

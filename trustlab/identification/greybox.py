@@ -36,12 +36,15 @@ class Structure:
         Columns that are predicted.
     maps : tuple of str
         How each of them is searched: "rate" (−ln(1 − x)), "logit", "rest" (a power, see `Problem`) or "plain".
+    moves : tuple of tuple of int
+        For each output, the numbers of the parameters that move it: the columns of its Jacobian.
     """
 
     shared: tuple[str, ...]
     initial: tuple[str, ...]
     outputs: tuple[str, ...]
     maps: tuple[str, ...]
+    moves: tuple[tuple[int, ...], ...]
 
     def bounds(self, name: str) -> tuple[float, float]:
         """
@@ -58,15 +61,22 @@ class Structure:
         return (0.0, 1.0) if kind == "rest" else (-np.inf, np.inf)
 
 
-ROBOT = Structure(("a", "p_min", "p_max"), ("p_r0",), ("p_r",), ("rate", "plain", "plain", "plain"))
+ROBOT = Structure(
+    ("a", "p_min", "p_max"), ("p_r0",), ("p_r",), ("rate", "plain", "plain", "plain"), ((0, 1, 2, 3),)
+)
 HUMAN = Structure(
-    ("a", "beta", "p_min", "p_max"), ("r0",), ("p_h",), ("rate", "logit", "plain", "plain", "rest")
+    ("a", "beta", "p_min", "p_max"),
+    ("r0",),
+    ("p_h",),
+    ("rate", "logit", "plain", "plain", "rest"),
+    ((0, 1, 2, 3, 4),),
 )
 JOINT = Structure(
     ("human_a", "human_beta", "human_p_min", "human_p_max", "robot_a", "robot_p_min", "robot_p_max"),
     ("r0", "p_r0"),
     ("p_h", "p_r"),
     ("rate", "logit", "plain", "plain", "rate", "plain", "plain", "rest", "plain"),
+    ((0, 1, 2, 3, 7), tuple(range(9))),
 )
 
 
@@ -79,8 +89,8 @@ class Predictions:
     ----------
     outputs : tuple of numpy.ndarray, each of shape (N,)
         Predicted columns.
-    jacobians : tuple of numpy.ndarray, each of shape (N, shared + initial)
-        Their derivatives by the parameters and this run's initial states.
+    jacobians : tuple of numpy.ndarray
+        Their derivatives by those parameters and initial states of this run that move them (`Structure.moves`).
     """
 
     outputs: tuple[np.ndarray, ...]
@@ -141,13 +151,13 @@ class Problem:
     buffers: list = field(default_factory=list)
 
     def __post_init__(self):
-        width = len(self.structure.shared) + len(self.structure.initial)
         for run in self.runs:
             n = run.mode.size
-            self.buffers.append([(np.empty(n), np.empty((n, width))) for _ in self.structure.outputs])
+            self.buffers.append([(np.empty(n), np.empty((n, len(own)))) for own in self.structure.moves])
         measured = [
             np.concatenate([getattr(run, name) for run in self.runs]) for name in self.structure.outputs
         ]
+        self.where = [self.columns(i) for i in range(len(self.runs))]
         self.counts = np.array([values.size for values in measured], dtype=float)
         scale = [max(float(np.sqrt(np.mean(values**2))), 1e-300) for values in measured]
         self.floors = self.counts * (1e-9 * np.array(scale)) ** 2
@@ -190,7 +200,7 @@ class Problem:
         theta : numpy.ndarray, shape (p,)
             The full vector of parameters.
         """
-        own, trace, buffers = theta[self.columns(run)], self.runs[run], self.buffers[run]
+        own, trace, buffers = theta[self.where[run]], self.runs[run], self.buffers[run]
         if self.structure is ROBOT:
             (p_r, jacobian) = buffers[0]
             robot_sensitivities(
@@ -202,6 +212,18 @@ class Problem:
         else:
             (p_h, by_human), (p_r, by_robot) = buffers
             joint_sensitivities(trace.mode, own[:4], own[4:7], own[7], own[8], p_h, p_r, by_human, by_robot)
+        return self.latest(run)
+
+    def latest(self, run: int) -> Predictions:
+        """
+        Return what `predict` gave last for one run.
+
+        Parameters
+        ----------
+        run : int
+            Number of the run.
+        """
+        buffers = self.buffers[run]
         return Predictions(tuple(b[0] for b in buffers), tuple(b[1] for b in buffers))
 
     def normal(self, theta: np.ndarray) -> Normal:
@@ -216,19 +238,18 @@ class Problem:
         p, outputs = theta.size, len(self.structure.outputs)
         squares, gradients, matrices = np.zeros(outputs), np.zeros((outputs, p)), np.zeros((outputs, p, p))
         for i, run in enumerate(self.runs):
-            where = self.columns(i)
-            block = np.ix_(where, where)
             predicted = self.predict(i, theta)
             for j, name in enumerate(self.structure.outputs):
                 error = getattr(run, name) - predicted.outputs[j]
                 jacobian = predicted.jacobians[j]
                 squares[j] += error @ error
+                where = self.where[i][list(self.structure.moves[j])]
                 gradients[j, where] += error @ jacobian
-                matrices[j][block] += jacobian.T @ jacobian
+                matrices[j][where[:, None], where] += jacobian.T @ jacobian
         weights = self.counts / (squares + self.floors)
         value = float(self.counts @ np.log(squares + self.floors))
         exact = bool((squares <= 1e-6 * self.floors).all())
-        return Normal(value, weights @ gradients, np.tensordot(weights, matrices, axes=1), squares, exact)
+        return Normal(value, weights @ gradients, np.einsum("i,ijk", weights, matrices), squares, exact)
 
     def search_normal(self, x: np.ndarray) -> Normal:
         """

@@ -62,7 +62,7 @@ def fit_human(
     ValueError
         If an argument is not understood.
     """
-    fixed, bounds = dict(fixed or {}), dict(bounds or {})
+    fixed, bounds = {} if fixed is None else fixed, {} if bounds is None else bounds
     if method == "arx":
         if fixed or bounds:
             raise ValueError(
@@ -89,13 +89,31 @@ def with_derived_b(table: pd.DataFrame, prefix: str = "") -> pd.DataFrame:
     prefix : str
         What stands before the parameters' names.
     """
-    out = table.copy()
-    out.loc[f"{prefix}b"] = [
-        1.0 - table.loc[f"{prefix}a", "value"],
-        table.loc[f"{prefix}a", "stderr"],
-        "derived",
-    ]
-    return out
+    a = table.index.get_loc(f"{prefix}a")
+    return with_row(table, f"{prefix}b", 1.0 - table["value"].iloc[a], table["stderr"].iloc[a], "derived")
+
+
+def with_row(table: pd.DataFrame, name: str, value: float, stderr: float, status: str) -> pd.DataFrame:
+    """
+    Return a table of parameters with one row more; much quicker than `table.loc[name] = …`.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Index `parameter`; columns value, stderr, status.
+    name : str
+        The new parameter.
+    value, stderr : float
+        What is known of it.
+    status : str
+        Where it comes from.
+    """
+    columns = {
+        "value": np.append(table["value"].to_numpy(), value),
+        "stderr": np.append(table["stderr"].to_numpy(), stderr),
+        "status": [*table["status"], status],
+    }
+    return pd.DataFrame(columns, index=pd.Index([*table.index, name], name="parameter"))
 
 
 def build_human(a: float, beta: float, p_min: float, p_max: float) -> HumanModel:

@@ -51,12 +51,16 @@ def check_mode_moves(runs: list[Trace], limits: dict[str, tuple[float, float]], 
     )
 
 
+HALF_WIDTH = float(stats.norm.ppf(0.975))
+"""Standard errors from the middle of a 95 % interval to its end."""
+
+
 def _is_weak(kind: str, value: float, stderr: float, span: float) -> bool:
-    half = stats.norm.ppf(0.975) * stderr
+    half = HALF_WIDTH * stderr
     if kind == "rate":
         return half > 0.5 * (1.0 - value)
     if kind == "logit":
-        return half > 0.25
+        return half > min(0.25, value, 1.0 - value)
     return half > 0.5 * abs(span)
 
 
@@ -64,7 +68,8 @@ def undetermined(problem: Problem, table: pd.DataFrame) -> list[str]:
     """
     Return the shared parameters that a bound holds or whose interval is too wide to be of use.
 
-    Too wide: 95 % intervals beyond half the time constant, 0.25 on beta, or half the range from p_min to p_max.
+    Too wide: 95 % intervals beyond half the time constant, 0.25 or an end of (0, 1) on beta, or half the range from
+    p_min to p_max.
 
     Parameters
     ----------
@@ -73,11 +78,11 @@ def undetermined(problem: Problem, table: pd.DataFrame) -> list[str]:
     table : pandas.DataFrame
         Index `parameter`; columns value, stderr, status.
     """
-    names = []
+    names, (values, stderrs, statuses) = [], (table[c].to_dict() for c in ("value", "stderr", "status"))
     for name, kind in zip(problem.structure.shared, problem.structure.maps, strict=False):
         prefix = next((stem for stem in ("human_", "robot_") if name.startswith(stem)), "")
-        span = table.loc[f"{prefix}p_max", "value"] - table.loc[f"{prefix}p_min", "value"]
-        value, stderr, status = table.loc[name, ["value", "stderr", "status"]]
-        if status == "at bound" or (status == "estimated" and _is_weak(kind, value, stderr, span)):
+        span = values[f"{prefix}p_max"] - values[f"{prefix}p_min"]
+        weak = statuses[name] == "estimated" and _is_weak(kind, values[name], stderrs[name], span)
+        if weak or statuses[name] == "at bound":
             names.append(name)
     return names

@@ -105,8 +105,9 @@ def minimise(
             scale = np.sqrt(diagonal[free])
             matrix = now.matrix[np.ix_(free, free)] / np.outer(scale, scale)
             gradient = now.gradient[free] / scale
-            plain = np.linalg.lstsq(matrix, gradient, rcond=1e-14)[0]
-            promised = float(gradient @ plain)
+            values, vectors = np.linalg.eigh(matrix)
+            along, known = gradient @ vectors, values > 1e-14 * values[-1]
+            promised = float(along[known] @ (along[known] / values[known]))
             # A kink, as of (2.6) at r = 0, defies any quadratic model: stop where six evaluations gained nothing.
             stalled = len(history) > 12 and promised < 1.0 and history[-7] - history[-1] < 1e-4
             done = stalled or promised <= (1e-3 if now.exact else tolerance)
@@ -116,7 +117,7 @@ def minimise(
             )
             return Minimum(x, now, bound, bool(done), iterations)
         step = np.zeros_like(x)
-        step[free] = np.linalg.solve(matrix + damping * np.eye(free.size), gradient) / scale
+        step[free] = vectors @ (along / (np.maximum(values, 0.0) + damping)) / scale
         trial = np.clip(x + step, lower, upper)
         new = evaluate(trial)
         iterations += 1

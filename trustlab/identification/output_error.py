@@ -109,7 +109,7 @@ def estimate(
 
     fitted, residuals = [[] for _ in structure.outputs], [[] for _ in structure.outputs]
     for i, run in enumerate(problem.runs):
-        predicted = problem.predict(i, theta)
+        predicted = problem.latest(i)  # what `normal` has just simulated
         for j, name in enumerate(structure.outputs):
             fitted[j].append(predicted.outputs[j].copy())
             residuals[j].append(getattr(run, name) - predicted.outputs[j])
@@ -194,9 +194,8 @@ def _meat(
     for i in range(len(problem.runs)):
         where = problem.columns(i)
         jacobians = problem.predict(i, theta).jacobians
-        scores = sum(
-            weights[j] * jacobians[j] * residuals[j][i][:, None]
-            for j in range(len(problem.structure.outputs))
-        )
+        scores = np.zeros((problem.runs[i].mode.size, where.size))
+        for j, moved in enumerate(problem.structure.moves):
+            scores[:, list(moved)] += weights[j] * jacobians[j] * residuals[j][i][:, None]
         meat[np.ix_(where, where)] += hac_matrix(scores, lags)
     return meat[np.ix_(free, free)]

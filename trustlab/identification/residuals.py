@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 __all__ = ["hac_lags", "hac_matrix", "ljung_box", "pooled_autocorrelation", "pooled_cross_correlation"]
 
@@ -78,7 +78,7 @@ def ljung_box(correlation: np.ndarray, samples: int) -> tuple[float, int, float]
         * (samples + 2.0)
         * np.sum(correlation[1 : lags + 1] ** 2 / (samples - np.arange(1, lags + 1)))
     )
-    return float(q), lags, float(stats.chi2.sf(q, lags))
+    return float(q), lags, float(special.chdtrc(lags, q))
 
 
 def hac_lags(residuals: list[np.ndarray]) -> int:

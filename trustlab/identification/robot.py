@@ -71,7 +71,7 @@ def fit_robot(
     ValueError
         If an argument is not understood.
     """
-    fixed, bounds = dict(fixed or {}), dict(bounds or {})
+    fixed, bounds = {} if fixed is None else fixed, {} if bounds is None else bounds
     if method not in ("output_error", "arx"):
         raise ValueError(f'method must be "output_error" or "arx", got {method!r}')
     if method == "arx" and (fixed or bounds):
@@ -83,6 +83,11 @@ def fit_robot(
     check_mode_moves(runs, limits, "p_min", "p_max")
     if p_h_max is not None and not finite_number("p_h_max", p_h_max) > 0.0:
         raise ValueError(f"p_h_max must be positive, got {p_h_max}")
+    middle = float(np.median(np.concatenate([run.p_h for run in runs])))
+    if p_h_max is not None and p_h_max < middle:
+        raise ValueError(
+            f"p_h_max = {p_h_max} lies below the median of the measured p_h, {middle:.4g}; it is the greatest"
+        )
     human = None if p_h_max is not None else _best_operator(runs)
     best = float(p_h_max) if human is None else float(human[1].theta[3])
     if method == "arx":

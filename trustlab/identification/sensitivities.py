@@ -107,8 +107,10 @@ def joint_sensitivities(mode, human, robot, r0, p_r0, p_h, p_r, by_human, by_rob
         Utilization and robot performance at the first sample.
     p_h, p_r : numpy.ndarray, shape (N,)
         Filled with the performances.
-    by_human, by_robot : numpy.ndarray, shape (N, 9)
-        Filled with the derivatives of p_h and p_r by human[0..3], robot[0..2], r0, p_r0.
+    by_human : numpy.ndarray, shape (N, 5)
+        Filled with the derivatives of p_h by human[0..3], r0.
+    by_robot : numpy.ndarray, shape (N, 9)
+        Filled with the derivatives of p_r by human[0..3], robot[0..2], r0, p_r0.
     """
     a_h, beta, h_min, h_max = human
     a, p_min, p_max = robot
@@ -122,8 +124,7 @@ def joint_sensitivities(mode, human, robot, r0, p_r0, p_h, p_r, by_human, by_rob
         h_a, h_beta, h_r0 = span * slope * r_a, span * by_beta, span * slope * r_0
         p_h[k], p_r[k] = h, now
         row = by_human[k]
-        row[0], row[1], row[2], row[3], row[7] = h_a, h_beta, 1.0 - shape, shape, h_r0
-        row[4] = row[5] = row[6] = row[8] = 0.0
+        row[0], row[1], row[2], row[3], row[4] = h_a, h_beta, 1.0 - shape, shape, h_r0
         row = by_robot[k]
         row[0], row[1], row[2], row[3] = s_a, s_beta, s_hmin, s_hmax
         row[4], row[5], row[6], row[7], row[8] = s_ra, s_rmin, s_rmax, s_r0, by_0

@@ -8,7 +8,6 @@ import numpy as np
 from trustlab.identification.greybox import HUMAN, UNIT_MARGIN, Problem
 from trustlab.identification.least_squares import minimise
 from trustlab.identification.traces import Trace, blocks
-from trustlab.models.human import yerkes_dodson
 
 __all__ = ["human_start", "robot_start"]
 
@@ -29,23 +28,29 @@ def _human_grid(mode, p_h, starts, rates, betas, rests):
     """Return Σ e², a, beta, p_min, p_max, r0 of every grid point with p_max > p_min; Σ e² is infinite elsewhere."""
     out = np.full((rates.size * rests.size * betas.size, 6), np.inf)
     total = np.sum(p_h**2)
+    log_r, log_q = np.empty(p_h.size), np.empty(p_h.size)  # of (2.6), shared by all beta
     row = 0
     for a in rates:
         for rest in rests:
+            for i in range(starts.size - 1):
+                r = rest
+                for k in range(starts[i], starts[i + 1]):
+                    middle = r + 0.5 * (1.0 - a) * (mode[k] - r)
+                    inside = 0.0 < middle < 1.0
+                    log_r[k] = np.log(middle) if inside else -np.inf
+                    log_q[k] = np.log(1.0 - middle) if inside else -np.inf
+                    r += (1.0 - a) * (mode[k] - r)
             for beta in betas:
                 s11 = s12 = s22 = t1 = t2 = 0.0
-                for i in range(starts.size - 1):
-                    r = rest
-                    for k in range(starts[i], starts[i + 1]):
-                        middle = r + 0.5 * (1.0 - a) * (mode[k] - r)
-                        high = yerkes_dodson(middle, beta)
-                        low = 1.0 - high
-                        s11 += low * low
-                        s12 += low * high
-                        s22 += high * high
-                        t1 += low * p_h[k]
-                        t2 += high * p_h[k]
-                        r += (1.0 - a) * (mode[k] - r)
+                top = beta * np.log(beta) + (1.0 - beta) * np.log(1.0 - beta)
+                for k in range(starts[0], starts[-1]):
+                    high = np.exp(beta * log_r[k] + (1.0 - beta) * log_q[k] - top)
+                    low = 1.0 - high
+                    s11 += low * low
+                    s12 += low * high
+                    s22 += high * high
+                    t1 += low * p_h[k]
+                    t2 += high * p_h[k]
                 p_min, p_max = _solve2(s11, s12, s22, t1, t2)
                 if p_max > p_min:
                     out[row] = [total - p_min * t1 - p_max * t2, a, beta, p_min, p_max, rest]

@@ -40,9 +40,28 @@ def parameter_table(problem: Problem, found: Estimate) -> tuple[pd.DataFrame, pd
     table = pd.DataFrame(
         {"value": found.theta[:size], "stderr": stderr, "status": status.astype(object)}, index=index
     )
-    full = pd.DataFrame(found.covariance[:size, :size], index=index, columns=names)
-    kept = [name for name in names if table.loc[name, "status"] == "estimated"]
-    return table, full.loc[kept, kept]
+    kept = np.flatnonzero(status == "estimated")
+    covariance = pd.DataFrame(
+        found.covariance[np.ix_(kept, kept)], index=index[kept], columns=index[kept].rename(None)
+    )
+    return table, covariance
+
+
+def _of_the_runs(problem: Problem) -> list[str]:
+    """Say what a reader should know of the data themselves."""
+    sentences = []
+    people = {run.notes[0] for run in problem.runs}
+    if len(people) > 1:
+        sentences.append(
+            f"{len(people)} participants share one set of parameters; fit them one by one unless that is meant."
+        )
+    measures = {run.notes[1] for run in problem.runs if run.notes[1]}
+    if measures:
+        sentences.append(
+            f"Performance is measured over a moving window ({', '.join(sorted(measures))}): rises and decays quicker than the "
+            "window are the window's own."
+        )
+    return sentences
 
 
 def result(
@@ -75,7 +94,9 @@ def result(
         success = False
         value, stderr, status = table.loc[name, ["value", "stderr", "status"]]
         if status == "at bound":
-            sentences.append(f"{name} ran into its bound at {value:.6g}: these data do not determine it.")
+            sentences.append(
+                f"{name} ran into its bound at {value:.6g}: the fit is better beyond it, or these data do not determine it."
+            )
         else:
             table.loc[name, "status"] = "weak"
             half = stats.norm.ppf(0.975) * stderr
@@ -86,9 +107,11 @@ def result(
     for name in structure.initial:
         first = len(structure.shared) + structure.initial.index(name)
         where = np.arange(first, found.theta.size, len(structure.initial))
-        held = int(found.at_bound[where].sum())
-        if held:
-            sentences.append(f"{name} lies on its bound in {held} of {len(where)} run(s).")
+        for bound, meaning in ((0.0, "a rested operator"), (1.0, "an operator at full load")):
+            held = int((found.at_bound[where] & (found.theta[where] == bound)).sum())
+            if held and name == "r0":
+                sentences.append(f"{name} = {bound:g}, {meaning}, in {held} of {len(where)} run(s).")
+    sentences += _of_the_runs(problem)
     if found.noise == "hac":
         sentences.append(
             f"Residuals are not white (Ljung–Box p = {found.whiteness_p:.2g}): standard errors allow for autocorrelation."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,8 @@ class Trace:
         The session in a few words.
     synthetic : bool
         Whether the session was simulated.
+    notes : tuple
+        Participant, and how performance was measured.
     t, mode : numpy.ndarray
         Time [s] and manual share.
     p_h, p_r, r : numpy.ndarray or None
@@ -37,6 +39,7 @@ class Trace:
     p_h: np.ndarray | None = None
     p_r: np.ndarray | None = None
     r: np.ndarray | None = None
+    notes: tuple = (None, None)
 
 
 def traces(sessions: Session | Iterable[Session], *needed: str) -> tuple[list[Trace], float]:
@@ -62,7 +65,18 @@ def traces(sessions: Session | Iterable[Session], *needed: str) -> tuple[list[Tr
     SessionError
         If a column is missing.
     """
-    runs = [sessions] if isinstance(sessions, Session) else list(sessions)
+    if isinstance(sessions, Session):
+        sessions = [sessions]
+    if (
+        not isinstance(sessions, Iterable)
+        or isinstance(sessions, (str, bytes, Mapping))
+        or hasattr(sessions, "columns")
+    ):
+        raise ValueError(
+            f"a fit takes a session or a list of them, got {type(sessions).__name__}; read a file with "
+            'trustlab.read_session(path), or make a table one: trustlab.Session(frame.set_index("t"))'
+        )
+    runs = list(sessions)
     if not runs:
         raise IdentificationError("no session was given; pass one or a list of them")
     for run in runs:
@@ -83,6 +97,7 @@ def traces(sessions: Session | Iterable[Session], *needed: str) -> tuple[list[Tr
             run.t,
             run["mode"].copy(),
             **{name: run[name].copy() for name in needed},
+            notes=(run.metadata.participant, run.metadata.more.get("performance")),
         )
         for run in runs
     ]

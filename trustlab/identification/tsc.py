@@ -9,7 +9,7 @@ import numpy as np
 from trustlab.identification.bounds import limits_of
 from trustlab.identification.fit_result import FitResult
 from trustlab.identification.greybox import JOINT, Problem
-from trustlab.identification.human import build_human, with_derived_b
+from trustlab.identification.human import build_human, with_derived_b, with_row
 from trustlab.identification.identifiability import check_mode_moves
 from trustlab.identification.output_error import estimate
 from trustlab.identification.robot import build_robot
@@ -58,7 +58,7 @@ def fit_tsc(
     ValueError
         If an argument is not understood.
     """
-    limits = limits_of(JOINT, dict(fixed or {}), dict(bounds or {}))
+    limits = limits_of(JOINT, {} if fixed is None else fixed, {} if bounds is None else bounds)
     runs, _ = traces(sessions, "p_h", "p_r")
     check_mode_moves(runs, limits, "robot_p_min", "robot_p_max")
     own = {name.removeprefix("human_"): limits[name] for name in JOINT.shared[:4]} | {"r0": limits["r0"]}
@@ -79,5 +79,5 @@ def fit_tsc(
     slope = np.zeros(7)
     slope[3:] = [-(1.0 - a) * gain / best, -gain, -(1.0 - a) / best, (1.0 - a) / best]
     stderr = float(np.sqrt(slope @ np.nan_to_num(found.covariance[:7, :7]) @ slope))
-    table.loc["robot_b"] = [robot_model.b, stderr, "derived"]
+    table = with_row(table, "robot_b", robot_model.b, stderr, "derived")
     return result(problem, found, TscModel(robot_model, human_model), table, covariance)

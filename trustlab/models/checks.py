@@ -24,9 +24,11 @@ def finite_number(name: str, value: float) -> float:
         If `value` is not one finite real number.
     """
     try:
-        number = float(value)
+        number = float(value) if not isinstance(value, str | bytes) else None
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a number, got {value!r}") from None
+        number = None
+    if number is None:
+        raise ValueError(f"{name} must be a number, got {value!r}")
     if not np.isfinite(number):
         raise ValueError(f"{name} must be finite, got {number}")
     return number
@@ -72,7 +74,10 @@ def finite_array(name: str, values: np.ndarray, *, length: int | None = None) ->
     ValueError
         If `values` is not one-dimensional, is empty, has another length or holds NaN or infinity.
     """
-    array = np.ascontiguousarray(values, dtype=float)
+    try:
+        array = np.ascontiguousarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be an array of numbers, got {type(values).__name__}") from None
     if array.ndim != 1 or array.size == 0:
         raise ValueError(f"{name} must be one-dimensional with at least one sample, got shape {array.shape}")
     if length is not None and array.size != length:

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from trustlab.sessions.checks import check_columns
 from trustlab.sessions.column_rules import ColumnRule, FieldPath
 from trustlab.sessions.errors import RecipeError, SessionError, nearest
 from trustlab.sessions.log import MAX_SAMPLES, Log, check_sqlite_path, metadata_from_json
 from trustlab.sessions.recipes import Recipe
 from trustlab.sessions.resampling import interpolate, method_for, resampled_note, time_grid
 from trustlab.sessions.rules import plain_key
-from trustlab.sessions.session import check_columns
 from trustlab.sessions.tables import some
 
 __all__ = ["PREFIX", "read_bag"]

@@ -42,7 +42,7 @@ def _decode(data: bytes, source: str) -> str:
         ) from error
 
 
-def read_csv(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None) -> Log:
+def read_csv(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, layout: TableRule) -> Log:
     """
     Return what a CSV file holds.
 
@@ -54,6 +54,8 @@ def read_csv(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None) ->
         Which columns are which; without, the file has the vocabulary's names and SI units.
     wanted : sequence of str, optional
         Session columns to read; all when not given, which only a file without a recipe may leave.
+    layout : TableRule
+        How the table is written.
 
     Raises
     ------
@@ -62,7 +64,6 @@ def read_csv(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None) ->
         the log, so that the first fault of the file can be told.
     """
     source = str(path)
-    layout = recipe.table if recipe else TableRule()
     text = _decode(path.read_bytes(), source)
     stream = io.StringIO(text, newline="")
     metadata, before = None, layout.skip_lines
@@ -92,7 +93,10 @@ def read_csv(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None) ->
         body, basis = text[start:], f"the header names {width}"
         if not recipe and wanted is None and len(names) == 1 and re.search(r"[;\t]", names[0]):
             raise SessionError(
-                f"{where}: columns are not separated by commas; say so in a recipe's [table]", source
+                f"{where}: columns are separated by {'a tab' if chr(9) in names[0] else ';'!r}, not by commas; read it with "
+                f'delimiter="{chr(92) + "t" if chr(9) in names[0] else ";"}" (and decimal="," if numbers have a decimal '
+                "comma), or say so in a recipe's [table]",
+                source,
             )
         if not recipe and names[0].startswith("#"):
             raise SessionError(
@@ -188,7 +192,7 @@ def _scan(body, cells, layout, width, basis, line, source):
             hint = (
                 f"; a quotation mark that opens here closes in line {last}"
                 if last > here
-                else "; complete the row"
+                else "; complete the row, or take out the commas that are too many (a decimal comma?)"
             )
             fault = SessionError(f"line {here}: has {len(row)} cells where {basis}{hint}", source)
             break

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from trustlab.sessions.checks import check_columns, check_time
 from trustlab.sessions.errors import RecipeError, SessionError
 from trustlab.sessions.log import Log
 from trustlab.sessions.patterns import PathMatch
 from trustlab.sessions.recipes import Recipe
 from trustlab.sessions.resampling import resample_log
 from trustlab.sessions.rules import MetadataRule, plain_key
-from trustlab.sessions.session import Metadata, Session, check_columns, check_time
+from trustlab.sessions.session import Metadata, Session
 
 __all__ = ["finish", "metadata_values"]
 
@@ -132,7 +133,8 @@ def finish(
                 columns[name] = _norm(steps)
             elif rule.kind == "travelled":
                 steps = [np.diff(columns[f"{rule.key[0]}_{axis}"], prepend=np.nan) for axis in rule.axes]
-                columns[name] = np.r_[0.0, _norm(steps)[1:]]
+                moved = _norm(steps)
+                columns[name] = np.r_[moved[1:2], moved[1:]]
     names = [name for name in (wanted or (rules or columns)) if name != "t"]
     frame = pd.DataFrame({name: columns[name] for name in names}, index=pd.Index(log.t, name="t"))
     return Session(frame, _describe(log, recipe, values))

@@ -33,7 +33,7 @@ def shade_manual(axes, t: np.ndarray, mode: np.ndarray) -> None:
             axes.axvspan(t[start], t[stop], color="0.5", alpha=0.2 * mode[start], lw=0)
 
 
-def plot_session(session, columns: list[str] | None = None):
+def plot_session(session, columns: str | list[str] | None = None):
     """
     Plot columns of a session against time, one panel each.
 
@@ -41,7 +41,7 @@ def plot_session(session, columns: list[str] | None = None):
     ----------
     session : Session
         What to plot.
-    columns : list of str, optional
+    columns : str or list of str, optional
         Which columns; p_r, p_h and r where there, else all, when not given.
 
     Returns
@@ -50,6 +50,8 @@ def plot_session(session, columns: list[str] | None = None):
     """
     import matplotlib.pyplot as plt
 
+    if isinstance(columns, str):
+        columns = [columns]
     if columns is None:
         columns = [name for name in ("p_r", "p_h", "r") if name in session] or session.columns
     session.require(*columns)

@@ -11,9 +11,9 @@ from trustlab.sessions.errors import RecipeError, SessionError, nearest
 from trustlab.sessions.finishing import finish, metadata_values
 from trustlab.sessions.headers import Headers, find_files
 from trustlab.sessions.patterns import natural_key
-from trustlab.sessions.recipes import Recipe, load_recipe
+from trustlab.sessions.recipes import Recipe, load_recipe, table_rule
 from trustlab.sessions.resampling import check_resampling
-from trustlab.sessions.rules import plain_key
+from trustlab.sessions.rules import TableRule, plain_key
 from trustlab.sessions.session import Session
 
 __all__ = ["read_session", "read_sessions"]
@@ -28,6 +28,8 @@ def read_session(
     columns: Sequence[str] | None = None,
     resample: str | None = None,
     sample_time: float | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
 ) -> Session:
     """
     Read one logged session.
@@ -37,7 +39,7 @@ def read_session(
     path : path-like
         A ``.csv``, ``.parquet``, ``.bag`` (ROS 1), ``.mcap`` or ``.db3`` file, or a rosbag2 folder.
     recipe : str, path-like or Recipe, optional
-        How the log's columns become ours: a name from `recipes()`, the path of a TOML file, or a Recipe. A table
+        How the log's columns become ours: a name from `list_recipes()`, the path of a TOML file, or a Recipe. A table
         with the vocabulary's names in SI units, and t in seconds, needs none; nor does anything `write_session`
         wrote.
     columns : sequence of str, optional
@@ -47,6 +49,9 @@ def read_session(
         the previous value of mode and suggested_mode, and turns yaw the short way.
     sample_time : float, optional
         Time between samples [s] after resampling.
+    delimiter, decimal : str, optional
+        What separates the cells of a CSV read without a recipe ("," ";" "|" tab or space), and the decimal mark of
+        its numbers ("." or ","); a comma and a point when not given. A recipe says so in its [table].
 
     Returns
     -------
@@ -61,10 +66,23 @@ def read_session(
     """
     recipe = load_recipe(recipe) if recipe is not None else None
     check_resampling(resample, sample_time, str(path))
-    return _read(path, recipe, columns, resample, sample_time, None)
+    return _read(path, recipe, columns, resample, sample_time, _layout(recipe, delimiter, decimal), None)
 
 
-def _read(path, recipe, columns, resample, sample_time, headers) -> Session:
+def _layout(recipe: Recipe | None, delimiter: str | None, decimal: str | None) -> TableRule:
+    given = {
+        name: value for name, value in (("delimiter", delimiter), ("decimal", decimal)) if value is not None
+    }
+    if recipe is None:
+        return table_rule(given, None)
+    if given:
+        raise RecipeError(
+            f"{next(iter(given))} is given, but a recipe says it itself, in [table]", recipe.source
+        )
+    return recipe.table
+
+
+def _read(path, recipe, columns, resample, sample_time, layout, headers) -> Session:
     source = os.fspath(path) if isinstance(path, str | os.PathLike) else path
     if not isinstance(source, str):
         raise SessionError(f"a path is needed, got {type(path).__name__}")
@@ -91,7 +109,7 @@ def _read(path, recipe, columns, resample, sample_time, headers) -> Session:
             _check_kind(recipe, "table", source)
             from trustlab.sessions.csv_files import read_csv
 
-            log = read_csv(path, recipe, needed)
+            log = read_csv(path, recipe, needed, layout)
         else:
             _check_kind(recipe, "table", source)
             from trustlab.sessions.parquet_files import read_parquet
@@ -121,7 +139,10 @@ def _existing(path: Path) -> Path:
                 beside = os.listdir(path.parent)
         except (OSError, ValueError):
             beside = []
-        raise SessionError(f"there is no such file{nearest(path.name, beside)}", source)
+        looked = "" if path.is_absolute() else f" (looked in {path.parent.absolute()})"
+        raise SessionError(f"there is no such file{looked}{nearest(path.name, beside)}", source)
+    if path.suffix.lower() in (".xlsx", ".xls", ".ods"):
+        raise SessionError('a spreadsheet cannot be read; save it as "CSV UTF-8" and read that', source)
     if path.is_dir():
         if not (path / "metadata.yaml").is_file():
             hint = "use read_sessions for a folder of sessions"
@@ -185,6 +206,8 @@ def read_sessions(
     columns: Sequence[str] | None = None,
     resample: str | None = None,
     sample_time: float | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> list[Session]:
     """
@@ -203,6 +226,8 @@ def read_sessions(
         As for `read_session`.
     sample_time : float, optional
         Time between samples [s] after resampling.
+    delimiter, decimal : str, optional
+        As for `read_session`.
     progress : callable, optional
         Called with the number of files read and the number there are, after each.
 
@@ -238,9 +263,10 @@ def read_sessions(
         raise SessionError(f"there is no such folder{hint}", source)
     headers = Headers(recipe) if recipe and recipe.header else None
     paths = _matching(source, recipe, headers) if recipe and recipe.pattern else _direct(source)
+    layout = _layout(recipe, delimiter, decimal)
     sessions = []
     for done, path in enumerate(paths, start=1):
-        sessions.append(_read(path, recipe, columns, resample, sample_time, headers))
+        sessions.append(_read(path, recipe, columns, resample, sample_time, layout, headers))
         if progress is not None:
             progress(done, len(paths))
     return sorted(

@@ -2,7 +2,7 @@
 Recipes: how a lab's logs become sessions, written down in a TOML file.
 
 A recipe says of one kind of log where each column, time and the metadata come from. Every key is listed here; any
-other is an error. Nothing is guessed: columns with a dimension name their unit, and resampling is asked for by name.
+other is an error. Nothing is guessed: time and columns with a dimension name their unit, and resampling is asked for by name.
 
 ::
 
@@ -39,7 +39,7 @@ other is an error. Nothing is guessed: columns with a dimension name their unit,
     beta = { value = 0.5 }                                         # a constant
     r = { from = "header.share", unit = "%" }                      # one value from the metadata for all samples
     path_error = { distance = ["robot", "reference"], axes = ["y", "z"] }
-    step_distance = { travelled = "robot", axes = ["x", "y"] }     # since the sample before; 0 at the first
+    step_distance = { travelled = "robot", axes = ["x", "y"] }     # since the sample before; the first takes the second's
 
     [metadata]                      # participant, condition, synthetic or any other name = from or value
     participant = { from = "folder", map = { 25 = 8 }, keep = true }    # keep: what the map does not list stays
@@ -84,7 +84,7 @@ from trustlab.sessions.rules import (
 )
 from trustlab.sessions.units import to_si
 
-__all__ = ["Recipe", "load_recipe", "recipes"]
+__all__ = ["Recipe", "list_recipes", "load_recipe", "table_rule"]
 
 _SHIPPED = Path(__file__).parent / "recipes"
 _KEYS = (
@@ -164,7 +164,10 @@ class Recipe:
         try:
             top = tomllib.loads(text)
         except (ValueError, RecursionError) as error:
-            raise RecipeError(f"not a TOML file ({error}); see trustlab.sessions.recipes", source) from error
+            raise RecipeError(
+                f"not a TOML file ({error}; texts need quotes); help(trustlab.sessions.recipes) has every key",
+                source,
+            ) from error
         top = check_keys(top, _KEYS, "recipe", source)
         for key in ("name", "description"):
             check_type(top.get(key, ""), str, "a text", key, source)
@@ -182,7 +185,7 @@ class Recipe:
         header = _header(top.get("header"), pattern, source)
         if kind == "bag" and "table" in top:
             raise RecipeError('[table] is for kind = "table"', source)
-        table = _table(top.get("table", {}), source)
+        table = table_rule(top.get("table", {}), source)
         method, sample_time = _resampling(top.get("resampling"), source)
         superseded_field, superseded = _supersedes(top.get("supersedes"), pattern, source)
         recipe = cls(
@@ -241,12 +244,25 @@ class Recipe:
                 hint = (
                     "; add a [header] table" if str(origin).startswith("header.") else nearest(origin, known)
                 )
-                raise RecipeError(f"{where}: nothing is called {origin!r}{hint}", self.source)
+                there = ", ".join(known) or "nothing; fields of the path come from [files] pattern"
+                raise RecipeError(
+                    f"{where}: nothing is called {origin!r}{hint} (there is: {there})", self.source
+                )
             if defines:
                 known.append(defines)
 
 
-def _table(table, source) -> TableRule:
+def table_rule(table: Mapping[str, object], source: str | None) -> TableRule:
+    """
+    Return how a table is written, checked.
+
+    Parameters
+    ----------
+    table : mapping
+        The keys of [table].
+    source : str, optional
+        The recipe, for errors.
+    """
     table = check_keys(table, ("header", "delimiter", "decimal", "skip_lines"), "[table]", source)
     check_type(table.get("header", True), bool, "true or false", "[table] header", source)
     delimiter, decimal = table.get("delimiter", ","), table.get("decimal", ".")
@@ -265,7 +281,11 @@ def _table_time(table, source) -> TimeRule:
     table = check_keys(table, ("column", "unit", "from_zero"), "[time]", source)
     check_type(table.get("column", "t"), (str, int), "a column name or index", "[time] column", source)
     check_type(table.get("from_zero", False), bool, "true or false", "[time] from_zero", source)
-    factor = to_si(table.get("unit", "s"), "s", "[time]", source)
+    if "unit" not in table:
+        raise RecipeError(
+            '[time]: needs unit, the unit of its column, for example unit = "s" or "ms"', source
+        )
+    factor = to_si(table["unit"], "s", "[time]", source)
     return TimeRule(table.get("column", "t"), factor, table.get("from_zero", False))
 
 
@@ -324,7 +344,7 @@ def _supersedes(table, pattern, source) -> tuple[str | None, dict[str, str]]:
     return table["field"], {plain_key(old): plain_key(new) for old, new in pairs.items()}
 
 
-def recipes() -> dict[str, str]:
+def list_recipes() -> dict[str, str]:
     """
     Return the recipes that come with the package: names and descriptions.
 
@@ -346,7 +366,7 @@ def load_recipe(recipe: str | os.PathLike | Recipe) -> Recipe:
     Parameters
     ----------
     recipe : str, path-like or Recipe
-        The name of a recipe that comes with the package (see `recipes`), the path of a TOML file, or a recipe,
+        The name of a recipe that comes with the package (see `list_recipes`), the path of a TOML file, or a recipe,
         which is returned as it is.
 
     Raises

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 
 import numpy as np
@@ -181,5 +182,19 @@ def resample_log(log: Log, method: str, sample_time: float, rules: Mapping[str, 
         for name, values in log.columns.items()
     }
     log.notes["resampled"] = resampled_note(method, sample_time, float(np.diff(log.t).max()))
+    _warn_of_gaps(log.t, sample_time, log.source)
     log.t = grid
     log.place = lambda k: f"sample {k} after resampling"
+
+
+def _warn_of_gaps(t: np.ndarray, sample_time: float, source: str | None) -> None:
+    """Warn where resampling bridges a gap much longer than the log's own steps and the new ones."""
+    steps = np.diff(t)
+    k = int(np.argmax(steps))
+    if steps[k] > 10.0 * max(float(np.median(steps)), sample_time):
+        warnings.warn(
+            f"{source}: resampling bridges a gap of {steps[k]:.6g} s at t = {t[k]:.6g} s; if the log was interrupted, cut "
+            "the session there (session.between)",
+            UserWarning,
+            stacklevel=2,
+        )

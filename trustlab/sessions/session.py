@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
 
+from trustlab.sessions.checks import check_columns, check_time
 from trustlab.sessions.errors import SessionError, nearest
-from trustlab.sessions.vocabulary import VOCABULARY
 
-__all__ = ["STEP_TOLERANCE", "Metadata", "Session"]
-
-STEP_TOLERANCE = 0.01
-"""How far a time step may lie from the median step, as a share of it, before sampling counts as irregular."""
+__all__ = ["Metadata", "Session"]
 
 
 @dataclass(frozen=True)
@@ -53,117 +50,6 @@ class Metadata:
         """Return everything in one flat dictionary."""
         flat = {name: getattr(self, name) for name in ("participant", "condition", "source", "synthetic")}
         return flat | dict(self.more)
-
-
-def _row(k: int) -> str:
-    return f"row {k}"
-
-
-def check_time(
-    t: np.ndarray, source: str | None = None, place: Callable[[int], str] = _row, uniform: bool = True
-) -> float:
-    """
-    Return the sample time of a uniform time axis.
-
-    Parameters
-    ----------
-    t : array_like, shape (N,)
-        Times [s]; at least two.
-    source : str, optional
-        The file, for the error.
-    place : callable
-        Names the place of sample k in the file ("line 7"), for the error.
-    uniform : bool
-        Whether irregular sampling is a fault, which it is not before resampling.
-
-    Raises
-    ------
-    SessionError
-        If a time is not finite, repeats, runs backwards, or a step differs from the median step by more than
-        STEP_TOLERANCE of it.
-    """
-    t = np.asarray(t, dtype=float)
-    if t.ndim != 1 or t.size < 2:
-        raise SessionError(f"a session needs at least two samples, found {t.size}", source)
-    if not np.isfinite(t).all():
-        k = int(np.argmax(~np.isfinite(t)))
-        raise SessionError(f"{place(k)}, column t: time is {t[k]}; every row needs a time", source, row=k)
-    with np.errstate(over="ignore"):
-        steps = np.diff(t)
-    if not (steps > 0.0).all():
-        k = int(np.argmax(steps <= 0.0)) + 1
-        what = "repeats" if steps[k - 1] == 0.0 else "runs backwards"
-        raise SessionError(
-            f"{place(k)}, column t: time {what} ({t[k - 1]} s, then {t[k]} s); "
-            "sort or split the log where this happens",
-            source,
-            row=k,
-        )
-    step = float(np.median(steps))
-    if not uniform:
-        return step
-    with np.errstate(over="ignore", invalid="ignore"):
-        off = np.abs(steps - step) > STEP_TOLERANCE * step
-    if not np.isfinite(step) or off.any():
-        k = int(np.argmax(off)) + 1
-        raise SessionError(
-            f"{place(k)}, column t: sampling is irregular (a step of {steps[k - 1]:.6g} s at t = {t[k]:.6g} s, "
-            f"the median step is {step:.6g} s; {int(off.sum())} of {steps.size} steps are off by more than "
-            f"{STEP_TOLERANCE:.0%}); ask for resampling by name, for example "
-            f'read_session(..., resample="linear", sample_time={step:.3g})',
-            source,
-            row=k,
-        )
-    return step
-
-
-def check_columns(data: pd.DataFrame, source: str | None = None, place: Callable[[int], str] = _row) -> None:
-    """
-    Check names, types, gaps and ranges of a session's columns.
-
-    Parameters
-    ----------
-    data : pandas.DataFrame
-        The columns, indexed by time.
-    source : str, optional
-        The file, for the error.
-    place : callable
-        Names the place of sample k in the file ("line 7"), for the error.
-
-    Raises
-    ------
-    SessionError
-        Naming column, row and time of the first fault.
-    """
-    if data.columns.has_duplicates:
-        twice = data.columns[data.columns.duplicated()][0]
-        raise SessionError(f"column {twice!r} is there twice; rename or remove one", source)
-    for name in data.columns:
-        if name not in VOCABULARY:
-            raise SessionError(
-                f"column {name!r} is not in the vocabulary{nearest(name, VOCABULARY) or '.'} "
-                "Map it with a recipe, leave it out, or see trustlab.sessions.vocabulary()",
-                source,
-            )
-        values = data[name].to_numpy()
-        if values.dtype.kind not in "fiub":
-            raise SessionError(f"column {name!r} must hold numbers, found {values.dtype}", source)
-        values = values.astype(float)
-        column = VOCABULARY[name]
-        bad = ~np.isfinite(values)
-        why = "is missing or not finite; fill or cut it before reading, by a rule you can name"
-        if not bad.any():
-            low = -np.inf if column.low is None else column.low
-            high = np.inf if column.high is None else column.high
-            bad = (values < low) | (values > high)
-            why = (
-                f"lies outside [{low:g}, {high:g}] ({column.meaning}); correct it, or scale it with a recipe"
-            )
-        if bad.any():
-            k = int(np.argmax(bad))
-            raise SessionError(
-                f"{place(k)}, column {name!r}, t = {data.index[k]:.6g} s: {values[k]} {why}", source, row=k
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +90,12 @@ class Session:
             )
         if data.index.name != "t" and "t" in data.columns:
             data = data.set_index("t")
+        if isinstance(data.index, pd.RangeIndex) and data.index.name != "t":
+            raise SessionError(
+                "the rows are numbered, not timed; name the column of times [s] 't', or set it as the index: "
+                'frame.set_index("t")',
+                source,
+            )
         if data.index.dtype.kind not in "fiu":
             raise SessionError(f"the index must be time in seconds, found {data.index.dtype}", source)
         check_time(data.index.to_numpy(), source)
@@ -223,6 +115,7 @@ class Session:
         return mine == theirs and self.data.sort_index(axis=1).equals(other.data.sort_index(axis=1))
 
     __hash__ = None
+    __iter__ = None
 
     def __len__(self) -> int:
         return len(self.data)
@@ -232,6 +125,10 @@ class Session:
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return one column, or "t", as an array of shape (N,)."""
+        if not isinstance(name, str):
+            raise SessionError(
+                f"a session is indexed by one column's name, got {name!r}; its table is session.data"
+            )
         if name == "t":
             return self.t
         self.require(name)
@@ -263,6 +160,7 @@ class Session:
         meta = self.metadata
         parts = [f"participant {meta.participant}" if meta.participant is not None else ""]
         parts.append(str(meta.condition) if meta.condition is not None else "")
+        parts.append(f"trial {meta.more['trial']}" if "trial" in meta.more else "")
         parts.append("synthetic" if meta.synthetic else "")
         return ", ".join(part for part in parts if part) or (meta.source or "session")
 
@@ -282,8 +180,9 @@ class Session:
         """
         missing = [name for name in names if name not in self.data.columns]
         if missing:
+            own = self.label if self.label != self.metadata.source else "the session"
             raise SessionError(
-                f"{self.label} has no column {missing[0]!r}{nearest(missing[0], self.columns)} "
+                f"{own} has no column {missing[0]!r}{nearest(missing[0], self.columns)} "
                 f"(it has: {', '.join(self.columns)}; needed: {', '.join(names)})",
                 self.metadata.source,
             )
@@ -323,8 +222,21 @@ class Session:
         ----------
         start, stop : float
             Times [s].
+
+        Raises
+        ------
+        SessionError
+            If start is not before stop, or fewer than two samples lie between.
         """
-        return Session(self.data.loc[start:stop], self.metadata)
+        if not start < stop:
+            raise SessionError(f"start must be before stop, got {start} and {stop}")
+        part = self.data.loc[start:stop]
+        if len(part) < 2:
+            raise SessionError(
+                f"no two samples lie between {start} s and {stop} s; the session runs from {self.t[0]:g} s to {self.t[-1]:g} s",
+                self.metadata.source,
+            )
+        return Session(part, self.metadata)
 
     def with_performance(
         self, window: float = 100.0, measure: str = "ground_robot", **scales: float
@@ -354,13 +266,13 @@ class Session:
         """Return the data with time as a column."""
         return self.data.reset_index()
 
-    def plot(self, columns: list[str] | None = None):
+    def plot(self, columns: str | list[str] | None = None):
         """
         Plot columns against time, manual phases shaded.
 
         Parameters
         ----------
-        columns : list of str, optional
+        columns : str or list of str, optional
             What to plot, one panel each; the performances, or all there is, when not given.
 
         Returns

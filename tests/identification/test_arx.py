@@ -1,0 +1,269 @@
+"""
+`arx` against statsmodels OLS.
+
+Oracle: statsmodels `OLS` (pinv) on regressors stacked here, one row at a time, from the equation
+y(k) + a_1 y(k−1) + … = b_1 u(k−nk) + … + c + e(k); coefficients, standard errors, covariance and residuals to 1e-10.
+"""
+
+import itertools
+
+import numpy as np
+import pytest
+import statsmodels.api as sm
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trustlab.identification import IdentificationError, arx
+from trustlab.identification.arx import CONDITION_LIMIT
+
+
+def rows(y, u, na, nb, nk, intercept):
+    """Return the regressors and targets of one run, written out equation by equation."""
+    u = np.asarray(u).reshape(len(y), -1)
+    first = max([na] + [delay + lags - 1 for lags, delay in zip(nb, nk, strict=True)])
+    design, target = [], []
+    for k in range(first, len(y)):
+        row = [-y[k - lag] for lag in range(1, na + 1)]
+        for i in range(u.shape[1]):
+            row += [u[k - nk[i] - j, i] for j in range(nb[i])]
+        design.append(row + ([1.0] if intercept else []))
+        target.append(y[k])
+    return np.array(design), np.array(target)
+
+
+def ols(runs, na, nb, nk, intercept):
+    blocks = [rows(y, u, na, nb, nk, intercept) for y, u in runs]
+    return sm.OLS(np.concatenate([b[1] for b in blocks]), np.vstack([b[0] for b in blocks])).fit()
+
+
+def random_system(rng, na, nb, nk, samples, noise=0.05):
+    """Simulate a stable random ARX system with as many white inputs as `nb` is long."""
+    poles = rng.uniform(-0.9, 0.9, na)
+    a = np.poly(poles)[1:]
+    b = [rng.normal(0.0, 1.0, lags) for lags in nb]
+    u = rng.normal(0.0, 1.0, (samples, len(nb)))
+    y = np.zeros(samples)
+    for k in range(samples):
+        y[k] = 0.3 + noise * rng.normal()
+        y[k] -= sum(a[j] * y[k - 1 - j] for j in range(na) if k - 1 - j >= 0)
+        for i, delay in enumerate(nk):
+            y[k] += sum(b[i][j] * u[k - delay - j, i] for j in range(nb[i]) if k - delay - j >= 0)
+    return y, u
+
+
+def assert_same(fit, oracle, rtol=1e-10):
+    scale = np.abs(oracle.params).max()
+    np.testing.assert_allclose(fit.coefficients, oracle.params, rtol=rtol, atol=rtol * scale)
+    np.testing.assert_allclose(fit.stderr, oracle.bse, rtol=rtol)
+    spread = np.outer(oracle.bse, oracle.bse)
+    np.testing.assert_allclose(fit.covariance / spread, oracle.cov_params() / spread, rtol=rtol, atol=rtol)
+    np.testing.assert_allclose(fit.residuals, oracle.resid, atol=rtol * np.abs(oracle.model.endog).max())
+    assert fit.sigma == pytest.approx(np.sqrt(oracle.mse_resid), rel=rtol)
+    assert fit.degrees_of_freedom == oracle.df_resid
+
+
+@pytest.mark.parametrize("intercept", [False, True])
+@pytest.mark.parametrize(("na", "nb", "nk"), list(itertools.product([1, 2, 3, 4], [1, 2, 3], [0, 1, 2, 3])))
+def test_every_order_agrees_with_ols(na, nb, nk, intercept):
+    rng = np.random.default_rng(np.random.SeedSequence([na, nb, nk, intercept]))
+    y, u = random_system(rng, na, (nb,), (nk,), 400)
+    fit = arx(y, u[:, 0], na, nb, nk, intercept)
+    assert_same(fit, ols([(y, u)], na, (nb,), (nk,), intercept))
+    lags = [f"a{j + 1}" for j in range(na)] + [f"b{j + 1}" for j in range(nb)]
+    assert list(fit.names) == lags + ["c"] * intercept
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    na=st.integers(1, 4),
+    orders=st.lists(st.tuples(st.integers(1, 3), st.integers(0, 3)), min_size=1, max_size=2),
+    intercept=st.booleans(),
+    lengths=st.lists(st.integers(60, 300), min_size=1, max_size=3),
+)
+@settings(max_examples=60, deadline=None)
+def test_random_systems_agree_with_ols(seed, na, orders, intercept, lengths):
+    rng = np.random.default_rng(seed)
+    nb, nk = zip(*orders, strict=True)
+    runs = [random_system(rng, na, nb, nk, length) for length in lengths]
+    fit = arx([y for y, _ in runs], [u for _, u in runs], na, nb, nk, intercept)
+    assert_same(fit, ols(runs, na, nb, nk, intercept))
+
+
+def test_two_inputs_name_input_and_lag():
+    rng = np.random.default_rng(5)
+    y, u = random_system(rng, 1, (2, 1), (1, 0), 300)
+    fit = arx(y, u, 1, (2, 1), (1, 0), intercept=True)
+    assert fit.names == ("a1", "b1_1", "b1_2", "b2_1", "c")
+    assert_same(fit, ols([(y, u)], 1, (2, 1), (1, 0), True))
+
+
+def test_no_equation_crosses_from_one_run_to_the_next():
+    """Negative control: gluing the runs together gives other numbers."""
+    rng = np.random.default_rng(6)
+    runs = [random_system(rng, 2, (1,), (1,), 60), random_system(rng, 2, (1,), (1,), 60)]
+    ys, us = [y + 5.0 * i for i, (y, _) in enumerate(runs)], [u for _, u in runs]
+    fit = arx(ys, us, 2, 1, 1, intercept=True)
+    assert_same(fit, ols(list(zip(ys, us, strict=True)), 2, (1,), (1,), True))
+    assert fit.residuals.size == 2 * (60 - 2)
+    glued = arx(np.concatenate(ys), np.concatenate(us)[:, 0], 2, 1, 1, intercept=True)
+    assert np.abs(glued.coefficients / fit.coefficients - 1.0).max() > 1e-3
+
+
+@pytest.mark.parametrize("level", [0.9, 0.95, 0.99])
+def test_intervals_are_those_of_ols(level):
+    rng = np.random.default_rng(7)
+    y, u = random_system(rng, 2, (2,), (1,), 80)
+    table = arx(y, u, 2, 2, 1, intercept=True).table(level)
+    oracle = ols([(y, u)], 2, (2,), (1,), True).conf_int(1.0 - level)
+    np.testing.assert_allclose(table[["ci_low", "ci_high"]], oracle, rtol=1e-9, atol=1e-10)
+
+
+def test_runs_of_the_models_own_shape_agree_with_ols():
+    """The regression of (2.3): a slow pole, a drive that switches, a constant; lags that resemble each other."""
+    rng = np.random.default_rng(np.random.SeedSequence(8))
+    mode = (np.arange(20000) // 2500) % 2 == 0
+    drive = mode * (0.42 + 0.003 * rng.normal(size=mode.size))
+    y = np.empty(mode.size)
+    y[0] = 0.24
+    for k in range(mode.size - 1):
+        y[k + 1] = 0.996 * y[k] + 0.004 * 0.24 + 0.0013 * drive[k]
+    y += rng.normal(0.0, 0.003, y.size)
+    assert_same(arx(y, drive, 1, 1, 1, intercept=True), ols([(y, drive)], 1, (1,), (1,), True))
+
+
+# --- regressors that nearly follow from one another: the QR branch -------------------------------------------------
+
+
+def condition(design):
+    scaled = design / np.linalg.norm(design, axis=0)
+    return np.linalg.cond(scaled) ** 2
+
+
+@pytest.mark.parametrize("size", [1e-3, 1e-4, 1e-5])
+def test_nearly_collinear_lags_agree_with_ols(size):
+    """An input that hardly moves, so that its lags differ by `size`: beyond the limit for normal equations, still told by QR."""
+    rng = np.random.default_rng(np.random.SeedSequence(9))
+    u = 1.0 + size * rng.normal(size=600)
+    y = np.zeros(u.size)
+    for k in range(2, u.size):
+        y[k] = 0.5 * y[k - 1] + 2.0 * u[k - 1] - u[k - 2] + 0.1 * rng.normal()
+    design, _ = rows(y, u, 1, (2,), (1,), False)
+    assert condition(design) > CONDITION_LIMIT
+    fit, oracle = arx(y, u, 1, 2, 1), ols([(y, u)], 1, (2,), (1,), False)
+    # Rounding grows with the condition number of the regressors (its square root here), for the oracle as well.
+    loss = max(1e-10, 100.0 * np.finfo(float).eps * np.sqrt(condition(design)))
+    np.testing.assert_allclose(fit.coefficients, oracle.params, rtol=loss)
+    np.testing.assert_allclose(fit.stderr, oracle.bse, rtol=loss)
+
+
+def test_units_of_the_regressors_do_not_matter():
+    """Columns are scaled, so micrometres beside kilometres are no near collinearity."""
+    rng = np.random.default_rng(10)
+    y, u = random_system(rng, 2, (1, 1), (1, 1), 300)
+    plain, units = arx(y, u, 2, 1, 1), arx(y, u * [1e-9, 1e9], 2, 1, 1)
+    expected = plain.coefficients * [1.0, 1.0, 1e9, 1e-9]
+    np.testing.assert_allclose(units.coefficients, expected, rtol=1e-10)
+    np.testing.assert_allclose(units.stderr, plain.stderr * [1.0, 1.0, 1e9, 1e-9], rtol=1e-10)
+
+
+# --- refusals -----------------------------------------------------------------------------------------------------
+
+
+def system(samples=200):
+    return random_system(np.random.default_rng(3), 2, (1,), (1,), samples)
+
+
+def test_an_input_that_is_zero_throughout_names_its_coefficient():
+    y, u = system()
+    with pytest.raises(
+        IdentificationError, match="coefficient b1 cannot be told: its regressor is zero"
+    ) as caught:
+        arx(y, 0.0 * u, 2, 1, 1)
+    assert caught.value.parameters == ("b1",)
+
+
+def test_a_constant_input_beside_an_intercept_names_one_of_them():
+    y, u = system()
+    with pytest.raises(
+        IdentificationError, match="cannot be told: its regressor follows from the others"
+    ) as caught:
+        arx(y, np.ones_like(u), 2, 1, 1, intercept=True)
+    assert caught.value.parameters in {("b1",), ("c",)}
+
+
+@pytest.mark.parametrize("factor", [1.0, -3.0, 1e-6])
+def test_two_inputs_that_move_together_name_one_of_them(factor):
+    y, u = system()
+    with pytest.raises(IdentificationError, match="follows from the others") as caught:
+        arx(y, np.column_stack([u, factor * u]), 1, 1, 1)
+    assert caught.value.parameters in {("b1_1",), ("b2_1",)}
+
+
+def test_lags_of_a_constant_input_name_one_of_them():
+    y, u = system()
+    with pytest.raises(IdentificationError, match=r"coefficient b\d cannot be told"):
+        arx(y, np.full_like(u, 0.7), 1, 3, 1)
+
+
+def test_the_same_input_with_a_change_is_told():
+    """Negative control: one sample that differs is enough to tell the two inputs apart, and no refusal follows."""
+    y, u = system()
+    other = u.copy()
+    other[100] += 1.0
+    fit = arx(y, np.column_stack([u, other]), 1, 1, 1)
+    assert_same(fit, ols([(y, np.column_stack([u, other]))], 1, (1, 1), (1, 1), False), rtol=1e-9)
+
+
+def test_fewer_equations_than_coefficients_is_refused():
+    y, u = system(8)
+    with pytest.raises(IdentificationError, match="6 coefficients need more than 6 equations, got 5"):
+        arx(y, u, 3, 2, 1, intercept=True)
+
+
+def test_a_run_shorter_than_its_lags_is_refused():
+    y, u = system(4)
+    with pytest.raises(IdentificationError, match="a run of 4 samples is too short for lags up to 5"):
+        arx(y, u, 2, 1, 5)
+
+
+@pytest.mark.parametrize(
+    ("y_shape", "u_shape"), [((50,), (49,)), ((50, 2), (50,)), ((50,), (50, 1, 1)), ((50,), (2, 50))]
+)
+def test_shapes_that_do_not_fit_are_refused(y_shape, u_shape):
+    rng = np.random.default_rng(4)
+    with pytest.raises(ValueError, match=r"y must be \(N,\) and u \(N,\) or \(N, m\)"):
+        arx(rng.normal(size=y_shape), rng.normal(size=u_shape))
+
+
+def test_lists_of_different_length_are_refused():
+    y, u = system()
+    with pytest.raises(ValueError):
+        arx([y, y], [u])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("where", ["y", "u"])
+def test_samples_that_are_not_finite_are_refused(bad, where):
+    y, u = system()
+    (y if where == "y" else u[:, 0])[7] = bad
+    with pytest.raises(ValueError, match="NaN or infinite"):
+        arx(y, u)
+
+
+@pytest.mark.parametrize(
+    ("orders", "message"),
+    [
+        ({"na": -1}, "na must be a whole number"),
+        ({"na": 1.5}, "na must be a whole number"),
+        ({"nb": 0}, "nb must hold whole numbers"),
+        ({"nb": 1.5}, "nb must hold whole numbers"),
+        ({"nk": -1}, "nk must hold whole numbers"),
+        ({"nk": 0.5}, "nk must hold whole numbers"),
+        ({"nb": (1, 2)}, "nb names 2 inputs, u has 1"),
+        ({"nk": (1, 2)}, "nk names 2 inputs, u has 1"),
+    ],
+)
+def test_orders_that_make_no_sense_are_refused(orders, message):
+    y, u = system()
+    with pytest.raises(ValueError, match=message):
+        arx(y, u, **orders)
