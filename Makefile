@@ -33,7 +33,19 @@ test: $(VENV)/.stamp  ## formatting, linting and every test
 	$(BIN)/python -m pytest -n $(JOBS)
 
 bench: $(VENV)/.stamp  ## benchmarks beside the peers, written under reports/
+	@$(MAKE) --no-print-directory benchmarks/.venv/.stamp || echo "peers could not be installed; see above"
 	$(BIN)/python -m benchmarks
+
+benchmarks/.venv/.stamp: benchmarks/environment.lock
+	rm -rf benchmarks/.venv
+ifneq ($(UV),)
+	$(UV) venv --quiet --python $(PYTHON) benchmarks/.venv
+	$(UV) pip install --quiet --python benchmarks/.venv/bin/python --no-deps --require-hashes -r benchmarks/environment.lock
+else
+	$(PYTHON) -m venv benchmarks/.venv
+	benchmarks/.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r benchmarks/environment.lock
+endif
+	@touch $@
 
 lab: $(VENV)/.stamp  ## JupyterLab in notebooks/
 	$(BIN)/jupyter lab --notebook-dir=notebooks

@@ -1,0 +1,84 @@
+"""
+The joint fit the way CasADi's system-identification example goes about it (docs/examples/python/sysid.py, single shooting).
+
+One sample as a Function expanded to scalars, accumulated over all samples; parameters scaled to order one; ½ eᵀe minimised by
+IPOPT with the Gauss–Newton matrix in place of the Hessian; with generated C code if asked for. Same parameters and weights as
+scipy_trust_region.py.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+class SingleShooting:
+    """
+    The expressions for one data set, and a solver for them.
+
+    Parameters
+    ----------
+    mode, p_h, p_r : numpy.ndarray, shape (N,)
+        Data; they are constants of the expressions, as in the example.
+    sd_h, sd_r : float
+        Noise of the outputs.
+    scale : array_like, shape (8,)
+        What the parameters are divided by.
+    compiled : bool
+        Whether C code is generated and compiled (the example's choice where there is a compiler).
+    flags : str
+        For the compiler; CasADi's own when empty, as in the example.
+    """
+
+    def __init__(self, mode, p_h, p_r, sd_h, sd_r, scale, compiled=False, flags=""):
+        import casadi as ca
+
+        samples, self.scale = mode.size, np.array(scale, dtype=float)
+        r, robot, m, p = ca.MX.sym("r"), ca.MX.sym("p_r"), ca.MX.sym("m"), ca.MX.sym("p", 7)
+        a_h, beta, h_min, h_max, a, p_min, p_max = ca.vertsplit(p)
+        inside = ca.fmax(r, 1e-12)
+        bell = ca.exp(beta * ca.log(inside / beta) + (1 - beta) * ca.log((1 - inside) / (1 - beta)))
+        h = h_min + (h_max - h_min) * bell
+        after = ca.vertcat(
+            a_h * r + (1 - a_h) * m,
+            a * robot + (1 - a) * (p_min + (p_max - p_min) * m * h / h_max),
+        )
+        one = ca.Function("one_sample", [ca.vertcat(r, robot), m, p], [after, ca.vertcat(h, robot)]).expand()
+        everything = one.mapaccum("all_samples", samples)
+
+        x = ca.MX.sym("x", 8)
+        theta = x * ca.DM(self.scale)
+        _, out = everything(ca.vertcat(0, theta[7]), ca.DM(mode).T, ca.repmat(theta[:7], 1, samples))
+        error = ca.vertcat((out[0, :].T - ca.DM(p_h)) / sd_h, (out[1, :].T - ca.DM(p_r)) / sd_r)
+        by_x, sigma = ca.jacobian(error, x), ca.MX.sym("sigma")
+        code = {"jit": True, "compiler": "shell"} if compiled else {}
+        if flags:
+            code["jit_options"] = {"flags": flags}
+        hessian = ca.Function(
+            "nlp_hess_l",
+            {"x": x, "lam_f": sigma, "hess_gamma_x_x": sigma * ca.triu(by_x.T @ by_x)},
+            ["x", "p", "lam_f", "lam_g"],
+            ["hess_gamma_x_x"],
+            code,
+        )
+        quiet = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False}
+        nlp = {"x": x, "f": 0.5 * ca.dot(error, error)}
+        self.solver = ca.nlpsol("solver", "ipopt", nlp, {"hess_lag": hessian, **quiet, **code})
+
+    def solve(self, start):
+        """
+        Return parameters and cost.
+
+        Parameters
+        ----------
+        start : array_like, shape (8,)
+            Where the search starts.
+
+        Raises
+        ------
+        RuntimeError
+            If IPOPT does not report success.
+        """
+        found = self.solver(x0=np.asarray(start) / self.scale)
+        if not self.solver.stats()["success"]:
+            raise RuntimeError(self.solver.stats()["return_status"])
+        return np.array(found["x"]).ravel() * self.scale, float(found["f"])

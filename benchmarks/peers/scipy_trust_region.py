@@ -1,0 +1,128 @@
+"""
+The joint fit as one would write it by hand: SciPy's trust-region search with compiled forward sensitivities.
+
+Parameters, in this order: a, beta, p_min, p_max of (2.5)-(2.6), a, p_min, p_max of (2.3), P_r at the first sample; utilization
+starts at 0. Residuals are divided by the noise's standard deviation of each output.
+"""
+
+from __future__ import annotations
+
+from math import exp, log
+
+import numba
+import numpy as np
+from scipy.optimize import least_squares
+
+
+@numba.njit(cache=True)
+def residuals(x, mode, p_h, p_r, sd_h, sd_r, out):
+    """
+    Fill `out` with the weighted residuals of p_h, then of p_r.
+
+    Parameters
+    ----------
+    x : numpy.ndarray, shape (8,)
+        Parameters.
+    mode, p_h, p_r : numpy.ndarray, shape (N,)
+        Data.
+    sd_h, sd_r : float
+        Noise of the outputs.
+    out : numpy.ndarray, shape (2 N,)
+        Filled.
+    """
+    a_h, beta, h_min, h_max, a, p_min, p_max, now = x
+    n, r, gain = mode.size, 0.0, (1.0 - a) * (p_max - p_min) / h_max
+    for k in range(n):
+        bell = 0.0
+        if r > 1e-12:
+            bell = exp(beta * log(r / beta) + (1.0 - beta) * log((1.0 - r) / (1.0 - beta)))
+        h = h_min + (h_max - h_min) * bell
+        out[k] = (h - p_h[k]) / sd_h
+        out[n + k] = (now - p_r[k]) / sd_r
+        now = a * now + (1.0 - a) * p_min + gain * mode[k] * h
+        r = a_h * r + (1.0 - a_h) * mode[k]
+
+
+@numba.njit(cache=True)
+def jacobian(x, mode, sd_h, sd_r, out):
+    """
+    Fill `out` with the derivatives of the residuals; rows are parameters, so that each is contiguous.
+
+    Parameters
+    ----------
+    x : numpy.ndarray, shape (8,)
+        Parameters.
+    mode : numpy.ndarray, shape (N,)
+        Data.
+    sd_h, sd_r : float
+        Noise of the outputs.
+    out : numpy.ndarray, shape (8, 2 N)
+        Filled, but for the zeros of p_h by the robot's parameters.
+    """
+    a_h, beta, h_min, h_max, a, p_min, p_max, now = x
+    n, span, rise, rest = mode.size, h_max - h_min, p_max - p_min, 1.0 - a
+    w_h, w_r, r, r_a = 1.0 / sd_h, 1.0 / sd_r, 0.0, 0.0
+    d0 = d1 = d2 = d3 = d4 = d5 = d6 = 0.0
+    d7 = 1.0
+    for k in range(n):
+        m = mode[k]
+        bell = by_a = by_beta = 0.0
+        if r > 1e-12:
+            log_r, log_q = log(r / beta), log((1.0 - r) / (1.0 - beta))
+            bell = exp(beta * log_r + (1.0 - beta) * log_q)
+            by_a = span * bell * (beta / r - (1.0 - beta) / (1.0 - r)) * r_a
+            by_beta = span * bell * (log_r - log_q)
+        h = h_min + span * bell
+        out[0, k], out[1, k], out[2, k], out[3, k] = w_h * by_a, w_h * by_beta, w_h * (1.0 - bell), w_h * bell
+        out[0, n + k], out[1, n + k], out[2, n + k], out[3, n + k] = w_r * d0, w_r * d1, w_r * d2, w_r * d3
+        out[4, n + k], out[5, n + k], out[6, n + k], out[7, n + k] = w_r * d4, w_r * d5, w_r * d6, w_r * d7
+        into, share = rest * rise / h_max * m, m * h / h_max
+        d0 = a * d0 + into * by_a
+        d1 = a * d1 + into * by_beta
+        d2 = a * d2 + into * (1.0 - bell)
+        d3 = a * d3 + into * (bell - h / h_max)
+        d4 = a * d4 + now - p_min - rise * share
+        d5 = a * d5 + rest * (1.0 - share)
+        d6 = a * d6 + rest * share
+        d7 = a * d7
+        now = a * now + rest * p_min + into * h
+        r_a = a_h * r_a + r - m
+        r = a_h * r + (1.0 - a_h) * m
+
+
+def fit(start, mode, p_h, p_r, sd_h, sd_r, tr_solver="exact"):
+    """
+    Return parameters, cost and covariance.
+
+    Parameters
+    ----------
+    start : array_like, shape (8,)
+        Where the search starts.
+    mode, p_h, p_r : numpy.ndarray, shape (N,)
+        Data.
+    sd_h, sd_r : float
+        Noise of the outputs.
+    tr_solver : {"exact", "lsmr"}
+        How SciPy solves its subproblem: by a decomposition (its default here), or iteratively.
+
+    Returns
+    -------
+    x : numpy.ndarray, shape (8,)
+    cost : float
+        ½ Σ of squared weighted residuals.
+    covariance : numpy.ndarray, shape (8, 8)
+    """
+    by_row = np.zeros((8, 2 * mode.size))
+
+    def error(x):
+        out = np.empty(2 * mode.size)
+        residuals(x, mode, p_h, p_r, sd_h, sd_r, out)
+        return out
+
+    def slope(x):
+        jacobian(x, mode, sd_h, sd_r, by_row)
+        return by_row.T
+
+    found = least_squares(error, start, jac=slope, method="trf", x_scale="jac", tr_solver=tr_solver)
+    variance = 2.0 * found.cost / (2 * mode.size - 8)
+    return found.x, found.cost, variance * np.linalg.inv(found.jac.T @ found.jac)
