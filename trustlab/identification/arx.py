@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg, special
 
 from trustlab.identification.errors import IdentificationError
 
@@ -78,7 +78,7 @@ class ArxResult:
         """
         import pandas as pd
 
-        half = stats.t.ppf(0.5 + level / 2.0, self.degrees_of_freedom) * self.stderr
+        half = special.stdtrit(self.degrees_of_freedom, 0.5 + level / 2.0) * self.stderr
         columns = {
             "value": self.coefficients,
             "stderr": self.stderr,

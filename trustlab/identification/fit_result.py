@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy import special
 
 from trustlab.identification.residuals import ljung_box, pooled_autocorrelation, pooled_cross_correlation
 
@@ -82,7 +82,7 @@ class FitResult:
     cost: float
     success: bool
     message: str
-    degrees_of_freedom: float = field(default=np.inf)
+    degrees_of_freedom: float = 1e9
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -116,7 +116,7 @@ class FitResult:
         """
         if not 0.0 < level < 1.0:
             raise ValueError(f"level must lie in (0, 1), got {level}")
-        half = stats.t.ppf(0.5 + level / 2.0, self.degrees_of_freedom) * self.parameters["stderr"]
+        half = special.stdtrit(self.degrees_of_freedom, 0.5 + level / 2.0) * self.parameters["stderr"]
         value = self.parameters["value"]
         return self.parameters.assign(ci_low=value - half, ci_high=value + half)[
             ["value", "stderr", "ci_low", "ci_high", "status"]
@@ -172,7 +172,7 @@ class FitResult:
         residuals = self.residuals(output)
         auto = pooled_autocorrelation(residuals, lags)
         cross = pooled_cross_correlation(residuals, [run.mode for run in self.runs], lags)
-        band = stats.norm.ppf(0.995) / np.sqrt(sum(run.size for run in residuals))
+        band = special.ndtri(0.995) / np.sqrt(sum(run.size for run in residuals))
         columns = {"autocorrelation": np.r_[auto[:0:-1], auto], "cross_correlation": cross, "band": band}
         return pd.DataFrame(columns, index=pd.RangeIndex(-lags, lags + 1, name="lag"))
 

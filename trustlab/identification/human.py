@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 import pandas as pd
-from scipy import optimize
 
 from trustlab.identification.arx import regression
 from trustlab.identification.bounds import limits_of
@@ -167,6 +166,8 @@ def estimate_human(runs: list[Trace], limits: dict, noise: str = "auto") -> tupl
 
 def _least_squares(sessions) -> FitResult:
     """Fit (2.5) to the logged utilization and (2.6) to performance against it."""
+    from scipy import optimize
+
     try:
         runs, _ = traces(sessions, "p_h", "r")
     except ValueError as error:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy import special
 
 from trustlab.identification.errors import IdentificationError
 from trustlab.identification.greybox import Problem
 from trustlab.identification.traces import Trace
 
-__all__ = ["HINTS", "check_mode_moves", "undetermined"]
+__all__ = ["HALF_WIDTH", "HINTS", "check_mode_moves", "undetermined"]
 
 HINTS = {
     "a": "record a rise or a decay long enough to see its curvature",
@@ -51,7 +51,7 @@ def check_mode_moves(runs: list[Trace], limits: dict[str, tuple[float, float]], 
     )
 
 
-HALF_WIDTH = float(stats.norm.ppf(0.975))
+HALF_WIDTH = float(special.ndtri(0.975))
 """Standard errors from the middle of a 95 % interval to its end."""
 
 

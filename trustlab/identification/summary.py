@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from trustlab.identification.fit_result import FitResult, RunFit
 from trustlab.identification.greybox import Problem
-from trustlab.identification.identifiability import HINTS, undetermined
+from trustlab.identification.identifiability import HALF_WIDTH, HINTS, undetermined
 from trustlab.identification.output_error import Estimate
 
 __all__ = ["parameter_table", "result"]
@@ -99,7 +98,7 @@ def result(
             )
         else:
             table.loc[name, "status"] = "weak"
-            half = stats.norm.ppf(0.975) * stderr
+            half = HALF_WIDTH * stderr
             hint = HINTS[name.removeprefix("human_").removeprefix("robot_")]
             sentences.append(
                 f"{name} is hardly determined by these data ({value:.4g} ± {half:.2g}); {hint}, or fix it."
