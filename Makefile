@@ -24,15 +24,21 @@ else
 endif
 	@touch $@
 
-reports: $(VENV)/.stamp  ## every notebook, run and published under reports/ (PARAMS="-p name value" passes parameters on)
+# Compiled kernels are kept beside their file, which does not see a change in another file that they call.
+.PHONY: fresh
+fresh:
+	@newest=$$(find trustlab -name '*.py' -printf '%T@ %p\n' | sort -n | tail -1 | cut -d' ' -f2-); \
+	  find trustlab -name '*.nb[ic]' ! -newer "$$newest" -delete
+
+reports: $(VENV)/.stamp fresh  ## every notebook, run and published under reports/ (PARAMS="-p name value" passes parameters on)
 	$(BIN)/python -m trustlab.publishing --jobs $(JOBS) $(PARAMS)
 
-test: $(VENV)/.stamp  ## formatting, linting and every test
+test: $(VENV)/.stamp fresh  ## formatting, linting and every test
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/python -m pytest -n $(JOBS)
 
-bench: $(VENV)/.stamp  ## benchmarks beside the peers, written under reports/
+bench: $(VENV)/.stamp fresh  ## benchmarks beside the peers, written under reports/
 	@$(MAKE) --no-print-directory benchmarks/.venv/.stamp || echo "peers could not be installed; see above"
 	$(BIN)/python -m benchmarks
 

@@ -1,5 +1,11 @@
 """What all tests share: one place for hypothesis settings and the synthetic operators."""
 
+import os
+
+# Two workers on two cores: one thread each for linear algebra, set before NumPy is loaded.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
 import numpy as np
 import pandas as pd
 import pytest

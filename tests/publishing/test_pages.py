@@ -49,7 +49,8 @@ def shown(**data):
 
 
 @pytest.fixture
-def checkout(tmp_path):
+def checkout(tmp_path, monkeypatch):
+    monkeypatch.delenv("TRUSTLAB_DATA", raising=False)
     for name in ("notebooks", "trustlab/__pycache__", "data/published", "data/external", "elsewhere"):
         (tmp_path / name).mkdir(parents=True)
     for name in (
@@ -214,8 +215,7 @@ def test_notebooks_are_found_by_name(checkout):
         ("elsewhere/y", False),
     ],
 )
-def test_digest_follows_the_inputs_and_nothing_else(checkout, monkeypatch, name, matters):
-    monkeypatch.delenv("TRUSTLAB_DATA", raising=False)
+def test_digest_follows_the_inputs_and_nothing_else(checkout, name, matters):
     path = write(checkout, "01_a", "x = 1")
     before = input_digest(checkout, path)
     assert input_digest(checkout, path) == before
