@@ -32,9 +32,9 @@ def test_fixing_what_is_missing_lets_the_rest_be_found(operators, make_session):
 
 def test_a_rested_operator_who_never_works_tells_nothing(operators, make_session):
     session = make_session(operators["pilot"], np.zeros(3000), noise=0.003, r0=0.0)
-    fit = tl.fit_human(session)
-    assert not fit.success
-    assert {"weak", "at bound"} & set(fit.table()["status"])
+    with pytest.raises(IdentificationError) as caught:
+        tl.fit_human(session)
+    assert caught.value.parameters
     exact = make_session(operators["pilot"], np.zeros(3000), r0=0.0)
     with pytest.raises(IdentificationError, match="p_h never moves"):
         tl.fit_human(exact)
@@ -75,10 +75,8 @@ def test_no_decay_to_see_makes_a_wide_interval(operators):
 
 
 def test_p_max_is_doubted_with_the_operator_it_refers_to(operators, make_session):
-    # An operator at full load throughout: P_h stays near its least, so nothing is known of its greatest value.
-    mode = np.ones(6000)
-    mode[3000:3020] = 0.0
-    session = make_session(operators["pilot"], mode, noise=0.003, p_r0=0.37, r0=1.0)
+    # Half a minute each way: utilization hardly moves, and the greatest performance is anyone's guess.
+    session = make_session(operators["pilot"], np.repeat([1.0, 0.0], 300), noise=0.006)
     for method in ("output_error", "arx"):
         fit = tl.fit_robot(session, method=method)
         assert not fit.success

@@ -1,7 +1,11 @@
 """What the fits must give back: exact parameters from exact data, honest intervals from noisy data."""
 
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
+from scipy.signal import lfilter
 
 import trustlab as tl
 
@@ -16,11 +20,22 @@ def truth(model):
     )
 
 
-@pytest.mark.parametrize("start", [(0.0, None), (0.3, 0.3)])
+DESIGNS = {
+    "manual first, rested": ("phases", 0.0, None),
+    "manual first, half-way": ("phases", 0.3, 0.3),
+    "autonomous first, rested": ("turned", 0.0, None),
+    "full load": ("phases", 1.0, 0.3),
+    "ten minutes each": ("two", 0.0, None),
+}
+
+
+@pytest.mark.parametrize("design", DESIGNS)
 @pytest.mark.parametrize("name", NAMES)
-def test_exact_data_give_the_parameters_back(operators, make_session, switching, name, start):
+def test_exact_data_give_the_parameters_back(operators, make_session, switching, name, design):
     model = operators[name]
-    session = make_session(model, switching, r0=start[0], p_r0=start[1])
+    kind, r0, p_r0 = DESIGNS[design]
+    mode = {"phases": switching, "turned": 1.0 - switching, "two": np.repeat([1.0, 0.0], 6000)}[kind]
+    session = make_session(model, mode, r0=r0, p_r0=p_r0)
     robot, human = truth(model)
     joint = {f"robot_{k}": v for k, v in robot.items() if k != "p_h_max"} | {
         f"human_{k}": v for k, v in human.items()
@@ -36,6 +51,30 @@ def test_exact_data_give_the_parameters_back(operators, make_session, switching,
             assert found[key] == pytest.approx(value, rel=1e-6), key
         assert np.min(fit.fit_percent) > 99.99
     assert tl.fit_robot(session, method="arx").model.a == pytest.approx(model.robot.a, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_sessions_are_fitted(operators, name):
+    file = "pilot.csv" if name == "pilot" else f"participant_{name}.parquet"
+    session = tl.read_session(Path(__file__).parents[2] / "data" / "sessions" / file)
+    robot, human = truth(operators[name])
+    for fit, expected in ((tl.fit_robot(session), robot), (tl.fit_human(session), human)):
+        assert fit.success, fit.message
+        table = fit.table(level=0.9999)
+        for key, value in expected.items():
+            assert table.loc[key, "ci_low"] <= value <= table.loc[key, "ci_high"], key
+
+
+@pytest.mark.parametrize("r0", [0.0, 1.0])
+def test_an_operator_at_either_end_of_utilization(operators, make_session, switching, r0):
+    """At r = 0 and r = 1 (2.6) is infinitely steep; nearly all noisy sessions must be fitted all the same."""
+    model, found = operators["pilot"], []
+    for seed in range(60):
+        fit = tl.fit_human(make_session(model, switching, noise=0.003, seed=seed, r0=r0))
+        z = (fit.table()["value"] - pd.Series(truth(model)[1])) / fit.table()["stderr"]
+        found.append(fit.success)
+        assert not fit.success or z.abs().max() < 5.0, (seed, fit.message)
+    assert np.mean(found) > 0.97
 
 
 def test_runs_share_parameters_and_keep_their_own_beginning(operators, make_session):
@@ -98,6 +137,34 @@ def test_arx_is_biased_and_does_not_know_it(operators, make_session, switching):
     ]
     assert not any(row["ci_low"] <= model.robot.a <= row["ci_high"] for row in rows)
     assert np.mean([row["value"] - model.robot.a for row in rows]) < -0.005
+
+
+def test_slow_noise_under_white_noise_is_seen(operators, make_session, switching):
+    """z scores over seeds: white noise must not hide slow noise from the robust standard errors."""
+    model = operators["pilot"]
+    clean, z = make_session(model, switching), {"hac": [], "white": []}
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        slow = lfilter([1.0], [1.0, -0.99], 0.001 * np.sqrt(1 - 0.99**2) * rng.standard_normal(22_000))[2000:]
+        noisy = clean.with_columns(p_h=clean["p_h"] + slow + 0.003 * rng.standard_normal(20_000))
+        for noise, scores in z.items():
+            row = tl.fit_human(noisy, noise=noise).table().loc["beta"]
+            scores.append((row["value"] - model.human.beta) / row["stderr"])
+    assert np.std(z["hac"]) < 1.7
+    assert np.std(z["white"]) > 2.5
+
+
+def test_fixing_p_max_hands_the_error_of_p_h_max_on(operators, make_session, switching):
+    model, z = operators["pilot"], []
+    for seed in range(60):
+        session = make_session(model, switching, noise=0.003, seed=seed)
+        rng = np.random.default_rng(500 + seed)
+        noisy = session.with_columns(p_h=session["p_h"] + 0.03 * rng.standard_normal(len(session)))
+        table = tl.fit_robot(noisy, fixed={"p_max": model.robot.p_max}, noise="white").table()
+        expected = pd.Series({"a": model.robot.a, "p_min": model.robot.p_min, "b": model.robot.b})
+        z.append((table["value"] - expected) / table["stderr"])
+    spread = pd.DataFrame(z)[["a", "p_min", "b"]].std()
+    assert spread.between(0.75, 1.3).all(), spread
 
 
 def test_autocorrelated_noise_widens_the_intervals(operators, make_session, switching):

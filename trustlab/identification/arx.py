@@ -8,6 +8,7 @@ import numpy as np
 from scipy import linalg, special
 
 from trustlab.identification.errors import IdentificationError
+from trustlab.models.checks import open_unit
 
 __all__ = ["ArxResult", "arx", "regression"]
 
@@ -78,6 +79,7 @@ class ArxResult:
         """
         import pandas as pd
 
+        level = open_unit("level", level)
         half = special.stdtrit(self.degrees_of_freedom, 0.5 + level / 2.0) * self.stderr
         columns = {
             "value": self.coefficients,
@@ -203,6 +205,8 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
     Ljung, *System Identification: Theory for the User*, 2nd ed., Section 10.1.
     """
     several = isinstance(y, (list, tuple)) and len(y) > 0 and np.ndim(y[0]) == 1
+    if several and len(y) != len(u):
+        raise ValueError(f"y has {len(y)} runs and u has {len(u)}; give one input array for every run")
     runs = list(zip(y, u, strict=True)) if several else [(y, u)]
     if int(na) != na or na < 0:
         raise ValueError(f"na must be a whole number ≥ 0, got {na}")

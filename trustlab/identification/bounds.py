@@ -65,7 +65,7 @@ def limits_of(structure: Structure, fixed: Mapping, bounds: Mapping) -> dict[str
         if name in fixed:
             value = finite_number(f"fixed {name}", fixed[name])
             if not low <= value <= high:
-                raise ValueError(f"{name} is fixed at {value}, outside [{low:g}, {high:g}]")
+                raise ValueError(f"{name} is fixed at {value}, outside ({low:.3g}, {high:.9g})")
             low = high = value
         out[name] = (low, high)
     for prefix in ("", "human_", "robot_"):

@@ -9,8 +9,17 @@ import pandas as pd
 from scipy import special
 
 from trustlab.identification.residuals import ljung_box, pooled_autocorrelation, pooled_cross_correlation
+from trustlab.models.checks import open_unit
 
 __all__ = ["FitResult", "RunFit"]
+
+
+def _check_lags(lags: int, residuals: list[np.ndarray]) -> None:
+    shortest = min(run.size for run in residuals)
+    if int(lags) != lags or not 1 <= lags < shortest:
+        raise ValueError(
+            f"lags must be a whole number from 1 to below the shortest run, {shortest}, got {lags}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +123,7 @@ class FitResult:
         ValueError
             If `level` is outside (0, 1).
         """
-        if not 0.0 < level < 1.0:
-            raise ValueError(f"level must lie in (0, 1), got {level}")
+        level = open_unit("level", level)
         half = special.stdtrit(self.degrees_of_freedom, 0.5 + level / 2.0) * self.parameters["stderr"]
         value = self.parameters["value"]
         return self.parameters.assign(ci_low=value - half, ci_high=value + half)[
@@ -170,6 +178,7 @@ class FitResult:
             mode(k − lag)) and band: ± 2.58/√n for white residuals.
         """
         residuals = self.residuals(output)
+        _check_lags(lags, residuals)
         auto = pooled_autocorrelation(residuals, lags)
         cross = pooled_cross_correlation(residuals, [run.mode for run in self.runs], lags)
         band = special.ndtri(0.995) / np.sqrt(sum(run.size for run in residuals))
@@ -193,6 +202,7 @@ class FitResult:
         rows = {}
         for name in self.outputs:
             residuals = self.residuals(name)
+            _check_lags(lags, residuals)
             rows[name] = ljung_box(
                 pooled_autocorrelation(residuals, lags), sum(run.size for run in residuals)
             )

@@ -12,6 +12,7 @@ from trustlab.identification.bounds import limits_of
 from trustlab.identification.errors import IdentificationError
 from trustlab.identification.fit_result import FitResult, RunFit
 from trustlab.identification.greybox import HUMAN, Problem
+from trustlab.identification.identifiability import check_output_moves
 from trustlab.identification.output_error import Estimate, estimate
 from trustlab.identification.starting_values import human_start
 from trustlab.identification.summary import parameter_table, result
@@ -151,13 +152,7 @@ def estimate_human(runs: list[Trace], limits: dict, noise: str = "auto") -> tupl
     noise : str
         As in `fit_human`.
     """
-    for run in runs:
-        if np.ptp(run.p_h) == 0.0:
-            raise IdentificationError(
-                f"p_h never moves in {run.label} (it is {run.p_h[0]:g} throughout), so beta, p_min and p_max cannot be "
-                "told; record a session in which performance is measured",
-                ("beta", "p_min", "p_max"),
-            )
+    check_output_moves(runs, "p_h", ("beta", "p_min", "p_max"))
     start = human_start(runs, limits)
     problem = Problem(HUMAN, runs, power=start["beta"])
     theta = np.r_[[start[name] for name in HUMAN.shared], np.full(len(runs), start["r0"])]
@@ -214,6 +209,7 @@ def _least_squares(sessions) -> FitResult:
         simulated = model.simulate(run.mode, float(run.r[0]))[1]
         fits.append(RunFit(run.label, run.synthetic, run.t, run.mode, {"p_h": run.p_h}, {"p_h": simulated}))
     errors = np.concatenate([fit.measured["p_h"] - fit.fitted["p_h"] for fit in fits])
+    worthless = errors @ errors >= np.sum((p_h - p_h.mean()) ** 2)
     return FitResult(
         model=model,
         method="arx",
@@ -227,7 +223,12 @@ def _least_squares(sessions) -> FitResult:
         noise="white",
         sigma={"p_h": float(np.sqrt(residuals @ residuals / max(p_h.size - 3, 1)))},
         cost=0.5 * float(errors @ errors),
-        success=True,
-        message="Least squares on the logged utilization: noise in column r biases a and beta.",
+        success=not worthless,
+        message="Least squares on the logged utilization: noise in column r biases a and beta."
+        + (
+            " The simulated model explains less than the mean does; do not use the numbers."
+            if worthless
+            else ""
+        ),
         degrees_of_freedom=float(p_h.size - 3),
     )

@@ -10,7 +10,35 @@ from trustlab.identification.errors import IdentificationError
 from trustlab.identification.greybox import Problem
 from trustlab.identification.traces import Trace
 
-__all__ = ["HALF_WIDTH", "HINTS", "check_mode_moves", "undetermined"]
+__all__ = ["HALF_WIDTH", "HINTS", "check_mode_moves", "check_output_moves", "undetermined"]
+
+
+def check_output_moves(runs: list[Trace], name: str, parameters: tuple[str, ...]) -> None:
+    """
+    Refuse a run in which a measured performance never moves.
+
+    Parameters
+    ----------
+    runs : list of Trace
+        The data.
+    name : str
+        The column, p_h or p_r.
+    parameters : tuple of str
+        What cannot be told without it.
+
+    Raises
+    ------
+    IdentificationError
+        If it is constant over all runs.
+    """
+    values = np.concatenate([getattr(run, name) for run in runs])
+    if np.ptp(values) == 0.0:
+        raise IdentificationError(
+            f"{name} never moves (it is {values[0]:g} throughout), so {', '.join(parameters[:-1])} and {parameters[-1]} "
+            "cannot be told; record a session in which performance is measured",
+            parameters,
+        )
+
 
 HINTS = {
     "a": "record a rise or a decay long enough to see its curvature",

@@ -92,12 +92,14 @@ def minimise(
     x = np.clip(start, lower, upper)
     now = evaluate(x)
     damping, iterations, history = 1e-4, 1, [now.value]
+    pinned, refused, released = np.zeros(x.size, dtype=bool), 0, np.inf
     while True:
         diagonal = np.diag(now.matrix)
         held = (
             ((x <= lower) & (now.gradient <= 0.0))
             | ((x >= upper) & (now.gradient >= 0.0))
             | (diagonal <= 0.0)
+            | pinned
         )
         free = np.flatnonzero(~held)
         done = free.size == 0
@@ -111,9 +113,12 @@ def minimise(
             # A kink, as of (2.6) at r = 0, defies any quadratic model: stop where six evaluations gained nothing.
             stalled = len(history) > 12 and promised < 1.0 and history[-7] - history[-1] < 1e-4
             done = stalled or promised <= (1e-3 if now.exact else tolerance)
+        if done and pinned.any() and released - now.value > 1e-4:
+            released, pinned, damping, refused = now.value, np.zeros(x.size, dtype=bool), 1e-4, 0
+            continue
         if done or iterations >= max_iterations or damping > 1e14:
             bound = (lower < upper) & (
-                ((x <= lower) & (now.gradient <= 0.0)) | ((x >= upper) & (now.gradient >= 0.0))
+                ((x <= lower) & (now.gradient <= 0.0)) | ((x >= upper) & (now.gradient >= 0.0)) | pinned
             )
             return Minimum(x, now, bound, bool(done), iterations)
         step = np.zeros_like(x)
@@ -124,7 +129,11 @@ def minimise(
         # Below a thousandth of a standard error the value's last digits are rounding: trust the step, not the value.
         slack = 1e-6 if promised < 1e-6 else 0.0
         if np.isfinite(new.value) and new.value < now.value + slack:
-            x, now, damping = trial, new, max(damping / 10.0, 1e-12)
+            x, now, damping, refused = trial, new, max(damping / 10.0, 1e-12), 0
         else:
-            damping = max(damping * 5.0, 1e-6)
+            damping, refused = max(damping * 5.0, 1e-6), refused + 1
+            on_edge = ~held & ((x <= lower) | (x >= upper))
+            if refused >= 8 and on_edge.any():
+                # The slope at a bound promises what no step away from it keeps (a kink): hold it there.
+                pinned, damping, refused = pinned | on_edge, 1e-4, 0
         history.append(now.value)

@@ -14,7 +14,7 @@ from trustlab.identification.errors import IdentificationError
 from trustlab.identification.fit_result import FitResult, RunFit
 from trustlab.identification.greybox import HUMAN, ROBOT, Problem
 from trustlab.identification.human import estimate_human
-from trustlab.identification.identifiability import check_mode_moves, undetermined
+from trustlab.identification.identifiability import check_mode_moves, check_output_moves, undetermined
 from trustlab.identification.output_error import Estimate, estimate
 from trustlab.identification.sensitivities import input_influence
 from trustlab.identification.starting_values import robot_start
@@ -81,6 +81,7 @@ def fit_robot(
     limits = limits_of(ROBOT, fixed, bounds)
     runs, _ = traces(sessions, "p_h", "p_r")
     check_mode_moves(runs, limits, "p_min", "p_max")
+    check_output_moves(runs, "p_r", ("a", "p_min", "p_max"))
     if p_h_max is not None and not finite_number("p_h_max", p_h_max) > 0.0:
         raise ValueError(f"p_h_max must be positive, got {p_h_max}")
     middle = float(np.median(np.concatenate([run.p_h for run in runs])))
@@ -90,6 +91,12 @@ def fit_robot(
         )
     human = None if p_h_max is not None else _best_operator(runs)
     best = float(p_h_max) if human is None else float(human[1].theta[3])
+    if not best > 0.0:
+        raise IdentificationError(
+            f"column p_h: the operator's greatest performance comes out as {best:.4g}, but (2.3) divides by it; use a measure "
+            "of performance that is positive",
+            ("p_max",),
+        )
     if method == "arx":
         fit = _least_squares(runs, best, np.nan if human is None else _p_max_variance(human[1]))
         return fit if human is None else _doubt_operator(fit, *human)
@@ -169,14 +176,21 @@ def _with_input_noise(table, covariance, problem: Problem, found: Estimate, huma
         direct, cross = _input_terms(problem, found, human)
         full = full + direct
     names = list(ROBOT.shared)
-    slope = np.array([-gain, -(1.0 - a) / best, (1.0 - a) / best])
-    b_variance = slope @ full[:3, :3] @ slope
     total = np.zeros((4, 4))
     total[:3, :3], total[:3, 3], total[3, :3] = full[:3, :3], cross[:3], cross[:3]
     total[3, 3] = 0.0 if human is None else _p_max_variance(human[1])
-    through = np.eye(4)
-    through[2, 3] = 0.0 if found.fixed[2] else gain
+    # What a change of p_h_max does: p_max follows it where it is free, else the other parameters have to give way.
+    through, absorbed = np.eye(4), 2 in found.free
+    if absorbed:
+        through[2, 3] = gain
+    elif found.free.size:
+        moved = gain * found.inverse @ problem.normal(found.theta).matrix[found.free, 2]
+        for j, k in enumerate(found.free):
+            if k < 3:
+                through[k, 3] = moved[j]
+    slope = np.array([-gain, -(1.0 - a) / best, (1.0 - a) / best, -(1.0 - a) * gain / best])
     total = through @ total @ through.T
+    b_variance = slope @ total @ slope
     for j, name in enumerate(names):
         if table.loc[name, "status"] == "estimated":
             table.loc[name, "stderr"] = np.sqrt(total[j, j])
@@ -267,6 +281,8 @@ def _least_squares(runs: list[Trace], best: float, best_variance: float) -> FitR
         simulated = model.simulate(run.mode, run.p_h, float(run.p_r[0]))
         fits.append(RunFit(run.label, run.synthetic, run.t, run.mode, {"p_r": run.p_r}, {"p_r": simulated}))
     errors = np.concatenate([run.measured["p_r"] - run.fitted["p_r"] for run in fits])
+    measured = np.concatenate([run.measured["p_r"] for run in fits])
+    worthless = errors @ errors >= np.sum((measured - measured.mean()) ** 2)
     return FitResult(
         model=model,
         method="arx",
@@ -282,10 +298,15 @@ def _least_squares(runs: list[Trace], best: float, best_variance: float) -> FitR
         noise="white",
         sigma={"p_r": fit.sigma},
         cost=0.5 * float(errors @ errors),
-        success=True,
+        success=not worthless,
         message=(
             "Least squares on one-step predictions: measurement noise on p_r biases a towards 0, and these standard "
             "errors do not show it; compare output_error."
+            + (
+                " The simulated model explains less than the mean does; do not use the numbers."
+                if worthless
+                else ""
+            )
         ),
         degrees_of_freedom=float(fit.degrees_of_freedom),
     )

@@ -14,15 +14,17 @@ EDGE = 1e-9
 @numba.njit(cache=True, inline="always")
 def _shape(r, beta):
     """Return the Yerkes–Dodson shape of (2.6) and its derivatives by r and β."""
-    inside = min(max(r, EDGE), 1.0 - EDGE)
-    log_r = np.log(inside / beta)
-    log_q = np.log((1.0 - inside) / (1.0 - beta))
-    shape = np.exp(beta * log_r + (1.0 - beta) * log_q)
-    slope = shape * (beta / inside - (1.0 - beta) / (1.0 - inside))
-    by_beta = shape * (log_r - log_q)
     if r <= 0.0 or r >= 1.0:
-        return 0.0, slope, 0.0
-    return shape, slope, by_beta
+        shape, by_beta = 0.0, 0.0
+    else:
+        log_r, log_q = np.log(r / beta), np.log((1.0 - r) / (1.0 - beta))
+        shape = np.exp(beta * log_r + (1.0 - beta) * log_q)
+        by_beta = shape * (log_r - log_q)
+        if EDGE < r < 1.0 - EDGE:
+            return shape, shape * (beta / r - (1.0 - beta) / (1.0 - r)), by_beta
+    inside = min(max(r, EDGE), 1.0 - EDGE)
+    steep = np.exp(beta * np.log(inside / beta) + (1.0 - beta) * np.log((1.0 - inside) / (1.0 - beta)))
+    return shape, steep * (beta / inside - (1.0 - beta) / (1.0 - inside)), by_beta
 
 
 @numba.njit(cache=True)

@@ -11,7 +11,7 @@ from trustlab.identification.traces import Trace, blocks
 
 __all__ = ["human_start", "robot_start"]
 
-REST_STARTS = np.array([0.03, 0.3, 0.6, 0.9])
+REST_STARTS = np.array([0.03, 0.3, 0.6, 0.9, 0.999])
 BETAS = np.linspace(0.15, 0.95, 9)
 
 
@@ -130,7 +130,7 @@ def human_start(runs: list[Trace], bounds: dict[str, tuple[float, float]]) -> di
     return {"a": a, "beta": found[2], "p_min": found[3], "p_max": found[4], "r0": found[5]}
 
 
-def _apart(grid: np.ndarray, rates: np.ndarray, most: int = 5) -> np.ndarray:
+def _apart(grid: np.ndarray, rates: np.ndarray, most: int = 6) -> np.ndarray:
     """Return the best grid points, one for each initial utilization and third of the rates."""
     third = np.searchsorted(rates, grid[:, 1]) * 3 // max(rates.size, 1)
     best: dict[tuple, np.ndarray] = {}

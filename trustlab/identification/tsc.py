@@ -10,7 +10,7 @@ from trustlab.identification.bounds import limits_of
 from trustlab.identification.fit_result import FitResult
 from trustlab.identification.greybox import JOINT, Problem
 from trustlab.identification.human import build_human, with_derived_b, with_row
-from trustlab.identification.identifiability import check_mode_moves
+from trustlab.identification.identifiability import check_mode_moves, check_output_moves
 from trustlab.identification.output_error import estimate
 from trustlab.identification.robot import build_robot
 from trustlab.identification.starting_values import human_start, robot_start
@@ -61,6 +61,8 @@ def fit_tsc(
     limits = limits_of(JOINT, {} if fixed is None else fixed, {} if bounds is None else bounds)
     runs, _ = traces(sessions, "p_h", "p_r")
     check_mode_moves(runs, limits, "robot_p_min", "robot_p_max")
+    check_output_moves(runs, "p_h", ("human_beta", "human_p_min", "human_p_max"))
+    check_output_moves(runs, "p_r", ("robot_a", "robot_p_min", "robot_p_max"))
     own = {name.removeprefix("human_"): limits[name] for name in JOINT.shared[:4]} | {"r0": limits["r0"]}
     human = human_start(runs, own)
     robot = robot_start(runs, None, human["p_max"], {"a": limits["robot_a"]})

@@ -40,7 +40,7 @@ class RobotModel:
         Greatest human performance, in the unit of the operator's measure; positive.
     b : float, optional
         b_pr, the gain of human performance per sample. From (2.3) when not given. Give it to use a printed,
-        rounded value.
+        rounded value. `dataclasses.replace` keeps b; pass b=None with the change to have it follow (2.3) again.
 
     Raises
     ------

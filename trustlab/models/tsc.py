@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trustlab.models.checks import finite_number
 from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 
@@ -94,8 +95,9 @@ class TscModel:
         Raises
         ------
         ValueError
-            If a change is negative.
+            If a change is negative or not finite.
         """
+        delta_p_r, delta_p_h = finite_number("delta_p_r", delta_p_r), finite_number("delta_p_h", delta_p_h)
         if delta_p_r < 0.0 or delta_p_h < 0.0:
             raise ValueError(f"largest changes cannot be negative, got {delta_p_r} and {delta_p_h}")
         return self.a_T * delta_p_r + self.b_T * delta_p_h

@@ -7,8 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_array, finite_number
+from trustlab.models.checks import finite_array, finite_number, mode_array
 from trustlab.sessions.errors import SessionError
+from trustlab.sessions.session import Session
 
 __all__ = [
     "command_deviation",
@@ -43,7 +44,7 @@ def window_mean(values: np.ndarray, sample_time: float, window: float) -> np.nda
     sample_time : float
         Time between samples [s].
     window : float
-        Length W of the window [s].
+        Length W of the window [s]; the nearest whole number of samples is used.
 
     Raises
     ------
@@ -102,8 +103,9 @@ def goal_speed(
     numpy.ndarray, shape (N,)
         In m/s, the unit of the printed values (Remark 7).
     """
-    step_distance = finite_array("step_distance", step_distance)
-    return step_distance / _positive("sample_time", sample_time) * nearness(path_error, e_max)
+    near = nearness(path_error, e_max)
+    step_distance = finite_array("step_distance", step_distance, length=near.size)
+    return step_distance / _positive("sample_time", sample_time) * near
 
 
 def manoeuvring(
@@ -155,8 +157,7 @@ def command_deviation(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndar
     u_max : float
         Δu_max, in the unit of the commands.
     """
-    difference = np.asarray(u_i, dtype=float) - np.asarray(u_h, dtype=float)
-    return difference.sum(axis=1) / _positive("u_max", u_max)
+    return _difference(u_i, u_h).sum(axis=1) / _positive("u_max", u_max)
 
 
 def mixed_initiative(
@@ -185,14 +186,21 @@ def mixed_initiative(
         y_max of a command's deviation (unit of the commands) and of the tracking error [m].
     """
     off = np.abs(np.asarray(error, dtype=float)).sum(axis=1)
-    alpha = finite_array("alpha", alpha, length=off.size)
+    alpha = finite_array("alpha", mode_array(alpha), length=off.size)
     p_r = nearness(_norm1(u_a, u_i), u_max) * nearness((1.0 - alpha) * off, e_max)
     p_h = nearness(_norm1(u_h, u_i), u_max) * nearness(alpha * off, e_max)
     return p_r, p_h
 
 
 def _norm1(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    return np.abs(np.asarray(one, dtype=float) - np.asarray(other, dtype=float)).sum(axis=1)
+    return np.abs(_difference(one, other)).sum(axis=1)
+
+
+def _difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    one, other = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
+    if one.ndim != 2 or one.shape != other.shape:
+        raise ValueError(f"commands must both have shape (N, axes), got {one.shape} and {other.shape}")
+    return one - other
 
 
 def _vector(session, stem: str, axes: str) -> np.ndarray:
@@ -292,7 +300,7 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
         If a trial lacks path_error or one of the metadata, or a block has no trial left.
     """
     rows = []
-    for session in sessions:
+    for session in [sessions] if isinstance(sessions, Session) else sessions:
         session.require("path_error")
         facts = session.metadata.as_dict()
         lacking = [name for name in ("autonomy", "block", "trial", "training") if name not in facts]
