@@ -35,6 +35,73 @@ def rows() -> Iterator[Row]:
         rates = [mode.size / spread.median / 1e3 for spread in (ours_ms, peer_ms)]
         note = f"million samples per second: {rates[0]:.1f} and {rates[1]:.2f}"
         yield Row(case, OURS, peer, ours_ms, peer_ms, ratio, note=note)
+    yield allocation(model)
+
+
+def allocation(model: tl.TscModel, steps: int = 200_000) -> Row:
+    """
+    Return the row of the model under rule (2.8), beside the same loop in plain Python.
+
+    Parameters
+    ----------
+    model : TscModel
+        The model.
+    steps : int
+        Samples to simulate.
+    """
+    case, ours, peer = (
+        f"Allocation by (2.8), {steps:,} samples",
+        "trustlab simulate_allocation",
+        "the loop in plain Python",
+    )
+    call, other = (
+        lambda: tl.simulate_allocation(model, 0.02, 0.45, steps),
+        lambda: switching(model, 0.02, 0.45, steps),
+    )
+    if not np.allclose(other(), call(), rtol=1e-9, atol=1e-12):
+        return Row(case, ours, peer, fault="its trajectories differ")
+    ours_ms, peer_ms, ratio = in_turns(here(call), here(other), 9)
+    rate = steps / ours_ms.median / 1e3
+    goal, met = "≥ 10 million steps/s", bool(rate >= 10.0)
+    return Row(
+        case,
+        ours,
+        peer,
+        ours_ms,
+        peer_ms,
+        ratio,
+        goal=goal,
+        met=met,
+        note=f"{rate:.0f} million steps per second",
+    )
+
+
+def switching(model: tl.TscModel, lower: float, upper: float, steps: int) -> pd.DataFrame:
+    """
+    Simulate under rule (2.8) sample by sample.
+
+    Parameters
+    ----------
+    model : TscModel
+        The model.
+    lower, upper : float
+        Thresholds.
+    steps : int
+        Samples.
+    """
+    human, robot, a_t, b_t = model.human, model.robot, model.a_T, model.b_T
+    r, p_r, mode, out = 0.0, robot.p_min, 1.0, []
+    for _ in range(steps):
+        bell = 0.0
+        if 0.0 < r < 1.0:
+            bell = exp(human.beta * log(r / human.beta) + (1 - human.beta) * log((1 - r) / (1 - human.beta)))
+        p_h = (human.p_max - human.p_min) * bell + human.p_min
+        tsc = a_t * p_r - b_t * p_h
+        mode = 0.0 if tsc >= upper else 1.0 if tsc <= lower else mode
+        out.append((r, p_r, p_h, tsc, mode))
+        p_r = robot.a * p_r + (1 - robot.a) * robot.p_min + mode * robot.b * p_h
+        r = human.a * r + (1 - human.a) * mode
+    return pd.DataFrame(out, columns=["r", "p_r", "p_h", "tsc", "mode"])
 
 
 def loop(model: tl.TscModel, mode: np.ndarray) -> pd.DataFrame:

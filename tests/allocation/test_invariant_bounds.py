@@ -1,0 +1,127 @@
+"""Bounds for every trajectory, against brute-force simulation from random starts."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.allocation import invariant_bounds, limit_cycle, simulate_allocation, steady_state_bounds
+
+
+def runs_of(mode):
+    edges = np.flatnonzero(np.diff(mode)) + 1
+    return mode[edges[:-1]], np.diff(edges)
+
+
+def leaves(bounds, model, lower, upper, rng):
+    """Names of the bounds that one trajectory from a random start leaves, once they hold."""
+    steps = int((bounds.cycles + 8) * (bounds.dwell_manual_high + bounds.dwell_autonomous_high)) + 6000
+    robot = model.robot
+    run = simulate_allocation(
+        model,
+        lower,
+        upper,
+        min(steps, 60_000),
+        rng.random(),
+        rng.uniform(robot.p_min, robot.p_max),
+        int(rng.integers(2)),
+    )
+    mode = run["mode"].to_numpy()
+    returns = np.flatnonzero(np.diff(mode) > 0) + 1
+    if returns.size <= bounds.cycles:
+        return None
+    start = returns[bounds.cycles - 1]
+    found = [
+        name
+        for name in ("r", "p_r", "tsc")
+        if run[name].iloc[start:].min() < getattr(bounds, f"{name}_low")
+        or run[name].iloc[start:].max() > getattr(bounds, f"{name}_high")
+    ]
+    who, lengths = runs_of(mode[start - 1 :])
+    for value, name in ((1.0, "dwell_manual"), (0.0, "dwell_autonomous")):
+        own = lengths[who == value]
+        if own.size and (
+            own.min() < getattr(bounds, f"{name}_low") or own.max() > getattr(bounds, f"{name}_high")
+        ):
+            found.append(name)
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("chunk", range(4))
+def test_no_trajectory_leaves_them(random_model, chunk):
+    """20,000 random feasible sets in four parts; one random start each."""
+    checked = 0
+    for child in np.random.SeedSequence(31).spawn(20_000)[chunk::4]:
+        rng = np.random.default_rng(child)
+        model, lower, upper = random_model(rng)
+        bounds = invariant_bounds(model, lower, upper, cells=8, cycles=6)
+        if bounds.guaranteed:
+            found = leaves(bounds, model, lower, upper, rng)
+            assert not found, (found, model, lower, upper)
+            checked += found is not None
+    assert checked > 4900
+
+
+def test_they_enclose_the_cycle_and_tighten_with_more_cells(random_model):
+    for seed in range(60):
+        model, lower, upper = random_model(np.random.default_rng(seed))
+        cycle = limit_cycle(model, lower, upper)
+        coarse, fine = (invariant_bounds(model, lower, upper, cells=cells) for cells in (8, 64))
+        for bounds in (coarse, fine):
+            assert bounds.guaranteed
+            assert bounds.r_low <= cycle.r_low < cycle.r_high <= bounds.r_high
+            assert bounds.p_r_low <= cycle.p_r_low < cycle.p_r_high <= bounds.p_r_high
+            assert bounds.tsc_low <= cycle.tsc_low < lower < upper < cycle.tsc_high <= bounds.tsc_high
+            assert (
+                bounds.dwell_manual_low
+                <= cycle.dwell_manual[0]
+                <= cycle.dwell_manual[1]
+                <= bounds.dwell_manual_high
+            )
+        assert fine.r_high - fine.r_low <= (coarse.r_high - coarse.r_low) * 1.001
+
+
+def test_the_check_catches_bounds_that_are_too_narrow(random_model):
+    # Negative control: the cycle's own range of r, taken as a bound, is left by other trajectories' transients.
+    caught = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        model, lower, upper = random_model(rng)
+        bounds = invariant_bounds(model, lower, upper, cells=8, cycles=6)
+        width = bounds.r_high - bounds.r_low
+        narrow = dataclasses.replace(
+            bounds, cycles=1, r_low=bounds.r_low + 0.1 * width, r_high=bounds.r_high - 0.1 * width
+        )
+        caught += bool(leaves(narrow, model, lower, upper, rng))
+    assert caught > 10
+
+
+def test_the_printed_upper_bound_is_left():
+    """Theorem 2's r_u (2.33), worked counterexample: utilization rises above it, and not above ours."""
+    human = tl.HumanModel(a=0.998, beta=0.7, p_min=0.35, p_max=0.39)
+    model = tl.TscModel(tl.RobotModel(a=0.9, p_min=0.2, p_max=0.3, p_h_max=0.39), human)
+    lower, upper = -0.5, 0.2
+    run = simulate_allocation(model, lower, upper, 40_000, r0=0.3).iloc[20_000:]
+    delta = model.delta(run["p_r"].diff().abs().max(), run["p_h"].diff().abs().max())
+    printed = steady_state_bounds(model, lower, upper, delta_tsc=delta)
+    ours = invariant_bounds(model, lower, upper)
+    assert run["r"].max() > printed.r_high + 0.3
+    assert ours.r_low <= run["r"].min()
+    assert run["r"].max() <= ours.r_high
+    # What else is printed holds here: (2.14), (2.15) and the lower bound.
+    assert run["tsc"].between(printed.tsc_low, printed.tsc_high).all()
+    assert run["p_r"].between(printed.p_r_low, printed.p_r_high).all()
+    assert run["r"].min() >= printed.r_low
+
+
+def test_thresholds_that_are_never_reached_are_not_guaranteed(operators):
+    bounds = invariant_bounds(operators["1"], 0.15, 0.9)
+    assert not bounds.guaranteed
+    assert "manual phase may never end" in bounds.reason
+    assert bounds.dwell_manual_high == np.inf
+    with pytest.raises(ValueError, match="must be below"):
+        invariant_bounds(operators["1"], 0.5, 0.1)
+    with pytest.raises(ValueError, match="cells must be a whole number"):
+        invariant_bounds(operators["1"], 0.1, 0.5, cells=0)

@@ -1,0 +1,92 @@
+"""The steady cycle against long simulation."""
+
+import numpy as np
+import pytest
+
+from trustlab.allocation import limit_cycle, simulate_allocation
+from trustlab.reproduction import published_table
+
+
+def settled(model, lower, upper, seed):
+    rng = np.random.default_rng(seed)
+    slow = max(model.human.a, model.robot.a)
+    steps = int(60.0 / (1.0 - slow))
+    run = simulate_allocation(model, lower, upper, 2 * steps, rng.random(), None, int(rng.integers(2)))
+    return run.iloc[steps:]
+
+
+def dwell_times(run, mode):
+    edges = np.flatnonzero(np.diff(run["mode"])) + 1
+    who = run["mode"].to_numpy()[edges[:-1]]
+    return np.diff(edges)[who == mode]
+
+
+@pytest.mark.parametrize("name", ["1", "2", "3", "4", "5"])
+def test_printed_participants(operators, name):
+    lower, upper = published_table("2.2").loc[["TSC_l", "TSC_u"], name].astype(float)
+    cycle = limit_cycle(operators[name], lower, upper)
+    run = settled(operators[name], lower, upper, 0)
+    assert cycle.exists
+    assert cycle.unique
+    assert cycle.stable
+    assert cycle.period in (1, 2)
+    for key in ("r", "p_r", "tsc"):
+        assert getattr(cycle, f"{key}_low") == pytest.approx(run[key].min(), abs=1e-9)
+        assert getattr(cycle, f"{key}_high") == pytest.approx(run[key].max(), abs=1e-9)
+    for key, mode in (("dwell_manual", 1), ("dwell_autonomous", 0)):
+        lengths = dwell_times(run, mode)
+        assert getattr(cycle, key) == (lengths.min(), lengths.max())
+
+
+def test_dwell_times_alternate_for_participant_3(operators):
+    cycle = limit_cycle(operators["3"], 0.0, 0.27)
+    assert cycle.period == 2
+    assert cycle.dwell_manual == (208, 209)
+
+
+@pytest.mark.slow
+def test_random_sets(random_model):
+    """1,000 random sets: a long simulation from a random start stays in the ranges, exactly where the motion repeats."""
+    repeating = 0
+    for seed in range(1000):
+        model, lower, upper = random_model(np.random.default_rng([17, seed]))
+        cycle = limit_cycle(model, lower, upper)
+        run = settled(model, lower, upper, seed)
+        alone = cycle.period is not None and cycle.motions == 1
+        repeating += alone
+        tolerance = 1e-9 if alone else 1e-6
+        for key in ("r", "p_r", "tsc"):
+            assert run[key].min() >= getattr(cycle, f"{key}_low") - tolerance, (seed, key)
+            assert run[key].max() <= getattr(cycle, f"{key}_high") + tolerance, (seed, key)
+            if alone:
+                assert run[key].min() <= getattr(cycle, f"{key}_low") + tolerance, (seed, key)
+                assert run[key].max() >= getattr(cycle, f"{key}_high") - tolerance, (seed, key)
+        for key, mode in (("dwell_manual", 1), ("dwell_autonomous", 0)):
+            lengths, range_ = dwell_times(run, mode), getattr(cycle, key)
+            assert range_[0] <= lengths.min(), (seed, key)
+            assert lengths.max() <= range_[1], (seed, key)
+    assert repeating > 500
+
+
+def test_means_are_time_averages(operators):
+    cycle = limit_cycle(operators["pilot"], 0.02, 0.45)
+    run = simulate_allocation(operators["pilot"], 0.02, 0.45, 400_000).iloc[100_000:]
+    assert cycle.mean_r == pytest.approx(run["r"].mean(), abs=2e-4)
+    assert cycle.mean_p_r == pytest.approx(run["p_r"].mean(), abs=2e-4)
+    assert list(cycle.table().columns) == ["low", "high", "mean"]
+
+
+def test_a_rule_that_stops_switching_is_an_answer(operators):
+    stays = limit_cycle(operators["1"], 0.15, 0.9)
+    assert not stays.exists
+    assert "stays manual" in stays.reason
+    assert "TSC_u = 0.9" in stays.reason
+    assert "stays autonomous" in limit_cycle(operators["1"], -0.9, 0.1).reason
+    assert np.isnan(stays.table().loc["r", "low"])
+
+
+def test_refuses(operators):
+    with pytest.raises(ValueError, match="below"):
+        limit_cycle(operators["1"], 0.5, 0.1)
+    with pytest.raises(ValueError, match="starts"):
+        limit_cycle(operators["1"], 0.1, 0.5, starts=0)

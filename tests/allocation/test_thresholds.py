@@ -1,0 +1,147 @@
+"""Choosing thresholds (Algorithm 1), and reading them off an operator's own switches (Tables 2.3 and 2.6)."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+
+import trustlab as tl
+from trustlab.allocation import (
+    choose_thresholds,
+    estimate_thresholds,
+    followed_suggestions,
+    relative_performance,
+)
+from trustlab.reproduction import published_table
+
+
+@pytest.fixture(scope="module")
+def choice(operators):
+    return choose_thresholds(operators["2"], points=12)
+
+
+def test_choice_encloses_beta_and_comes_near_the_best_performance(operators, choice):
+    model, cycle = operators["2"], choice.cycle
+    assert choice.encloses_beta
+    assert cycle.r_low <= model.human.beta <= cycle.r_high
+    assert choice.limits.contains(choice.lower, choice.upper)
+    assert choice.bounds.guaranteed
+    inside = choice.candidates[choice.candidates["encloses_beta"]]
+    assert cycle.p_r_high == pytest.approx(inside["p_r_high"].max(), abs=1e-4)
+    again = choose_thresholds(model, points=12)
+    assert (again.lower, again.upper) == (choice.lower, choice.upper)
+
+
+def test_margin_is_kept(operators, choice):
+    span = choice.limits.upper - choice.limits.lower
+    assert choice.lower >= choice.limits.lower + 0.1 * span - 1e-12
+    assert choice.upper <= choice.limits.upper - 0.1 * span + 1e-12
+
+
+def test_front_is_what_nothing_beats(choice):
+    front, rest = choice.front(), choice.candidates
+    assert (np.diff(front["mean_p_r"]) > 0).all()
+    for _, row in front.iterrows():
+        better = (rest["mean_r"] <= row["mean_r"]) & (rest["mean_p_r"] > row["mean_p_r"])
+        assert not better.any()
+
+
+def test_plot_and_table(choice):
+    axes = choice.plot()
+    assert len(axes) == 3
+    plt.close("all")
+    assert {"low", "high", "bound_low", "bound_high"} <= set(choice.table().columns)
+
+
+def test_no_pair_that_encloses_beta_is_said(operators):
+    choice = choose_thresholds(operators["1"], points=8)
+    assert not choice.encloses_beta
+    assert "No pair" in choice.message
+
+
+def test_no_room_between_the_limits_is_remark_4(operators):
+    with pytest.raises(ValueError, match="Remark 4"):
+        choose_thresholds(operators["pilot"], delta_p_h=0.01)
+    with pytest.raises(ValueError, match="margin"):
+        choose_thresholds(operators["pilot"], margin=0.6)
+    with pytest.raises(ValueError, match="points"):
+        choose_thresholds(operators["pilot"], points=2)
+
+
+def switched(lower, upper, spread, seed, n=12, participant=1):
+    """A session whose operator takes over at `lower` and hands over at `upper`, with spread."""
+    rng = np.random.default_rng(seed)
+    tsc, mode, now = [], [], 1.0
+    level = lower
+    for _ in range(n):
+        target = (upper if now == 1.0 else lower) + spread * rng.standard_normal()
+        ramp = np.linspace(level, target, 40)
+        tsc += list(ramp)
+        mode += [now] * 40
+        level, now = target, 1.0 - now
+    frame = pd.DataFrame({"mode": mode, "tsc": tsc}, index=pd.Index(np.arange(len(mode)) * 0.1, name="t"))
+    return tl.Session(frame, tl.Metadata(participant=participant, synthetic=True))
+
+
+def test_thresholds_are_read_off_the_switches():
+    estimate = estimate_thresholds([switched(-0.2, 0.5, 0.05, seed) for seed in range(6)])
+    assert estimate.lower == pytest.approx(-0.2, abs=0.04)
+    assert estimate.upper == pytest.approx(0.5, abs=0.04)
+    assert estimate.distinguishable
+    row = estimate.table().loc["upper"]
+    assert row["ci_low"] < 0.5 < row["ci_high"]
+    assert row["sd"] == pytest.approx(0.05, abs=0.02)
+    assert row["share_within"] > 0.95
+    assert estimate.summary["n"].sum() == len(estimate.switches) == 66
+
+
+def test_thresholds_that_cannot_be_told_apart():
+    estimate = estimate_thresholds([switched(0.2, 0.25, 0.3, seed) for seed in range(3)])
+    assert not estimate.distinguishable
+    assert estimate.p > 0.05
+
+
+def test_tsc_is_worked_out_from_performance(operators):
+    model = operators["pilot"]
+    run = tl.simulate_allocation(model, 0.02, 0.45, 20_000).set_index(np.arange(20_000) * 0.1)
+    estimate = estimate_thresholds(tl.Session(run[["mode", "p_r", "p_h"]]), model=model)
+    assert estimate.lower == pytest.approx(0.02, abs=0.01)
+    assert estimate.upper == pytest.approx(0.45, abs=0.01)
+    with pytest.raises(tl.SessionError, match="give model="):
+        estimate_thresholds(tl.Session(run[["mode", "p_r", "p_h"]]))
+    with pytest.raises(tl.SessionError, match="never changes"):
+        estimate_thresholds(tl.Session(run[["mode", "tsc"]].iloc[:50]))
+    with pytest.raises(tl.SessionError, match="not shares"):
+        estimate_thresholds(tl.Session(run[["mode", "tsc"]].assign(mode=0.5)))
+
+
+def test_suggestions_are_followed_in_time_or_not():
+    n = 1000
+    mode, suggested = np.ones(n), np.full(n, -1.0)
+    suggested[100:300], mode[180:] = 0.0, 0.0  # followed after 8 s
+    suggested[400:640], mode[600:] = 1.0, 1.0  # too late: 20 s
+    suggested[700:720] = 0.0  # never
+    session = tl.Session(
+        pd.DataFrame(
+            {"mode": mode, "suggested_mode": suggested}, index=pd.Index(np.arange(n) * 0.1, name="t")
+        )
+    )
+    table = followed_suggestions(session)
+    assert list(table["followed"]) == [True, False, False]
+    assert table["delay"].iloc[0] == pytest.approx(8.0)
+    assert followed_suggestions(session, deadline=25.0)["followed"].tolist() == [True, True, False]
+    with pytest.raises(ValueError, match="deadline"):
+        followed_suggestions(session, deadline=0.0)
+    with pytest.raises(tl.SessionError, match="suggested_mode"):
+        followed_suggestions(tl.Session(session.data[["mode"]]))
+
+
+def test_relative_performance_of_remark_7():
+    """(2.39) on Table 2.5: C2 over C1 by 8.75 points, C5 over C3 by 11.86, as printed, with the range 0.24 to 0.4."""
+    table = published_table("2.5")["P_r_mean"].astype(float)
+    percent = {name: relative_performance(value, 0.24, 0.4) for name, value in table.items()}
+    assert percent["C2"] - percent["C1"] == pytest.approx(8.75, abs=1e-9)
+    assert percent["C5"] - percent["C3"] == pytest.approx(11.86, abs=0.02)
+    assert relative_performance([0.24, 0.4], 0.24, 0.4) == pytest.approx(50.0)
+    with pytest.raises(ValueError, match="below"):
+        relative_performance(0.3, 0.4, 0.24)

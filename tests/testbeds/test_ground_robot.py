@@ -1,0 +1,466 @@
+"""The ground robot: Assumptions 1 and 2 appear without being scripted, limits hold, conditions do what they say.
+
+Oracles: Remark 7 for the sizes; closed-form geometry and a dense brute-force path; the models, rules and measures of
+the other rooms, run on the log after the fact.
+"""
+
+import time
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+
+import trustlab as tl
+from trustlab.allocation.kernels import performance_suggestion, threshold_mode
+from trustlab.operators import operator
+from trustlab.testbeds import Course, Pioneer, drive_modes, identification_session, run_condition
+from trustlab.testbeds.driving import SETTLING
+from trustlab.testbeds.ground_robot_run import shown_suggestions
+
+matplotlib.use("Agg")
+
+SEEDS = range(8)
+MANUAL_AUTONOMOUS_MANUAL = np.repeat([1, 0, 1], [4000, 8000, 3000])
+THRESHOLDS = (0.15, 0.62)
+
+
+@pytest.fixture(scope="module")
+def one(operators):
+    """Participant 1, whose P_max is that of Remark 7."""
+    return operator("1", operators["1"])
+
+
+@pytest.fixture(scope="module")
+def model(operators):
+    return operators["1"]
+
+
+@pytest.fixture(scope="module")
+def sessions(one):
+    return [drive_modes(MANUAL_AUTONOMOUS_MANUAL, one, seed) for seed in SEEDS]
+
+
+@pytest.fixture(scope="module")
+def runs(one, model):
+    return {
+        name: run_condition(name, one, model, THRESHOLDS, seed=3) for name in ("C1", "C2", "C3", "C4", "C5")
+    }
+
+
+def level(session, start, stop):
+    return session["p_r"][10 * start : 10 * stop].mean()
+
+
+# Assumptions 1 and 2
+
+
+def test_left_alone_performance_decays_to_a_floor(sessions):
+    for session in sessions:
+        course = [level(session, 400 + s, 420 + s) for s in (0, 60, 120, 180)]
+        assert course == sorted(course, reverse=True)
+        assert 0.37 < level(session, 380, 400) < 0.43
+        late = [level(session, s, s + 100) for s in (700, 800, 900, 1000, 1100)]
+        assert min(late) > 0.235
+        assert max(late) < 0.27
+        assert max(late) - min(late) < 0.025
+
+
+def test_a_skilled_operator_brings_it_back(sessions):
+    for session in sessions:
+        course = [level(session, 1200 + s, 1210 + s) for s in (0, 40, 80, 120)]
+        assert course == sorted(course)
+        assert level(session, 1400, 1500) > level(session, 1100, 1200) + 0.12
+
+
+def test_speeds_and_errors_are_those_of_remark_7(sessions):
+    manual, alone = slice(1000, 4000), slice(6000, 12000)
+
+    def mean(name, part):
+        return np.mean([session[name][part].mean() for session in sessions])
+
+    assert 10.0 * mean("step_distance", manual) == pytest.approx(0.49, abs=0.015)
+    assert mean("path_error", manual) == pytest.approx(0.38, abs=0.04)
+    assert 10.0 * mean("step_distance", alone) == pytest.approx(0.39, abs=0.015)
+    assert mean("path_error", alone) == pytest.approx(0.704, abs=0.04)
+
+
+def test_a_weaker_operator_brings_it_less_far_and_more_slowly(one, sessions):
+    weak = replace(one, human=tl.HumanModel(a=0.999, beta=0.95, p_min=0.36, p_max=0.40))
+    for seed, strong in zip(SEEDS, sessions, strict=True):
+        session = drive_modes(MANUAL_AUTONOMOUS_MANUAL, weak, seed)
+        assert level(session, 1400, 1500) < level(strong, 1400, 1500) - 0.02
+        rise = [level(s, 1240, 1280) - level(s, 1180, 1200) for s in (session, strong)]
+        assert rise[0] < rise[1]
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [
+        Pioneer(heading_drift=0.0, heading_noise=0.0),
+        Pioneer(
+            scan_range=100.0, field_of_view=2.0 * np.pi, detection=1.0, range_noise=0.0, bearing_noise=0.0
+        ),
+    ],
+    ids=["perfect odometry", "unlimited scanner"],
+)
+def test_without_its_cause_there_is_no_decay(one, robot):
+    for seed in SEEDS:
+        session = drive_modes(MANUAL_AUTONOMOUS_MANUAL, one, seed, robot=robot)
+        assert level(session, 1000, 1200) > 0.34
+
+
+def test_without_skill_there_is_no_rise(one):
+    clumsy = replace(one, noise=4.0)
+    session = drive_modes(MANUAL_AUTONOMOUS_MANUAL, clumsy, 0)
+    assert level(session, 1400, 1500) < 0.30
+
+
+def test_the_models_fit_its_sessions(operators):
+    fits = []
+    for seed in range(4):
+        session = identification_session(operator("pilot", operators["pilot"]), seed)
+        robot, human = tl.fit_robot(session), tl.fit_human(session)
+        assert robot.synthetic
+        assert 0.995 < robot.model.a < 0.9995
+        assert robot.model.p_min == pytest.approx(0.245, abs=0.01)
+        assert robot.model.p_max == pytest.approx(0.395, abs=0.015)
+        assert robot.success or "hardly determined" in robot.message or "not to be trusted" in robot.message
+        assert human.model.beta == pytest.approx(operators["pilot"].human.beta, abs=0.15)
+        assert human.fit_percent > 45.0
+        fits.append(robot.fit_percent)
+    assert min(fits) > 74.0
+    assert np.mean(fits) > 78.0
+
+
+# Geometry and limits
+
+
+def test_path_error_is_the_distance_to_the_course(sessions):
+    course = Course()
+    corners, s = course.path, np.arange(0.0, course.length, 0.002)
+    dense = np.column_stack([np.interp(s, corners[:, 2], corners[:, i]) for i in (0, 1)])
+    for session in sessions[:2]:
+        every = slice(0, None, 97)
+        at = np.column_stack([session["robot_x"], session["robot_y"]])[every]
+        brute = np.sqrt(((at[:, None, :] - dense[None]) ** 2).sum(axis=2).min(axis=1))
+        np.testing.assert_allclose(session["path_error"][every], brute, atol=1e-3)
+        np.testing.assert_allclose(course.distance(*at.T), session["path_error"][every], atol=1e-12)
+        reference = np.column_stack([session["reference_x"], session["reference_y"]])[every]
+        np.testing.assert_allclose(np.hypot(*(at - reference).T), session["path_error"][every], atol=1e-12)
+        assert course.distance(*reference.T).max() < 1e-9
+
+
+def test_the_course_is_the_rounded_polygon():
+    course = Course()
+    corners = np.array(course.corners)
+    ahead = np.roll(corners, -1, axis=0) - corners
+    heading = np.arctan2(ahead[:, 1], ahead[:, 0])
+    turn = np.abs((heading - np.roll(heading, 1) + np.pi) % (2 * np.pi) - np.pi)
+    exact = np.hypot(*ahead.T).sum() + (course.radius * (turn - 2 * np.tan(turn / 2))).sum()
+    assert course.length == pytest.approx(exact, rel=1e-3)
+    path = course.path
+    assert (path[0, :2] == path[-1, :2]).all()
+    direction = np.unwrap(np.arctan2(*np.diff(path[:, :2], axis=0).T[::-1]))
+    assert np.abs(np.diff(direction)).max() < 1.1 * course.resolution / course.radius
+    assert (np.sign(np.diff(direction)) == -1).any()  # bends to the right as well as to the left
+    assert (np.sign(np.diff(direction)) == 1).any()
+    np.testing.assert_allclose(course.distance(*course.posts.T), course.half_width, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [
+        Pioneer(),
+        Pioneer(
+            max_speed=0.4,
+            max_turn_rate=0.35,
+            max_acceleration=0.1,
+            max_turn_acceleration=0.8,
+            cruise_speed=0.4,
+        ),
+    ],
+)
+def test_limits_hold(one, robot):
+    wild = replace(one, noise=3.0, steering_gain=5.0)
+    session = drive_modes(np.repeat([1, 0, 1, 0], 1500), wild, 1, robot=robot)
+    speed = session["step_distance"][1:] / 0.1
+    turn = np.diff(np.unwrap(session["yaw"])) / 0.1
+    assert speed.max() <= robot.max_speed + 1e-9
+    assert np.abs(turn).max() <= robot.max_turn_rate + 1e-9
+    assert np.abs(np.diff(speed)).max() <= robot.max_acceleration * 0.1 + 1e-9
+    assert np.abs(np.diff(turn)).max() <= robot.max_turn_acceleration * 0.1 + 1e-9
+    assert session["v_command"].max() <= robot.max_speed
+    assert np.abs(session["w_command"]).max() == robot.max_turn_rate  # the hand does reach it
+    moved = np.hypot(np.diff(session["robot_x"]), np.diff(session["robot_y"]))
+    np.testing.assert_allclose(session["step_distance"][1:], moved, atol=1e-12)
+
+
+# The log agrees with the models, the measures and the rules
+
+
+def test_the_log_agrees_with_models_and_measures(runs, one, model):
+    for run in runs.values():
+        session = run.session
+        np.testing.assert_allclose(session["r"], one.human.simulate(session["mode"])[0], atol=1e-12)
+        again = session.with_performance(window=100.0)
+        for name in ("p_r", "p_h"):
+            np.testing.assert_allclose(session[name], again[name], atol=1e-11)
+        np.testing.assert_allclose(session["tsc"], model.value(session["p_r"], session["p_h"]), atol=1e-12)
+        assert again.metadata.as_dict() == session.metadata.as_dict()
+
+
+def test_suggestions_are_those_of_the_rules(runs, model):
+    for name in ("C2", "C3"):
+        session, now = runs[name].session, 1
+        after = session.t >= SETTLING
+        for tsc, shown in zip(session["tsc"][after], session["suggested_mode"][after], strict=True):
+            now = threshold_mode(tsc, *THRESHOLDS, now)
+            assert shown == now
+    for name in ("C4", "C5"):
+        session = runs[name].session
+        after = session.t >= SETTLING
+        p_min, p_max = model.robot.p_min, model.robot.p_max
+        expected = [performance_suggestion(p, p_min, p_max) for p in session["p_r"][after]]
+        np.testing.assert_array_equal(session["suggested_mode"][after], expected)
+        assert {-1.0, 0.0, 1.0} <= set(session["suggested_mode"])
+    for run in runs.values():
+        assert (run.session["suggested_mode"][run.session.t < SETTLING] == -1.0).all()
+    assert (runs["C1"].session["suggested_mode"] == -1.0).all()
+
+
+def test_rule_kernels():
+    assert [threshold_mode(tsc, 0.1, 0.5, 1) for tsc in (0.1, 0.11, 0.49, 0.5)] == [1, 1, 1, 0]
+    assert [threshold_mode(tsc, 0.1, 0.5, 0) for tsc in (0.1, 0.11, 0.49, 0.5)] == [1, 0, 0, 0]
+    levels = (0.2, 0.375, 0.376, 0.39, 0.3925, 0.41)
+    assert [performance_suggestion(p, 0.24, 0.39) for p in levels] == [1, 1, -1, 0, 0, 0]
+    assert performance_suggestion(0.3899, 0.24, 0.39, 0.0) == -1
+
+
+# Conditions
+
+
+def test_forced_suggestions_are_all_followed(one, model):
+    for seed in SEEDS:
+        for name in ("C3", "C5"):
+            run = run_condition(
+                name, replace(one, follow_tsc=0.0, follow_performance=0.0), model, THRESHOLDS, seed=seed
+            )
+            states = run.suggestions()
+            assert set(states["state"]) <= {"followed", "open", "withdrawn"}
+            assert (states["state"] == "followed").sum() >= 5
+            assert 0.3 < states["delay"].median() < 6.0
+            assert run.measures()["followed_percent"] == 100.0
+
+
+@pytest.mark.parametrize(("name", "key"), [("C2", "follow_tsc"), ("C4", "follow_performance")])
+def test_free_suggestions_are_followed_with_their_probability(one, model, name, key):
+    share = {}
+    for probability in (0.0, 0.6, 1.0):
+        who = replace(one, **{key: probability})
+        shown = [
+            run_condition(name, who, model, THRESHOLDS, seed=s).suggestions()["state"] for s in range(30)
+        ]
+        states = pd.concat(shown)
+        decided = states.isin(["followed", "not followed"])
+        share[probability] = (states[decided] == "followed").mean()
+        if probability == 0.6:
+            spread = np.sqrt(0.6 * 0.4 / decided.sum())
+            assert abs(share[0.6] - 0.6) < 3.3 * spread  # 99.9 % of binomial samples
+    assert share[0.0] == 0.0
+    assert share[1.0] == 1.0
+
+
+def test_an_operator_who_follows_nothing_still_switches_in_the_end(one, model):
+    run = run_condition("C2", replace(one, follow_tsc=0.0), model, THRESHOLDS, seed=0)
+    assert run.measures()["switches"] >= 2
+    assert (run.suggestions()["delay"].dropna() > 15.0).all()
+
+
+def test_free_choice_switches_at_the_operators_own_thresholds(one, model):
+    exact = replace(one, lower=-0.2, upper=0.6, lower_spread=0.0, upper_spread=0.0, reaction_lag=0.0)
+    session = run_condition("C1", exact, model, seed=2).session
+    mode, tsc = session["mode"], session["tsc"]
+    at = np.flatnonzero(np.diff(mode)) + 1
+    later = at[session.t[at] > SETTLING + 0.05]
+    assert later.size >= 4
+    step = 2.0 * np.abs(np.diff(tsc[200:])).max()
+    for k in later:
+        assert tsc[k] == pytest.approx(-0.2 if mode[k] == 1 else 0.6, abs=step)
+    spread = run_condition(
+        "C1", replace(exact, lower_spread=0.1, upper_spread=0.1, reaction_lag=2.0), model, seed=2
+    )
+    at = np.flatnonzero(np.diff(spread.session["mode"])) + 1
+    assert np.std(spread.session["tsc"][at][spread.session["mode"][at] == 0]) > step
+
+
+def test_performance_suggestions_cost_more_utilization(one, model):
+    # The order of Table 2.5: C5 above C3 in P_r and in r.
+    means = {
+        name: np.mean(
+            [
+                [m["p_r"], m["r"]]
+                for s in SEEDS
+                for m in [run_condition(name, one, model, THRESHOLDS, seed=s).measures()]
+            ],
+            axis=0,
+        )
+        for name in ("C3", "C5")
+    }
+    assert (means["C5"] > means["C3"]).all()
+
+
+def test_measures_and_laps(runs):
+    for name, run in runs.items():
+        session, measures, laps = run.session, run.measures(), run.laps()
+        assert measures["laps"] == 8
+        assert measures["p_r"] == session["p_r"].mean()
+        assert measures["switches"] == np.abs(np.diff(session["mode"])).sum()
+        assert measures["duration"] == pytest.approx(run.lap_times[-1])
+        assert laps["duration"].sum() == pytest.approx(run.lap_times[-1])
+        assert (laps["duration"] > 60.0).all()
+        assert (laps["duration"] < 130.0).all()
+        weighted = (laps["path_error"] * laps["duration"]).sum() / laps["duration"].sum()
+        assert weighted == pytest.approx(measures["path_error"], rel=1e-2)
+        table = run.table()
+        assert table.loc[0, ["participant", "condition", "synthetic"]].tolist() == ["1", name, True]
+        assert np.isnan(measures["followed_percent"]) == (name == "C1")
+
+
+def test_shown_suggestions_by_hand():
+    n = 1000
+    mode, suggested = np.ones(n), np.full(n, -1.0)
+    suggested[100:150] = 0.0  # shown at 10 s, followed at 15 s
+    mode[150:] = 0.0
+    suggested[300:310] = (
+        1.0  # shown at 30 s, gone after 1 s, back at 35 s (the same one), followed at 60 s: late
+    )
+    suggested[350:600] = 1.0
+    mode[600:] = 1.0
+    suggested[700:720] = 0.0  # shown for 2 s and withdrawn
+    suggested[950:] = 0.0  # the session ends
+    frame = pd.DataFrame({"mode": mode, "suggested_mode": suggested}, index=np.round(np.arange(n) * 0.1, 1))
+    found = shown_suggestions(tl.Session(frame))
+    assert found["start"].tolist() == [10.0, 30.0, 70.0, 95.0]
+    assert found["state"].tolist() == ["followed", "not followed", "withdrawn", "open"]
+    np.testing.assert_allclose(found["delay"], [5.0, 30.0, np.nan, np.nan])
+    agreed = np.where(
+        np.arange(n) % 20 < 10, 1.0, 0.0
+    )  # every second one second of disagreement, then agreement
+    always = pd.DataFrame({"mode": np.ones(n), "suggested_mode": agreed}, index=frame.index)
+    assert len(shown_suggestions(tl.Session(always))) == 50
+
+
+# Reproducible, readable, quick, and clear about what is wrong
+
+
+def test_same_seed_same_run(one, model):
+    first, again = (run_condition("C2", one, model, THRESHOLDS, seed=5).session for _ in range(2))
+    pd.testing.assert_frame_equal(first.data, again.data, check_exact=True)
+    other = run_condition("C2", one, model, THRESHOLDS, seed=6).session
+    assert not np.array_equal(first["robot_x"][:500], other["robot_x"][:500])
+    child = np.random.SeedSequence(9).spawn(2)[1]
+    child.spawn(3)
+    runs = [run_condition("C2", one, model, THRESHOLDS, seed=s).session for s in (child, child)]
+    assert runs[0] == runs[1]
+    assert runs[0].metadata.more["spawn_key"] == "1"
+    sibling = run_condition("C2", one, model, THRESHOLDS, seed=np.random.SeedSequence(9).spawn(1)[0]).session
+    assert not np.array_equal(sibling["robot_x"][:500], runs[0]["robot_x"][:500])
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_sessions_round_trip(tmp_path, runs, suffix):
+    session = runs["C3"].session
+    path = tl.write_session(session, tmp_path / f"run{suffix}")
+    assert tl.read_session(path) == session
+    meta = session.metadata
+    assert meta.synthetic
+    assert meta.condition == "C3"
+    assert meta.more["seed"] == 3
+    assert "simulated stand-in for the Stage testbed" in meta.more["note"]
+    assert session.sample_time == 0.1
+
+
+def test_eight_laps_take_less_than_a_second(one, model):
+    run_condition("C3", one, model, THRESHOLDS)
+    start = time.perf_counter()
+    run_condition("C3", one, model, THRESHOLDS, seed=1)
+    assert time.perf_counter() - start < 1.0
+
+
+def test_figures_say_that_they_are_synthetic(runs, sessions):
+    import matplotlib.pyplot as plt
+
+    run = runs["C3"]
+    panels = run.plot(bounds={"r": (0.3, 0.8)})
+    assert len(panels) == 4
+    assert "synthetic" in panels[0].figure.get_suptitle()
+    assert len(panels[1].lines) == 3
+    assert len(panels[3].lines) == 3  # TSC and its thresholds
+    axes = run.plot_path(100.0, 500.0)
+    assert "synthetic" in axes.get_title()
+    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert labels == ["guide posts", "manual", "autonomous", "desired"]
+    with pytest.raises(ValueError, match="one of p_r, r, p_h, tsc; got 'speed'"):
+        run.plot(bounds={"speed": (0, 1)})
+    assert "synthetic" in run._repr_html_()
+    plt.close("all")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"condition": "C6"}, "C1, C2, C3, C4, C5, got 'C6'"),
+        ({"operator": "pilot"}, "operator must be of class Operator, got str"),
+        ({"model": None}, "model must be a TscModel"),
+        ({"thresholds": None}, "C3 needs thresholds"),
+        ({"thresholds": (0.6, 0.1)}, "in order, lower then upper, got 0.6 and 0.1"),
+        ({"thresholds": (0.1, np.nan)}, "must be finite"),
+        ({"thresholds": 0.4}, "two numbers"),
+        ({"laps": 0}, "laps must be a whole number"),
+        ({"laps": 2.5}, "laps must be a whole number"),
+        ({"seed": -1}, "seed must be a whole number"),
+        ({"seed": "a"}, "seed must be a whole number"),
+        ({"r0": 1.5}, "r0 must lie in"),
+        ({"robot": Course()}, "robot must be of class Pioneer"),
+        ({"course": Pioneer()}, "course must be of class Course"),
+        ({"robot": Pioneer(max_speed=0.01)}, "only 0 of 8 laps"),
+    ],
+)
+def test_bad_input_is_named(one, model, change, says):
+    good = {"condition": "C3", "operator": one, "model": model, "thresholds": THRESHOLDS}
+    with pytest.raises(ValueError, match=says):
+        run_condition(**good | change)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Course(corners=((0, 0), (1, 0))), "at least three"),
+        (lambda: Course(corners=((0, 0), (1, 0), (np.nan, 1))), "at least three finite"),
+        (lambda: Course(corners=((0, 0), (0, 0), (9, 0), (9, 9))), "twice in a row"),
+        (lambda: Course(radius=5.0), "smaller radius or corners farther apart"),
+        (lambda: Course(radius=0.0), "radius must be positive"),
+        (lambda: Pioneer(max_speed=0.0), "max_speed must be positive"),
+        (lambda: Pioneer(scan_range=-1.0), "scan_range cannot be negative"),
+        (lambda: Pioneer(detection=1.5), "detection is a share"),
+        (lambda: Pioneer(look_ahead=np.inf), "look_ahead must be finite"),
+    ],
+)
+def test_bad_courses_and_robots_are_named(make, says):
+    with pytest.raises(ValueError, match=says):
+        make()
+
+
+def test_bad_schedules_are_named(one):
+    with pytest.raises(ValueError, match="zeros and ones"):
+        drive_modes([0.5, 1.0], one)
+    with pytest.raises(ValueError, match="zeros and ones"):
+        drive_modes([1], one)
+    with pytest.raises(ValueError, match=r"at least 0\.1 s, got -5"):
+        identification_session(one, manual=-5.0)
+    with pytest.raises(ValueError, match="whole number of phases"):
+        identification_session(one, mixed=1.5)
+    with pytest.raises(ValueError, match="phase must be in order"):
+        identification_session(one, phase=(500.0, 300.0))

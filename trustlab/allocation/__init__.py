@@ -1,0 +1,24 @@
+"""Who drives: rules, limits, bounds and the exact cycle."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach(
+    __name__,
+    submod_attrs={
+        "invariant_bounds": ["InvariantBounds", "invariant_bounds"],
+        "limit_cycle": ["LimitCycle", "limit_cycle"],
+        "limits": ["ThresholdLimits", "threshold_limits"],
+        "performance_rule": ["PerformanceRule"],
+        "simulation": ["simulate_allocation"],
+        "steady_state": ["SteadyStateBounds", "steady_state_bounds"],
+        "step_bounds": ["StepBounds", "step_bounds"],
+        "threshold_choice": ["ThresholdChoice", "choose_thresholds"],
+        "threshold_estimate": [
+            "ThresholdEstimate",
+            "estimate_thresholds",
+            "followed_suggestions",
+            "relative_performance",
+        ],
+        "threshold_rule": ["ThresholdRule"],
+    },
+)

@@ -1,0 +1,134 @@
+"""Limits within which thresholds keep switching, (2.9)-(2.10) and Theorem 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from trustlab.allocation.step_bounds import step_bounds
+from trustlab.models.checks import finite_number
+from trustlab.models.tsc import TscModel
+
+__all__ = ["ThresholdLimits", "check_thresholds", "threshold_limits"]
+
+
+@dataclass(frozen=True)
+class ThresholdLimits:
+    """
+    Limits of the decision thresholds.
+
+    Parameters
+    ----------
+    lower, upper : float
+        TSC_lb (2.9) and TSC_ub (2.10): TSC_lb < TSC_l < TSC_u < TSC_ub keeps the rule switching (Theorem 1).
+    delta_p_h : float
+        δ_Ph, the largest one-step change of human performance that was used.
+    """
+
+    lower: float
+    upper: float
+    delta_p_h: float
+
+    @property
+    def feasible(self) -> bool:
+        """Whether any thresholds fit between the limits (Remark 4)."""
+        return self.lower < self.upper
+
+    def contains(self, lower: float, upper: float) -> bool:
+        """
+        Return whether TSC_lb < TSC_l < TSC_u < TSC_ub.
+
+        Parameters
+        ----------
+        lower, upper : float
+            TSC_l and TSC_u.
+        """
+        return self.lower < lower < upper < self.upper
+
+
+def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> ThresholdLimits:
+    """
+    Return the limits of the decision thresholds, (2.9)-(2.10).
+
+    TSC_lb = a_T b'_1 − b_T P_h,min with b'_1 = P_r,min + b_T δ_Ph/(a_T (1 − a_pr)); TSC_ub = a'_3 P_h + b'_3 at
+    P_h,max where a'_3 < 0 and at P_h,min where a'_3 > 0, with a'_3 = a_T b_pr/(1 − a_pr) − b_T and
+    b'_3 = a_T (P_r,min − b_T δ_Ph/(a_T (1 − a_pr))).
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model; its robot's b is used as it is (the printed limits come from the printed, rounded b_pr).
+    delta_p_h : float, optional
+        δ_Ph, largest one-step change of human performance; from the model (`step_bounds`) when not given.
+
+    Raises
+    ------
+    ValueError
+        If `delta_p_h` is negative or not finite.
+    """
+    if delta_p_h is None:
+        delta_p_h = step_bounds(tsc).delta_p_h
+    delta_p_h = finite_number("delta_p_h", delta_p_h)
+    if delta_p_h < 0.0:
+        raise ValueError(f"delta_p_h is a largest change and cannot be negative, got {delta_p_h}")
+    a_T, b_T, robot, human = tsc.a_T, tsc.b_T, tsc.robot, tsc.human
+    slack = b_T * delta_p_h / (a_T * (1.0 - robot.a))
+    slope = a_T * robot.b / (1.0 - robot.a) - b_T
+    lower = a_T * (robot.p_min + slack) - b_T * human.p_min
+    upper = a_T * (robot.p_min - slack) + slope * (
+        human.p_max if slope < 0.0 else human.p_min if slope > 0.0 else 0.0
+    )
+    return ThresholdLimits(lower, upper, delta_p_h)
+
+
+def check_thresholds(
+    tsc: TscModel, lower: float, upper: float, limits: ThresholdLimits | None = None
+) -> tuple[float, float]:
+    """
+    Return thresholds as floats, or say what is wrong with them.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model.
+    lower, upper : float
+        TSC_l and TSC_u.
+    limits : ThresholdLimits, optional
+        Limits they must keep; only their order is checked when not given.
+
+    Raises
+    ------
+    ValueError
+        If they are not finite, in the wrong order, or outside the limits, which are quoted.
+    """
+    lower, upper = finite_number("lower", lower), finite_number("upper", upper)
+    if not lower < upper:
+        raise ValueError(f"the lower threshold must be below the upper one, got {lower} and {upper}")
+    if limits is None:
+        return lower, upper
+    if not limits.feasible:
+        raise ValueError(
+            f"no thresholds keep switching: TSC_ub = {limits.upper:.4f} does not exceed TSC_lb = {limits.lower:.4f} "
+            f"(Remark 4). {_remedy(tsc, limits)}"
+        )
+    if not limits.contains(lower, upper):
+        raise ValueError(
+            f"thresholds ({lower:g}, {upper:g}) must lie strictly between TSC_lb = {limits.lower:.4f} and "
+            f"TSC_ub = {limits.upper:.4f} (Theorem 1)"
+        )
+    return lower, upper
+
+
+def _remedy(tsc: TscModel, limits: ThresholdLimits) -> str:
+    """Say which parameter keeps the limits apart."""
+    slack = tsc.b_T * limits.delta_p_h / (1.0 - tsc.robot.a)
+    gap = limits.upper - limits.lower + 2.0 * slack
+    if gap > 0.0:
+        most = gap / 2.0 * (1.0 - tsc.robot.a) / tsc.b_T
+        return (
+            f"δ_Ph = {limits.delta_p_h:.3g} is too large: below {most:.3g} they part; let utilization change more slowly "
+            "(a_r nearer to 1) or robot performance more quickly (a_pr smaller)"
+        )
+    return (
+        "Even with δ_Ph = 0 they do not part: widen the range of robot performance (p_max − p_min) or narrow that of "
+        "human performance"
+    )

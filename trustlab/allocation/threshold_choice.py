@@ -1,0 +1,183 @@
+"""Choosing thresholds, Algorithm 1 as an optimisation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from trustlab.allocation.invariant_bounds import InvariantBounds, invariant_bounds
+from trustlab.allocation.limit_cycle import LimitCycle, limit_cycle
+from trustlab.allocation.limits import ThresholdLimits, check_thresholds, threshold_limits
+from trustlab.models.checks import finite_number
+from trustlab.models.tsc import TscModel
+
+__all__ = ["ThresholdChoice", "choose_thresholds"]
+
+
+@dataclass(frozen=True, eq=False)
+class ThresholdChoice:
+    """
+    Thresholds, with what they lead to and what else could have been chosen.
+
+    Parameters
+    ----------
+    lower, upper : float
+        TSC_l and TSC_u.
+    cycle : LimitCycle
+        The steady motion they lead to.
+    bounds : InvariantBounds
+        Bounds for every trajectory under them.
+    limits : ThresholdLimits
+        TSC_lb and TSC_ub.
+    encloses_beta : bool
+        Whether the steady utilization encloses β.
+    message : str
+        How the choice was made.
+    candidates : pandas.DataFrame
+        All pairs that were tried: lower, upper, r_low, r_high, mean_r, p_r_high, mean_p_r, encloses_beta, on_front.
+    model : TscModel
+        The model.
+    """
+
+    lower: float
+    upper: float
+    cycle: LimitCycle
+    bounds: InvariantBounds
+    limits: ThresholdLimits
+    encloses_beta: bool
+    message: str
+    candidates: pd.DataFrame
+    model: TscModel
+
+    def front(self) -> pd.DataFrame:
+        """Return the Pareto front: pairs that no other beats in both mean performance and mean utilization."""
+        return self.candidates[self.candidates["on_front"]].sort_values("mean_r", ignore_index=True)
+
+    def table(self) -> pd.DataFrame:
+        """Return the ranges of the steady motion and the bounds for every trajectory."""
+        cycle, bounds = self.cycle.table(), self.bounds.table()
+        return cycle.assign(bound_low=bounds["low"], bound_high=bounds["high"])
+
+    def plot(self):
+        """
+        Plot mean performance and utilization over the feasible triangle, the choice, and the Pareto front.
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes, shape (3,)
+        """
+        import matplotlib.pyplot as plt
+
+        figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
+        for axis, name, label in (
+            (axes[0], "mean_p_r", "mean robot performance"),
+            (axes[1], "mean_r", "mean utilization"),
+        ):
+            points = axis.scatter(
+                self.candidates["lower"], self.candidates["upper"], c=self.candidates[name], s=14, marker="s"
+            )
+            axis.plot(self.lower, self.upper, "k*", ms=12, label="choice")
+            axis.set(xlabel="$TSC_l$", ylabel="$TSC_u$", title=label)
+            axis.legend(loc="lower right", fontsize="small")
+            figure.colorbar(points, ax=axis)
+        front = self.front()
+        axes[2].scatter(
+            self.candidates["mean_r"], self.candidates["mean_p_r"], s=8, color="0.75", label="feasible pairs"
+        )
+        axes[2].plot(front["mean_r"], front["mean_p_r"], "o-", ms=3, label="Pareto front")
+        axes[2].plot(self.cycle.mean_r, self.cycle.mean_p_r, "k*", ms=12, label="choice")
+        axes[2].axvline(self.model.human.beta, color="k", lw=0.8, ls=":", label="β")
+        axes[2].set(xlabel="mean utilization", ylabel="mean robot performance", title="trade-off")
+        axes[2].legend(fontsize="small")
+        return axes
+
+
+def choose_thresholds(
+    tsc: TscModel, delta_p_h: float = 0.0, margin: float = 0.1, points: int = 24
+) -> ThresholdChoice:
+    """
+    Choose thresholds as Algorithm 1 asks: utilization encloses β, performance comes near its greatest.
+
+    All pairs of a grid within the limits, less a margin, are followed to their steady cycle. Among those whose range
+    of utilization encloses β the one with the greatest highest performance is taken, ties by mean performance.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model.
+    delta_p_h : float
+        δ_Ph for the limits. 0 takes them as TSC settles; whether a pair keeps switching is then seen from its cycle.
+    margin : float
+        Distance to keep from either limit, as a share of TSC_ub − TSC_lb, in (0, 0.5).
+    points : int
+        Grid points along each threshold, at least 4.
+
+    Returns
+    -------
+    ThresholdChoice
+
+    Raises
+    ------
+    ValueError
+        If the limits leave no room (Remark 4: says what to change).
+    """
+    margin = finite_number("margin", margin)
+    if not 0.0 < margin < 0.5:
+        raise ValueError(f"margin must lie in (0, 0.5), got {margin}")
+    if int(points) != points or points < 4:
+        raise ValueError(f"points must be a whole number ≥ 4, got {points}")
+    limits = threshold_limits(tsc, delta_p_h)
+    if not limits.feasible:
+        check_thresholds(tsc, 0.0, 1.0, limits)
+    span = limits.upper - limits.lower
+    grid = np.linspace(limits.lower + margin * span, limits.upper - margin * span, int(points))
+    rows, cycles = [], []
+    for i, lower in enumerate(grid):
+        for upper in grid[i + 1 :]:
+            cycle = limit_cycle(tsc, lower, upper, starts=1)
+            if cycle.exists:
+                inside = cycle.r_low <= tsc.human.beta <= cycle.r_high
+                rows.append(
+                    (
+                        lower,
+                        upper,
+                        cycle.r_low,
+                        cycle.r_high,
+                        cycle.mean_r,
+                        cycle.p_r_high,
+                        cycle.mean_p_r,
+                        inside,
+                    )
+                )
+                cycles.append(cycle)
+    names = ["lower", "upper", "r_low", "r_high", "mean_r", "p_r_high", "mean_p_r", "encloses_beta"]
+    table = pd.DataFrame(rows, columns=names)
+    table["on_front"] = _front(table["mean_r"].to_numpy(), table["mean_p_r"].to_numpy())
+    inside = table[table["encloses_beta"]]
+    encloses = not inside.empty
+    if encloses:
+        best = inside.sort_values(["p_r_high", "mean_p_r"], ascending=False, kind="stable").index[0]
+        message = "Utilization encloses β; of all pairs that do, the greatest highest performance."
+    else:
+        gap = np.maximum(tsc.human.beta - table["r_high"], table["r_low"] - tsc.human.beta)
+        best = gap.idxmin()
+        message = (
+            f"No pair between {grid[0]:.4f} and {grid[-1]:.4f} makes utilization enclose β = {tsc.human.beta:g}; this one "
+            f"comes nearest, within {gap[best]:.3f}. Allow a smaller margin for more."
+        )
+    lower, upper = float(table.loc[best, "lower"]), float(table.loc[best, "upper"])
+    cycle = limit_cycle(tsc, lower, upper)
+    bounds = invariant_bounds(tsc, lower, upper)
+    return ThresholdChoice(lower, upper, cycle, bounds, limits, encloses, message, table, tsc)
+
+
+def _front(cost: np.ndarray, gain: np.ndarray) -> np.ndarray:
+    """Return which points no other has with less cost and at least the gain, or more gain at no more cost."""
+    order = np.lexsort((-gain, cost))
+    front, best = np.zeros(cost.size, dtype=bool), -np.inf
+    for k in order:
+        if gain[k] > best:
+            front[k], best = True, gain[k]
+    return front

@@ -1,0 +1,219 @@
+"""Simulated operators, stand-ins for people: how well they drive, how fast they react, when they switch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numba
+
+from trustlab.models.checks import finite_number
+from trustlab.models.human import HumanModel
+from trustlab.models.tsc import TscModel
+
+__all__ = ["Operator", "OperatorNumbers", "driving_style", "joystick", "operator"]
+
+
+@numba.njit(cache=True)
+def driving_style(performance):
+    """Return cruising speed [m/s], wander [m] and steering activity [rad/s] of someone who performs so well [m/s]."""
+    share = (performance - 0.39) / 0.07
+    speed = 0.455 + 0.071 * share
+    wander = 0.32 - 0.04 * share
+    activity = 0.04 + 0.31 * share
+    return max(speed, 0.05), max(wander, 0.05), max(activity, 0.0)
+
+
+@numba.njit(cache=True)
+def joystick(bearing, speed, gain, easing):
+    """Return the commands v, w of a hand that steers towards what it looks at, slower the farther that is aside."""
+    return speed * max(1.0 - easing * abs(bearing), 0.2), gain * bearing
+
+
+class OperatorNumbers(NamedTuple):
+    """An `Operator` as plain numbers for compiled loops; the names are the operator's and its human model's."""
+
+    a: float
+    beta: float
+    p_min: float
+    p_max: float
+    delay: float
+    noise: float
+    hand_lag: float
+    look_ahead: float
+    steering_gain: float
+    easing: float
+    idle_share: float
+    wander_time: float
+    reaction_lag: float
+    reaction_spread: float
+    follow_tsc: float
+    follow_performance: float
+    ignoring_time: float
+    lower: float
+    lower_spread: float
+    upper: float
+    upper_spread: float
+
+
+@dataclass(frozen=True)
+class Operator:
+    """
+    A simulated operator with a joystick: a stand-in for a person.
+
+    Parameters
+    ----------
+    participant : str or int
+        Who this stands for.
+    human : HumanModel
+        Utilization (2.5) and performance (2.6), in the unit of (2.7) [m/s], which sets how the operator drives.
+    delay : float
+        Visuomotor delay: the hand acts on what the eye saw this long ago [s].
+    noise : float
+        Scale of wander and of steering activity; 1 as calibrated, 0 a hand without noise.
+    hand_lag : float
+        Time constant of the hand [s].
+    look_ahead : float
+        How far ahead on the path the operator looks [m].
+    steering_gain : float
+        Turn rate per angle to what the operator looks at [1/s].
+    easing : float
+        Share of speed given up per radian of that angle [1/rad].
+    idle_share : float
+        The robot being autonomous, the hand stays on the joystick and keeps making commands, which are logged and have
+        no effect; this is the share of steering that it keeps.
+    wander_time : float
+        Correlation time of the wander about the path [s].
+    reaction_lag, reaction_spread : float
+        Median [s] and logarithmic standard deviation of the lag between deciding for a mode and switching to it.
+    follow_tsc, follow_performance : float
+        Probability of following a suggestion by TSC (C2) and by robot performance (C4).
+    ignoring_time : float
+        A suggestion not followed is taken up, if it still stands, after 15 s and a further time that is exponentially
+        distributed with this mean [s].
+    lower, upper : float
+        The operator's own thresholds of TSC when free to choose (C1): manual below, autonomous above.
+    lower_spread, upper_spread : float
+        Standard deviations of the thresholds, which are drawn anew at every switch.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite or out of range, or own thresholds are in the wrong order.
+
+    Notes
+    -----
+    The defaults of the driving parameters are calibrated on the ground-robot testbed; they are not measurements of
+    people.
+    """
+
+    participant: str | int
+    human: HumanModel
+    delay: float = 0.3
+    noise: float = 1.0
+    hand_lag: float = 0.15
+    look_ahead: float = 2.4
+    steering_gain: float = 1.2
+    easing: float = 0.3
+    idle_share: float = 0.7
+    wander_time: float = 4.0
+    reaction_lag: float = 2.0
+    reaction_spread: float = 0.5
+    follow_tsc: float = 0.7857
+    follow_performance: float = 0.6389
+    ignoring_time: float = 30.0
+    lower: float = 0.0
+    upper: float = 0.4
+    lower_spread: float = 0.1
+    upper_spread: float = 0.1
+
+    def __post_init__(self):
+        if not isinstance(self.human, HumanModel):
+            raise ValueError(
+                f"human must be a HumanModel, got {type(self.human).__name__}; of a TscModel take .human"
+            )
+        for item in fields(self)[2:]:
+            object.__setattr__(self, item.name, finite_number(item.name, getattr(self, item.name)))
+        for name in ("look_ahead", "steering_gain", "wander_time", "hand_lag"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        for name in (
+            "delay",
+            "noise",
+            "easing",
+            "reaction_lag",
+            "reaction_spread",
+            "ignoring_time",
+            "lower_spread",
+            "upper_spread",
+        ):
+            if getattr(self, name) < 0.0:
+                raise ValueError(f"{name} cannot be negative, got {getattr(self, name)}")
+        for name in ("idle_share", "follow_tsc", "follow_performance"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} is a share, in [0, 1]; got {getattr(self, name)}")
+        if not self.lower < self.upper:
+            raise ValueError(
+                f"own thresholds must have lower below upper, got lower = {self.lower} and upper = {self.upper}"
+            )
+        if self.human.p_min < 0.1 or self.human.p_max > 1.0:
+            raise ValueError(
+                "an operator drives at a performance (2.7) in m/s, between 0.1 and 1, but human has p_min = "
+                f"{self.human.p_min} and p_max = {self.human.p_max}; rescale the model or fit it to ground-robot sessions"
+            )
+
+    @property
+    def numbers(self) -> OperatorNumbers:
+        """The operator as plain numbers."""
+        human = (self.human.a, self.human.beta, self.human.p_min, self.human.p_max)
+        return OperatorNumbers(*human, *(getattr(self, name) for name in OperatorNumbers._fields[4:]))
+
+
+def operator(
+    participant: str | int,
+    model: TscModel | HumanModel,
+    lower: tuple[float, float] | None = None,
+    upper: tuple[float, float] | None = None,
+    follow: tuple[float, float] | None = None,
+    **more: float,
+) -> Operator:
+    """
+    Return the operator that a participant's identified model and observed habits make.
+
+    Parameters
+    ----------
+    participant : str or int
+        Who, for example "pilot" or 3.
+    model : TscModel or HumanModel
+        The participant's model, for example `trustlab.published_models()["3"]`.
+    lower, upper : (float, float), optional
+        Mean and standard deviation of the participant's own thresholds of TSC, as Table 2.3 prints them.
+    follow : (float, float), optional
+        Shares of suggestions followed, by TSC and by robot performance, as Table 2.6 prints them, but in [0, 1].
+    **more : float
+        Any other argument of `Operator`.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not of the form above or out of range.
+    """
+    human = model.human if isinstance(model, TscModel) else model
+    for name, pair, keys in (
+        ("lower", lower, ("lower", "lower_spread")),
+        ("upper", upper, ("upper", "upper_spread")),
+        ("follow", follow, ("follow_tsc", "follow_performance")),
+    ):
+        if pair is None:
+            continue
+        try:
+            first, second = pair
+        except (TypeError, ValueError):
+            raise ValueError(f"{name} must be a pair of numbers, got {pair!r}") from None
+        more |= dict(zip(keys, (first, second), strict=True))
+    unknown = sorted(set(more) - {item.name for item in fields(Operator)})
+    if unknown:
+        raise ValueError(
+            f"an Operator has no {unknown[0]!r}; it has {', '.join(OperatorNumbers._fields[4:])}"
+        )
+    return Operator(participant, human, **more)

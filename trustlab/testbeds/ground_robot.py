@@ -1,0 +1,284 @@
+"""A robot on a course, an operator, and who drives: a simulated stand-in for the Stage testbed of Fig. 2.1."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import finite_number
+from trustlab.models.tsc import TscModel
+from trustlab.operators import Operator
+from trustlab.sessions.session import Metadata, Session
+from trustlab.testbeds.course import Course
+from trustlab.testbeds.driving import COLUMNS, OWN, PERFORMANCE, SCHEDULE, TSC, Task, drive
+from trustlab.testbeds.ground_robot_run import GroundRobotRun
+from trustlab.testbeds.pioneer import Pioneer
+
+__all__ = ["CONDITIONS", "GroundRobotRun", "drive_modes", "identification_session", "run_condition"]
+
+CONDITIONS = {
+    "C1": (OWN, False),
+    "C2": (TSC, False),
+    "C3": (TSC, True),
+    "C4": (PERFORMANCE, False),
+    "C5": (PERFORMANCE, True),
+}
+"""Who allocates in each condition of Section 2.4.1.2, and whether suggestions must be followed."""
+
+SAMPLE_TIME, WINDOW, E_MAX = 0.1, 100.0, 2.0
+SLOWEST = 0.15
+NOTE = "simulated stand-in for the Stage testbed of Fig. 2.1"
+
+
+def run_condition(
+    condition: str,
+    operator: Operator,
+    model: TscModel,
+    thresholds: tuple[float, float] | None = None,
+    laps: int = 8,
+    seed: int | np.random.SeedSequence = 0,
+    robot: Pioneer | None = None,
+    course: Course | None = None,
+    r0: float = 0.0,
+) -> GroundRobotRun:
+    """
+    Drive laps under one of the conditions C1–C5 of Section 2.4.1.2.
+
+    C1: the operator allocates by thresholds of TSC of their own. C2, C3: suggestions by (2.8), free to follow and
+    forced. C4, C5: suggestions by Algorithm 2, free and forced. TSC (2.1) and the suggestions come from performance as
+    measured, (2.4) and (2.7) over 100 s, and the given model. The run begins in the manual mode, rolling on the path;
+    nobody switches in its first 20 s.
+
+    Parameters
+    ----------
+    condition : {"C1", "C2", "C3", "C4", "C5"}
+        The condition.
+    operator : Operator
+        Who drives.
+    model : TscModel
+        The operator's identified model, which TSC and P_max of Algorithm 2 are taken from.
+    thresholds : (float, float), optional
+        TSC_l and TSC_u of (2.8); needed in C2 and C3, without effect in the others.
+    laps : int
+        How many laps; at least one.
+    seed : int or numpy.random.SeedSequence
+        Three streams are spawned from it: the robot's sensing, the operator's hand, and the operator's decisions.
+    robot : Pioneer, optional
+        The robot, if not the calibrated one.
+    course : Course, optional
+        The course, if not the default one.
+    r0 : float
+        Utilization at the beginning, in [0, 1]; 0 is a rested operator.
+
+    Returns
+    -------
+    GroundRobotRun
+        With `.session`, `.measures()`, `.laps()`, `.suggestions()`, `.plot()` and `.plot_path()`.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood, or the laps are not finished at 0.15 m/s on average.
+
+    Notes
+    -----
+    Simulated: no person took part, and the robot's and the hand's parameters are calibrated, not measured.
+    """
+    if condition not in CONDITIONS:
+        raise ValueError(f"condition must be one of {', '.join(CONDITIONS)}, got {condition!r}")
+    scheme, forced = CONDITIONS[condition]
+    operator, robot, course = _checked(operator, robot, course)
+    if not isinstance(model, TscModel):
+        raise ValueError(
+            f"model must be a TscModel, got {type(model).__name__}; fit one with trustlab.fit_tsc(session) or build "
+            "it with trustlab.TscModel(robot, human)"
+        )
+    if isinstance(laps, bool) or not isinstance(laps, (int, np.integer)) or laps < 1:
+        raise ValueError(f"laps must be a whole number, at least 1, got {laps!r}")
+    if scheme == TSC and thresholds is None:
+        raise ValueError(f"{condition} needs thresholds=(TSC_l, TSC_u), for example those of Table 2.2")
+    if thresholds is not None:
+        thresholds = _pair(thresholds)
+    lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
+    most = int(np.ceil(laps * course.length / SLOWEST / SAMPLE_TIME)) + 1
+    task = _task(scheme, forced=forced, laps=int(laps), lower=lower, upper=upper, model=model, r0=r0)
+    data, lap_times = _drive(task, np.ones(1, np.int64), most, robot, course, operator, seed)
+    if lap_times.size < laps:
+        raise ValueError(
+            f"only {lap_times.size} of {laps} laps were done in {most * SAMPLE_TIME:.0f} s (an average of "
+            f"{SLOWEST} m/s would do): this robot or operator does not keep to the course; check their parameters"
+        )
+    facts = {"laps": int(laps)} | ({"TSC_l": lower, "TSC_u": upper} if scheme == TSC else {})
+    session = _session(data, operator, condition, seed, **facts)
+    return GroundRobotRun(session, course, operator, robot, model, thresholds, lap_times)
+
+
+def drive_modes(
+    mode: np.ndarray,
+    operator: Operator,
+    seed: int | np.random.SeedSequence = 0,
+    robot: Pioneer | None = None,
+    course: Course | None = None,
+    r0: float = 0.0,
+    condition: str = "given modes",
+) -> Session:
+    """
+    Drive with a given sequence of modes.
+
+    Parameters
+    ----------
+    mode : array_like, shape (N,)
+        1 manual or 0 autonomous, every 0.1 s; at least two samples.
+    operator : Operator
+        Who drives.
+    seed : int or numpy.random.SeedSequence
+        As for `run_condition`.
+    robot : Pioneer, optional
+        The robot, if not the calibrated one.
+    course : Course, optional
+        The course, if not the default one.
+    r0 : float
+        Utilization at the beginning, in [0, 1].
+    condition : str
+        What the session's metadata call this.
+
+    Returns
+    -------
+    Session
+        At 10 Hz, without tsc and suggested_mode.
+
+    Raises
+    ------
+    ValueError
+        If a mode is neither 0 nor 1, or another argument is not understood.
+    """
+    operator, robot, course = _checked(operator, robot, course)
+    modes = np.asarray(mode)
+    if modes.ndim != 1 or modes.size < 2 or not np.isin(modes, (0, 1)).all():
+        raise ValueError(f"mode must be a sequence of at least two zeros and ones, got shape {modes.shape}")
+    task = _task(SCHEDULE, first_mode=int(modes[0]), r0=r0)
+    data, _ = _drive(task, modes.astype(np.int64), modes.size, robot, course, operator, seed)
+    return _session(data.drop(columns=["tsc", "suggested_mode"]), operator, condition, seed)
+
+
+def identification_session(
+    operator: Operator,
+    seed: int | np.random.SeedSequence = 0,
+    manual: float = 800.0,
+    autonomous: float = 800.0,
+    mixed: int = 4,
+    phase: tuple[float, float] = (300.0, 500.0),
+    robot: Pioneer | None = None,
+    course: Course | None = None,
+) -> Session:
+    """
+    Drive what Section 2.2.2 identifies a model from: manual up to the maximum, autonomous down to the minimum, mixed.
+
+    Parameters
+    ----------
+    operator : Operator
+        Who drives.
+    seed : int or numpy.random.SeedSequence
+        As for `run_condition`; the lengths of the mixed phases are drawn from a fourth stream.
+    manual, autonomous : float
+        Lengths of the first two phases [s].
+    mixed : int
+        Number of phases after them, manual and autonomous in turn.
+    phase : (float, float)
+        Shortest and longest mixed phase [s]. Phases shorter than the window of (2.4), 100 s, blur into each other.
+    robot : Pioneer, optional
+        The robot, if not the calibrated one.
+    course : Course, optional
+        The course, if not the default one.
+
+    Returns
+    -------
+    Session
+        For `fit_robot`, `fit_human` and `fit_tsc`.
+
+    Raises
+    ------
+    ValueError
+        If a length is not positive, or another argument is not understood.
+    """
+    lengths = [
+        finite_number("manual", manual),
+        finite_number("autonomous", autonomous),
+        *_pair(phase, "phase", True),
+    ]
+    if min(lengths) < SAMPLE_TIME:
+        raise ValueError(f"phases must last at least {SAMPLE_TIME} s, got {min(lengths)} s")
+    if isinstance(mixed, bool) or not isinstance(mixed, (int, np.integer)) or mixed < 0:
+        raise ValueError(f"mixed must be a whole number of phases, got {mixed!r}")
+    stream = np.random.default_rng(_streams(seed)[3])
+    lengths = np.r_[lengths[:2], stream.uniform(*lengths[2:], size=mixed)]
+    steps = np.maximum(np.round(lengths / SAMPLE_TIME).astype(int), 1)
+    mode = np.repeat(1 - np.arange(steps.size) % 2, steps)
+    return drive_modes(mode, operator, seed, robot, course, condition="identification")
+
+
+def _checked(operator, robot, course) -> tuple[Operator, Pioneer, Course]:
+    robot, course = robot or Pioneer(), course or Course()
+    for name, value, kind in (
+        ("operator", operator, Operator),
+        ("robot", robot, Pioneer),
+        ("course", course, Course),
+    ):
+        if not isinstance(value, kind):
+            hint = (
+                "; make one with trustlab.operators.operator(participant, model)" if kind is Operator else ""
+            )
+            raise ValueError(f"{name} must be of class {kind.__name__}, got {type(value).__name__}{hint}")
+    return operator, robot, course
+
+
+def _pair(pair, name: str = "thresholds", equal: bool = False) -> tuple[float, float]:
+    try:
+        low, high = pair
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be two numbers, lower and upper, got {pair!r}") from None
+    low, high = finite_number(f"the lower of {name}", low), finite_number(f"the upper of {name}", high)
+    if low > high or (low == high and not equal):
+        raise ValueError(f"{name} must be in order, lower then upper, got {low} and {high}")
+    return low, high
+
+
+def _task(scheme, forced=False, laps=0, lower=0.0, upper=0.0, model=None, first_mode=1, r0=0.0) -> Task:
+    r0 = finite_number("r0", r0)
+    if not 0.0 <= r0 <= 1.0:
+        raise ValueError(f"r0 must lie in [0, 1], got {r0}")
+    numbers = (model.a_T, model.b_T, model.robot.p_min, model.robot.p_max) if model else (0.0, 0.0, 0.0, 0.0)
+    window = round(WINDOW / SAMPLE_TIME)
+    return Task(scheme, forced, laps, lower, upper, *numbers, E_MAX, window, SAMPLE_TIME, first_mode, r0)
+
+
+def _streams(seed) -> list[np.random.SeedSequence]:
+    """Return four children of the seed, the same at every call: a SeedSequence given is not changed."""
+    if isinstance(seed, np.random.SeedSequence):
+        own = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
+    elif isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and seed >= 0:
+        own = np.random.SeedSequence(int(seed))
+    else:
+        raise ValueError(f"seed must be a whole number, 0 or more, or a numpy SeedSequence, got {seed!r}")
+    return own.spawn(4)
+
+
+def _drive(task, schedule, most, robot, course, operator, seed) -> tuple[pd.DataFrame, np.ndarray]:
+    log, lap_times = np.empty((most, len(COLUMNS))), np.empty(task.laps)
+    streams = [np.random.default_rng(child) for child in _streams(seed)[:3]]
+    rows, done = drive(
+        task, schedule, course.path, course.posts, robot.numbers, operator.numbers, *streams, log, lap_times
+    )
+    t = pd.Index(np.round(np.arange(rows) * task.sample_time, 6), name="t")
+    return pd.DataFrame(log[:rows], index=t, columns=COLUMNS), lap_times[:done]
+
+
+def _session(data, operator, condition, seed, **facts) -> Session:
+    if isinstance(seed, np.random.SeedSequence):
+        facts |= {"seed": str(seed.entropy), "spawn_key": ".".join(map(str, seed.spawn_key))}
+    else:
+        facts |= {"seed": int(seed)}
+    facts |= {"note": NOTE, "performance": f"(2.4), (2.7), window {WINDOW:g} s"}
+    return Session(
+        data, Metadata(operator.participant, condition, "trustlab.testbeds.ground_robot", True, facts)
+    )

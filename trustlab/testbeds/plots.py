@@ -1,0 +1,112 @@
+"""Figures of the ground robot: where it went, and how performance, utilization and TSC moved."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trustlab.sessions.plots import shade_manual
+from trustlab.sessions.session import Session
+from trustlab.testbeds.course import Course
+
+__all__ = ["plot_path", "plot_run"]
+
+PANELS = {
+    "p_r": "robot performance\n$P_r$ [m/s]",
+    "r": "human utilization\n$r$",
+    "p_h": "human performance\n$P_h$ [m/s]",
+    "tsc": "TSC",
+}
+
+
+def plot_path(session: Session, course: Course, start: float = 0.0, stop: float | None = None, axes=None):
+    """
+    Plot the desired path, the guide posts, and the robot's track under manual and autonomous control.
+
+    Parameters
+    ----------
+    session : Session
+        With columns robot_x, robot_y and mode.
+    course : Course
+        The course.
+    start, stop : float, optional
+        The part of the session to show [s]; to its end when `stop` is not given.
+    axes : matplotlib.axes.Axes, optional
+        Where to plot; a new figure when not given.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    SessionError
+        If a column is missing.
+    """
+    import matplotlib.pyplot as plt
+
+    session.require("robot_x", "robot_y", "mode")
+    part = session.between(start, session.t[-1] if stop is None else stop)
+    if axes is None:
+        _, axes = plt.subplots(figsize=(8.0, 5.6), layout="constrained")
+    axes.plot(*course.posts.T, ls="", marker="o", ms=4, mfc="none", color="0.55", label="guide posts")
+    for manual, style, label in ((1, "-", "manual"), (0, ":", "autonomous")):
+        here = part["mode"] == manual
+        shown = here | np.r_[False, here[:-1]]
+        x, y = np.where(shown, part["robot_x"], np.nan), np.where(shown, part["robot_y"], np.nan)
+        width = 0.9 if manual else 1.3
+        if here.any():
+            axes.plot(x, y, ls=style, lw=width, color="black" if manual else "#0072b2", label=label)
+    axes.plot(*course.path[:, :2].T, ls="--", lw=2.0, color="#d62728", label="desired")
+    axes.set_aspect("equal")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.set_title(session.label, fontsize="medium")
+    axes.legend(fontsize="small", ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.12), frameon=False)
+    return axes
+
+
+def plot_run(run, bounds: dict[str, tuple[float, float]] | None = None):
+    """
+    Plot P_r, r, P_h and TSC of a run, one panel each, manual phases shaded.
+
+    Parameters
+    ----------
+    run : GroundRobotRun
+        What to plot.
+    bounds : dict of str to (float, float), optional
+        Lower and upper bounds to draw, by column.
+
+    Returns
+    -------
+    numpy.ndarray of matplotlib.axes.Axes, shape (4,)
+
+    Raises
+    ------
+    ValueError
+        If bounds name a column that is not plotted.
+    """
+    import matplotlib.pyplot as plt
+
+    session, bounds = run.session, dict(bounds or {})
+    unknown = sorted(set(bounds) - set(PANELS))
+    if unknown:
+        raise ValueError(f"bounds are by column, one of {', '.join(PANELS)}; got {unknown[0]!r}")
+    if run.thresholds is not None:
+        bounds.setdefault("tsc", run.thresholds)
+    figure, axes = plt.subplots(len(PANELS), 1, sharex=True, figsize=(8.0, 7.6), layout="constrained")
+    for panel, (name, label) in zip(axes, PANELS.items(), strict=True):
+        # The first ten seconds of a moving mean are of few samples: drawn, but not allowed to set the scale.
+        settled = session[name][min(100, len(session) // 2) :]
+        panel.plot(session.t, session[name], lw=1.2, color="#0072b2")
+        values = np.r_[settled, bounds.get(name, ())]
+        margin = 0.08 * max(float(np.ptp(values)), 1e-6)
+        panel.set_ylim(values.min() - margin, values.max() + margin)
+        for bound in bounds.get(name, ()):
+            panel.axhline(bound, ls="--", lw=1.0, color="#d55e00")
+        panel.set_ylabel(label)
+        shade_manual(panel, session.t, session["mode"])
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlim(session.t[0], session.t[-1])
+    lines = "; dashed: " + ("thresholds" if set(bounds) == {"tsc"} else "bounds") if bounds else ""
+    figure.suptitle(f"{session.label} (manual phases shaded{lines})", fontsize="medium")
+    return axes
