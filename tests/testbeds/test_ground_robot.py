@@ -13,11 +13,11 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
+from trustlab.allocation import followed_suggestions
 from trustlab.allocation.kernels import performance_suggestion, threshold_mode
 from trustlab.operators import operator
 from trustlab.testbeds import Course, Pioneer, drive_modes, identification_session, run_condition
 from trustlab.testbeds.driving import SETTLING
-from trustlab.testbeds.ground_robot_run import shown_suggestions
 
 matplotlib.use("Agg")
 
@@ -328,7 +328,7 @@ def test_measures_and_laps(runs):
         assert np.isnan(measures["followed_percent"]) == (name == "C1")
 
 
-def test_shown_suggestions_by_hand():
+def test_followed_suggestions_by_hand():
     n = 1000
     mode, suggested = np.ones(n), np.full(n, -1.0)
     suggested[100:150] = 0.0  # shown at 10 s, followed at 15 s
@@ -341,7 +341,7 @@ def test_shown_suggestions_by_hand():
     suggested[700:720] = 0.0  # shown for 2 s and withdrawn
     suggested[950:] = 0.0  # the session ends
     frame = pd.DataFrame({"mode": mode, "suggested_mode": suggested}, index=np.round(np.arange(n) * 0.1, 1))
-    found = shown_suggestions(tl.Session(frame))
+    found = followed_suggestions(tl.Session(frame))
     assert found["start"].tolist() == [10.0, 30.0, 70.0, 95.0]
     assert found["state"].tolist() == ["followed", "not followed", "withdrawn", "open"]
     np.testing.assert_allclose(found["delay"], [5.0, 30.0, np.nan, np.nan])
@@ -349,7 +349,7 @@ def test_shown_suggestions_by_hand():
         np.arange(n) % 20 < 10, 1.0, 0.0
     )  # every second one second of disagreement, then agreement
     always = pd.DataFrame({"mode": np.ones(n), "suggested_mode": agreed}, index=frame.index)
-    assert len(shown_suggestions(tl.Session(always))) == 50
+    assert len(followed_suggestions(tl.Session(always))) == 50
 
 
 # Reproducible, readable, quick, and clear about what is wrong

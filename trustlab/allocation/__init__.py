@@ -13,12 +13,8 @@ __getattr__, __dir__, __all__ = lazy.attach(
         "steady_state": ["SteadyStateBounds", "steady_state_bounds"],
         "step_bounds": ["StepBounds", "step_bounds"],
         "threshold_choice": ["ThresholdChoice", "choose_thresholds"],
-        "threshold_estimate": [
-            "ThresholdEstimate",
-            "estimate_thresholds",
-            "followed_suggestions",
-            "relative_performance",
-        ],
+        "suggestions": ["followed_suggestions"],
+        "threshold_estimate": ["ThresholdEstimate", "estimate_thresholds", "relative_performance"],
         "threshold_rule": ["ThresholdRule"],
     },
 )

@@ -1,4 +1,4 @@
-"""What thresholds an operator's own switches show (Table 2.3), and which suggestions were followed (Table 2.6)."""
+"""What thresholds an operator's own switches show (Table 2.3), and performance as a share of its range (2.39)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from trustlab.models.tsc import TscModel
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
 
-__all__ = ["ThresholdEstimate", "estimate_thresholds", "followed_suggestions", "relative_performance"]
+__all__ = ["ThresholdEstimate", "estimate_thresholds", "relative_performance"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,50 +140,6 @@ def _summarise(
             stats.ttest_ind(groups["upper"], groups["lower"], equal_var=False, alternative="greater").pvalue
         )
     return ThresholdEstimate(switches, summary, bool(p < 0.05), p)
-
-
-def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFrame:
-    """
-    Return every suggestion and whether it was followed in time (Table 2.6).
-
-    A suggestion begins where suggested_mode turns to a mode that is not the present one. It is followed when the mode
-    becomes the suggested one within the deadline, before the suggestion turns to the other mode.
-
-    Parameters
-    ----------
-    session : Session
-        With columns mode and suggested_mode (1, 0, or −1 for none).
-    deadline : float
-        Time allowed [s].
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row per suggestion: t [s], suggested, followed, delay [s] (NaN where not followed).
-
-    Raises
-    ------
-    SessionError
-        If a column is missing.
-    ValueError
-        If the deadline is not positive.
-    """
-    if not finite_number("deadline", deadline) > 0.0:
-        raise ValueError(f"deadline must be positive, got {deadline}")
-    session.require("mode", "suggested_mode")
-    mode, suggested, t = session["mode"], session["suggested_mode"], session.t
-    open_ = (suggested >= 0.0) & (suggested != mode)
-    begins = np.flatnonzero(open_ & ~np.r_[False, open_[:-1] & (suggested[1:] == suggested[:-1])])
-    rows = []
-    for k in begins:
-        wanted = suggested[k]
-        later = np.flatnonzero(mode[k:] == wanted)
-        turned = np.flatnonzero(suggested[k:] == 1.0 - wanted)
-        delay = t[k + later[0]] - t[k] if later.size else np.inf
-        until = t[k + turned[0]] - t[k] if turned.size else np.inf
-        followed = delay <= deadline * (1.0 + 1e-9) and delay <= until
-        rows.append((t[k], int(wanted), bool(followed), delay if followed else np.nan))
-    return pd.DataFrame(rows, columns=["t", "suggested", "followed", "delay"])
 
 
 def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) -> float:

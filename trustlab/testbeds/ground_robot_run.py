@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from trustlab.allocation.suggestions import followed_suggestions
 from trustlab.models.tsc import TscModel
 from trustlab.operators import Operator
 from trustlab.sessions.session import Session
@@ -14,63 +15,9 @@ from trustlab.testbeds.course import Course
 from trustlab.testbeds.driving import DEADLINE
 from trustlab.testbeds.pioneer import Pioneer
 
-__all__ = ["GroundRobotRun", "shown_suggestions"]
+__all__ = ["GroundRobotRun"]
 
 STATES = ("followed", "not followed", "withdrawn", "open")
-
-
-def shown_suggestions(session: Session, deadline: float = DEADLINE) -> pd.DataFrame:
-    """
-    Return the suggestions that were shown, each from its first appearance.
-
-    A suggestion is shown while `suggested_mode` is 0 or 1 and not the mode there is; one that comes back within the
-    deadline, while the mode stayed and the aid did not agree with it, is the same suggestion.
-
-    Parameters
-    ----------
-    session : Session
-        With columns mode and suggested_mode.
-    deadline : float
-        A suggestion counts as followed when the mode changes to it within this time [s].
-
-    Returns
-    -------
-    pandas.DataFrame
-        Columns start [s], suggested_mode, delay [s] until the mode changed to it (NaN if it never did before the next
-        suggestion), state: "followed", "not followed", "withdrawn" (before the deadline) or "open" (the session ended
-        before the deadline).
-
-    Raises
-    ------
-    SessionError
-        If a column is missing.
-    """
-    session.require("mode", "suggested_mode")
-    t, mode, suggested = session.t, session["mode"], session["suggested_mode"]
-    before = np.r_[mode[0], mode[:-1]]
-    # A new suggestion begins when the mode has changed, or the aid has agreed with it, since the last one was shown.
-    breaks = np.cumsum((mode != before) | (suggested == before))
-    episodes: list[list] = []
-    for k in np.flatnonzero((suggested >= 0.0) & (suggested != before)):
-        last = episodes[-1] if episodes else None
-        same = last and last[1] == suggested[k] and t[k] - t[last[2]] <= deadline
-        if same and breaks[k - 1] == breaks[last[2]]:
-            last[2] = k
-        else:
-            episodes.append([k, suggested[k], k])
-    rows = []
-    for i, (first, wanted, last) in enumerate(episodes):
-        stop = episodes[i + 1][0] if i + 1 < len(episodes) else t.size
-        there = np.flatnonzero(mode[first:stop] == wanted)
-        delay = t[first + there[0]] - t[first] if there.size else np.nan
-        if delay <= deadline + 1e-9:
-            state = "followed"
-        elif t[last] - t[first] >= deadline - 1e-9:
-            state = "not followed"
-        else:
-            state = "withdrawn" if t[-1] - t[first] >= deadline else "open"
-        rows.append((t[first], wanted, delay, state))
-    return pd.DataFrame(rows, columns=["start", "suggested_mode", "delay", "state"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +70,8 @@ class GroundRobotRun:
         )
 
     def suggestions(self) -> pd.DataFrame:
-        """Return the suggestions shown: columns start [s], suggested_mode, delay [s], state (`shown_suggestions`)."""
-        return shown_suggestions(self.session)
+        """Return the suggestions shown: columns start [s], suggested_mode, delay [s], followed, state (`followed_suggestions`)."""
+        return followed_suggestions(self.session, DEADLINE)
 
     def measures(self) -> dict[str, float]:
         """
