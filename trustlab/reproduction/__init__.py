@@ -7,5 +7,6 @@ __getattr__, __dir__, __all__ = lazy.attach(
     submod_attrs={
         "comparison": ["compare", "matching_digits"],
         "published": ["published_models", "published_table"],
+        "rounding": ["recompute", "smallest_change"],
     },
 )
