@@ -12,6 +12,7 @@ from trustlab.allocation import (
     followed_suggestions,
     relative_performance,
 )
+from trustlab.allocation.threshold_estimate import apart
 from trustlab.reproduction import published_table
 
 
@@ -99,6 +100,15 @@ def test_thresholds_that_cannot_be_told_apart():
     estimate = estimate_thresholds([switched(0.2, 0.25, 0.3, seed) for seed in range(3)])
     assert not estimate.distinguishable
     assert estimate.p > 0.05
+
+
+def test_table_2_3_sets_participant_3_apart():
+    printed = published_table("2.3").astype(float)
+    found = {}
+    for name in printed.columns:
+        rows = {side: printed.xs(key)[name] for side, key in (("lower", "TSC_l"), ("upper", "TSC_u"))}
+        found[name] = apart(pd.DataFrame(rows).T)
+    assert found == {"1": True, "2": True, "3": False, "4": True, "5": True}
 
 
 def test_tsc_is_worked_out_from_performance(operators):

@@ -29,9 +29,11 @@ class ThresholdEstimate:
         Index `threshold`; columns n, mean, sd, ci_low, ci_high (bootstrap 95 % interval of the mean), share_within (of the
         switches within ±0.15 of their mean).
     distinguishable : bool
-        Whether handing over happens at a higher TSC than taking over, by `p`.
+        Whether mean ± SD of the two do not overlap, the upper above the lower: single switches then tell them apart.
+        This is how Table 2.3 sets participant 3 apart.
     p : float
-        One-sided p of Welch's t test of the two groups; NaN with fewer than two switches in one.
+        One-sided p of Welch's t test that the mean of the upper is greater; NaN with fewer than two switches in one.
+        Small also where single switches overlap but there are many of them.
     """
 
     switches: pd.DataFrame
@@ -114,6 +116,19 @@ def estimate_thresholds(
     return _summarise(switches, within, resamples, np.random.default_rng(seed))
 
 
+def apart(summary: pd.DataFrame) -> bool:
+    """
+    Return whether mean − SD of the upper threshold lies above mean + SD of the lower one.
+
+    Parameters
+    ----------
+    summary : pandas.DataFrame
+        Index lower, upper; columns mean, sd.
+    """
+    low, high = summary.loc["lower"], summary.loc["upper"]
+    return bool(high["mean"] - high["sd"] > low["mean"] + low["sd"])
+
+
 def _summarise(
     switches: pd.DataFrame, within: float, resamples: int, rng: np.random.Generator
 ) -> ThresholdEstimate:
@@ -139,7 +154,7 @@ def _summarise(
         p = float(
             stats.ttest_ind(groups["upper"], groups["lower"], equal_var=False, alternative="greater").pvalue
         )
-    return ThresholdEstimate(switches, summary, bool(p < 0.05), p)
+    return ThresholdEstimate(switches, summary, apart(summary), p)
 
 
 def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) -> float:
