@@ -70,7 +70,7 @@ def test_signs_of_a3_and_infinite_dwell_times(operators):
     first = steady_state_bounds(operators["1"], 0.15, 0.62, delta_tsc=0.0022)
     assert first.dwell_manual_high == math.inf
     assert first.r_high == 1.0
-    low = steady_state_bounds(operators["1"], -0.7, 0.3, delta_tsc=0.0022)
+    low = steady_state_bounds(operators["1"], -0.694, 0.3, delta_tsc=0.0022)
     assert low.p_r_low == operators["1"].robot.p_min
     assert low.dwell_autonomous == math.inf
     assert low.r_low == 0.0
@@ -154,7 +154,8 @@ def test_step_bounds_bound_every_step(random_model):
         ((0.5, 0.1), "below"),
         ((0.0, 0.4, -0.1), "cannot be negative"),
         ((0.0, 0.4, float("nan")), "finite"),
-        ((-3.0, -2.9, 0.001), "leave no range"),
+        ((-3.0, 0.2, 0.001), r"strictly between TSC_lb = -0.4909 and TSC_ub = 0.4909"),
+        ((0.0, 0.6, 0.001), "TSC_ub = 0.4909"),
     ],
 )
 def test_refuses(operators, arguments, says):

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from trustlab.allocation.limit_cycle import limit_cycle
-from trustlab.allocation.limits import check_thresholds
+from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.allocation.step_bounds import step_bounds
 from trustlab.models.checks import finite_number
 from trustlab.models.tsc import TscModel
@@ -124,14 +124,14 @@ def steady_state_bounds(
     Raises
     ------
     ValueError
-        If the thresholds are in the wrong order, δ_TSC is negative or not finite, or the thresholds leave no range of
-        robot performance.
+        If the thresholds are in the wrong order or outside the limits of Theorem 1 at δ_Ph = 0 (which are quoted), δ_TSC
+        is negative or not finite, or the thresholds leave no range of robot performance.
 
     Notes
     -----
     Saeidi, *Trust-based control of (semi)autonomous mobile robotic systems*, Sections 2.3.1-2.3.3.
     """
-    lower, upper = check_thresholds(tsc, lower, upper)
+    lower, upper = check_thresholds(tsc, lower, upper, threshold_limits(tsc, 0.0))
     if delta_tsc is None:
         cycle = limit_cycle(tsc, lower, upper, starts=1)
         delta_tsc = (
