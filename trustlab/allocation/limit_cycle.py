@@ -17,6 +17,9 @@ __all__ = ["LimitCycle", "limit_cycle", "pack"]
 MOST_CYCLES = 2000
 """Cycles that are recorded once transients have died away."""
 
+NEAR = 2e-5
+"""How near in r and P_r a start must come to a motion to count as drawn to it; coexisting ones are farther apart."""
+
 
 def pack(tsc: TscModel) -> np.ndarray:
     """
@@ -238,7 +241,7 @@ def _follow(r: float, p_r: float, lower: float, upper: float, c: np.ndarray, mos
     return state, r, p_r, rows, trace, period
 
 
-def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 12) -> LimitCycle:
+def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 64) -> LimitCycle:
     """
     Find the steady cycle of rule (2.8).
 
@@ -253,7 +256,8 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 12) -> 
     lower, upper : float
         Thresholds TSC_l and TSC_u.
     starts : int
-        How many starts to follow, spread over utilization and overshoot; more find rarer coexisting motions.
+        How many starts to follow, spread over utilization and overshoot; more find rarer coexisting motions. A start
+        that comes near a motion already found is not followed to its end.
 
     Returns
     -------
@@ -272,11 +276,18 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 12) -> 
     most = _never(c)
     step = tsc.a_T * (1.0 - tsc.robot.a) * (tsc.robot.p_max - tsc.robot.p_min)
     found: dict[tuple, list] = {}
+    known = np.empty((0, 2))
     for j in range(int(starts)):
-        r = tsc.human.beta if j == 0 else (j - 0.5) / (starts - 1)
+        r = tsc.human.beta if j == 0 else j / starts
         begin = lower - (j * 0.6180339887498949 % 1.0) * step
         p_r = (begin + tsc.b_T * tsc.human.performance(r)) / tsc.a_T
-        state, r, p_r, rows, trace, period = _follow(r, p_r, lower, upper, c, most)
+        state = 0
+        if known.size:
+            state, r, p_r = settle(r, p_r, lower, upper, c, most // 4, most)
+            if state == 0 and (np.abs(known - (r, p_r)) < NEAR).all(axis=1).any():
+                continue
+        if state == 0:
+            state, r, p_r, rows, trace, period = _follow(r, p_r, lower, upper, c, most)
         if state < 0:
             mode, target, side = (
                 ("manual", upper, "rising to TSC_u")
@@ -290,11 +301,13 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 12) -> 
         key = (period, None if period is None else round(float(rows[:, 0].min()), 8))
         if period is None or key not in found:
             found.setdefault(key, []).append((rows, trace))
+            known = np.concatenate([known, rows[:, :2]])
     followed = [pair for pairs in found.values() for pair in pairs]
     rows = np.concatenate([rows for rows, _ in followed])
     traces = np.array([trace for _, trace in followed])
     periods = {period for period, _ in found}
-    grid = np.linspace(0.0, 1.0, 65)[1:-1]
+    ends = np.geomspace(1e-9, 0.015, 12)
+    grid = np.r_[ends, np.linspace(0.0, 1.0, 65)[1:-1], 1.0 - ends[::-1]]
     gap = np.array([crossing_map(x, lower, upper, c, most) for x in grid]) - grid
     signs = np.sign(gap[np.isfinite(gap)])
     middle = float(rows[:, 0].mean())
