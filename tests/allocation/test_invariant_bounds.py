@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.allocation import invariant_bounds, limit_cycle, simulate_allocation, steady_state_bounds
+from trustlab.allocation import (
+    invariant_bounds,
+    limit_cycle,
+    simulate_allocation,
+    steady_state_bounds,
+    threshold_limits,
+)
+from trustlab.allocation.invariant_bounds import _overshoot
+from trustlab.allocation.limit_cycle import pack
 
 
 def runs_of(mode):
@@ -125,3 +133,53 @@ def test_thresholds_that_are_never_reached_are_not_guaranteed(operators):
         invariant_bounds(operators["1"], 0.5, 0.1)
     with pytest.raises(ValueError, match="cells must be a whole number"):
         invariant_bounds(operators["1"], 0.1, 0.5, cells=0)
+
+
+def extreme(rng):
+    """Models at the ends of what is allowed: r that saturates, β near 0 and 1, hair-thin and wide bands, b by hand."""
+    while True:
+        h_min = rng.uniform(0.1, 0.5)
+        human = tl.HumanModel(
+            rng.choice([rng.uniform(0.3, 0.95), 1 - 10 ** rng.uniform(-3, -1)]),
+            rng.choice([rng.uniform(0.01, 0.05), rng.uniform(0.95, 0.99), rng.uniform(0.1, 0.9)]),
+            h_min,
+            h_min * (1 + 10 ** rng.uniform(-2.5, 0)),
+        )
+        r_min = rng.uniform(0.01, 0.4)
+        r_max = r_min * (1 + 10 ** rng.uniform(-1.5, 1))
+        b = None if rng.random() < 0.5 else rng.uniform(0.5, 1.5)
+        robot = tl.RobotModel(1 - 10 ** rng.uniform(-2.7, -1.5), r_min, r_max, human.p_max)
+        robot = robot if b is None else tl.RobotModel(robot.a, r_min, r_max, human.p_max, b=b * robot.b)
+        model = tl.TscModel(robot, human)
+        limits = threshold_limits(model, 0.0)
+        if limits.feasible:
+            lower, upper = np.sort(rng.uniform(limits.lower, limits.upper, 2))
+            if rng.random() < 0.2:
+                upper = lower + 10 ** rng.uniform(-6, -3)
+            if lower < upper:
+                return model, float(lower), float(upper)
+
+
+def test_no_trajectory_leaves_them_at_the_ends_of_what_is_allowed():
+    checked = 0
+    for child in np.random.SeedSequence(77).spawn(1500):
+        rng = np.random.default_rng(child)
+        model, lower, upper = extreme(rng)
+        bounds = invariant_bounds(model, lower, upper, cells=int(rng.choice([1, 4, 16])), cycles=6)
+        if bounds.guaranteed:
+            found = leaves(bounds, model, lower, upper, rng)
+            assert not found, (found, model, lower, upper, bounds)
+            checked += found is not None
+    assert checked > 700
+
+
+def test_overshoot_grows_with_the_range_it_is_taken_over():
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        model, lower, _ = extreme(rng)
+        c = pack(model)
+        inner = np.sort(rng.random(2))
+        outer = (inner[0] * rng.random(), inner[1] + (1.0 - inner[1]) * rng.choice([rng.random(), 1.0]))
+        for manual in (True, False):
+            small = _overshoot(manual, inner[0], inner[1], lower, c)
+            assert _overshoot(manual, outer[0], outer[1], lower, c) >= small - 1e-5 * abs(small)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import trustlab as tl
 from trustlab.allocation import limit_cycle, simulate_allocation
 from trustlab.reproduction import published_table
 
@@ -90,3 +91,12 @@ def test_refuses(operators):
         limit_cycle(operators["1"], 0.5, 0.1)
     with pytest.raises(ValueError, match="starts"):
         limit_cycle(operators["1"], 0.1, 0.5, starts=0)
+
+
+def test_utilization_that_saturates_has_a_cycle_too():
+    model = tl.TscModel(tl.RobotModel(0.999, 0.24, 0.39, 0.4602), tl.HumanModel(0.5, 0.5, 0.391, 0.4602))
+    cycle = limit_cycle(model, -0.4, 0.4)
+    assert cycle.exists
+    assert cycle.always
+    assert cycle.unique
+    assert (cycle.r_low, cycle.r_high) == pytest.approx((0.0, 1.0), abs=1e-12)

@@ -18,6 +18,10 @@ ROUNDING = 1e-12
 """By how much intervals are widened at every step's end, far beyond the rounding of the arithmetic."""
 
 
+STEEP = 1e-6
+"""How near to rest and full load the slope of (2.6) is too steep for differences of neighbouring values."""
+
+
 @numba.njit(cache=True)
 def _human_range(low, high, c):
     """Return the least and the greatest P_h over utilizations in [low, high]; (2.6) is concave."""
@@ -36,33 +40,32 @@ def _overshoot(manual, low, high, threshold, c):
     p_low, p_high = _human_range(low, high, c)
     rest, gain = 1.0 - c[4], c[5] / (1.0 - c[4])
     if manual:
-        after_low, after_high = c[0] * low + 1.0 - c[0], c[0] * high + 1.0 - c[0]
+        after_low, after_high = c[0] * low + (1.0 - c[0]), c[0] * high + (1.0 - c[0])
     else:
         after_low, after_high = c[0] * low, c[0] * high
     next_low, next_high = _human_range(after_low, after_high, c)
     # ΔTSC = rest (a_T (P_min + M gain P_h) − threshold − b_T P_h) − b_T (P_h(after) − P_h), worst case over the range.
     slope = rest * (c[7] * gain * (1.0 if manual else 0.0) - c[8])
     base = rest * (c[7] * c[6] - threshold)
-    # Chords of a concave function: every one-step change lies between the chords at the two ends of the range.
-    step_low = (after_low - low, human_at(after_low, c) - human_at(low, c))
-    step_high = (after_high - high, human_at(after_high, c) - human_at(high, c))
-    length_low, length_high = (
-        min(abs(step_low[0]), abs(step_high[0])),
-        max(abs(step_low[0]), abs(step_high[0])),
-    )
-    chord_low = step_low[1] / step_low[0] if step_low[0] != 0.0 else np.inf
-    chord_high = step_high[1] / step_high[0] if step_high[0] != 0.0 else -np.inf
-    # Change of P_h = chord × signed length, with the chord falling from chord_low to chord_high.
-    sign = 1.0 if manual else -1.0
-    least, most = np.inf, -np.inf
-    for chord in (chord_low, chord_high):
-        for length in (length_low, length_high):
-            change = sign * chord * length if length > 0.0 else 0.0
-            least, most = min(least, change), max(most, change)
-    least, most = max(least, next_low - p_high), min(most, next_high - p_low)
+    # What any two of the values can differ by; then, away from the steep ends, chords of a concave function: every
+    # one-step change lies between the chords at the two ends of the range.
+    least, most = next_low - p_high, next_high - p_low
+    if (manual and 1.0 - high > STEEP) or (not manual and low > STEEP):
+        step_low, step_high = abs(after_low - low), abs(after_high - high)
+        chord_low = (human_at(after_low, c) - human_at(low, c)) / step_low
+        chord_high = (human_at(after_high, c) - human_at(high, c)) / step_high
+        shortest, longest = min(step_low, step_high), max(step_low, step_high)
+        one, other = np.inf, -np.inf
+        for chord in (chord_low, chord_high):
+            for length in (shortest, longest):
+                one, other = min(one, chord * length), max(other, chord * length)
+        slack = 1e-6 * max(abs(one), abs(other))
+        least, most = max(least, one - slack), min(most, other + slack)
     if manual:
-        return max(0.0, base + max(slope * p_low, slope * p_high) - c[8] * least)
-    return max(0.0, -(base + min(slope * p_low, slope * p_high)) + c[8] * most)
+        over = base + max(slope * p_low, slope * p_high) - c[8] * least
+    else:
+        over = -(base + min(slope * p_low, slope * p_high)) + c[8] * most
+    return max(0.0, over) * (1.0 + 1e-9) + ROUNDING
 
 
 @numba.njit(cache=True)
@@ -274,8 +277,8 @@ def invariant_bounds(
         True,
         f"every trajectory keeps switching; intervals nested over {done} cycles",
         done + 1,
-        max(manual[0] - worst, 0.0),
-        min(autonomous[1] + worst, 1.0),
+        float(max(manual[0] - worst, 0.0)),
+        float(min(autonomous[1] + worst, 1.0)),
         float(min(manual[5], autonomous[5]) - worst),
         float(max(manual[6], autonomous[6]) + worst),
         float(min(manual[7], lower - autonomous[2]) - worst),

@@ -139,7 +139,9 @@ class LimitCycle:
     Parameters
     ----------
     exists : bool
-        Whether the rule keeps switching.
+        Whether the rule keeps switching, from some start at least.
+    always : bool
+        Whether it keeps switching from every start that was followed.
     reason : str
         What happens where it does not; else how the cycle was found.
     r_low, r_high : float
@@ -179,6 +181,7 @@ class LimitCycle:
     slope: float = math.nan
     mean_r: float = math.nan
     mean_p_r: float = math.nan
+    always: bool = False
 
     @property
     def stable(self) -> bool:
@@ -262,7 +265,8 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 64) -> 
     Returns
     -------
     LimitCycle
-        With `exists` False where the rule stops switching from any of the starts, and why.
+        With `exists` False where the rule stops switching from every start, and why; `always` False where it does from
+        some.
 
     Raises
     ------
@@ -276,11 +280,11 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 64) -> 
     most = _never(c)
     step = tsc.a_T * (1.0 - tsc.robot.a) * (tsc.robot.p_max - tsc.robot.p_min)
     found: dict[tuple, list] = {}
-    known = np.empty((0, 2))
-    for j in range(int(starts)):
-        r = tsc.human.beta if j == 0 else j / starts
+    known, stopped = np.empty((0, 2)), []
+    for j in range(int(starts) + 1):
+        r = tsc.human.beta if j == 0 else (j - 1) / starts
         begin = lower - (j * 0.6180339887498949 % 1.0) * step
-        p_r = (begin + tsc.b_T * tsc.human.performance(r)) / tsc.a_T
+        p_r = (begin + tsc.b_T * tsc.human.performance(r)) / tsc.a_T if j != 1 else tsc.robot.p_min
         state = 0
         if known.size:
             state, r, p_r = settle(r, p_r, lower, upper, c, most // 4, most)
@@ -289,39 +293,48 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 64) -> 
         if state == 0:
             state, r, p_r, rows, trace, period = _follow(r, p_r, lower, upper, c, most)
         if state < 0:
-            mode, target, side = (
-                ("manual", upper, "rising to TSC_u")
-                if state == -1
-                else ("autonomous", lower, "falling to TSC_l")
-            )
-            settled = tsc.value(p_r, tsc.human.performance(min(max(r, 0.0), 1.0)))
-            return LimitCycle(
-                False, f"stays {mode}: TSC settles at {settled:.4f} without {side} = {target:.4f}"
-            )
+            stopped.append((state, r, p_r))
+            continue
         key = (period, None if period is None else round(float(rows[:, 0].min()), 8))
         if period is None or key not in found:
             found.setdefault(key, []).append((rows, trace))
             known = np.concatenate([known, rows[:, :2]])
+    stays = ""
+    if stopped:
+        state, r, p_r = stopped[0]
+        mode, target, side = (
+            ("manual", upper, "rising to TSC_u") if state == -1 else ("autonomous", lower, "falling to TSC_l")
+        )
+        settled = tsc.value(p_r, tsc.human.performance(min(max(r, 0.0), 1.0)))
+        stays = f"stays {mode}: TSC settles at {settled:.4f} without {side} = {target:.4f}"
+    if not found:
+        return LimitCycle(False, stays)
     followed = [pair for pairs in found.values() for pair in pairs]
     rows = np.concatenate([rows for rows, _ in followed])
     traces = np.array([trace for _, trace in followed])
     periods = {period for period, _ in found}
-    ends = np.geomspace(1e-9, 0.015, 12)
+    ends = np.geomspace(1e-15, 0.015, 16)
     grid = np.r_[ends, np.linspace(0.0, 1.0, 65)[1:-1], 1.0 - ends[::-1]]
     gap = np.array([crossing_map(x, lower, upper, c, most) for x in grid]) - grid
-    signs = np.sign(gap[np.isfinite(gap)])
+    # The map leads from rest upwards or nowhere, and from full load downwards or nowhere.
+    signs = np.r_[1.0, np.sign(gap[np.isfinite(gap)]), -1.0]
+    signs = signs[signs != 0.0]
     middle = float(rows[:, 0].mean())
-    reach = 1e-4 * min(middle, 1.0 - middle)
-    after = [crossing_map(x, lower, upper, c, most) for x in (middle - reach, middle + reach)]
+    reach = max(1e-4 * min(middle, 1.0 - middle), 1e-12)
+    around = (max(middle - reach, 0.0), min(middle + reach, 1.0))
+    after = [crossing_map(x, lower, upper, c, most) for x in around]
     period = periods.pop() if len(periods) == 1 else None
     if len(found) > 1:
         listed = ", ".join("without" if own is None else str(own) for own, _ in found)
         how = f"{len(found)} motions coexist, one overshoot apart (periods {listed}); ranges enclose all of them"
     else:
         how = f"repeats after {period} cycle(s)" if period else f"does not repeat within {len(rows)} cycles"
+    if stopped:
+        how += f"; but from {len(stopped)} of {int(starts) + 1} starts it {stays}"
     return LimitCycle(
         exists=True,
         reason=how,
+        always=not stopped,
         r_low=float(rows[:, 0].min()),
         r_high=float(rows[:, 4].max()),
         p_r_low=float(traces[:, 0].min()),
@@ -333,7 +346,7 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 64) -> 
         period=period,
         motions=len(found),
         unique=bool(np.count_nonzero(np.diff(signs)) == 1),
-        slope=float((after[1] - after[0]) / (2.0 * reach)),
+        slope=float((after[1] - after[0]) / (around[1] - around[0])),
         mean_r=float(np.mean(traces[:, 4] / traces[:, 6])),
         mean_p_r=float(np.mean(traces[:, 5] / traces[:, 6])),
     )

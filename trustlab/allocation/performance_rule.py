@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 
 from trustlab.allocation.kernels import PERFORMANCE_TOLERANCE, performance_suggestion
 from trustlab.models.checks import finite_number
@@ -59,7 +60,7 @@ class PerformanceRule:
         ValueError
             If the performance is not a number.
         """
-        if not math.isfinite(p_r):
+        if not isinstance(p_r, Real) or not math.isfinite(p_r):
             raise ValueError(f"robot performance is {p_r}; Algorithm 2 needs a finite number")
         found = int(performance_suggestion(p_r, self.p_min, self.p_max, self.tolerance))
         return None if found < 0 else found

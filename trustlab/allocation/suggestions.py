@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import finite_number
+from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
 
 __all__ = ["followed_suggestions"]
@@ -35,13 +36,20 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
     Raises
     ------
     SessionError
-        If a column is missing.
+        If a column is missing or holds a share.
     ValueError
         If the deadline is not positive.
     """
     if not finite_number("deadline", deadline) > 0.0:
         raise ValueError(f"deadline must be positive, got {deadline}")
     session.require("mode", "suggested_mode")
+    for name, allowed in (("mode", (0.0, 1.0)), ("suggested_mode", (-1.0, 0.0, 1.0))):
+        odd = ~np.isin(session[name], allowed)
+        if odd.any():
+            k = int(np.argmax(odd))
+            raise SessionError(
+                f"column {name!r}, t = {session.t[k]:g} s: {session[name][k]} is none of {allowed}"
+            )
     t, mode, suggested = session.t, session["mode"], session["suggested_mode"]
     before = np.r_[mode[0], mode[:-1]]
     # A new suggestion begins when the mode has changed, or the aid has agreed with it, since the last one was shown.

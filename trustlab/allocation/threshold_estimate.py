@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import finite_array, finite_number
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
@@ -171,9 +171,10 @@ def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) ->
     Raises
     ------
     ValueError
-        If p_min is not below p_max.
+        If p_min is not below p_max, or a performance is not finite.
     """
     low, high = finite_number("p_min", p_min), finite_number("p_max", p_max)
     if not low < high:
         raise ValueError(f"p_min must be below p_max, got {low} and {high}")
-    return 100.0 * (float(np.mean(p_r)) - low) / (high - low)
+    values = finite_array("p_r", np.atleast_1d(p_r))
+    return 100.0 * (float(values.mean()) - low) / (high - low)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 
 from trustlab.models.checks import finite_number
 
@@ -64,7 +65,7 @@ class ThresholdRule:
         ValueError
             If TSC is not a number; the mode stays what it was.
         """
-        if not math.isfinite(tsc):
+        if not isinstance(tsc, Real) or not math.isfinite(tsc):
             raise ValueError(f"TSC is {tsc}; rule (2.8) needs a finite number, so the mode stays {self.mode}")
         if tsc >= self.upper:
             self.mode = 0
