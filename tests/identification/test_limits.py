@@ -134,3 +134,36 @@ def test_sessions_that_do_not_fit_together(operators, make_session, switching):
         tl.fit_human(tl.Session(one.data[["mode", "p_r"]]))
     with pytest.raises(ValueError, match="p_h_max must be positive"):
         tl.fit_robot(one, p_h_max=-1.0)
+
+
+def test_least_squares_refuses_what_it_has_no_use_for_and_doubts_what_explains_nothing(
+    operators, make_session, switching
+):
+    model = operators["pilot"]
+    session = make_session(model, switching, noise=0.003)
+    r, _ = model.human.simulate(switching, 0.3)
+    rng = np.random.default_rng(0)
+    logged = session.with_columns(r=np.clip(r + 0.02 * rng.standard_normal(r.size), 0.0, 1.0))
+    for fit in (tl.fit_robot, tl.fit_human):
+        with pytest.raises(ValueError, match="choose its noise"):
+            fit(logged, method="arx", noise="hac")
+        with pytest.raises(ValueError, match="method must be"):
+            fit(logged, method="pem")
+    poor = tl.fit_human(logged, method="arx")
+    assert poor.fit_percent < 0.0
+    assert not poor.success
+    assert "do not use the numbers" in poor.message
+
+
+@pytest.mark.parametrize("level", [0.0, 0.3])
+@pytest.mark.parametrize("fit", [tl.fit_robot, tl.fit_tsc])
+def test_robot_performance_that_never_moves_is_refused(operators, make_session, switching, fit, level):
+    session = make_session(operators["pilot"], switching, noise=0.003)
+    with pytest.raises(IdentificationError, match="p_r never moves"):
+        fit(session.with_columns(p_r=np.full(switching.size, level)))
+
+
+def test_a_measure_of_the_operator_that_is_negative_is_refused(operators, make_session, switching):
+    session = make_session(operators["pilot"], switching, noise=0.003)
+    with pytest.raises(IdentificationError, match="column p_h"):
+        tl.fit_robot(session.with_columns(p_h=session["p_h"] - 1.0))

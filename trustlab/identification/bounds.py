@@ -8,7 +8,33 @@ from collections.abc import Mapping
 from trustlab.identification.greybox import Structure
 from trustlab.models.checks import finite_number
 
-__all__ = ["limits_of"]
+__all__ = ["check_method", "limits_of"]
+
+
+def check_method(method: str, fixed: Mapping, bounds: Mapping, noise: str) -> None:
+    """
+    Raise unless the method is known and is given only what it has a use for.
+
+    Parameters
+    ----------
+    method : str
+        "output_error" or "arx".
+    fixed, bounds : mapping
+        What is held or bounded; nothing for "arx".
+    noise : str
+        What standard errors allow for; "auto" for "arx".
+
+    Raises
+    ------
+    ValueError
+        If not.
+    """
+    if method not in ("output_error", "arx"):
+        raise ValueError(f'method must be "output_error" or "arx", got {method!r}')
+    if method == "arx" and (fixed or bounds or noise != "auto"):
+        raise ValueError(
+            'method "arx" is plain least squares; to fix or bound a parameter, or choose its noise, use "output_error"'
+        )
 
 
 def _check_names(structure: Structure, given: Mapping, what: str) -> None:

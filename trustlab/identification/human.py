@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.identification.arx import regression
-from trustlab.identification.bounds import limits_of
+from trustlab.identification.bounds import check_method, limits_of
 from trustlab.identification.errors import IdentificationError
 from trustlab.identification.fit_result import FitResult, RunFit
 from trustlab.identification.greybox import HUMAN, Problem
@@ -63,14 +63,9 @@ def fit_human(
         If an argument is not understood.
     """
     fixed, bounds = {} if fixed is None else fixed, {} if bounds is None else bounds
+    check_method(method, fixed, bounds, noise)
     if method == "arx":
-        if fixed or bounds:
-            raise ValueError(
-                'method "arx" is plain least squares; to fix or bound a parameter use "output_error"'
-            )
         return _least_squares(sessions)
-    if method != "output_error":
-        raise ValueError(f'method must be "output_error" or "arx", got {method!r}')
     runs, _ = traces(sessions, "p_h")
     problem, found = estimate_human(runs, limits_of(HUMAN, fixed, bounds), noise)
     table, covariance = parameter_table(problem, found)

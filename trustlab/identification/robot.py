@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.identification.arx import arx
-from trustlab.identification.bounds import limits_of
+from trustlab.identification.bounds import check_method, limits_of
 from trustlab.identification.errors import IdentificationError
 from trustlab.identification.fit_result import FitResult, RunFit
 from trustlab.identification.greybox import HUMAN, ROBOT, Problem
@@ -72,12 +72,7 @@ def fit_robot(
         If an argument is not understood.
     """
     fixed, bounds = {} if fixed is None else fixed, {} if bounds is None else bounds
-    if method not in ("output_error", "arx"):
-        raise ValueError(f'method must be "output_error" or "arx", got {method!r}')
-    if method == "arx" and (fixed or bounds):
-        raise ValueError(
-            'method "arx" is plain least squares; to fix or bound a parameter use "output_error"'
-        )
+    check_method(method, fixed, bounds, noise)
     limits = limits_of(ROBOT, fixed, bounds)
     runs, _ = traces(sessions, "p_h", "p_r")
     check_mode_moves(runs, limits, "p_min", "p_max")
