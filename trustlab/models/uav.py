@@ -1,0 +1,110 @@
+"""The UAV as transfer functions from command to velocity, (A.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trustlab.models.checks import finite_array, finite_number
+
+__all__ = ["PRINTED_UAV", "TransferFunction"]
+
+
+@dataclass(frozen=True)
+class TransferFunction:
+    """
+    A continuous-time transfer function of order 1 or 2 without zeros, gain/(s + d_0) or gain/(s² + d_1 s + d_0).
+
+    Parameters
+    ----------
+    gain : float
+        The numerator; not zero.
+    denominator : tuple of float
+        (d_0,) or (d_1, d_0), as printed: without the leading 1.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, the gain is zero, or there are not one or two coefficients.
+
+    Examples
+    --------
+    >>> TransferFunction(0.985, (0.4952,)).poles().round(4)
+    array([-0.4952+0.j])
+    """
+
+    gain: float
+    denominator: tuple[float, ...]
+
+    def __post_init__(self):
+        object.__setattr__(self, "gain", finite_number("gain", self.gain))
+        if self.gain == 0.0:
+            raise ValueError("gain must not be zero: the command would have no effect")
+        numbers = tuple(finite_array("denominator", self.denominator).tolist())
+        if len(numbers) > 2:
+            raise ValueError(
+                f"denominator must have one or two coefficients, highest power first, got {len(numbers)}"
+            )
+        object.__setattr__(self, "denominator", numbers)
+
+    @property
+    def order(self) -> int:
+        """1 or 2."""
+        return len(self.denominator)
+
+    @property
+    def static_gain(self) -> float:
+        """Velocity per unit of a command held for ever, gain/d_0; infinite for an integrator."""
+        return self.gain / self.denominator[-1] if self.denominator[-1] else np.inf
+
+    def poles(self) -> np.ndarray:
+        """Return the poles [1/s], complex, shape (order,)."""
+        return np.roots((1.0, *self.denominator)).astype(complex)
+
+    def matrices(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return A, shape (n, n), and B, shape (n,), of the state (v) or (v, dv/dt)."""
+        if self.order == 1:
+            return np.array([[-self.denominator[0]]]), np.array([self.gain])
+        d_1, d_0 = self.denominator
+        return np.array([[0.0, 1.0], [-d_0, -d_1]]), np.array([0.0, self.gain])
+
+    def discrete(self, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the exact one-sample matrices for a command that is held over the sample.
+
+        Parameters
+        ----------
+        sample_time : float
+            T [s], positive.
+
+        Returns
+        -------
+        Phi : numpy.ndarray, shape (n, n)
+            State transition.
+        Gamma : numpy.ndarray, shape (n,)
+            Effect of the command.
+
+        Raises
+        ------
+        ValueError
+            If `sample_time` is not positive.
+        """
+        from scipy.linalg import expm
+
+        sample_time = finite_number("sample_time", sample_time)
+        if not sample_time > 0.0:
+            raise ValueError(f"sample_time must be positive, got {sample_time}")
+        a, b = self.matrices()
+        block = np.zeros((self.order + 1, self.order + 1))
+        block[:-1, :-1], block[:-1, -1] = a, b
+        whole = expm(block * sample_time)
+        return whole[:-1, :-1], whole[:-1, -1]
+
+
+PRINTED_UAV = {
+    "x": TransferFunction(9.22, (1.475, 0.2214)),
+    "y": TransferFunction(3.806, (0.4706, 2.457)),
+    "z": TransferFunction(0.985, (0.4952,)),
+}
+"""(A.1): identified from flights of a Parrot AR.Drone 2.0, command to velocity [m/s]."""

@@ -1,0 +1,238 @@
+"""Communication delays that vary with time: constant, drawn, recorded, or given as a function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from trustlab.models.checks import finite_array, finite_number
+
+__all__ = ["Delay", "constant_delay", "delay_from", "random_walk_delay", "recorded_delay"]
+
+SLACK = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Delay:
+    """
+    A delay as a function of the time of reception.
+
+    Parameters
+    ----------
+    function : callable
+        Takes times [s], shape (N,), and returns delays [s], shape (N,).
+    max_rate : float
+        Ṫ_max, how fast the delay grows at most [s/s].
+    title : str
+        What it is, for the log.
+    """
+
+    function: Callable[[np.ndarray], np.ndarray]
+    max_rate: float
+    title: str
+
+    def samples(self, count: int, sample_time: float) -> np.ndarray:
+        """
+        Return the delay at every sample, in seconds, checked.
+
+        Parameters
+        ----------
+        count : int
+            How many samples.
+        sample_time : float
+            T [s].
+
+        Returns
+        -------
+        numpy.ndarray, shape (count,)
+            Zero throughout, or at least one sample everywhere.
+
+        Raises
+        ------
+        ValueError
+            If a delay is negative, not finite, between zero and one sample, longer than the run, or grows faster than
+            `max_rate`; the time is named.
+        """
+        t = sample_time * np.arange(count)
+        values = np.asarray(self.function(t), dtype=float)
+        if values.shape != t.shape:
+            raise ValueError(f"{self.title}: {count} delays were asked for, got shape {values.shape}")
+        if not np.isfinite(values).all():
+            k = int(np.argmin(np.isfinite(values)))
+            raise ValueError(f"{self.title} is {values[k]} at t = {t[k]:g} s")
+        if (values < 0.0).any():
+            k = int(np.argmax(values < 0.0))
+            raise ValueError(f"{self.title} is negative at t = {t[k]:g} s: {values[k]:g} s")
+        length = count * sample_time
+        if (values > length).any():
+            k = int(np.argmax(values > length))
+            raise ValueError(
+                f"{self.title} is {values[k]:g} s at t = {t[k]:g} s, longer than the run of {length:g} s"
+            )
+        if not values.any():
+            return values
+        least = sample_time * (1.0 - SLACK)
+        if (values < least).any():
+            k = int(np.argmin(values))
+            raise ValueError(
+                f"{self.title} is {values[k]:g} s at t = {t[k]:g} s: a delay is zero throughout or at least one sample, "
+                f"{sample_time:g} s"
+            )
+        growth = np.diff(values) / sample_time
+        if growth.size and growth.max() > self.max_rate + 1e-6:
+            k = int(np.argmax(growth))
+            raise ValueError(
+                f"{self.title} grows by {growth[k]:.3g} s/s at t = {t[k]:g} s, faster than max_rate = {self.max_rate:g}, "
+                "for which f_i = √(1 − max_rate) is set (3.13)"
+            )
+        return np.maximum(values, sample_time)
+
+
+def _rate(max_rate: float) -> float:
+    rate = finite_number("max_rate", max_rate)
+    if not 0.0 <= rate <= 1.0:
+        raise ValueError(
+            f"max_rate must lie in [0, 1], got {rate}: a delay that grows faster than time lets nothing arrive (Theorem 3)"
+        )
+    return rate
+
+
+def constant_delay(seconds: float) -> Delay:
+    """
+    Return a constant delay; zero links both sides without a channel in between.
+
+    Parameters
+    ----------
+    seconds : float
+        The delay, 0 or more.
+
+    Raises
+    ------
+    ValueError
+        If it is negative or not finite.
+    """
+    value = finite_number("seconds", seconds)
+    if value < 0.0:
+        raise ValueError(f"a delay cannot be negative, got {value} s")
+    return Delay(lambda t: np.full(np.shape(t), value), 0.0, f"a constant delay of {value:g} s")
+
+
+def random_walk_delay(
+    low: float, high: float, max_rate: float, seed: int | np.random.SeedSequence = 0, hold: float = 0.5
+) -> Delay:
+    """
+    Return a delay that wanders between bounds, its rate drawn anew every `hold` seconds.
+
+    Rates are uniform in [−max_rate, max_rate]; at a bound the delay stays until the rate leads away from it.
+
+    Parameters
+    ----------
+    low, high : float
+        Bounds [s], 0 < low < high.
+    max_rate : float
+        Ṫ_max in [0, 1].
+    seed : int or numpy.random.SeedSequence
+        Seed of the start and the rates.
+    hold : float
+        How long a rate lasts [s].
+
+    Raises
+    ------
+    ValueError
+        If bounds, rate or hold are out of range.
+    """
+    low, high, hold = finite_number("low", low), finite_number("high", high), finite_number("hold", hold)
+    rate = _rate(max_rate)
+    if not 0.0 < low < high or not hold > 0.0:
+        raise ValueError(
+            f"0 < low < high and hold > 0 are needed, got low = {low}, high = {high}, hold = {hold}"
+        )
+    entropy = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    fresh = np.random.SeedSequence(entropy.entropy, spawn_key=entropy.spawn_key)
+
+    def walk(t: np.ndarray) -> np.ndarray:
+        rng = np.random.default_rng(fresh)
+        knots = max(int(np.ceil(t[-1] / hold)) + 1, 2)
+        values = np.empty(knots)
+        values[0] = rng.uniform(low, high)
+        for j, step in enumerate(rng.uniform(-rate, rate, knots - 1) * hold):
+            values[j + 1] = min(max(values[j] + step, low), high)
+        return np.interp(t, hold * np.arange(knots), values)
+
+    return Delay(walk, rate, f"a random-walk delay in [{low:g}, {high:g}] s")
+
+
+def recorded_delay(t: np.ndarray, delay: np.ndarray, max_rate: float | None = None) -> Delay:
+    """
+    Return a delay from a recorded trace, linear between its samples.
+
+    Parameters
+    ----------
+    t : array_like, shape (N,)
+        Times [s], increasing, from 0 or before to the end of the run or beyond.
+    delay : array_like, shape (N,)
+        Delays [s].
+    max_rate : float, optional
+        Ṫ_max in [0, 1]; that of the trace when not given.
+
+    Raises
+    ------
+    ValueError
+        If the trace is not finite or not in order, or grows faster than time.
+    """
+    t, delay = finite_array("t", t), finite_array("delay", delay)
+    if t.size != delay.size or t.size < 2:
+        raise ValueError(
+            f"t and delay need the same number of samples, two or more, got {t.size} and {delay.size}"
+        )
+    if (np.diff(t) <= 0.0).any():
+        k = int(np.argmax(np.diff(t) <= 0.0))
+        raise ValueError(f"t must increase, but sample {k + 1} is {t[k + 1]:g} s after {t[k]:g} s")
+    growth = max(float((np.diff(delay) / np.diff(t)).max()), 0.0)
+    if max_rate is None and growth > 1.0:
+        raise ValueError(
+            f"the trace grows by {growth:.3g} s/s: packets were lost or reordered; give max_rate ≤ 1 after resampling the "
+            "trace, or use the energy ledger with the loss of packets given"
+        )
+    rate = growth if max_rate is None else _rate(max_rate)
+
+    def trace(times: np.ndarray) -> np.ndarray:
+        if times[0] < t[0] or times[-1] > t[-1]:
+            raise ValueError(
+                f"the recorded delay covers {t[0]:g} to {t[-1]:g} s, the run {times[0]:g} to {times[-1]:g} s"
+            )
+        return np.interp(times, t, delay)
+
+    return Delay(trace, rate, "a recorded delay")
+
+
+def delay_from(name: str, delay, max_rate: float | None = None) -> Delay:
+    """
+    Return what a user gave as a delay: a number, a function of time, or a `Delay`.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name, for errors.
+    delay : float, callable or Delay
+        Seconds; a function takes times [s] as an array.
+    max_rate : float, optional
+        Ṫ_max of a function, in [0, 1].
+
+    Raises
+    ------
+    ValueError
+        If it is none of these, or a function comes without `max_rate`.
+    """
+    if isinstance(delay, Delay):
+        return delay
+    if callable(delay):
+        if max_rate is None:
+            raise ValueError(f"{name} is a function: say how fast it grows at most with max_rate (3.13)")
+        return Delay(lambda t: np.vectorize(delay, otypes=[float])(t), _rate(max_rate), name)
+    try:
+        return constant_delay(delay)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None

@@ -1,0 +1,270 @@
+"""The haptic device with its passivating loop, (3.8)-(3.11), and static force scaling (3.25)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trustlab.models.checks import finite_number
+
+__all__ = ["HapticDevice", "PassivityError"]
+
+ROUNDING = 1e-12
+
+
+class PassivityError(ValueError):
+    """A block would give out more energy than it was given."""
+
+
+def _matrix(name: str, value, n: int | None = None) -> np.ndarray:
+    """Return a scalar, a diagonal or a matrix as a symmetric matrix."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{name} must be a number, a diagonal or a matrix of numbers, got {value!r}"
+        ) from None
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got {value!r}")
+    if array.ndim == 0:
+        array = np.eye(n or 1) * array
+    elif array.ndim == 1:
+        array = np.diag(array)
+    if array.ndim != 2 or array.shape[0] != array.shape[1] or (n is not None and array.shape[0] != n):
+        wanted = f"{n} × {n}" if n else "square"
+        raise ValueError(
+            f"{name} must be a number, a diagonal or a {wanted} matrix, got shape {np.shape(value)}"
+        )
+    if np.abs(array - array.T).max() > ROUNDING * np.abs(array).max():
+        raise ValueError(f"{name} must be symmetric")
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class HapticDevice:
+    """
+    A haptic device made r-passive by a local PD loop, equations (3.8)-(3.11).
+
+    M dv/dt = −B v − K x + f_h − γ f''_m with the output r_m = v + Λ x. With B ≥ ½(MΛ + ΛM) and K + ΛB ≥ ΛMΛ it is passive
+    with the storage V_hd = ½ r_mᵀM r_m + ½ xᵀ(K + ΛB − ΛMΛ)x. The inertia is constant, so that C(x, v) = 0.
+
+    Parameters
+    ----------
+    mass : float or array_like
+        M [kg]: a number, a diagonal, or a symmetric positive definite matrix.
+    damping, stiffness, weight : float or array_like
+        Diagonals B [N s/m], K [N/m] and Λ [1/s] of the local loop and the output; B > 0, K ≥ 0, Λ > 0.
+    force_scaling : float
+        γ > 0 of (3.25), static scaling of the force feedback.
+    dimensions : int
+        Degrees of freedom where all gains are numbers.
+    port_damping : float
+        Least damping that the channel adds at the port, β_min b (Section 3.7.2) [N s/m]; counted in the conditions.
+    require_passive : bool
+        Refuse gains that are not r-passive.
+
+    Raises
+    ------
+    PassivityError
+        If the device is too heavy to be r-passive; the largest admissible mass is quoted.
+    ValueError
+        If a gain is not finite, has the wrong shape or sign.
+
+    Notes
+    -----
+    Saeidi, Section 3.4 and Proposition 2. The supply that (3.11) gives is r''_mᵀ f_h − r_mᵀ f''_m with r''_m = r_m/γ; (3.25)
+    is printed with a plus.
+
+    Examples
+    --------
+    >>> device = HapticDevice(mass=0.009, damping=0.55, stiffness=100.0, weight=60.0)
+    >>> round(device.largest_mass(), 5)
+    0.00917
+    """
+
+    mass: np.ndarray
+    damping: np.ndarray
+    stiffness: np.ndarray
+    weight: np.ndarray
+    force_scaling: float = 1.0
+    dimensions: int = 3
+    port_damping: float = 0.0
+    require_passive: bool = True
+
+    def __post_init__(self):
+        n = next(
+            (
+                np.shape(value)[0]
+                for value in (self.mass, self.damping, self.stiffness, self.weight)
+                if np.ndim(value)
+            ),
+            self.dimensions,
+        )
+        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 1:
+            raise ValueError(f"dimensions must be a whole number, at least 1, got {n!r}")
+        object.__setattr__(self, "dimensions", int(n))
+        mass = _matrix("mass", self.mass, n)
+        if np.linalg.eigvalsh(mass).min() <= 0.0:
+            raise ValueError("mass must be positive definite")
+        object.__setattr__(self, "mass", mass)
+        for name, least in (("damping", "positive"), ("stiffness", "0 or more"), ("weight", "positive")):
+            matrix = _matrix(name, getattr(self, name), n)
+            diagonal = np.diag(matrix)
+            if (matrix != np.diag(diagonal)).any():
+                raise ValueError(f"{name} must be diagonal (Section 3.4)")
+            if (diagonal < 0.0).any() or (least == "positive" and (diagonal == 0.0).any()):
+                raise ValueError(f"{name} must be {least} on its diagonal, got {diagonal.tolist()}")
+            object.__setattr__(self, name, matrix)
+        scaling = finite_number("force_scaling", self.force_scaling)
+        if not scaling > 0.0:
+            raise ValueError(f"force_scaling must be positive, got {scaling}")
+        object.__setattr__(self, "force_scaling", scaling)
+        port = finite_number("port_damping", self.port_damping)
+        if port < 0.0:
+            raise ValueError(f"port_damping cannot be negative, got {port}")
+        object.__setattr__(self, "port_damping", port)
+        if self.require_passive and not self.is_passive:
+            most = self.largest_mass()
+            raise PassivityError(
+                f"the device is not r-passive: B ≥ MΛ and K + ΛB ≥ ΛMΛ (3.9)-(3.10) hold up to {most:.4g} kg only, and it "
+                f"has {np.diag(mass).max():.4g} kg; raise damping to {self._least_damping():.4g} N s/m, lower weight, or "
+                "pass require_passive=False to see it fail"
+            )
+
+    def _spare(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the matrices of (3.10) and (3.9) that must not be negative."""
+        damping = self.damping + self.force_scaling * self.port_damping * np.eye(self.dimensions)
+        stiffness = self.stiffness + self.force_scaling * self.port_damping * self.weight
+        cross = 0.5 * (self.mass @ self.weight + self.weight @ self.mass)
+        return damping - cross, stiffness + self.weight @ damping - self.weight @ self.mass @ self.weight
+
+    @property
+    def is_passive(self) -> bool:
+        """Whether B ≥ ½(MΛ + ΛM) and K + ΛB ≥ ΛMΛ, up to rounding."""
+        return all(
+            np.linalg.eigvalsh(matrix).min() >= -ROUNDING * max(1.0, np.abs(matrix).max())
+            for matrix in self._spare()
+        )
+
+    def largest_mass(self) -> float:
+        """Return the largest mass [kg] (largest diagonal entry, M scaled as a whole) that is r-passive with these gains."""
+        from scipy.linalg import eigh
+
+        damping = self.damping + self.force_scaling * self.port_damping * np.eye(self.dimensions)
+        stiffness = self.stiffness + self.force_scaling * self.port_damping * self.weight
+        cross = 0.5 * (self.mass @ self.weight + self.weight @ self.mass)
+        squared = self.weight @ self.mass @ self.weight
+        most = min(
+            1.0 / eigh(cross, damping, eigvals_only=True).max(),
+            1.0 / eigh(squared, stiffness + self.weight @ damping, eigvals_only=True).max(),
+        )
+        return float(most * np.diag(self.mass).max())
+
+    def _least_damping(self) -> float:
+        cross = 0.5 * (self.mass @ self.weight + self.weight @ self.mass)
+        return float(np.linalg.eigvalsh(cross).max() - self.force_scaling * self.port_damping)
+
+    def output(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """
+        Return r_m = v + Λ x [m/s].
+
+        Parameters
+        ----------
+        x, v : array_like, shape (n,)
+            Position [m] and velocity [m/s].
+        """
+        x, v = self._vectors(x=x, v=v)
+        return v + self.weight @ x
+
+    def storage(self, x: np.ndarray, v: np.ndarray) -> float:
+        """
+        Return V_hd/γ [J], equations (3.9) and (3.25).
+
+        Parameters
+        ----------
+        x, v : array_like, shape (n,)
+            Position [m] and velocity [m/s].
+        """
+        x, v = self._vectors(x=x, v=v)
+        r = v + self.weight @ x
+        inner = self.stiffness + self.weight @ self.damping - self.weight @ self.mass @ self.weight
+        return float(0.5 * (r @ self.mass @ r + x @ inner @ x)) / self.force_scaling
+
+    def dissipation(self, x: np.ndarray, v: np.ndarray) -> float:
+        """
+        Return S_hd/γ [W], equation (3.10) with C = 0.
+
+        Parameters
+        ----------
+        x, v : array_like, shape (n,)
+            Position [m] and velocity [m/s].
+        """
+        x, v = self._vectors(x=x, v=v)
+        spare = self.damping - 0.5 * (self.mass @ self.weight + self.weight @ self.mass)
+        return float(v @ spare @ v + x @ self.weight @ self.stiffness @ x) / self.force_scaling
+
+    def step(
+        self, x: np.ndarray, v: np.ndarray, f_h: np.ndarray, f_m: np.ndarray, sample_time: float
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """
+        Return the state one sample later by the implicit midpoint rule, and the energy supplied over the sample.
+
+        Storage, dissipation at the midpoint and supply balance to rounding: V(k+1) − V(k) = supply − T S_hd(midpoint).
+
+        Parameters
+        ----------
+        x, v : array_like, shape (n,)
+            Position [m] and velocity [m/s].
+        f_h : array_like, shape (n,)
+            Force of the operator's hand [N], held over the sample.
+        f_m : array_like, shape (n,)
+            Force feedback [N] before the static scaling, f''_m, held over the sample.
+        sample_time : float
+            T [s], positive.
+
+        Returns
+        -------
+        x, v : numpy.ndarray, shape (n,)
+            Position and velocity after the sample.
+        supply : float
+            T (r''_mᵀ f_h − r_mᵀ f''_m) at the midpoint [J].
+
+        Raises
+        ------
+        ValueError
+            If an argument is not finite or has the wrong shape, or `sample_time` is not positive.
+        """
+        x, v, f_h, f_m = self._vectors(x=x, v=v, f_h=f_h, f_m=f_m)
+        sample_time = finite_number("sample_time", sample_time)
+        if not sample_time > 0.0:
+            raise ValueError(f"sample_time must be positive, got {sample_time}")
+        half = 0.5 * sample_time
+        left = self.mass + half * self.damping + half**2 * self.stiffness
+        force = f_h - self.force_scaling * f_m
+        middle = np.linalg.solve(left, self.mass @ v + half * (force - self.stiffness @ x))
+        supply = (
+            sample_time / self.force_scaling * float((middle + self.weight @ (x + half * middle)) @ force)
+        )
+        return x + sample_time * middle, 2.0 * middle - v, supply
+
+    def state_space(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return A, B, C of the state (x, v), input f_h − γ f''_m and output r_m."""
+        n, zero, one = self.dimensions, np.zeros((self.dimensions, self.dimensions)), np.eye(self.dimensions)
+        inverse = np.linalg.inv(self.mass)
+        a = np.block([[zero, one], [-inverse @ self.stiffness, -inverse @ self.damping]])
+        return a, np.vstack([np.zeros((n, n)), inverse]), np.hstack([self.weight, one])
+
+    def _vectors(self, **given) -> list[np.ndarray]:
+        out = []
+        for name, value in given.items():
+            try:
+                array = np.asarray(value, dtype=float)
+            except (TypeError, ValueError):
+                raise ValueError(f"{name} must be {self.dimensions} numbers, got {value!r}") from None
+            if array.shape != (self.dimensions,):
+                raise ValueError(f"{name} must have shape ({self.dimensions},), got {array.shape}")
+            if not np.isfinite(array).all():
+                raise ValueError(f"{name} must be finite, got {array.tolist()}")
+            out.append(array)
+        return out

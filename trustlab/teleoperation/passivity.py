@@ -1,0 +1,192 @@
+"""Passivity observer and controller of Theorem 4, (3.19)-(3.20), in discrete time."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from trustlab.models.checks import finite_number
+
+__all__ = ["CANCEL", "METHODS", "OFF", "REPAY", "Controlled", "PassivityController", "activation", "demanded"]
+
+OFF, CANCEL, REPAY = 0, 1, 2
+METHODS = {"off": OFF, "cancel": CANCEL, "repay": REPAY}
+
+
+@numba.njit(cache=True)
+def demanded(method, energy, power, sample_time):
+    """Return the power [W] that the port must take in this sample, or NaN where the controller rests."""
+    if method == CANCEL and energy <= 0.0 and power < 0.0:
+        return 0.0
+    if method == REPAY and energy + sample_time * power < 0.0:
+        return -energy / sample_time
+    return np.nan
+
+
+@numba.njit(cache=True)
+def activation(power, square, compliance, demand):
+    """
+    Return w ≥ 0 of the damping that makes a port take the power `demand`, and whether it can.
+
+    The port's velocity yields to the force, v = v0/(1 + w) with w = compliance z. With power = v0ᵀf' and square = v0ᵀv0 the
+    port takes [(1 + w) power + (w/compliance) square]/(1 + w)². The least w is returned; infinity stops the port.
+    """
+    gain = square / compliance
+    if power >= demand:
+        return 0.0, True
+    if power + gain <= 0.0:
+        return np.inf, demand <= 0.0
+    if demand == 0.0:
+        return -power / (power + gain), True
+    half = 0.5 * (power + gain - 2.0 * demand)
+    inner = half * half - demand * (demand - power)
+    if inner < 0.0 or half <= 0.0:  # the most that the port can take
+        return max((gain - power) / (gain + power), 0.0), False
+    return (demand - power) / (half + np.sqrt(inner)), True
+
+
+class Controlled(NamedTuple):
+    """
+    What a passivity controller did with one sample.
+
+    Parameters
+    ----------
+    force : numpy.ndarray, shape (n,)
+        f = f' + z v [N].
+    z : float
+        Damping injected [N s/m].
+    energy : float
+        Energy observed up to and with this sample [J].
+    deficit : float
+        How far it is below zero [J].
+    """
+
+    force: np.ndarray
+    z: float
+    energy: float
+    deficit: float
+
+
+class PassivityController:
+    """
+    Keep a port with velocity input and force output from giving out more energy than it took, (3.19)-(3.20).
+
+    f = f' + z v. In discrete time the observed energy is never exactly zero, so that it is tested for ≤ 0.
+
+    Parameters
+    ----------
+    sample_time : float
+        T [s].
+    method : {"cancel", "repay"}
+        "cancel" is the printed rule: while the observed energy is ≤ 0, negative power is cancelled, z = −vᵀf'/‖v‖². The force
+        never grows, and the energy undershoots zero by at most T|vᵀf'| of one sample. "repay" is Hannaford and Ryu's: the
+        sample that would end below zero is damped so that it ends at zero; forces can spike.
+    cap : float
+        "repay" only: largest force z‖v‖ [N]; what it leaves is the deficit, repaid later.
+    velocity_floor : float
+        Below this speed [m/s] nothing is injected.
+
+    Raises
+    ------
+    ValueError
+        If the sample time is not positive, the method is unknown, or cap or floor is negative.
+
+    Notes
+    -----
+    B. Hannaford, J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Trans. Robotics and Automation 18(1), 2002.
+
+    Examples
+    --------
+    >>> controller = PassivityController(sample_time=0.01)
+    >>> controller.step([1.0], [-2.0]).force.tolist()
+    [0.0]
+    """
+
+    def __init__(
+        self, sample_time: float, method: str = "cancel", cap: float = np.inf, velocity_floor: float = 0.0
+    ):
+        self.sample_time = finite_number("sample_time", sample_time)
+        if not self.sample_time > 0.0:
+            raise ValueError(f"sample_time must be positive, got {sample_time}")
+        if method not in ("cancel", "repay"):
+            raise ValueError(f"method must be 'cancel' or 'repay', got {method!r}")
+        self.method = method
+        self.cap = np.inf if cap == np.inf else finite_number("cap", cap)
+        self.velocity_floor = finite_number("velocity_floor", velocity_floor)
+        if self.cap < 0.0 or self.velocity_floor < 0.0:
+            raise ValueError(f"cap and velocity_floor cannot be negative, got {cap} and {velocity_floor}")
+        self.energy = 0.0
+
+    @property
+    def deficit(self) -> float:
+        """Energy that the port has given out beyond what it took [J]."""
+        return max(-self.energy, 0.0)
+
+    def step(self, velocity: np.ndarray, force: np.ndarray) -> Controlled:
+        """
+        Return the force to apply in this sample.
+
+        Parameters
+        ----------
+        velocity, force : array_like, shape (n,)
+            v [m/s] into the port and f' [N] out of the guarded system.
+
+        Raises
+        ------
+        ValueError
+            If they are not finite or differ in shape; the observed energy stays what it was.
+        """
+        v, f = np.atleast_1d(np.asarray(velocity, dtype=float)), np.atleast_1d(np.asarray(force, dtype=float))
+        if v.ndim != 1 or v.shape != f.shape:
+            raise ValueError(f"velocity and force must have one shape (n,), got {v.shape} and {f.shape}")
+        if not (np.isfinite(v).all() and np.isfinite(f).all()):
+            raise ValueError(f"velocity and force must be finite, got {v.tolist()} and {f.tolist()}")
+        power, square = float(v @ f), float(v @ v)
+        demand = float(demanded(METHODS[self.method], self.energy, power, self.sample_time))
+        z = 0.0
+        if demand == demand and square > self.velocity_floor**2:
+            z = (demand - power) / square
+            if self.method == "repay":
+                z = min(z, self.cap / np.sqrt(square))
+        out = f + z * v
+        self.energy += self.sample_time * (power + z * square)
+        return Controlled(out, z, self.energy, self.deficit)
+
+    def run(self, velocity: np.ndarray, force: np.ndarray):
+        """
+        Return the forces for a whole record.
+
+        Parameters
+        ----------
+        velocity, force : array_like, shape (N, n) or (N,)
+            Samples of v [m/s] and f' [N].
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row per sample: force_0 … force_n−1, z, energy, deficit.
+
+        Raises
+        ------
+        ValueError
+            If a sample is not finite or the shapes differ; the error names the sample.
+        """
+        import pandas as pd
+
+        v, f = (np.asarray(a, dtype=float) for a in (velocity, force))
+        if v.ndim == 1:
+            v, f = v[:, None], f[:, None] if f.ndim == 1 else f
+        if v.ndim != 2 or v.shape != f.shape or not v.size:
+            raise ValueError(f"velocity and force must have one shape (N, n), got {v.shape} and {f.shape}")
+        rows = []
+        for k in range(len(v)):
+            try:
+                done = self.step(v[k], f[k])
+            except ValueError as error:
+                raise ValueError(f"sample {k}: {error}") from None
+            rows.append((*done.force, done.z, done.energy, done.deficit))
+        return pd.DataFrame(
+            rows, columns=[*(f"force_{i}" for i in range(v.shape[1])), "z", "energy", "deficit"]
+        )
