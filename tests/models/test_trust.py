@@ -104,7 +104,7 @@ def test_steep_logistic_scaling_is_the_step():
         (lambda: TrustModel(0.5, 0.5).simulate([0.5, 2.0], 0.1), "sample 1 is 2.0"),
         (lambda: TrustModel(0.5, 0.5).simulate([0.5, np.nan], 0.1), "sample 1 is nan"),
         (lambda: LogisticScaling(0.0, 1.0), "one-way teleoperation"),
-        (lambda: LogisticScaling(0.5, 0.2), "low must be below high"),
+        (lambda: LogisticScaling(0.5, 0.2), "low must not exceed high"),
         (lambda: LogisticScaling(0.1, 1.0, steepness=3.0), "at least 10"),
         (lambda: StepScaling(0.1, 1.0, midpoint=1.0), "strictly between"),
         (lambda: StepScaling(0.1, 1.0).value("high"), "trust must be a number"),

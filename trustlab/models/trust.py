@@ -202,7 +202,7 @@ class LogisticScaling:
     Parameters
     ----------
     low, high : float
-        Bounds of the scale, 0 < low < high.
+        Bounds of the scale, 0 < low ≤ high.
     steepness : float
         s; at least 10 so that the bounds are nearly met (Section 3.2).
     midpoint : float, optional
@@ -264,7 +264,7 @@ class StepScaling:
     Parameters
     ----------
     low, high : float
-        Bounds of the scale, 0 < low < high.
+        Bounds of the scale, 0 < low ≤ high.
     midpoint : float, optional
         The threshold of trust, strictly inside its range; the middle when not given.
     t_min, t_max : float
@@ -307,7 +307,9 @@ class StepScaling:
 
 
 def _check_scaling(scaling) -> None:
-    low, high = _range("low", scaling.low, "high", scaling.high)
+    low, high = finite_number("low", scaling.low), finite_number("high", scaling.high)
+    if low > high:
+        raise ValueError(f"low must not exceed high, got low = {low} and high = {high}")
     if not low > 0.0:
         raise ValueError(
             f"low must be positive, got {low}: a scale of zero leaves one-way teleoperation (3.1)"

@@ -61,6 +61,19 @@ VOCABULARY: dict[str, Column] = {
         Column("beta", "1", "force feedback scaling β", 0.0),
         Column("trust_hr", "1", "human-to-robot trust T_hr"),
         Column("trust_rh", "1", "robot-to-human trust T_rh"),
+        *_axes("device", "m", "position of the haptic device"),
+        *_axes("device_velocity", "m/s", "velocity of the haptic device"),
+        *_axes("r_m", "m/s", "output r_m of the haptic device"),
+        *_axes("f_h", "N", "force of the operator's hand"),
+        *_axes("f_m", "N", "force feedback at the haptic device"),
+        *_axes("r_s", "m/s", "command at the robot's port, scaled by α"),
+        *_axes("f_s", "N", "force feedback at the robot's port"),
+        Column("port_share", "1", "share of the command that the passivity controller lets pass", 0.0, 1.0),
+        Column("energy_operator", "J", "energy given by the operator's hand so far"),
+        Column("energy_device", "J", "energy stored in the haptic device, V_hd"),
+        Column("energy_dissipated", "J", "energy dissipated in the haptic device so far"),
+        Column("energy_channel", "J", "energy in the channel: what went in less what came out so far"),
+        Column("energy_robot", "J", "energy taken by the robot's port so far"),
     ]
 }
 

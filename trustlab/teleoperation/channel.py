@@ -27,7 +27,7 @@ HOLD, INTERPOLATED, LEDGER = 0, 1, 2
 READ_OUTS = {"hold": HOLD, "interpolated": INTERPOLATED, "ledger": LEDGER}
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def read_wave(sent, got, k, delay, gain, read_out, sample_time, account, out):
     """
     Read the wave that arrives in sample k, sent `delay` samples before, into `out`.

@@ -1,0 +1,335 @@
+"""The whole loop: against independent integrators, its energy ledgers, its guards, and what it refuses."""
+
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from trustlab.models.uav import TransferFunction
+from trustlab.teleoperation.haptic_device import PassivityError
+from trustlab.teleoperation.loop import STUDIES, DivergenceError, LoopSettings
+from trustlab.teleoperation.scattering import Scattering
+from trustlab.testbeds.teleoperator import Teleoperator
+from trustlab.testbeds.uav_tracking import TrackingTask, simulate_teleoperation, tracking_vehicle
+
+SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
+UNIT = STUDIES["main"].changed(scattering=Scattering(2.0), k_ffa=3.0)
+STILL = Teleoperator(proportional=0.0, derivative=0.0, noise=0.0)
+TASK = TrackingTask(failure_every=1e9)
+PUSH = MappingProxyType({"x": (1.0, 1.3), "y": (0.7, 0.8), "z": (0.5, 2.1)})  # size [N] and rate [rad/s]
+
+
+def push(t):
+    return np.column_stack([size * np.sin(rate * t) for size, rate in PUSH.values()])
+
+
+def driven(sample_time, delay, settings=UNIT, duration=4.0, **more):
+    """A run whose hand only holds still and is pushed by known forces."""
+    t = sample_time * np.arange(round(duration / sample_time)) + 0.5 * sample_time
+    return simulate_teleoperation(
+        "M", STILL, settings, duration=duration, sample_time=sample_time, task=TASK,
+        delay_1=delay, delay_2=delay, guard="off", push=push(t), read_out="interpolated", **more,
+    ).data  # fmt: skip
+
+
+def target(t):
+    """The target of seed 0, from the run itself: position by its closed form."""
+    phase = np.random.default_rng(np.random.SeedSequence(0).spawn(5)[0]).uniform(0.0, 2.0 * np.pi)
+    return TASK.path(np.atleast_1d(t), 1.5, phase)[0]
+
+
+def device(settings, x, v, force, feedback):
+    hand = STILL
+    return (
+        force - (settings.stiffness + hand.stiffness) * x - (settings.damping + hand.damping) * v - feedback
+    ) / settings.mass
+
+
+def test_without_delay_and_with_unit_scales_the_loop_is_the_continuous_one():
+    vehicle = tracking_vehicle()
+
+    def rates(t, y):
+        x, v, p, w, a = y.reshape(5, 3)
+        e = target(t)[0] - p
+        r = v + UNIT.weight * x
+        out = [v, device(UNIT, x, v, push(np.array([t]))[0], -UNIT.k_ffa * e), w]
+        d = np.array([[*m.denominator, 0.0][:2] for m in vehicle[:2]])
+        speed = np.append(a[:2], vehicle[2].gain * r[2] - vehicle[2].denominator[0] * w[2])
+        jerk = np.append([vehicle[i].gain * r[i] - d[i, 1] * w[i] - d[i, 0] * a[i] for i in range(2)], 0.0)
+        return np.concatenate([*out, speed, jerk])
+
+    start = np.zeros((5, 3))
+    start[2] = target(0.0)[0]
+    solved = solve_ivp(rates, (0.0, 4.0), start.ravel(), rtol=1e-10, atol=1e-12, dense_output=True)
+    errors = []
+    for sample_time in (0.004, 0.002, 0.001):
+        data = driven(sample_time, 0.0)
+        exact = solved.sol(data.index.to_numpy()).reshape(5, 3, -1)
+        ours = [data[[f"{stem}_{axis}" for axis in "xyz"]].to_numpy().T for stem in ("device", "robot")]
+        errors.append(
+            max(np.abs(ours[0] - exact[0]).max() / np.abs(exact[0]).max(), np.abs(ours[1] - exact[2]).max())
+        )
+    assert errors[-1] < 5e-3
+    assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.25)  # first order in the sample time
+    assert errors[1] / errors[2] == pytest.approx(2.0, abs=0.25)
+
+
+def second_integrator(settings, delay, step, duration=4.0):
+    """The loop with a constant delay by Heun's rule, waves read from their history: another discretization, in plain Python."""
+    b, ends = settings.scattering.b, settings.scattering
+    vehicle, count, late = tracking_vehicle(), round(duration / step), round(delay / step)
+    u_l, u_r = np.zeros((count + 1, 3)), np.zeros((count + 1, 3))
+    y = np.zeros((5, 3))
+    y[2] = target(0.0)[0]
+    rows = np.empty((count, 2, 3))
+
+    def rates(t, y, v_l, v_r):
+        x, v, p, w, a = y
+        r_m = v + settings.weight * x
+        f_s = -settings.k_ffa * (target(t)[0] - p)
+        f_m = ends.beta_max * (b * r_m + np.sqrt(2 * b / ends.beta_max) * v_l)
+        r_s = ends.alpha_max * (np.sqrt(2 * b / ends.alpha_max) * v_r - f_s) / b
+        out = np.zeros((5, 3))
+        out[0], out[1], out[2] = v, device(settings, x, v, push(np.array([t]))[0], f_m), w
+        for i in range(2):
+            out[3, i] = a[i]
+            out[4, i] = (
+                vehicle[i].gain * r_s[i] - vehicle[i].denominator[1] * w[i] - vehicle[i].denominator[0] * a[i]
+            )
+        out[3, 2] = vehicle[2].gain * r_s[2] - vehicle[2].denominator[0] * w[2]
+        sent_l = np.sqrt(ends.beta_min / (2 * b)) * (f_m / ends.beta_max + b * r_m)
+        sent_r = np.sqrt(ends.alpha_min / (2 * b)) * (f_s - b * r_s / ends.alpha_max)
+        return out, sent_l, sent_r
+
+    for k in range(count):
+        rows[k] = y[0], y[2]
+        v_r, v_l = (u_l[k - late], u_r[k - late]) if k >= late else (np.zeros(3), np.zeros(3))
+        one, u_l[k], u_r[k] = rates(k * step, y, v_l, v_r)
+        later = (u_l[k + 1 - late], u_r[k + 1 - late]) if k + 1 >= late else (np.zeros(3), np.zeros(3))
+        two = rates((k + 1) * step, y + step * one, later[1], later[0])[0]
+        y = y + 0.5 * step * (one + two)
+    return rows
+
+
+def test_with_a_constant_delay_a_second_integrator_agrees_to_first_order():
+    settings = UNIT.changed(scattering=Scattering(2.0, 0.4, 1.0, 0.2, 0.8))
+    exact = second_integrator(settings, 0.1, 0.0005)
+    errors = []
+    for sample_time in (0.01, 0.005, 0.001):
+        data = driven(sample_time, 0.1, settings)
+        at = np.round(data.index.to_numpy() / 0.0005).astype(int)
+        gaps = [
+            np.abs(data[[f"{stem}_{axis}" for axis in "xyz"]].to_numpy() - exact[at, i]).max()
+            / np.ptp(exact[:, i], axis=0).max()
+            for i, stem in enumerate(("device", "robot"))
+        ]
+        errors.append(max(gaps))
+    assert errors[-1] < 0.01
+    assert errors[0] / errors[-1] == pytest.approx(10.0, rel=0.3)
+
+
+def supplied(data):
+    """Energy that came into the device so far, recomputed from the logged forces and outputs."""
+    work = sum(data[f"r_m_{a}"] * (data[f"f_h_{a}"] - data[f"f_m_{a}"]) for a in "xyz")
+    return (data.index[1] * work).cumsum().to_numpy()
+
+
+@pytest.mark.parametrize("study", STUDIES)
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_every_port_balances_and_no_block_gives_energy_away(scheme, study):
+    for seed in range(5):
+        data = simulate_teleoperation(scheme, study=study, seed=seed, duration=60.0).data
+        held = data["energy_device"] + data["energy_dissipated"]
+        np.testing.assert_allclose(held, supplied(data), rtol=1e-11, atol=1e-12 * held.max())
+        assert data["energy_device"].min() >= 0.0
+        assert (np.diff(data["energy_dissipated"]) >= 0.0).all()
+        exchanged = 0.01 * sum(
+            (data[f"r_m_{a}"] * data[f"f_m_{a}"]).abs() + (data[f"r_s_{a}"] * data[f"f_s_{a}"]).abs()
+            for a in "xyz"
+        )
+        assert (data["energy_channel"] >= -1e-9 * exchanged.cumsum()).all()
+        power = sum(data[f"r_s_{a}"] * data[f"f_s_{a}"] for a in "xyz")
+        assert (
+            data["energy_robot"].min() >= 0.01 * power.min() - 1e-12
+        )  # Theorem 4: one sample's power at most
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_stored_energy_is_bounded_under_bounded_force(scheme):
+    # the hand as a passive spring, pushed by at most 4 N: what is stored is bounded by what it can hold, not by time
+    for seed in range(200):
+        study = ("preliminary", "main")[seed % 2]
+        rng = np.random.default_rng([44, seed])
+        force = 4.0 * np.sign(np.repeat(rng.normal(size=(40, 3)), 150, axis=0))
+        data = simulate_teleoperation(
+            scheme, STILL, study, seed=seed, duration=60.0, push=force / np.sqrt(3.0)
+        ).data
+        settings = STUDIES[study]
+        first, second = data["energy_device"].iloc[:3000].max(), data["energy_device"].iloc[3000:].max()
+        spring = settings.stiffness + settings.weight * settings.damping
+        most = 3.0 * spring * (4.0 / settings.stiffness) ** 2
+        assert max(first, second) < most
+        power = sum(data[f"r_s_{a}"] * data[f"f_s_{a}"] for a in "xyz")
+        assert data["energy_robot"].min() >= 0.01 * power.min() - 1e-12
+
+
+def tracking(scheme, study, seeds=12, **more):
+    return np.array(
+        [
+            simulate_teleoperation(scheme, study=study, seed=s, **more).data["path_error"].mean()
+            for s in range(seeds)
+        ]
+    )
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_trust_based_allocation_tracks_better_than_manual_on_the_simulated_operators(study):
+    assert tracking("TMIG", study).mean() < tracking("M", study).mean()
+
+
+def test_the_printed_direction_of_the_force_is_active_and_without_a_guard_diverges():
+    printed = STUDIES["main"].changed(printed_sign=True)
+    with pytest.raises(DivergenceError, match=r"diverged at t = .* in the .*energy"):
+        simulate_teleoperation("TMIG", study=printed, guard="off", seed=1)
+
+
+def test_without_the_guard_the_port_gives_energy_away():
+    guarded = simulate_teleoperation("TMIG", seed=2).data["energy_robot"].min()
+    bare = simulate_teleoperation("TMIG", seed=2, guard="off").data["energy_robot"].min()
+    assert guarded > -0.05
+    assert bare < -1.0
+
+
+def test_repaying_keeps_the_port_at_zero_or_above():
+    data = simulate_teleoperation("TMIG", seed=2, guard="repay").data
+    assert data["energy_robot"].min() >= -1e-9
+
+
+def test_same_seed_same_run_and_the_session_says_that_it_is_simulated():
+    one, other = simulate_teleoperation(seed=3, duration=5.0), simulate_teleoperation(seed=3, duration=5.0)
+    assert one == other
+    assert one.metadata.synthetic
+    assert not simulate_teleoperation(seed=4, duration=5.0).data.equals(one.data)
+
+
+def test_scales_follow_trust_as_3_5_and_3_6_say():
+    for scheme, kind in (("TMIG", "logistic"), ("TMIS", "step")):
+        data = simulate_teleoperation(scheme, seed=1, duration=60.0).data
+        alpha, beta = STUDIES["main"].scalings(kind)
+        np.testing.assert_allclose(data["mode"], alpha.value(data["trust_hr"].to_numpy()), atol=1e-12)
+        np.testing.assert_allclose(data["beta"], beta.value(data["trust_rh"].to_numpy()), atol=1e-12)
+    for scheme in ("M", "MMI"):
+        assert (simulate_teleoperation(scheme, duration=5.0).data["beta"] == 0.5).all()
+    felt = simulate_teleoperation("MI", duration=5.0).data[["f_m_x", "f_m_y", "f_m_z"]]
+    assert not felt.to_numpy().any()
+
+
+def test_trust_is_that_of_the_model_driven_by_the_logged_performance():
+    data, settings = simulate_teleoperation("TMIG", seed=5, duration=60.0).data, STUDIES["main"]
+    expected = settings.human_to_robot.simulate(data["p_r"].to_numpy(), 0.01, 0.5)
+    np.testing.assert_allclose(data["trust_hr"], expected, atol=1e-10)
+
+
+def test_performance_is_the_window_mean_of_3_27():
+    data, settings = simulate_teleoperation("TMIG", seed=5, duration=40.0).data, STUDIES["main"]
+    e = sum((data[f"reference_{a}"] - data[f"robot_{a}"]).abs() for a in "xyz")
+    gap = sum((data[f"u_a_{a}"] - data[f"u_i_{a}"]).abs() for a in "xyz")
+    now = (1 - gap / settings.command_range).clip(lower=0) * (
+        1 - (1 - data["mode"]) * e / settings.error_range
+    ).clip(lower=0)
+    np.testing.assert_allclose(data["p_r"], now.rolling(1000, min_periods=1).mean(), atol=1e-9)
+
+
+def test_the_hand_is_passive_for_a_fixed_wish():
+    # held still and moved about, the hand gives back no more than its spring held: its energy is bounded below by zero
+    data = driven(0.01, 0.0, duration=20.0)
+    hand = sum(
+        (data[f"f_h_{a}"] - p) * data[f"device_velocity_{a}"]
+        for a, p in zip("xyz", push(data.index + 0.005).T, strict=True)
+    )
+    given_out = (0.01 * hand).cumsum()
+    assert given_out.max() < 1e-3 * abs(given_out.iloc[-1]) + 0.02
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        ({"scheme": "TMIX"}, ValueError, "did you mean 'TMI"),
+        ({"scheme": 3}, ValueError, "no scheme 3"),
+        ({"study": "third"}, ValueError, "study must be one of"),
+        ({"operator": "me"}, ValueError, "operator must be of class Teleoperator"),
+        ({"task": 1}, ValueError, "task must be of class TrackingTask"),
+        ({"duration": -1.0}, ValueError, "duration must be"),
+        ({"duration": np.nan}, ValueError, "duration must be finite"),
+        ({"sample_time": 0.0}, ValueError, "sample_time must lie"),
+        ({"seed": -1}, ValueError, "seed must be"),
+        ({"delay_1": -0.1}, ValueError, "negative"),
+        ({"delay_1": 200.0}, ValueError, "longer than the run"),
+        ({"delay_1": 0.0, "delay_2": 0.1}, ValueError, "must both be zero"),
+        ({"delay_1": 0.005}, ValueError, "at least one sample"),
+        ({"alpha": np.full(12000, 0.05)}, ValueError, "alpha must lie in"),
+        ({"alpha": np.ones(5)}, ValueError, "alpha must have shape"),
+        ({"push": np.full((12000, 3), np.nan)}, ValueError, "push must be finite, but sample 0"),
+        ({"push": np.ones(3)}, ValueError, "push must have shape"),
+        ({"guard": "maybe"}, ValueError, "guard must be one of"),
+        ({"read_out": "maybe"}, ValueError, "read_out must be one of"),
+        ({"vehicle": (1, 2)}, ValueError, "three transfer functions"),
+    ],
+)
+def test_bad_input_is_refused_before_the_run(arguments, error, words):
+    with pytest.raises(error, match=words):
+        simulate_teleoperation(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        ({"mass": 1.0, "weight": 60.0}, PassivityError, "not r-passive"),
+        ({"k_ffa": -1.0}, ValueError, "k_ffa cannot be negative"),
+        ({"window": 0.0}, ValueError, "window must be positive"),
+        ({"scattering": 1.0}, ValueError, "must be of class Scattering"),
+        ({"steepness": 1.0}, ValueError, "at least 10"),
+        ({"human_to_robot": 1.0}, ValueError, "must be of class TrustModel"),
+    ],
+)
+def test_bad_settings_are_refused(change, error, words):
+    with pytest.raises(error, match=words):
+        STUDIES["main"].changed(**change)
+
+
+def test_a_heavy_device_with_the_preliminary_gains_dissipates_negative_energy():
+    heavy = STUDIES["preliminary"].changed(mass=1.0, require_passive=False)
+    data = simulate_teleoperation("M", study=heavy, duration=10.0).data
+    assert np.diff(data["energy_dissipated"]).min() < 0.0
+
+
+def test_an_unstable_vehicle_stops_the_run_with_time_and_block():
+    unstable = (TransferFunction(1.0, (-3.0,)),) * 3
+    with pytest.raises(DivergenceError, match="in the robot"):
+        simulate_teleoperation("M", vehicle=unstable)
+
+
+def test_settings_are_those_printed():
+    for name, printed in {
+        "preliminary": (60.0, 0.55, 100.0, 1.0, 0.05, 1.0, 0.2, 1.0, 3.0, 4.0),
+        "main": (10.0, 5.5, 20.0, 2.0, 0.2, 1.0, 0.05, 0.5, 6.0, 1.5),
+    }.items():
+        s = STUDIES[name]
+        e = s.scattering
+        found = (
+            s.weight,
+            s.damping,
+            s.stiffness,
+            e.b,
+            e.alpha_min,
+            e.alpha_max,
+            e.beta_min,
+            e.beta_max,
+            s.k_ffa,
+            s.height,
+        )
+        assert found == printed
+        assert isinstance(s, LoopSettings)
+        assert s.scattering.gain == pytest.approx(0.7, abs=0.01)

@@ -1,0 +1,68 @@
+"""The control schemes of Sections 3.8 and 3.9 by name, and the printed settings of both studies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+__all__ = ["LOGISTIC", "MANUAL", "OPERATOR", "OPTIMAL", "SCHEMES", "STEP", "Scheme", "scheme_named"]
+
+MANUAL, LOGISTIC, STEP, OPERATOR, OPTIMAL = 0, 1, 2, 3, 4
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """
+    Who sets the scales, and whether the operator feels a force.
+
+    Parameters
+    ----------
+    name : str
+        M, MI, MMI, TMIG, TMIS or OMI.
+    title : str
+        What it is.
+    allocation : int
+        How α is set: MANUAL (its upper bound), LOGISTIC (3.5), STEP (3.6), OPERATOR (by hand) or OPTIMAL (Appendix A).
+        β follows robot-to-human trust in LOGISTIC and STEP, and stays at its upper bound otherwise.
+    bilateral : bool
+        Whether forces come back.
+    """
+
+    name: str
+    title: str
+    allocation: int
+    bilateral: bool = True
+
+
+SCHEMES = {
+    scheme.name: scheme
+    for scheme in (
+        Scheme("M", "manual teleoperation with force feedback", MANUAL),
+        Scheme("MI", "mixed initiative by trust (3.5), without force feedback", LOGISTIC, bilateral=False),
+        Scheme("MMI", "mixed initiative, allocated by hand, with force feedback", OPERATOR),
+        Scheme("TMIG", "mixed initiative by trust, logistic scales (3.5), with force feedback", LOGISTIC),
+        Scheme("TMIS", "mixed initiative by trust, step scales (3.6), with force feedback", STEP),
+        Scheme("OMI", "mixed initiative, optimal allocation (Appendix A), with force feedback", OPTIMAL),
+    )
+}
+
+
+def scheme_named(name: str) -> Scheme:
+    """
+    Return the scheme of this name.
+
+    Parameters
+    ----------
+    name : str
+        M, MI, MMI, TMIG, TMIS or OMI.
+
+    Raises
+    ------
+    ValueError
+        If there is none; the nearest is suggested.
+    """
+    if isinstance(name, str) and name in SCHEMES:
+        return SCHEMES[name]
+    near = get_close_matches(str(name).upper(), SCHEMES, n=1, cutoff=0.3)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise ValueError(f"no scheme {name!r}: there are {', '.join(SCHEMES)}{hint}")

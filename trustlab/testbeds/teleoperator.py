@@ -1,0 +1,104 @@
+"""A simulated operator at the haptic device: a stand-in for people in Chapter 3."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from trustlab.models.checks import finite_number
+from trustlab.teleoperation.loop_kernel import HandNumbers
+
+__all__ = ["Teleoperator"]
+
+
+@dataclass(frozen=True)
+class Teleoperator:
+    """
+    Who holds the haptic device: sees the tracking error late, wants a command in proportion to it, and moves the hand there.
+
+    The hand is a spring and a damper about the position it wants to be at, so that it yields to force feedback; for a fixed
+    wish it is passive. What it wants is the only source of energy. It compensates the device's own spring.
+
+    Parameters
+    ----------
+    participant : str or int
+        Who.
+    proportional : float
+        Command wanted per metre of error seen [1/s].
+    derivative : float
+        Command wanted per metre a second of its change [1].
+    reaction : float
+        Time from what happens to what the hand wants [s]; the camera's delay comes on top.
+    lag : float
+        Time constant of the hand's wish [s].
+    reach : float
+        Largest command wanted [m/s] on each axis.
+    stiffness, damping : float
+        Of the hand [N/m], [N s/m].
+    noise : float
+        Standard deviation of motor noise [N] at rest; it grows with the command.
+    noise_time : float
+        Correlation time of motor noise [s].
+    shift : float
+        By how much α is moved by hand at a time (scheme MMI).
+    patience : float
+        How long between two such moves [s].
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite or out of range.
+
+    Notes
+    -----
+    The defaults are plausible, not measured, and were not chosen for any outcome.
+    """
+
+    participant: str | int = "simulated"
+    proportional: float = 1.0
+    derivative: float = 0.4
+    reaction: float = 0.25
+    lag: float = 0.15
+    reach: float = 1.5
+    stiffness: float = 60.0
+    damping: float = 2.0
+    noise: float = 0.15
+    noise_time: float = 0.2
+    shift: float = 0.1
+    patience: float = 3.0
+
+    def __post_init__(self):
+        for item in fields(self)[1:]:
+            value = finite_number(item.name, getattr(self, item.name))
+            if value < 0.0:
+                raise ValueError(f"{item.name} cannot be negative, got {value}")
+            object.__setattr__(self, item.name, value)
+        for name in ("reach", "lag", "noise_time", "patience"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        for name, most in (("reaction", 2.0), ("lag", 5.0), ("shift", 1.0)):
+            if getattr(self, name) > most:
+                raise ValueError(f"{name} must not exceed {most}, got {getattr(self, name)}")
+
+    def numbers(self, sample_time: float, camera_delay: float) -> HandNumbers:
+        """
+        Return the operator as compiled loops take it.
+
+        Parameters
+        ----------
+        sample_time : float
+            T [s].
+        camera_delay : float
+            How late pictures arrive [s].
+        """
+        return HandNumbers(
+            self.proportional,
+            self.derivative,
+            max(round((self.reaction + camera_delay) / sample_time), 1),
+            2.718281828459045 ** (-sample_time / self.lag),
+            self.reach,
+            self.stiffness,
+            self.damping,
+            self.noise,
+            self.shift,
+            max(round(self.patience / sample_time), 1),
+        )

@@ -1,0 +1,328 @@
+"""A UAV that follows a ground robot through a teleoperation loop: a simulated stand-in for Figs. 3.12 and 3.15."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import finite_number
+from trustlab.models.uav import PRINTED_UAV, TransferFunction
+from trustlab.sessions.session import Metadata, Session
+from trustlab.teleoperation.channel import READ_OUTS
+from trustlab.teleoperation.delays import Delay, delay_from, random_walk_delay
+from trustlab.teleoperation.loop import DivergenceError, LoopSettings, study_named, vehicle_matrices
+from trustlab.teleoperation.loop_kernel import BLOCKS, COLUMNS, AutonomyNumbers, run_loop
+from trustlab.teleoperation.passivity import METHODS
+from trustlab.teleoperation.schemes import OPTIMAL, scheme_named
+from trustlab.testbeds.teleoperator import Teleoperator
+
+__all__ = ["TrackingTask", "simulate_teleoperation", "tracking_vehicle"]
+
+NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
+
+
+def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
+    """
+    Return the UAV of (A.1) under a low-level velocity controller, as Section 3.6 assumes one.
+
+    State feedback u = (ω² r − (ω² − d_0) v − (2ω − d_1) dv/dt)/gain puts both poles at −ω, and at −ω for order one. The
+    printed PD controller of Appendix A does not stabilise (A.1) by itself on x and y.
+
+    Parameters
+    ----------
+    bandwidth : float
+        ω [1/s], positive.
+
+    Raises
+    ------
+    ValueError
+        If `bandwidth` is not positive.
+    """
+    omega = finite_number("bandwidth", bandwidth)
+    if not omega > 0.0:
+        raise ValueError(f"bandwidth must be positive, got {omega}")
+    return tuple(
+        TransferFunction(omega, (omega,))
+        if model.order == 1
+        else TransferFunction(omega**2, (2.0 * omega, omega**2))
+        for model in PRINTED_UAV.values()
+    )
+
+
+@dataclass(frozen=True)
+class TrackingTask:
+    """
+    What the target does and what goes wrong on the way.
+
+    Parameters
+    ----------
+    size_x, size_y : float
+        Half lengths of the closed path [m].
+    speed : float
+        Mean speed of the target [m/s].
+    failure_every, failure_length : float
+        Mean time between losses of the target by the autonomous controller, and how long one lasts [s]; exponential.
+    camera_delay : float
+        How late pictures arrive at the operator and the controller [s].
+    proportional, integral, derivative : float
+        Gains of the hovering PID controller.
+    reach : float
+        Its largest command [m/s].
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite or out of range.
+    """
+
+    size_x: float = 1.5
+    size_y: float = 1.0
+    speed: float = 0.2
+    failure_every: float = 15.0
+    failure_length: float = 4.0
+    camera_delay: float = 0.1
+    proportional: float = 1.0
+    integral: float = 0.1
+    derivative: float = 0.1
+    reach: float = 1.5
+
+    def __post_init__(self):
+        for name in self.__dataclass_fields__:
+            value = finite_number(name, getattr(self, name))
+            if value < 0.0 or (
+                name in ("size_x", "size_y", "failure_every", "failure_length", "reach") and not value
+            ):
+                raise ValueError(f"{name} must be positive, got {value}")
+            object.__setattr__(self, name, value)
+
+    def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return where the UAV should be and how fast that moves: a figure of eight at a height above the floor.
+
+        Parameters
+        ----------
+        t : numpy.ndarray, shape (N,)
+            Times [s].
+        height : float
+            z_d [m].
+        phase : float
+            Where on the path the target begins [rad].
+
+        Returns
+        -------
+        position, velocity : numpy.ndarray, shape (N, 3)
+            In m and m/s.
+        """
+        rate = self.speed / np.sqrt(0.5 * self.size_x**2 + 2.0 * self.size_y**2)  # root mean square speed
+        turn = rate * t + phase
+        position = np.column_stack(
+            [self.size_x * np.sin(turn), self.size_y * np.sin(2 * turn), np.full(t.size, height)]
+        )
+        velocity = np.column_stack(
+            [self.size_x * rate * np.cos(turn), 2 * self.size_y * rate * np.cos(2 * turn), np.zeros(t.size)]
+        )
+        return position, velocity
+
+
+TASKS = {
+    "preliminary": TrackingTask(size_x=6.0, size_y=4.0, speed=0.8, camera_delay=0.2, reach=2.5),
+    "main": TrackingTask(),
+}
+REACH = {"preliminary": 2.5, "main": 1.0}
+DELAYS = {"preliminary": (0.1, 0.8), "main": (0.03, 0.2)}
+
+
+def simulate_teleoperation(
+    scheme: str = "TMIG",
+    operator: Teleoperator | None = None,
+    study: str | LoopSettings = "main",
+    seed: int | np.random.SeedSequence = 0,
+    duration: float = 120.0,
+    sample_time: float = 0.01,
+    task: TrackingTask | None = None,
+    delay_1: float | Delay | None = None,
+    delay_2: float | Delay | None = None,
+    read_out: str = "ledger",
+    guard: str = "cancel",
+    alpha: np.ndarray | None = None,
+    push: np.ndarray | None = None,
+    vehicle: tuple[TransferFunction, ...] | None = None,
+) -> Session:
+    """
+    Simulate one run of a scheme of Section 3.8 or 3.9.
+
+    Parameters
+    ----------
+    scheme : {"M", "MI", "MMI", "TMIG", "TMIS", "OMI"}
+        The scheme.
+    operator : Teleoperator, optional
+        Who holds the device; an average one when not given.
+    study : {"preliminary", "main"} or LoopSettings
+        Printed settings, or own ones.
+    seed : int or numpy.random.SeedSequence
+        Streams for the path's start, losses of the target, motor noise and delays are spawned from it.
+    duration : float
+        Length [s].
+    sample_time : float
+        T [s]; 0.01 as printed.
+    task : TrackingTask, optional
+        The target; the study's own when not given.
+    delay_1, delay_2 : float or Delay, optional
+        Delay to the robot and back [s]; random walks of the study when not given. Both zero: no channel in between.
+    read_out : {"ledger", "interpolated", "hold"}
+        How delayed waves are read, see `channel_run`.
+    guard : {"cancel", "repay", "off"}
+        Passivity controller at the robot's port.
+    alpha : array_like, shape (N,), optional
+        α given from outside; NaN where the scheme sets it.
+    push : array_like, shape (N, 3), optional
+        Force [N] added to the hand's.
+    vehicle : three TransferFunction, optional
+        Command to velocity; `tracking_vehicle()` when not given.
+
+    Returns
+    -------
+    Session
+        Every signal and every port's energy; `mode` is α. Labelled synthetic.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood, before anything runs.
+    DivergenceError
+        If the run grows without bound: the time, the block and its energy are named.
+    """
+    chosen, settings = scheme_named(scheme), study_named(study)
+    name = study if isinstance(study, str) else "main"
+    operator = Teleoperator(reach=REACH[name]) if operator is None else operator
+    task = TASKS[name] if task is None else task
+    for word, value, kind in (("operator", operator, Teleoperator), ("task", task, TrackingTask)):
+        if not isinstance(value, kind):
+            raise ValueError(f"{word} must be of class {kind.__name__}, got {type(value).__name__}")
+    duration, sample_time = finite_number("duration", duration), finite_number("sample_time", sample_time)
+    if not 0.0 < sample_time <= 0.1:
+        raise ValueError(f"sample_time must lie in (0, 0.1] s, got {sample_time}")
+    if not 10.0 * sample_time <= duration <= 1e5:
+        raise ValueError(f"duration must be at least ten samples and at most 1e5 s, got {duration}")
+    for word, value, known in (("read_out", read_out, READ_OUTS), ("guard", guard, METHODS)):
+        if value not in known:
+            raise ValueError(f"{word} must be one of {', '.join(known)}, got {value!r}")
+    if chosen.allocation == OPTIMAL and alpha is None:
+        raise ValueError(
+            "scheme OMI needs the optimal α of Appendix A, which is not built yet; give it as alpha="
+        )
+    streams = [np.random.default_rng(child) for child in _spawn(seed, 5)]
+    count = round(duration / sample_time)
+    t = sample_time * np.arange(count)
+    reference, velocity = task.path(t, settings.height, streams[0].uniform(0.0, 2.0 * np.pi))
+    detected = _losses(task, count, sample_time, streams[1])
+    motor = _coloured(count, operator.noise_time, sample_time, streams[2])
+    delays, direct = _delays(name, settings, (delay_1, delay_2), read_out, count, sample_time, streams[3:])
+    shares = _given("alpha", alpha, (count,), np.nan)
+    known = shares[np.isfinite(shares)]
+    settings.scattering.check_scales(known, settings.scattering.beta_max)
+    pushed = _given("push", push, (count, 3), 0.0)
+    if not np.isfinite(pushed).all():
+        k, i = np.argwhere(~np.isfinite(pushed))[0]
+        raise ValueError(f"push must be finite, but sample {k}, axis {i} is {pushed[k, i]}")
+    phi, gamma = vehicle_matrices(tracking_vehicle() if vehicle is None else vehicle, sample_time)
+    auto = AutonomyNumbers(
+        task.proportional,
+        task.integral,
+        task.derivative,
+        max(round(task.camera_delay / sample_time), 1),
+        task.reach,
+        1.0,
+    )
+    log = np.empty((count, len(COLUMNS)))
+    done, block, energy = run_loop(
+        chosen.allocation, chosen.bilateral, direct, READ_OUTS[read_out], METHODS[guard],
+        settings.numbers(sample_time), operator.numbers(sample_time, task.camera_delay), auto, phi, gamma,
+        reference, velocity, detected, delays, np.ones((2, count), bool), motor, pushed, shares, log,
+    )  # fmt: skip
+    if block >= 0:
+        raise DivergenceError(
+            f"scheme {scheme} diverged at t = {(done - 1) * sample_time:g} s in the {BLOCKS[block]} (its energy: "
+            f"{energy:.3g} J); lower k_ffa, the hand's gains or the sample time, or see which guard is off"
+        )
+    data = pd.DataFrame(log, index=pd.Index(np.round(t, 9), name="t"), columns=COLUMNS)
+    facts = {
+        "study": settings.title,
+        "scheme": chosen.title,
+        "seed": str(seed),
+        "read_out": read_out,
+        "guard": guard,
+        "note": NOTE,
+    }
+    return Session(
+        data, Metadata(operator.participant, chosen.name, "trustlab.testbeds.uav_tracking", True, facts)
+    )
+
+
+def _spawn(seed, count: int) -> list[np.random.SeedSequence]:
+    """Return children of the seed, the same at every call."""
+    if isinstance(seed, np.random.SeedSequence):
+        own = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
+    elif isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and seed >= 0:
+        own = np.random.SeedSequence(int(seed))
+    else:
+        raise ValueError(f"seed must be a whole number, 0 or more, or a numpy SeedSequence, got {seed!r}")
+    return own.spawn(count)
+
+
+def _losses(task: TrackingTask, count: int, sample_time: float, rng) -> np.ndarray:
+    """Return whether the autonomous controller sees its target, per sample."""
+    detected, k, sees = np.ones(count, bool), 0, True
+    while k < count:
+        length = rng.exponential(task.failure_every if sees else task.failure_length)
+        until = k + max(round(length / sample_time), 1)
+        detected[k:until] = sees
+        k, sees = until, not sees
+    return detected
+
+
+def _coloured(count: int, time: float, sample_time: float, rng) -> np.ndarray:
+    """Return noise of unit variance with this correlation time, shape (count, 3)."""
+    from scipy.signal import lfilter
+
+    keep = np.exp(-sample_time / time)
+    white = rng.normal(size=(count, 3))
+    white[0] /= np.sqrt(1.0 - keep**2)
+    return np.ascontiguousarray(lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, axis=0))
+
+
+def _delays(name, settings, given, read_out, count, sample_time, streams) -> tuple[np.ndarray, bool]:
+    rate = settings.scattering.max_delay_rate
+    delays = np.empty((2, count))
+    for i, delay in enumerate(given):
+        if delay is None:
+            low, high = DELAYS[name]
+            children = np.random.SeedSequence(int(streams[i].integers(1 << 62)))
+            delay = random_walk_delay(max(low, sample_time), high, rate, children)
+        delay = delay_from(f"delay_{i + 1}", delay, rate)
+        if read_out != "ledger" and delay.max_rate > rate + 1e-9:
+            raise ValueError(
+                f"delay_{i + 1} grows at up to {delay.max_rate:g} s/s, but f_i is set for {rate:g} (max_delay_rate of the "
+                "scattering); raise it, or read out by ledger"
+            )
+        delays[i] = delay.samples(count, sample_time) / sample_time
+    direct = not delays.any()
+    if not direct and not delays.all():
+        raise ValueError(
+            "delay_1 and delay_2 must both be zero (no channel in between) or both at least one sample"
+        )
+    return delays, direct
+
+
+def _given(name: str, values, shape: tuple[int, ...], default: float) -> np.ndarray:
+    if values is None:
+        return np.full(shape, default)
+    try:
+        array = np.ascontiguousarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be an array of numbers, got {type(values).__name__}") from None
+    if array.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, one row per sample, got {array.shape}")
+    return array
