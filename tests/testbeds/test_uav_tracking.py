@@ -1,5 +1,6 @@
 """The whole loop: against independent integrators, its energy ledgers, its guards, and what it refuses."""
 
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -14,7 +15,7 @@ from trustlab.testbeds.teleoperator import Teleoperator
 from trustlab.testbeds.uav_tracking import TrackingTask, simulate_teleoperation, tracking_vehicle
 
 SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
-UNIT = STUDIES["main"].changed(scattering=Scattering(2.0), k_ffa=3.0)
+UNIT = replace(STUDIES["main"], scattering=Scattering(2.0), k_ffa=3.0)
 STILL = Teleoperator(proportional=0.0, derivative=0.0, noise=0.0)
 TASK = TrackingTask(failure_every=1e9)
 PUSH = MappingProxyType({"x": (1.0, 1.3), "y": (0.7, 0.8), "z": (0.5, 2.1)})  # size [N] and rate [rad/s]
@@ -113,7 +114,7 @@ def second_integrator(settings, delay, step, duration=4.0):
 
 
 def test_with_a_constant_delay_a_second_integrator_agrees_to_first_order():
-    settings = UNIT.changed(scattering=Scattering(2.0, 0.4, 1.0, 0.2, 0.8))
+    settings = replace(UNIT, scattering=Scattering(2.0, 0.4, 1.0, 0.2, 0.8))
     exact = second_integrator(settings, 0.1, 0.0005)
     errors = []
     for sample_time in (0.01, 0.005, 0.001):
@@ -190,7 +191,7 @@ def test_trust_based_allocation_tracks_better_than_manual_on_the_simulated_opera
 
 
 def test_the_printed_direction_of_the_force_is_active_and_without_a_guard_diverges():
-    printed = STUDIES["main"].changed(printed_sign=True)
+    printed = replace(STUDIES["main"], printed_sign=True)
     with pytest.raises(DivergenceError, match=r"diverged at t = .* in the .*energy"):
         simulate_teleoperation("TMIG", study=printed, guard="off", seed=1)
 
@@ -296,11 +297,11 @@ def test_bad_input_is_refused_before_the_run(arguments, error, words):
 )
 def test_bad_settings_are_refused(change, error, words):
     with pytest.raises(error, match=words):
-        STUDIES["main"].changed(**change)
+        replace(STUDIES["main"], **change)
 
 
 def test_a_heavy_device_with_the_preliminary_gains_dissipates_negative_energy():
-    heavy = STUDIES["preliminary"].changed(mass=1.0, require_passive=False)
+    heavy = replace(STUDIES["preliminary"], mass=1.0, require_passive=False)
     data = simulate_teleoperation("M", study=heavy, duration=10.0).data
     assert np.diff(data["energy_dissipated"]).min() < 0.0
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -167,17 +167,6 @@ class LoopSettings:
             trusts[0].p_min,
             trusts[0].p_max,
         )
-
-    def changed(self, **changes) -> LoopSettings:
-        """
-        Return these settings with some of them changed.
-
-        Parameters
-        ----------
-        **changes
-            New values by name.
-        """
-        return replace(self, **changes)
 
 
 STUDIES = {

@@ -1,0 +1,296 @@
+"""How near the channel comes to passing forces and velocities on unchanged (Section 3.7), and a tuner for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trustlab.models.checks import finite_array, finite_number
+from trustlab.teleoperation.scattering import Scattering
+
+__all__ = ["Tuning", "dominance", "gains", "ideal_distances", "rendered_impedance", "tune_transparency"]
+
+
+def ideal_distances(scattering: Scattering):
+    """
+    Return by how much the four relations of (3.22) miss the ideal ones of (3.23).
+
+    Each relation mixes the wanted signal with another one: f'_m = b r_m + √(2b/β_max) v_l should be v_l, u_r = √(2α_min/b)
+    f_s − √(α_min/α_max) v_r should be f_s, and so on. All four cannot be met at once.
+
+    Parameters
+    ----------
+    scattering : Scattering
+        Impedance and bounds of the scales.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Index `relation`; columns wanted, weight (of the wanted signal; ideal 1), other, leak (weight of the other signal;
+        ideal 0), distance = √((weight − 1)² + leak²), ratio = weight/leak.
+    """
+    import pandas as pd
+
+    s = _checked(scattering)
+    rows = {
+        "f'_m = v_l": ("v_l", np.sqrt(2.0 * s.b / s.beta_max), "r_m", s.b),
+        "u_r = f_s": ("f_s", np.sqrt(2.0 * s.alpha_min / s.b), "v_r", np.sqrt(s.alpha_min / s.alpha_max)),
+        "r'_s = v_r": ("v_r", np.sqrt(2.0 / (s.b * s.alpha_max)), "f_s", 1.0 / s.b),
+        "u_l = r_m": ("r_m", np.sqrt(2.0 * s.b * s.beta_min), "v_l", np.sqrt(s.beta_min / s.beta_max)),
+    }
+    frame = pd.DataFrame.from_dict(rows, orient="index", columns=["wanted", "weight", "other", "leak"])
+    frame["distance"] = np.hypot(frame["weight"] - 1.0, frame["leak"])
+    frame["ratio"] = frame["weight"] / frame["leak"]
+    return frame.rename_axis("relation")
+
+
+def dominance(scattering: Scattering) -> dict[str, float]:
+    """
+    Return how far the wanted signal outweighs the other one, for force and for velocity.
+
+    In u_r and f'_m the force dominates by √(2α_max/b) and √(2/(bβ_max)): it gains from smaller b and β_max and larger α_max. In
+    r'_s and u_l the velocity dominates by √(2b/α_max) and √(2bβ_max): it gains from larger b, from smaller α_max in the first
+    and larger β_max in the second. Section 3.7.1 says that smaller β helps velocity; no choice of its lost bar makes that so.
+
+    Parameters
+    ----------
+    scattering : Scattering
+        Impedance and bounds of the scales.
+
+    Returns
+    -------
+    dict of str to float
+        force_robot (f_s in u_r), force_operator (v_l in f'_m), velocity_robot (v_r in r'_s), velocity_operator (r_m in u_l).
+    """
+    s = _checked(scattering)
+    return {
+        "force_robot": float(np.sqrt(2.0 * s.alpha_max / s.b)),
+        "force_operator": float(np.sqrt(2.0 / (s.b * s.beta_max))),
+        "velocity_robot": float(np.sqrt(2.0 * s.b / s.alpha_max)),
+        "velocity_operator": float(np.sqrt(2.0 * s.b * s.beta_max)),
+    }
+
+
+def gains(scattering: Scattering, alpha: float | None = None, beta: float | None = None) -> dict[str, float]:
+    """
+    Return what a slow signal becomes on its way, all delays having passed.
+
+    force = f_m/f_s with the hand held still, 2β√(α_min/β_max)/(1 + κ); velocity = r_s/r_m with no force at the robot,
+    2α√(β_min/α_max)/(1 + κ), κ = √(α_minβ_min/(α_maxβ_max)). Neither depends on b, which sets what leaks across: drag = f_m/r_m
+    felt without a force at the robot, βb(1 − κ)/(1 + κ), and drift = −r_s/f_s, how the robot moves under its own force while
+    the hand is still, (α/b)(1 − κ)/(1 + κ). The ideal is force = β, velocity = α, drag = drift = 0.
+
+    Parameters
+    ----------
+    scattering : Scattering
+        Impedance and bounds of the scales.
+    alpha, beta : float, optional
+        The scales; their upper bounds when not given.
+
+    Returns
+    -------
+    dict of str to float
+        force, velocity, drag [N s/m], drift [m/s/N].
+    """
+    s = _checked(scattering)
+    alpha, beta = _scales(s, alpha, beta)
+    kappa = np.sqrt(s.alpha_min * s.beta_min / (s.alpha_max * s.beta_max))
+    return {
+        "force": float(2.0 * beta * np.sqrt(s.alpha_min / s.beta_max) / (1.0 + kappa)),
+        "velocity": float(2.0 * alpha * np.sqrt(s.beta_min / s.alpha_max) / (1.0 + kappa)),
+        "drag": float(beta * s.b * (1.0 - kappa) / (1.0 + kappa)),
+        "drift": float(alpha / s.b * (1.0 - kappa) / (1.0 + kappa)),
+    }
+
+
+def rendered_impedance(
+    scattering: Scattering,
+    frequency: np.ndarray,
+    environment: complex | np.ndarray = 0.0,
+    delay_1: float = 0.0,
+    delay_2: float = 0.0,
+    alpha: float | None = None,
+    beta: float | None = None,
+) -> np.ndarray:
+    """
+    Return the impedance f_m/r_m that the operator feels through the channel, for constant delays and scales.
+
+    Parameters
+    ----------
+    scattering : Scattering
+        Impedance, bounds of the scales, and the gain f_i.
+    frequency : array_like, shape (N,)
+        Angular frequencies [rad/s].
+    environment : complex or array_like, shape (N,)
+        f_s/r_s at the robot's port [N s/m]; k/(jω) for a spring of stiffness k.
+    delay_1, delay_2 : float
+        Constant delays to the robot and back [s].
+    alpha, beta : float, optional
+        The scales; their upper bounds when not given.
+
+    Returns
+    -------
+    numpy.ndarray of complex, shape (N,)
+        Its real part is never negative where the environment's is not: the channel is passive.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not finite or out of range.
+    """
+    s, omega = _checked(scattering), finite_array("frequency", frequency)
+    alpha, beta = _scales(s, alpha, beta)
+    there, back = finite_number("delay_1", delay_1), finite_number("delay_2", delay_2)
+    if min(there, back) < 0.0:
+        raise ValueError(f"delays cannot be negative, got {there} and {back} s")
+    load = np.asarray(environment, dtype=complex)
+    if (load.ndim and load.shape != omega.shape) or not np.isfinite(load).all():
+        raise ValueError(f"environment must be a finite number or one per frequency, got shape {load.shape}")
+    loop = s.gain**2 * np.exp(-1j * omega * (there + back))
+    into = alpha * load * np.sqrt(2.0 * s.b / s.alpha_max) / (s.b + alpha * load)
+    reflected = np.sqrt(2.0 * s.alpha_min / s.b) * into - np.sqrt(s.alpha_min / s.alpha_max)
+    arriving = loop * reflected * np.sqrt(2.0 * s.b * s.beta_min)
+    arriving = arriving / (1.0 - np.sqrt(s.beta_min / s.beta_max) * loop * reflected)
+    return beta * (s.b + np.sqrt(2.0 * s.b / s.beta_max) * arriving)
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """
+    A compromise between force and velocity transparency.
+
+    Parameters
+    ----------
+    scattering : Scattering
+        The parameters chosen.
+    force, velocity : float
+        Distances from ideal of what the operator feels and of what the robot does, 0 at best.
+    weight : float
+        Share of force in the compromise.
+    """
+
+    scattering: Scattering
+    force: float
+    velocity: float
+    weight: float
+
+    def table(self):
+        """Return one row: weight, force, velocity and the parameters."""
+        import pandas as pd
+
+        names = ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")
+        row = {"weight": self.weight, "force": self.force, "velocity": self.velocity}
+        return pd.DataFrame([row | {name: getattr(self.scattering, name) for name in names}])
+
+
+def _distances(scattering: Scattering, impedance: float) -> tuple[float, float]:
+    """Return how far force and velocity are from ideal: gains on a logarithmic scale, leaks against `impedance`."""
+    found = gains(scattering)
+    force = np.hypot(
+        np.log(found["force"] / scattering.beta_max), found["drag"] / (scattering.beta_max * impedance)
+    )
+    velocity = np.hypot(
+        np.log(found["velocity"] / scattering.alpha_max), found["drift"] * impedance / scattering.alpha_max
+    )
+    return float(force), float(velocity)
+
+
+def tune_transparency(
+    scattering: Scattering,
+    weight: float = 0.5,
+    free: tuple[str, ...] = ("b", "alpha_min", "beta_min"),
+    ranges: dict[str, tuple[float, float]] | None = None,
+    impedance: float = 1.0,
+) -> Tuning:
+    """
+    Choose parameters of the channel between force and velocity transparency; it stays passive by Theorem 3.
+
+    Force: f_m should be β f_s and free of drag. Velocity: r_s should be α r_m and free of drift. Gains count by the logarithm
+    of what they miss, leaks against a typical impedance. The search is deterministic.
+
+    Parameters
+    ----------
+    scattering : Scattering
+        Where to start; what is not free stays.
+    weight : float
+        Share of force, in [0, 1].
+    free : tuple of str
+        Which of b, alpha_min, alpha_max, beta_min, beta_max may change.
+    ranges : dict of str to (float, float), optional
+        Allowed ranges; b in [0.1, 10] and the bounds within a factor of ten below and up to three above, never past (3.1),
+        when not given.
+    impedance : float
+        Typical impedance of the robot's port [N s/m], positive.
+
+    Returns
+    -------
+    Tuning
+        With `.scattering`, `.force`, `.velocity` and `.table()`.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown, a range is empty or breaks (3.1), or weight or impedance is out of range.
+    """
+    from scipy.optimize import differential_evolution, minimize
+
+    start = _checked(scattering)
+    weight, impedance = finite_number("weight", weight), finite_number("impedance", impedance)
+    if not 0.0 <= weight <= 1.0:
+        raise ValueError(f"weight is a share, in [0, 1]; got {weight}")
+    if not impedance > 0.0:
+        raise ValueError(f"impedance must be positive, got {impedance}")
+    known = ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")
+    free = tuple(free)
+    for name in (*free, *(ranges or {})):
+        if name not in known:
+            raise ValueError(f"{name!r} is no parameter of the channel; there are {', '.join(known)}")
+    if not free:
+        raise ValueError(f"free names nothing to tune; choose from {', '.join(known)}")
+    box = []
+    for name in free:
+        value = getattr(start, name)
+        usual = (
+            (0.1, 10.0)
+            if name == "b"
+            else (value / 10.0, min(3.0 * value, 1.0 if "alpha" in name else np.inf))
+        )
+        low, high = (finite_number(name, x) for x in (ranges or {}).get(name, usual))
+        if not 0.0 < low < high or ("alpha" in name and high > 1.0):
+            raise ValueError(
+                f"range of {name} must be positive, increasing, and within (3.1), got ({low}, {high})"
+            )
+        box.append((np.log(low), np.log(high)))
+
+    def at(logarithms) -> Scattering | None:
+        values = dict(zip(free, np.exp(logarithms).tolist(), strict=True))
+        try:
+            return replace(start, **values)
+        except ValueError:
+            return None  # a lower bound above its upper bound
+
+    def cost(logarithms) -> float:
+        candidate = at(logarithms)
+        if candidate is None:
+            return 1e6
+        force, velocity = _distances(candidate, impedance)
+        return weight * force**2 + (1.0 - weight) * velocity**2
+
+    coarse = differential_evolution(cost, box, seed=0, popsize=20, tol=1e-10, polish=False, maxiter=400)
+    fine = minimize(cost, coarse.x, method="Nelder-Mead", bounds=box, options={"xatol": 1e-9, "fatol": 1e-13})
+    best = at(fine.x if fine.fun <= coarse.fun else coarse.x)
+    return Tuning(best, *_distances(best, impedance), weight)
+
+
+def _checked(scattering: Scattering) -> Scattering:
+    if not isinstance(scattering, Scattering):
+        raise ValueError(f"scattering must be of class Scattering, got {type(scattering).__name__}")
+    return scattering
+
+
+def _scales(scattering: Scattering, alpha, beta) -> tuple[float, float]:
+    alpha = scattering.alpha_max if alpha is None else finite_number("alpha", alpha)
+    beta = scattering.beta_max if beta is None else finite_number("beta", beta)
+    scattering.check_scales(alpha, beta)
+    return alpha, beta
