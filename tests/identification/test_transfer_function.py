@@ -1,0 +1,90 @@
+"""(A.1) recovered: exactly without noise, within its standard errors with noise; python-control as the simulator."""
+
+import control
+import numpy as np
+import pytest
+
+from trustlab.identification.errors import IdentificationError
+from trustlab.identification.transfer_function import fit_transfer_function
+from trustlab.models.uav import PRINTED_UAV
+
+T = 0.02
+
+
+def flight(axis, seed, count=3000, start=True):
+    """Held commands like a pilot's, and the velocity that python-control makes of them."""
+    rng = np.random.default_rng([51, seed])
+    command = np.repeat(rng.uniform(-0.2, 0.2, count // 50), 50)
+    model = PRINTED_UAV[axis]
+    plant = control.c2d(control.ss(control.tf([model.gain], [1.0, *model.denominator])), T, method="zoh")
+    begin = rng.normal(size=model.order) * 0.1 if start else np.zeros(model.order)
+    return command, control.forced_response(plant, T * np.arange(count), command, begin).outputs
+
+
+@pytest.mark.parametrize("axis", "xyz")
+def test_printed_model_is_recovered_without_noise(axis):
+    runs = [flight(axis, seed) for seed in range(3)]
+    model = PRINTED_UAV[axis]
+    fit = fit_transfer_function([u for u, _ in runs], [v for _, v in runs], T, order=model.order)
+    np.testing.assert_allclose(fit.parameters["value"], [model.gain, *model.denominator], rtol=1e-7)
+    assert fit.fit_percent > 99.9999
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", "xyz")
+def test_intervals_cover_the_printed_model_as_often_as_they_say(axis):
+    model, inside = PRINTED_UAV[axis], []
+    u, v = flight(axis, 7, count=1500)
+    for seed in range(50):
+        noisy = v + np.random.default_rng([52, seed]).normal(0.0, 0.05, v.size)
+        table = fit_transfer_function(u, noisy, T, order=model.order, noise="white").table()
+        true = np.array([model.gain, *model.denominator])
+        inside.append((table["ci_low"] <= true) & (true <= table["ci_high"]))
+    share = np.mean(inside, axis=0)
+    assert (share >= 0.86).all()
+    assert (share <= 1.0).all()
+    assert share.mean() <= 0.99
+
+
+def test_coloured_noise_gets_wider_errors():
+    u, v = flight("z", 3)
+    rng = np.random.default_rng(4)
+    slow = np.convolve(rng.normal(0.0, 0.02, v.size), np.ones(20), mode="same")
+    fit = fit_transfer_function(u, v + slow, T, order=1)
+    white = fit_transfer_function(u, v + slow, T, order=1, noise="white")
+    assert fit.noise == "hac"
+    assert fit.parameters["stderr"]["gain"] > 1.5 * white.parameters["stderr"]["gain"]
+    assert fit_transfer_function(u, v + rng.normal(0.0, 0.05, v.size), T, order=1).noise == "white"
+
+
+def test_first_order_does_not_fit_a_second_order_axis():
+    u, v = flight("y", 1)
+    assert (
+        fit_transfer_function(u, v, T, order=1).fit_percent
+        < 80.0
+        < fit_transfer_function(u, v, T).fit_percent
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        ({"order": 3}, ValueError, "order must be 1 or 2"),
+        ({"order": True}, ValueError, "order must be"),
+        ({"sample_time": 0.0}, ValueError, "sample_time must be positive"),
+        ({"velocity": np.ones(10)}, ValueError, "must have 200 samples"),
+        (
+            {"command": np.r_[np.nan, np.ones(199)]},
+            ValueError,
+            "command of run 0 must be finite, but sample 0",
+        ),
+        ({"command": np.ones(200)}, IdentificationError, "never changes"),
+        ({"command": [np.ones(200)] * 2}, ValueError, "2 runs of command but 1"),
+        ({"noise": "pink"}, ValueError, "noise must be"),
+        ({"command": np.r_[0.0, 1.0, 0.0], "velocity": np.ones(3)}, IdentificationError, "too few"),
+    ],
+)
+def test_bad_input_is_refused(change, error, words):
+    u, v = flight("x", 0, count=200)
+    with pytest.raises(error, match=words):
+        fit_transfer_function(**({"command": u, "velocity": v, "sample_time": T} | change))
