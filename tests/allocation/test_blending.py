@@ -1,0 +1,115 @@
+"""Appendix A: cost against an independent integration of its printed equations, minimum against a fine grid and CasADi."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from trustlab.allocation.blending import OptimalBlending
+
+SETTINGS = settings(max_examples=40, deadline=None, derandomize=True)
+ZERO = np.zeros(3)
+
+
+def situation(seed):
+    rng = np.random.default_rng([61, seed])
+    sizes = (0.3, 0.3, 1.0, 0.5, 0.5)
+    return [rng.normal(0.0, 10 ** rng.uniform(-1, 0.5) * size, 3) for size in sizes]
+
+
+def printed_cost(alpha, u_h, u_a, e, rate, acceleration):
+    """(A.3) along the fourteen printed equations, α given as a function of time."""
+
+    def change(t, x):
+        u = alpha(t)
+        d = np.zeros(15)
+        d[3] = 0.5 * x[9] + 0.02 * x[12]
+        d[4] = 0.5 * x[10] + 0.02 * x[13]
+        d[5] = 1.5 * x[11]
+        d[6], d[7], d[8] = x[9], x[10], x[11]
+        d[9], d[10] = x[12], x[13]
+        d[11] = -0.495 * x[11] - 0.985 * (x[2] * u + x[5] * (1 - u))
+        d[12] = -1.473 * x[12] - 0.2214 * x[9] - 9.22 * (x[0] * u + x[3] * (1 - u))
+        d[13] = -0.4706 * x[13] - 2.457 * x[10] - 3.806 * (x[1] * u + x[4] * (1 - u))
+        d[14] = 200.0 * (x[6:9] @ x[6:9]) + (1 - u) ** 2 * np.sum((x[:3] - x[3:6]) ** 2)
+        return d
+
+    start = np.r_[u_h, u_a, e, rate, acceleration[:2], 0.0]
+    return solve_ivp(change, (0.0, 0.2), start, rtol=1e-11, atol=1e-13, max_step=0.01).y[-1, -1]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_cost_is_that_of_the_printed_equations(seed):
+    now = situation(seed)
+    for alpha in (0.0, 0.2, 0.63, 1.0):
+        expected = printed_cost(lambda t, alpha=alpha: alpha, *now)
+        assert OptimalBlending().cost(alpha, *now) == pytest.approx(expected, rel=1e-8)
+
+
+@SETTINGS
+@given(st.integers(0, 100_000), st.floats(0.0, 0.8))
+def test_share_is_the_global_minimum(seed, low):
+    blending, now = OptimalBlending(alpha_min=low), situation(seed)
+    step = blending.step(*now)
+    assert low <= step.alpha <= 1.0
+    grid = [blending.cost(alpha, *now) for alpha in np.linspace(low, 1.0, 301)]
+    assert step.cost <= min(grid) * (1 + 1e-12)
+    assert step.cost == pytest.approx(blending.cost(step.alpha, *now), rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_casadi_with_a_share_free_to_change_is_never_worse_and_says_its_true_cost(seed):
+    now = situation(seed)
+    held = OptimalBlending().step(*now)
+    free = OptimalBlending(intervals=4).step(*now)
+    assert free.cost <= held.cost * (1 + 1e-9)
+    pieces = np.array(free.shares)
+    true = printed_cost(lambda t: pieces[min(int(t / 0.05), 3)], *now)
+    assert free.cost == pytest.approx(true, rel=1e-5)
+
+
+def test_casadi_agrees_with_the_fast_form_when_nothing_is_gained_by_changing():
+    # only a deviation to weigh: α = 1 throughout is best in both
+    now = (np.array([0.2, -0.1, 0.3]), ZERO, ZERO, ZERO, ZERO)
+    weights = {"error_weight": 0.0}
+    assert OptimalBlending(**weights).step(*now).alpha == pytest.approx(1.0, abs=1e-12)
+    assert OptimalBlending(intervals=3, **weights).step(*now).alpha == pytest.approx(1.0, abs=1e-4)
+
+
+def test_the_better_command_gets_the_authority():
+    # an error to the right: the controller steers towards it, the operator away, and the reverse
+    e, right = np.array([2.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    against = [
+        OptimalBlending(error_weight=w).step(-right, right, e, ZERO, ZERO).alpha for w in (20.0, 200.0, 2e4)
+    ]
+    assert 1.0 >= against[0] > against[1] > against[2] == 0.2
+    assert OptimalBlending().step(right, -right, e, ZERO, ZERO).alpha == 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"alpha_min": 1.0}, "alpha_min < alpha_max"),
+        ({"alpha_max": 1.2}, "alpha_min < alpha_max"),
+        ({"alpha_min": np.nan}, "alpha_min must be finite"),
+        ({"horizon": 0.0}, "horizon must lie"),
+        ({"error_weight": -1.0}, "cannot be negative"),
+        ({"intervals": 0}, "intervals must be"),
+        ({"intervals": True}, "intervals must be"),
+        ({"gains": (1.0, 2.0, 3.0)}, "three pairs"),
+        ({"gains": ((1.0, 2.0),)}, "three pairs"),
+        ({"vehicle": (1, 2, 3)}, "three transfer functions"),
+    ],
+)
+def test_bad_settings_are_refused(change, words):
+    with pytest.raises(ValueError, match=words):
+        OptimalBlending(**change)
+
+
+@pytest.mark.parametrize("name", ["u_h", "u_a", "e", "rate", "acceleration"])
+@pytest.mark.parametrize("bad", [np.ones(2), [0.0, np.nan, 0.0], "left", None])
+def test_bad_states_are_refused(name, bad):
+    now = dict.fromkeys(("u_h", "u_a", "e", "rate", "acceleration"), ZERO) | {name: bad}
+    with pytest.raises(ValueError, match=f"{name} must be three"):
+        OptimalBlending().step(**now)

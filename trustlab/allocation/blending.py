@@ -1,0 +1,352 @@
+"""Optimal mixed initiative (OMI, Appendix A): the share α that trades tracking error against departing from the operator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from trustlab.models.checks import finite_number
+from trustlab.models.uav import TransferFunction
+
+__all__ = ["APPENDIX_A", "BlendingStep", "OptimalBlending", "best_share"]
+
+DEGREE = 10
+"""Degree of the interpolation of the cost in α; its error over 0.2 s is below rounding (a test checks it)."""
+
+APPENDIX_A = (
+    TransferFunction(9.22, (1.473, 0.2214)),
+    TransferFunction(3.806, (0.4706, 2.457)),
+    TransferFunction(0.985, (0.495,)),
+)
+"""The vehicle as the state equations of Appendix A have it; (A.1) prints 1.475 and 0.4952 for the same numbers."""
+
+
+@numba.njit(cache=True)
+def best_share(weights, states, low, high):
+    """
+    Return the α in [low, high] of least cost and that cost.
+
+    weights, shape (3, DEGREE + 1, 5, 5): the cost's matrices as Chebyshev series in α over [0, 1], per axis. states, shape
+    (3, 5): command of the operator and of the controller, error, its first and second derivative, per axis.
+    """
+    terms = weights.shape[1]
+    series = np.zeros(terms)
+    for axis in range(3):
+        for m in range(terms):
+            for i in range(5):
+                for j in range(5):
+                    series[m] += states[axis, i] * weights[axis, m, i, j] * states[axis, j]
+    # derivative in x = 2α − 1, and its value at many points: every change of sign is followed to its root
+    slope = np.zeros(terms + 1)
+    for m in range(terms - 1, 0, -1):
+        slope[m - 1] = slope[m + 1] + 2.0 * m * series[m]
+    slope[0] *= 0.5
+    best, least = low, _chebyshev(series, 2.0 * low - 1.0)
+    cost = _chebyshev(series, 2.0 * high - 1.0)
+    if cost < least:
+        best, least = high, cost
+    count = 4 * terms
+    left = low
+    at_left = _chebyshev(slope, 2.0 * left - 1.0)
+    for k in range(1, count + 1):
+        right = low + (high - low) * k / count
+        at_right = _chebyshev(slope, 2.0 * right - 1.0)
+        if at_left < 0.0 <= at_right:
+            a, b = left, right
+            for _ in range(60):
+                middle = 0.5 * (a + b)
+                if _chebyshev(slope, 2.0 * middle - 1.0) < 0.0:
+                    a = middle
+                else:
+                    b = middle
+            cost = _chebyshev(series, a + b - 1.0)
+            if cost < least:
+                best, least = 0.5 * (a + b), cost
+        left, at_left = right, at_right
+    return best, least
+
+
+@numba.njit(cache=True)
+def _chebyshev(series, x):
+    """Return Σ c_m T_m(x) by Clenshaw's recurrence."""
+    one = two = 0.0
+    for m in range(series.size - 1, 0, -1):
+        one, two = 2.0 * x * one - two + series[m], one
+    return x * one - two + series[0]
+
+
+@dataclass(frozen=True)
+class BlendingStep:
+    """
+    One optimal share.
+
+    Parameters
+    ----------
+    alpha : float
+        α to apply.
+    cost : float
+        Cost (A.3) over the horizon.
+    shares : tuple of float
+        α over the horizon; one value where it is held.
+    status : str
+        What the solver said.
+    """
+
+    alpha: float
+    cost: float
+    shares: tuple[float, ...]
+    status: str
+
+
+class OptimalBlending:
+    """
+    The allocation of Appendix A: α minimises ∫ 200‖e‖² + (1 − α)²‖u_a − u_h‖² dτ over a short horizon, (A.3).
+
+    Every axis has the states u_h (held), u_a (following its PD law), e and its derivatives; u = α u_h + (1 − α) u_a drives the
+    vehicle. For α held over the horizon the cost is, up to rounding, a polynomial in α with coefficients quadratic in the
+    state; its global minimum is found from all sign changes of its derivative. With more than one interval α may change
+    within the horizon, and CasADi solves the bilinear program from that minimum; a local optimum, never worse than holding.
+
+    Parameters
+    ----------
+    vehicle : three TransferFunction
+        Command to velocity on x, y and z; Appendix A's when not given.
+    gains : three pairs of float
+        Proportional and derivative gain of the autonomous controller per axis, as the prediction has them.
+    alpha_min, alpha_max : float
+        Bounds of α, 0 ≤ alpha_min < alpha_max ≤ 1.
+    horizon : float
+        Length of the prediction [s].
+    error_weight, deviation_weight : float
+        Weights of ‖e‖² and of (1 − α)²‖u_a − u_h‖².
+    intervals : int
+        Into how many pieces the horizon is cut; 1 is the fast form.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Notes
+    -----
+    Saeidi, Appendix A.
+
+    Examples
+    --------
+    >>> blending = OptimalBlending(alpha_min=0.2)
+    >>> step = blending.step(u_h=[0.1, 0, 0], u_a=[0.3, 0, 0], e=[1.0, 0, 0], rate=[0, 0, 0], acceleration=[0, 0, 0])
+    >>> bool(0.2 <= step.alpha <= 1.0)
+    True
+    """
+
+    def __init__(
+        self,
+        vehicle: tuple[TransferFunction, ...] = APPENDIX_A,
+        gains: tuple[tuple[float, float], ...] = ((0.5, 0.02), (0.5, 0.02), (1.5, 0.0)),
+        alpha_min: float = 0.2,
+        alpha_max: float = 1.0,
+        horizon: float = 0.2,
+        error_weight: float = 200.0,
+        deviation_weight: float = 1.0,
+        intervals: int = 1,
+    ):
+        self.vehicle = tuple(vehicle)
+        if len(self.vehicle) != 3 or not all(isinstance(axis, TransferFunction) for axis in self.vehicle):
+            raise ValueError("a vehicle needs three transfer functions, for x, y and z")
+        try:
+            self.gains = tuple((finite_number("gain", p), finite_number("gain", d)) for p, d in gains)
+        except TypeError:
+            raise ValueError(f"gains must be three pairs (proportional, derivative), got {gains!r}") from None
+        if len(self.gains) != 3:
+            raise ValueError(f"gains must be three pairs (proportional, derivative), got {len(self.gains)}")
+        self.alpha_min, self.alpha_max = (
+            finite_number("alpha_min", alpha_min),
+            finite_number("alpha_max", alpha_max),
+        )
+        if not 0.0 <= self.alpha_min < self.alpha_max <= 1.0:
+            raise ValueError(f"0 ≤ alpha_min < alpha_max ≤ 1 is needed, got {alpha_min} and {alpha_max}")
+        self.horizon = finite_number("horizon", horizon)
+        if not 0.0 < self.horizon <= 2.0:
+            raise ValueError(f"horizon must lie in (0, 2] s, got {horizon}")
+        self.error_weight = finite_number("error_weight", error_weight)
+        self.deviation_weight = finite_number("deviation_weight", deviation_weight)
+        if min(self.error_weight, self.deviation_weight) < 0.0:
+            raise ValueError(f"weights cannot be negative, got {error_weight} and {deviation_weight}")
+        if (
+            isinstance(intervals, bool)
+            or not isinstance(intervals, (int, np.integer))
+            or not 1 <= intervals <= 50
+        ):
+            raise ValueError(f"intervals must be a whole number from 1 to 50, got {intervals!r}")
+        self.intervals = int(intervals)
+        self.weights = self._series()
+        self._program = None
+
+    def matrix(self, axis: int, alpha: float) -> np.ndarray:
+        """
+        Return A(α) of one axis, for the states u_h, u_a, e, de/dt, d²e/dt².
+
+        Parameters
+        ----------
+        axis : int
+            0, 1 or 2.
+        alpha : float
+            α.
+
+        Returns
+        -------
+        numpy.ndarray, shape (5, 5)
+            The state's derivative is A(α) times the state; an axis of order one has no fifth state.
+        """
+        model, (p, d) = self.vehicle[axis], self.gains[axis]
+        a = np.zeros((5, 5))
+        a[1, 3] = p
+        a[2, 3] = 1.0
+        pull = (-model.gain * alpha, -model.gain * (1.0 - alpha))
+        if model.order == 2:
+            a[1, 4] = d
+            a[3, 4] = 1.0
+            a[4, 0], a[4, 1] = pull
+            a[4, 3], a[4, 4] = -model.denominator[1], -model.denominator[0]
+        else:
+            a[3, 0], a[3, 1] = pull
+            a[3, 3] = -model.denominator[0]
+            a[1] += d * a[3]
+        return a
+
+    def _series(self) -> np.ndarray:
+        """Return the cost's matrices as Chebyshev series in α, per axis."""
+        from scipy.linalg import expm
+
+        nodes = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
+        fit = np.polynomial.chebyshev.chebvander(nodes, DEGREE)
+        series = np.empty((3, DEGREE + 1, 5, 5))
+        for axis in range(3):
+            at_nodes = []
+            for x in nodes:
+                alpha = 0.5 * (x + 1.0)
+                a, q = self.matrix(axis, alpha), np.zeros((5, 5))
+                q[2, 2] = self.error_weight
+                difference = np.array([1.0, -1.0, 0.0, 0.0, 0.0])
+                q += self.deviation_weight * (1.0 - alpha) ** 2 * np.outer(difference, difference)
+                block = np.block([[-a.T, q], [np.zeros((5, 5)), a]])  # Van Loan
+                whole = expm(block * self.horizon)
+                gram = whole[5:, 5:].T @ whole[:5, 5:]
+                at_nodes.append(0.5 * (gram + gram.T))
+            solved = np.linalg.solve(fit, np.reshape(at_nodes, (DEGREE + 1, 25)))
+            series[axis] = solved.reshape(DEGREE + 1, 5, 5)
+        return series
+
+    def cost(self, alpha: float, u_h, u_a, e, rate, acceleration) -> float:
+        """
+        Return the cost (A.3) of an α that is held over the horizon.
+
+        Parameters
+        ----------
+        alpha : float
+            α in [0, 1].
+        u_h, u_a : array_like, shape (3,)
+            Commands of the operator and of the autonomous controller.
+        e, rate, acceleration : array_like, shape (3,)
+            Tracking error [m] and its derivatives.
+        """
+        alpha = finite_number("alpha", alpha)
+        if not 0.0 <= alpha <= 1.0:
+            raise ValueError(f"alpha must lie in [0, 1], got {alpha}")
+        states = self._states(u_h, u_a, e, rate, acceleration)
+        series = np.einsum("ai,amij,aj->m", states, self.weights, states)
+        return float(np.polynomial.chebyshev.chebval(2.0 * alpha - 1.0, series))
+
+    def step(self, u_h, u_a, e, rate, acceleration) -> BlendingStep:
+        """
+        Return the optimal share for this sample.
+
+        Parameters
+        ----------
+        u_h, u_a : array_like, shape (3,)
+            Commands of the operator and of the autonomous controller.
+        e, rate, acceleration : array_like, shape (3,)
+            Tracking error [m], its first and second derivative; the last is not used on an axis of order one.
+
+        Returns
+        -------
+        BlendingStep
+            α, cost, α over the horizon, and what the solver said.
+
+        Raises
+        ------
+        ValueError
+            If an argument is not three finite numbers.
+        """
+        states = self._states(u_h, u_a, e, rate, acceleration)
+        alpha, cost = best_share(self.weights, states, self.alpha_min, self.alpha_max)
+        held = BlendingStep(alpha, cost, (alpha,), "global minimum for a share held over the horizon")
+        if self.intervals == 1:
+            return held
+        return self._solve(states, held)
+
+    def _states(self, *given) -> np.ndarray:
+        states = np.empty((3, 5))
+        for j, (name, value) in enumerate(
+            zip(("u_h", "u_a", "e", "rate", "acceleration"), given, strict=True)
+        ):
+            try:
+                array = np.asarray(value, dtype=float)
+            except (TypeError, ValueError):
+                raise ValueError(f"{name} must be three numbers, got {value!r}") from None
+            if array.shape != (3,) or not np.isfinite(array).all():
+                raise ValueError(f"{name} must be three finite numbers, got {value!r}")
+            states[:, j] = array
+        return states
+
+    def _solve(self, states: np.ndarray, held: BlendingStep) -> BlendingStep:
+        if self._program is None:
+            self._program = self._build()
+        n = self.intervals
+        found = self._program(
+            x0=np.full(n, held.alpha), lbx=self.alpha_min, ubx=self.alpha_max, p=states.ravel()
+        )
+        shares, cost = np.asarray(found["x"]).ravel(), float(found["f"])
+        said = self._program.stats()["return_status"]
+        if not np.isfinite(shares).all() or not cost <= held.cost * (1.0 + 1e-9):
+            return BlendingStep(held.alpha, held.cost, held.shares * n, f"{said}; the held share is kept")
+        shares = np.clip(shares, self.alpha_min, self.alpha_max)  # bounds are met to the solver's tolerance
+        return BlendingStep(float(shares[0]), cost, tuple(shares.tolist()), said)
+
+    def _build(self):
+        """Return the bilinear program: α constant on each interval, the state's flow and cost by eight Taylor terms."""
+        import casadi
+
+        alphas, p = casadi.MX.sym("alpha", self.intervals), casadi.MX.sym("p", 15)
+        length, cost = self.horizon / self.intervals, 0
+        pick = casadi.DM(np.eye(5))
+        for axis in range(3):
+            state = p[5 * axis : 5 * axis + 5]
+            at_zero = self.matrix(axis, 0.0)
+            change = self.matrix(axis, 1.0) - at_zero
+            for k in range(self.intervals):
+                a = casadi.DM(at_zero) + alphas[k] * casadi.DM(change)
+                # exact moments of the Taylor flow at Gauss points
+                points, share = np.polynomial.legendre.leggauss(6)
+                for x, w in zip(points, share, strict=True):
+                    now = _flow(a, state, 0.5 * length * (x + 1.0), casadi)
+                    difference = (pick[0, :] - pick[1, :]) @ now
+                    running = (
+                        self.error_weight * now[2] ** 2
+                        + self.deviation_weight * (1 - alphas[k]) ** 2 * difference**2
+                    )
+                    cost += 0.5 * length * w * running
+                state = _flow(a, state, length, casadi)
+        options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
+        return casadi.nlpsol("blending", "ipopt", {"x": alphas, "p": p, "f": cost}, options)
+
+
+def _flow(a, state, length: float, casadi):
+    """Return the state `length` seconds later, by the Taylor series of the exponential."""
+    term, out = state, state
+    for m in range(1, 13):
+        term = (length / m) * casadi.mtimes(a, term)
+        out = out + term
+    return out
