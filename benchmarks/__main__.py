@@ -15,9 +15,9 @@ SETTING |= {
 if any(os.environ.get(name) != value for name, value in SETTING.items()):  # they count from a process's start
     os.execve(sys.executable, [sys.executable, "-m", "benchmarks"], os.environ | SETTING)
 
-from benchmarks import arx, greybox, imports, report, sessions, simulation  # noqa: E402
+from benchmarks import arx, correction, greybox, imports, repeated_measures, report, sessions, simulation  # noqa: E402
 
-CASES = (arx, greybox, imports, simulation, sessions)
+CASES = (arx, greybox, imports, simulation, sessions, repeated_measures, correction)
 
 
 def main() -> int:

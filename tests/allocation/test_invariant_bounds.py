@@ -13,8 +13,8 @@ from trustlab.allocation import (
     steady_state_bounds,
     threshold_limits,
 )
-from trustlab.allocation.invariant_bounds import _overshoot
-from trustlab.allocation.limit_cycle import pack
+from trustlab.allocation.intervals import overshoot
+from trustlab.allocation.phases import pack
 
 
 def runs_of(mode):
@@ -181,5 +181,5 @@ def test_overshoot_grows_with_the_range_it_is_taken_over():
         inner = np.sort(rng.random(2))
         outer = (inner[0] * rng.random(), inner[1] + (1.0 - inner[1]) * rng.choice([rng.random(), 1.0]))
         for manual in (True, False):
-            small = _overshoot(manual, inner[0], inner[1], lower, c)
-            assert _overshoot(manual, outer[0], outer[1], lower, c) >= small - 1e-5 * abs(small)
+            small = overshoot(manual, inner[0], inner[1], lower, c)
+            assert overshoot(manual, outer[0], outer[1], lower, c) >= small - 1e-5 * abs(small)

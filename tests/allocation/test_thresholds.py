@@ -12,7 +12,7 @@ from trustlab.allocation import (
     followed_suggestions,
     relative_performance,
 )
-from trustlab.allocation.threshold_estimate import apart
+from trustlab.allocation.threshold_estimate import _apart, separation
 from trustlab.reproduction import published_table
 
 
@@ -99,16 +99,65 @@ def test_thresholds_are_read_off_the_switches():
 def test_thresholds_that_cannot_be_told_apart():
     estimate = estimate_thresholds([switched(0.2, 0.25, 0.3, seed) for seed in range(3)])
     assert not estimate.distinguishable
-    assert estimate.p > 0.05
+    assert estimate.p_means > 0.05
+    assert estimate.p_overlap > 0.5
 
 
 def test_table_2_3_sets_participant_3_apart():
+    """Mean ± SD overlap for participant 3 alone, by hand 0.414/0.42."""
     printed = published_table("2.3").astype(float)
     found = {}
     for name in printed.columns:
-        rows = {side: printed.xs(key)[name] for side, key in (("lower", "TSC_l"), ("upper", "TSC_u"))}
-        found[name] = apart(pd.DataFrame(rows).T)
-    assert found == {"1": True, "2": True, "3": False, "4": True, "5": True}
+        pair = [printed.loc[(side, item), name] for side in ("TSC_l", "TSC_u") for item in ("mean", "sd")]
+        found[name] = separation(*pair)
+    assert found["3"] == pytest.approx(0.414 / 0.42)
+    assert {name for name, value in found.items() if value > 1.0} == {"1", "2", "4", "5"}
+
+
+def exactly(mean, sd, n):
+    """A sample of this size with exactly this mean and SD."""
+    values = np.sin(np.arange(1.0, n + 1.0))
+    return mean + sd * (values - values.mean()) / values.std(ddof=1)
+
+
+@pytest.mark.parametrize("n", [4, 8, 16, 100])
+def test_samples_like_those_of_table_2_3_are_told_apart_or_not(n):
+    """However many switches, participant 3's are not shown to be apart, though Welch's test finds means that differ."""
+    from scipy import stats
+
+    printed, rng = published_table("2.3").astype(float), np.random.default_rng(0)
+    p = {}
+    for name in printed.columns:
+        groups = {
+            key: exactly(printed.loc[(side, "mean"), name], printed.loc[(side, "sd"), name], n)
+            for key, side in (("lower", "TSC_l"), ("upper", "TSC_u"))
+        }
+        p[name] = _apart(groups, 4000, rng)[3]
+    assert max(p["1"], p["2"]) < 0.01
+    assert p["3"] > 0.4
+    assert p["5"] < (0.05 if n > 16 else 1.0)
+    if n >= 8:
+        assert p["4"] < 0.01
+        third = stats.ttest_ind_from_stats(
+            0.51, 0.29, n, 0.096, 0.13, n, equal_var=False, alternative="greater"
+        )
+        assert third.pvalue < 0.01
+
+
+@pytest.mark.parametrize("sizes", [(3, 3), (4, 12), (20, 20)])
+def test_the_test_keeps_its_level_with_few_switches(sizes):
+    """Normal switches whose mean ± SD just touch: rejected in at most 5 % of samples, enclosed by 95 % of intervals."""
+    rng = np.random.default_rng(1)
+    found = np.array(
+        [
+            _apart(
+                {"lower": rng.normal(0.0, 0.1, sizes[0]), "upper": rng.normal(0.3, 0.2, sizes[1])}, 400, rng
+            )
+            for _ in range(1500)
+        ]
+    )
+    assert (found[:, 3] < 0.05).mean() < 0.065
+    assert ((found[:, 1] <= 1.0) & (found[:, 2] >= 1.0)).mean() > 0.93
 
 
 def test_tsc_is_worked_out_from_performance(operators):

@@ -1,157 +1,23 @@
-"""Bounds on the switched system that hold for every trajectory: intervals carried round the cycle."""
+"""Bounds on the switched system that hold for every trajectory: sets of states carried round the cycle."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
-from trustlab.allocation.limit_cycle import human_at, pack
+from trustlab.allocation.covers import narrow
+from trustlab.allocation.intervals import ROUNDING, enclose, nest
 from trustlab.allocation.limits import check_thresholds
+from trustlab.allocation.phases import pack
+from trustlab.models.checks import whole_number
 from trustlab.models.tsc import TscModel
 
 __all__ = ["InvariantBounds", "invariant_bounds"]
 
-ROUNDING = 1e-12
-"""By how much intervals are widened at every step's end, far beyond the rounding of the arithmetic."""
-
-
-STEEP = 1e-6
-"""How near to rest and full load the slope of (2.6) is too steep for differences of neighbouring values."""
-
-
-@numba.njit(cache=True)
-def _human_range(low, high, c):
-    """Return the least and the greatest P_h over utilizations in [low, high]; (2.6) is concave."""
-    one, other = human_at(low, c), human_at(high, c)
-    top = c[3] if low <= c[1] <= high else max(one, other)
-    return min(one, other), top
-
-
-@numba.njit(cache=True)
-def _overshoot(manual, low, high, threshold, c):
-    """
-    Bound by how much TSC can pass a threshold in the step that meets it, from utilizations in [low, high].
-
-    One step from TSC = threshold changes TSC by this much; from further back it passes by less.
-    """
-    p_low, p_high = _human_range(low, high, c)
-    rest, gain = 1.0 - c[4], c[5] / (1.0 - c[4])
-    if manual:
-        after_low, after_high = c[0] * low + (1.0 - c[0]), c[0] * high + (1.0 - c[0])
-    else:
-        after_low, after_high = c[0] * low, c[0] * high
-    next_low, next_high = _human_range(after_low, after_high, c)
-    # ΔTSC = rest (a_T (P_min + M gain P_h) − threshold − b_T P_h) − b_T (P_h(after) − P_h), worst case over the range.
-    slope = rest * (c[7] * gain * (1.0 if manual else 0.0) - c[8])
-    base = rest * (c[7] * c[6] - threshold)
-    # What any two of the values can differ by; then, away from the steep ends, chords of a concave function: every
-    # one-step change lies between the chords at the two ends of the range.
-    least, most = next_low - p_high, next_high - p_low
-    if (manual and 1.0 - high > STEEP) or (not manual and low > STEEP):
-        step_low, step_high = abs(after_low - low), abs(after_high - high)
-        chord_low = (human_at(after_low, c) - human_at(low, c)) / step_low
-        chord_high = (human_at(after_high, c) - human_at(high, c)) / step_high
-        shortest, longest = min(step_low, step_high), max(step_low, step_high)
-        one, other = np.inf, -np.inf
-        for chord in (chord_low, chord_high):
-            for length in (shortest, longest):
-                one, other = min(one, chord * length), max(other, chord * length)
-        slack = 1e-6 * max(abs(one), abs(other))
-        least, most = max(least, one - slack), min(most, other + slack)
-    if manual:
-        over = base + max(slope * p_low, slope * p_high) - c[8] * least
-    else:
-        over = -(base + min(slope * p_low, slope * p_high)) + c[8] * most
-    return max(0.0, over) * (1.0 + 1e-9) + ROUNDING
-
-
-@numba.njit(cache=True)
-def _carry(manual, low, high, tsc_low, tsc_high, target, c, most, out):
-    """
-    Carry utilizations [low, high] with TSC in [tsc_low, tsc_high] through one phase.
-
-    Widens `out` = [r low, r high at the crossing, overshoot, dwell low, dwell high, P_r low, P_r high, TSC low,
-    TSC high]; returns False if some of them may never cross.
-    """
-    p_low, p_high = _human_range(low, high, c)
-    r_low, r_high = (tsc_low + c[8] * p_low) / c[7], (tsc_high + c[8] * p_high) / c[7]
-    first = -1
-    before_low, before_high, last_low, last_high = low, high, low, high
-    for n in range(most):
-        t_low, t_high = c[7] * r_low - c[8] * p_high, c[7] * r_high - c[8] * p_low
-        out[5], out[6] = min(out[5], r_low), max(out[6], r_high)
-        out[7], out[8] = (
-            min(out[7], max(t_low, tsc_low) if n == 0 else t_low),
-            max(out[8], min(t_high, tsc_high) if n == 0 else t_high),
-        )
-        if n > 0:
-            if first < 0 and ((manual and t_high >= target) or (not manual and t_low <= target)):
-                first = n
-                out[3] = min(out[3], n)
-                before_low = last_low
-                before_high = last_high
-            if first > 0:
-                out[0], out[1] = min(out[0], low), max(out[1], high)
-                before_low, before_high = min(before_low, last_low), max(before_high, last_high)
-            if (manual and t_low >= target) or (not manual and t_high <= target):
-                out[4] = max(out[4], n)
-                out[2] = max(out[2], _overshoot(manual, before_low, before_high, target, c))
-                return True
-        last_low, last_high = low, high
-        if manual:
-            r_low = c[4] * r_low + (1.0 - c[4]) * c[6] + c[5] * p_low
-            r_high = c[4] * r_high + (1.0 - c[4]) * c[6] + c[5] * p_high
-            low, high = c[0] * low + (1.0 - c[0]), c[0] * high + (1.0 - c[0])
-        else:
-            r_low = c[4] * r_low + (1.0 - c[4]) * c[6]
-            r_high = c[4] * r_high + (1.0 - c[4]) * c[6]
-            low, high = c[0] * low, c[0] * high
-        p_low, p_high = _human_range(low, high, c)
-    return False
-
-
-@numba.njit(cache=True)
-def _phase_image(manual, low, high, start, overshoot, target, c, cells, most, out):
-    """Carry [low, high] through one phase cell by cell; TSC begins within one overshoot beyond `start`."""
-    out[:] = np.array([np.inf, -np.inf, 0.0, np.inf, 0.0, np.inf, -np.inf, np.inf, -np.inf])
-    tsc_low = start - overshoot if manual else start
-    tsc_high = start if manual else start + overshoot
-    for k in range(cells):
-        one = low + (high - low) * k / cells
-        other = low + (high - low) * (k + 1) / cells
-        if not _carry(manual, one, other, tsc_low, tsc_high, target, c, most, out):
-            return False
-    return True
-
-
-@numba.njit(cache=True)
-def _nest(lower, upper, c, cells, cycles, most, shrink, manual_out, autonomous_out):
-    """Shrink the utilizations at the beginning of manual phases from [0, 1]; return how many cycles that took."""
-    low, high = 0.0, 1.0
-    over_low = _overshoot(False, 0.0, 1.0, lower, c)
-    for j in range(cycles):
-        if not _phase_image(True, low, high, lower, over_low, upper, c, cells, most, manual_out):
-            return -1
-        first, last = max(manual_out[0] - 1e-12, 0.0), min(manual_out[1] + 1e-12, 1.0)
-        if not _phase_image(False, first, last, upper, manual_out[2], lower, c, cells, most, autonomous_out):
-            return -2
-        new_low, new_high = max(low, autonomous_out[0] - 1e-12), min(high, autonomous_out[1] + 1e-12)
-        settled = (high - low) - (new_high - new_low) <= shrink * (high - low) and j > 0
-        low, high, over_low = new_low, new_high, min(over_low, autonomous_out[2])
-        if settled:
-            break
-    # Once more, so that everything reported belongs to the utilizations found.
-    if not _phase_image(True, low, high, lower, over_low, upper, c, cells, most, manual_out):
-        return -1
-    first, last = max(manual_out[0] - 1e-12, 0.0), min(manual_out[1] + 1e-12, 1.0)
-    if not _phase_image(False, first, last, upper, manual_out[2], lower, c, cells, most, autonomous_out):
-        return -2
-    manual_out[0], manual_out[1] = low, high
-    autonomous_out[0], autonomous_out[1] = first, last
-    return j + 1
+EFFORT = 3_000_000
+"""Samples that polygons may be stepped through, or twenty of the longest phases if that is more."""
 
 
 @dataclass(frozen=True)
@@ -224,7 +90,8 @@ def invariant_bounds(
 
     At a switch TSC equals its threshold up to the overshoot of one step, so that the state is an interval of r with an
     interval of TSC. Both are carried through a manual and an autonomous phase in interval arithmetic; beginning with
-    r in [0, 1] the intervals nest, and what they nest to encloses every trajectory after as many cycles.
+    r in [0, 1] the intervals nest, and what they nest to encloses every trajectory after as many cycles. Once they
+    shrink no further they are cut into polygons of r and P_r, which keep account of how the two move together.
 
     Parameters
     ----------
@@ -244,16 +111,22 @@ def invariant_bounds(
     Raises
     ------
     ValueError
-        If the thresholds are not finite or in the wrong order, or `cells` or `cycles` is not positive.
+        If the thresholds are not finite or in the wrong order, or `cells` or `cycles` is not a whole
+        number ≥ 1, or `tsc` is not a `TscModel`.
     """
     lower, upper = check_thresholds(tsc, lower, upper)
-    for name, value in (("cells", cells), ("cycles", cycles)):
-        if int(value) != value or value < 1:
-            raise ValueError(f"{name} must be a whole number ≥ 1, got {value}")
+    cells, cycles = whole_number("cells", cells), whole_number("cycles", cycles)
     c = pack(tsc)
     most = int(60.0 / (1.0 - max(c[0], c[4]))) + 100
     manual, autonomous = np.empty(9), np.empty(9)
-    done = _nest(lower, upper, c, int(cells), int(cycles), most, 1e-3, manual, autonomous)
+    done, more = nest(lower, upper, c, cells, (cycles + 1) // 2, most, 0.05, manual, autonomous), 0
+    if 0 < done < cycles - 1:
+        more, settled = _narrowed(lower, upper, c, cells, cycles - done - 1, most, manual, autonomous)
+    if more:
+        done += more + 1
+    elif done > 0:
+        done = nest(lower, upper, c, cells, cycles, most, 1e-3, manual, autonomous)
+        settled = done < cycles
     if done < 0:
         phase = "a manual" if done == -1 else "an autonomous"
         ceiling = tsc.robot.p_min + tsc.robot.b * tsc.human.p_max / (1.0 - tsc.robot.a)
@@ -275,7 +148,8 @@ def invariant_bounds(
     worst = max(manual[4], autonomous[4]) * ROUNDING
     return InvariantBounds(
         True,
-        f"every trajectory keeps switching; intervals nested over {done} cycles",
+        f"every trajectory keeps switching; sets of states nested over {done} cycles"
+        + ("" if settled else ", the limit, and were still shrinking: more cycles give tighter bounds"),
         done + 1,
         float(max(manual[0] - worst, 0.0)),
         float(min(autonomous[1] + worst, 1.0)),
@@ -288,3 +162,19 @@ def invariant_bounds(
         float(autonomous[3]),
         float(autonomous[4]),
     )
+
+
+def _narrowed(lower, upper, c, cells, cycles, most, manual, autonomous):
+    """Narrow what the intervals nested to; returns by how many cycles, and whether that was all there was to gain."""
+    # A phase has at least one sample, and an autonomous one at most as many as the intervals leave room for.
+    low = max(manual[0], (1.0 - c[0]) * c[0] ** autonomous[4] * (1.0 - 1e-9))
+    high, over = min(manual[1], c[0] + 1e-12), autonomous[2]
+    if low < 1e-100 or high >= 1.0 or high <= low:
+        return 0, True
+    budget = max(EFFORT, 20 * most)
+    low, high, over, _, more = narrow(low, high, over, lower, upper, c, cells, cycles, most, budget)
+    tighter, also = np.empty(9), np.empty(9)
+    if not more or enclose(low, high, over, lower, upper, c, cells, most, tighter, also) < 0:
+        return 0, True
+    manual[:], autonomous[:] = tighter, also
+    return more, more < cycles

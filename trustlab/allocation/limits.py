@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from trustlab.allocation.step_bounds import step_bounds
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import finite_number, of_class
 from trustlab.models.tsc import TscModel
 
 __all__ = ["ThresholdLimits", "check_thresholds", "threshold_limits"]
@@ -41,8 +41,13 @@ class ThresholdLimits:
         ----------
         lower, upper : float
             TSC_l and TSC_u.
+
+        Raises
+        ------
+        ValueError
+            If a threshold is not a finite number.
         """
-        return self.lower < lower < upper < self.upper
+        return self.lower < finite_number("lower", lower) < finite_number("upper", upper) < self.upper
 
 
 def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> ThresholdLimits:
@@ -63,8 +68,9 @@ def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> Threshold
     Raises
     ------
     ValueError
-        If `delta_p_h` is negative or not finite.
+        If `tsc` is not a `TscModel`, or `delta_p_h` is negative or not finite.
     """
+    of_class("tsc", tsc, TscModel)
     if delta_p_h is None:
         delta_p_h = step_bounds(tsc).delta_p_h
     delta_p_h = finite_number("delta_p_h", delta_p_h)
@@ -100,6 +106,9 @@ def check_thresholds(
     ValueError
         If they are not finite, in the wrong order, or outside the limits, which are quoted.
     """
+    of_class("tsc", tsc, TscModel)
+    if limits is not None:
+        of_class("limits", limits, ThresholdLimits, "threshold_limits(tsc) makes them")
     lower, upper = finite_number("lower", lower), finite_number("upper", upper)
     if not lower < upper:
         raise ValueError(f"the lower threshold must be below the upper one, got {lower} and {upper}")

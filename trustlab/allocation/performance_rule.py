@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from numbers import Real
 
 from trustlab.allocation.kernels import PERFORMANCE_TOLERANCE, performance_suggestion
 from trustlab.models.checks import finite_number
@@ -39,10 +37,13 @@ class PerformanceRule:
         low, high = finite_number("p_min", self.p_min), finite_number("p_max", self.p_max)
         if not low < high:
             raise ValueError(f"p_min must be below p_max, got {low} and {high}")
-        if not 0.0 <= finite_number("tolerance", self.tolerance) < 0.1:
+        tolerance = finite_number("tolerance", self.tolerance)
+        if not 0.0 <= tolerance < 0.1:
             raise ValueError(
-                f"tolerance must lie in [0, 0.1), where manual is suggested from, got {self.tolerance}"
+                f"tolerance must lie in [0, 0.1), where manual is suggested from, got {tolerance}"
             )
+        for name, value in (("p_min", low), ("p_max", high), ("tolerance", tolerance)):
+            object.__setattr__(self, name, value)
 
     def step(self, p_r: float, tsc: float | None = None) -> int | None:
         """
@@ -53,14 +54,16 @@ class PerformanceRule:
         p_r : float
             Robot performance now.
         tsc : float, optional
-            TSC; the rule has no use for it, and takes it so that both rules are called alike.
+            TSC; the rule has no use for it, and takes it so that both rules are called alike. It is checked all the
+            same: a NaN in the loop that drives the rule should not go on unseen.
 
         Raises
         ------
         ValueError
-            If the performance is not a number.
+            If a value given is not a finite number.
         """
-        if not isinstance(p_r, Real) or not math.isfinite(p_r):
-            raise ValueError(f"robot performance is {p_r}; Algorithm 2 needs a finite number")
+        p_r = finite_number("p_r, which Algorithm 2 needs,", p_r)
+        if tsc is not None:
+            finite_number("tsc (unused by Algorithm 2)", tsc)
         found = int(performance_suggestion(p_r, self.p_min, self.p_max, self.tolerance))
         return None if found < 0 else found

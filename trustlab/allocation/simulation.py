@@ -7,15 +7,18 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from trustlab.allocation.limit_cycle import human_at, pack
 from trustlab.allocation.limits import check_thresholds
-from trustlab.models.checks import finite_number
+from trustlab.allocation.phases import human_at, pack
+from trustlab.models.checks import finite_number, whole_number
 from trustlab.models.tsc import TscModel
 
 if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = ["simulate_allocation"]
+
+MOST_STEPS = 100_000_000
+"""Longest simulation: 40 bytes are kept of every sample."""
 
 
 @numba.njit(cache=True)
@@ -52,7 +55,7 @@ def simulate_allocation(
     lower, upper : float
         Thresholds TSC_l and TSC_u.
     steps : int
-        Number of samples.
+        Number of samples; at most 100 million (4 GB).
     r0 : float
         Utilization at the first sample, in [0, 1].
     p_r0 : float, optional
@@ -68,19 +71,18 @@ def simulate_allocation(
     Raises
     ------
     ValueError
-        If the thresholds are not finite or in the wrong order, or a start or `steps` is out of range.
+        If `tsc` is not a `TscModel`, the thresholds are not finite or in the wrong order, or a start or `steps` is out
+        of range.
     """
     import pandas as pd
 
     lower, upper = check_thresholds(tsc, lower, upper)
-    if int(steps) != steps or steps < 1:
-        raise ValueError(f"steps must be a whole number ≥ 1, got {steps}")
+    steps = whole_number("steps", steps, most=MOST_STEPS)
     r0 = finite_number("r0", r0)
     if not 0.0 <= r0 <= 1.0:
         raise ValueError(f"r0 must lie in [0, 1], got {r0}")
-    if mode not in (0, 1):
-        raise ValueError(f"mode must be 1 (manual) or 0 (autonomous), got {mode!r}")
+    mode = whole_number("mode", mode, least=0, most=1)
     start = tsc.robot.p_min if p_r0 is None else finite_number("p_r0", p_r0)
-    out = np.empty((5, int(steps)))
+    out = np.empty((5, steps))
     switched(r0, start, float(mode), lower, upper, pack(tsc), out)
     return pd.DataFrame(dict(zip(("r", "p_r", "p_h", "tsc", "mode"), out, strict=True)), copy=False)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from trustlab.allocation.limit_cycle import limit_cycle
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.allocation.step_bounds import step_bounds
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import finite_number, open_unit
 from trustlab.models.tsc import TscModel
 
 __all__ = ["SteadyStateBounds", "steady_state_bounds", "utilization_bounds"]
@@ -94,8 +94,25 @@ def utilization_bounds(a: float, dwell_manual_low: float, dwell_manual_high: flo
     Returns
     -------
     r_low, r_high : float
+        NaN where both dwell times are 0.
+
+    Raises
+    ------
+    ValueError
+        If a is outside (0, 1), or a dwell time is negative or not a number.
     """
-    low, high, rest = (a**dwell for dwell in (dwell_manual_low, dwell_manual_high, dwell_autonomous))
+    a = open_unit("a", a)
+    dwells = []
+    for name, dwell in (
+        ("dwell_manual_low", dwell_manual_low),
+        ("dwell_manual_high", dwell_manual_high),
+        ("dwell_autonomous", dwell_autonomous),
+    ):
+        endless = isinstance(dwell, float) and dwell == math.inf
+        dwells.append(math.inf if endless else finite_number(name, dwell))
+        if dwells[-1] < 0.0:
+            raise ValueError(f"{name} is a number of samples and cannot be negative, got {dwell}")
+    low, high, rest = (a**dwell for dwell in dwells)
     r_low = (1.0 - low) * rest / (1.0 - low * rest) if low * rest < 1.0 else math.nan
     r_high = (1.0 - high) / (1.0 - high * rest) if high * rest < 1.0 else math.nan
     return r_low, r_high
@@ -125,7 +142,7 @@ def steady_state_bounds(
     ------
     ValueError
         If the thresholds are in the wrong order or outside the limits of Theorem 1 at δ_Ph = 0 (which are quoted), δ_TSC
-        is negative or not finite, or the thresholds leave no range of robot performance.
+        is negative, above 2 or not finite, or the thresholds leave no range of robot performance.
 
     Notes
     -----
@@ -140,6 +157,8 @@ def steady_state_bounds(
     delta_tsc = finite_number("delta_tsc", delta_tsc)
     if delta_tsc < 0.0:
         raise ValueError(f"delta_tsc is a largest change and cannot be negative, got {delta_tsc}")
+    if delta_tsc > 2.0:
+        raise ValueError(f"delta_tsc cannot exceed 2, as TSC lies in [-1, 1]; got {delta_tsc:g}")
     robot, human = tsc.robot, tsc.human
     tsc_low, tsc_high = lower - delta_tsc, upper + delta_tsc
     p_low = max((tsc_low + tsc.b_T * human.p_min) / tsc.a_T, robot.p_min)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import finite_number, of_class
 from trustlab.models.tsc import TscModel
 
 __all__ = ["StepBounds", "step_bounds"]
@@ -51,8 +51,9 @@ def step_bounds(tsc: TscModel, r_low: float = 0.05, r_high: float = 0.95) -> Ste
     Raises
     ------
     ValueError
-        If the range is not within [0, 1].
+        If `tsc` is not a `TscModel`, or the range is not within [0, 1].
     """
+    of_class("tsc", tsc, TscModel)
     low, high = finite_number("r_low", r_low), finite_number("r_high", r_high)
     if not 0.0 <= low < high <= 1.0:
         raise ValueError(f"utilization must range within [0, 1] with r_low < r_high, got [{low}, {high}]")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import finite_number, of_class
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
 
@@ -38,8 +38,9 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
     SessionError
         If a column is missing or holds a share.
     ValueError
-        If the deadline is not positive.
+        If `session` is not a `Session`, or the deadline is not positive.
     """
+    of_class("session", session, Session, "trustlab.read_session(path) reads one")
     if not finite_number("deadline", deadline) > 0.0:
         raise ValueError(f"deadline must be positive, got {deadline}")
     session.require("mode", "suggested_mode")

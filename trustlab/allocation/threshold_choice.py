@@ -10,7 +10,7 @@ import pandas as pd
 from trustlab.allocation.invariant_bounds import InvariantBounds, invariant_bounds
 from trustlab.allocation.limit_cycle import LimitCycle, limit_cycle
 from trustlab.allocation.limits import ThresholdLimits, check_thresholds, threshold_limits
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import finite_number, of_class, whole_number
 from trustlab.models.tsc import TscModel
 
 __all__ = ["ThresholdChoice", "choose_thresholds"]
@@ -112,7 +112,7 @@ def choose_thresholds(
     margin : float
         Distance to keep from either limit, as a share of TSC_ub − TSC_lb, in (0, 0.5).
     points : int
-        Grid points along each threshold, at least 4.
+        Grid points along each threshold, 4 to 500.
 
     Returns
     -------
@@ -121,18 +121,18 @@ def choose_thresholds(
     Raises
     ------
     ValueError
-        If the limits leave no room (Remark 4: says what to change).
+        If an argument is out of range, or the limits leave no room (Remark 4: says what to change).
     """
+    of_class("tsc", tsc, TscModel)
     margin = finite_number("margin", margin)
     if not 0.0 < margin < 0.5:
         raise ValueError(f"margin must lie in (0, 0.5), got {margin}")
-    if int(points) != points or points < 4:
-        raise ValueError(f"points must be a whole number ≥ 4, got {points}")
+    points = whole_number("points", points, least=4, most=500)
     limits = threshold_limits(tsc, delta_p_h)
     if not limits.feasible:
         check_thresholds(tsc, 0.0, 1.0, limits)
     span = limits.upper - limits.lower
-    grid = np.linspace(limits.lower + margin * span, limits.upper - margin * span, int(points))
+    grid = np.linspace(limits.lower + margin * span, limits.upper - margin * span, points)
     rows, cycles = [], []
     for i, lower in enumerate(grid):
         for upper in grid[i + 1 :]:

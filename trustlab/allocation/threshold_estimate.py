@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_array, finite_number
+from trustlab.models.checks import finite_array, finite_number, of_class, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
 
-__all__ = ["ThresholdEstimate", "estimate_thresholds", "relative_performance"]
+__all__ = ["ThresholdEstimate", "estimate_thresholds", "relative_performance", "separation"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,18 +28,30 @@ class ThresholdEstimate:
     summary : pandas.DataFrame
         Index `threshold`; columns n, mean, sd, ci_low, ci_high (bootstrap 95 % interval of the mean), share_within (of the
         switches within ±0.15 of their mean).
-    distinguishable : bool
-        Whether mean ± SD of the two do not overlap, the upper above the lower: single switches then tell them apart.
-        This is how Table 2.3 sets participant 3 apart.
-    p : float
-        One-sided p of Welch's t test that the mean of the upper is greater; NaN with fewer than two switches in one.
-        Small also where single switches overlap but there are many of them.
+    separation : float
+        How far the means are apart in sums of the two SDs (`separation`). Above 1, mean ± SD do not overlap, the way in
+        which Table 2.3 sets participant 3 (0.99) apart from the others (1.5 to 6.5).
+    separation_low, separation_high : float
+        Its 95 % interval; NaN, as the two below, with fewer than two switches in one direction.
+    p_overlap : float
+        One-sided p against the hypothesis that `separation` is 1 or less.
+    p_means : float
+        One-sided p of Welch's t test that the mean of the upper is greater: small also where single switches overlap,
+        if only there are many of them, and so no answer to whether an operator follows (2.8).
     """
 
     switches: pd.DataFrame
     summary: pd.DataFrame
-    distinguishable: bool
-    p: float
+    separation: float
+    separation_low: float
+    separation_high: float
+    p_overlap: float
+    p_means: float
+
+    @property
+    def distinguishable(self) -> bool:
+        """Whether single switches are shown to tell the thresholds apart: `p_overlap` below 0.05."""
+        return bool(self.p_overlap < 0.05)
 
     @property
     def lower(self) -> float:
@@ -75,9 +87,9 @@ def estimate_thresholds(
     within : float
         Half width of the band around the means that `share_within` counts.
     resamples : int
-        Bootstrap resamples for the intervals of the means.
+        Bootstrap resamples for the intervals of the means, and draws for the interval of `separation`; at least 100.
     seed : int
-        Seed of the bootstrap.
+        Seed of both.
 
     Returns
     -------
@@ -88,13 +100,31 @@ def estimate_thresholds(
     SessionError
         If a column is missing, mode is a share, or no run has a switch.
     ValueError
-        If `within` is not positive.
+        If `within` is not positive, or another argument is not understood.
+
+    Notes
+    -----
+    Rule (2.8) hands over at one level of TSC and takes over at a lower one. An operator follows it, as far as switches can
+    show, when nearly every single switch lies on its own side of a cut between the two. With normal spread the best cut
+    at equal distances in SDs leaves Φ(−s) of the switches on the wrong side, s being `separation`; s = 1, where mean ± SD
+    touch, leaves 16 %. The test asks whether s exceeds 1. Its p and interval are generalized ones (Weerahandi, 1993): means
+    and SDs are drawn from what normal samples of these sizes say about them. They keep their level with few switches.
     """
     if not finite_number("within", within) > 0.0:
         raise ValueError(f"within must be positive, got {within}")
-    runs = [sessions] if isinstance(sessions, Session) else list(sessions)
+    if model is not None:
+        of_class("model", model, TscModel)
+    resamples = whole_number("resamples", resamples, least=100, most=10**5)
+    seed = whole_number("seed", seed, least=0)
+    try:
+        runs = [sessions] if isinstance(sessions, Session) else list(sessions)
+    except TypeError:
+        of_class("sessions", sessions, Session, "trustlab.read_session(path) reads one")
+    if not runs:
+        raise ValueError("sessions must hold at least one Session, got none")
     rows = []
     for number, run in enumerate(runs):
+        of_class(f"sessions[{number}]", run, Session, "trustlab.read_session(path) reads one")
         run.require("mode")
         mode = run["mode"]
         if not np.isin(mode, (0.0, 1.0)).all():
@@ -116,17 +146,41 @@ def estimate_thresholds(
     return _summarise(switches, within, resamples, np.random.default_rng(seed))
 
 
-def apart(summary: pd.DataFrame) -> bool:
+def separation(lower_mean: float, lower_sd: float, upper_mean: float, upper_sd: float) -> float:
     """
-    Return whether mean − SD of the upper threshold lies above mean + SD of the lower one.
+    Return how far two thresholds are apart, (mean upper − mean lower)/(SD lower + SD upper).
 
     Parameters
     ----------
-    summary : pandas.DataFrame
-        Index lower, upper; columns mean, sd.
+    lower_mean, lower_sd, upper_mean, upper_sd : float
+        Means and standard deviations of TSC at the switches, for example those of Table 2.3.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, an SD is negative, or both are 0.
     """
-    low, high = summary.loc["lower"], summary.loc["upper"]
-    return bool(high["mean"] - high["sd"] > low["mean"] + low["sd"])
+    low, high = finite_number("lower_mean", lower_mean), finite_number("upper_mean", upper_mean)
+    low_sd, high_sd = finite_number("lower_sd", lower_sd), finite_number("upper_sd", upper_sd)
+    if low_sd < 0.0 or high_sd < 0.0 or not low_sd + high_sd > 0.0:
+        raise ValueError(f"standard deviations cannot be negative, nor both 0; got {low_sd} and {high_sd}")
+    return (high - low) / (low_sd + high_sd)
+
+
+def _apart(groups: dict[str, np.ndarray], draws: int, rng: np.random.Generator) -> tuple[float, ...]:
+    """Return the separation of two groups of switches, its 95 % interval, and p that it is 1 or less."""
+    numbers, drawn = [], []
+    for values in (groups["lower"], groups["upper"]):
+        n = values.size
+        if n < 2 or not values.std() > 0.0:
+            return np.nan, np.nan, np.nan, np.nan
+        mean, sd = values.mean(), values.std(ddof=1)
+        spread = sd * np.sqrt((n - 1) / rng.chisquare(n - 1, draws))
+        numbers += [mean, sd]
+        drawn += [mean + spread * rng.standard_normal(draws) / np.sqrt(n), spread]
+    found = (drawn[2] - drawn[0]) / (drawn[1] + drawn[3])
+    low, high = np.quantile(found, [0.025, 0.975])
+    return separation(*numbers), float(low), float(high), float((found <= 1.0).mean())
 
 
 def _summarise(
@@ -154,7 +208,7 @@ def _summarise(
         p = float(
             stats.ttest_ind(groups["upper"], groups["lower"], equal_var=False, alternative="greater").pvalue
         )
-    return ThresholdEstimate(switches, summary, apart(summary), p)
+    return ThresholdEstimate(switches, summary, *_apart(groups, resamples, rng), p)
 
 
 def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) -> float:
@@ -176,5 +230,5 @@ def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) ->
     low, high = finite_number("p_min", p_min), finite_number("p_max", p_max)
     if not low < high:
         raise ValueError(f"p_min must be below p_max, got {low} and {high}")
-    values = finite_array("p_r", np.atleast_1d(p_r))
+    values = np.array([finite_number("p_r", p_r)]) if np.isscalar(p_r) else finite_array("p_r", p_r)
     return 100.0 * (float(values.mean()) - low) / (high - low)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from numbers import Integral, Real
+
 import numpy as np
 
-__all__ = ["finite_array", "finite_number", "mode_array", "open_unit"]
+__all__ = ["finite_array", "finite_number", "mode_array", "of_class", "open_unit", "whole_number"]
 
 
 def finite_number(name: str, value: float) -> float:
@@ -23,15 +26,89 @@ def finite_number(name: str, value: float) -> float:
     ValueError
         If `value` is not one finite real number.
     """
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, bool | np.bool_ | str | bytes | np.ndarray) or not hasattr(value, "__float__"):
+        raise ValueError(f"{name} must be a number, got {_shown(value)}")
     try:
-        number = float(value) if not isinstance(value, str | bytes) else None
-    except (TypeError, ValueError):
-        number = None
-    if number is None:
-        raise ValueError(f"{name} must be a number, got {value!r}")
-    if not np.isfinite(number):
+        number = float(value)
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        raise ValueError(f"{name} must be a number, got {_shown(value)}") from None
+    if not math.isfinite(number):
         raise ValueError(f"{name} must be finite, got {number}")
     return number
+
+
+def whole_number(name: str, value: int, least: int = 1, most: int | None = None) -> int:
+    """
+    Return `value` as an int that is at least `least`.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name, for the error.
+    value : int
+        The value given; a float counts only where it is whole and less than 2⁵³.
+    least : int
+        The smallest value allowed.
+    most : int, optional
+        The greatest value allowed, if there is one.
+
+    Raises
+    ------
+    ValueError
+        If `value` is not one whole number within these limits.
+    """
+    allowed = f"{least} or more" if most is None else f"from {least} to {most}"
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    whole = not isinstance(value, bool | np.bool_) and (
+        isinstance(value, Integral)
+        or (isinstance(value, Real) and math.isfinite(value) and abs(value) < 2.0**53 and value == int(value))
+    )
+    if not whole:
+        raise ValueError(f"{name} must be a whole number, {allowed}, got {_shown(value)}")
+    number = int(value)
+    if number < least or (most is not None and number > most):
+        raise ValueError(f"{name} must be a whole number, {allowed}, got {_shown(number)}")
+    return number
+
+
+def of_class(name: str, value: object, kind: type, remedy: str = "") -> object:
+    """
+    Return `value` if it is of a class.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name, for the error.
+    value : object
+        The value given.
+    kind : type
+        The class wanted.
+    remedy : str
+        How to come by one, added to the error; for a `TscModel` it is there already.
+
+    Raises
+    ------
+    ValueError
+        If `value` is of another class.
+    """
+    if isinstance(value, kind):
+        return value
+    if kind.__name__ == "TscModel" and not remedy:
+        remedy = "fit one with trustlab.fit_tsc(session) or build it with trustlab.TscModel(robot, human)"
+    hint = f"; {remedy}" if remedy else ""
+    raise ValueError(f"{name} must be of class {kind.__name__}, got {type(value).__name__}{hint}")
+
+
+def _shown(value: object) -> str:
+    """Return how a value reads in an error, cut short where it is long."""
+    try:
+        text = repr(value)
+    except ValueError:
+        text = "a number of very many digits"
+    return text if len(text) <= 60 else f"{text[:57]}…"
 
 
 def open_unit(name: str, value: float) -> float:
@@ -75,8 +152,11 @@ def finite_array(name: str, values: np.ndarray, *, length: int | None = None) ->
         If `values` is not one-dimensional, is empty, has another length or holds NaN or infinity.
     """
     try:
-        array = np.ascontiguousarray(values, dtype=float)
-    except (TypeError, ValueError):
+        given = np.asarray(values)
+        if given.dtype.kind not in "biufO" or any(isinstance(x, str | bytes) for x in _objects(given)):
+            raise TypeError
+        array = np.asarray(given, dtype=float)
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be an array of numbers, got {type(values).__name__}") from None
     if array.ndim != 1 or array.size == 0:
         raise ValueError(f"{name} must be one-dimensional with at least one sample, got shape {array.shape}")
@@ -86,7 +166,12 @@ def finite_array(name: str, values: np.ndarray, *, length: int | None = None) ->
     if bad.any():
         k = int(np.argmax(bad))
         raise ValueError(f"{name} must be finite, but sample {k} is {array[k]}")
-    return array
+    return np.ascontiguousarray(array)
+
+
+def _objects(array: np.ndarray) -> list:
+    """Return what an array of objects holds; nothing for an array of numbers."""
+    return array.ravel().tolist() if array.dtype.kind == "O" else []
 
 
 def mode_array(mode: np.ndarray) -> np.ndarray:

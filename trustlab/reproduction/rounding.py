@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from decimal import Decimal
 from itertools import product
@@ -9,6 +10,7 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
+from trustlab.models.checks import whole_number
 from trustlab.reproduction.comparison import compare
 
 __all__ = ["half_unit", "recompute", "smallest_change"]
@@ -24,8 +26,38 @@ def half_unit(printed: str) -> float:
     ----------
     printed : str
         The number as printed, for example "0.320" (0.0005) or "5.44e-5" (5e-8).
+
+    Raises
+    ------
+    ValueError
+        If it is not a string with a finite number in it: a float has lost its trailing zeros.
     """
-    return 0.5 * float(Decimal(1).scaleb(Decimal(str(printed).strip()).as_tuple().exponent))
+    try:
+        exponent = Decimal(printed.strip()).as_tuple().exponent if isinstance(printed, str) else None
+        half = 0.5 * float(Decimal(1).scaleb(exponent))
+    except (ArithmeticError, TypeError, ValueError):
+        half = math.nan
+    if not math.isfinite(half) or not math.isfinite(float(printed)):
+        raise ValueError(f"a printed number must be a string, for example '0.320', got {printed!r:.60}")
+    return half
+
+
+def _mapping(name: str, values) -> dict[str, str]:
+    if not isinstance(values, Mapping) and not hasattr(values, "items"):
+        raise ValueError(f"{name} must map names to numbers as printed, got {type(values).__name__}")
+    found = dict(values.items())
+    if not found:
+        raise ValueError(f"{name} must hold at least one number as printed, got none")
+    for text in found.values():
+        half_unit(text)
+    return found
+
+
+def _callable(compute) -> None:
+    if not callable(compute):
+        raise ValueError(
+            f"compute must be a function of a dictionary of inputs, got {type(compute).__name__}"
+        )
 
 
 def recompute(
@@ -55,9 +87,11 @@ def recompute(
     Raises
     ------
     ValueError
-        If nothing can be computed from the printed inputs.
+        If nothing can be computed from the printed inputs, an output is not computed, or an argument is not understood.
     """
-    inputs, outputs = dict(inputs), dict(outputs)
+    _callable(compute)
+    inputs, outputs = _mapping("inputs", inputs), _mapping("outputs", outputs)
+    draws, seed = whole_number("draws", draws, least=0, most=10**6), whole_number("seed", seed, least=0)
     middle = {name: float(text) for name, text in inputs.items()}
     half = np.array([half_unit(text) for text in inputs.values()])
     names, centre = list(inputs), np.array(list(middle.values()))
@@ -65,6 +99,9 @@ def recompute(
     if len(names) <= 12:
         points = np.concatenate([points, np.array(list(product((-1.0, 1.0), repeat=len(names))))])
     exact = compute(middle)
+    missing = [name for name in outputs if name not in exact]
+    if missing:
+        raise ValueError(f"compute returns {', '.join(map(str, exact))}, but no {missing[0]!r}")
     low, high = dict(exact), dict(exact)
     for point in points:
         try:
@@ -107,10 +144,20 @@ def smallest_change(
     -------
     pandas.DataFrame
         One row per input that can explain it, least change first: input, printed, needed, units (of its last digit).
+
+    Raises
+    ------
+    ValueError
+        If the output is not computed, or an argument is not understood.
     """
-    inputs = dict(inputs)
+    _callable(compute)
+    inputs, reach = _mapping("inputs", inputs), half_unit(printed)
+    units = whole_number("units", units, most=10**5)
     middle = {name: float(text) for name, text in inputs.items()}
-    target, reach = float(printed), half_unit(printed)
+    target = float(printed)
+    exact = compute(middle)
+    if not isinstance(output, str) or output not in exact:
+        raise ValueError(f"compute returns {', '.join(map(str, exact))}, but no {output!r}")
     rows = []
     for name, text in inputs.items():
         unit = 2.0 * half_unit(text)

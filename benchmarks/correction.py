@@ -1,0 +1,310 @@
+"""
+One step of the correction (2.43)-(2.44), N = 200: both engines beside do-mpc, CasADi's Opti with IPOPT, and GEKKO.
+
+The closed loop runs on the model with noise on its states, once far from the target (all corrections at their limits) and once
+at it (the active set moves at every step). Every state of the loop is solved by each side, in turns. The peers get the
+sequence of modes and the scaling by c_b for free, so that what they solve is one quadratic program in all but form; ours find the
+sequence themselves. A peer's inputs are run under the hard switch, and their cost held to 1e-4 of ours, before anything is timed.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+from time import perf_counter, thread_time
+
+import numpy as np
+
+from benchmarks import machine
+from benchmarks.data import pilot
+from benchmarks.peers.correction_problem import Turns
+from benchmarks.peers.opti_ipopt import OptiShooting
+from benchmarks.timing import Row, Spread
+from benchmarks.workers import PeerMissingError, Worker
+from trustlab.allocation.correction_casadi import CasadiEngine
+from trustlab.allocation.correction_dynamics import simulate_correction
+from trustlab.allocation.correction_exact import ExactEngine
+
+TITLE = "Correction of thresholds"
+TARGET, C_B, HORIZON, STEPS, SEED = (0.15, 0.56), 1e-5, 200, 300, 20_190
+STARTS = {"saturated": (0.02, 0.45), "near": (TARGET[0] + 2e-5, TARGET[1] - 3e-5)}
+EXACT_MS, CASADI_MS, FASTER, AGREE = 0.05, 10.0, 3.0, 1e-4
+LENGTHS = (25, 50, 100, 200, 400)
+
+
+def rows() -> Iterator[Row]:
+    """Yield both engines against their limits, one row per peer and regime, and cost against N."""
+    loops = {name: closed_loop(name) for name in STARTS}
+    for name, loop in loops.items():
+        yield from alone(name, loop)
+    data = {"constants": constants(), "horizon": np.array(HORIZON)}
+    for name, loop in loops.items():
+        data[f"{name}_states"], data[f"{name}_modes"] = scaled(loop), np.array([mode for _, mode in loop])
+    for name, loop in loops.items():
+        opti = Turns(data[f"{name}_states"], data[f"{name}_modes"], OptiShooting(data, HORIZON).solve)
+        yield compared(
+            name, loop, "CasADi Opti with IPOPT", opti, lambda _, call=opti: milliseconds(call)[0] / 1e3, 60
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "loop.npz"
+        np.savez(path, **data)
+        for script, peer, turns, goal in (
+            ("do_mpc_worker.py", "do-mpc with IPOPT", 60, FASTER),
+            ("gekko_worker.py", "GEKKO with its own IPOPT, on this machine", 5, None),
+        ):
+            try:
+                with Worker(script, path) as worker:
+                    machine.VERSIONS.update(worker.versions)
+                    for name, loop in loops.items():
+                        result = lambda worker=worker, name=name: worker.result(name)  # noqa: E731
+                        yield compared(name, loop, peer, result, worker.side(name), turns, goal)
+            except PeerMissingError as error:
+                yield Row(case("both regimes"), "", peer, fault=str(error))
+    yield from by_horizon()
+
+
+def case(name: str) -> str:
+    """
+    Return the case's title.
+
+    Parameters
+    ----------
+    name : str
+        The regime.
+    """
+    return f"{TITLE}, N = {HORIZON}, {name}"
+
+
+def engines(horizon: int = HORIZON) -> dict[str, object]:
+    """
+    Return both engines.
+
+    Parameters
+    ----------
+    horizon : int
+        N.
+    """
+    model = pilot()
+    return {
+        "exact": ExactEngine(model, *TARGET, C_B, horizon),
+        "casadi": CasadiEngine(model, *TARGET, C_B, horizon),
+    }
+
+
+def constants() -> np.ndarray:
+    """Return the model's constants as the peers take them."""
+    human, robot = pilot().human, pilot().robot
+    return np.array(
+        [human.a, human.beta, human.p_min, human.p_max, robot.a, robot.b, robot.p_min, robot.p_max]
+    )
+
+
+def closed_loop(name: str) -> list[tuple[tuple, np.ndarray]]:
+    """
+    Return the states of a run with the exact engine, (r, P_r, TSC_l, TSC_u, mode), and the plan's modes at each.
+
+    Parameters
+    ----------
+    name : str
+        The regime: "saturated" or "near".
+    """
+    model, engine = pilot(), engines()["exact"]
+    rng = np.random.default_rng(np.random.SeedSequence(SEED))
+    (lower, upper), r, p_r, mode, out = STARTS[name], 0.5, 0.315, 1, []
+    for _ in range(STEPS):
+        state = (r, p_r, lower, upper, mode)
+        plan = engine.solve(*state)
+        out.append((state, plan.mode))
+        noise = rng.normal(size=4)
+        r = float(np.clip(plan.r[1] + 0.01 * noise[0], 0.0, 1.0))
+        p_r = float(np.clip(plan.p_r[1] + 0.003 * noise[1], model.robot.p_min, model.robot.p_max))
+        lower, upper, mode = lower + plan.c_l, upper + plan.c_u, int(plan.mode[0])
+        if name == "near":
+            lower, upper = lower + C_B * noise[2], upper + C_B * noise[3]
+    return out
+
+
+def scaled(loop: list) -> np.ndarray:
+    """
+    Return r, scaled P_r, z_u and z_l at each step.
+
+    Parameters
+    ----------
+    loop : list
+        From `closed_loop`.
+    """
+    robot = pilot().robot
+    rows = [
+        (
+            r,
+            (p_r - robot.p_min) / (robot.p_max - robot.p_min),
+            (upper - TARGET[1]) / C_B,
+            (lower - TARGET[0]) / C_B,
+        )
+        for (r, p_r, lower, upper, _), _ in loop
+    ]
+    return np.array(rows)
+
+
+def milliseconds(call: Callable[[], object]) -> tuple[float, float]:
+    """
+    Return the time of one call, by the clock and of the processor; garbage is not collected before each, as in use.
+
+    Parameters
+    ----------
+    call : callable
+        What is timed.
+    """
+    busy, began = thread_time(), perf_counter()
+    call()
+    return 1e3 * (perf_counter() - began), 1e3 * (thread_time() - busy)
+
+
+def alone(name: str, loop: list) -> Iterator[Row]:
+    """
+    Yield both engines over the whole loop: median, p99, and how far their costs part.
+
+    Parameters
+    ----------
+    name : str
+        The regime.
+    loop : list
+        From `closed_loop`.
+    """
+    exact, casadi = engines().values()
+    for engine in (exact, casadi):
+        for state, _ in loop[:10]:
+            engine.solve(*state)
+    times, apart, statuses, plans = {"exact": [], "casadi": []}, 0.0, set(), {}
+    for state, _ in loop:
+        for key, engine in (("exact", exact), ("casadi", casadi)):
+
+            def step(key=key, engine=engine, state=state):
+                plans[key] = engine.solve(*state)
+
+            times[key].append(milliseconds(step))
+        best = plans["exact"].cost
+        apart = max(apart, abs(plans["casadi"].cost - best) / max(best, C_B**2))
+        statuses |= {plan.status.name for plan in plans.values()}
+    for key, limit in (("exact", EXACT_MS), ("casadi", CASADI_MS)):
+        clock, busy = np.transpose(times[key])
+        p99, spent = np.percentile(clock, 99), np.percentile(busy, 99)
+        note = (
+            f"p99 {p99:.3g} ms by the clock, {spent:.3g} ms of the processor, over {len(loop)} steps of the closed loop; "
+            f"costs of both engines within {apart:.0e}; {', '.join(sorted(statuses))}"
+        )
+        goal = f"p99 ≤ {limit:g} ms"
+        yield Row(
+            case(name),
+            f"trustlab, engine {key}",
+            "none: time per step",
+            Spread.of(list(clock)),
+            goal=goal,
+            met=bool(p99 <= limit),
+            note=note,
+        )
+
+
+def compared(
+    name: str,
+    loop: list,
+    peer: str,
+    result: Callable,
+    side: Callable,
+    turns: int,
+    faster: float | None = None,
+) -> Row:
+    """
+    Return the row of one peer: its results checked at the first steps, then our CasADi engine and the peer in turns.
+
+    Parameters
+    ----------
+    name : str
+        The regime.
+    loop : list
+        From `closed_loop`.
+    peer : str
+        Its name.
+    result : callable
+        Returns its inputs w at the next step, flattened.
+    side : callable
+        Solves the next step and returns its seconds.
+    turns : int
+        How many steps to time.
+    faster : float, optional
+        The goal for the ratio.
+    """
+    ours, exact = engines()["casadi"], engines()["exact"]
+    row = Row(case(name), "trustlab, engine casadi", peer, goal=f"≥ {faster:g} × faster" if faster else "")
+    worst, checked = 0.0, 3
+    try:
+        for k in range(checked):
+            w = np.reshape(result(), (2, HORIZON))
+            best = exact.solve(*loop[k][0]).cost
+            worst = max(worst, abs(cost_of(w, loop[k][0]) - best) / max(best, C_B**2))
+            ours.solve(*loop[k][0])
+    except (PeerMissingError, RuntimeError) as error:
+        return replace(row, fault=f"failed: {str(error)[:200]}")
+    if not worst < AGREE:
+        return replace(row, fault=f"another optimum: its cost is {worst:.1e} off")
+    a, b = [], []
+    for k in range(checked, checked + turns):
+        a.append(milliseconds(lambda k=k: ours.solve(*loop[k][0]))[0])
+        b.append(1e3 * side(1))
+    ratio = Spread.of([y / x for x, y in zip(a, b, strict=True)])
+    note = f"p99 {np.percentile(a, 99):.3g} and {np.percentile(b, 99):.3g} ms over {turns} steps; same cost to {worst:.0e}"
+    met = None if faster is None else bool(ratio.median >= faster)
+    return replace(row, ours_ms=Spread.of(a), peer_ms=Spread.of(b), ratio=ratio, met=met, note=note)
+
+
+def cost_of(w: np.ndarray, state: tuple) -> float:
+    """
+    Return the cost of a peer's inputs under the hard switch.
+
+    Parameters
+    ----------
+    w : numpy.ndarray, shape (2, N)
+        Inputs in [0, 1], c_u first.
+    state : tuple
+        r, P_r, TSC_l, TSC_u, mode.
+    """
+    model, (r, p_r, lower, upper, mode) = pilot(), state
+    actions = np.zeros((2, w.shape[1]))
+    for _ in range(
+        8
+    ):  # c = c_b (w − s) needs s, which needs the modes, which need c: the same after as many rounds as switches
+        run = simulate_correction(model, r, p_r, lower, upper, mode, actions[1], actions[0], TARGET)
+        share = (
+            0.5 * (run["r"] + (run["p_r"] - model.robot.p_min) / (model.robot.p_max - model.robot.p_min))[:-1]
+        )
+        actions = C_B * (w - share)
+    return simulate_correction(model, r, p_r, lower, upper, mode, actions[1], actions[0], TARGET)["cost"]
+
+
+def by_horizon() -> Iterator[Row]:
+    """Yield the time of both engines against N, with the power of N that fits it."""
+    loop = closed_loop("saturated")[:10]
+    for key, lengths in (("exact", (*LENGTHS, 800, 3_600, 36_000)), ("casadi", LENGTHS)):
+        times = []
+        for n in lengths:
+            kind = ExactEngine if key == "exact" else CasadiEngine
+            engine = kind(pilot(), *TARGET, C_B, n)
+            engine.solve(*loop[0][0])
+            times.append(median(milliseconds(lambda e=engine, s=state: e.solve(*s))[0] for state, _ in loop))
+        long = (np.array(lengths) >= 50) & (
+            np.array(lengths) <= 800
+        )  # beyond, switches within the horizon are searched
+        power = np.polyfit(np.log(np.array(lengths)[long]), np.log(np.array(times)[long]), 1)[0]
+        curve = ", ".join(f"{n:,}: {ms:.3g}" for n, ms in zip(lengths, times, strict=True))
+        yield Row(
+            f"{TITLE}, cost against N",
+            f"trustlab, engine {key}",
+            "none: time grows with N to the power of …",
+            note=f"ms by N: {curve}; from N = 50 to {min(lengths[-1], 800)}, N to the power of {power:.2f}"
+            + ("; beyond, the search over modes goes up to its budget" if lengths[-1] > 800 else ""),
+            goal="linear: power ≤ 1.2",
+            met=bool(power <= 1.2),
+        )

@@ -1,0 +1,63 @@
+"""The compiled count of failing bounds against whole simulations of the same sets."""
+
+import numpy as np
+import pytest
+
+from trustlab.allocation import bound_failures, simulate_allocation, steady_state_bounds, threshold_limits
+from trustlab.allocation.bound_failures import RECORDED, SETTLING, TOLERANCE, random_set, steady_extremes
+from trustlab.allocation.phases import pack
+
+
+def test_extremes_are_those_of_the_simulation():
+    out = np.empty(9)
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        model, lower, upper = random_set(rng)
+        steady_extremes(0.3, model.robot.p_min, lower, upper, pack(model), 4000, 3000, out)
+        run = simulate_allocation(model, lower, upper, 7000, 0.3)
+        tail, change = run.iloc[4000:], run.diff().iloc[4000:].abs().max()
+        expected = [f(tail[name]) for name in ("r", "p_r", "tsc") for f in (min, max)]
+        np.testing.assert_allclose(out[:6], expected, atol=1e-12)
+        np.testing.assert_allclose(out[6:8], change[["p_r", "p_h"]], atol=1e-12)
+        assert out[8] == run["mode"].diff().iloc[4000:].abs().sum()
+
+
+def test_counts_are_those_of_the_same_sets_one_by_one():
+    table = bound_failures(sets=60, seed=3, invariant=20)
+    root, kept, left = np.random.SeedSequence(3), 0, np.zeros(4, int)
+    while kept < 60:
+        rng = np.random.default_rng(root.spawn(1)[0])
+        model, lower, upper = random_set(rng)
+        longest = 1.0 / (1.0 - max(model.human.a, model.robot.a))
+        settling = int(SETTLING * longest)
+        run = simulate_allocation(model, lower, upper, settling + int(RECORDED * longest), rng.random())
+        tail, change = run.iloc[settling:], run.diff().iloc[settling:].abs().max()
+        if not threshold_limits(model, change["p_h"]).contains(lower, upper):
+            continue
+        kept += 1
+        bounds = steady_state_bounds(model, lower, upper, model.delta(change["p_r"], change["p_h"]))
+        left += [
+            tail["r"].min() < bounds.r_low - TOLERANCE,
+            tail["r"].max() > bounds.r_high + TOLERANCE,
+            not tail["p_r"].between(bounds.p_r_low - TOLERANCE, bounds.p_r_high + TOLERANCE).all(),
+            not tail["tsc"].between(bounds.tsc_low - TOLERANCE, bounds.tsc_high + TOLERANCE).all(),
+        ]
+    assert table["left"].tolist() == [*left, 0, 0]
+    assert table["sets"].tolist() == [60] * 4 + [20] * 2
+    assert left[1] > 5
+    assert left[2] == left[3] == 0
+
+
+@pytest.mark.parametrize("wrong", [0, -1, 2.5, np.nan, None, "9", True, 10**7, []])
+def test_counts_that_are_none_are_refused(wrong):
+    with pytest.raises(ValueError, match="sets must be a whole number"):
+        bound_failures(sets=wrong)
+    with pytest.raises(ValueError, match="rng must be a numpy Generator"):
+        random_set(wrong)
+
+
+def test_seeds_and_invariants_are_checked():
+    with pytest.raises(ValueError, match="seed must be a whole number"):
+        bound_failures(sets=1, seed=-1)
+    with pytest.raises(ValueError, match="invariant must be a whole number, from 0 to 5"):
+        bound_failures(sets=5, invariant=6)

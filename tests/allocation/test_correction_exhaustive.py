@@ -1,0 +1,168 @@
+"""The exact engine against an exhaustive search: every sequence of modes, each a quadratic programme of its own.
+
+The oracle knows nothing of the engine: it writes (2.44), (2.41)-(2.42), the order of the thresholds and the conditions of
+(2.8) as linear constraints for each of the 2^(N−1) sequences and solves for both thresholds at once with CasADi's qrqp.
+"""
+
+import itertools
+import math
+
+import casadi
+import numpy as np
+import pytest
+
+from trustlab.allocation.correction_dynamics import simulate_correction
+from trustlab.allocation.correction_exact import ExactEngine
+from trustlab.models.human import HumanModel
+from trustlab.models.robot import RobotModel
+from trustlab.models.tsc import TscModel
+
+
+def instance(rng):
+    """A model and a state near a switch, with corrections as fast as TSC, in any direction."""
+    h_min, r_min = rng.uniform(0.2, 0.5), rng.uniform(0.1, 0.4)
+    h_max, r_max = h_min * (1 + rng.uniform(0.05, 0.5)), r_min * (1 + rng.uniform(0.2, 1.0))
+    human = HumanModel(1 - 10 ** rng.uniform(-2.5, -0.5), rng.uniform(0.3, 0.9), h_min, h_max)
+    tsc = TscModel(RobotModel(1 - 10 ** rng.uniform(-2, -0.5), r_min, r_max, h_max), human)
+    r, p_r, mode = rng.uniform(0.05, 0.95), rng.uniform(r_min, r_max), int(rng.integers(2))
+    now = float(tsc.value(p_r, human.performance(r)))
+    after = tsc.simulate(np.full(4, mode), r, p_r)["tsc"].to_numpy()
+    pace = abs(after[3] - after[0]) / 3 + 1e-4
+    c_b = pace * 10 ** rng.uniform(-0.7, 0.5)
+    first = now + (1 if mode else -1) * pace * rng.uniform(0.2, 4)
+    width = pace * 10 ** rng.uniform(-0.3, 1.5)
+    lower, upper = (first - width, first) if mode else (first, first + width)
+    targets = sorted((lower + c_b * rng.normal(0, 5), upper + c_b * rng.normal(0, 5)))
+    return tsc, r, p_r, lower, upper, mode, *targets, c_b
+
+
+def curve(tsc, r):
+    """(2.6), written out."""
+    h = tsc.human
+    if r <= 0 or r >= 1:
+        return h.p_min
+    return h.p_min + (h.p_max - h.p_min) * (r / h.beta) ** h.beta * ((1 - r) / (1 - h.beta)) ** (1 - h.beta)
+
+
+def exhaustive(case, n):
+    """Least cost over all sequences of modes, inequalities closed; and how many sequences are possible."""
+    tsc, r0, p0, l0, u0, before, tl, tu, c_b = case
+    value = tsc.a_T * p0 - tsc.b_T * curve(tsc, r0)
+    first = 0 if value >= u0 else 1 if value <= l0 else before
+    best, possible = math.inf, 0
+    ends_l, ends_u = sorted((l0, tl)), sorted((u0, tu))
+    robot, human = tsc.robot, tsc.human
+    step = np.eye(n + 1)[1:] - np.eye(n + 1)[:-1]
+    for rest in itertools.product((0, 1), repeat=n - 1):
+        modes = (first, *rest)
+        r, p = [r0], [p0]
+        for m in modes:
+            p.append(robot.a * p[-1] + (1 - robot.a) * robot.p_min + m * robot.b * curve(tsc, r[-1]))
+            r.append(human.a * r[-1] + (1 - human.a) * m)
+        share = (np.array(p) - robot.p_min) / (robot.p_max - robot.p_min)
+        high = np.maximum(0.5 * (2 - np.array(r) - share), 0)[:n] * c_b
+        low = np.minimum(-0.5 * (np.array(r) + share), 0)[:n] * c_b
+        least = np.r_[np.full(n + 1, ends_l[0]), np.full(n + 1, ends_u[0])]
+        most = np.r_[np.full(n + 1, ends_l[1]), np.full(n + 1, ends_u[1])]
+        least[0] = most[0] = l0
+        least[n + 1] = most[n + 1] = u0
+        for k in range(1, n):
+            value = tsc.a_T * p[k] - tsc.b_T * curve(tsc, r[k])
+            if modes[k - 1] == 1:
+                i = n + 1 + k
+                if modes[k] == 0:
+                    most[i] = min(most[i], value)
+                else:
+                    least[i] = max(least[i], value)
+            elif modes[k] == 1:
+                least[k] = max(least[k], value)
+            else:
+                most[k] = min(most[k], value)
+        if (least > most).any():
+            continue
+        # Both thresholds in units of c_b about their targets.
+        centre = np.r_[np.full(n + 1, tl), np.full(n + 1, tu)]
+        zero = np.zeros_like(step)
+        A = np.block([[step, zero], [zero, step], [-np.eye(n + 1), np.eye(n + 1)]])
+        lba = np.r_[low, low, np.full(n + 1, (tl - tu))] / c_b
+        uba = np.r_[high, high, np.full(n + 1, np.inf)] / c_b
+        size = 2 * (n + 1)
+        solver = casadi.conic(
+            "oracle",
+            "qrqp",
+            {"h": casadi.Sparsity.diag(size), "a": casadi.Sparsity.dense(*A.shape)},
+            {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False},
+        )
+        found = solver(
+            h=casadi.DM(casadi.Sparsity.diag(size), 2.0),
+            a=A,
+            lba=lba,
+            uba=uba,
+            lbx=(least - centre) / c_b,
+            ubx=(most - centre) / c_b,
+        )
+        if not solver.stats()["success"]:
+            continue
+        possible += 1
+        cost = float(found["cost"]) - ((l0 - tl) ** 2 + (u0 - tu) ** 2) / c_b**2
+        best = min(best, cost * c_b**2)
+    return best, possible
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_global_optimum(part):
+    rng = np.random.default_rng(np.random.SeedSequence(40).spawn(4)[part])
+    sizes = (4, 6, 8, 8, 10) * 8
+    seen = beaten = 0
+    for n in sizes:
+        case = instance(rng)
+        tsc, r, p_r, lower, upper, mode, tl, tu, c_b = case
+        plan = ExactEngine(tsc, tl, tu, c_b, n, budget=10_000).solve(r, p_r, lower, upper, mode)
+        best, possible = exhaustive(case, n)
+        scale = max(best, c_b**2)
+        assert plan.status.name == "OPTIMAL"
+        assert plan.cost_lower_bound <= best + 1e-7 * scale
+        assert abs(plan.cost - best) <= 1e-7 * scale, (n, case, plan, best, possible)
+        run = simulate_correction(tsc, r, p_r, lower, upper, mode, plan.actions_l, plan.actions_u, (tl, tu))
+        assert run["cost"] == pytest.approx(plan.cost, rel=1e-12)
+        np.testing.assert_array_equal(run["mode"], plan.mode)
+        if possible > 1:
+            seen += 1
+            beaten += int(plan.message.split()[0]) > 1
+    assert seen >= 10, seen
+
+
+def clipping(case, n):
+    """The cost of clipping (target − threshold) to (2.42) step by step."""
+    tsc, r, p, lower, upper, mode, tl, tu, c_b = case
+    robot, human, cost = tsc.robot, tsc.human, 0.0
+    for _ in range(n):
+        p_h = curve(tsc, r)
+        value = tsc.a_T * p - tsc.b_T * p_h
+        mode = 0 if value >= upper else 1 if value <= lower else mode
+        share = (p - robot.p_min) / (robot.p_max - robot.p_min)
+        high, low = max(0.5 * (2 - r - share), 0) * c_b, min(-0.5 * (r + share), 0) * c_b
+        lower += min(max(tl - lower, low), high)
+        upper += min(max(tu - upper, low), high)
+        cost += (lower - tl) ** 2 + (upper - tu) ** 2
+        p = robot.a * p + (1 - robot.a) * robot.p_min + mode * robot.b * p_h
+        r = human.a * r + (1 - human.a) * mode
+    return cost
+
+
+def test_global_optimum_where_clipping_is_not():
+    """Instances in which holding a threshold back brings about a switch that pays; up to N = 12."""
+    rng, found = np.random.default_rng(12), 0
+    while found < 12:
+        case, n = instance(rng), (6, 8, 10, 12)[found % 4]
+        tsc, r, p_r, lower, upper, mode, tl, tu, c_b = case
+        plan = ExactEngine(tsc, tl, tu, c_b, n, budget=10_000).solve(r, p_r, lower, upper, mode)
+        if clipping(case, n) <= plan.cost * (1 + 1e-6):
+            continue
+        found += 1
+        best, possible = exhaustive(case, n)
+        scale = max(best, c_b**2)
+        assert possible > 1
+        assert abs(plan.cost - best) <= 1e-7 * scale
+        assert plan.cost_lower_bound <= best + 1e-7 * scale
+        assert 0.0 <= plan.gap <= 1e-7 * scale

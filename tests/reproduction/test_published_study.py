@@ -1,0 +1,112 @@
+"""Printed studies come back as printed; what cannot be is refused and the field named."""
+
+import dataclasses
+import pickle
+
+import pytest
+
+import trustlab as tl
+from trustlab.reproduction.study_checks import PublishedStudyError, printed_interval
+
+GOOD = {
+    "n": 20,
+    "mean": {"A": "5.0", "B": "4.25", "C": "3.50"},
+    "sd": {"A": "1.0", "B": "1.10", "C": "0.90"},
+    "anova": {"F": "8.1", "df1": "2", "df2": "38", "p": ".001"},
+    "mauchly": {"chi2": "1.2", "df": "2", "p": "0.55"},
+    "pairs": {"A-C": "0.002"},
+    "scale": (1.0, 7.0),
+}
+
+
+def changed(**changes):
+    return {**GOOD, **changes}
+
+
+def test_the_eleven_studies_are_there_as_printed():
+    studies = tl.published_studies()
+    assert len(studies) == 11
+    assert studies["uav.robot_performance"].mean["C5"] == "0.58"
+    assert studies["uav.utilization"].mauchly["chi2"] == "15.030"
+    assert studies["uav.satisfaction"].missing == ("C2",)
+    assert studies["uav.trust"].missing == ("C1",)
+    assert {s.k for s in studies.values()} == {2, 4, 5}
+    assert studies["uav.tlx"].corrected
+    assert not studies["teleop.tlx"].corrected
+
+
+def test_a_study_is_frozen_and_travels():
+    study = tl.published_studies()["uav.tlx"]
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        study.n = 3
+    with pytest.raises(TypeError):
+        study.mean["C1"] = "1"
+    assert pickle.loads(pickle.dumps(study)) == study
+    assert hash(study) == hash(pickle.loads(pickle.dumps(study)))
+
+
+def test_intervals_follow_the_printed_decimals():
+    assert printed_interval("0.50") == pytest.approx((0.495, 0.505))
+    assert printed_interval("0.5") == pytest.approx((0.45, 0.55))
+    assert printed_interval("<.0005") == (float("-inf"), 0.0005)
+    assert printed_interval(">0.05") == (0.05, float("inf"))
+
+
+def test_a_study_from_a_dictionary_and_from_toml(tmp_path):
+    study = tl.PublishedStudy.from_dict(GOOD, "mine")
+    assert study.conditions == ("A", "B", "C")
+    assert list(study.table().columns) == ["printed", "low", "high"]
+    path = tmp_path / "studies.toml"
+    path.write_text('[lab.one]\nn = 12\nmean = {A = "1.0", B = "2.0"}\nsd = {A = "0.5", B = "0.6"}\n')
+    assert tl.PublishedStudy.from_toml(path)["lab.one"].n == 12
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (changed(anova={"F": "8.1", "p": "1.2"}), r"anova\.p = '1\.2'"),
+        (changed(anova={"F": "-8.1"}), r"anova\.F = -8\.1"),
+        (changed(anova={"F": "nan"}), r"anova\.F must be a number"),
+        (changed(anova={"F": 8.1}), r"anova\.F must be a number as printed, in quotes"),
+        (changed(anova={"F": "<8"}), r"anova\.F must be a number, not the inequality"),
+        (changed(anova={"G": "8"}), r"anova\.G is unknown"),
+        (changed(anova={"eta2": "1.3"}), r"anova\.eta2"),
+        (changed(anova={"df1": "3"}), r"anova\.df1 = 3 must be 2 for 3 conditions"),
+        (changed(epsilon="0.3"), r"epsilon = 0\.3"),
+        (changed(epsilon="1.2"), r"epsilon = 1\.2"),
+        (changed(mauchly={"df": "9"}), r"mauchly\.df = 9 does not belong to 3 conditions"),
+        (changed(mauchly={"chi2": "-1"}), r"mauchly\.chi2"),
+        (changed(sd={"A": "0", "B": "1", "C": "1"}), r"sd\.A = 0 must be positive"),
+        (changed(sd={"A": "-1", "B": "1", "C": "1"}), r"sd\.A"),
+        (changed(sd={"A": "3.5", "B": "1", "C": "1"}), r"sd\.A = 3\.5 is more than 20 values"),
+        (changed(mean={"A": "8.0", "B": "4", "C": "3"}), r"mean\.A = 8\.0 lies outside the scale 1 to 7"),
+        (changed(mean={"A": None, "B": "4", "C": "3"}), r"mean\.A"),
+        (changed(mean=[1, 2]), r"mean must be a table"),
+        (changed(pairs={"A-D": "0.01"}), r"pairs: 'A-D'"),
+        (changed(pairs={"A-C": "0.01", "C-A": "0.02"}), r"C-A was given already"),
+        (changed(pairs={"A-C": "1.2"}), r"pairs\.A-C"),
+        (changed(pairs={"A-C": True}), r"pairs\.A-C"),
+        (changed(significant_without_p="A-B"), r"significant_without_p must be a list"),
+        (changed(n=2), r"n must be at least 3"),
+        (changed(n=3), r"too few for 3 conditions"),
+        (changed(n="20"), r"n must be a whole number"),
+        (changed(n=True), r"n must be a whole number"),
+        (changed(scale=(7, 1)), r"scale"),
+        (changed(scale="1-7"), r"scale"),
+        (changed(listed_only="no"), r"listed_only"),
+        (changed(t_test={"t": "2"}), r"t_test needs two conditions"),
+        (changed(conditions=("A", "B")), r"mean\.C is none of the conditions"),
+        (changed(conditions=("A", "B", "C", "D"), scale=(1, float("inf"))), r"scale must have both ends"),
+        (changed(colour="red"), r"unknown field 'colour'"),
+        ({k: v for k, v in GOOD.items() if k != "n"}, r"n is missing"),
+        ({k: v for k, v in GOOD.items() if k != "sd"}, r"sd is missing"),
+        ([1], r"must be a table of fields"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_field(values, message):
+    with pytest.raises(PublishedStudyError, match=message):
+        tl.PublishedStudy.from_dict(values, "mine")
+
+
+def test_the_example_itself_is_good():
+    assert tl.PublishedStudy.from_dict(GOOD).k == 3

@@ -1,0 +1,62 @@
+"""The interval of partial η². Oracles: SciPy's noncentral F, tests by simulation; R in test_against_r.py."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from trustlab.studies import partial_eta_interval
+
+fs = st.floats(1e-3, 1e4)
+dfs = st.tuples(st.integers(1, 12), st.integers(2, 300))
+
+
+@settings(max_examples=80, deadline=None, derandomize=True)
+@given(fs, dfs)
+def test_limits_invert_the_noncentral_f(f, df):
+    """Theorem: the data are 5 % unlikely at either limit, or the limit is 0 where even no effect makes them likelier."""
+    found = partial_eta_interval(f, *df)
+    for limit, tail in ((found.noncentrality_low, stats.ncf.sf), (found.noncentrality_high, stats.ncf.cdf)):
+        if limit > 0.0:
+            assert tail(f, *df, limit) == pytest.approx(0.05, abs=1e-8)
+    assert (found.noncentrality_low > 0.0) == (stats.f.sf(f, *df) < 0.05)
+    assert (found.noncentrality_high > 0.0) == (stats.f.cdf(f, *df) > 0.05)
+    assert 0.0 <= found.low <= found.high < 1.0
+    assert found.high == pytest.approx(found.noncentrality_high / (found.noncentrality_high + sum(df) + 1))
+
+
+def test_a_wider_level_gives_a_wider_interval():
+    narrow, wide = partial_eta_interval(6.0, 3, 60, 0.90), partial_eta_interval(6.0, 3, 60, 0.99)
+    assert wide.low < narrow.low < narrow.high < wide.high
+
+
+def test_coverage():
+    """Theorem: the interval of λ has its level; λ = 12, 2000 draws."""
+    draws = stats.ncf.rvs(3, 40, 12.0, size=2000, random_state=np.random.default_rng(3))
+    inside = [
+        p.noncentrality_low <= 12.0 <= p.noncentrality_high
+        for p in (partial_eta_interval(f, 3, 40) for f in draws[:600])
+    ]
+    assert abs(np.mean(inside) - 0.90) < 4.0 * np.sqrt(0.09 / 600)
+
+
+def test_no_effect_at_all():
+    found = partial_eta_interval(0.0, 3, 40)
+    assert (found.low, found.high) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((-1.0, 3, 40), "f must be at least 0"),
+        ((np.nan, 3, 40), "f must be finite"),
+        ((1.0, 0, 40), "df1 and df2 must be above 0"),
+        ((1.0, 3, -2), "df1 and df2 must be above 0"),
+        ((1.0, 3, 40, 1.0), "level must lie"),
+        (("1", 3, 40), "f must be a number"),
+    ],
+)
+def test_bad_arguments(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        partial_eta_interval(*arguments)

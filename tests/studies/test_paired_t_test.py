@@ -1,0 +1,185 @@
+"""The paired t-test and what stands beside it: against R (reference/paired_t_test.R), pingouin and brute force."""
+
+import itertools
+import json
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trustlab.studies.paired_t_test import paired_t_test
+
+mpl.use("Agg")
+REFERENCE = json.loads((Path(__file__).parent / "reference" / "paired_t_test.json").read_text())["sets"]
+SAME = [
+    "mean_difference",
+    "sd_difference",
+    "ci_low",
+    "ci_high",
+    "t",
+    "df",
+    "p",
+    "d_z",
+    "d_av",
+    "correlation",
+    "wilcoxon_v",
+    "wilcoxon_p",
+    "shapiro_w",
+    "shapiro_p",
+]
+
+
+def frame_of(a, b, names=("A", "B")):
+    n = len(a)
+    return pd.DataFrame(
+        {"who": list(range(n)) * 2, "which": [names[0]] * n + [names[1]] * n, "score": [*a, *b]}
+    )
+
+
+def run(frame, **more):
+    return paired_t_test(frame, dv="score", within="which", subject="who", **more)
+
+
+@pytest.mark.parametrize("name", REFERENCE)
+def test_agrees_with_r(name):
+    wanted = REFERENCE[name]
+    found = run(frame_of(wanted["a"], wanted["b"]))
+    for key in SAME:
+        loose = {"shapiro_p": 1e-6, "shapiro_w": 1e-7}.get(key, 1e-9)
+        assert getattr(found, key) == pytest.approx(wanted[key], rel=loose, abs=1e-13), key
+    assert ("exact" in found.wilcoxon_method) == ("exact" in wanted["wilcoxon_method"])
+    narrow = run(frame_of(wanted["a"], wanted["b"]), confidence=0.9)
+    assert narrow.ci_low == pytest.approx(wanted["ci90_low"], rel=1e-9, abs=1e-12)
+    assert narrow.ci_high == pytest.approx(wanted["ci90_high"], rel=1e-9, abs=1e-12)
+
+
+def test_the_reference_has_both_kinds_of_wilcoxon():
+    kinds = {run(frame_of(x["a"], x["b"])).wilcoxon_method.split()[0] for x in REFERENCE.values()}
+    assert kinds == {"exact", "normal"}
+
+
+def test_wilcoxon_is_exact_by_brute_force():
+    """Oracle: all 2^9 signs."""
+    d = np.array([0.3, -1.1, 2.4, 3.1, -0.7, 4.9, 1.6, -2.0, 5.5])
+    ranks = np.argsort(np.argsort(np.abs(d))) + 1
+    v = ranks[d > 0].sum()
+    every = [ranks[np.array(signs)].sum() for signs in itertools.product([False, True], repeat=9)]
+    p = 2 * min(np.mean(np.array(every) >= v), np.mean(np.array(every) <= v))
+    found = run(frame_of(d, np.zeros(9)))
+    assert (found.wilcoxon_v, found.wilcoxon_p) == (v, pytest.approx(p, rel=1e-12))
+    assert found.rank_biserial == pytest.approx((v - (45 - v)) / 45)
+    assert np.isnan(found.correlation)
+
+
+def test_agrees_with_pingouin():
+    import pingouin as pg
+
+    rng = np.random.default_rng(3)
+    a, b = rng.normal([[0.6], [0.0]], 1.0, (2, 25))
+    wanted = pg.ttest(a, b, paired=True).loc["T_test"]
+    found = run(frame_of(a, b))
+    assert found.t == pytest.approx(wanted["T"], rel=1e-12)
+
+
+@given(
+    st.lists(st.tuples(st.integers(-50, 50), st.integers(-50, 50)), min_size=3, max_size=20),
+    st.integers(1, 9),
+)
+@settings(max_examples=60)
+def test_turning_and_scaling(pairs, factor):
+    a, b = np.array(pairs, dtype=float).T
+    if np.ptp(a - b) == 0:
+        with pytest.raises(ValueError, match="every subject has the same difference"):
+            run(frame_of(a, b))
+        return
+    one = run(frame_of(a, b))
+    turned = run(frame_of(a, b), order=["B", "A"])
+    scaled = run(frame_of(factor * a + 3, factor * b + 3))
+    for key in ("t", "d_z", "d_av", "mean_difference", "rank_biserial"):
+        assert getattr(turned, key) == pytest.approx(-getattr(one, key), abs=1e-12)
+    assert (turned.ci_low, turned.ci_high) == pytest.approx((-one.ci_high, -one.ci_low), abs=1e-10)
+    for key in ("p", "wilcoxon_p", "shapiro_p"):
+        assert getattr(turned, key) == pytest.approx(getattr(one, key), rel=1e-6)
+    for key in ("t", "p", "d_z", "d_av", "wilcoxon_p"):
+        assert getattr(scaled, key) == pytest.approx(getattr(one, key), rel=1e-7, abs=1e-12)
+    assert one.t == pytest.approx(one.d_z * np.sqrt(one.n), rel=1e-12)
+    assert one.ci_low <= one.mean_difference <= one.ci_high
+    assert (one.p < 0.05) == (one.ci_low > 0 or one.ci_high < 0)
+
+
+def test_order_of_rows_does_not_matter():
+    frame = frame_of(*np.random.default_rng(1).normal(size=(2, 12)))
+    shuffled = frame.sample(frac=1.0, random_state=2)
+    pd.testing.assert_frame_equal(run(frame).table(), run(shuffled).table())
+
+
+def test_tables_sentence_and_plot():
+    import matplotlib.pyplot as plt
+
+    x = REFERENCE["followed"]
+    found = run(frame_of(x["a"], x["b"], ("C2", "C4")))
+    assert found.table().shape[0] == 1
+    rows = found.descriptives()
+    assert rows["mean"].tolist() == pytest.approx([np.mean(x["a"]), np.mean(x["b"])])
+    assert rows["sd"].tolist() == pytest.approx([np.std(x["a"], ddof=1), np.std(x["b"], ddof=1)])
+    text = found.apa()
+    assert f"t(35) = {found.t:.2f}" in text
+    assert f"C2 (M = {np.mean(x['a']):.2f}" in text
+    assert "t(35)" in found._repr_html_()
+    axes = found.plot()
+    assert axes.shape == (2,)
+    assert len(axes[0].get_lines()) >= 36
+    plt.close("all")
+    made = frame_of(x["a"], x["b"])
+    made.attrs["reconstructed"] = True
+    found = run(made)
+    assert "reconstructed data" in found.apa()
+    assert found.plot()[0].get_title() == "reconstructed data"
+    plt.close("all")
+
+
+def test_missing_scores_only_when_asked_for():
+    frame = frame_of([1.0, 2, 4, 9, 7], [2.0, 2, 3, 5, 1])
+    frame.loc[6, "score"] = np.nan
+    with pytest.raises(ValueError, match="subject 1 has no score in condition 'B'"):
+        run(frame)
+    found = run(frame, missing="listwise")
+    assert found.excluded == (1,)
+    assert found.n == 4
+    assert found.t == pytest.approx(run(frame[frame["who"] != 1]).t)
+    assert "1 subject(s) with missing scores were left out (1)." in found.apa()
+
+
+GOOD = frame_of([1.0, 2, 4, 9], [2.0, 2, 3, 5])
+
+
+@pytest.mark.parametrize(
+    ("frame", "words"),
+    [
+        (GOOD.assign(score=1.0), "every subject has the same difference"),
+        (frame_of([0.1, 0.2, 0.3], [0.2, 0.3, 0.4]), "every subject has the same difference"),
+        (GOOD[GOOD["which"] == "A"], "one condition only"),
+        (GOOD[GOOD["who"] < 2], "at least three"),
+        (pd.concat([GOOD, GOOD.iloc[:1]]), "more than one row"),
+        (GOOD.assign(score=GOOD["score"].astype(str)), "scores must be numbers"),
+        (GOOD.assign(score=np.inf), "finite"),
+        (GOOD.assign(score=GOOD["score"] * 1e300), "so large that their squares overflow"),
+        (GOOD.rename(columns={"score": "scores"}), "did you mean 'scores'"),
+        (pd.concat([GOOD, frame_of([1.0, 2, 3, 4], [1.0, 3, 2, 5], ("C", "D"))]), "has 4 conditions"),
+        (GOOD.iloc[:0], "no rows"),
+        (None, "must be a pandas.DataFrame"),
+    ],
+)
+def test_bad_input_is_refused(frame, words):
+    with pytest.raises(ValueError, match=words):
+        run(frame)
+
+
+@pytest.mark.parametrize("confidence", [0, 1, 95, "a", None, np.nan])
+def test_bad_confidence_is_refused(confidence):
+    with pytest.raises(ValueError, match="confidence"):
+        run(GOOD, confidence=confidence)

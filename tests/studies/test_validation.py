@@ -1,0 +1,225 @@
+"""Bad input: every fault is refused, and the error names the subject, the condition, the column or the row."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import trustlab as tl
+from trustlab.studies.validation import complete_scores, read_scores
+
+
+def table(n=5, k=3):
+    rng = np.random.default_rng(0)
+    return pd.DataFrame(
+        {
+            "pid": np.repeat([f"P{i + 1}" for i in range(n)], k),
+            "condition": ["C1", "C2", "C3"][:k] * n,
+            "score": rng.standard_normal(n * k),
+        }
+    )
+
+
+def analysed(frame, dv="score", within="condition", subject="pid", **options):
+    return tl.repeated_measures(frame, dv=dv, within=within, subject=subject, **options)
+
+
+def changed(row, column, value):
+    frame = table()
+    frame[column] = frame[column].astype(object)
+    frame.loc[row, column] = value
+    return frame
+
+
+def test_the_table_itself_is_fine():
+    assert analysed(table()).n == 5
+
+
+TABLES = {
+    "duplicate cell": (
+        pd.concat([table(), table().iloc[[4, 4]]]),
+        r"1 cell\(s\) with more than one row: subject 'P2', condition 'C2' has 3 rows \(4, 4, 4\); average the trials",
+    ),
+    "duplicate cell, one without score": (
+        pd.concat([table(), table().iloc[[4]].assign(score=np.nan)]),
+        "subject 'P2', condition 'C2' has 2 rows",
+    ),
+    "missing row": (table().drop(index=7), "subject 'P3' has no score in condition 'C2'"),
+    "NaN": (changed(7, "score", np.nan).astype({"score": float}), "subject 'P3' has no score in condition 'C2'"),
+    "None": (changed(7, "score", None), "subject 'P3' has no score in condition 'C2'"),
+    "pandas.NA": (changed(7, "score", pd.NA), "subject 'P3' has no score in condition 'C2'"),
+    "NaT": (changed(7, "score", pd.NaT), "subject 'P3' has no score in condition 'C2'"),
+    "one condition only": (
+        table().drop(index=[3, 5]),
+        "subject 'P2' has a score in one condition only, 'C2'.*listwise.*mixed_model",
+    ),
+    "no score at all": (
+        table().assign(score=lambda f: f["score"].where(f["pid"] != "P4")),
+        "subject 'P4' has no score at all",
+    ),
+    "spaces in a label": (changed(7, "condition", "C2 "), "'C2' and 'C2 ' differ by spaces, case or type"),
+    "case of a label": (changed(7, "condition", "c2"), "'C2' and 'c2' differ by spaces, case or type"),
+    "text": (changed(7, "score", "n/a"), r"'score' holds 'n/a' for subject 'P3', condition 'C2' \(row 7\)"),
+    "number as text": (table().assign(score=lambda f: f["score"].astype(str)), "'P1', condition 'C1'.*pandas.to_numeric"),
+    "a boolean": (changed(7, "score", True), "holds True for subject 'P3', condition 'C2'"),
+    "booleans": (table().assign(score=True), "'score' holds True and False"),
+    "a complex number": (changed(7, "score", 1j), "holds 1j for subject 'P3'"),
+    "complex numbers": (table().assign(score=1j), "type complex128"),
+    "a list": (changed(7, "score", "x").assign(score=lambda f: f["score"].map(lambda v: [v])), "for subject 'P1'"),
+    "dates": (table().assign(score=pd.Timestamp("2020-01-01")), "type datetime64"),
+    "durations": (table().assign(score=pd.Timedelta("1s")), "type timedelta64"),
+    "categorical": (table().assign(score=lambda f: f["score"].round().astype("category")), "categorical"),
+    "inf": (changed(7, "score", np.inf).astype({"score": float}), "is inf for subject 'P3', condition 'C2'"),
+    "-inf as an object": (changed(7, "score", -np.inf), "is -inf for subject 'P3', condition 'C2'"),
+    "no condition": (changed(7, "condition", None), "within: column 'condition' has no label in row 7"),
+    "no subject": (changed(7, "pid", np.nan), "subject: column 'pid' has no label in row 7"),
+    "one condition": (table().query("condition == 'C2'"), "'condition' has one condition only, 'C2'"),
+    "two subjects": (table(n=2), r"2 complete subject\(s\) in column 'pid'; at least three"),
+    "one subject": (table(n=1), r"1 complete subject"),
+    "constant": (table().assign(score=4.5), "'score' by 'condition': every score is 4.5"),
+    "no error variance": (
+        table().assign(score=np.tile([0.1, 0.4, 0.7], 5) + np.repeat(0.3 * np.arange(5), 3)),
+        "'score' by 'condition': the error variance is zero",
+    ),
+    "subjects constant": (table().assign(score=np.repeat([0.1, 0.2, 0.3, 0.4, 0.5], 3)), "no subject's scores differ"),
+    "no rows": (table().iloc[:0], "no rows"),
+    "mixed labels": (changed(7, "condition", 3), "mixes int and str"),
+    "labels that are lists": (table().assign(condition=[["a"]] * 15), "cannot be compared"),
+    "huge": (table().assign(score=lambda f: f["score"] * 1e200), "another unit"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_that_are_refused(name):
+    frame, message = TABLES[name]
+    with pytest.raises(ValueError, match=message):
+        analysed(frame)
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (
+            {"dv": "scores"},
+            r"dv: no column 'scores'; did you mean 'score'\? \(there are pid, condition, score\)",
+        ),
+        ({"within": "conditon"}, "within: no column 'conditon'; did you mean 'condition'"),
+        ({"subject": "PID"}, "subject: no column 'PID'; did you mean 'pid'"),
+        ({"dv": None}, "dv: no column None"),
+        ({"within": ["condition"]}, "within must be the name of one column"),
+        ({"within": np.array(["condition"])}, "within must be the name of one column"),
+        ({"dv": "pid"}, "must be three columns"),
+        ({"subject": "condition"}, "must be three columns"),
+    ],
+)
+def test_columns_that_are_refused(names, message):
+    with pytest.raises(ValueError, match=message):
+        analysed(table(), **names)
+
+
+def test_column_in_the_index_and_column_there_twice():
+    with pytest.raises(ValueError, match=r"'pid' is in the index.*reset_index"):
+        analysed(table().set_index("pid"))
+    twice = pd.concat([table(), table()[["score"]]], axis=1)
+    with pytest.raises(ValueError, match="'score' is there 2 times"):
+        analysed(twice)
+
+
+@pytest.mark.parametrize(
+    "frame", [None, [1, 2], {"pid": [1]}, np.zeros((3, 3)), "scores.csv", table()["score"]]
+)
+def test_what_is_no_table(frame):
+    with pytest.raises(ValueError, match=r"must be a pandas\.DataFrame in long form, got"):
+        analysed(frame)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"missing": "drop"}, "missing must be 'raise' or 'listwise', got 'drop'"),
+        ({"missing": None}, "missing must be"),
+        ({"correction": "gg"}, "correction must be 'auto'.*got 'gg'"),
+        ({"alpha": 0.0}, "alpha must lie strictly between 0 and 1"),
+        ({"alpha": "5 %"}, "alpha must be a number"),
+        (
+            {"order": ["C1", "C2"]},
+            r"order must list every condition in column 'condition' once, \['C1', 'C2', 'C3'\]",
+        ),
+        ({"order": ["C1", "C2", "C2", "C3"]}, "order must list"),
+        ({"order": "C1"}, "order must list"),
+        ({"order": 3}, "order must list"),
+        ({"order": [["C1"], "C2", "C3"]}, "order must list"),
+    ],
+)
+def test_options_that_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        analysed(table(), **options)
+
+
+def test_many_faults_are_counted_not_listed():
+    frame = pd.concat([table(20), table(20)])
+    with pytest.raises(ValueError, match=r"60 cell\(s\) with more than one row") as error:
+        analysed(frame)
+    assert len(str(error.value)) < 700
+    with pytest.raises(ValueError, match="and 15 more") as error:
+        analysed(
+            table(20)
+            .query("condition != 'C2' or pid == 'P1'")
+            .assign(score=lambda f: f["score"].where(f.index > 2))
+            .pipe(lambda f: pd.concat([f, table(20).iloc[[1]]]).drop_duplicates(["pid", "condition"]))
+        )
+    assert len(str(error.value)) < 900
+
+
+def test_listwise_refuses_too_few_that_are_left():
+    frame = table().drop(index=[0, 4, 8])
+    with pytest.raises(
+        ValueError, match=r"2 complete subject\(s\).*left out: subject 'P1' has no score in condition 'C1'"
+    ):
+        analysed(frame, missing="listwise")
+
+
+def test_two_conditions_one_missing():
+    with pytest.raises(ValueError, match="subject 'P1' has no score in condition 'C2'"):
+        analysed(table(k=2).drop(index=1))
+
+
+def test_layout_of_scores():
+    frame = table().sample(frac=1.0, random_state=1)
+    read = read_scores(frame, "score", "condition", "pid")
+    for row in frame.itertuples():
+        assert read.values[read.subjects.index(row.pid), read.conditions.index(row.condition)] == row.score
+    assert read.subjects == ("P1", "P2", "P3", "P4", "P5")
+    back = read.frame()
+    assert back.columns.tolist() == ["subject", "condition", "value"]
+    again = read_scores(back, "value", "condition", "subject")
+    np.testing.assert_array_equal(again.values, read.values)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.integers(3, 8), st.integers(2, 5), st.data())
+def test_whatever_is_missing_is_named_or_left_out(n, k, data):
+    """Property: no analysis ever has a NaN in it, and excluded and kept subjects together are all subjects."""
+    rng = np.random.default_rng(n * 10 + k)
+    gone = np.array(data.draw(st.lists(st.booleans(), min_size=n * k, max_size=n * k)))
+    frame = pd.DataFrame(
+        {
+            "s": np.repeat(np.arange(n), k),
+            "c": np.tile(np.arange(k), n),
+            "y": np.where(gone, np.nan, rng.random(n * k)),
+        }
+    )
+    read = read_scores(frame, "y", "c", "s")
+    complete = ~gone.reshape(n, k).any(axis=1)
+    if gone.any():
+        with pytest.raises(ValueError, match=r"missing cells|complete subject"):
+            complete_scores(read)
+    if complete.sum() < 3:
+        with pytest.raises(ValueError, match="complete subject"):
+            complete_scores(read, "listwise")
+        return
+    kept, excluded = complete_scores(read, "listwise")
+    assert np.isfinite(kept.values).all()
+    assert kept.subjects == tuple(np.flatnonzero(complete))
+    assert sorted(kept.subjects + excluded) == list(range(n))

@@ -1,0 +1,191 @@
+"""Winsorizing: values by hand, SciPy's for the classical rule, and a list of every change."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from trustlab.studies.winsorize import OUTLIER_RULES, winsorize
+
+PLAIN = np.array([1.0, 2, 3, 4, 5, 6, 7, 8, 9, 100])
+
+
+@pytest.fixture
+def frame():
+    rng = np.random.default_rng(8)
+    scores = rng.normal(0.5, 0.06, (30, 2))
+    scores[4, 1], scores[20, 1], scores[3, 0] = 0.95, 0.88, 1.2
+    return pd.DataFrame(
+        {
+            "pid": np.repeat(np.arange(1, 31), 2),
+            "scheme": ["M", "TMIG"] * 30,
+            "error": scores.ravel(),
+            "note": "kept",
+        }
+    )
+
+
+def test_two_outliers_of_one_condition(frame):
+    found = winsorize(frame, "error", "scheme", "pid", outside="iqr", k=1.5, to="next", conditions=["TMIG"])
+    own = frame.loc[frame["scheme"] == "TMIG", "error"]
+    next_most = own[own < 0.8].max()
+    assert found.changes["subject"].tolist() == [5, 21]
+    assert found.changes["condition"].tolist() == ["TMIG", "TMIG"]
+    assert found.changes["old"].tolist() == [0.95, 0.88]
+    assert found.changes["new"].tolist() == [next_most, next_most]
+    same = ~((frame["pid"].isin([5, 21])) & (frame["scheme"] == "TMIG"))
+    pd.testing.assert_frame_equal(found.data[same], frame[same])
+    assert list(found.data.columns) == list(frame.columns)
+    assert found.limits["condition"].tolist() == ["TMIG"]
+    assert "2 of 30 values were winsorized: 2 in TMIG (subject 5, 21)" in found.apa()
+    assert "set to the next most extreme value" in found._repr_html_()
+    assert frame["error"].max() == 1.2
+    every = winsorize(frame, "error", "scheme", "pid", outside="iqr", k=1.5, to="next")
+    assert every.changes["subject"].tolist() == [4, 5, 21]
+    assert found.table() is found.changes
+    assert found.frame is found.data
+
+
+def test_rules_by_hand():
+    q1, q3 = 3.25, 7.75  # linear interpolation, R's type 7
+    fence = winsorize(PLAIN, outside="iqr", k=1.5, to="limit")
+    assert fence.data[-1] == pytest.approx(q3 + 1.5 * (q3 - q1), rel=1e-14)
+    assert fence.limits.loc[0, ["low", "high", "changed"]].tolist() == pytest.approx([-3.5, 14.5, 1])
+    mad = winsorize(PLAIN, outside="mad", k=3, to="limit")
+    assert mad.data[-1] == pytest.approx(5.5 + 3 * 1.4826022185 * 2.5, rel=1e-9)
+    sd = winsorize(PLAIN, outside="sd", k=2, to="limit")
+    assert sd.data[-1] == pytest.approx(PLAIN.mean() + 2 * PLAIN.std(ddof=1), rel=1e-14)
+    assert winsorize(PLAIN, outside="sd", k=2, to="next").data[-1] == 9.0
+    quantile = winsorize(PLAIN, outside="quantile", k=0.1, to="limit")
+    assert (quantile.data[0], quantile.data[-1]) == pytest.approx((1.9, 18.1))
+    assert quantile.changes["subject"].tolist() == [0, 9]
+    assert quantile.changes["condition"].isna().all()
+    assert "None of 3 values" in winsorize([1, 2, 3], outside="iqr", k=1.5, to="next").apa()
+    assert "position 9" in sd.apa()
+
+
+@given(st.lists(st.integers(-1000, 1000), min_size=5, max_size=40), st.integers(1, 2))
+@settings(max_examples=60)
+def test_the_classical_rule_is_scipys(values, k):
+    x = np.array(values, dtype=float)
+    found = winsorize(x, outside="extremes", k=k, to="next").data
+    wanted = stats.mstats.winsorize(x, limits=(k / x.size + 1e-9, k / x.size + 1e-9))
+    assert found.tolist() == np.asarray(wanted).tolist()
+
+
+@given(
+    st.lists(st.floats(-1e6, 1e6), min_size=5, max_size=40, unique=True),
+    st.sampled_from(["sd", "mad", "iqr", "quantile", "extremes"]),
+    st.sampled_from(["limit", "next"]),
+)
+@settings(max_examples=150)
+def test_order_is_kept_inner_values_are_not_touched(values, outside, to):
+    x = np.array(values)
+    k = {"sd": 1.5, "mad": 2.0, "iqr": 1.0, "quantile": 0.2, "extremes": 1}[outside]
+    if outside == "extremes":
+        to = "next"
+    try:
+        found = winsorize(x, outside=outside, k=k, to=to)
+    except ValueError as error:
+        assert "is 0" in str(error)  # noqa: PT017  the spread of nearly equal numbers rounds to 0
+        return
+    low, high = found.limits.loc[0, ["low", "high"]]
+    order = np.argsort(x)
+    assert (np.diff(found.data[order]) >= 0).all()
+    inside = (x >= low) & (x <= high)
+    assert (found.data[inside] == x[inside]).all()
+    assert ((found.data >= low) & (found.data <= high)).all()
+    assert found.changes["subject"].tolist() == np.flatnonzero(~inside).tolist()
+    assert found.changes["old"].tolist() == x[~inside].tolist()
+    assert found.changes["new"].tolist() == found.data[~inside].tolist()
+    mirrored = winsorize(-x, outside=outside, k=k, to=to)
+    assert mirrored.data == pytest.approx(-found.data, rel=1e-9, abs=1e-6)
+
+
+def test_a_constant_is_left_alone():
+    found = winsorize([0.1] * 12, outside="sd", k=2, to="limit")
+    assert found.changes.empty
+    assert found.data.tolist() == [0.1] * 12
+
+
+def test_missing_cells_stay_missing(frame):
+    frame.loc[7, "error"] = np.nan
+    found = winsorize(frame, "error", "scheme", "pid", outside="iqr", k=1.5, to="limit")
+    assert np.isnan(found.data.loc[7, "error"])
+    assert found.limits["n"].tolist() == [30, 29]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"outside": "sigma"}, f"outside must be one of {', '.join(OUTLIER_RULES)}"),
+        ({"to": "mean"}, "to must be"),
+        ({"k": 0}, "k must be above 0"),
+        ({"k": -1.5}, "k must be above 0"),
+        ({"k": np.nan}, "k must be finite"),
+        ({"k": "1.5"}, "k must be a number"),
+        ({"k": True}, "k must be a number"),
+        ({"outside": "quantile", "k": 0.5}, "below 0.5"),
+        ({"outside": "extremes", "k": 1.5, "to": "next"}, "needs a whole number k"),
+        ({"outside": "extremes", "k": 1, "to": "limit"}, 'and to="next"'),
+        ({"outside": "extremes", "k": 15, "to": "next"}, "15 values at each end are all of the 30"),
+        (
+            {"outside": "sd", "k": 6},
+            r"none of 30 values can lie 6 standard deviations from their mean \(at most 5.29\)",
+        ),
+        ({"conditions": ["TMIGG"]}, "'TMIGG' is not in column 'scheme'; did you mean 'TMIG'"),
+        ({"conditions": "TMIG"}, "conditions must be a list"),
+        ({"conditions": ["M", "M"]}, "lists one twice"),
+        ({"outside": ["sd"]}, "outside must be one of"),
+        ({"to": ["limit"]}, "to must be"),
+        ({"conditions": []}, "conditions must be a list"),
+        ({"dv": "eror"}, "did you mean 'error'"),
+        ({"within": None}, "within"),
+    ],
+)
+def test_bad_rules_are_refused(frame, arguments, words):
+    given_ = {"dv": "error", "within": "scheme", "subject": "pid", "outside": "iqr", "k": 1.5, "to": "limit"}
+    with pytest.raises(ValueError, match=words):
+        winsorize(frame, **(given_ | arguments))
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ([1, 2], "2 values; winsorizing needs at least three"),
+        ([1, 2, np.nan, 3], "sample 2 is nan"),
+        ([1, 2, np.inf, 3], "sample 2 is inf"),
+        (["1", "2", "3"], "data must be numbers"),
+        ([True, False, True], "data must be numbers"),
+        ([[1, 2], [3, 4]], "one-dimensional"),
+        ([], "data must be"),
+        ([1, 1, 1, 1, 9], "interquartile range is 0"),
+        (None, "data must be numbers"),
+        ([1e308, -1e308, 1e308, -1e308, 0], "so large that their spread overflows"),
+    ],
+)
+def test_bad_values_are_refused(values, words):
+    with pytest.raises(ValueError, match=words):
+        winsorize(values, outside="iqr", k=1.5, to="limit")
+
+
+def test_mad_of_equal_values_and_columns_of_plain_values_are_refused():
+    with pytest.raises(ValueError, match="median absolute deviation is 0"):
+        winsorize([1, 1, 1, 1, 9], outside="mad", k=3, to="limit")
+    with pytest.raises(ValueError, match="are for a DataFrame"):
+        winsorize([1, 2, 3], "error", outside="mad", k=3, to="limit")
+
+
+def test_no_value_inside_is_refused():
+    with pytest.raises(ValueError, match="every value is outside"):
+        winsorize([0, 0, 0, 10, 10, 10], outside="sd", k=0.5, to="limit")
+
+
+def test_text_and_twofold_cells_are_refused(frame):
+    rule = {"outside": "iqr", "k": 1.5, "to": "limit"}
+    with pytest.raises(ValueError, match="scores must be numbers"):
+        winsorize(frame.assign(error="high"), "error", "scheme", "pid", **rule)
+    with pytest.raises(ValueError, match="more than one row"):
+        winsorize(pd.concat([frame, frame.iloc[:1]]), "error", "scheme", "pid", **rule)

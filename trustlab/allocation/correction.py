@@ -1,0 +1,245 @@
+"""Correcting an operator's thresholds step by step, Section 2.5, by an engine chosen by name."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import warnings
+from collections.abc import Callable
+from numbers import Integral
+from time import perf_counter
+
+from trustlab.allocation.correction_plan import CorrectionPlan
+from trustlab.allocation.incentive import check_utilization, incentive_box, positive_rate, within_range
+from trustlab.allocation.limit_cycle import limit_cycle
+from trustlab.allocation.limits import check_thresholds, threshold_limits
+from trustlab.models.checks import finite_number, of_class, whole_number
+from trustlab.models.tsc import TscModel
+
+__all__ = ["ENGINES", "TargetWarning", "ThresholdCorrector"]
+
+ENGINES = {
+    "exact": ("trustlab.allocation.correction_exact", "ExactEngine"),
+    "casadi": ("trustlab.allocation.correction_casadi", "CasadiEngine"),
+}
+"""Module and class of each engine; imported when asked for."""
+
+
+class TargetWarning(UserWarning):
+    """Target thresholds lie outside the limits of Theorem 1, yet the rule keeps switching under them."""
+
+
+class ThresholdCorrector:
+    """
+    Model predictive control of both thresholds, (2.40)-(2.44).
+
+    At each step the corrections of the next N steps are chosen that minimize Σ (TSC_u − TSC_ud)² + (TSC_l − TSC_ld)²,
+    within what the operator can be expected to accept (2.42), the thresholds staying between where they are and their
+    targets; the first correction is applied.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The operator's and the robot's model.
+    target : (float, float)
+        TSC_ld and TSC_ud.
+    c_b : float
+        Largest correction per step (2.42); positive.
+    horizon : int
+        N, how many steps to look ahead; from 1 to a million.
+    engine : {"exact", "casadi"}
+        "exact": branch and bound over the sequences of modes, with a proven lower bound of the cost. "casadi": multiple
+        shooting with a smoothed switch, for costs and constraints of your own.
+    incentive : callable, optional
+        The bounds of correction in place of (2.42): takes r, p_r, c_b, p_min, p_max and returns the least and the greatest
+        correction, in [−c_b, 0] and [0, c_b]. `incentive_box` when not given.
+    **options : object
+        Options of the engine, see `ExactEngine` and `CasadiEngine`.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, an option is unknown, or the rule does not keep switching under the target.
+
+    Warns
+    -----
+    TargetWarning
+        If the target lies outside the limits of Theorem 1, but its exact cycle exists from every start: the theorem is
+        sufficient, not necessary, and the thresholds that Section 2.5 prints for the pilot operator are such a case.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> corrector = tl.ThresholdCorrector(tl.published_models()["2"], target=(0.05, 0.4), horizon=200)
+    >>> step = corrector.step(r=0.7, p_r=0.33, lower=0.0, upper=0.35, mode=1)
+    >>> round(step.c_l * 1e6, 3), step.suggestion, step.gap
+    (2.409, -1, 0.0)
+    """
+
+    def __init__(
+        self,
+        tsc: TscModel,
+        target: tuple[float, float],
+        c_b: float = 1e-5,
+        horizon: int = 200,
+        engine: str = "exact",
+        incentive: Callable | None = None,
+        **options: object,
+    ):
+        self.tsc = of_class("tsc", tsc, TscModel)
+        self.target = check_target(tsc, target)
+        self.c_b, self.horizon = positive_rate("c_b", c_b), whole_number("horizon", horizon, most=1_000_000)
+        if not isinstance(engine, str) or engine not in ENGINES:
+            raise ValueError(f"engine must be one of {', '.join(map(repr, ENGINES))}, got {engine!r:.60}")
+        if incentive is not None and not callable(incentive):
+            raise ValueError(
+                f"incentive must be a function of r, p_r, c_b, p_min, p_max, got {type(incentive).__name__}"
+            )
+        module, name = ENGINES[engine]
+        kind = getattr(importlib.import_module(module), name)
+        known = list(inspect.signature(kind).parameters)[6:]
+        unknown = sorted(set(options) - set(known))
+        if unknown:
+            raise ValueError(
+                f"the engine {engine!r} has no option {unknown[0]!r}; it has {', '.join(known) or 'none'}"
+            )
+        self.incentive = incentive or incentive_box
+        self.engine = kind(tsc, *self.target, self.c_b, self.horizon, self.incentive, **options)
+        self._range = (tsc.robot.p_min, tsc.robot.p_max)
+
+    def step(self, r: float, p_r: float, lower: float, upper: float, mode: int = 1) -> CorrectionPlan:
+        """
+        Return the correction now, with the whole plan behind it.
+
+        Parameters
+        ----------
+        r : float
+            Utilization now, in [0, 1].
+        p_r : float
+            Robot performance now, within the model's range but for rounding.
+        lower, upper : float
+            TSC_l and TSC_u now, lower < upper.
+        mode : int
+            Mode before now: 1 manual, 0 autonomous.
+
+        Returns
+        -------
+        CorrectionPlan
+            With .c_l, .c_u, .suggestion, .cost, .cost_lower_bound, .gap, .status and the predicted trajectories.
+
+        Raises
+        ------
+        ValueError
+            If an argument is not a number or out of range.
+        """
+        began = perf_counter()
+        r = check_utilization(r)
+        p_r = within_range("p_r", p_r, *self._range)
+        lower = finite_number("lower", lower)
+        upper = finite_number("upper", upper)
+        if not lower < upper:
+            raise ValueError(f"the lower threshold must be below the upper one, got {lower} and {upper}")
+        plan = self.engine.solve(r, p_r, lower, upper, check_mode(mode))
+        object.__setattr__(plan, "solve_time", perf_counter() - began)
+        return plan
+
+    def __repr__(self) -> str:
+        return (
+            f"ThresholdCorrector(target={self.target}, c_b={self.c_b:g}, horizon={self.horizon}, "
+            f"engine={self.engine.name!r})"
+        )
+
+
+def check_mode(mode: int) -> int:
+    """
+    Return a mode as an int.
+
+    Parameters
+    ----------
+    mode : int
+        1 manual, 0 autonomous.
+
+    Raises
+    ------
+    ValueError
+        If it is neither.
+    """
+    if isinstance(mode, Integral) and type(mode) is not bool and 0 <= mode <= 1:
+        return int(mode)
+    number = finite_number("mode", mode)
+    if number not in (0.0, 1.0):
+        raise ValueError(f"mode must be 1 (manual) or 0 (autonomous), got {mode!r}")
+    return int(number)
+
+
+def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, float]:
+    """
+    Return target thresholds as floats, if the rule keeps switching under them.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model.
+    target : (float, float)
+        TSC_ld and TSC_ud.
+
+    Raises
+    ------
+    ValueError
+        If they are no pair of numbers in order, or lie outside the limits of Theorem 1 without a cycle of their own.
+
+    Warns
+    -----
+    TargetWarning
+        If they lie outside these limits with a cycle of their own.
+    """
+    lower, upper = pair_of("target", target)
+    lower, upper = check_thresholds(tsc, lower, upper)
+    limits = threshold_limits(tsc)
+    if limits.contains(lower, upper):
+        return lower, upper
+    where = (
+        f"target ({lower:g}, {upper:g}) lies outside the limits of Theorem 1, TSC_lb = {limits.lower:.4f} and "
+        f"TSC_ub = {limits.upper:.4f}"
+    )
+    cycle = limit_cycle(tsc, lower, upper)
+    if not cycle.always:
+        raise ValueError(
+            f"{where}, and the rule does not keep switching under it: {cycle.reason}. Choose a target between the "
+            "limits, for example with trustlab.choose_thresholds(tsc)"
+        )
+    warnings.warn(
+        f"{where}, so the theorem does not promise that the rule keeps switching; its exact cycle does exist, from "
+        "every start that was followed (trustlab.limit_cycle)",
+        TargetWarning,
+        stacklevel=3,
+    )
+    return lower, upper
+
+
+def pair_of(name: str, pair: tuple[float, float]) -> tuple[float, float]:
+    """
+    Return two thresholds as floats.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name, for the error.
+    pair : (float, float)
+        Lower and upper.
+
+    Raises
+    ------
+    ValueError
+        If they are not two numbers, lower below upper.
+    """
+    try:
+        first, second = pair
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be two numbers, lower and upper, got {pair!r}") from None
+    first, second = finite_number(f"the lower {name}", first), finite_number(f"the upper {name}", second)
+    if not first < second:
+        raise ValueError(
+            f"{name} must have the lower threshold below the upper one, got {first} and {second}"
+        )
+    return first, second

@@ -1,0 +1,326 @@
+"""
+The general engine of the correction: nonlinear model predictive control by multiple shooting with CasADi.
+
+The hard switch (2.8) makes the program piecewise: within one sequence of modes it is smooth. The engine goes from one
+sequence to another, and every plan is judged by a run under the hard switch, never by what a solver says it costs.
+
+1. Candidates are the last plan moved on by one step, the straight way to the target, and holding the thresholds.
+2. The program for the sequence of modes of the best one is solved, its solution run under (2.8), and so on until the
+   sequence repeats. For (2.43) alone this ends at clipping, from any start: corrections depend on modes before them only,
+   so each round gets at least one more switch right.
+3. Where a switch within the horizon happens (or does not) only because a threshold was moved, holding it back is tried;
+   where that is better, the program is solved with the thresholds kept where (2.8) brings about those modes.
+4. With a positive `switch_width`, one program with the switch smoothed is solved first; its sequence of modes enters as in
+   3. It is needed for costs of r, P_r or the mode: for given modes these do not depend on the corrections at all.
+
+What is exact: the plan is a local optimum among all corrections that bring about its sequence of modes, to the solver's
+tolerance. Which sequence is best is searched, not proved: `cost_lower_bound` is NaN, and engine="exact" proves it for (2.43).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from trustlab.allocation.correction_dynamics import simulate_correction, suggestion_now
+from trustlab.allocation.correction_plan import CorrectionPlan, CorrectionStatus
+from trustlab.allocation.correction_program import SOLVERS, CorrectionProgram
+from trustlab.allocation.correction_shooting import Extras, Rolled, Shooting
+from trustlab.allocation.incentive import incentive_box
+from trustlab.models.checks import finite_number
+from trustlab.models.tsc import TscModel
+
+__all__ = ["DEFAULT_WIDTH", "CasadiEngine"]
+
+DEFAULT_WIDTH = 1e-3
+"""Width of the smoothed switch where costs or constraints were added, in units of TSC: below the change of TSC in one step."""
+
+ROUNDS, TRIALS = 8, 4
+"""Most sequences of modes followed, and most switches tried otherwise, per plan."""
+
+MARGIN = 1e-6
+"""How far, in units of c_b, a threshold that is held back for a switch stays off TSC."""
+
+FEASIBLE = 1e-5
+"""By how much an added constraint may be missed, as a share of what one unit of w, or of a scaled state, changes it by."""
+
+
+class CasadiEngine:
+    """
+    Multiple shooting over the horizon; how sequences of modes are found is at the head of this module.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model.
+    target_lower, target_upper : float
+        TSC_ld and TSC_ud.
+    c_b : float
+        Largest correction per step.
+    horizon : int
+        N, steps.
+    incentive : callable
+        The bounds of correction, `incentive_box` or a function like it that takes CasADi symbols.
+    extra_cost : callable, optional
+        extra_cost(x, u, k), a scalar added to (2.43) for k = 0 … N − 1, with x = [r, P_r, TSC_u, TSC_l] and u = [c_u, c_l] of
+        step k as CasADi symbols; in the unit of (2.43), TSC².
+    extra_constraints : callable, optional
+        extra_constraints(x, u, k), one or several expressions, each held at or below 0 for k = 0 … N − 1.
+    switch_width : float, optional
+        Width of the smoothed switch in units of TSC; 0 does without. 0 for (2.43) alone and DEFAULT_WIDTH with additions,
+        when not given.
+    solver : str, optional
+        "piqp" (when not given), "hpipm", "fatrop" or "ipopt". The smoothed program goes to fatrop, or to IPOPT. Where a
+        solver fails, fatrop is tried before giving up.
+
+    Raises
+    ------
+    ValueError
+        If an option is unknown or an added function cannot be used.
+    """
+
+    name = "casadi"
+
+    def __init__(
+        self,
+        tsc: TscModel,
+        target_lower: float,
+        target_upper: float,
+        c_b: float,
+        horizon: int,
+        incentive: Callable = incentive_box,
+        extra_cost: Callable | None = None,
+        extra_constraints: Callable | None = None,
+        switch_width: float | None = None,
+        solver: str | None = None,
+    ):
+        extras = Extras(extra_cost, extra_constraints, incentive)
+        width = DEFAULT_WIDTH if extras.any else 0.0
+        if switch_width is not None:
+            width = finite_number("switch_width", switch_width)
+            if width < 0.0:
+                raise ValueError(f"switch_width must be 0 (no smoothed switch) or positive, got {width}")
+        solver = "piqp" if solver is None else solver
+        if solver not in SOLVERS:
+            raise ValueError(f"solver must be one of {', '.join(SOLVERS)}, got {solver!r}")
+        self.horizon = horizon
+        self._tsc, self._target = tsc, (target_lower, target_upper)
+        self._shooting = shooting = Shooting(tsc, self._target, c_b, horizon, extras)
+        self._programs = [CorrectionProgram(shooting, solver)]
+        if solver != "fatrop":
+            self._programs.append(CorrectionProgram(shooting, "fatrop"))
+        smooth = "ipopt" if solver == "ipopt" else "fatrop"
+        self._smooth = CorrectionProgram(shooting, smooth, width) if width else None
+        self._last = None
+
+    def reset(self) -> None:
+        """Forget the last plan, from which the next one starts."""
+        self._last = None
+
+    def solve(self, r: float, p_r: float, lower: float, upper: float, mode: int) -> CorrectionPlan:
+        """
+        Return the plan from this state; where no solver succeeds, the thresholds are held and the status says so.
+
+        Parameters
+        ----------
+        r, p_r : float
+            Utilization and robot performance now.
+        lower, upper : float
+            TSC_l and TSC_u now.
+        mode : int
+            Mode before now: 1 manual, 0 autonomous.
+        """
+        state = np.array([r, p_r, upper, lower, mode], dtype=float)
+        found, message = self._search(state)
+        plan = None
+        if found is not None:
+            plan = self._plan(state, found.inputs, CorrectionStatus.CONVERGED, message)
+            fault = self._fault(plan)
+            if fault:
+                plan, message = None, fault
+        if plan is None:
+            self.reset()
+            return self._plan(state, np.zeros((2, self.horizon)), CorrectionStatus.FAILED, message)
+        self._last = np.hstack([found.w[:, 1:], found.w[:, -1:]])
+        return plan
+
+    def _search(self, state: np.ndarray) -> tuple[Rolled | None, str]:
+        """Return the best plan that a solver stands for, or None, and what there is to say."""
+        shooting, before = self._shooting, int(state[4])
+        hull = shooting.hull(state[2], state[3])
+        guess = self._first(state, hull)
+        if not guess.sound:
+            return None, (
+                "the model or the added functions give values that are not finite, or incentives that exclude 0, at a "
+                "predicted state"
+            )
+        free = hull if shooting.extras.any else None
+        found, reasons, seen = [], [], guess
+        for _ in range(ROUNDS):
+            after = self._solved(guess, before, free, state, hull, reasons)
+            if after is None:
+                if seen is guess and not self._sound(guess):
+                    return None, "; ".join(reasons)
+                break
+            if self._sound(after):
+                if np.array_equal(after.mode, guess.mode):
+                    found.append(after)
+                    break
+                seen = min(seen, after, key=self._rank)
+            guess = after
+        if self._smooth is not None:
+            w, reason = self._smooth.solve(seen, before, hull)
+            if w is None:
+                reasons.append(f"smoothed switch: {reason}")
+            else:
+                self._settle(shooting.roll(state, w, hull), before, state, hull, found, reasons)
+        if not found:
+            self._settle(seen, before, state, hull, found, reasons)
+        if not found:
+            return None, "; ".join(dict.fromkeys(reasons)) or "no sequence of modes settled"
+        best = min(found, key=self._rank)
+        best = self._with_switches_held(best, before, state, hull, reasons)
+        message = f"cost with additions {best.cost * shooting.c_b**2:.9g}" if shooting.extras.any else ""
+        return best, "; ".join(filter(None, [message, *dict.fromkeys(reasons)]))
+
+    def _first(self, state, hull) -> Rolled:
+        """Return the best of the last plan, the straight way to the target, and holding."""
+        n = self.horizon
+        straight = self._straight(state)
+        runs = [self._shooting.roll(state, straight, hull)]
+        if self._last is not None:
+            runs.append(self._shooting.roll(state, self._last, hull))
+        if self._shooting.extras.any:
+            held = np.repeat(np.stack([state[2:4], state[2:4]])[:, :, None], n, axis=2)
+            runs.append(self._shooting.roll(state, straight, held))
+        return min(runs, key=self._rank)
+
+    def _straight(self, state) -> np.ndarray:
+        return np.repeat((self._shooting.zero[2:] > state[2:4]).astype(float)[:, None], self.horizon, axis=1)
+
+    def _rank(self, run: Rolled) -> tuple[bool, float]:
+        return not self._sound(run), run.cost
+
+    def _sound(self, run: Rolled) -> bool:
+        return run.sound and run.worst <= FEASIBLE
+
+    def _solved(self, guess, before, thresholds, state, hull, reasons) -> Rolled | None:
+        """Return the hard run of the solution for the modes of `guess`, from the first solver that succeeds."""
+        for program in self._programs:
+            w, reason = program.solve(guess, before, thresholds)
+            if w is not None:
+                after = self._shooting.roll(state, w, hull)
+                if not self._worse(after, guess):
+                    return after
+                reason = f"{program.solver}: its solution costs more than the guess it started from"
+            reasons.append(reason)
+        return None
+
+    def _worse(self, after: Rolled, guess: Rolled) -> bool:
+        """Return whether a solution is worse than a guess that was admissible and had the same modes."""
+        same = self._sound(guess) and self._sound(after) and np.array_equal(after.mode, guess.mode)
+        return same and after.cost > guess.cost + 1e-6 * max(1.0, guess.size)
+
+    def _settle(self, run, before, state, hull, found, reasons) -> None:
+        """Add to `found` the best plan with the modes of `run`, which the thresholds are made to bring about."""
+        if not run.sound:
+            return
+        after = self._solved(run, before, self._cell(run, before, hull), state, hull, reasons)
+        if after is not None and self._sound(after) and np.array_equal(after.mode, run.mode):
+            found.append(after)
+
+    def _cell(self, run: Rolled, before: int, hull: np.ndarray) -> np.ndarray:
+        """Return where thresholds may go so that (2.8) brings about the modes of `run`."""
+        cell, margin = hull.copy(), MARGIN * self._shooting.c_b
+        mode, tsc = run.mode[1:], run.tsc[1:]
+        was = run.mode[:-1]
+        u, low = np.zeros(tsc.size, int), np.ones(tsc.size, int)
+        at = np.arange(tsc.size)
+        for row, least, where in (
+            (u, True, (was == 1.0) & (mode == 1.0)),
+            (u, False, (was == 1.0) & (mode == 0.0)),
+            (low, False, (was == 0.0) & (mode == 0.0)),
+            (low, True, (was == 0.0) & (mode == 1.0)),
+        ):
+            k = at[where]
+            if least:
+                cell[0, row[k], k] = np.maximum(cell[0, row[k], k], tsc[k] + margin)
+            else:
+                cell[1, row[k], k] = np.minimum(cell[1, row[k], k], tsc[k] - margin)
+        return cell
+
+    def _with_switches_held(self, best, before, state, hull, reasons) -> Rolled:
+        """Return the best plan after trying to hold a threshold back where that changes a switch."""
+        shooting = self._shooting
+        for _ in range(TRIALS):
+            trial = best
+            for k, row in self._moved_switches(best):
+                held, stay = hull.copy(), MARGIN * shooting.c_b
+                # Up to step k the threshold stays on the side of TSC(k) on which it is now.
+                if state[2 + row] < best.tsc[k]:
+                    held[1, row, :k] = np.minimum(held[1, row, :k], best.tsc[k] - stay)
+                else:
+                    held[0, row, :k] = np.maximum(held[0, row, :k], best.tsc[k] + stay)
+                run = shooting.roll(state, best.w if shooting.extras.any else self._straight(state), held)
+                trial = min(trial, run, key=self._rank)
+            found = []
+            if trial is not best:
+                self._settle(trial, before, state, hull, found, reasons)
+            if not found or found[0].cost >= best.cost:
+                return best
+            best = found[0]
+        return best
+
+    def _moved_switches(self, run: Rolled) -> list[tuple[int, int]]:
+        """Return the steps at which (2.8) decides otherwise than it would for the threshold as it is now, and which one."""
+        row = (run.mode[:-1] == 0.0).astype(
+            int
+        )  # TSC_u counts after the manual mode, TSC_l after the autonomous one
+        now = run.states[2 + row, 0]
+        then = run.states[2 + row, np.arange(1, self.horizon)]
+        tsc = run.tsc[1:]
+        steps = np.flatnonzero((now < tsc) != (then < tsc))[:TRIALS]
+        return [(int(k) + 1, int(row[k])) for k in steps]
+
+    def _plan(self, state, inputs, status, message) -> CorrectionPlan:
+        """Return the plan, as the hard switch has it."""
+        r, p_r, upper, lower, mode = (float(value) for value in state)
+        run = simulate_correction(
+            self._tsc, r, p_r, lower, upper, int(mode), inputs[1], inputs[0], self._target
+        )
+        tsc = self._tsc.value(p_r, self._tsc.human.performance(r))
+        return CorrectionPlan(
+            c_l=float(inputs[1, 0]),
+            c_u=float(inputs[0, 0]),
+            suggestion=suggestion_now(tsc, lower, upper),
+            tsc=float(tsc),
+            actions_l=inputs[1],
+            actions_u=inputs[0],
+            r=run["r"],
+            p_r=run["p_r"],
+            lower=run["lower"],
+            upper=run["upper"],
+            mode=run["mode"],
+            cost=run["cost"],
+            cost_lower_bound=math.nan,
+            status=status,
+            engine=self.name,
+            message=message,
+        )
+
+    def _fault(self, plan: CorrectionPlan) -> str:
+        """Return what is wrong with a plan: (2.41) at its own states, thresholds that cross, values that are not finite."""
+        if not (math.isfinite(plan.cost) and np.isfinite(plan.lower).all() and np.isfinite(plan.upper).all()):
+            return "the plan is not finite"
+        if not (plan.lower[1:] < plan.upper[1:]).all():
+            return f"the thresholds cross at step {1 + int(np.argmin(plan.lower[1:] < plan.upper[1:]))}"
+        low, high = self._shooting.bounds(plan.r[:-1], plan.p_r[:-1], plan.upper[:-1], plan.lower[:-1])
+        slack = 1e-9 * self._shooting.c_b
+        for name, actions in (("c_u", plan.actions_u), ("c_l", plan.actions_l)):
+            inside = (actions >= low - slack) & (actions <= high + slack)
+            if not inside.all():
+                k = int(np.argmin(inside))
+                return f"{name} = {actions[k]:.6g} at step {k} lies outside [{low[k]:.6g}, {high[k]:.6g}] of (2.41)"
+        return ""

@@ -1,0 +1,114 @@
+"""The system (2.44) under given corrections, with the hard switch (2.8), and its cost (2.43)."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from trustlab.allocation.kernels import threshold_mode
+from trustlab.allocation.phases import human_at, pack
+from trustlab.models.tsc import TscModel
+
+__all__ = ["correction_constants", "follow_actions", "simulate_correction", "suggestion_now"]
+
+
+def correction_constants(tsc: TscModel, c_b: float) -> np.ndarray:
+    """
+    Return constants as compiled loops take them: those of `pack`, then P_r,max and c_b.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model.
+    c_b : float
+        Largest correction per step.
+    """
+    return np.append(pack(tsc), [tsc.robot.p_max, c_b])
+
+
+def suggestion_now(tsc: float, lower: float, upper: float) -> int:
+    """
+    Return what Algorithm 3 suggests: 0 autonomous where TSC ≥ TSC_u, 1 manual where TSC ≤ TSC_l, else −1, nothing.
+
+    Parameters
+    ----------
+    tsc : float
+        TSC now.
+    lower, upper : float
+        TSC_l and TSC_u now.
+    """
+    if tsc >= upper:
+        return 0
+    return 1 if tsc <= lower else -1
+
+
+@numba.njit(cache=True)
+def follow_actions(c, target_lower, target_upper, actions_l, actions_u, r, p_r, lower, upper, mode, before):
+    """
+    Fill r, p_r, lower, upper (N + 1) and mode (N) from their first entries and the actions; return the cost (2.43).
+
+    `before` is the mode before the first sample.
+    """
+    cost = 0.0
+    for k in range(actions_l.size):
+        p_h = human_at(r[k], c)
+        before = threshold_mode(c[7] * p_r[k] - c[8] * p_h, lower[k], upper[k], before)
+        mode[k] = before
+        r[k + 1] = c[0] * r[k] + (1.0 - c[0]) * before
+        p_r[k + 1] = c[4] * p_r[k] + (1.0 - c[4]) * c[6] + before * c[5] * p_h
+        lower[k + 1] = lower[k] + actions_l[k]
+        upper[k + 1] = upper[k] + actions_u[k]
+        cost += (upper[k + 1] - target_upper) ** 2 + (lower[k + 1] - target_lower) ** 2
+    return cost
+
+
+def simulate_correction(
+    tsc: TscModel,
+    r: float,
+    p_r: float,
+    lower: float,
+    upper: float,
+    mode: int,
+    actions_l: np.ndarray,
+    actions_u: np.ndarray,
+    target: tuple[float, float],
+) -> dict[str, np.ndarray | float]:
+    """
+    Simulate (2.44) under given corrections, the switch being the hard one of (2.8).
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model.
+    r, p_r : float
+        Utilization and robot performance now.
+    lower, upper : float
+        TSC_l and TSC_u now.
+    mode : int
+        Mode before now: 1 manual, 0 autonomous.
+    actions_l, actions_u : array_like, shape (N,)
+        Corrections c_l and c_u.
+    target : (float, float)
+        TSC_ld and TSC_ud.
+
+    Returns
+    -------
+    dict
+        r, p_r, lower, upper (N + 1,), mode (N,) and cost (2.43).
+    """
+    actions_l = np.ascontiguousarray(actions_l, dtype=float)
+    actions_u = np.ascontiguousarray(actions_u, dtype=float)
+    out = {name: np.empty(actions_l.size + 1) for name in ("r", "p_r", "lower", "upper")}
+    for name, start in (("r", r), ("p_r", p_r), ("lower", lower), ("upper", upper)):
+        out[name][0] = start
+    modes = np.empty(actions_l.size)
+    cost = follow_actions(
+        correction_constants(tsc, 1.0),
+        *map(float, target),
+        actions_l,
+        actions_u,
+        *out.values(),
+        modes,
+        float(mode),
+    )
+    return out | {"mode": modes, "cost": cost}

@@ -1,0 +1,267 @@
+"""The correction on a robot: measured performance in at 10 Hz, suggestions out, Algorithm 3."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+from trustlab.allocation.correction import ThresholdCorrector, check_mode, pair_of
+from trustlab.allocation.correction_dynamics import suggestion_now
+from trustlab.allocation.correction_plan import CorrectionPlan, CorrectionStatus
+from trustlab.allocation.incentive import ROUNDING, check_utilization
+from trustlab.models.checks import finite_number, of_class
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["OnlineCorrection", "OnlineStep"]
+
+
+@dataclass(frozen=True, slots=True)
+class OnlineStep:
+    """
+    What one sample led to.
+
+    Parameters
+    ----------
+    sample : int
+        Number of the sample, from 0.
+    suggestion : int
+        0 autonomous, 1 manual, −1 nothing.
+    tsc : float
+        TSC from measured performance (2.1); NaN where a measurement is missing.
+    lower, upper : float
+        TSC_l and TSC_u that the suggestion is made from.
+    c_l, c_u : float
+        What is added to them for the next sample (2.40); 0 where they are held.
+    r : float
+        Utilization by (2.5) from the modes so far.
+    cost, cost_lower_bound : float
+        Of the plan; NaN where there is none.
+    status : CorrectionStatus
+        How this came about; its value is a sentence with a remedy.
+    latency : float
+        Time taken [s].
+    """
+
+    sample: int
+    suggestion: int
+    tsc: float
+    lower: float
+    upper: float
+    c_l: float
+    c_u: float
+    r: float
+    cost: float
+    cost_lower_bound: float
+    status: CorrectionStatus
+    latency: float
+
+
+class OnlineCorrection:
+    """
+    Algorithm 3, sample by sample: suggestions from measured performance, by thresholds that are being corrected.
+
+    Parameters
+    ----------
+    corrector : ThresholdCorrector
+        Target, model and engine.
+    start : (float, float)
+        The operator's thresholds TSC_l and TSC_u to begin with.
+    mode : int
+        Mode to begin with: 1 manual, 0 autonomous.
+    r : float
+        Utilization to begin with, in [0, 1]; 0 is a rested operator.
+    outside : {"hold", "nearest"}
+        What to do with robot performance measured outside the model's range: hold the thresholds, or plan with the nearest
+        value of the range. The status says which. TSC and the suggestion take what was measured.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood or out of range.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> corrector = tl.ThresholdCorrector(tl.published_models()["2"], target=(0.05, 0.4))
+    >>> online = tl.OnlineCorrection(corrector, start=(0.0, 0.35))
+    >>> [online.update(p_r=p_r, p_h=0.39, mode=1).suggestion for p_r in (0.26, 0.3, float("nan"), 0.34)]
+    [1, -1, -1, 0]
+    """
+
+    def __init__(
+        self,
+        corrector: ThresholdCorrector,
+        start: tuple[float, float],
+        mode: int = 1,
+        r: float = 0.0,
+        outside: str = "hold",
+    ):
+        self.corrector = of_class("corrector", corrector, ThresholdCorrector)
+        self.lower, self.upper = pair_of("start", start)
+        self.mode, self.r = check_mode(mode), check_utilization(finite_number("r", r))
+        if outside not in ("hold", "nearest"):
+            raise ValueError(f"outside must be 'hold' or 'nearest', got {outside!r}")
+        self._nearest = outside == "nearest"
+        tsc = corrector.tsc
+        self._a, self._weights = tsc.human.a, (tsc.a_T, tsc.b_T)
+        self._range = (tsc.robot.p_min, tsc.robot.p_max)
+        self._slack = ROUNDING * (tsc.robot.p_max - tsc.robot.p_min)
+        self._steps: list[OnlineStep] = []
+
+    def update(self, p_r: float, p_h: float, mode: int | None = None) -> OnlineStep:
+        """
+        Take one sample and return what to suggest; the thresholds move on for the next.
+
+        Parameters
+        ----------
+        p_r, p_h : float
+            Robot and human performance as measured; NaN or None where missing: the thresholds are then held and nothing is
+            suggested.
+        mode : int, optional
+            Who drives now: 1 the operator, 0 the robot. As before when not given or NaN.
+
+        Returns
+        -------
+        OnlineStep
+
+        Raises
+        ------
+        ValueError
+            If an argument is no number, or a mode other than 0 or 1; the state stays what it was.
+        """
+        began = perf_counter()
+        p_r, p_h = measured("p_r", p_r), measured("p_h", p_h)
+        now = self.mode if mode is None or mode != mode else check_mode(mode)
+        lower, upper = self.lower, self.upper
+        plan: CorrectionPlan | None = None
+        tsc = self._weights[0] * p_r - self._weights[1] * p_h
+        if tsc != tsc:
+            status, suggestion = CorrectionStatus.MISSING, -1
+        else:
+            suggestion = suggestion_now(tsc, lower, upper)
+            least, most = self._range
+            inside = least - self._slack <= p_r <= most + self._slack
+            if inside or self._nearest:
+                plan = self.corrector.step(self.r, min(max(p_r, least), most), lower, upper, now)
+                status = plan.status if inside or plan.status.held else CorrectionStatus.NEAREST
+            else:
+                status = CorrectionStatus.OUTSIDE
+        c_l, c_u = (plan.c_l, plan.c_u) if plan else (0.0, 0.0)
+        cost, bound = (plan.cost, plan.cost_lower_bound) if plan else (math.nan, math.nan)
+        r = self.r
+        self.lower, self.upper, self.mode = lower + c_l, upper + c_u, now
+        self.r = min(max(self._a * r + (1.0 - self._a) * now, 0.0), 1.0)
+        step = OnlineStep(
+            len(self._steps),
+            suggestion,
+            tsc,
+            lower,
+            upper,
+            c_l,
+            c_u,
+            r,
+            cost,
+            bound,
+            status,
+            perf_counter() - began,
+        )
+        self._steps.append(step)
+        return step
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return all samples so far.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row per sample; the fields of `OnlineStep`, status by name.
+        """
+        import pandas as pd
+
+        names = OnlineStep.__slots__
+        frame = pd.DataFrame({name: [getattr(step, name) for step in self._steps] for name in names})
+        frame["status"] = [step.status.name for step in self._steps]
+        return frame
+
+    def plot(self, axes=None):
+        """
+        Plot a histogram of the latency of every sample so far.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            Where to plot; a new figure when not given.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ValueError
+            If there is no sample yet.
+        """
+        return plot_latency([step.latency for step in self._steps], axes)
+
+
+def plot_latency(latency, axes=None):
+    """
+    Plot a histogram of latencies, with median and 99th percentile.
+
+    Parameters
+    ----------
+    latency : array_like, shape (n,)
+        Times [s].
+    axes : matplotlib.axes.Axes, optional
+        Where to plot; a new figure when not given.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    import matplotlib.pyplot as plt
+    import numpy as np
+
+    micro = 1e6 * np.asarray(latency, dtype=float)
+    if micro.size == 0:
+        raise ValueError("there is no latency to plot yet; feed samples with update(p_r, p_h, mode) first")
+    if axes is None:
+        _, axes = plt.subplots(figsize=(7, 3), layout="constrained")
+    axes.hist(micro, bins=np.geomspace(micro.min(), micro.max() * 1.0001, 80))
+    for share, style in ((50, "-"), (99, "--")):
+        value = float(np.percentile(micro, share))
+        axes.axvline(value, color="C1", ls=style, label=f"{share} %: {value:.1f} µs")
+    axes.set(xscale="log", yscale="log", xlabel="latency [µs]", ylabel="samples")
+    axes.legend(fontsize="small")
+    return axes
+
+
+def measured(name: str, value: float | None) -> float:
+    """
+    Return a measurement as a float, NaN where it is missing.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name, for the error.
+    value : float or None
+        The value measured.
+
+    Raises
+    ------
+    ValueError
+        If it is no number, or infinite.
+    """
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return math.nan
+    return finite_number(name, value)

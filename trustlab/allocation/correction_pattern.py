@@ -1,0 +1,289 @@
+"""Corrections over several tests in a row, as in Fig. 2.18, on the model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trustlab.allocation.correction import ThresholdCorrector, pair_of
+from trustlab.allocation.correction_online import OnlineCorrection
+from trustlab.allocation.incentive import check_utilization, positive_rate, within_range
+from trustlab.allocation.kernels import threshold_mode
+from trustlab.models.checks import finite_number, whole_number
+from trustlab.models.human import yerkes_dodson
+from trustlab.models.tsc import TscModel
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["CorrectionRun", "correct_pattern"]
+
+HABITS = ("following", "lagging", "ignoring")
+"""What operators do about suggestions."""
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectionRun:
+    """
+    Tests in a row, in which the thresholds of the suggestions are corrected.
+
+    Parameters
+    ----------
+    data : pandas.DataFrame
+        One row per sample: test, t [s] from the start of its test, then r, p_r, p_h, tsc, mode, suggestion, lower,
+        upper, c_l, c_u, cost, cost_lower_bound, status, latency [s].
+    start, target : (float, float)
+        TSC_l and TSC_u at the beginning, and those wanted.
+    operator : str
+        What the operator does about suggestions.
+    source : str
+        Where the data come from; simulated, and of which model or testbed.
+    sessions : tuple of Session
+        The sessions behind the data, on a testbed; one per test.
+    """
+
+    data: pd.DataFrame
+    start: tuple[float, float]
+    target: tuple[float, float]
+    operator: str
+    source: str
+    sessions: tuple = ()
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return one row per test.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns test, lower, upper (thresholds at its end), remaining (share of the way to the target that is left, over
+            both thresholds; NaN where they began there), p_r, r, manual_share (means), switches, held (samples without
+            a plan), largest_gap (of all plans, relative), latency_median, latency_p99 [s].
+        """
+        import pandas as pd
+
+        way = abs(self.target[0] - self.start[0]) + abs(self.target[1] - self.start[1])
+        rows = []
+        for test, part in self.data.groupby("test", sort=True):
+            last = part.iloc[-1]
+            lower, upper = last["lower"] + last["c_l"], last["upper"] + last["c_u"]
+            left = abs(self.target[0] - lower) + abs(self.target[1] - upper)
+            cost = part["cost"].to_numpy()
+            gap = (cost - part["cost_lower_bound"].to_numpy()) / np.where(cost > 0.0, cost, 1.0)
+            rows.append(
+                {
+                    "test": int(test),
+                    "lower": lower,
+                    "upper": upper,
+                    "remaining": left / way if way > 0.0 else np.nan,
+                    "p_r": part["p_r"].mean(),
+                    "r": part["r"].mean(),
+                    "manual_share": part["mode"].mean(),
+                    "switches": int(np.count_nonzero(np.diff(part["mode"]))),
+                    "held": int(np.isnan(cost).sum()),
+                    "largest_gap": float(np.nanmax(gap)) if np.isfinite(gap).any() else np.nan,
+                    "latency_median": part["latency"].median(),
+                    "latency_p99": part["latency"].quantile(0.99),
+                }
+            )
+        return pd.DataFrame(rows)
+
+    def plot(self, target: tuple[float, float] | None = None):
+        """
+        Plot TSC, thresholds and targets of every test, as Fig. 2.18 does.
+
+        Parameters
+        ----------
+        target : (float, float), optional
+            Targets to draw, if not those of this run.
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes, shape (tests,)
+        """
+        import matplotlib.pyplot as plt
+
+        tests = self.data["test"].unique()
+        figure, axes = plt.subplots(
+            1,
+            tests.size,
+            sharey=True,
+            squeeze=False,
+            figsize=(3 * tests.size + 0.5, 3.2),
+            layout="constrained",
+        )
+        for axis, test, letter in zip(
+            axes[0], tests, "abcdefghijklmnopqrstuvwxyz" * tests.size, strict=False
+        ):
+            part = self.data[self.data["test"] == test]
+            axis.plot(part["t"], part["tsc"], lw=0.8, color="C0", label="TSC")
+            for side in ("lower", "upper"):
+                axis.plot(
+                    part["t"], part[side], "--", color="C3", label="thresholds" if side == "lower" else None
+                )
+            for value in target or self.target:
+                axis.axhline(
+                    value,
+                    ls="-.",
+                    lw=1,
+                    color="0.4",
+                    label="target" if value == (target or self.target)[0] else None,
+                )
+            axis.set(xlabel="time [s]", title=f"({letter}) test {test}")
+        axes[0, 0].set(ylabel="TSC")
+        figure.legend(
+            *axes[0, 0].get_legend_handles_labels(),
+            title=f"operator {self.operator}; {self.source}",
+            loc="outside upper center",
+            ncols=3,
+            fontsize="small",
+            title_fontsize="small",
+            frameon=False,
+        )
+        return axes[0]
+
+    def _repr_html_(self) -> str:
+        head = f"<b>Correction run</b>: operator {self.operator}; {self.source}"
+        return f"<p>{head}</p>{self.table().to_html(index=False, float_format='%.4g')}"
+
+    def __repr__(self) -> str:
+        tests = self.data["test"].nunique()
+        return (
+            f"CorrectionRun({tests} tests, {len(self.data)} samples, operator {self.operator}; {self.source})"
+        )
+
+
+def correct_pattern(
+    tsc: TscModel,
+    start: tuple[float, float],
+    target: tuple[float, float],
+    tests: int = 4,
+    duration: float = 1800.0,
+    c_b: float = 1e-5,
+    horizon: int = 200,
+    engine: str = "exact",
+    operator: str = "following",
+    lag: float = 5.0,
+    noise: float = 0.0,
+    seed: int | np.random.SeedSequence = 0,
+    r0: float = 0.0,
+    p_r0: float | None = None,
+    sample_time: float = 0.1,
+    incentive: Callable | None = None,
+    **options: object,
+) -> CorrectionRun:
+    """
+    Correct thresholds in receding horizon over several tests in a row, on the model, Section 2.5 and Fig. 2.18.
+
+    Every test begins in the manual mode with the operator rested; thresholds are carried on from test to test. The plans
+    see utilization and performance as they are, not how the operator will react.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model.
+    start : (float, float)
+        The operator's thresholds TSC_l and TSC_u.
+    target : (float, float)
+        TSC_ld and TSC_ud.
+    tests : int
+        How many tests.
+    duration : float
+        Length of each [s]; Section 2.5 does not tell its own.
+    c_b : float
+        Largest correction per step.
+    horizon : int
+        N of (2.43).
+    engine : str
+        As for `ThresholdCorrector`.
+    operator : {"following", "lagging", "ignoring"}
+        Follows suggestions at once; follows those that still stand after a lag; or keeps to the thresholds of `start`.
+    lag : float
+        That lag [s].
+    noise : float
+        Standard deviation of a disturbance of robot performance at each step; performance stays within the model's range.
+    seed : int or numpy.random.SeedSequence
+        Of the disturbance.
+    r0 : float
+        Utilization at the beginning of each test.
+    p_r0 : float, optional
+        Robot performance there; the robot's P_min when not given.
+    sample_time : float
+        Time between samples [s], for times only.
+    incentive : callable, optional
+        As for `ThresholdCorrector`.
+    **options : object
+        Options of the engine.
+
+    Returns
+    -------
+    CorrectionRun
+        With `.data`, `.table()` and `.plot()`.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood or out of range.
+    """
+    import pandas as pd
+
+    corrector = ThresholdCorrector(tsc, target, c_b, horizon, engine, incentive, **options)
+    start, tests = pair_of("start", start), whole_number("tests", tests, most=1000)
+    if operator not in HABITS:
+        raise ValueError(f"operator must be one of {', '.join(HABITS)}, got {operator!r}")
+    step = positive_rate("sample_time", sample_time)
+    samples = whole_number(
+        "the number of samples, duration/sample_time,",
+        round(positive_rate("duration", duration) / step),
+        most=10_000_000,
+    )
+    lag, noise = finite_number("lag", lag), finite_number("noise", noise)
+    if lag < 0.0 or noise < 0.0:
+        raise ValueError(f"lag and noise cannot be negative, got {lag} and {noise}")
+    r0 = check_utilization(finite_number("r0", r0))
+    robot, human = tsc.robot, tsc.human
+    p_r0 = (
+        robot.p_min
+        if p_r0 is None
+        else within_range("p_r0", finite_number("p_r0", p_r0), robot.p_min, robot.p_max)
+    )
+    if not isinstance(seed, np.random.SeedSequence):
+        seed = whole_number("seed", seed, least=0)
+    disturbance = np.random.default_rng(seed).standard_normal((tests, samples)) * noise
+    wait = round(lag / step)
+    now, parts, truth = start, [], np.empty((samples, 3))
+    for test in range(tests):
+        online = OnlineCorrection(corrector, now, 1, r0, outside="nearest")
+        r, p_r, mode, wanted, stood = r0, p_r0, 1, -1, 0
+        for k in range(samples):
+            p_h = (human.p_max - human.p_min) * yerkes_dodson(r, human.beta) + human.p_min
+            if operator != "lagging":
+                own = start if operator == "ignoring" else (online.lower, online.upper)
+                mode = int(threshold_mode(tsc.a_T * p_r - tsc.b_T * p_h, *own, mode))
+            elif wanted >= 0 and stood >= wait:
+                mode, wanted = wanted, -1
+            suggestion = online.update(p_r, p_h, mode).suggestion
+            if suggestion == mode:
+                wanted, stood = -1, 0
+            elif suggestion < 0 or suggestion == wanted:
+                stood += 1
+            else:
+                wanted, stood = suggestion, 1
+            truth[k] = p_r, p_h, mode
+            p_r = robot.a * p_r + (1.0 - robot.a) * robot.p_min + mode * robot.b * p_h
+            r = min(max(human.a * r + (1.0 - human.a) * mode, 0.0), 1.0)
+            if noise:
+                p_r = min(max(p_r + disturbance[test, k], robot.p_min), robot.p_max)
+        now = (online.lower, online.upper)
+        frame = online.table().drop(columns="sample")
+        frame.insert(0, "test", test + 1)
+        frame.insert(1, "t", np.arange(samples) * step)
+        for name, column in zip(("p_r", "p_h", "mode"), truth.T, strict=True):
+            frame[name] = column
+        parts.append(frame)
+    columns = ["test", "t", "r", "p_r", "p_h", "tsc", "mode", "suggestion", "lower", "upper", "c_l", "c_u"]
+    data = pd.concat(parts, ignore_index=True)[[*columns, "cost", "cost_lower_bound", "status", "latency"]]
+    return CorrectionRun(data, start, corrector.target, operator, "simulated, model of (2.1)-(2.6)")

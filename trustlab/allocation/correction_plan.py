@@ -1,0 +1,172 @@
+"""What a correction of thresholds hands back: the actions, what they lead to, and how far from optimal they can be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["CorrectionPlan", "CorrectionStatus"]
+
+
+class CorrectionStatus(Enum):
+    """How a plan came about, and what to do where it is not the optimum."""
+
+    OPTIMAL = (
+        "Optimal: every sequence of modes that the thresholds can bring about was searched or ruled out."
+    )
+    BOUNDED = (
+        "The search ended at its budget before all sequences of modes were ruled out; the gap says how much better a "
+        "plan can be. Raise budget=, or shorten the horizon, to close it."
+    )
+    CONVERGED = (
+        "The solver converged for the smoothed switch; the cost is that of the hard switch. The plan is a local optimum: "
+        "compare with engine='exact' where the cost is (2.43)."
+    )
+    FAILED = (
+        "The solver failed, so the thresholds are held: the actions are 0. Look at the solver's own message, scale or "
+        "soften added costs and constraints, or use engine='exact'."
+    )
+    MISSING = (
+        "A measurement is missing (NaN), so the thresholds are held and nothing is suggested. Check the sensor; the "
+        "correction goes on when data return."
+    )
+    OUTSIDE = (
+        "A measurement lies outside the model's range by more than rounding, so the thresholds are held. Identify the "
+        "model again from sessions of this operator, or pass outside='nearest'."
+    )
+    SETTLING = "The window of measured performance is not full yet, so the thresholds are held; the correction begins when it is."
+    NEAREST = (
+        "A measurement lies outside the model's range; the nearest value of the range was planned with, as asked for."
+        " Identify the model again if this is often so."
+    )
+
+    @property
+    def held(self) -> bool:
+        """Whether the thresholds are held because nothing could be planned."""
+        return self.name in ("FAILED", "MISSING", "OUTSIDE", "SETTLING")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CorrectionPlan:
+    """
+    Corrections of both thresholds over the horizon, and what they lead to under the hard switch (2.8).
+
+    Parameters
+    ----------
+    c_l, c_u : float
+        The action now: what to add to TSC_l and TSC_u, (2.40).
+    suggestion : int
+        What Algorithm 3 suggests now: 0 autonomous, 1 manual, −1 nothing.
+    tsc : float
+        TSC now (2.1).
+    actions_l, actions_u : numpy.ndarray, shape (N,)
+        The whole plan, c_l(0..N−1) and c_u(0..N−1).
+    r, p_r : numpy.ndarray, shape (N + 1,)
+        Utilization and robot performance (2.44), from now on.
+    lower, upper : numpy.ndarray, shape (N + 1,)
+        TSC_l and TSC_u, from now on.
+    mode : numpy.ndarray, shape (N,)
+        M(0..N−1) by (2.8): 1 manual, 0 autonomous.
+    cost : float
+        (2.43) of these actions, the switch being the hard one of (2.8).
+    cost_lower_bound : float
+        No admissible actions cost less than this; NaN where the engine proves nothing.
+    status : CorrectionStatus
+        How the plan came about.
+    engine : str
+        The engine's name.
+    solve_time : float
+        Time taken [s]; NaN where not measured.
+    message : str
+        What the solver itself said, if anything.
+    """
+
+    c_l: float
+    c_u: float
+    suggestion: int
+    tsc: float
+    actions_l: np.ndarray
+    actions_u: np.ndarray
+    r: np.ndarray
+    p_r: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    mode: np.ndarray
+    cost: float
+    cost_lower_bound: float
+    status: CorrectionStatus
+    engine: str
+    solve_time: float = float("nan")
+    message: str = ""
+
+    @property
+    def gap(self) -> float:
+        """Cost − cost_lower_bound: how much better any other plan can be at most."""
+        return self.cost - self.cost_lower_bound
+
+    @property
+    def relative_gap(self) -> float:
+        """The gap as a share of the cost; 0 where the cost is 0."""
+        return self.gap / self.cost if self.cost > 0.0 else 0.0 * self.gap
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the plan, step by step.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index `step` (0..N); columns r, p_r, lower, upper, mode, c_l, c_u, the last three NaN at step N.
+        """
+        import pandas as pd
+
+        end = [np.nan]
+        columns = {
+            "r": self.r,
+            "p_r": self.p_r,
+            "lower": self.lower,
+            "upper": self.upper,
+            "mode": np.r_[self.mode, end],
+            "c_l": np.r_[self.actions_l, end],
+            "c_u": np.r_[self.actions_u, end],
+        }
+        return pd.DataFrame(columns).rename_axis("step")
+
+    def plot(self, sample_time: float = 0.1):
+        """
+        Plot thresholds, and utilization and mode, over the horizon.
+
+        Parameters
+        ----------
+        sample_time : float
+            Time between samples [s].
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes, shape (2,)
+        """
+        import matplotlib.pyplot as plt
+
+        time = np.arange(self.r.size) * sample_time
+        _, axes = plt.subplots(2, 1, sharex=True, figsize=(8, 4.5), layout="constrained")
+        for values, name in ((self.upper, "$TSC_u$"), (self.lower, "$TSC_l$")):
+            axes[0].plot(time, values - values[0], label=f"{name} from {values[0]:.4g}")
+        axes[0].set(ylabel="change of threshold", title=f"plan of the engine {self.engine!r}")
+        axes[0].legend(fontsize="small")
+        axes[1].plot(time, self.r, label="r")
+        axes[1].step(time[:-1], self.mode, where="post", lw=0.8, color="0.5", label="mode M")
+        axes[1].set(xlabel="time [s]", ylabel="r, M")
+        axes[1].legend(fontsize="small")
+        return axes
+
+    def __repr__(self) -> str:
+        return (
+            f"CorrectionPlan(c_l={self.c_l:.6g}, c_u={self.c_u:.6g}, cost={self.cost:.9g}, "
+            f"cost_lower_bound={self.cost_lower_bound:.9g}, {self.status.name}, engine={self.engine!r})"
+        )

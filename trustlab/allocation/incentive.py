@@ -1,0 +1,185 @@
+"""How much correction an operator can be expected to accept, (2.41)-(2.42)."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from trustlab.models.checks import finite_number
+from trustlab.models.robot import RobotModel
+from trustlab.models.tsc import TscModel
+
+__all__ = ["check_utilization", "incentive_bounds", "incentive_box", "positive_rate", "within_range"]
+
+ROUNDING = 1e-9
+"""By which share of its range robot performance may lie outside and still count as at its end."""
+
+
+def incentive_box(r, p_r, c_b, p_min, p_max):
+    """
+    Return the bounds c_min ≤ 0 ≤ c_max of (2.42), for numbers or CasADi symbols: arithmetic only.
+
+    Parameters
+    ----------
+    r, p_r : float
+        Utilization and robot performance.
+    c_b : float
+        Largest correction per step.
+    p_min, p_max : float
+        Range of robot performance.
+    """
+    share = (p_r - p_min) / (p_max - p_min)
+    return -0.5 * (r + share) * c_b, 0.5 * ((1.0 - r) + (1.0 - share)) * c_b
+
+
+box = numba.njit(cache=True)(incentive_box)
+
+
+@numba.njit(cache=True)
+def boxes(r, p_r, c_b, p_min, p_max, low, high):
+    """Fill `low` and `high` with (2.42), which always let the thresholds be held."""
+    for k in range(r.size):
+        least, most = box(r[k], p_r[k], c_b, p_min, p_max)
+        low[k], high[k] = min(least, 0.0), max(most, 0.0)
+
+
+def incentive_bounds(
+    r: float | np.ndarray, p_r: float | np.ndarray, c_b: float, model: TscModel | RobotModel
+) -> tuple[float | np.ndarray, float | np.ndarray]:
+    """
+    Return the least and the greatest correction that an operator can be expected to accept, (2.42).
+
+    c_max = ½[(1 − r) + (P_max − P_r)/(P_max − P_min)] c_b and c_min = −½[r + (P_r − P_min)/(P_max − P_min)] c_b: the
+    busier the operator and the better the robot, the less willing are they to raise their thresholds. The two are
+    always c_b apart.
+
+    Parameters
+    ----------
+    r : float or array_like
+        Utilization, in [0, 1].
+    p_r : float or array_like
+        Robot performance, within its range but for rounding; of a shape that broadcasts with `r`.
+    c_b : float
+        Largest correction per step; positive.
+    model : TscModel or RobotModel
+        The model whose range of robot performance counts.
+
+    Returns
+    -------
+    c_min, c_max : float or numpy.ndarray
+        In [−c_b, 0] and [0, c_b].
+
+    Raises
+    ------
+    ValueError
+        If r lies outside [0, 1], P_r outside its range by more than rounding, or c_b is not positive.
+    """
+    robot = model.robot if isinstance(model, TscModel) else model
+    if not isinstance(robot, RobotModel):
+        raise ValueError(f"model must be a TscModel or a RobotModel, got {type(model).__name__}")
+    c_b = positive_rate("c_b", c_b)
+    if not np.ndim(r) and not np.ndim(p_r):
+        now = within_range("p_r", finite_number("p_r", p_r), robot.p_min, robot.p_max)
+        low, high = incentive_box(check_utilization(r), now, c_b, robot.p_min, robot.p_max)
+        return min(low, 0.0), max(high, 0.0)
+    try:
+        load, performance = np.broadcast_arrays(np.asarray(r, dtype=float), np.asarray(p_r, dtype=float))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"r and p_r must be numbers of shapes that broadcast: {error}") from None
+    if load.size == 0:
+        raise ValueError("r and p_r are empty; give at least one sample")
+    slack = ROUNDING * (robot.p_max - robot.p_min)
+    for name, values, least, most in (
+        ("r", load, 0.0, 1.0),
+        ("p_r", performance, robot.p_min - slack, robot.p_max + slack),
+    ):
+        inside = (values >= least) & (values <= most)
+        if not inside.all():
+            where = tuple(map(int, np.unravel_index(int(np.argmin(inside)), inside.shape)))
+            raise ValueError(
+                f"{name} must lie in [{least:g}, {most:g}], but sample {where} is {values[where]}"
+            )
+    low, high = np.empty(load.size), np.empty(load.size)
+    performance = np.clip(performance, robot.p_min, robot.p_max)
+    boxes(
+        np.ascontiguousarray(load).ravel(),
+        np.ascontiguousarray(performance).ravel(),
+        c_b,
+        robot.p_min,
+        robot.p_max,
+        low,
+        high,
+    )
+    return low.reshape(load.shape), high.reshape(load.shape)
+
+
+def check_utilization(r: float) -> float:
+    """
+    Return utilization as a float in [0, 1].
+
+    Parameters
+    ----------
+    r : float
+        Utilization.
+
+    Raises
+    ------
+    ValueError
+        If it is not a number in [0, 1].
+    """
+    number = r if type(r) is float else finite_number("r", r)
+    if not 0.0 <= number <= 1.0:
+        raise ValueError(f"utilization r must lie in [0, 1], got {number}")
+    return number
+
+
+def within_range(name: str, value: float, least: float, most: float) -> float:
+    """
+    Return a value within its range; where it lies outside by rounding only, the end of the range.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name, for the error.
+    value : float
+        The value given.
+    least, most : float
+        The range.
+
+    Raises
+    ------
+    ValueError
+        If it lies outside by more than rounding.
+    """
+    number = value if type(value) is float else finite_number(name, value)
+    if least <= number <= most:
+        return number
+    slack = ROUNDING * (most - least)
+    if not least - slack <= number <= most + slack:
+        raise ValueError(
+            f"{name} = {number} lies outside the model's range [{least:g}, {most:g}]; check its unit, or identify the "
+            "model again from sessions of this operator"
+        )
+    return min(max(number, least), most)
+
+
+def positive_rate(name: str, value: float) -> float:
+    """
+    Return a positive number as a float.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name, for the error.
+    value : float
+        The value given.
+
+    Raises
+    ------
+    ValueError
+        If it is not a finite number above 0.
+    """
+    number = finite_number(name, value)
+    if not number > 0.0:
+        raise ValueError(f"{name} must be positive, got {number}")
+    return number

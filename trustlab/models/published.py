@@ -1,0 +1,90 @@
+"""What the dissertation prints, as strings, from data/published/."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from trustlab.models.human import HumanModel
+from trustlab.models.robot import RobotModel
+from trustlab.models.tsc import TscModel
+
+__all__ = ["PILOT", "published_folder", "published_models", "published_table"]
+
+PILOT = {
+    "a_r": "0.9991",
+    "b_r": "0.0009",
+    "P_h_min": "0.391",
+    "P_h_max": "0.4602",
+    "beta": "0.74",
+    "a_pr": "0.996",
+    "b_pr": "0.0013",
+    "P_r_min": "0.24",
+    "P_r_max": "0.39",
+}
+"""The pilot operator's parameters as printed in Sections 2.2.2 and 2.2.3."""
+
+
+def published_folder() -> Path:
+    """
+    Return the folder of printed tables, data/published of the repository.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the package was installed without its repository.
+    """
+    folder = Path(__file__).resolve().parents[2] / "data" / "published"
+    if not folder.is_dir():
+        raise FileNotFoundError(
+            "the printed tables live in data/published of the repository; run from a clone of it"
+        )
+    return folder
+
+
+def published_table(number: str) -> pd.DataFrame:
+    """
+    Return a printed table as strings, trailing zeros kept.
+
+    Parameters
+    ----------
+    number : str
+        The table's number in the dissertation, for example "2.1".
+
+    Returns
+    -------
+    pandas.DataFrame
+        The first column is the index (the first two for Table 2.3); columns as printed.
+
+    Raises
+    ------
+    ValueError
+        If there is no such table; the error lists those there are.
+    """
+    folder = published_folder()
+    paths = {p.stem.removeprefix("table_").replace("_", "."): p for p in sorted(folder.glob("table_*.csv"))}
+    name = str(number).strip() if isinstance(number, str | float) else None
+    if name not in paths:
+        raise ValueError(f"no printed table {number!r:.60}; there are {', '.join(paths)}")
+    return pd.read_csv(paths[name], dtype=str, index_col=[0, 1] if name == "2.3" else 0)
+
+
+def published_models() -> dict[str, TscModel]:
+    """
+    Return the models with the printed parameters: the pilot operator and the five participants of Table 2.1.
+
+    Returns
+    -------
+    dict of str to TscModel
+        Keys "pilot", "1" … "5". b_pr follows from (2.3); the printed one is this, rounded to four decimals.
+    """
+    table = published_table("2.1")
+    columns = {"pilot": PILOT, **{str(name): table[name].to_dict() for name in table.columns}}
+    models = {}
+    for name, printed in columns.items():
+        value = {key: float(printed[key]) for key in PILOT}
+        human = HumanModel(value["a_r"], value["beta"], value["P_h_min"], value["P_h_max"])
+        robot = RobotModel(value["a_pr"], value["P_r_min"], value["P_r_max"], value["P_h_max"])
+        models[name] = TscModel(robot, human)
+    return models

@@ -1,0 +1,269 @@
+"""Whether the numbers printed for a study can belong to one data set, and if not, which of them conflict."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from trustlab.reproduction.certificate import proves_infeasible
+from trustlab.reproduction.moment_solution import Verdict, decide, moment_problem
+from trustlab.reproduction.published_study import PublishedStudy
+from trustlab.reproduction.statements import (
+    ADJUSTMENTS,
+    Statement,
+    arithmetic_conflicts,
+    select,
+    statements,
+)
+
+__all__ = ["Feasibility", "compare_adjustments", "feasibility"]
+
+LEAST_MISSED = ("sd", "anova.eta2", "anova.df2", "anova.df1", "anova.p", "epsilon", "mauchly.p", "mauchly")
+"""What a conflict is sought without first: numbers that follow from others, or that seldom matter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Feasibility:
+    """
+    Whether printed numbers can belong to one data set.
+
+    Parameters
+    ----------
+    study : PublishedStudy
+        The study.
+    p_adjust : str
+        How the printed pairwise p-values were taken to be adjusted.
+    feasible : bool
+        Whether one data set can have them all.
+    status : {"solved", "proved", "not found"}
+        A solution was found; it is proved that there is none; or none was found from many starts.
+    conflict : tuple of str
+        Statistics that cannot hold together, none of which can be spared: without any one of them the others can. Empty when
+        feasible.
+    conflict_proved : bool
+        Whether it is proved that those cannot hold together.
+    remedies : tuple of str
+        Single statistics without which all others can hold.
+    left_out : mapping of str to str
+        Reasons for statistics left out beforehand, by name: those asked for, and those that contradict others by arithmetic.
+    violation : float
+        Largest violation of the closest candidate, in half-widths of printed intervals; 0 when feasible.
+    verdict : Verdict
+        The solutions, or the closest candidates.
+    """
+
+    study: PublishedStudy
+    p_adjust: str
+    feasible: bool
+    status: str
+    conflict: tuple[str, ...]
+    conflict_proved: bool
+    remedies: tuple[str, ...]
+    left_out: Mapping[str, str]
+    violation: float
+    verdict: Verdict = field(repr=False)
+
+    def __bool__(self) -> bool:
+        return self.feasible
+
+    def table(self) -> pd.DataFrame:
+        """Return the statements: index statistic; columns printed, low, high (of the statistic itself), in_conflict, remedy."""
+        rows = [
+            (s.name, s.text, *_plain(s), s.name in self.conflict, s.name in self.remedies)
+            for s in select(statements(self.study, self.p_adjust), self.left_out_of_statements)
+        ]
+        columns = ["statistic", "printed", "low", "high", "in_conflict", "remedy"]
+        return pd.DataFrame(rows, columns=columns).set_index("statistic")
+
+    @property
+    def left_out_of_statements(self) -> tuple[str, ...]:
+        """Names in `left_out` that are statements about means and covariance."""
+        known = [s.name for s in statements(self.study, self.p_adjust)]
+        return tuple(
+            name for name in self.left_out if name in known or name in {n.split(".")[0] for n in known}
+        )
+
+
+def _plain(s: Statement) -> tuple[float, float]:
+    return (
+        (float(np.exp(s.low)), float(np.exp(min(s.high, 0.0))))
+        if s.kind.startswith("log")
+        else (s.low, s.high)
+    )
+
+
+def feasibility(
+    study: PublishedStudy,
+    p_adjust: str = "bonferroni",
+    without: Iterable[str] = (),
+    seed: int = 0,
+    explain: bool = True,
+) -> Feasibility:
+    """
+    Say whether the numbers printed for a study can belong to one data set, and if not, which of them conflict.
+
+    Feasible is shown by means and a covariance matrix that have all statistics within rounding; infeasible is proved by a
+    linear relaxation wherever that suffices (`status`). The conflict comes from a deletion filter (Chinneck & Dravnieks 1991)
+    in several orders, the smallest found.
+
+    Parameters
+    ----------
+    study : PublishedStudy
+        The study.
+    p_adjust : {"bonferroni", "holm", "sidak", "none"}
+        How the printed pairwise p-values were adjusted for the number of comparisons.
+    without : iterable of str
+        Statistics to leave out, by name ("anova.F", "pairs.C1-C3") or group ("mauchly", "pairs").
+    seed : int
+        Seed of the search.
+    explain : bool
+        Whether to look for the conflict.
+
+    Returns
+    -------
+    Feasibility
+
+    Raises
+    ------
+    ValueError
+        If an argument is wrong or nothing is left.
+    """
+    found, left_out = prepared(study, p_adjust, without)
+    rng = generator(seed)
+    verdict = decide(moment_problem(study, found, p_adjust), rng)
+    feasible = verdict.status == "solved"
+    conflict, proved, remedies = (), False, ()
+    if not feasible and explain:
+        proved = verdict.status == "proved"
+        conflict = _smallest_conflict(study, found, p_adjust, proved, rng)
+        remedies = tuple(name for name in conflict if _holds(study, _less(found, name), p_adjust, rng))
+    violation = 0.0 if feasible else float(verdict.moments.violation[0])
+    return Feasibility(
+        study, p_adjust, feasible, verdict.status, conflict, proved, remedies, left_out, violation, verdict
+    )
+
+
+def prepared(
+    study: PublishedStudy, p_adjust: str, without: Iterable[str]
+) -> tuple[list[Statement], dict[str, str]]:
+    """
+    Return the statements that are to hold, and the reasons for those that are left out.
+
+    Parameters
+    ----------
+    study : PublishedStudy
+        The study.
+    p_adjust : str
+        How pairwise p-values were adjusted.
+    without : iterable of str
+        Statistics to leave out.
+
+    Raises
+    ------
+    ValueError
+        If an argument is wrong or nothing is left.
+    """
+    found = statements(study, p_adjust)
+    kept = select(found, without)
+    asked = {s.name: "left out on request" for s in found if s not in kept}
+    reasons = {name: why for name, why in arithmetic_conflicts(study).items() if name not in asked}
+    kept = [s for s in kept if s.name not in reasons]
+    if not kept:
+        raise ValueError(f"without: nothing of {study.name} is left")
+    return kept, asked | reasons
+
+
+def generator(seed: int) -> np.random.Generator:
+    """
+    Return the generator of a seed.
+
+    Parameters
+    ----------
+    seed : int
+        A whole number, 0 or more.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ValueError(f"seed must be a whole number, 0 or more, got {seed!r}")
+    return np.random.default_rng(np.random.SeedSequence(int(seed)))
+
+
+def _less(found: Sequence[Statement], name: str) -> list[Statement]:
+    return [s for s in found if s.name != name]
+
+
+def _refuted(study: PublishedStudy, found: Sequence[Statement], p_adjust: str, branches: int) -> bool:
+    return proves_infeasible(found, study.n, study.k, p_adjust, study.scale, branches)
+
+
+def _holds(study: PublishedStudy, found: list[Statement], p_adjust: str, rng: np.random.Generator) -> bool:
+    """Whether a solution is found; refuted first where that is quick."""
+    if _refuted(study, found, p_adjust, branches=1):
+        return False
+    return decide(moment_problem(study, found, p_adjust), rng, starts=64, branches=0).status == "solved"
+
+
+def _smallest_conflict(
+    study: PublishedStudy, found: list[Statement], p_adjust: str, proved: bool, rng: np.random.Generator
+) -> tuple[str, ...]:
+    """
+    Delete what is not needed for a conflict, in several orders, and return the smallest conflict.
+
+    Where the conflict is proved, what remains is proved to conflict at every deletion; otherwise no solution is found.
+    """
+
+    def rank(s: Statement) -> int:
+        hits = [q for q, key in enumerate(LEAST_MISSED) if s.name == key or s.name.split(".")[0] == key]
+        return hits[0] if hits else len(LEAST_MISSED) + (s.text != "not significant") + (s.kind == "mean")
+
+    branches = 1 if _refuted(study, found, p_adjust, branches=1) else 16
+
+    def conflicting(fewer: list[Statement]) -> bool:
+        return (
+            _refuted(study, fewer, p_adjust, branches) if proved else not _holds(study, fewer, p_adjust, rng)
+        )
+
+    order, best = sorted(found, key=rank), found
+    orders = [order, order[::-1], *([order[q] for q in rng.permutation(len(order))] for _ in range(2))]
+    for order in orders[: len(orders) if proved and branches == 1 else 1]:
+        kept = list(found)
+        for s in order:
+            fewer = _less(kept, s.name)
+            if fewer and conflicting(fewer):
+                kept = fewer
+        best = kept if len(kept) < len(best) else best
+    return tuple(s.name for s in best)
+
+
+def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) -> pd.DataFrame:
+    """
+    Say under which adjustments of pairwise p-values each study's printed numbers can belong to one data set.
+
+    Parameters
+    ----------
+    studies : mapping of str to PublishedStudy
+        Studies by name, such as `published_studies()`.
+    seed : int
+        Seed of the search.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Index study, p_adjust; columns feasible, status (solved, proved, not found), violation (of the closest candidate, in
+        half-widths of printed intervals), left_out.
+    """
+    rows = []
+    for name, study in studies.items():
+        for p_adjust in ADJUSTMENTS:
+            result = feasibility(study, p_adjust, seed=seed, explain=False)
+            left_out = ", ".join(result.left_out)
+            rows.append((name, p_adjust, result.feasible, result.status, result.violation, left_out))
+    columns = ["study", "p_adjust", "feasible", "status", "violation", "left_out"]
+    return pd.DataFrame(rows, columns=columns).set_index(["study", "p_adjust"])

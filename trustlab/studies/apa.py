@@ -1,0 +1,150 @@
+"""The sentences of a results section, numbers rounded as the APA manual asks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["apa_number", "apa_p", "apa_report"]
+
+
+def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str:
+    """
+    Return a rounded number, a true minus sign in front where it is negative.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    digits : int
+        Decimals.
+    below_one : bool
+        Whether it cannot pass 1, so that APA leaves the leading zero out.
+    """
+    text = f"{abs(value):.{digits}f}"
+    if below_one:
+        text = text.removeprefix("0")
+    return f"−{text}" if value < 0.0 and float(f"{value:.{digits}f}") != 0.0 else text
+
+
+def apa_p(p: float) -> str:
+    """
+    Return "p = .012", "p < .001" or "p > .999".
+
+    Parameters
+    ----------
+    p : float
+        A p-value.
+    """
+    if p < 0.001:
+        return "p < .001"
+    return "p > .999" if p > 0.9995 else f"p = {apa_number(p, 3, below_one=True)}"
+
+
+def _df(value: float) -> str:
+    return f"{value:.2f}" if abs(value - round(value)) > 1e-6 else f"{round(value)}"
+
+
+def _decimals(sd: np.ndarray) -> int:
+    typical = float(np.median(sd[sd > 0.0])) if (sd > 0.0).any() else 1.0
+    return int(np.clip(2 - np.floor(np.log10(typical)), 0, 12))
+
+
+def _omnibus(result) -> str:
+    verb = "differed" if result.p_corrected < result.alpha else "did not differ"
+    statistic = (
+        f"F({_df(result.df1_corrected)}, {_df(result.df2_corrected)}) = {apa_number(result.F)}, "
+        f"{apa_p(result.p_corrected)}, ηp² = {apa_number(result.eta2_partial, below_one=True)}, 90% CI "
+        f"[{apa_number(result.eta2_partial_low, below_one=True)}, {apa_number(result.eta2_partial_high, below_one=True)}], "
+        f"ηG² = {apa_number(result.eta2_generalized, below_one=True)}"
+    )
+    return (
+        f"A one-way repeated-measures ANOVA (N = {result.n}) showed that {result.dv} {verb} significantly between the "
+        f"{result.k} conditions of {result.within}, {statistic}."
+    )
+
+
+def _sphericity(result) -> str:
+    if result.k == 2:
+        return ""
+    name = {"greenhouse-geisser": "Greenhouse–Geisser", "huynh-feldt": "Huynh–Feldt"}.get(result.correction)
+    epsilon = result.epsilon_hf if result.correction == "huynh-feldt" else result.epsilon_gg
+    applied = (
+        f"degrees of freedom are {name} corrected, ε = {apa_number(epsilon, below_one=True)}"
+        if name
+        else "degrees of freedom are not corrected"
+    )
+    if result.mauchly_reason:
+        return f" {result.mauchly_reason.removesuffix('.')}; {applied}."
+    found = "was violated" if result.mauchly_p < result.alpha else "was not rejected"
+    return (
+        f" Sphericity {found} (Mauchly's W = {apa_number(result.mauchly_w, below_one=True)}, "
+        f"χ²({result.mauchly_df}) = {apa_number(result.mauchly_chi2)}, {apa_p(result.mauchly_p)}); {applied}."
+    )
+
+
+def _means(result) -> str:
+    stats = result.descriptives()
+    digits = _decimals(stats["sd"].to_numpy())
+    text = [
+        f"{condition} (M = {apa_number(mean, digits)}, SD = {apa_number(sd, digits)})"
+        for condition, mean, sd in zip(stats["condition"], stats["mean"], stats["sd"], strict=True)
+    ]
+    return f" By condition: {', '.join(text)}."
+
+
+def _pairs(result, adjust: str) -> str:
+    pairs = result.pairs()
+    p = pairs[{"holm": "p_holm", "bonferroni": "p_bonferroni", "none": "p"}[adjust]].to_numpy()
+    kind = {"holm": "Holm-adjusted p", "bonferroni": "Bonferroni-adjusted p", "none": "unadjusted p"}[adjust]
+    tests = f"Paired t-tests ({kind})" if len(pairs) > 1 else "A paired t-test"
+    found, other = [], []
+    for i, (a, b) in enumerate(zip(pairs["a"], pairs["b"], strict=True)):
+        if p[i] < result.alpha:
+            sign = ">" if pairs["mean_difference"][i] > 0.0 else "<"
+            found.append(
+                f"{a} {sign} {b}, t({result.n - 1}) = {apa_number(pairs['t'][i])}, {apa_p(p[i])}, "
+                f"d_z = {apa_number(pairs['d_z'][i])}"
+            )
+        else:
+            other.append(
+                f"{a} and {b} ({apa_p(p[i])})" if p[i] == p[i] else f"{a} and {b} (no test: one difference)"
+            )
+    if not found:
+        return f" {tests} found no significant difference: {_listed(other)}."
+    rest = f"; no significant difference between {_listed(other)}" if other else ""
+    return f" {tests}: {'; '.join(found)}{rest}."
+
+
+def _listed(texts: list[str]) -> str:
+    return (
+        ", ".join(texts) if len(texts) <= 10 else f"{', '.join(texts[:10])} and {len(texts) - 10} more pairs"
+    )
+
+
+def apa_report(result, adjust: str = "holm") -> str:
+    """
+    Return omnibus test, sphericity and significant pairs as sentences.
+
+    Parameters
+    ----------
+    result : RepeatedMeasures
+        The analysis.
+    adjust : {"holm", "bonferroni", "none"}
+        Which p-values of the pairs to report.
+
+    Raises
+    ------
+    ValueError
+        If `adjust` is none of those.
+    """
+    if adjust not in ("holm", "bonferroni", "none"):
+        raise ValueError(f"adjust must be 'holm', 'bonferroni' or 'none', got {adjust!r}")
+    origin = f"[{result.origin}] " if result.origin else ""
+    left_out = (
+        f" {len(result.excluded)} subject(s) with missing cells were left out ({', '.join(map(str, result.excluded))})."
+        if result.excluded
+        else ""
+    )
+    return (
+        origin + _omnibus(result) + _sphericity(result) + _means(result) + _pairs(result, adjust) + left_out
+    )

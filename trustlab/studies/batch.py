@@ -1,0 +1,264 @@
+"""Repeated-measures analyses of many studies at once: the engine under `repeated_measures` and under campaigns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from trustlab.studies.pairwise import PairwiseBatch, paired_differences
+from trustlab.studies.sphericity import greenhouse_geisser, huynh_feldt, mauchly, orthonormal_contrasts
+
+__all__ = ["RepeatedMeasuresBatch", "repeated_measures_batch"]
+
+_CHUNK = 1 << 20
+"""Scores analysed in one go."""
+
+_GREATEST, _LEAST = 1e140, 1e-140
+"""Size of scores, and spread of a study's scores, beyond which sums of squares leave double precision."""
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedMeasuresBatch:
+    """
+    One-way repeated-measures analyses of many studies.
+
+    Parameters
+    ----------
+    n, k : int
+        Subjects and conditions of each study.
+    mean, sd : numpy.ndarray, shape (studies, k)
+        Of each condition.
+    F : numpy.ndarray, shape (studies,)
+        Ratio of mean squares.
+    df1, df2 : int
+        k − 1 and (n − 1)(k − 1).
+    p : numpy.ndarray, shape (studies,)
+        Sphericity assumed.
+    ss_effect, ss_subjects, ss_error : numpy.ndarray, shape (studies,)
+        Sums of squares.
+    mauchly_w, mauchly_chi2, mauchly_p, mauchly_p_first_order : numpy.ndarray, shape (studies,)
+        Mauchly's test (see `trustlab.studies.sphericity.mauchly`); NaN for k = 2, for n ≤ k − 1 and where the
+        contrasts' covariance is singular.
+    mauchly_df : int
+        k (k − 1)/2 − 1.
+    epsilon_gg, epsilon_hf, epsilon_hf_untruncated : numpy.ndarray, shape (studies,)
+        Greenhouse–Geisser and Huynh–Feldt ε.
+    p_gg, p_hf : numpy.ndarray, shape (studies,)
+        p with degrees of freedom times ε.
+    eta2_partial, eta2_generalized : numpy.ndarray, shape (studies,)
+        SS_effect over SS_effect + SS_error, and over the sum of all three.
+    pairwise : PairwiseBatch
+        Every pair of conditions.
+    """
+
+    n: int
+    k: int
+    mean: np.ndarray
+    sd: np.ndarray
+    F: np.ndarray
+    df1: int
+    df2: int
+    p: np.ndarray
+    ss_effect: np.ndarray
+    ss_subjects: np.ndarray
+    ss_error: np.ndarray
+    mauchly_w: np.ndarray
+    mauchly_chi2: np.ndarray
+    mauchly_df: int
+    mauchly_p: np.ndarray
+    mauchly_p_first_order: np.ndarray
+    epsilon_gg: np.ndarray
+    epsilon_hf: np.ndarray
+    epsilon_hf_untruncated: np.ndarray
+    p_gg: np.ndarray
+    p_hf: np.ndarray
+    eta2_partial: np.ndarray
+    eta2_generalized: np.ndarray
+    pairwise: PairwiseBatch
+
+    def __len__(self) -> int:
+        return self.F.size
+
+    def table(self) -> pd.DataFrame:
+        """Return one row per study with every omnibus statistic; index `study`."""
+        columns = {
+            name: getattr(self, name)
+            for name in self.__dataclass_fields__
+            if name not in ("mean", "sd", "pairwise")
+        }
+        return pd.DataFrame(columns, index=pd.RangeIndex(len(self), name="study"))
+
+    def pairs(self) -> pd.DataFrame:
+        """Return one row per study and pair; columns study a b (positions of the conditions) mean_difference … d_av."""
+        studies, pairs = self.pairwise.t.shape
+        keys = {
+            "study": np.repeat(np.arange(studies), pairs),
+            "a": np.tile(self.pairwise.a, studies),
+            "b": np.tile(self.pairwise.b, studies),
+        }
+        values = {
+            name: np.ravel(value) if np.ndim(value) else value
+            for name, value in vars(self.pairwise).items()
+            if name not in ("a", "b", "sd_difference")
+        }
+        return pd.DataFrame(keys | values)
+
+    def __repr__(self) -> str:
+        return f"RepeatedMeasuresBatch({len(self)} studies of {self.n} subjects × {self.k} conditions)"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{self!r}</p>{self.table().describe().T.to_html(float_format='%.6g')}"
+
+
+def _checked(array: np.ndarray) -> np.ndarray:
+    try:
+        given = np.asarray(array)
+    except ValueError:
+        given = np.empty(0, dtype=object)
+    if given.dtype.kind not in "fiu":
+        raise ValueError(f"array must hold real numbers, got {type(array).__name__} of dtype {given.dtype}")
+    if given.ndim != 3:
+        raise ValueError(
+            f"array must have three axes (studies, subjects, conditions), got shape {given.shape}; "
+            "a single study is array[None]"
+        )
+    studies, n, k = given.shape
+    if studies < 1:
+        raise ValueError(f"array holds no study: its shape is {given.shape}")
+    if n < 3 or k < 2:
+        raise ValueError(
+            f"every study needs at least 3 subjects and 2 conditions, got {n} subject(s) and {k} condition(s)"
+        )
+    scores = given.astype(float, copy=False)
+    bad = ~np.isfinite(scores)
+    if bad.any():
+        s, i, j = np.argwhere(bad)[0]
+        raise ValueError(
+            f"array[{s}, {i}, {j}] (study {s}, subject {i}, condition {j}) is {scores[s, i, j]}, not a finite number; "
+            "repeated measures need every cell"
+        )
+    largest = np.abs(scores).max()
+    if largest > _GREATEST:
+        raise ValueError(
+            f"array holds a score of size {largest:.3g}; its square overflows: take another unit"
+        )
+    return scores
+
+
+def _analyse(scores: np.ndarray, first: int) -> dict:
+    studies, n, k = scores.shape
+    d = k - 1
+    largest = np.abs(scores).max(axis=(1, 2))
+    rounding = 4.0 * np.finfo(float).eps * largest
+    grand = scores.mean(axis=(1, 2))
+    centred = scores - grand[:, None, None]
+    mean = centred.mean(axis=1)
+    residual = centred - mean[:, None, :]
+    sd = np.sqrt(np.einsum("snk,snk->sk", residual, residual) / (n - 1))
+    contrasts = orthonormal_contrasts(k)
+    within = (residual.reshape(-1, k) @ contrasts).reshape(studies, n, d)
+    covariance = np.matmul(within.transpose(0, 2, 1), within) / (n - 1)
+    ss_effect = n * ((mean @ contrasts) ** 2).sum(axis=1)
+    ss_error = (n - 1) * np.trace(covariance, axis1=1, axis2=2)
+    ss_subjects = (residual.sum(axis=2) ** 2).sum(axis=1) / k
+    flat = ss_error <= (n - 1) * d * rounding**2
+    if flat.any():
+        raise ValueError(
+            _why_flat(
+                scores, first, int(np.argmax(flat)), bool(ss_effect[flat][0] > n * d * rounding[flat][0] ** 2)
+            )
+        )
+    df1, df2 = d, d * (n - 1)
+    f = (ss_effect / df1) / (ss_error / df2)
+    gg = np.ones(studies) if d == 1 else greenhouse_geisser(covariance)
+    hf = huynh_feldt(gg, n, d)
+    hf_cut = np.minimum(hf, 1.0)
+    sphericity = mauchly(covariance, n, rounding**2)
+    return {
+        "mean": mean + grand[:, None],
+        "sd": sd,
+        "F": f,
+        "p": special.fdtrc(df1, df2, f),
+        "ss_effect": ss_effect,
+        "ss_subjects": ss_subjects,
+        "ss_error": ss_error,
+        "mauchly_w": sphericity.w,
+        "mauchly_chi2": sphericity.chi2,
+        "mauchly_p": sphericity.p,
+        "mauchly_p_first_order": sphericity.p_first_order,
+        "epsilon_gg": gg,
+        "epsilon_hf": hf_cut,
+        "epsilon_hf_untruncated": hf,
+        "p_gg": special.fdtrc(gg * df1, gg * df2, f),
+        "p_hf": special.fdtrc(hf_cut * df1, hf_cut * df2, f),
+        "eta2_partial": ss_effect / (ss_effect + ss_error),
+        "eta2_generalized": ss_effect / (ss_effect + ss_subjects + ss_error),
+        "pairwise": paired_differences(centred, sd, rounding),
+    }
+
+
+def _why_flat(scores: np.ndarray, first: int, study: int, effect: bool) -> str:
+    values = scores[study]
+    if np.ptp(values) == 0.0:
+        return f"study {first + study}: every score is {values.flat[0]:g}; there is nothing to analyse"
+    if np.ptp(values) < _LEAST:
+        return f"study {first + study}: the scores spread over {np.ptp(values):.3g} only; take another unit"
+    found = (
+        "all subjects differ by the same amounts between conditions"
+        if effect
+        else "no subject's scores differ between conditions"
+    )
+    return f"study {first + study}: the error variance is zero ({found}), so that F and t are not defined"
+
+
+def repeated_measures_batch(array: np.ndarray) -> RepeatedMeasuresBatch:
+    """
+    Analyse many studies of the same size at once.
+
+    Parameters
+    ----------
+    array : array_like, shape (studies, subjects, conditions)
+        Complete finite scores.
+
+    Returns
+    -------
+    RepeatedMeasuresBatch
+
+    Raises
+    ------
+    ValueError
+        If `array` has another shape, fewer than 3 subjects or 2 conditions, a score that is no finite number, or a
+        study without error variance; the study, subject and condition are named.
+
+    Notes
+    -----
+    Sums of squares come from orthonormal contrasts of the centred scores, so that a large common offset costs no
+    digits beyond those that the scores themselves have lost.
+    """
+    scores = _checked(array)
+    studies, n, k = scores.shape
+    step = max(1, _CHUNK // (n * k))
+    parts = [_analyse(scores[start : start + step], start) for start in range(0, studies, step)]
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name != "pairwise"}
+    pairwise = parts[0]["pairwise"]
+    if len(parts) > 1:
+        pairwise = PairwiseBatch(
+            **{
+                name: np.concatenate([getattr(part["pairwise"], name) for part in parts])
+                if np.ndim(value) == 2
+                else value
+                for name, value in vars(pairwise).items()
+            }
+        )
+    return RepeatedMeasuresBatch(
+        n=n,
+        k=k,
+        df1=k - 1,
+        df2=(k - 1) * (n - 1),
+        mauchly_df=k * (k - 1) // 2 - 1,
+        pairwise=pairwise,
+        **joined,
+    )

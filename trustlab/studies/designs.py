@@ -1,0 +1,357 @@
+"""Orders of conditions: complete balanced Latin squares (Williams 1949), and how balanced any set of orders is."""
+
+from __future__ import annotations
+
+import numbers
+import warnings
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from trustlab.sessions.errors import nearest
+
+__all__ = [
+    "DesignBalance",
+    "LatinSquareDesign",
+    "design_balance",
+    "latin_square_design",
+    "participants_needed",
+    "williams_square",
+]
+
+
+def _whole(name: str, value: object, least: int) -> int:
+    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Integral):
+        raise ValueError(f"{name} must be a whole number, got {value!r}")
+    if value < least:
+        raise ValueError(f"{name} must be at least {least}, got {value}")
+    return int(value)
+
+
+def _labels(name: str, values: object, least: int) -> tuple[Hashable, ...]:
+    """Return labels that are there, can be told apart and are at least so many."""
+    if isinstance(values, str | bytes) or not isinstance(
+        values, Sequence | np.ndarray | pd.Series | pd.Index
+    ):
+        raise ValueError(f"{name} must be a list of labels, got {values!r}")
+    labels = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
+    for k, label in enumerate(labels):
+        if not isinstance(label, Hashable) or isinstance(label, bool) or pd.isna([label]).any():
+            raise ValueError(f"{name}[{k}] is {label!r}; every label must be text or a number")
+        if isinstance(label, str) and not label.strip():
+            raise ValueError(f"{name}[{k}] is empty; give it a name")
+    if len(labels) < least:
+        raise ValueError(f"{name} must have at least {least} labels, got {len(labels)}")
+    twice = [label for k, label in enumerate(labels) if label in labels[:k]]
+    if twice:
+        raise ValueError(f"{name} must differ from one another, but {twice[0]!r} is there twice")
+    return labels
+
+
+def williams_square(n: int) -> np.ndarray:
+    """
+    Return a Williams design: every condition as often at every position, and after every other condition.
+
+    The first row zigzags, 0, 1, n − 1, 2, n − 2 …, so that its steps (modulo n) are all different; the others
+    are that row plus 1, 2 … (modulo n). For odd n the same rows read backwards are added.
+
+    Parameters
+    ----------
+    n : int
+        How many conditions; at least 2.
+
+    Returns
+    -------
+    numpy.ndarray of int, shape (n, n) for even n, (2 n, n) for odd n
+        Condition numbers from 0, a row per order.
+
+    Raises
+    ------
+    ValueError
+        If `n` is not a whole number of at least 2.
+
+    References
+    ----------
+    E. J. Williams, Experimental designs balanced for the estimation of residual effects of treatments, Australian
+    Journal of Scientific Research A 2 (1949) 149-168.
+    """
+    n = _whole("n", n, 2)
+    steps = np.arange(n)
+    zigzag = np.where(steps % 2 == 1, (steps + 1) // 2, -(steps // 2)) % n
+    square = (zigzag[None, :] + np.arange(n)[:, None]) % n
+    return square if n % 2 == 0 else np.vstack([square, square[:, ::-1]])
+
+
+def _rows(n: int) -> int:
+    return n if n % 2 == 0 else 2 * n
+
+
+def participants_needed(conditions: int | Sequence[Hashable], at_least: int = 1) -> int:
+    """
+    Return the smallest number of participants that fills whole squares.
+
+    Parameters
+    ----------
+    conditions : int or sequence of str
+        How many conditions, or their names.
+    at_least : int
+        The fewest participants wanted, for example from a power analysis.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two conditions, or `at_least` is no whole number of at least 1.
+    """
+    n = (
+        _whole("conditions", conditions, 2)
+        if isinstance(conditions, numbers.Number)
+        else len(_labels("conditions", conditions, 2))
+    )
+    rows = _rows(n)
+    return -(-_whole("at_least", at_least, 1) // rows) * rows
+
+
+@dataclass(frozen=True, eq=False)
+class DesignBalance:
+    """
+    How often each condition stands at each position and follows each other condition.
+
+    Parameters
+    ----------
+    positions : pandas.DataFrame
+        Counts; a row per condition, a column per position from 1.
+    carry_over : pandas.DataFrame
+        Counts of the row's condition directly before the column's condition; the diagonal is NaN.
+    """
+
+    positions: pd.DataFrame
+    carry_over: pd.DataFrame
+
+    @property
+    def balanced_positions(self) -> bool:
+        """Whether every condition stands equally often at every position."""
+        counts = self.positions.to_numpy()
+        return bool((counts == counts[0, 0]).all())
+
+    @property
+    def balanced_carry_over(self) -> bool:
+        """Whether every condition follows every other one equally often."""
+        counts = self.carry_over.to_numpy()[~np.eye(len(self.carry_over), dtype=bool)]
+        return bool((counts == counts[0]).all())
+
+    @property
+    def balanced(self) -> bool:
+        """Whether both positions and first-order carry-over are balanced."""
+        return self.balanced_positions and self.balanced_carry_over
+
+    def table(self) -> pd.DataFrame:
+        """Return all counts in one tidy table: kind, condition, position, after, count, balanced_count."""
+        k = len(self.positions)
+        n = self.positions.to_numpy().sum() / k
+        places = [
+            (
+                "position",
+                condition,
+                float(position),
+                np.nan,
+                int(self.positions.loc[condition, position]),
+                n / k,
+            )
+            for condition in self.positions.index
+            for position in self.positions.columns
+        ]
+        follows = [
+            ("carry_over", condition, np.nan, after, int(self.carry_over.loc[after, condition]), n / k)
+            for condition in self.carry_over.index
+            for after in self.carry_over.index
+            if after != condition
+        ]
+        columns = ["kind", "condition", "position", "after", "count", "balanced_count"]
+        return pd.DataFrame(places + follows, columns=columns)
+
+    def _repr_html_(self) -> str:
+        words = {True: "balanced", False: "not balanced"}
+        follows = self.carry_over.to_html(float_format="%.0f", na_rep="")
+        return (
+            f"<p>Positions: {words[self.balanced_positions]}</p>{self.positions._repr_html_()}"
+            f"<p>First-order carry-over (row before column): {words[self.balanced_carry_over]}</p>"
+            f"{follows}"
+        )
+
+
+def design_balance(
+    orders: pd.DataFrame,
+    participant: str = "participant",
+    position: str = "position",
+    condition: str = "condition",
+) -> DesignBalance:
+    """
+    Count positions and first-order carry-over in any set of orders, for example of the participants who remained.
+
+    Parameters
+    ----------
+    orders : pandas.DataFrame
+        A row per participant and position.
+    participant, position, condition : str
+        Its columns; positions count from 1.
+
+    Raises
+    ------
+    ValueError
+        If a column or a value is missing, or a participant has not had each condition once, at positions 1, 2 ….
+    """
+    if not isinstance(orders, pd.DataFrame):
+        raise ValueError(f"orders must be a DataFrame, got {type(orders).__name__}")
+    for name in (participant, position, condition):
+        if name not in orders.columns:
+            raise ValueError(f"orders has no column {name!r}{nearest(name, orders.columns)}")
+        if orders[name].isna().any():
+            row = orders.index[orders[name].isna().to_numpy()][0]
+            raise ValueError(f"column {name!r}, row {row}: the value is missing; every row needs one")
+    conditions = list(pd.unique(orders[condition]))
+    k = len(conditions)
+    if k < 2:
+        raise ValueError(f"column {condition!r} must hold at least two conditions, found {k}")
+    wide = []
+    for who, own in orders.groupby(participant, sort=False):
+        found = own[position].tolist()
+        if any(isinstance(p, bool | str) for p in found) or sorted(found) != list(range(1, k + 1)):
+            raise ValueError(
+                f"participant {who!r} has positions {found}; {k} conditions need 1 to {k}, each once"
+            )
+        row = own.sort_values(position)[condition].tolist()
+        if len(set(row)) != k:
+            raise ValueError(f"participant {who!r} had {row}; each of {conditions} is needed once")
+        wide.append([conditions.index(name) for name in row])
+    square = np.array(wide)
+    places, follows = np.zeros((k, k), dtype=int), np.zeros((k, k), dtype=int)
+    np.add.at(places, (square, np.broadcast_to(np.arange(k), square.shape)), 1)
+    np.add.at(follows, (square[:, :-1], square[:, 1:]), 1)
+    carry = pd.DataFrame(
+        np.where(np.eye(k, dtype=bool), np.nan, follows),
+        index=pd.Index(conditions, name="before"),
+        columns=pd.Index(conditions, name="after"),
+    )
+    numbers_ = pd.Index(range(1, k + 1), name="position")
+    return DesignBalance(
+        pd.DataFrame(places, index=pd.Index(conditions, name="condition"), columns=numbers_), carry
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class LatinSquareDesign:
+    """
+    Which participant does which condition when.
+
+    Parameters
+    ----------
+    conditions : tuple of str
+        The conditions, as given.
+    participants : tuple
+        Their numbers or names, in the order in which they come to the lab.
+    seed : int
+        The seed of the labels and of the order of rows.
+    square : pandas.DataFrame
+        The square with its labels drawn: a row per order (numbered from 1), a column per position.
+    rows : tuple of int
+        The row of the square that each participant follows.
+    """
+
+    conditions: tuple[Hashable, ...]
+    participants: tuple[Hashable, ...]
+    seed: int
+    square: pd.DataFrame
+    rows: tuple[int, ...]
+
+    def table(self) -> pd.DataFrame:
+        """Return the plan for the lab: a row per participant, a column per position."""
+        plan = self.square.loc[list(self.rows)]
+        return plan.set_axis(pd.Index(self.participants, name="participant"), axis=0)
+
+    def orders(self) -> pd.DataFrame:
+        """Return the plan as a tidy table: participant, position, condition."""
+        plan = self.table()
+        n, k = plan.shape
+        return pd.DataFrame(
+            {
+                "participant": np.repeat(plan.index.to_numpy(), k),
+                "position": np.tile(np.arange(1, k + 1), n),
+                "condition": plan.to_numpy().ravel(),
+            }
+        ).infer_objects()
+
+    def balance(self) -> DesignBalance:
+        """Return the counts of positions and of first-order carry-over over all participants."""
+        return design_balance(self.orders())
+
+    def _repr_html_(self) -> str:
+        return f"{self.table()._repr_html_()}<p>{len(self.square)} orders in a square, seed {self.seed}</p>"
+
+
+def latin_square_design(
+    conditions: Sequence[Hashable],
+    participants: int | Sequence[Hashable],
+    seed: int = 0,
+    *,
+    whole_squares: bool = True,
+) -> LatinSquareDesign:
+    """
+    Assign participants to the orders of a complete balanced Latin square, in whole squares.
+
+    Which condition gets which label of the square, and the order of its rows for each batch of participants, are drawn
+    from the seed; participants added later do not change the orders of those before them.
+
+    Parameters
+    ----------
+    conditions : sequence of str
+        Names of the conditions; at least two, all different.
+    participants : int or sequence
+        How many, numbered from 1, or their names in the order in which they come.
+    seed : int
+        Seed of the draws; write it down with the design.
+    whole_squares : bool
+        Whether a number of participants that leaves a square unfinished is refused; if False it is warned of, and
+        the design is not balanced.
+
+    Returns
+    -------
+    LatinSquareDesign
+
+    Raises
+    ------
+    ValueError
+        If conditions or participants are missing or repeat, the seed is no whole number ≥ 0, or the participants do not
+        fill whole squares; the error says how many would.
+    """
+    conditions = _labels("conditions", conditions, 2)
+    if isinstance(participants, numbers.Number):
+        participants = tuple(range(1, _whole("participants", participants, 1) + 1))
+    else:
+        participants = _labels("participants", participants, 1)
+    seed = _whole("seed", seed, 0)
+    if not isinstance(whole_squares, bool):
+        raise ValueError(f"whole_squares must be True or False, got {whole_squares!r}")
+    k, n, size = len(conditions), len(participants), _rows(len(conditions))
+    if n % size:
+        below, above = n // size * size, participants_needed(k, n)
+        remedy = f"{above} would do" if below == 0 else f"{above} would do, or {below}"
+        text = (
+            f"{n} participants do not fill whole squares: {k} conditions need a multiple of {size}; {remedy}"
+        )
+        if whole_squares:
+            raise ValueError(text)
+        warnings.warn(f"{text}; this design is not balanced", stacklevel=2)
+    squares = -(-n // size)
+    labels, *batches = np.random.SeedSequence(seed).spawn(1 + squares)
+    drawn = np.random.default_rng(labels).permutation(k)
+    names = np.empty(k, dtype=object)
+    names[:] = [conditions[i] for i in drawn]
+    square = pd.DataFrame(
+        names[williams_square(k)],
+        index=pd.RangeIndex(1, size + 1, name="order"),
+        columns=pd.RangeIndex(1, k + 1, name="position"),
+    )
+    rows = np.concatenate([np.random.default_rng(child).permutation(size) for child in batches])[:n] + 1
+    return LatinSquareDesign(conditions, participants, seed, square, tuple(int(row) for row in rows))

@@ -1,0 +1,129 @@
+"""All pairs of conditions: paired t-tests, adjusted p-values and standardized differences; arrays of studies at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy import special
+
+__all__ = ["PairwiseBatch", "bonferroni", "holm", "paired_differences"]
+
+
+@dataclass(frozen=True, eq=False)
+class PairwiseBatch:
+    """
+    Pairwise statistics of many studies; NaN where every subject has the same difference.
+
+    Parameters
+    ----------
+    a, b : numpy.ndarray of int, shape (pairs,)
+        Positions of the two conditions, a before b.
+    mean_difference, sd_difference : numpy.ndarray, shape (studies, pairs)
+        Of a − b.
+    ci_low, ci_high : numpy.ndarray, shape (studies, pairs)
+        95 % interval of the mean difference.
+    t : numpy.ndarray, shape (studies, pairs)
+        Paired t.
+    df : int
+        n − 1.
+    p, p_bonferroni, p_holm : numpy.ndarray, shape (studies, pairs)
+        Two-sided, unadjusted and adjusted.
+    d_z : numpy.ndarray, shape (studies, pairs)
+        Mean over standard deviation of the differences.
+    d_av : numpy.ndarray, shape (studies, pairs)
+        Mean difference over the mean of the two conditions' standard deviations (Lakens, 2013).
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    mean_difference: np.ndarray
+    sd_difference: np.ndarray
+    ci_low: np.ndarray
+    ci_high: np.ndarray
+    t: np.ndarray
+    df: int
+    p: np.ndarray
+    p_bonferroni: np.ndarray
+    p_holm: np.ndarray
+    d_z: np.ndarray
+    d_av: np.ndarray
+
+
+def bonferroni(p: np.ndarray) -> np.ndarray:
+    """
+    Return p-values times their number, at most 1; NaN stay NaN and do not count (as in R's p.adjust).
+
+    Parameters
+    ----------
+    p : numpy.ndarray, shape (..., pairs)
+        Unadjusted p-values of one family along the last axis.
+    """
+    count = (~np.isnan(p)).sum(axis=-1, keepdims=True)
+    return np.minimum(count * p, 1.0)
+
+
+def holm(p: np.ndarray) -> np.ndarray:
+    """
+    Return p-values adjusted step by step (Holm, 1979); NaN stay NaN and do not count (as in R's p.adjust).
+
+    Parameters
+    ----------
+    p : numpy.ndarray, shape (..., pairs)
+        Unadjusted p-values of one family along the last axis.
+    """
+    count = (~np.isnan(p)).sum(axis=-1, keepdims=True)
+    order = np.argsort(p, axis=-1, kind="stable")  # NaN last
+    steps = np.maximum(count - np.arange(p.shape[-1]), 1)
+    ascending = np.take_along_axis(p, order, axis=-1)
+    adjusted = np.minimum(np.maximum.accumulate(steps * ascending, axis=-1), 1.0)
+    result = np.empty_like(p)
+    np.put_along_axis(result, order, adjusted, axis=-1)
+    return result
+
+
+def paired_differences(scores: np.ndarray, sd: np.ndarray, rounding: np.ndarray) -> PairwiseBatch:
+    """
+    Compare every pair of conditions by a paired t-test.
+
+    Parameters
+    ----------
+    scores : numpy.ndarray, shape (studies, subjects, conditions)
+        Complete finite scores.
+    sd : numpy.ndarray, shape (studies, conditions)
+        Standard deviation of each condition.
+    rounding : numpy.ndarray, shape (studies,)
+        Spread of differences that rounding of the scores alone can cause.
+    """
+    studies, n, k = scores.shape
+    a, b = np.array(list(combinations(range(k), 2))).T
+    mean = np.empty((studies, a.size))
+    spread = np.empty((studies, a.size))
+    for pair, (i, j) in enumerate(zip(a, b, strict=True)):
+        difference = scores[:, :, i] - scores[:, :, j]
+        mean[:, pair] = difference.mean(axis=1)
+        difference -= mean[:, pair, None]
+        spread[:, pair] = np.sqrt(np.einsum("sn,sn->s", difference, difference) / (n - 1))
+    sd_difference = np.where(spread <= rounding[:, None], 0.0, spread)
+    divisor = np.where(sd_difference > 0.0, sd_difference, np.nan)
+    standard_error = divisor / np.sqrt(n)
+    t = mean / standard_error
+    p = 2.0 * special.stdtr(n - 1, -np.abs(t))
+    half = special.stdtrit(n - 1, 0.975) * standard_error
+    average = 0.5 * (sd[:, a] + sd[:, b])
+    return PairwiseBatch(
+        a=a,
+        b=b,
+        mean_difference=mean,
+        sd_difference=sd_difference,
+        ci_low=mean - half,
+        ci_high=mean + half,
+        t=t,
+        df=n - 1,
+        p=p,
+        p_bonferroni=bonferroni(p),
+        p_holm=holm(p),
+        d_z=mean / divisor,
+        d_av=mean / np.where(average > 0.0, average, np.nan),
+    )

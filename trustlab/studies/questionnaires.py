@@ -1,0 +1,306 @@
+"""Likert scales: reversed items, subscales, missing answers by a named rule, and scores that know their range."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import finite_number
+from trustlab.studies.item_responses import check_responses, name_cell, read_responses
+from trustlab.studies.reliability import cronbach_alpha
+
+__all__ = ["MISSING_RULES", "LikertScale", "ScaleScores", "Subscale", "missing_answers", "score_likert"]
+
+MISSING_RULES = {
+    "refuse": "every item must be answered",
+    "half_rule": "a score is formed from the answered items where at least half of its items are answered",
+}
+"""What may be done about missing answers."""
+
+
+@dataclass(frozen=True)
+class Subscale:
+    """
+    Some items of a questionnaire that have a score of their own.
+
+    Parameters
+    ----------
+    name : str
+        The score's column.
+    items : tuple of str
+        Its items.
+    reversed : tuple of str
+        Those of them that run the other way within this subscale.
+    """
+
+    name: str
+    items: tuple[str, ...]
+    reversed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class LikertScale:
+    """
+    A questionnaire with one response scale for all its items.
+
+    Parameters
+    ----------
+    name : str
+        The questionnaire's name; its scores are the columns `name`_mean and `name`_sum.
+    items : tuple of str
+        Short names of the items.
+    low, high : float
+        The ends of the response scale.
+    reversed : tuple of str
+        Items that run the other way: scored as low + high − answer.
+    subscales : tuple of Subscale
+        Further scores, the means of some items.
+    step : float or None
+        Distance between answers; None for a continuous scale.
+    source : str
+        Where the questionnaire comes from.
+
+    Raises
+    ------
+    ValueError
+        If items repeat, a reversed item or a subscale's item is none of the items, or low is not below high.
+    """
+
+    name: str
+    items: tuple[str, ...]
+    low: float
+    high: float
+    reversed: tuple[str, ...] = ()
+    subscales: tuple[Subscale, ...] = ()
+    step: float | None = 1.0
+    source: str = ""
+
+    def __post_init__(self):
+        if not isinstance(self.name, str) or not self.name.strip():
+            raise ValueError(f"name must be a name, got {self.name!r}")
+        for field in ("items", "reversed"):
+            names = getattr(self, field)
+            if isinstance(names, str) or not all(isinstance(word, str) and word.strip() for word in names):
+                raise ValueError(f"{field} must be a list of names, got {names!r}")
+            object.__setattr__(self, field, tuple(names))
+        if not self.items or len(set(self.items)) != len(self.items):
+            raise ValueError(f"items must be at least one, all different, got {self.items}")
+        for what, names in [("reversed", self.reversed)] + [
+            (f"subscale {part.name!r}", (*part.items, *part.reversed)) for part in self.subscales
+        ]:
+            unknown = [name for name in names if name not in self.items]
+            if unknown:
+                raise ValueError(f"{what}: {unknown[0]!r} is none of the items {', '.join(self.items)}")
+        low, high = finite_number("low", self.low), finite_number("high", self.high)
+        if not low < high:
+            raise ValueError(f"low must lie below high, got {low:g} and {high:g}")
+        if self.step is not None:
+            steps = (high - low) / finite_number("step", self.step)
+            if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-9):
+                raise ValueError(f"step must divide {low:g} to {high:g} into equal parts, got {self.step:g}")
+
+    def table(self) -> pd.DataFrame:
+        """Return the items: item, low, high, step, reversed, and one column per subscale that says what is in it."""
+        frame = pd.DataFrame(
+            {
+                "item": self.items,
+                "low": float(self.low),
+                "high": float(self.high),
+                "step": np.nan if self.step is None else float(self.step),
+                "reversed": [name in self.reversed for name in self.items],
+            }
+        )
+        return frame.assign(
+            **{part.name: [name in part.items for name in self.items] for part in self.subscales}
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ScaleScores:
+    """
+    Scores of a questionnaire, with the answers they come from.
+
+    Parameters
+    ----------
+    name : str
+        The questionnaire.
+    scores : pandas.DataFrame
+        A row per subject and condition: the columns that name them, then a column per score.
+    answers : pandas.DataFrame
+        The answers, indexed by subject (and condition), a column per item; rescaled where that was asked for, not reversed.
+    ranges : dict of str to tuple
+        Lowest and highest value that each score can have.
+    coded : dict of str to pandas.DataFrame
+        For each score the items it is formed from, reversed where they run the other way.
+    missing : pandas.DataFrame
+        Answers that were missing: subject, condition, item, rule.
+    """
+
+    name: str
+    scores: pd.DataFrame
+    answers: pd.DataFrame
+    ranges: Mapping[str, tuple[float, float]]
+    coded: Mapping[str, pd.DataFrame]
+    missing: pd.DataFrame
+
+    def table(self) -> pd.DataFrame:
+        """Return the scores; `.attrs["scales"]` keeps name, low and high of every score's column."""
+        frame = self.scores.copy()
+        frame.attrs["scales"] = {
+            score: {"name": self.name, "low": float(low), "high": float(high)}
+            for score, (low, high) in self.ranges.items()
+        }
+        return frame
+
+    def reliability(self, confidence: float = 0.95) -> pd.DataFrame:
+        """
+        Return Cronbach's alpha of every score of two items or more, for each condition.
+
+        Answers of one subject under several conditions are not independent, hence one alpha per condition.
+
+        Parameters
+        ----------
+        confidence : float
+            Level of the intervals.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns score, condition (NaN where there is none), n, items, alpha, ci_low, ci_high; subjects with missing
+            answers are left out of n; alpha is NaN for fewer than three subjects, or where all have the same score.
+        """
+        rows = []
+        for score, coded in self.coded.items():
+            if coded.shape[1] < 2:
+                continue
+            several = isinstance(coded.index, pd.MultiIndex)
+            groups = coded.groupby(level=1, sort=False) if several else [(np.nan, coded)]
+            for condition, own in groups:
+                own = own.dropna()
+                found = (np.nan, np.nan, np.nan)
+                if len(own) >= 3 and np.ptp(own.sum(axis=1)) > 0.0:
+                    alpha = cronbach_alpha(own, confidence)
+                    found = (alpha.alpha, alpha.ci_low, alpha.ci_high)
+                rows.append((score, condition, len(own), own.shape[1], *found))
+        return pd.DataFrame(rows, columns=["score", "condition", "n", "items", "alpha", "ci_low", "ci_high"])
+
+    def _repr_html_(self) -> str:
+        return f"<p>{self.name}</p>{self.scores._repr_html_()}"
+
+
+def missing_answers(responses: pd.DataFrame, parts: Mapping[str, Sequence[str]], rule: str) -> pd.DataFrame:
+    """
+    Return the answers that are missing, or refuse them if the rule does not allow for them.
+
+    Parameters
+    ----------
+    responses : pandas.DataFrame
+        A row per subject (and condition), a column per item, NaN where not answered.
+    parts : mapping of str to list of str
+        The items of every score.
+    rule : str
+        A name in MISSING_RULES.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns subject, condition, item, rule.
+
+    Raises
+    ------
+    ValueError
+        Naming subject, condition and item of what is missing.
+    """
+    if not isinstance(rule, str) or rule not in MISSING_RULES:
+        known = "; ".join(f"{name!r}: {words}" for name, words in MISSING_RULES.items())
+        raise ValueError(f"missing must be one of {known}; got {rule!r}")
+    several = isinstance(responses.index, pd.MultiIndex)
+    gaps = responses.isna().to_numpy()
+    rows = []
+    for i, j in np.argwhere(gaps):
+        row = responses.index[i]
+        rows.append((*(tuple(row) if several else (row, None)), responses.columns[j], rule))
+    if rows and rule == "refuse":
+        named = "; ".join(name_cell(*row[:3]) for row in rows[:10]) + (" …" if len(rows) > 10 else "")
+        raise ValueError(
+            f"{len(rows)} {'answer is' if len(rows) == 1 else 'answers are'} missing: {named}. Fill them in from the records, leave the subject out, or ask for "
+            'missing="half_rule"'
+        )
+    for score, items in parts.items():
+        short = responses[list(items)].isna().mean(axis=1).to_numpy() > 0.5
+        if short.any():
+            row = responses.index[int(np.argmax(short))]
+            labels = tuple(row) if several else (row, None)
+            raise ValueError(
+                f"{name_cell(*labels)}: fewer than half of the {len(items)} items of {score!r} are answered, so that the "
+                "half rule gives no score; leave the subject out"
+            )
+    table = pd.DataFrame(rows, columns=["subject", "condition", "item", "rule"])
+    return table if several else table.assign(condition=np.nan)
+
+
+def score_likert(
+    frame: pd.DataFrame,
+    scale: LikertScale,
+    *,
+    subject: str,
+    condition: str | None = None,
+    items: Mapping[str, str] | Sequence[str] | None = None,
+    item: str | None = None,
+    response: str | None = None,
+    missing: str = "refuse",
+) -> ScaleScores:
+    """
+    Score a questionnaire: mean and sum over all items with reversed ones turned, and the mean of every subscale.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        Answers as given, not reversed: wide (a column per item) or, with `item` and `response`, long.
+    scale : LikertScale
+        The questionnaire.
+    subject, condition : str
+        Columns that say whose answers these are and under which condition; `condition` may be None.
+    items : dict or list, optional
+        Item of the scale → column (wide) or label in column `item` (long); or those in the scale's order. By default
+        they have the scale's own names.
+    item, response : str, optional
+        For a long table: the column that names the item and the one that holds the answer.
+    missing : str
+        "refuse", or "half_rule": means of the answered items where at least half are answered, sums prorated.
+
+    Returns
+    -------
+    ScaleScores
+
+    Raises
+    ------
+    ValueError
+        Naming subject, condition and item of an answer that is missing, no number, outside the scale or between its steps.
+    """
+    if not isinstance(scale, LikertScale):
+        raise ValueError(f"scale must be a LikertScale, got {type(scale).__name__}")
+    responses = read_responses(
+        frame, scale.items, subject=subject, condition=condition, items=items, item=item, response=response
+    )
+    check_responses(responses, scale.low, scale.high, scale.step)
+    whole = Subscale(f"{scale.name}_mean", scale.items, scale.reversed)
+    parts = (whole, *scale.subscales)
+    gaps = missing_answers(responses, {part.name: part.items for part in parts}, missing)
+    coded, scores = {}, {}
+    for part in parts:
+        own = responses[list(part.items)].copy()
+        turned = list(part.reversed)
+        own[turned] = scale.low + scale.high - own[turned]
+        coded[part.name] = own
+        scores[part.name] = own.mean(axis=1)
+        if part is whole:
+            scores[f"{scale.name}_sum"] = scores[part.name] * len(scale.items)
+    ranges = dict.fromkeys(scores, (scale.low, scale.high))
+    ranges[f"{scale.name}_sum"] = (scale.low * len(scale.items), scale.high * len(scale.items))
+    table = pd.DataFrame(scores, index=responses.index).reset_index()
+    table.attrs = dict(frame.attrs)  # synthetic answers give synthetic scores
+    return ScaleScores(scale.source or scale.name, table, responses, ranges, coded, gaps)

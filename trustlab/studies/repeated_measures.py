@@ -1,0 +1,386 @@
+"""One-way repeated-measures analysis of a long table: everything that a paper reports of it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import open_unit
+from trustlab.studies.batch import RepeatedMeasuresBatch, repeated_measures_batch
+from trustlab.studies.correction import CORRECTIONS, decide_correction, why_no_mauchly
+from trustlab.studies.effect_sizes import partial_eta_interval
+from trustlab.studies.intervals import between_half_width, cousineau_morey_half_width
+from trustlab.studies.mixed_model import MixedModel, fit_mixed_model
+from trustlab.studies.rank_tests import Friedman, friedman, normality_of_differences
+from trustlab.studies.validation import ScoreTable, complete_scores, read_scores
+
+__all__ = ["RepeatedMeasures", "repeated_measures"]
+
+_UNTABLED = ("subject", "conditions", "subjects", "excluded", "notes", "scores", "observed", "batch")
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedMeasures:
+    """
+    A one-way repeated-measures analysis.
+
+    Parameters
+    ----------
+    dv, within, subject : hashable
+        Columns analysed.
+    n, k : int
+        Subjects and conditions.
+    conditions, subjects, excluded : tuple
+        Labels; `excluded` are the subjects left out for missing cells.
+    F : float
+        Ratio of mean squares.
+    df1, df2 : int
+        k − 1 and (n − 1)(k − 1).
+    p : float
+        Sphericity assumed.
+    ss_effect, ss_subjects, ss_error : float
+        Sums of squares.
+    mauchly_w, mauchly_chi2, mauchly_p, mauchly_p_first_order : float
+        Mauchly's test, its p with and without the second-order term; NaN where it is not defined.
+    mauchly_df : int
+        k (k − 1)/2 − 1.
+    mauchly_reason : str
+        Why Mauchly's test is not defined; empty where it is.
+    epsilon_gg, epsilon_hf, epsilon_hf_untruncated : float
+        Greenhouse–Geisser and Huynh–Feldt ε, the latter cut at 1 and not.
+    df1_gg, df2_gg, p_gg, df1_hf, df2_hf, p_hf : float
+        Corrected by ε.
+    correction : {"none", "greenhouse-geisser", "huynh-feldt"}
+        Which of the three applies.
+    reason : str
+        Why.
+    df1_corrected, df2_corrected, p_corrected : float
+        Those that apply.
+    eta2_partial, eta2_partial_low, eta2_partial_high : float
+        SS_effect / (SS_effect + SS_error) with its 90 % interval.
+    eta2_generalized : float
+        SS_effect over the sum of all three.
+    alpha : float
+        Level below which a p-value is called significant.
+    notes : tuple of str
+        What a reader should know before using the numbers.
+    origin : str
+        What kind of data these are where they were not measured ("synthetic data" …); else empty.
+    scores, observed : ScoreTable
+        What was analysed, and what was read (with the cells of excluded subjects).
+    batch : RepeatedMeasuresBatch
+        The same analysis as a batch of one.
+    """
+
+    dv: Hashable
+    within: Hashable
+    subject: Hashable
+    n: int
+    k: int
+    conditions: tuple
+    subjects: tuple
+    excluded: tuple
+    F: float
+    df1: int
+    df2: int
+    p: float
+    ss_effect: float
+    ss_subjects: float
+    ss_error: float
+    mauchly_w: float
+    mauchly_chi2: float
+    mauchly_df: int
+    mauchly_p: float
+    mauchly_p_first_order: float
+    mauchly_reason: str
+    epsilon_gg: float
+    epsilon_hf: float
+    epsilon_hf_untruncated: float
+    df1_gg: float
+    df2_gg: float
+    p_gg: float
+    df1_hf: float
+    df2_hf: float
+    p_hf: float
+    correction: str
+    reason: str
+    df1_corrected: float
+    df2_corrected: float
+    p_corrected: float
+    eta2_partial: float
+    eta2_partial_low: float
+    eta2_partial_high: float
+    eta2_generalized: float
+    alpha: float
+    notes: tuple
+    origin: str
+    scores: ScoreTable
+    observed: ScoreTable
+    batch: RepeatedMeasuresBatch
+
+    def _labelled(self, frame: pd.DataFrame) -> pd.DataFrame:
+        if self.origin:
+            frame.attrs["origin"] = self.origin
+        return frame
+
+    def table(self) -> pd.DataFrame:
+        """Return every omnibus statistic in one row, so that tables of several measures can be put below each other."""
+        row = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in _UNTABLED}
+        row["excluded"] = len(self.excluded)
+        return self._labelled(pd.DataFrame([row]))
+
+    def corrections(self) -> pd.DataFrame:
+        """Return the test under each correction: columns correction epsilon df1 df2 F p applies."""
+        rows = {
+            "correction": CORRECTIONS,
+            "epsilon": (1.0, self.epsilon_gg, self.epsilon_hf),
+            "df1": (float(self.df1), self.df1_gg, self.df1_hf),
+            "df2": (float(self.df2), self.df2_gg, self.df2_hf),
+            "F": self.F,
+            "p": (self.p, self.p_gg, self.p_hf),
+            "applies": [name == self.correction for name in CORRECTIONS],
+        }
+        return self._labelled(pd.DataFrame(rows))
+
+    def descriptives(self) -> pd.DataFrame:
+        """
+        Return the conditions' scores in numbers.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns condition n mean sd se median minimum maximum, then two 95 % intervals of the mean: ci_low and
+            ci_high between subjects, ci_low_within and ci_high_within after Cousineau and Morey.
+        """
+        values = self.scores.values
+        mean, sd = self.batch.mean[0], self.batch.sd[0]
+        between, within = between_half_width(values), cousineau_morey_half_width(values)
+        columns = {
+            "condition": pd.Index(self.conditions, tupleize_cols=False),
+            "n": self.n,
+            "mean": mean,
+            "sd": sd,
+            "se": sd / np.sqrt(self.n),
+            "median": np.median(values, axis=0),
+            "minimum": values.min(axis=0),
+            "maximum": values.max(axis=0),
+            "ci_low": mean - between,
+            "ci_high": mean + between,
+            "ci_low_within": mean - within,
+            "ci_high_within": mean + within,
+        }
+        return self._labelled(pd.DataFrame(columns))
+
+    def _pair_labels(self) -> dict[str, pd.Index]:
+        labels = pd.Index(self.conditions, tupleize_cols=False)
+        return {"a": labels.take(self.batch.pairwise.a), "b": labels.take(self.batch.pairwise.b)}
+
+    def pairs(self) -> pd.DataFrame:
+        """
+        Return all pairwise comparisons, a before b in the order of the conditions.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns a b mean_difference (a − b) ci_low ci_high (95 %, unadjusted) t df p p_bonferroni p_holm d_z d_av.
+        """
+        found = self.batch.pairwise
+        names = [
+            "mean_difference",
+            "ci_low",
+            "ci_high",
+            "t",
+            "df",
+            "p",
+            "p_bonferroni",
+            "p_holm",
+            "d_z",
+            "d_av",
+        ]
+        values = {
+            name: value if name == "df" else value[0] for name in names for value in [getattr(found, name)]
+        }
+        return self._labelled(pd.DataFrame(self._pair_labels() | values))
+
+    def normality(self) -> pd.DataFrame:
+        """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
+        pairwise = self.batch.pairwise
+        tests = normality_of_differences(self.scores.values, pairwise.a, pairwise.b)
+        return self._labelled(pd.concat([pd.DataFrame(self._pair_labels()), tests], axis=1))
+
+    def friedman(self) -> Friedman:
+        """Return Friedman's rank test with Kendall's W."""
+        return friedman(self.scores.values)
+
+    def mixed_model(self) -> MixedModel:
+        """Return the mixed model of all cells that are there, those of excluded subjects too."""
+        return fit_mixed_model(self.observed)
+
+    def apa(self, adjust: str = "holm") -> str:
+        """
+        Return the sentences that a paper needs.
+
+        Parameters
+        ----------
+        adjust : {"holm", "bonferroni", "none"}
+            Which p-values of the pairs to report.
+        """
+        from trustlab.studies.apa import apa_report
+
+        return apa_report(self, adjust)
+
+    def plot(self, kind: str = "means", *, interval: str = "between", axes=None):
+        """
+        Plot the conditions.
+
+        Parameters
+        ----------
+        kind : {"means", "raincloud", "paired"}
+            Means with 95 % intervals, as in Figs. 2.11–2.17 and 3.18–3.21; distributions; or a line per subject.
+        interval : {"between", "within"}
+            Which interval the means carry.
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; a new figure by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        from trustlab.studies.plots import plot_conditions
+
+        return plot_conditions(self, kind, interval, axes)
+
+    def __repr__(self) -> str:
+        note = f" [{self.origin}]" if self.origin else ""
+        return (
+            f"RepeatedMeasures({self.dv} by {self.within}, {self.n} subjects × {self.k} conditions{note}: "
+            f"F({self.df1_corrected:.4g}, {self.df2_corrected:.4g}) = {self.F:.4g}, p = {self.p_corrected:.3g}, "
+            f"correction: {self.correction})"
+        )
+
+    def _repr_html_(self) -> str:
+        import html
+
+        note = f" <b>{html.escape(self.origin)}</b>." if self.origin else ""
+        left_out = f" Left out: {', '.join(map(str, self.excluded))}." if self.excluded else ""
+        return (
+            f"<p><b>{html.escape(str(self.dv))}</b> by {html.escape(str(self.within))}: {self.n} subjects × {self.k} "
+            f"conditions.{note}{html.escape(left_out)} {html.escape(' '.join((self.reason, *self.notes)))}</p>"
+            f"{self.corrections().to_html(index=False, float_format='%.6g')}"
+            f"{self.descriptives().to_html(index=False, float_format='%.6g')}"
+            f"{self.pairs().to_html(index=False, float_format='%.6g')}"
+        )
+
+
+def repeated_measures(
+    frame: pd.DataFrame,
+    dv: Hashable,
+    within: Hashable,
+    subject: Hashable,
+    *,
+    missing: str = "raise",
+    order: Sequence | None = None,
+    correction: str = "auto",
+    alpha: float = 0.05,
+) -> RepeatedMeasures:
+    """
+    Analyse one score under several conditions, each seen by every subject.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        Long table: one row per subject and condition; other columns are not looked at.
+    dv, within, subject : hashable
+        Columns with the score, the condition and the subject.
+    missing : {"raise", "listwise"}
+        Whether a missing cell is an error, or its subject is left out (and named in `.excluded`).
+    order : sequence, optional
+        Conditions in the order wanted. By default a categorical column keeps the order of its categories (those that
+        occur); numbers are sorted by value and text by alphabet.
+    correction : {"auto", "none", "greenhouse-geisser", "huynh-feldt"}
+        Which correction `.p_corrected` has. "auto": Greenhouse–Geisser where Mauchly's test rejects sphericity at
+        `alpha` or is not defined, none elsewhere. All three are always in the result.
+    alpha : float
+        Level of significance.
+
+    Returns
+    -------
+    RepeatedMeasures
+
+    Raises
+    ------
+    ValueError
+        If a column is unknown, a label is missing, a score is no finite number, a cell has several rows or none,
+        there is one condition or fewer than three complete subjects, or scores have no error variance.
+
+    Notes
+    -----
+    Values follow R: `aov_car` of afex and `Anova` of car for F, ε and η², `mauchly.test` (see
+    `trustlab.studies.sphericity.mauchly` for its p-value), `t.test(paired = TRUE)` and `p.adjust` for the pairs,
+    `friedman.test`, `shapiro.test`.
+    """
+    if correction not in ("auto", *CORRECTIONS):
+        raise ValueError(
+            f"correction must be 'auto', {', '.join(map(repr, CORRECTIONS))}, got {correction!r}"
+        )
+    alpha = open_unit("alpha", alpha)
+    observed = read_scores(frame, dv, within, subject, order=order)
+    scores, excluded = complete_scores(observed, missing)
+    try:
+        batch = repeated_measures_batch(scores.values[None])
+    except ValueError as error:
+        raise ValueError(f"dv: column {dv!r} by {within!r}: {str(error).removeprefix('study 0: ')}") from None
+    value = {
+        name: float(getattr(batch, name)[0])
+        for name in batch.__dataclass_fields__
+        if name in RepeatedMeasures.__dataclass_fields__ and np.ndim(getattr(batch, name)) == 1
+    }
+    why_not = why_no_mauchly(batch)
+    applied, reason = decide_correction(correction, alpha, batch, why_not)
+    epsilons = dict(zip(CORRECTIONS, (1.0, value["epsilon_gg"], value["epsilon_hf"]), strict=True))
+    p_values = dict(zip(CORRECTIONS, (value["p"], value["p_gg"], value["p_hf"]), strict=True))
+    interval = partial_eta_interval(value["F"], batch.df1, batch.df2, 0.90)
+    notes = []
+    if excluded:
+        notes.append(f"Left out for missing cells: {', '.join(map(repr, excluded))}.")
+    flat = np.flatnonzero(np.isnan(batch.pairwise.t[0]))
+    if flat.size:
+        a, b = (scores.conditions[int(index[flat[0]])] for index in (batch.pairwise.a, batch.pairwise.b))
+        notes.append(
+            f"{flat.size} pair(s) have the same difference for every subject ({a!r} and {b!r} first): no t-test."
+        )
+    return RepeatedMeasures(
+        dv=dv,
+        within=within,
+        subject=subject,
+        n=batch.n,
+        k=batch.k,
+        conditions=scores.conditions,
+        subjects=scores.subjects,
+        excluded=excluded,
+        df1=batch.df1,
+        df2=batch.df2,
+        mauchly_df=batch.mauchly_df,
+        mauchly_reason=why_not,
+        df1_gg=batch.df1 * value["epsilon_gg"],
+        df2_gg=batch.df2 * value["epsilon_gg"],
+        df1_hf=batch.df1 * value["epsilon_hf"],
+        df2_hf=batch.df2 * value["epsilon_hf"],
+        correction=applied,
+        reason=reason,
+        df1_corrected=batch.df1 * epsilons[applied],
+        df2_corrected=batch.df2 * epsilons[applied],
+        p_corrected=p_values[applied],
+        eta2_partial_low=interval.low,
+        eta2_partial_high=interval.high,
+        alpha=alpha,
+        notes=tuple(notes),
+        origin=scores.origin,
+        scores=scores,
+        observed=observed,
+        batch=batch,
+        **value,
+    )
