@@ -88,7 +88,18 @@ def test_what_data_say_is_never_refuted(seed, k, p_adjust, decimals):
     ) + 1.5 * rng.normal(size=k)
     study = study_of(values, p_adjust, decimals)
     assert arithmetic_conflicts(study) == {}
-    assert not proves_infeasible(statements(study, p_adjust), study.n, k, p_adjust, study.scale, branches=3)
+    found = statements(study, p_adjust)
+    some = [s for s in found if rng.random() < 0.4] or found
+    for said in (found, some):
+        assert not proves_infeasible(said, study.n, k, p_adjust, study.scale, branches=3)
+
+
+def test_two_statements_about_sphericity_alone_are_not_refuted():
+    values = {"n": 12, "mean": {"A": "5", "B": "4", "C": "3"}, "sd": {"C": "0.90"}, "mauchly": {"p": "0.95"}}
+    study = tl.PublishedStudy.from_dict({**values, "scale": (0, 9)})
+    found = [s for s in statements(study) if s.name in ("sd.C", "mauchly.p")]
+    assert not proves_infeasible(found, 12, 3, "none", (-np.inf, np.inf))
+    assert tl.feasibility(study)
 
 
 @pytest.mark.parametrize("p_adjust", ADJUSTMENTS)

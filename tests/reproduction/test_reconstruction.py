@@ -194,9 +194,12 @@ def test_missing_cells_are_inferred_with_their_range():
     }
     result = reconstruct_study(tl.PublishedStudy.from_dict(values, "small"), 0)
     ranges = result.ranges()
-    assert list(ranges.columns) == ["low", "high", "reconstructed"]
+    assert list(ranges.columns) == ["low", "high", "proved_low", "proved_high", "reconstructed"]
     assert list(ranges.index) == ["mean.C", "sd.C", *(f"correlation.{p}" for p in ("A-B", "A-C", "B-C"))]
     assert ranges["reconstructed"].between(ranges["low"] - 1e-9, ranges["high"] + 1e-9).all()
+    c = ranges.loc["mean.C"]
+    assert 1.0 <= c["proved_low"] <= c["low"] <= c["high"] <= c["proved_high"] <= 7.0
+    assert ranges["proved_low"].isna().sum() == 4
     assert 1.0 < ranges.loc["mean.C", "low"] < 4.2 < 5.0 < ranges.loc["mean.C", "high"] < 7.0
     # Means, SDs and p of A and B are printed: the correlation is pinned down by var(a − b) = n (m_a − m_b)²/t².
     t = stats.t.ppf(0.020 / 3 / 2, 23)

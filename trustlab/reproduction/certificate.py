@@ -144,14 +144,15 @@ class _Relaxation:
             limit = 1.0 / np.sqrt((k - 1) * self.epsilon[0])
             if size > trace * limit + 1e-9:
                 found.append(self.row(centred / size - limit * P))
-        if np.isfinite(self.log_w) and trace > 0.0:
-            value, vector = np.linalg.eigh(centred + trace * np.full((k, k), 1.0 / k))
-            value = np.maximum(value, 1e-6 * trace)
-            ratio = np.log(value).sum() - np.log(trace) - (k - 1) * np.log(trace / (k - 1))
-            if ratio < self.log_w - 1e-9:
+        if np.isfinite(self.log_w) and trace > 1e-6 * np.abs(x[:-1]).max():
+            value, vector = np.linalg.eigh(centred / trace + np.full((k, k), 1.0 / k))
+            value = np.maximum(value, 1e-6)
+            log_w = np.log(value).sum() + (k - 1) * np.log(k - 1)
+            if log_w < self.log_w - 1e-9:
                 B = P @ (vector / value) @ vector.T @ P
-                root = np.exp((-np.log(value).sum() + np.log(trace) + self.log_w) / (k - 1))
+                root = np.exp((self.log_w - np.log(value).sum()) / (k - 1))
                 found.append(self.row(root * P - B))
+        found = [row / np.linalg.norm(row) for row in found]
         return found
 
 
@@ -221,7 +222,6 @@ def _refuted(problem: _Relaxation, rounds: int = 100) -> bool:
         cuts = problem.cuts(solution.x) if solution.status == 0 else []
         if not cuts:
             return False
-        size = np.linalg.norm(cuts, axis=1)
-        rows = np.vstack([rows, np.array(cuts) + size[:, None] * np.eye(columns + 1)[-1]])
+        rows = np.vstack([rows, np.array(cuts) + np.eye(columns + 1)[-1]])
         right = np.append(right, np.zeros(len(cuts)))
     return False

@@ -41,8 +41,8 @@ class Feasibility:
     status : {"solved", "proved", "not found"}
         A solution was found; it is proved that there is none; or none was found from many starts.
     conflict : tuple of str
-        Statistics that cannot hold together, none of which can be spared: without any one of them the others can. Empty when
-        feasible.
+        Statistics that cannot hold together, the fewest found: where this is proved (`conflict_proved`), without any one of
+        them it is not proved; otherwise, without any one of them a solution was found. Empty when feasible.
     conflict_proved : bool
         Whether it is proved that those cannot hold together.
     remedies : tuple of str
@@ -73,18 +73,11 @@ class Feasibility:
         """Return the statements: index statistic; columns printed, low, high (of the statistic itself), in_conflict, remedy."""
         rows = [
             (s.name, s.text, *_plain(s), s.name in self.conflict, s.name in self.remedies)
-            for s in select(statements(self.study, self.p_adjust), self.left_out_of_statements)
+            for s in statements(self.study, self.p_adjust)
+            if s.name not in self.left_out
         ]
         columns = ["statistic", "printed", "low", "high", "in_conflict", "remedy"]
         return pd.DataFrame(rows, columns=columns).set_index("statistic")
-
-    @property
-    def left_out_of_statements(self) -> tuple[str, ...]:
-        """Names in `left_out` that are statements about means and covariance."""
-        known = [s.name for s in statements(self.study, self.p_adjust)]
-        return tuple(
-            name for name in self.left_out if name in known or name in {n.split(".")[0] for n in known}
-        )
 
 
 def _plain(s: Statement) -> tuple[float, float]:

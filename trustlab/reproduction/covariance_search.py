@@ -86,15 +86,21 @@ class MomentProblem:
 
     @cached_property
     def rows(self) -> list[Statement]:
-        """The statements, and what the scale says about conditions without a printed mean or standard deviation."""
-        printed = {kind: {s.index for s in self._cells if s.kind == kind} for kind in ("mean", "sd")}
+        """The statements, and what the scale says where they do not already imply it."""
+        printed = {
+            kind: {s.index: (s.low, s.high) for s in self._cells if s.kind == kind} for kind in ("mean", "sd")
+        }
         rows, (low, high) = list(self.found), self.scale
         for i in range(self.k):
-            if i in printed["mean"] & printed["sd"]:
-                continue
-            if i not in printed["mean"] and np.isfinite([low, high]).any():
+            mean, sd = printed["mean"].get(i, (-np.inf, np.inf)), printed["sd"].get(i, (0.0, np.inf))
+            if mean[0] < low or mean[1] > high:
                 rows.append(Statement(f"scale.{i}", "mean", i, low, high, "scale"))
-            if np.isfinite([low, high]).all():
+            room = (
+                min((m - low) * (high - m) for m in mean)
+                if np.isfinite([low, high, *mean]).all()
+                else -np.inf
+            )
+            if np.isfinite([low, high]).all() and sd[1] ** 2 * (self.n - 1.0) / self.n >= room:
                 rows.append(Statement(f"scale.{i}", "spread", i, -np.inf, 0.0, "scale"))
         return rows
 
@@ -126,7 +132,16 @@ class MomentProblem:
         """Unit of violation, one per row: half the interval's width, or a share of `size` where it is open."""
         with np.errstate(invalid="ignore"):
             half = 0.5 * (self.high - self.low)
-        return np.where(np.isfinite(half), np.maximum(half, 1e-12 * self.size), OPEN_UNIT * self.size)
+        unit = np.where(np.isfinite(half), np.maximum(half, 1e-12 * self.size), OPEN_UNIT * self.size)
+        # No p exceeds 1: what is left of an interval that ends there.
+        ends_at_one = np.isinf(self.high) & np.array(
+            [s.kind in ("log_p", "log_anova_p") for s in self.rows], bool
+        )
+        return np.where(ends_at_one, np.minimum(unit, np.maximum(-0.5 * self.low, 1e-12)), unit)
+
+    @cached_property
+    def _ends_at_one(self) -> np.ndarray:
+        return np.isinf(self.high) & np.array([s.kind in ("log_p", "log_anova_p") for s in self.rows], bool)
 
     @cached_property
     def typical(self) -> tuple[float, float]:
@@ -236,7 +251,7 @@ class MomentProblem:
         """
         (value,) = self.values(self.statistics(mean, factor))
         outside = np.maximum(np.maximum(self.low - value, value - self.high), 0.0) / self.unit
-        return outside.max(axis=1, initial=0.0)
+        return np.where(np.isfinite(value), outside, np.inf).max(axis=1, initial=0.0)
 
     def starts(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -319,10 +334,11 @@ class MomentProblem:
     ) -> tuple[np.ndarray, ...]:
         mean, factor = self._unpack(x)
         value, *slopes = self.values(self.statistics(mean, factor), gradient)
-        unit = np.maximum(self.unit, width * self.size)
+        unit = np.where(self._ends_at_one, self.unit, np.maximum(self.unit, width * self.size))
         inner = (1.0 - margin) * unit - np.where(np.isfinite(self.high - self.low), self.unit, unit)
         below, above = (self.low - inner) - value, value - (self.high + inner)
         residual = np.where(above > 0.0, above, np.where(below > 0.0, -below, 0.0)) / unit
+        residual = np.where(np.isfinite(value), residual, np.inf)
         if not gradient:
             return (residual,)
         by_mean, by_covariance = slopes

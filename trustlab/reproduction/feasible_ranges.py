@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from trustlab.reproduction.certificate import proves_infeasible
 from trustlab.reproduction.covariance_search import MomentProblem, Moments
 from trustlab.reproduction.moment_solution import MARGINS, decide
 from trustlab.reproduction.moment_statistics import pair_indices
@@ -41,7 +42,8 @@ def feasible_ranges(
     -------
     pandas.DataFrame
         Index quantity: means and standard deviations that are not printed ("mean.C2", "sd.C2"), and correlations of all pairs
-        ("correlation.C1-C2"); columns low, high.
+        ("correlation.C1-C2"); columns low, high (attained), proved_low, proved_high (of means: beyond these it is proved that
+        no data have what is printed; NaN otherwise).
     """
     printed = {(s.kind, s.index) for s in problem.found}
     wanted = [
@@ -62,8 +64,29 @@ def feasible_ranges(
     for _ in range(2):
         for row, (_, kind, index, size) in enumerate(wanted):
             ends[row] = [pool.push(kind, index, upwards, size) for upwards in (False, True)]
+    proved = [
+        _proved(problem, i, *ends[row]) if kind == "mean" else (np.nan, np.nan)
+        for row, (_, kind, i, _) in enumerate(wanted)
+    ]
     index = pd.Index([name for name, *_ in wanted], name="quantity")
-    return pd.DataFrame(ends, index=index, columns=["low", "high"])
+    return pd.DataFrame(
+        np.column_stack([ends, proved]), index=index, columns=["low", "high", "proved_low", "proved_high"]
+    )
+
+
+def _proved(problem: MomentProblem, i: int, low: float, high: float, steps: int = 8) -> tuple[float, float]:
+    """Bounds on a mean that is not printed, beyond which it is proved that nothing is feasible; by bisection."""
+    bounds = []
+    for attained, end in zip((low, high), problem.scale, strict=True):
+        outside = end
+        for _ in range(steps if np.isfinite(end) else 0):
+            middle = 0.5 * (attained + outside)
+            row = Statement("beyond", "mean", i, min(middle, end), max(middle, end), "")
+            known = problem.n, problem.k, problem.p_adjust, problem.scale
+            refuted = proves_infeasible([*problem.found, row], *known, branches=12)
+            attained, outside = (attained, middle) if refuted else (middle, outside)
+        bounds.append(outside)
+    return bounds[0], bounds[1]
 
 
 class _Pool:

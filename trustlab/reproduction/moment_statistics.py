@@ -243,7 +243,8 @@ class MomentStatistics:
         F_mean, F_covariance = self.gradient_f_ratio
         _, e_covariance = self.gradient_epsilon
         f, e, step = self.f_ratio, self.epsilon, 1e-6 * np.maximum(self.f_ratio, 1e-6)
-        by_F = (self._log_anova_p(f + step, e) - self._log_anova_p(f - step, e)) / (2.0 * step)
+        lower = np.maximum(f - step, 0.0)
+        by_F = (self._log_anova_p(f + step, e) - self._log_anova_p(lower, e)) / (f + step - lower)
         by_e = (self._log_anova_p(f, e + 1e-6) - self._log_anova_p(f, e - 1e-6)) / 2e-6
         by_covariance = by_F[:, None, None, None] * F_covariance + by_e[:, None, None, None] * e_covariance
         return by_F[:, None, None] * F_mean, by_covariance

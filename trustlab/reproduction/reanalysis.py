@@ -109,7 +109,11 @@ def agrees(statement: Statement, value: float) -> bool:
     """
     low, high = printed_ends(statement)
     if statement.name == "t_test.t":
-        low, high, value = *sorted((abs(low), abs(high))), abs(value)
+        low, high, value = (
+            (0.0 if low < 0.0 < high else min(abs(low), abs(high))),
+            max(abs(low), abs(high)),
+            abs(value),
+        )
     if statement.text == "not significant":
         return low < value <= high
     if (

@@ -116,7 +116,8 @@ class Reconstruction:
         -------
         pandas.DataFrame
             Index quantity: means and standard deviations that are not printed, and all correlations; columns low, high (both
-            attained by solutions), reconstructed.
+            attained by solutions; the true range is at least as wide), proved_low, proved_high (of means: beyond these it is
+            proved that no data have what is printed; NaN otherwise), reconstructed.
         """
         ranges = feasible_ranges(self.problem, generator(self.seed), self.study.conditions)
         mean, sd, k = self.values.mean(axis=0), self.values.std(axis=0, ddof=1), self.study.k
@@ -211,11 +212,17 @@ def reconstruct_study(
     else:
         chosen = p_adjust or ADJUSTMENTS[0]
         problem, verdict, left_out = _remedied(study, chosen, without, seed)
-    values = _draw(problem, verdict.moments, generator(seed).spawn(1)[0])
+    draws = generator(seed).spawn(1)[0]
+    values = _draw(problem, verdict.moments, draws)
+    for _ in range(5):
+        if values is not None:
+            break
+        verdict = decide(problem, draws, branches=0, enough=8)
+        values = _draw(problem, verdict.moments, draws) if verdict.status == "solved" else None
     if values is None:
         raise ReconstructionError(
-            f"{study.name}: no {study.n} values within the scale {study.scale} have these means and covariance;"
-            " try another seed, or leave out a standard deviation"
+            f"{study.name}: no {study.n} values within the scale {study.scale} were found that have the means and covariances"
+            " found; try another seed, or leave out a standard deviation"
         )
     result = Reconstruction(study, chosen, int(seed), values, left_out, verdict, problem)
     table = result.table()
@@ -252,7 +259,12 @@ def _remedied(
         name = next((x for x in (*reversed(result.remedies), *reversed(result.conflict))), None)
         if name is None:
             break
-        reasons[name] = f"cannot hold together with {', '.join(x for x in result.conflict if x != name)}"
+        others = ", ".join(x for x in result.conflict if x != name)
+        reasons[name] = (
+            f"cannot hold together with {others}"
+            if result.conflict_proved
+            else f"no data were found that have it together with {others} (not proved impossible)"
+        )
         names.append(name)
     raise ReconstructionError(
         f"{study.name}: the printed numbers cannot hold together under p_adjust={p_adjust!r}, nor when"

@@ -206,7 +206,8 @@ def statements(study: PublishedStudy, p_adjust: str = "bonferroni") -> list[Stat
     found += _omnibus(study)
     for name, text in study.t_test.items():
         if name == "t":
-            size = sorted(abs(end) for end in printed_interval(text))
+            low, high = printed_interval(text)
+            size = (0.0 if low < 0.0 < high else min(abs(low), abs(high)), max(abs(low), abs(high)))
             ends = [math.log(2.0 * special.stdtr(study.n - 1, -t)) for t in reversed(size)]
             found.append(Statement("t_test.t", "log_p", 0, *ends, text))
         elif name == "p":
