@@ -155,6 +155,14 @@ def test_wide_table_scrolls_and_numbers_line_up():
     assert '<th class="number">b</th>' in page
 
 
+@pytest.mark.parametrize(
+    ("text", "right"), [("&lt; .001", True), ("&gt; .999", True), (".014", True), ("&lt; b", False)]
+)
+def test_bounds_line_up_with_numbers(text, right):
+    page, _ = page_of(shown(html=f"<table><tr><td>{text}</td></tr></table>"))
+    assert (f'<td class="number">{text}</td>' in page) is right
+
+
 @pytest.mark.parametrize("text", ["True", "False", "None", "3", "-0.5", "1e-5", "abc", "1_000", "true", ""])
 def test_values_are_read_as_papermill_reads_them(text):
     from papermill.cli import _resolve_type

@@ -238,6 +238,20 @@ def test_a_spoiled_input_shows_where_it_is_used():
     assert rows["section_3_8_3/MI_tlx"].verdict == "reproduced"
 
 
+def test_a_gain_that_breaks_its_equation_is_no_excuse_but_is_named(verdicts):
+    """Parameters that round as printed and give both limits of participant 5, by hand; (2.3) would print their b_pr as 0.0010."""
+    p_r_min, p_r_max, p_h_min, p_h_max, a_pr, b_pr = 0.244, 0.3616, 0.374, 0.4094, 0.99644, 0.00114
+    a_t, b_t = np.array([p_h_max + p_h_min, p_r_max + p_r_min]) / (p_r_max * p_h_max - p_r_min * p_h_min)
+    gap = b_t * 1.01e-4 / (1.0 - a_pr)
+    assert a_t * p_r_min + gap - b_t * p_h_min == pytest.approx(-0.319, abs=0.002)
+    upper = (a_t * b_pr / (1.0 - a_pr) - b_t) * p_h_max + a_t * p_r_min - gap
+    assert upper == pytest.approx(0.507, abs=0.005)
+    assert f"{(1.0 - a_pr) * (p_r_max - p_r_min) / p_h_max:.4f}" == "0.0010"
+    named = verdicts["reason"].str.contains("does not obey (2.3)", regex=False)
+    assert list(verdicts.index[named]) == ["table_2.1/TSC_ub/5"]
+    assert "from 0.00105 to 0.00115, could reach 0.507" in verdicts.loc["table_2.1/TSC_ub/5", "reason"]
+
+
 def test_impossible_numbers_differ():
     changes = {
         "uav.utilization/anova.F": "9.9",  # means and SDs leave 10.26 and more

@@ -128,7 +128,9 @@ def test_tables_sentence_and_plot():
     assert rows["sd"].tolist() == pytest.approx([np.std(x["a"], ddof=1), np.std(x["b"], ddof=1)])
     text = found.apa()
     assert f"t(35) = {found.t:.2f}" in text
-    assert f"C2 (M = {np.mean(x['a']):.2f}" in text
+    assert (
+        f"C2 (M = {np.mean(x['a']):.1f}" in text
+    )  # as many decimals as a standard deviation of some tens needs
     assert "t(35)" in found._repr_html_()
     axes = found.plot()
     assert axes.shape == (2,)
@@ -140,6 +142,14 @@ def test_tables_sentence_and_plot():
     assert "reconstructed data" in found.apa()
     assert found.plot()[0].get_title() == "reconstructed data"
     plt.close("all")
+
+
+def test_the_sentence_shows_small_units():
+    a, b = np.random.default_rng(3).normal(size=(2, 12))
+    text = run(frame_of(1e-4 * a, 1e-4 * b + 2e-4)).apa()
+    assert "(M = 0.00," not in text
+    assert "M = 0.00" in text
+    assert f"mean difference −{abs(1e-4 * np.mean(a - b) - 2e-4):.6f}" in text
 
 
 def test_missing_scores_only_when_asked_for():

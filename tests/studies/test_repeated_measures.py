@@ -341,6 +341,23 @@ def test_apa_sentence():
         analysed(table()).apa(adjust="fdr")
 
 
+def test_numbers_as_conditions_do_not_read_as_arithmetic():
+    text = analysed(table(24, effect=0.6, labels=[0.0, 0.2, 0.6, 0.8])).apa()
+    assert "lower at 0.0 than at 0.8, t(23) = −" in text
+    assert "0.0 <" not in text
+    assert "0.0 >" not in text
+
+
+def test_densities_end_where_the_scores_end():
+    frame = table(30, k=3).assign(score=lambda f: f["score"].clip(0.0, 1.5).round(1))
+    axes = analysed(frame).plot("raincloud")
+    assert len(axes.collections) == 3
+    for collection in axes.collections:
+        heights = collection.get_paths()[0].vertices[:, 1]
+        assert frame["score"].min() <= heights.min()
+        assert heights.max() <= frame["score"].max()
+
+
 @pytest.mark.parametrize("kind", ["means", "raincloud", "paired"])
 @pytest.mark.parametrize("interval", ["between", "within"])
 def test_plots(kind, interval):

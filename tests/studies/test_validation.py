@@ -75,7 +75,7 @@ TABLES = {
     "no condition": (changed(7, "condition", None), "within: column 'condition' has no label in row 7"),
     "no subject": (changed(7, "pid", np.nan), "subject: column 'pid' has no label in row 7"),
     "one condition": (table().query("condition == 'C2'"), "'condition' has one condition only, 'C2'"),
-    "two subjects": (table(n=2), r"2 complete subject\(s\) in column 'pid'; at least three"),
+    "two subjects": (table(n=2), r"2 complete subject\(s\) \('P1', 'P2'\) in column 'pid'; at least three"),
     "one subject": (table(n=1), r"1 complete subject"),
     "constant": (table().assign(score=4.5), "'score' by 'condition': every score is 4.5"),
     "no error variance": (
@@ -124,6 +124,18 @@ def test_column_in_the_index_and_column_there_twice():
     twice = pd.concat([table(), table()[["score"]]], axis=1)
     with pytest.raises(ValueError, match="'score' is there 2 times"):
         analysed(twice)
+
+
+def test_a_group_of_columns_is_no_column():
+    frame = table().set_axis(
+        pd.MultiIndex.from_tuples([("who", "pid"), ("who", "condition"), ("run", "score")]), axis=1
+    )
+    names = {"dv": ("run", "score"), "within": ("who", "condition"), "subject": ("who", "pid")}
+    assert analysed(frame, **names).F == analysed(table()).F
+    with pytest.raises(
+        ValueError, match=r"dv: 'run' has columns below it; give one of them in full, \('run', 'score'\)"
+    ):
+        analysed(frame, **(names | {"dv": "run"}))
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,27 @@ def frame():
     )
 
 
+@pytest.mark.parametrize(
+    "relabel",
+    [
+        lambda f: [("control", scheme) for scheme in f["scheme"]],
+        lambda f: pd.to_datetime(f["scheme"].map({"M": "2020-01-01", "TMIG": "2020-01-02"})),
+        lambda f: pd.Categorical(f["scheme"], categories=["TMIG", "unused", "M"]),
+        lambda f: f["scheme"].astype("string"),
+    ],
+    ids=["tuples", "dates", "categories", "strings"],
+)
+def test_labels_of_any_kind_give_the_same_changes(frame, relabel):
+    rule = {"dv": "error", "within": "scheme", "subject": "pid", "outside": "iqr", "k": 1.5, "to": "next"}
+    plain, other = winsorize(frame, **rule), winsorize(frame.assign(scheme=relabel(frame)), **rule)
+    order = ["subject", "old"]
+    pd.testing.assert_frame_equal(
+        plain.changes.drop(columns="condition").sort_values(order, ignore_index=True),
+        other.changes.drop(columns="condition").sort_values(order, ignore_index=True),
+    )
+    np.testing.assert_array_equal(plain.data["error"], other.data["error"])
+
+
 def test_two_outliers_of_one_condition(frame):
     found = winsorize(frame, "error", "scheme", "pid", outside="iqr", k=1.5, to="next", conditions=["TMIG"])
     own = frame.loc[frame["scheme"] == "TMIG", "error"]

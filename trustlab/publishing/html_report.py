@@ -213,7 +213,9 @@ def _tables(markup):
 
     if "<table" not in markup:
         return markup
-    number = re.compile(r"[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|[-+]?inf|\u2013|-")
+    number = re.compile(
+        r"(?:[<>]\s*)?[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|[-+]?inf|\u2013|-"
+    )
     soup = BeautifulSoup(markup, "html.parser")
     for table in soup.find_all("table"):
         for old in ("border", "style"):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from trustlab.reproduction.audit_checks import Check, Formula, Numbers, Possible, Remark
+from trustlab.reproduction.audit_gain import untied_gain_note
 
 __all__ = [
     "PARTICIPANTS",
@@ -171,7 +172,8 @@ def upper_limit_check(p: str) -> Check:
     """
     Return the check of TSC_ub (2.10), with b_pr as printed and as (2.3) gives it.
 
-    b_pr is not varied within its rounding on its own: (2.3) ties it to the other parameters.
+    b_pr is not varied within its rounding on its own: (2.3) ties it to the other parameters. Where that alone would reach
+    the printed limit, a note says so.
 
     Parameters
     ----------
@@ -207,6 +209,7 @@ def _participant(p: str, numbers: Numbers) -> list:
         if limit < chosen.value
         else ""
     )
+    untied = untied_gain_note(upper_limit_check(p), f["b_pr"], numbers)
     minus = Formula(
         "a_T δ_Pr − b_T δ_Ph",
         f["delta_TSC"].inputs,
@@ -229,7 +232,7 @@ def _participant(p: str, numbers: Numbers) -> list:
         Check(one.format("b_pr"), f["b_pr"]),
         Check(one.format("delta_TSC"), f["delta_TSC"], explanations=(minus,)),
         Check(one.format("TSC_lb"), f["TSC_lb"]),
-        replace(upper_limit_check(p), note=below),
+        replace(upper_limit_check(p), note=f"{below} {untied}".strip()),
         Check(two.format("P_rl"), f["P_rl"]),
         Check(two.format("P_ru"), f["P_ru"]),
         Check(two.format("r_l"), f["r_l"], (printed_b["r_l"],)),

@@ -171,10 +171,14 @@ class _Restated:
         same = here == there or (
             shorter and here in (there.quantize(unit, rule) for rule in (ROUND_HALF_UP, ROUND_HALF_EVEN))
         )
+        rounded = there.quantize(unit, ROUND_HALF_UP) if shorter else there
+        why = (
+            f"{source.printed} rounds to {rounded}"
+            if rounded != there
+            else "neither is the other one rounded"
+        )
         reason = f"{self.where} has {source.printed}" + (
-            "."
-            if same
-            else f", here {number.printed} is printed: one of the two is wrong, as neither is the other one rounded."
+            "." if same else f", here {number.printed} is printed: one of the two is wrong, as {why}."
         )
         return Row(
             number.id,

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from decimal import ROUND_HALF_UP, Context, Decimal
+from numbers import Number
+
 import numpy as np
 
-__all__ = ["apa_number", "apa_p", "apa_report"]
+__all__ = ["apa_decimals", "apa_number", "apa_p", "apa_report"]
 
 
 def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str:
     """
-    Return a rounded number, a true minus sign in front where it is negative.
+    Return a rounded number, halves away from zero, a true minus sign in front where it is negative.
+
+    The number is taken to twelve significant digits first, so that a mean of 6.875 that arithmetic left an ulp too small
+    is 6.88.
 
     Parameters
     ----------
@@ -20,10 +26,14 @@ def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str
     below_one : bool
         Whether it cannot pass 1, so that APA leaves the leading zero out.
     """
-    text = f"{abs(value):.{digits}f}"
+    if not np.isfinite(value):
+        return str(value)
+    step = Decimal(1).scaleb(-digits)
+    rounded = Decimal(f"{abs(value):.12g}").quantize(step, rounding=ROUND_HALF_UP, context=Context(prec=400))
+    text = f"{rounded:f}"
     if below_one:
         text = text.removeprefix("0")
-    return f"−{text}" if value < 0.0 and float(f"{value:.{digits}f}") != 0.0 else text
+    return f"−{text}" if value < 0.0 and rounded != 0 else text
 
 
 def apa_p(p: float) -> str:
@@ -44,7 +54,15 @@ def _df(value: float) -> str:
     return f"{value:.2f}" if abs(value - round(value)) > 1e-6 else f"{round(value)}"
 
 
-def _decimals(sd: np.ndarray) -> int:
+def apa_decimals(sd: np.ndarray) -> int:
+    """
+    Return how many decimals show means to three digits of a typical standard deviation.
+
+    Parameters
+    ----------
+    sd : numpy.ndarray
+        Standard deviations of the conditions.
+    """
     typical = float(np.median(sd[sd > 0.0])) if (sd > 0.0).any() else 1.0
     return int(np.clip(2 - np.floor(np.log10(typical)), 0, 12))
 
@@ -84,12 +102,18 @@ def _sphericity(result) -> str:
 
 def _means(result) -> str:
     stats = result.descriptives()
-    digits = _decimals(stats["sd"].to_numpy())
+    digits = apa_decimals(stats["sd"].to_numpy())
     text = [
         f"{condition} (M = {apa_number(mean, digits)}, SD = {apa_number(sd, digits)})"
         for condition, mean, sd in zip(stats["condition"], stats["mean"], stats["sd"], strict=True)
     ]
     return f" By condition: {', '.join(text)}."
+
+
+def _compared(a: object, b: object, higher: bool) -> str:
+    if isinstance(a, Number) or isinstance(b, Number):  # “0.0 > 0.2” would read as arithmetic
+        return f"{'higher' if higher else 'lower'} at {a} than at {b}"
+    return f"{a} {'>' if higher else '<'} {b}"
 
 
 def _pairs(result, adjust: str) -> str:
@@ -100,9 +124,8 @@ def _pairs(result, adjust: str) -> str:
     found, other = [], []
     for i, (a, b) in enumerate(zip(pairs["a"], pairs["b"], strict=True)):
         if p[i] < result.alpha:
-            sign = ">" if pairs["mean_difference"][i] > 0.0 else "<"
             found.append(
-                f"{a} {sign} {b}, t({result.n - 1}) = {apa_number(pairs['t'][i])}, {apa_p(p[i])}, "
+                f"{_compared(a, b, pairs['mean_difference'][i] > 0.0)}, t({result.n - 1}) = {apa_number(pairs['t'][i])}, {apa_p(p[i])}, "
                 f"d_z = {apa_number(pairs['d_z'][i])}"
             )
         else:

@@ -178,7 +178,7 @@ def _analyse(scores: np.ndarray, first: int) -> dict:
     hf_cut = np.minimum(hf, 1.0)
     sphericity = mauchly(covariance, n, rounding**2)
     return {
-        "mean": mean + grand[:, None],
+        "mean": scores.mean(axis=1),
         "sd": sd,
         "F": f,
         "p": special.fdtrc(df1, df2, f),

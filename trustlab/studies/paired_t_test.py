@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import open_unit
-from trustlab.studies.apa import apa_number, apa_p
+from trustlab.studies.apa import apa_decimals, apa_number, apa_p
 from trustlab.studies.validation import ScoreTable, complete_scores, read_scores
 
 __all__ = ["PairedTTest", "paired_t_test"]
@@ -108,8 +108,9 @@ class PairedTTest:
     def apa(self) -> str:
         """Return the sentence a paper needs."""
         rows = self.descriptives()
+        digits = apa_decimals(rows["sd"].to_numpy())
         means = [
-            f"{row.condition} (M = {apa_number(row.mean)}, SD = {apa_number(row.sd)})"
+            f"{row.condition} (M = {apa_number(row.mean, digits)}, SD = {apa_number(row.sd, digits)})"
             for row in rows.itertuples(index=False)
         ]
         words = "differed significantly" if self.p < 0.05 else "did not differ significantly"
@@ -121,8 +122,8 @@ class PairedTTest:
         )
         return (
             f"{origin}{self.scores.dv} {words} between {means[0]} and {means[1]}, t({self.df}) = {apa_number(self.t)}, "
-            f"{apa_p(self.p)}, mean difference {apa_number(self.mean_difference)}, {100 * self.confidence:g}% CI "
-            f"[{apa_number(self.ci_low)}, {apa_number(self.ci_high)}], d_z = {apa_number(self.d_z)}.{left}"
+            f"{apa_p(self.p)}, mean difference {apa_number(self.mean_difference, digits)}, {100 * self.confidence:g}% CI "
+            f"[{apa_number(self.ci_low, digits)}, {apa_number(self.ci_high, digits)}], d_z = {apa_number(self.d_z)}.{left}"
         )
 
     def plot(self, axes=None):

@@ -42,7 +42,7 @@ def _clouds(result, axes) -> None:
         )
         spread = np.ptp(values)
         if spread > 1e-9 * np.abs(values).max():
-            grid = np.linspace(values.min() - 0.15 * spread, values.max() + 0.15 * spread, 200)
+            grid = np.linspace(values.min(), values.max(), 200)  # no density where there is no score
             density = gaussian_kde(values)(grid)
             axes.fill_betweenx(
                 grid, j + 0.12, j + 0.12 + 0.3 * density / density.max(), color=_BLUE, alpha=0.3, lw=0
@@ -58,7 +58,8 @@ def plot_conditions(result, kind: str = "means", interval: str = "between", axes
     result : RepeatedMeasures
         The analysis.
     kind : {"means", "raincloud", "paired"}
-        Means with 95 % intervals; scores, boxes and densities; or a line per subject under the means.
+        Means with 95 % intervals; scores, boxes and densities (from the least to the greatest score); or a line per subject
+        under the means.
     interval : {"between", "within"}
         Which interval the means carry.
     axes : matplotlib.axes.Axes, optional

@@ -91,6 +91,9 @@ def _column(frame: pd.DataFrame, argument: str, name: Hashable) -> pd.Series:
         raise ValueError(f"{argument}: no column {name!r}{nearest(name, frame.columns)} (there are {there})")
     found = frame[name]
     if isinstance(found, pd.DataFrame):
+        if isinstance(frame.columns, pd.MultiIndex):
+            inside = ", ".join(repr(label) for label in frame.columns if label[0] == name)
+            raise ValueError(f"{argument}: {name!r} has columns below it; give one of them in full, {inside}")
         raise ValueError(
             f"{argument}: column {name!r} is there {found.shape[1]} times; rename or remove all but one"
         )
@@ -319,8 +322,9 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
     kept = tuple(s for s, out in zip(table.subjects, gone, strict=True) if not out)
     if len(kept) < 3:
         without = f" (left out: {_missing_cells(table)}){_alike(table.conditions)}" if excluded else ""
+        named = f" ({', '.join(map(repr, kept))})" if kept else ""
         raise ValueError(
-            f"subject: {len(kept)} complete subject(s) in column {table.subject!r}{without}; at least three are needed"
+            f"subject: {len(kept)} complete subject(s){named} in column {table.subject!r}{without}; at least three are needed"
         )
     complete = ScoreTable(
         table.values[~gone], kept, table.conditions, table.dv, table.within, table.subject, table.origin

@@ -222,10 +222,10 @@ def winsorize(
         raise ValueError(f"conditions lists one twice: {list(chosen)}")
     frame = data.copy()
     scores = pd.to_numeric(frame[dv]).to_numpy(dtype=float, na_value=np.nan).copy()
-    labels, who = frame[within].to_numpy(), frame[subject].to_numpy()
+    labels, who = list(frame[within]), frame[subject].to_numpy()
     changes, limits = [], []
     for condition in chosen:
-        rows = np.flatnonzero((labels == condition) & np.isfinite(scores))
+        rows = np.flatnonzero([label == condition for label in labels] & np.isfinite(scores))
         x, where = scores[rows], f"condition {condition!r} of {dv!r}"
         low, high = _limits(x, outside, k, where)
         new = _moved(x, low, high, to, where)

@@ -1,0 +1,67 @@
+"""Numbers as the APA manual prints them: oracle, rounding on paper (halves away from zero)."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import trustlab as tl
+from trustlab.studies.apa import apa_decimals, apa_number, apa_p
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [
+        (6.875, 2, "6.88"),
+        (6.874999999999999, 2, "6.88"),
+        (6.8749, 2, "6.87"),
+        (-2.625, 2, "−2.63"),
+        (2.5, 0, "3"),
+        (-0.004, 2, "0.00"),
+        (-0.005, 2, "−0.01"),
+        (0.0, 2, "0.00"),
+        (1e130, 1, "1" + 130 * "0" + ".0"),
+        (np.float64(0.30000000000000004), 12, "0.300000000000"),
+        (float("nan"), 2, "nan"),
+        (float("inf"), 2, "inf"),
+    ],
+)
+def test_rounding(value, digits, text):
+    assert apa_number(value, digits) == text
+
+
+def test_no_leading_zero_below_one():
+    assert apa_number(0.046, below_one=True) == ".05"
+    assert apa_number(0.999, below_one=True) == "1.00"
+    assert apa_number(-0.25, below_one=True) == "−.25"
+
+
+@pytest.mark.parametrize(
+    ("p", "text"),
+    [
+        (0.0009999, "p < .001"),
+        (0.001, "p = .001"),
+        (0.0495, "p = .050"),
+        (0.9996, "p > .999"),
+        (1.0, "p > .999"),
+    ],
+)
+def test_p_values(p, text):
+    assert apa_p(p) == text
+
+
+@pytest.mark.parametrize(("sd", "digits"), [(31.0, 1), (1.7, 2), (0.09, 4), (2e-5, 7), (450.0, 0), (0.0, 2)])
+def test_decimals_follow_the_standard_deviation(sd, digits):
+    assert apa_decimals(np.array([sd, sd])) == digits
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_mean_of_whole_points_is_exact(seed):
+    answers = np.random.default_rng(seed).integers(1, 11, (24, 4)).astype(float)
+    frame = pd.DataFrame(
+        {"pid": np.repeat(np.arange(24), 4), "scheme": ["A", "B", "C", "D"] * 24, "trust": answers.ravel()}
+    )
+    result = tl.repeated_measures(frame, dv="trust", within="scheme", subject="pid")
+    assert result.descriptives()["mean"].tolist() == [sum(column) / 24 for column in answers.T.tolist()]
+    for scheme, mean in zip("ABCD", answers.sum(axis=0), strict=True):
+        on_paper = int((100 * mean + 12) // 24)  # hundredths, halves up
+        assert f"{scheme} (M = {on_paper // 100}.{on_paper % 100:02d}, SD = " in result.apa()
