@@ -15,9 +15,34 @@ SETTING |= {
 if any(os.environ.get(name) != value for name, value in SETTING.items()):  # they count from a process's start
     os.execve(sys.executable, [sys.executable, "-m", "benchmarks"], os.environ | SETTING)
 
-from benchmarks import arx, correction, greybox, imports, repeated_measures, report, sessions, simulation  # noqa: E402
+from benchmarks import (  # noqa: E402
+    arx,
+    campaign,
+    correction,
+    greybox,
+    imports,
+    repeated_measures,
+    report,
+    sessions,
+    simulation,
+    team,
+    teleoperation,
+    virtual_study,
+)
 
-CASES = (arx, greybox, imports, simulation, sessions, repeated_measures, correction)
+CASES = (
+    arx,
+    greybox,
+    imports,
+    simulation,
+    sessions,
+    repeated_measures,
+    correction,
+    teleoperation,
+    team,
+    campaign,
+    virtual_study,
+)
 
 
 def main() -> int:

@@ -8,6 +8,7 @@ _lazy_getattr, __dir__, __all__ = lazy.attach(
     __name__,
     submodules=[
         "allocation",
+        "campaign",
         "identification",
         "models",
         "operators",
@@ -20,6 +21,7 @@ _lazy_getattr, __dir__, __all__ = lazy.attach(
     ],
     submod_attrs={
         "models": ["HumanModel", "RobotModel", "TransferFunction", "TrustModel", "TscModel"],
+        "campaign": ["parameter_draws", "parameter_grid", "read_campaign", "run_campaign", "sobol_indices"],
         "sessions": ["Metadata", "Session", "SessionError", "read_session", "read_sessions", "write_session"],
         "allocation": [
             "OnlineCorrection",
@@ -29,6 +31,7 @@ _lazy_getattr, __dir__, __all__ = lazy.attach(
             "ThresholdRule",
             "choose_thresholds",
             "correct_pattern",
+            "cycle_sensitivity",
             "estimate_thresholds",
             "followed_suggestions",
             "incentive_bounds",
@@ -37,6 +40,7 @@ _lazy_getattr, __dir__, __all__ = lazy.attach(
             "relative_performance",
             "simulate_allocation",
             "steady_state_bounds",
+            "sweep",
             "threshold_limits",
         ],
         "identification": [
@@ -53,12 +57,15 @@ _lazy_getattr, __dir__, __all__ = lazy.attach(
             "design_balance",
             "latin_square_design",
             "paired_t_test",
+            "power_analysis",
             "repeated_measures",
             "repeated_measures_batch",
             "score_likert",
             "score_nasa_tlx",
             "score_satisfaction",
             "score_trust_checklist",
+            "smallest_n",
+            "virtual_study",
             "winsorize",
         ],
         "teleoperation": [
@@ -69,7 +76,13 @@ _lazy_getattr, __dir__, __all__ = lazy.attach(
             "channel_run",
             "tune_transparency",
         ],
-        "testbeds": ["TrackingTask", "run_condition", "simulate_teleoperation", "teleoperation_measures"],
+        "testbeds": [
+            "TrackingTask",
+            "run_condition",
+            "simulate_team",
+            "simulate_teleoperation",
+            "teleoperation_measures",
+        ],
         "reproduction": [
             "PublishedStudy",
             "audit",

@@ -147,6 +147,34 @@ def test_the_bound_of_a_search_cut_short_holds():
     assert tight > 20
 
 
+def test_the_bound_over_many_switches_holds():
+    """The same where whole phases bound the cost: long horizons, thresholds that rise, fall, or part; oracle as above."""
+    rng = np.random.default_rng(11)
+    cut = 0
+    for who in ("pilot", "1", "2", "3", "4", "5") * 4:
+        model, way = published_models()[who], rng.choice([-1.0, 1.0], 2)
+        lower, upper = rng.uniform(-0.1, 0.1), rng.uniform(0.2, 0.45)
+        target = (lower + way[0] * rng.uniform(0.01, 0.1), upper + way[1] * rng.uniform(0.01, 0.1))
+        c_b, horizon = 10 ** rng.uniform(-5, -3.5), int(rng.integers(1200, 3000))
+        r, mode = rng.uniform(0.3, 0.95), int(rng.integers(2))
+        p_r = rng.uniform(model.robot.p_min, model.robot.p_max)
+        plan = ExactEngine(model, *target, c_b, horizon, budget=2).solve(r, p_r, lower, upper, mode)
+        other = ExactEngine(model, *target, c_b, horizon, budget=60).solve(r, p_r, lower, upper, mode)
+        cost = random_corrections(model, r, p_r, lower, upper, mode, target, c_b, horizon, rng)
+        assert max(plan.cost_lower_bound, other.cost_lower_bound) <= min(plan.cost, other.cost, cost) * (
+            1 + 1e-12
+        )
+        cut += plan.status is CorrectionStatus.BOUNDED
+    assert cut > 6
+
+
+@pytest.mark.parametrize(("horizon", "gap"), [(3600, 0.002), (9000, 0.008), (36_000, 0.06)])
+def test_the_gap_over_an_hour_is_small(horizon, gap):
+    plan = ExactEngine(PILOT, *TARGET, 1e-5, horizon).solve(0.8, 0.36, *START, 1)
+    assert plan.status is CorrectionStatus.BOUNDED
+    assert 0.0 < plan.relative_gap < gap
+
+
 def random_corrections(model, r, p_r, lower, upper, mode, target, c_b, steps, rng):
     """The cost of admissible corrections drawn at random, mostly full steps."""
     ends = [sorted(pair) for pair in zip((lower, upper), target, strict=True)]
@@ -220,17 +248,23 @@ def test_table_plot_and_repr():
     assert "OPTIMAL" in repr(plan)
     assert "horizon=20" in repr(corrector(horizon=20))
     assert plan.solve_time > 0.0
+    assert plan.cost_with_additions == plan.cost
 
 
 def own_incentive(r, p_r, c_b, p_min, p_max):
     return -0.3 * r * c_b, 0.4 * (1.0 - r) * c_b
 
 
+@pytest.mark.slow
 def test_incentives_of_ones_own():
+    """Compiled into the search: some seconds."""
     engine = corrector(incentive=own_incentive, horizon=50)
     plan = engine.step(0.6, 0.35, *START)
     np.testing.assert_allclose(plan.actions_u, 0.4 * (1 - plan.r[:-1]) * 1e-5, rtol=1e-12)
     assert plan.gap == 0.0
+
+
+def test_wrong_incentives_are_refused():
     for wrong in (
         lambda r, p_r, c_b, p_min, p_max: (-2 * c_b, c_b),
         lambda r, p_r, c_b, p_min, p_max: (c_b, c_b),
@@ -252,6 +286,9 @@ def test_incentive_bounds_at_the_corners():
     np.testing.assert_allclose(low, [0.0, -1e-5, -0.5e-5, -0.5e-5], atol=1e-20)
     np.testing.assert_allclose(high, [1e-5, 0.0, 0.5e-5, 0.5e-5], atol=1e-20)
     assert tl.incentive_bounds(0.5, 0.315, 2.0, PILOT.robot) == pytest.approx((-1.0, 1.0))
+    assert tl.incentive_bounds(0.5, 0.3, 1e-5) == tl.incentive_bounds(0.5, 0.3, 1e-5, PILOT)
+    with pytest.raises(ValueError, match=r"range \[0.24, 0.39\]"):
+        tl.incentive_bounds(0.5, 0.4, 1e-5)
 
 
 @LIGHT
@@ -313,6 +350,7 @@ def test_targets_outside_the_limits():
         ({"target": (0.1, 0.2, 0.3)}, "two numbers"),
         ({"target": (0.1, float("nan"))}, "finite"),
         ({"target": ("a", 0.2)}, "number"),
+        ({"target": 10**400}, "a very long number"),
         ({"c_b": 0.0}, "positive"),
         ({"c_b": -1e-5}, "positive"),
         ({"c_b": float("inf")}, "finite"),
@@ -349,6 +387,8 @@ def test_bad_correctors_are_refused(more, words):
         ({"lower": 0.35}, "below"),
         ({"lower": 0.4}, "below"),
         ({"upper": float("inf")}, "finite"),
+        ({"upper": 1.01}, r"\[−1, 1\]"),
+        ({"lower": -1e308}, r"\[−1, 1\]"),
         ({"mode": 2}, "mode"),
         ({"mode": 0.5}, "mode"),
         ({"mode": True}, "mode"),

@@ -150,7 +150,9 @@ def test_a_rate_penalty_for_one_step_is_the_minimum_of_a_parabola():
     )
     assert plan.c_l == pytest.approx(-off / (1.0 + weight), rel=1e-5)
     assert plan.c_u == pytest.approx(-off / (1.0 + weight), rel=1e-5)
-    assert "cost with additions" in plan.message
+    assert plan.cost_with_additions == pytest.approx(
+        plan.cost + weight * (plan.c_l**2 + plan.c_u**2), rel=1e-9
+    )
 
 
 def test_a_rate_penalty_trades_cost_for_smaller_corrections():

@@ -76,12 +76,17 @@ def test_odd_measurements_are_refused_and_change_nothing(corrector, bad):
         loop.update(0.3, bad)
     with pytest.raises(ValueError, match="mode"):
         loop.update(0.3, 0.38, mode=2)
+    with pytest.raises(ValueError, match="mode"):
+        loop.update(0.3, 0.38, mode=np.array([math.nan, 1.0]))
+    with pytest.raises(ValueError, match="overflows"):
+        loop.update(0.3, 1e308)
     assert (loop.lower, loop.upper, loop.r, len(loop.table())) == (*START, 0.0, 0)
 
 
 def test_bad_online_arguments(corrector):
     for more, words in (
         ({"start": (0.3, 0.1)}, "below"),
+        ({"start": (-1.5, 0.1)}, r"\[−1, 1\]"),
         ({"mode": 3}, "mode"),
         ({"r": 1.2}, r"\[0, 1\]"),
         ({"outside": "clip"}, "'hold' or 'nearest'"),
@@ -179,6 +184,7 @@ def test_noise_is_seeded():
         ({"tests": 0}, "tests"),
         ({"duration": 0.0}, "positive"),
         ({"duration": 0.01}, "number of samples"),
+        ({"duration": 1e308}, "number of samples"),
         ({"operator": "asleep"}, "following, lagging, ignoring"),
         ({"lag": -1.0}, "negative"),
         ({"noise": -1.0}, "negative"),

@@ -22,13 +22,22 @@ def test_numbers_are_the_operators_own(operators):
     assert {item.name for item in fields(who)} - set(OperatorNumbers._fields) == {"participant", "human"}
     assert (who.lower, who.lower_spread, who.upper, who.upper_spread) == (0.096, 0.13, 0.51, 0.29)
     assert (who.follow_tsc, who.follow_performance, who.delay) == (0.5, 0.6875, 0.4)
-    assert operator("3", human) == operator("3", operators["3"])
+    robot = operators["3"].robot
+    assert (who.robot_floor, who.robot_gain) == (robot.p_min, robot.b / (1.0 - robot.a))
+    assert operator("3", human, robot_floor=robot.p_min, robot_gain=who.robot_gain) == operator(
+        "3", operators["3"]
+    )
 
 
 def test_every_published_participant_makes_an_operator(operators):
     for name, model in operators.items():
         assert operator(name, model).human == model.human
-    assert tl.Operator("pilot", operators["pilot"].human) == operator("pilot", operators["pilot"])
+    default = tl.Operator("pilot", operators["pilot"].human)
+    pilot = operator("pilot", operators["pilot"])
+    assert (default.robot_floor, default.robot_gain) == (
+        pilot.robot_floor,
+        pytest.approx(pilot.robot_gain, abs=1e-4),
+    )
 
 
 @pytest.mark.parametrize("level", [0.37, 0.39, 0.41, 0.43, 0.46])
@@ -51,7 +60,7 @@ def test_skill_follows_utilization(operators):
 
 
 def test_better_performance_is_faster_steadier_and_busier():
-    levels = [driving_style(p) for p in (0.37, 0.42, 0.46)]
+    levels = [driving_style(p, 0.24, 0.326) for p in (0.37, 0.42, 0.46)]
     assert [s[0] for s in levels] == sorted(s[0] for s in levels)
     assert [s[1] for s in levels] == sorted((s[1] for s in levels), reverse=True)
     assert [s[2] for s in levels] == sorted(s[2] for s in levels)

@@ -45,7 +45,8 @@ def sessions(one):
 @pytest.fixture(scope="module")
 def runs(one, model):
     return {
-        name: run_condition(name, one, model, THRESHOLDS, seed=3) for name in ("C1", "C2", "C3", "C4", "C5")
+        name: run_condition(name, one, model, THRESHOLDS if name in ("C2", "C3") else None, seed=3)
+        for name in ("C1", "C2", "C3", "C4", "C5")
     }
 
 
@@ -245,7 +246,11 @@ def test_forced_suggestions_are_all_followed(one, model):
     for seed in SEEDS:
         for name in ("C3", "C5"):
             run = run_condition(
-                name, replace(one, follow_tsc=0.0, follow_performance=0.0), model, THRESHOLDS, seed=seed
+                name,
+                replace(one, follow_tsc=0.0, follow_performance=0.0),
+                model,
+                THRESHOLDS if name == "C3" else None,
+                seed=seed,
             )
             states = run.suggestions()
             assert set(states["state"]) <= {"followed", "open", "withdrawn"}
@@ -260,7 +265,10 @@ def test_free_suggestions_are_followed_with_their_probability(one, model, name, 
     for probability in (0.0, 0.6, 1.0):
         who = replace(one, **{key: probability})
         shown = [
-            run_condition(name, who, model, THRESHOLDS, seed=s).suggestions()["state"] for s in range(30)
+            run_condition(name, who, model, THRESHOLDS if name == "C2" else None, seed=s).suggestions()[
+                "state"
+            ]
+            for s in range(30)
         ]
         states = pd.concat(shown)
         decided = states.isin(["followed", "not followed"])
@@ -302,7 +310,8 @@ def test_performance_suggestions_cost_more_utilization(one, model):
             [
                 [m["p_r"], m["r"]]
                 for s in SEEDS
-                for m in [run_condition(name, one, model, THRESHOLDS, seed=s).measures()]
+                for pair in [THRESHOLDS if name == "C3" else None]
+                for m in [run_condition(name, one, model, pair, seed=s).measures()]
             ],
             axis=0,
         )
@@ -413,11 +422,30 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
     [
         ({"condition": "C6"}, "C1, C2, C3, C4, C5, got 'C6'"),
         ({"operator": "pilot"}, "operator must be of class Operator, got str"),
-        ({"model": None}, "model must be a TscModel"),
+        ({"model": None}, "model must be of class TscModel, got NoneType; fit one"),
         ({"thresholds": None}, "C3 needs thresholds"),
         ({"thresholds": (0.6, 0.1)}, "in order, lower then upper, got 0.6 and 0.1"),
         ({"thresholds": (0.1, np.nan)}, "must be finite"),
         ({"thresholds": 0.4}, "two numbers"),
+        ({"thresholds": (0.1, 0.9)}, r"strictly between TSC_lb = -0.6952 and TSC_ub = 0.6952"),
+        ({"condition": "C1"}, "no effect in C1, where the operator's own"),
+        ({"condition": "C5"}, "no effect in C5, where Algorithm 2"),
+        ({"condition": ["C3"]}, r"C5, got \['C3'\]"),
+        ({"laps": 10**9}, "from 1 to 1000"),
+        (
+            {
+                "laps": 900,
+                "course": Course(corners=((0, 0), (5e3, 0), (5e3, 5e3), (0, 5e3)), resolution=50.0),
+            },
+            "may last",
+        ),
+        ({"participant": 1}, "either participant= or operator=, not both"),
+        ({"operator": None}, "who drives"),
+        (
+            {"operator": None, "participant": 6},
+            "no participant 6 among the printed ones: pilot, 1, 2, 3, 4, 5",
+        ),
+        ({"operator": None, "participant": "pilt"}, "did you mean 'pilot'"),
         ({"laps": 0}, "laps must be a whole number"),
         ({"laps": 2.5}, "laps must be a whole number"),
         ({"seed": -1}, "seed must be a whole number"),
@@ -460,7 +488,7 @@ def test_bad_schedules_are_named(one):
         drive_modes([1], one)
     with pytest.raises(ValueError, match=r"at least 0\.1 s, got -5"):
         identification_session(one, manual=-5.0)
-    with pytest.raises(ValueError, match="whole number of phases"):
+    with pytest.raises(ValueError, match=r"mixed must be a whole number, from 0 to 10000, got 1\.5"):
         identification_session(one, mixed=1.5)
     with pytest.raises(ValueError, match="phase must be in order"):
         identification_session(one, phase=(500.0, 300.0))

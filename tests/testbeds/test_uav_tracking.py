@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from trustlab.allocation.blending import OptimalBlending
 from trustlab.models.uav import TransferFunction
+from trustlab.operators import Teleoperator
 from trustlab.teleoperation.haptic_device import PassivityError
-from trustlab.teleoperation.loop import STUDIES, DivergenceError, LoopSettings
+from trustlab.teleoperation.loop import STUDIES, DivergenceError, LoopSettings, vehicle_matrices
 from trustlab.teleoperation.scattering import Scattering
-from trustlab.testbeds.teleoperator import Teleoperator
-from trustlab.testbeds.uav_tracking import TrackingTask, simulate_teleoperation, tracking_vehicle
+from trustlab.testbeds.uav_tracking import TASKS, TrackingTask, simulate_teleoperation, tracking_vehicle
 
-SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
+SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS", "OMI")
 UNIT = replace(STUDIES["main"], scattering=Scattering(2.0), k_ffa=3.0)
 STILL = Teleoperator(proportional=0.0, derivative=0.0, noise=0.0)
 TASK = TrackingTask(failure_every=1e9)
@@ -252,6 +253,39 @@ def test_the_hand_is_passive_for_a_fixed_wish():
     )
     given_out = (0.01 * hand).cumsum()
     assert given_out.max() < 1e-3 * abs(given_out.iloc[-1]) + 0.02
+
+
+def flown(data, matrices):
+    """Position, velocity and acceleration of the vehicle, run again from the logged commands."""
+    phi, gamma = matrices
+    command = np.stack([data[f"r_s_{a}"] + (1 - data["mode"]) * data[f"u_a_{a}"] for a in "xyz"], axis=1)
+    state, rows = np.zeros((3, 3)), []
+    state[:, 0] = data[[f"robot_{a}" for a in "xyz"]].iloc[0]
+    for u in command:
+        rows.append(state)
+        state = np.einsum("ijk,ik->ij", phi, state) + gamma * u[:, None]
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
+    data = simulate_teleoperation("OMI", study=study, seed=6, duration=20.0).data
+    task, ends, vehicle = TASKS[study], STUDIES[study].scattering, tracking_vehicle()
+    states = flown(data, vehicle_matrices(vehicle, 0.01))
+    np.testing.assert_allclose(states[:, :, 0], data[[f"robot_{a}" for a in "xyz"]], atol=1e-9)
+    blending = OptimalBlending(vehicle, ((task.proportional, task.derivative),) * 3, ends.alpha_min)
+    u_h, u_a, reference = (
+        data[[f"{stem}_{a}" for a in "xyz"]].to_numpy() for stem in ("u_h", "u_a", "reference")
+    )
+    phase = np.random.default_rng(np.random.SeedSequence(6).spawn(5)[0]).uniform(0.0, 2.0 * np.pi)
+    moving = task.path(data.index.to_numpy(), STUDIES[study].height, phase)[1]
+    for k in range(0, len(data), 37):
+        said = np.zeros(3) if k == 0 else u_h[k - 1]
+        now = blending.step(
+            said, u_a[k], reference[k] - states[k, :, 0], moving[k] - states[k, :, 1], -states[k, :, 2]
+        )
+        assert data["mode"].iloc[k] == pytest.approx(now.alpha, abs=1e-6)
+    assert data["mode"].nunique() > 10
 
 
 @pytest.mark.parametrize(

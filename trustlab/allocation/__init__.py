@@ -16,6 +16,7 @@ __getattr__, __dir__, __all__ = lazy.attach(
         "invariant_bounds": ["InvariantBounds", "invariant_bounds"],
         "limit_cycle": ["LimitCycle", "limit_cycle"],
         "limits": ["ThresholdLimits", "threshold_limits"],
+        "parameter_sweep": ["Sweep", "cycle_sensitivity", "sweep", "varied_model"],
         "performance_rule": ["PerformanceRule"],
         "simulation": ["simulate_allocation"],
         "steady_state": ["SteadyStateBounds", "steady_state_bounds"],

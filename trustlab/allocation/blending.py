@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from trustlab.models.checks import finite_number
-from trustlab.models.uav import TransferFunction
+from trustlab.models.uav import TransferFunction, three_axes
 
 __all__ = ["APPENDIX_A", "BlendingStep", "OptimalBlending", "best_share"]
 
@@ -34,10 +34,12 @@ def best_share(weights, states, low, high):
     terms = weights.shape[1]
     series = np.zeros(terms)
     for axis in range(3):
-        for m in range(terms):
-            for i in range(5):
-                for j in range(5):
-                    series[m] += states[axis, i] * weights[axis, m, i, j] * states[axis, j]
+        for i in range(5):
+            for j in range(i + 1):  # the matrices are symmetric
+                pair = states[axis, i] * states[axis, j] * (1.0 if i == j else 2.0)
+                if pair != 0.0:
+                    for m in range(terms):
+                        series[m] += pair * weights[axis, m, i, j]
     # derivative in x = 2α − 1, and its value at many points: every change of sign is followed to its root
     slope = np.zeros(terms + 1)
     for m in range(terms - 1, 0, -1):
@@ -47,6 +49,11 @@ def best_share(weights, states, low, high):
     cost = _chebyshev(series, 2.0 * high - 1.0)
     if cost < least:
         best, least = high, cost
+    varying = 0.0
+    for m in range(1, terms):
+        varying += abs(slope[m])
+    if abs(slope[0]) > varying:  # |T_m| ≤ 1: the derivative keeps its sign, and an end is best
+        return best, least
     count = 4 * terms
     left = low
     at_left = _chebyshev(slope, 2.0 * left - 1.0)
@@ -152,9 +159,7 @@ class OptimalBlending:
         deviation_weight: float = 1.0,
         intervals: int = 1,
     ):
-        self.vehicle = tuple(vehicle)
-        if len(self.vehicle) != 3 or not all(isinstance(axis, TransferFunction) for axis in self.vehicle):
-            raise ValueError("a vehicle needs three transfer functions, for x, y and z")
+        self.vehicle = three_axes(vehicle)
         try:
             self.gains = tuple((finite_number("gain", p), finite_number("gain", d)) for p, d in gains)
         except TypeError:
@@ -174,6 +179,8 @@ class OptimalBlending:
         self.deviation_weight = finite_number("deviation_weight", deviation_weight)
         if min(self.error_weight, self.deviation_weight) < 0.0:
             raise ValueError(f"weights cannot be negative, got {error_weight} and {deviation_weight}")
+        if max(self.error_weight, self.deviation_weight) > 1e12:
+            raise ValueError(f"weights must be at most 1e12, got {error_weight} and {deviation_weight}")
         if (
             isinstance(intervals, bool)
             or not isinstance(intervals, (int, np.integer))
@@ -316,7 +323,7 @@ class OptimalBlending:
         return BlendingStep(float(shares[0]), cost, tuple(shares.tolist()), said)
 
     def _build(self):
-        """Return the bilinear program: α constant on each interval, the state's flow and cost by eight Taylor terms."""
+        """Return the bilinear program: α constant on each interval, the state's flow by Taylor terms, cost at Gauss points."""
         import casadi
 
         alphas, p = casadi.MX.sym("alpha", self.intervals), casadi.MX.sym("p", 15)
@@ -326,27 +333,42 @@ class OptimalBlending:
             state = p[5 * axis : 5 * axis + 5]
             at_zero = self.matrix(axis, 0.0)
             change = self.matrix(axis, 1.0) - at_zero
+            terms = _terms(
+                length * max(np.abs(at_zero).sum(axis=1).max(), np.abs(at_zero + change).sum(axis=1).max())
+            )
+            at_zero, change = casadi.sparsify(casadi.DM(at_zero)), casadi.sparsify(casadi.DM(change))
+            points, share = np.polynomial.legendre.leggauss(max(4, terms // 3))
             for k in range(self.intervals):
-                a = casadi.DM(at_zero) + alphas[k] * casadi.DM(change)
-                # exact moments of the Taylor flow at Gauss points
-                points, share = np.polynomial.legendre.leggauss(6)
+                a = at_zero + alphas[k] * change
                 for x, w in zip(points, share, strict=True):
-                    now = _flow(a, state, 0.5 * length * (x + 1.0), casadi)
+                    now = _flow(a, state, 0.5 * length * (x + 1.0), terms)
                     difference = (pick[0, :] - pick[1, :]) @ now
                     running = (
                         self.error_weight * now[2] ** 2
                         + self.deviation_weight * (1 - alphas[k]) ** 2 * difference**2
                     )
                     cost += 0.5 * length * w * running
-                state = _flow(a, state, length, casadi)
-        options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
+                state = _flow(a, state, length, terms)
+        options = {"expand": True, "print_time": False}
+        options |= {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
+        # the held share is a good start, often on a bound: neither push it away nor begin with a great barrier
+        options |= {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6}
         return casadi.nlpsol("blending", "ipopt", {"x": alphas, "p": p, "f": cost}, options)
 
 
-def _flow(a, state, length: float, casadi):
+def _terms(reach: float) -> int:
+    """Return how many Taylor terms the exponential of a matrix of this norm needs for a remainder below 1e-13."""
+    count, remainder = 1, reach
+    while remainder > 1e-13 * max(1.0, np.exp(reach)):
+        count += 1
+        remainder *= reach / count
+    return count
+
+
+def _flow(a, state, length: float, terms: int):
     """Return the state `length` seconds later, by the Taylor series of the exponential."""
     term, out = state, state
-    for m in range(1, 13):
-        term = (length / m) * casadi.mtimes(a, term)
+    for m in range(1, terms + 1):
+        term = (length / m) * (a @ term)
         out = out + term
     return out

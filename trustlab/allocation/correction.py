@@ -52,7 +52,8 @@ class ThresholdCorrector:
         shooting with a smoothed switch, for costs and constraints of your own.
     incentive : callable, optional
         The bounds of correction in place of (2.42): takes r, p_r, c_b, p_min, p_max and returns the least and the greatest
-        correction, in [−c_b, 0] and [0, c_b]. `incentive_box` when not given.
+        correction, in [−c_b, 0] and [0, c_b]. `incentive_box` when not given. The exact engine compiles a function of
+        yours into its search, which takes 5 to 20 s for each corrector.
     **options : object
         Options of the engine, see `ExactEngine` and `CasadiEngine`.
 
@@ -118,7 +119,7 @@ class ThresholdCorrector:
         p_r : float
             Robot performance now, within the model's range but for rounding.
         lower, upper : float
-            TSC_l and TSC_u now, lower < upper.
+            TSC_l and TSC_u now, lower < upper, in [−1, 1] as TSC is.
         mode : int
             Mode before now: 1 manual, 0 autonomous.
 
@@ -135,8 +136,7 @@ class ThresholdCorrector:
         began = perf_counter()
         r = check_utilization(r)
         p_r = within_range("p_r", p_r, *self._range)
-        lower = finite_number("lower", lower)
-        upper = finite_number("upper", upper)
+        lower, upper = threshold("lower", lower), threshold("upper", upper)
         if not lower < upper:
             raise ValueError(f"the lower threshold must be below the upper one, got {lower} and {upper}")
         plan = self.engine.solve(r, p_r, lower, upper, check_mode(mode))
@@ -217,6 +217,42 @@ def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, flo
     return lower, upper
 
 
+def threshold(name: str, value: float) -> float:
+    """
+    Return a threshold as a float.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name, for the error.
+    value : float
+        The value given.
+
+    Raises
+    ------
+    ValueError
+        If it is not a number in [−1, 1], where TSC is by (2.2).
+    """
+    number = value if type(value) is float else finite_number(name, value)
+    if not -1.0 <= number <= 1.0:
+        number = finite_number(name, number)
+        raise ValueError(f"{name} is a threshold of TSC, which lies in [−1, 1] by (2.2), got {number}")
+    return number
+
+
+def shown(value: object) -> str:
+    """
+    Return how a value reads in an error, cut short where it is long.
+
+    Parameters
+    ----------
+    value : object
+        The value.
+    """
+    text = repr(value) if not isinstance(value, int) or abs(value) < 10**60 else "a very long number"
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
 def pair_of(name: str, pair: tuple[float, float]) -> tuple[float, float]:
     """
     Return two thresholds as floats.
@@ -231,13 +267,13 @@ def pair_of(name: str, pair: tuple[float, float]) -> tuple[float, float]:
     Raises
     ------
     ValueError
-        If they are not two numbers, lower below upper.
+        If they are not two numbers in [−1, 1], lower below upper.
     """
     try:
         first, second = pair
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be two numbers, lower and upper, got {pair!r}") from None
-    first, second = finite_number(f"the lower {name}", first), finite_number(f"the upper {name}", second)
+        raise ValueError(f"{name} must be two numbers, lower and upper, got {shown(pair)}") from None
+    first, second = threshold(f"the lower {name}", first), threshold(f"the upper {name}", second)
     if not first < second:
         raise ValueError(
             f"{name} must have the lower threshold below the upper one, got {first} and {second}"

@@ -5,9 +5,13 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from trustlab.allocation.correction_cycles import least_effort
 from trustlab.allocation.phases import human_at
 
-__all__ = ["future_cost", "reachable_cost"]
+__all__ = ["future_cost", "reachable", "remaining_cost"]
+
+LONG = 1000
+"""From how many steps on the bound over many switches is worth its time."""
 
 
 @numba.njit(cache=True)
@@ -55,9 +59,9 @@ def human_range(least, most, c):
 
 
 @numba.njit(cache=True)
-def reachable_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, standard):
+def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, standard, path):
     """
-    Bound the cost from step `first` to n from below, whatever the modes from then on, from boxes that enclose r and P_r.
+    Fill `path` with how far thresholds can be from step `first` to n, whatever the modes, from boxes that enclose r and P_r.
 
     One box per mode of the step before; at each step the part of it that (2.8) lets stay and the part that it lets
     switch, for thresholds anywhere between their start and the farthest they can have moved, go on as one box each.
@@ -73,11 +77,10 @@ def reachable_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, 
     alive[m] = True
     boxes[m, 0] = boxes[m, 1] = r[first]
     boxes[m, 2] = boxes[m, 3] = p[first]
-    cost = 0.0
     for k in range(first, n + 1):
         for j in range(2):
             near[j] = min(near[j] + (up if sign[j] > 0 else down), goal[j])
-            cost += (goal[j] - near[j]) ** 2
+            path[j, k] = near[j]
         if k == n:
             break
         lives[:] = False
@@ -117,4 +120,52 @@ def reachable_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, 
                     lives[to] = True
         boxes[:] = nexts
         alive[:] = lives
+
+
+@numba.njit(cache=True)
+def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c):
+    """Lower `path` to what whole phases allow, for thresholds up to `ends`; return whether it stays within them."""
+    before, limits, slopes = first - 1, np.empty((2, 2)), np.zeros((2, 2))
+    for j in range(2):
+        a, b = sign[j] * start[j], sign[j] * ends[j]
+        limits[j, 0], limits[j, 1] = min(a, b), max(a, b)
+    lean = 0.55 / (1.0 - c[0])
+    for way in (1.0, -1.0):
+        if sign[0] != way and sign[1] != way:
+            continue
+        mean, extra = least_effort(r[before], p[before], mode[before], n - before, limits, way, way * lean, c)
+        if extra == -np.inf:
+            return False
+        for j in range(2):
+            if sign[j] == way:
+                # (2.42): up by ½ c_b Σ (2 − f) at most, down by ½ c_b Σ f.
+                slopes[j, 0] = 0.5 * c[10] * ((2.0 if way > 0 else 0.0) - mean)
+                slopes[j, 1] = most[j, before] - 0.5 * c[10] * extra
+    for j in range(2):
+        far = max(slopes[j, 0] * (n - before), slopes[j, 0]) + slopes[j, 1]
+        if min(far, path[j, n]) > ends[j]:
+            return False
+    for j in range(2):
+        for k in range(first, n + 1):
+            path[j, k] = min(path[j, k], slopes[j, 0] * (k - before) + slopes[j, 1])
+    return True
+
+
+@numba.njit(cache=True)
+def remaining_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, standard, guess):
+    """
+    Bound the cost from step `first` to n from below: from boxes and, where that is long, from whole phases.
+
+    Whole phases need limits of the thresholds. `guess` has how far both may move at most, from a plan: what follows from
+    it is true if it stays within it, by induction over the steps. If it does not, the limits are those of the boxes.
+    """
+    path, before = np.empty((2, n + 1)), first - 1
+    reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, standard, path)
+    if standard and n - before > LONG:
+        ends = np.minimum(guess, path[:, n])
+        if not by_phases(ends, path, first, n, r, p, mode, most, start, sign, c):
+            by_phases(path[:, n].copy(), path, first, n, r, p, mode, most, start, sign, c)
+    cost = 0.0
+    for k in range(first, n + 1):
+        cost += (goal[0] - path[0, k]) ** 2 + (goal[1] - path[1, k]) ** 2
     return cost

@@ -104,7 +104,7 @@ class CasadiEngine:
                 raise ValueError(f"switch_width must be 0 (no smoothed switch) or positive, got {width}")
         solver = "piqp" if solver is None else solver
         if solver not in SOLVERS:
-            raise ValueError(f"solver must be one of {', '.join(SOLVERS)}, got {solver!r}")
+            raise ValueError(f"solver must be one of {', '.join(SOLVERS)}, got {solver!r:.60}")
         self.horizon = horizon
         self._tsc, self._target = tsc, (target_lower, target_upper)
         self._shooting = shooting = Shooting(tsc, self._target, c_b, horizon, extras)
@@ -113,6 +113,7 @@ class CasadiEngine:
             self._programs.append(CorrectionProgram(shooting, "fatrop"))
         smooth = "ipopt" if solver == "ipopt" else "fatrop"
         self._smooth = CorrectionProgram(shooting, smooth, width) if width else None
+        self._adds = extra_cost is not None
         self._last = None
 
     def reset(self) -> None:
@@ -136,13 +137,15 @@ class CasadiEngine:
         found, message = self._search(state)
         plan = None
         if found is not None:
-            plan = self._plan(state, found.inputs, CorrectionStatus.CONVERGED, message)
+            total = found.cost * self._shooting.c_b**2 if self._adds else None
+            plan = self._plan(state, found.inputs, CorrectionStatus.CONVERGED, message, total)
             fault = self._fault(plan)
             if fault:
                 plan, message = None, fault
         if plan is None:
             self.reset()
-            return self._plan(state, np.zeros((2, self.horizon)), CorrectionStatus.FAILED, message)
+            total = math.nan if self._adds else None
+            return self._plan(state, np.zeros((2, self.horizon)), CorrectionStatus.FAILED, message, total)
         self._last = np.hstack([found.w[:, 1:], found.w[:, -1:]])
         return plan
 
@@ -182,8 +185,7 @@ class CasadiEngine:
             return None, "; ".join(dict.fromkeys(reasons)) or "no sequence of modes settled"
         best = min(found, key=self._rank)
         best = self._with_switches_held(best, before, state, hull, reasons)
-        message = f"cost with additions {best.cost * shooting.c_b**2:.9g}" if shooting.extras.any else ""
-        return best, "; ".join(filter(None, [message, *dict.fromkeys(reasons)]))
+        return best, "; ".join(dict.fromkeys(reasons))
 
     def _first(self, state, hull) -> Rolled:
         """Return the best of the last plan, the straight way to the target, and holding."""
@@ -284,8 +286,8 @@ class CasadiEngine:
         steps = np.flatnonzero((now < tsc) != (then < tsc))[:TRIALS]
         return [(int(k) + 1, int(row[k])) for k in steps]
 
-    def _plan(self, state, inputs, status, message) -> CorrectionPlan:
-        """Return the plan, as the hard switch has it."""
+    def _plan(self, state, inputs, status, message, total=None) -> CorrectionPlan:
+        """Return the plan, as the hard switch has it; `total` is its cost with additions, if there are any."""
         r, p_r, upper, lower, mode = (float(value) for value in state)
         run = simulate_correction(
             self._tsc, r, p_r, lower, upper, int(mode), inputs[1], inputs[0], self._target
@@ -308,6 +310,7 @@ class CasadiEngine:
             status=status,
             engine=self.name,
             message=message,
+            added_cost=0.0 if total is None else total - run["cost"],
         )
 
     def _fault(self, plan: CorrectionPlan) -> str:

@@ -24,6 +24,8 @@ steps, stay at or below TSC(k) ("held") or get above it ("moved").
    of 1e-9 c_b, between 1e-15 and 1e-12, and the lower bound is that without the margin.
 6. If the budget of steps runs out, what is left is bounded by boxes: all that is reachable, in each mode, encloses r
    and P_r in one rectangle, cut by the thresholds' range at each switch; the rates in its best corner bound the cost.
+   Over many switches these boxes grow wide; there whole phases bound how far thresholds can move (`correction_cycles`).
+   Both let the thresholds that decide the modes lag behind those that are paid for: that is what is left of the gap.
 
 The lower bound holds up to rounding, about 1e-12 of the cost.
 """
@@ -36,7 +38,7 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
-from trustlab.allocation.correction_bounds import future_cost, reachable_cost
+from trustlab.allocation.correction_bounds import future_cost, remaining_cost
 from trustlab.allocation.correction_dynamics import correction_constants, suggestion_now
 from trustlab.allocation.correction_plan import CorrectionPlan, CorrectionStatus
 from trustlab.allocation.incentive import box, incentive_box
@@ -233,7 +235,11 @@ def search(c, start, goal_x, r0, p0, before, budget, standard, work, two, stack,
             break
     if not complete:
         i = stack[0]
-        rest = reachable_cost(i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, standard)
+        guess = np.empty(2)
+        for j in range(2):
+            way = sign[j] * best[2 + j, n] - least[j, 0]
+            guess[j] = min(least[j, 0] + 1.3 * way + 50.0 * c_b, goal[j])
+        rest = remaining_cost(i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, standard, guess)
         bound = min(bound, max(spent[i - 1] + rest, 0.0))
     return cost, min(bound, cost), leaves, complete, tsc[0], True
 
@@ -254,7 +260,7 @@ class ExactEngine:
         N, steps.
     incentive : callable
         The bounds of correction, `incentive_box` or a function like it that Numba can compile, with values in
-        [−c_b, 0] and [0, c_b]. One of your own costs some seconds of compilation at the first plan.
+        [−c_b, 0] and [0, c_b]. One of your own is compiled into the search here, which takes 5 to 20 s; over many switches its bound is one of boxes that widen to c_b, so gaps of long horizons are large.
     budget : int
         How many times N steps to search at most; more can close a gap, less limits the time.
 
@@ -282,8 +288,36 @@ class ExactEngine:
         self._start = np.empty(2)
         self._standard = incentive is incentive_box
         self._search = search if self._standard else _search_with(incentive, tsc, c_b)
+        # Compiled now, by a plan of one step, so that the first plan of a run does not wait for it.
+        self._room(1)
+        self._searched(0.5, tsc.robot.p_min, target_lower, target_upper, 1)
+        self._room(horizon)
+
+    def _room(self, horizon: int) -> None:
         self._work, self._two = np.empty((7, horizon + 1)), np.empty((6, 2, horizon + 1))
         self._stack = np.empty(horizon + 1, np.int64)
+
+    def _searched(self, r, p_r, lower, upper, mode):
+        """Return what `search` returns, and what it fills."""
+        self._start[0], self._start[1] = lower, upper
+        n = self._stack.size
+        best, actions = np.empty((5, n)), np.empty((2, n - 1))
+        found = self._search(
+            self._constants,
+            self._start,
+            self._goal,
+            r,
+            p_r,
+            float(mode),
+            self.budget,
+            self._standard,
+            self._work,
+            self._two,
+            self._stack,
+            best,
+            actions,
+        )
+        return found, best, actions
 
     def solve(self, r: float, p_r: float, lower: float, upper: float, mode: int) -> CorrectionPlan:
         """
@@ -303,23 +337,8 @@ class ExactEngine:
         ValueError
             If the user's incentives leave [−c_b, 0] and [0, c_b].
         """
-        self._start[0], self._start[1] = lower, upper
-        best, actions = np.empty((5, self.horizon + 1)), np.empty((2, self.horizon))
-        cost, bound, leaves, complete, tsc, valid = self._search(
-            self._constants,
-            self._start,
-            self._goal,
-            r,
-            p_r,
-            float(mode),
-            self.budget,
-            self._standard,
-            self._work,
-            self._two,
-            self._stack,
-            best,
-            actions,
-        )
+        found, best, actions = self._searched(r, p_r, lower, upper, mode)
+        cost, bound, leaves, complete, tsc, valid = found
         if not valid:
             raise ValueError(
                 "the incentive function left [−c_b, 0] and [0, c_b] or gave NaN at a predicted state; as in (2.41), it "

@@ -104,7 +104,7 @@ class OnlineCorrection:
         self.lower, self.upper = pair_of("start", start)
         self.mode, self.r = check_mode(mode), check_utilization(finite_number("r", r))
         if outside not in ("hold", "nearest"):
-            raise ValueError(f"outside must be 'hold' or 'nearest', got {outside!r}")
+            raise ValueError(f"outside must be 'hold' or 'nearest', got {outside!r:.60}")
         self._nearest = outside == "nearest"
         tsc = corrector.tsc
         self._a, self._weights = tsc.human.a, (tsc.a_T, tsc.b_T)
@@ -135,10 +135,12 @@ class OnlineCorrection:
         """
         began = perf_counter()
         p_r, p_h = measured("p_r", p_r), measured("p_h", p_h)
-        now = self.mode if mode is None or mode != mode else check_mode(mode)
+        now = self.mode if mode is None or (isinstance(mode, float) and mode != mode) else check_mode(mode)
         lower, upper = self.lower, self.upper
         plan: CorrectionPlan | None = None
         tsc = self._weights[0] * p_r - self._weights[1] * p_h
+        if math.isinf(tsc) or (tsc != tsc and p_r == p_r and p_h == p_h):
+            raise ValueError(f"TSC overflows for p_r = {p_r} and p_h = {p_h}; check their unit")
         if tsc != tsc:
             status, suggestion = CorrectionStatus.MISSING, -1
         else:

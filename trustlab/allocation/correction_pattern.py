@@ -233,11 +233,11 @@ def correct_pattern(
     corrector = ThresholdCorrector(tsc, target, c_b, horizon, engine, incentive, **options)
     start, tests = pair_of("start", start), whole_number("tests", tests, most=1000)
     if operator not in HABITS:
-        raise ValueError(f"operator must be one of {', '.join(HABITS)}, got {operator!r}")
+        raise ValueError(f"operator must be one of {', '.join(HABITS)}, got {operator!r:.60}")
     step = positive_rate("sample_time", sample_time)
     samples = whole_number(
         "the number of samples, duration/sample_time,",
-        round(positive_rate("duration", duration) / step),
+        round(min(positive_rate("duration", duration) / step, 1e15)),
         most=10_000_000,
     )
     lag, noise = finite_number("lag", lag), finite_number("noise", noise)
@@ -253,7 +253,7 @@ def correct_pattern(
     if not isinstance(seed, np.random.SeedSequence):
         seed = whole_number("seed", seed, least=0)
     disturbance = np.random.default_rng(seed).standard_normal((tests, samples)) * noise
-    wait = round(lag / step)
+    wait = round(min(lag / step, samples + 1))
     now, parts, truth = start, [], np.empty((samples, 3))
     for test in range(tests):
         online = OnlineCorrection(corrector, now, 1, r0, outside="nearest")

@@ -25,8 +25,8 @@ class CorrectionStatus(Enum):
         "plan can be. Raise budget=, or shorten the horizon, to close it."
     )
     CONVERGED = (
-        "The solver converged for the smoothed switch; the cost is that of the hard switch. The plan is a local optimum: "
-        "compare with engine='exact' where the cost is (2.43)."
+        "The solver converged, and rule (2.8) brings about the modes that it was solved for. The plan is an optimum among "
+        "those with these modes, not proved to be one among all: compare with engine='exact' where the cost is (2.43)."
     )
     FAILED = (
         "The solver failed, so the thresholds are held: the actions are 0. Look at the solver's own message, scale or "
@@ -85,6 +85,8 @@ class CorrectionPlan:
         Time taken [s]; NaN where not measured.
     message : str
         What the solver itself said, if anything.
+    added_cost : float
+        What the user's own cost adds to (2.43); 0 where there is none, NaN where no plan was found.
     """
 
     c_l: float
@@ -104,6 +106,12 @@ class CorrectionPlan:
     engine: str
     solve_time: float = float("nan")
     message: str = ""
+    added_cost: float = 0.0
+
+    @property
+    def cost_with_additions(self) -> float:
+        """(2.43) and what the user's own cost adds to it; the cost where nothing was added."""
+        return self.cost + self.added_cost
 
     @property
     def gap(self) -> float:

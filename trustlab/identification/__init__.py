@@ -10,6 +10,7 @@ __getattr__, __dir__, __all__ = lazy.attach(
         "fit_result": ["FitResult"],
         "human": ["fit_human"],
         "robot": ["fit_robot"],
+        "transfer_function": ["fit_transfer_function"],
         "tsc": ["fit_tsc"],
     },
 )

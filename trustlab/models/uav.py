@@ -8,7 +8,7 @@ import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number
 
-__all__ = ["PRINTED_UAV", "TransferFunction"]
+__all__ = ["PRINTED_UAV", "TransferFunction", "three_axes"]
 
 
 @dataclass(frozen=True)
@@ -100,6 +100,28 @@ class TransferFunction:
         block[:-1, :-1], block[:-1, -1] = a, b
         whole = expm(block * sample_time)
         return whole[:-1, :-1], whole[:-1, -1]
+
+
+def three_axes(vehicle) -> tuple[TransferFunction, ...]:
+    """
+    Return a vehicle's transfer functions on x, y and z as a tuple.
+
+    Parameters
+    ----------
+    vehicle : sequence of three TransferFunction
+        Command to velocity per axis.
+
+    Raises
+    ------
+    ValueError
+        If it is anything else.
+    """
+    given = isinstance(vehicle, (tuple, list)) and len(vehicle) == 3
+    if given and all(isinstance(axis, TransferFunction) for axis in vehicle):
+        return tuple(vehicle)
+    raise ValueError(
+        f"a vehicle needs three transfer functions, for x, y and z, got {type(vehicle).__name__} {vehicle!r:.60}"
+    )
 
 
 PRINTED_UAV = {

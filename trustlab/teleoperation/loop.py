@@ -8,7 +8,7 @@ import numpy as np
 
 from trustlab.models.checks import finite_number
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
-from trustlab.models.uav import TransferFunction
+from trustlab.models.uav import three_axes
 from trustlab.teleoperation.haptic_device import HapticDevice
 from trustlab.teleoperation.loop_kernel import LoopNumbers
 from trustlab.teleoperation.scattering import Scattering
@@ -248,9 +248,7 @@ def vehicle_matrices(axes, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
     sample_time = finite_number("sample_time", sample_time)
     if not sample_time > 0.0:
         raise ValueError(f"sample_time must be positive, got {sample_time}")
-    axes = tuple(axes)
-    if len(axes) != 3 or not all(isinstance(axis, TransferFunction) for axis in axes):
-        raise ValueError("a vehicle needs three transfer functions, for x, y and z")
+    axes = three_axes(axes)
     phi, gamma = np.zeros((3, 3, 3)), np.zeros((3, 3))
     for i, axis in enumerate(axes):
         n = axis.order + 1

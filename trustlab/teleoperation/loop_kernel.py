@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from trustlab.allocation.blending import best_share
 from trustlab.teleoperation.channel import read_wave
 from trustlab.teleoperation.passivity import activation, demanded
-from trustlab.teleoperation.schemes import LOGISTIC, MANUAL, OPERATOR, STEP
+from trustlab.teleoperation.schemes import LOGISTIC, MANUAL, OPERATOR, OPTIMAL, STEP
 
 __all__ = ["BLOCKS", "COLUMNS", "AutonomyNumbers", "HandNumbers", "LoopNumbers", "run_loop"]
 
@@ -127,7 +128,7 @@ def clip(value, reach):
 @numba.njit(cache=True, error_model="numpy")
 def run_loop(
     allocation, bilateral, direct, read_out, guard, n, hand, auto, phi, gamma,
-    reference, reference_velocity, detected, delays, got, motor, pushed, shares, log,
+    reference, reference_velocity, detected, delays, got, motor, pushed, shares, blend, log,
 ):  # fmt: skip
     """
     Run the loop and write one row of `log` per sample.
@@ -135,7 +136,8 @@ def run_loop(
     reference, reference_velocity, motor, pushed, shape (N, 3): where the robot should be and how fast it moves, noise of
     the hand, and a force that is added to the hand's. phi, shape (3, 3, 3), gamma, shape (3, 3): the vehicle's exact
     one-sample matrices of (position, velocity, acceleration) per axis. shares, shape (N,): α where it is given from
-    outside (NaN elsewhere). Returns the samples done, the block that diverged (−1: none) and its energy.
+    outside (NaN elsewhere). blend, shape (3, M, 5, 5): `OptimalBlending.weights`, which set α in scheme OMI from the operator's
+    command of the sample before and from the error, its rate and its acceleration now. Returns the samples done, the block that diverged (−1: none) and its energy.
     """
     count = log.shape[0]
     T, b = n.sample_time, n.b
@@ -154,7 +156,7 @@ def run_loop(
         np.zeros(3),
         np.zeros(3),
     )
-    accounts = np.zeros((2, 3))
+    accounts, ahead = np.zeros((2, 3)), np.zeros((3, 5))
     accounts[:, 2] = -1.0
     p, q = np.sqrt(2.0 * b * n.beta_min), np.sqrt(n.beta_min / n.beta_max)
     s, w = np.sqrt(2.0 * n.alpha_min / b), np.sqrt(n.alpha_min / n.alpha_max)
@@ -196,6 +198,11 @@ def run_loop(
                 waited = 0
                 alpha += hand.shift if p_h > p_r else -hand.shift
                 alpha = min(max(alpha, n.alpha_min), n.alpha_max)
+        elif allocation == OPTIMAL:
+            for i in range(3):
+                ahead[i, 0], ahead[i, 1], ahead[i, 2] = r_s[i] / alpha, u_a[i], seen[k, i]
+                ahead[i, 3], ahead[i, 4] = reference_velocity[k, i] - state[i, 1], -state[i, 2]
+            alpha = best_share(blend, ahead, n.alpha_min, n.alpha_max)[0]
         else:
             step = allocation == STEP
             alpha = scale(n.alpha_min, n.alpha_max, n.steepness_alpha, trust_hr, n.midpoint_alpha, step)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import finite_array, finite_number
 
 __all__ = ["Course", "nearest_point", "path_point"]
 
@@ -21,6 +21,10 @@ CORNERS = (
     (4.25, 8.5),
     (0.0, 8.5),
 )
+
+
+FARTHEST = 1e5
+"""How far from the origin a corner may lie [m]."""
 
 
 @numba.njit(cache=True)
@@ -86,16 +90,30 @@ class Course:
 
     def __post_init__(self):
         try:
-            corners = np.array(self.corners, dtype=float)
+            given = np.array(self.corners)
+            if given.dtype.kind not in "iuf":
+                raise TypeError
+            corners = given.astype(float)
         except (TypeError, ValueError):
-            raise ValueError(f"corners must be (x, y) pairs, got {self.corners!r}") from None
+            raise ValueError(f"corners must be (x, y) pairs, got {self.corners!r:.200}") from None
         if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
-            raise ValueError(f"corners must be at least three finite (x, y) pairs, got {self.corners!r}")
+            raise ValueError(f"corners must be at least three finite (x, y) pairs, got {self.corners!r:.200}")
+        if np.abs(corners).max() > FARTHEST:
+            raise ValueError(
+                f"corners must lie within {FARTHEST:g} m of the origin, got {np.abs(corners).max():g}"
+            )
         for name in ("radius", "post_spacing", "half_width", "resolution"):
             value = finite_number(name, getattr(self, name))
             if not value > 0.0:
                 raise ValueError(f"{name} must be positive, got {value}")
             object.__setattr__(self, name, value)
+        around = float(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum())
+        for name, most in (("resolution", 100_000), ("post_spacing", 10_000)):
+            if around / getattr(self, name) > most:
+                raise ValueError(
+                    f"{name} = {getattr(self, name):g} m is too fine for a course of about {around:.4g} m; it must be at "
+                    f"least {around / most:.3g} m"
+                )
         object.__setattr__(self, "corners", tuple(map(tuple, corners.tolist())))
         object.__setattr__(self, "_path", self._rounded(corners))
         object.__setattr__(self, "_posts", self._post_rows())
@@ -171,6 +189,13 @@ class Course:
         -------
         numpy.ndarray, shape (N,)
             Distance to the nearest point of the path [m].
+
+        Raises
+        ------
+        ValueError
+            If a position is not finite, or x and y differ in length.
         """
-        points = np.column_stack([np.atleast_1d(x), np.atleast_1d(y)]).astype(float)
+        one, other = ([finite_number(n, v)] if np.isscalar(v) else v for n, v in (("x", x), ("y", y)))
+        one = finite_array("x", one)
+        points = np.column_stack([one, finite_array("y", other, length=one.size)])
         return np.array([nearest_point(px, py, self._path)[3] for px, py in points])

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from trustlab.allocation.correction_guide import guided
 from trustlab.allocation.kernels import performance_suggestion, threshold_mode
 from trustlab.models.human import yerkes_dodson
-from trustlab.operators import driving_style, joystick
+from trustlab.operators.ground_robot import driving_style, joystick
 from trustlab.testbeds.course import nearest_point, path_point
 from trustlab.testbeds.pioneer import scan, wrapped
 
@@ -21,8 +22,9 @@ SCHEDULE, OWN, TSC, PERFORMANCE = 0, 1, 2, 3
 DEADLINE = 15.0
 """A suggestion counts as followed when the operator complies within this time [s]."""
 
-SETTLING = 20.0
-"""Nobody switches before this time [s], while the means of (2.4) and (2.7) are still of few samples."""
+SETTLING = 100.0
+"""Nobody switches before this time [s], when the window of (2.4) and (2.7) is full for the first time: means of the first
+few samples, of a robot that has just been put on the path, are far above what they become."""
 
 COLUMNS = (
     "mode",
@@ -77,8 +79,8 @@ def limited(command, now, largest, step):
 
 
 @numba.njit(cache=True)
-def drive(task, schedule, path, posts, robot, person, sensing, hand, mind, log, lap_times):
-    """Fill the rows of `log` (COLUMNS) and the times at which laps end; return rows and laps done."""
+def drive(task, schedule, path, posts, robot, person, sensing, hand, mind, log, lap_times, guide):
+    """Fill the rows of `log` (COLUMNS), the times at which laps end and a guide's trace; return rows and laps done."""
     dt, lap_length = task.sample_time, path[-1, 2]
     delay = round(person.delay / dt)
     x, y, tx, ty = path_point(0.0, path)
@@ -98,6 +100,7 @@ def drive(task, schedule, path, posts, robot, person, sensing, hand, mind, log, 
     episode, episode_seen, willing = -1, -1e9, False
     lower = task.lower + person.lower_spread * mind.standard_normal() if task.scheme == OWN else task.lower
     upper = task.upper + person.upper_spread * mind.standard_normal() if task.scheme == OWN else task.upper
+    shift_l, shift_u = 0.0, 0.0
     for k in range(log.shape[0]):
         t = k * dt
         ref_x, ref_y, arc[k], error = nearest_point(x, y, path)
@@ -111,7 +114,7 @@ def drive(task, schedule, path, posts, robot, person, sensing, hand, mind, log, 
 
         # The operator: looks ahead from where the robot was a delay ago; skill follows utilization, (2.5)-(2.6).
         skill = (person.p_max - person.p_min) * yerkes_dodson(r, person.beta) + person.p_min
-        speed, spread, activity = driving_style(skill)
+        speed, spread, activity = driving_style(skill, person.robot_floor, person.robot_gain)
         wander = stays * wander + np.sqrt(1.0 - stays**2) * hand.standard_normal()
         shaking = shakes * shaking + np.sqrt(1.0 - shakes**2) * hand.standard_normal()
         if k >= delay:
@@ -136,6 +139,21 @@ def drive(task, schedule, path, posts, robot, person, sensing, hand, mind, log, 
             sum_r, sum_h = sum_r - z[k - task.window, 0], sum_h - z[k - task.window, 1]
         p_r, p_h = sum_r / min(k + 1, task.window), sum_h / min(k + 1, task.window)
         tsc = task.a_T * p_r - task.b_T * p_h
+
+        # Suggestions by thresholds that are being corrected (2.40); own ones may move along.
+        if guide.active:
+            if task.scheme == TSC:
+                lower, upper = guide.start[0], guide.start[1]
+            else:
+                suggested = threshold_mode(
+                    tsc, guide.start[0], guide.start[1], mode if suggested < 0 else suggested
+                )
+            if t < SETTLING:
+                guide.trace[k, 0], guide.trace[k, 1] = guide.start[0], guide.start[1]
+            else:
+                c_l, c_u = guided(guide, k, r, p_r, mode)
+                if guide.adopted:
+                    lower, upper, shift_l, shift_u = lower + c_l, upper + c_u, shift_l + c_l, shift_u + c_u
 
         # Who drives.
         before = mode
@@ -170,8 +188,8 @@ def drive(task, schedule, path, posts, robot, person, sensing, hand, mind, log, 
         if mode != before:
             episode = -1
             if task.scheme == OWN:
-                lower = task.lower + person.lower_spread * mind.standard_normal()
-                upper = task.upper + person.upper_spread * mind.standard_normal()
+                lower = task.lower + shift_l + person.lower_spread * mind.standard_normal()
+                upper = task.upper + shift_u + person.upper_spread * mind.standard_normal()
 
         log[k, 0], log[k, 1] = mode, suggested
         log[k, 2], log[k, 3], log[k, 4] = x, y, yaw

@@ -5,13 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_number
+from trustlab.allocation.correction_guide import no_guide
+from trustlab.allocation.limits import check_thresholds, threshold_limits
+from trustlab.models.checks import finite_array, finite_number, of_class, whole_number
 from trustlab.models.tsc import TscModel
-from trustlab.operators import Operator
+from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.testbeds.course import Course
 from trustlab.testbeds.driving import COLUMNS, OWN, PERFORMANCE, SCHEDULE, TSC, Task, drive
 from trustlab.testbeds.ground_robot_run import GroundRobotRun
+from trustlab.testbeds.participants import (
+    participant_label,
+    published_model,
+    published_operator,
+    published_thresholds,
+)
 from trustlab.testbeds.pioneer import Pioneer
 
 __all__ = ["CONDITIONS", "GroundRobotRun", "drive_modes", "identification_session", "run_condition"]
@@ -27,19 +35,26 @@ CONDITIONS = {
 
 SAMPLE_TIME, WINDOW, E_MAX = 0.1, 100.0, 2.0
 SLOWEST = 0.15
+MOST_LAPS, MOST_STEPS, MOST_PHASES = 1000, 10_000_000, 10_000
+"""Largest runs that are made: ten million samples, 1.2 GB, are nearly twelve days of driving."""
+
+MAKE_OPERATOR = (
+    "make one with trustlab.operators.operator(participant, model) or trustlab.testbeds.published_operator(1)"
+)
 NOTE = "simulated stand-in for the Stage testbed of Fig. 2.1"
 
 
 def run_condition(
     condition: str,
-    operator: Operator,
-    model: TscModel,
+    participant: int | str | Operator | None = None,
+    model: TscModel | None = None,
     thresholds: tuple[float, float] | None = None,
     laps: int = 8,
     seed: int | np.random.SeedSequence = 0,
     robot: Pioneer | None = None,
     course: Course | None = None,
     r0: float = 0.0,
+    operator: Operator | None = None,
 ) -> GroundRobotRun:
     """
     Drive laps under one of the conditions C1–C5 of Section 2.4.1.2.
@@ -47,20 +62,23 @@ def run_condition(
     C1: the operator allocates by thresholds of TSC of their own. C2, C3: suggestions by (2.8), free to follow and
     forced. C4, C5: suggestions by Algorithm 2, free and forced. TSC (2.1) and the suggestions come from performance as
     measured, (2.4) and (2.7) over 100 s, and the given model. The run begins in the manual mode, rolling on the path;
-    nobody switches in its first 20 s.
+    nobody switches before that window is full.
 
     Parameters
     ----------
     condition : {"C1", "C2", "C3", "C4", "C5"}
         The condition.
-    operator : Operator
-        Who drives.
-    model : TscModel
-        The operator's identified model, which TSC and P_max of Algorithm 2 are taken from.
+    participant : int, str or Operator
+        Who drives: the stand-in for a printed participant, 1 to 5, "1" to "5" or "pilot" (`published_operator`), or any
+        `Operator`.
+    model : TscModel, optional
+        The model which TSC and P_max of Algorithm 2 are taken from: the operator's identified one. For a printed
+        participant the printed one when not given; needed for an `Operator`.
     thresholds : (float, float), optional
-        TSC_l and TSC_u of (2.8); needed in C2 and C3, without effect in the others.
+        TSC_l and TSC_u of (2.8), in C2 and C3 only; for a printed participant those of Table 2.2 when not given. In C1
+        the operator's own thresholds, `Operator.lower` and `.upper`, decide; in C4 and C5 Algorithm 2.
     laps : int
-        How many laps; at least one.
+        How many laps; at least one, at most 1000.
     seed : int or numpy.random.SeedSequence
         Three streams are spawned from it: the robot's sensing, the operator's hand, and the operator's decisions.
     robot : Pioneer, optional
@@ -69,6 +87,8 @@ def run_condition(
         The course, if not the default one.
     r0 : float
         Utilization at the beginning, in [0, 1]; 0 is a rested operator.
+    operator : Operator, optional
+        The same as an `Operator` given as participant.
 
     Returns
     -------
@@ -78,37 +98,48 @@ def run_condition(
     Raises
     ------
     ValueError
-        If an argument is not understood, or the laps are not finished at 0.15 m/s on average.
+        If an argument is not understood or would have no effect, thresholds lie outside the limits of Theorem 1 at
+        δ_Ph = 0 (which are quoted), or the laps are not finished at 0.15 m/s on average.
 
     Notes
     -----
     Simulated: no person took part, and the robot's and the hand's parameters are calibrated, not measured.
+
+    Examples
+    --------
+    >>> run = run_condition("C3", participant=2, laps=1, seed=1)
+    >>> run.session.metadata.synthetic
+    True
     """
-    if condition not in CONDITIONS:
-        raise ValueError(f"condition must be one of {', '.join(CONDITIONS)}, got {condition!r}")
+    if not isinstance(condition, str) or condition not in CONDITIONS:
+        raise ValueError(f"condition must be one of {', '.join(CONDITIONS)}, got {condition!r:.60}")
     scheme, forced = CONDITIONS[condition]
+    operator, model, printed = _who(participant, operator, model)
     operator, robot, course = _checked(operator, robot, course)
-    if not isinstance(model, TscModel):
-        raise ValueError(
-            f"model must be a TscModel, got {type(model).__name__}; fit one with trustlab.fit_tsc(session) or build "
-            "it with trustlab.TscModel(robot, human)"
+    laps = whole_number("laps", laps, most=MOST_LAPS)
+    if thresholds is not None and scheme != TSC:
+        decides = (
+            "the operator's own thresholds, Operator(lower=, upper=)," if scheme == OWN else "Algorithm 2"
         )
-    if isinstance(laps, bool) or not isinstance(laps, (int, np.integer)) or laps < 1:
-        raise ValueError(f"laps must be a whole number, at least 1, got {laps!r}")
-    if scheme == TSC and thresholds is None:
-        raise ValueError(f"{condition} needs thresholds=(TSC_l, TSC_u), for example those of Table 2.2")
-    if thresholds is not None:
-        thresholds = _pair(thresholds)
+        raise ValueError(f"thresholds have no effect in {condition}, where {decides} decide; leave them out")
+    if scheme == TSC:
+        if thresholds is None and printed is None:
+            raise ValueError(
+                f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator, for example those of Table 2.2"
+            )
+        thresholds = check_thresholds(
+            model, *_pair(printed if thresholds is None else thresholds), threshold_limits(model, 0.0)
+        )
     lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
-    most = int(np.ceil(laps * course.length / SLOWEST / SAMPLE_TIME)) + 1
-    task = _task(scheme, forced=forced, laps=int(laps), lower=lower, upper=upper, model=model, r0=r0)
+    most = _steps(laps * course.length / SLOWEST, f"{laps} laps of {course.length:.3g} m") + 1
+    task = _task(scheme, forced=forced, laps=laps, lower=lower, upper=upper, model=model, r0=r0)
     data, lap_times = _drive(task, np.ones(1, np.int64), most, robot, course, operator, seed)
     if lap_times.size < laps:
         raise ValueError(
             f"only {lap_times.size} of {laps} laps were done in {most * SAMPLE_TIME:.0f} s (an average of "
             f"{SLOWEST} m/s would do): this robot or operator does not keep to the course; check their parameters"
         )
-    facts = {"laps": int(laps)} | ({"TSC_l": lower, "TSC_u": upper} if scheme == TSC else {})
+    facts = {"laps": laps} | ({"TSC_l": lower, "TSC_u": upper} if scheme == TSC else {})
     session = _session(data, operator, condition, seed, **facts)
     return GroundRobotRun(session, course, operator, robot, model, thresholds, lap_times)
 
@@ -153,9 +184,16 @@ def drive_modes(
         If a mode is neither 0 nor 1, or another argument is not understood.
     """
     operator, robot, course = _checked(operator, robot, course)
-    modes = np.asarray(mode)
-    if modes.ndim != 1 or modes.size < 2 or not np.isin(modes, (0, 1)).all():
-        raise ValueError(f"mode must be a sequence of at least two zeros and ones, got shape {modes.shape}")
+    if not isinstance(condition, str):
+        raise ValueError(f"condition must be a name for the metadata, got {condition!r:.60}")
+    modes = finite_array("mode", mode)
+    odd = (modes != 0.0) & (modes != 1.0)
+    if odd.any():
+        k = int(np.argmax(odd))
+        raise ValueError(f"mode must be zeros and ones, but sample {k} is {modes[k]:g}")
+    if modes.size < 2:
+        raise ValueError(f"mode must have at least two samples, zeros and ones, got {modes.size}")
+    _steps(modes.size * SAMPLE_TIME, "mode")
     task = _task(SCHEDULE, first_mode=int(modes[0]), r0=r0)
     data, _ = _drive(task, modes.astype(np.int64), modes.size, robot, course, operator, seed)
     return _session(data.drop(columns=["tsc", "suggested_mode"]), operator, condition, seed)
@@ -208,8 +246,8 @@ def identification_session(
     ]
     if min(lengths) < SAMPLE_TIME:
         raise ValueError(f"phases must last at least {SAMPLE_TIME} s, got {min(lengths)} s")
-    if isinstance(mixed, bool) or not isinstance(mixed, (int, np.integer)) or mixed < 0:
-        raise ValueError(f"mixed must be a whole number of phases, got {mixed!r}")
+    mixed = whole_number("mixed", mixed, least=0, most=MOST_PHASES)
+    _steps(lengths[0] + lengths[1] + mixed * lengths[3], "all phases together")
     stream = np.random.default_rng(_streams(seed)[3])
     lengths = np.r_[lengths[:2], stream.uniform(*lengths[2:], size=mixed)]
     steps = np.maximum(np.round(lengths / SAMPLE_TIME).astype(int), 1)
@@ -217,18 +255,36 @@ def identification_session(
     return drive_modes(mode, operator, seed, robot, course, condition="identification")
 
 
+def _who(participant, operator, model) -> tuple[Operator, TscModel, tuple[float, float] | None]:
+    """Return the operator, the model, and the printed thresholds of a printed participant."""
+    if operator is not None and participant is not None:
+        raise ValueError("give either participant= or operator=, not both")
+    someone = operator if participant is None else participant
+    if someone is None:
+        raise ValueError("who drives? give participant=, 1 to 5 or 'pilot', or an Operator with model=")
+    if operator is not None or isinstance(someone, Operator):
+        of_class("operator", someone, Operator, MAKE_OPERATOR)
+        return someone, of_class("model", model, TscModel), None
+    label = participant_label(someone)
+    model = published_model(label) if model is None else of_class("model", model, TscModel)
+    return published_operator(label), model, published_thresholds(label)
+
+
+def _steps(seconds: float, what: str) -> int:
+    """Return how many samples so many seconds are, unless they are too many."""
+    if seconds / SAMPLE_TIME > MOST_STEPS:
+        raise ValueError(
+            f"{what} would take up to {seconds:.3g} s, more than the {MOST_STEPS * SAMPLE_TIME:.0f} s that one run may last; "
+            "split it into several runs"
+        )
+    return int(np.ceil(seconds / SAMPLE_TIME))
+
+
 def _checked(operator, robot, course) -> tuple[Operator, Pioneer, Course]:
-    robot, course = robot or Pioneer(), course or Course()
-    for name, value, kind in (
-        ("operator", operator, Operator),
-        ("robot", robot, Pioneer),
-        ("course", course, Course),
-    ):
-        if not isinstance(value, kind):
-            hint = (
-                "; make one with trustlab.operators.operator(participant, model)" if kind is Operator else ""
-            )
-            raise ValueError(f"{name} must be of class {kind.__name__}, got {type(value).__name__}{hint}")
+    robot, course = Pioneer() if robot is None else robot, Course() if course is None else course
+    of_class("operator", operator, Operator, MAKE_OPERATOR)
+    of_class("robot", robot, Pioneer)
+    of_class("course", course, Course)
     return operator, robot, course
 
 
@@ -256,18 +312,27 @@ def _streams(seed) -> list[np.random.SeedSequence]:
     """Return four children of the seed, the same at every call: a SeedSequence given is not changed."""
     if isinstance(seed, np.random.SeedSequence):
         own = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
-    elif isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and seed >= 0:
-        own = np.random.SeedSequence(int(seed))
     else:
-        raise ValueError(f"seed must be a whole number, 0 or more, or a numpy SeedSequence, got {seed!r}")
+        own = np.random.SeedSequence(whole_number("seed", seed, least=0))
     return own.spawn(4)
 
 
-def _drive(task, schedule, most, robot, course, operator, seed) -> tuple[pd.DataFrame, np.ndarray]:
+def _drive(
+    task, schedule, most, robot, course, operator, seed, guide=None
+) -> tuple[pd.DataFrame, np.ndarray]:
     log, lap_times = np.empty((most, len(COLUMNS))), np.empty(task.laps)
     streams = [np.random.default_rng(child) for child in _streams(seed)[:3]]
     rows, done = drive(
-        task, schedule, course.path, course.posts, robot.numbers, operator.numbers, *streams, log, lap_times
+        task,
+        schedule,
+        course.path,
+        course.posts,
+        robot.numbers,
+        operator.numbers,
+        *streams,
+        log,
+        lap_times,
+        guide or no_guide(),
     )
     t = pd.Index(np.round(np.arange(rows) * task.sample_time, 6), name="t")
     return pd.DataFrame(log[:rows], index=t, columns=COLUMNS), lap_times[:done]

@@ -9,7 +9,7 @@ import pandas as pd
 
 from trustlab.allocation.suggestions import followed_suggestions
 from trustlab.models.tsc import TscModel
-from trustlab.operators import Operator
+from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Session
 from trustlab.testbeds.course import Course
 from trustlab.testbeds.driving import DEADLINE

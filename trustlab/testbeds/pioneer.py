@@ -51,6 +51,10 @@ def scan(x, y, yaw, est_x, est_y, est_yaw, posts, robot, rng, offsets):
     return mean_x - mean_px, mean_y - mean_py, turn, seen
 
 
+LARGEST = 1000.0
+"""Largest number of a robot, in its unit."""
+
+
 class PioneerNumbers(NamedTuple):
     """A `Pioneer` as plain numbers for compiled loops; the names are the same."""
 
@@ -119,7 +123,7 @@ class Pioneer:
     Raises
     ------
     ValueError
-        If a number is not finite, negative, or a share above 1.
+        If a number is not finite, negative, above 1000, or a share above 1.
 
     Notes
     -----
@@ -152,6 +156,8 @@ class Pioneer:
             value = finite_number(item.name, getattr(self, item.name))
             if value < 0.0 and item.name != "heading_drift":
                 raise ValueError(f"{item.name} cannot be negative, got {value}")
+            if abs(value) > LARGEST:
+                raise ValueError(f"{item.name} must be at most {LARGEST:g}, got {value:g}")
             object.__setattr__(self, item.name, value)
         for name in ("detection", "position_gain", "heading_gain"):
             if getattr(self, name) > 1.0:

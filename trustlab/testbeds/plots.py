@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from trustlab.models.checks import finite_array, finite_number, of_class
 from trustlab.sessions.plots import shade_manual
 from trustlab.sessions.session import Session
 from trustlab.testbeds.course import Course
@@ -41,11 +42,19 @@ def plot_path(session: Session, course: Course, start: float = 0.0, stop: float 
     ------
     SessionError
         If a column is missing.
+    ValueError
+        If an argument is not understood.
     """
     import matplotlib.pyplot as plt
 
+    of_class("session", session, Session)
+    of_class("course", course, Course)
     session.require("robot_x", "robot_y", "mode")
-    part = session.between(start, session.t[-1] if stop is None else stop)
+    start, stop = (
+        finite_number("start", start),
+        session.t[-1] if stop is None else finite_number("stop", stop),
+    )
+    part = session.between(start, stop)
     if axes is None:
         _, axes = plt.subplots(figsize=(8.0, 5.6), layout="constrained")
     axes.plot(*course.posts.T, ls="", marker="o", ms=4, mfc="none", color="0.55", label="guide posts")
@@ -83,14 +92,22 @@ def plot_run(run, bounds: dict[str, tuple[float, float]] | None = None):
     Raises
     ------
     ValueError
-        If bounds name a column that is not plotted.
+        If bounds name a column that is not plotted, or are not two finite numbers.
     """
     import matplotlib.pyplot as plt
 
-    session, bounds = run.session, dict(bounds or {})
-    unknown = sorted(set(bounds) - set(PANELS))
+    if not hasattr(run, "session"):
+        raise ValueError(f"run must be a GroundRobotRun, got {type(run).__name__}")
+    session = run.session
+    try:
+        bounds = dict(bounds if bounds is not None else {})
+    except (TypeError, ValueError):
+        raise ValueError(f"bounds must map columns to (low, high), got {bounds!r:.60}") from None
+    unknown = sorted(set(bounds) - set(PANELS), key=str)
     if unknown:
         raise ValueError(f"bounds are by column, one of {', '.join(PANELS)}; got {unknown[0]!r}")
+    for name, pair in bounds.items():
+        bounds[name] = tuple(finite_array(f"bounds[{name!r}]", pair, length=2))
     if run.thresholds is not None:
         bounds.setdefault("tsc", run.thresholds)
     figure, axes = plt.subplots(len(PANELS), 1, sharex=True, figsize=(8.0, 7.6), layout="constrained")

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
 
+from trustlab.allocation.blending import OptimalBlending
 from trustlab.models.checks import finite_number
-from trustlab.models.uav import PRINTED_UAV, TransferFunction
+from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
+from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.channel import READ_OUTS
 from trustlab.teleoperation.delays import Delay, delay_from, random_walk_delay
@@ -16,7 +19,6 @@ from trustlab.teleoperation.loop import DivergenceError, LoopSettings, study_nam
 from trustlab.teleoperation.loop_kernel import BLOCKS, COLUMNS, AutonomyNumbers, run_loop
 from trustlab.teleoperation.passivity import METHODS
 from trustlab.teleoperation.schemes import OPTIMAL, scheme_named
-from trustlab.testbeds.teleoperator import Teleoperator
 
 __all__ = ["TrackingTask", "simulate_teleoperation", "tracking_vehicle"]
 
@@ -38,11 +40,11 @@ def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
     Raises
     ------
     ValueError
-        If `bandwidth` is not positive.
+        If `bandwidth` is not positive, or above 1000.
     """
     omega = finite_number("bandwidth", bandwidth)
-    if not omega > 0.0:
-        raise ValueError(f"bandwidth must be positive, got {omega}")
+    if not 0.0 < omega <= 1e3:
+        raise ValueError(f"bandwidth must be positive and at most 1000, got {omega}")
     return tuple(
         TransferFunction(omega, (omega,))
         if model.order == 1
@@ -130,7 +132,6 @@ TASKS = {
     "preliminary": TrackingTask(size_x=6.0, size_y=4.0, speed=0.8, camera_delay=0.2, reach=2.5),
     "main": TrackingTask(),
 }
-REACH = {"preliminary": 2.5, "main": 1.0}
 DELAYS = {"preliminary": (0.1, 0.8), "main": (0.03, 0.2)}
 
 
@@ -149,6 +150,7 @@ def simulate_teleoperation(
     alpha: np.ndarray | None = None,
     push: np.ndarray | None = None,
     vehicle: tuple[TransferFunction, ...] | None = None,
+    lost: np.ndarray | None = None,
 ) -> Session:
     """
     Simulate one run of a scheme of Section 3.8 or 3.9.
@@ -176,11 +178,14 @@ def simulate_teleoperation(
     guard : {"cancel", "repay", "off"}
         Passivity controller at the robot's port.
     alpha : array_like, shape (N,), optional
-        α given from outside; NaN where the scheme sets it.
+        α given from outside; NaN where the scheme sets it. Scheme OMI sets it by `OptimalBlending` for the vehicle in use
+        and the PD part of its controller.
     push : array_like, shape (N, 3), optional
         Force [N] added to the hand's.
     vehicle : three TransferFunction, optional
         Command to velocity; `tracking_vehicle()` when not given.
+    lost : array_like of bool, shape (2, N), optional
+        Waves that never arrive, to the robot and back.
 
     Returns
     -------
@@ -202,17 +207,15 @@ def simulate_teleoperation(
         if not isinstance(value, kind):
             raise ValueError(f"{word} must be of class {kind.__name__}, got {type(value).__name__}")
     duration, sample_time = finite_number("duration", duration), finite_number("sample_time", sample_time)
-    if not 0.0 < sample_time <= 0.1:
-        raise ValueError(f"sample_time must lie in (0, 0.1] s, got {sample_time}")
-    if not 10.0 * sample_time <= duration <= 1e5:
-        raise ValueError(f"duration must be at least ten samples and at most 1e5 s, got {duration}")
-    for word, value, known in (("read_out", read_out, READ_OUTS), ("guard", guard, METHODS)):
-        if value not in known:
-            raise ValueError(f"{word} must be one of {', '.join(known)}, got {value!r}")
-    if chosen.allocation == OPTIMAL and alpha is None:
+    if not 1e-5 <= sample_time <= 0.1:
+        raise ValueError(f"sample_time must lie in [1e-5, 0.1] s, got {sample_time}")
+    if not 10.0 * sample_time <= duration <= min(1e5, 5e6 * sample_time):
         raise ValueError(
-            "scheme OMI needs the optimal α of Appendix A, which is not built yet; give it as alpha="
+            f"duration must be ten to five million samples of {sample_time:g} s and at most 1e5 s, got {duration}"
         )
+    for word, value, known in (("read_out", read_out, READ_OUTS), ("guard", guard, METHODS)):
+        if not isinstance(value, str) or value not in known:
+            raise ValueError(f"{word} must be one of {', '.join(known)}, got {value!r}")
     streams = [np.random.default_rng(child) for child in _spawn(seed, 5)]
     count = round(duration / sample_time)
     t = sample_time * np.arange(count)
@@ -227,7 +230,20 @@ def simulate_teleoperation(
     if not np.isfinite(pushed).all():
         k, i = np.argwhere(~np.isfinite(pushed))[0]
         raise ValueError(f"push must be finite, but sample {k}, axis {i} is {pushed[k, i]}")
-    phi, gamma = vehicle_matrices(tracking_vehicle() if vehicle is None else vehicle, sample_time)
+    got = np.ones((2, count), bool)
+    if lost is not None:
+        missing = np.asarray(lost)
+        if missing.shape != got.shape or missing.dtype != bool:
+            raise ValueError(
+                f"lost must be True or False, shape {got.shape}, got {missing.dtype} {missing.shape}"
+            )
+        got = ~missing
+    vehicle = tracking_vehicle() if vehicle is None else three_axes(vehicle)
+    phi, gamma = vehicle_matrices(vehicle, sample_time)
+    blend = np.zeros((3, 1, 5, 5))
+    if chosen.allocation == OPTIMAL:
+        gains, ends = ((task.proportional, task.derivative),) * 3, settings.scattering
+        blend = _blending(vehicle, gains, ends.alpha_min, ends.alpha_max)
     auto = AutonomyNumbers(
         task.proportional,
         task.integral,
@@ -240,7 +256,7 @@ def simulate_teleoperation(
     done, block, energy = run_loop(
         chosen.allocation, chosen.bilateral, direct, READ_OUTS[read_out], METHODS[guard],
         settings.numbers(sample_time), operator.numbers(sample_time, task.camera_delay), auto, phi, gamma,
-        reference, velocity, detected, delays, np.ones((2, count), bool), motor, pushed, shares, log,
+        reference, velocity, detected, delays, got, motor, pushed, shares, blend, log,
     )  # fmt: skip
     if block >= 0:
         raise DivergenceError(
@@ -270,6 +286,12 @@ def _spawn(seed, count: int) -> list[np.random.SeedSequence]:
     else:
         raise ValueError(f"seed must be a whole number, 0 or more, or a numpy SeedSequence, got {seed!r}")
     return own.spawn(count)
+
+
+@lru_cache(maxsize=64)
+def _blending(vehicle, gains, low: float, high: float) -> np.ndarray:
+    """Return the cost of Appendix A for this vehicle and its controller, as the loop takes it."""
+    return OptimalBlending(vehicle, gains, low, high).weights
 
 
 def _losses(task: TrackingTask, count: int, sample_time: float, rng) -> np.ndarray:
@@ -321,7 +343,7 @@ def _given(name: str, values, shape: tuple[int, ...], default: float) -> np.ndar
         return np.full(shape, default)
     try:
         array = np.ascontiguousarray(values, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be an array of numbers, got {type(values).__name__}") from None
     if array.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, one row per sample, got {array.shape}")

@@ -1,4 +1,4 @@
-"""Simulated operators, stand-ins for people: how well they drive, how fast they react, when they switch."""
+"""Simulated operators of the ground robot: how well they drive, how fast they react, when they switch."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numba
+import numpy as np
 
 from trustlab.models.checks import finite_number
 from trustlab.models.human import HumanModel
@@ -14,14 +15,40 @@ from trustlab.models.tsc import TscModel
 __all__ = ["Operator", "OperatorNumbers", "driving_style", "joystick", "operator"]
 
 
+MOST = {
+    "robot_floor": 1.0,
+    "robot_gain": 10.0,
+    "delay": 5.0,
+    "noise": 100.0,
+    "hand_lag": 60.0,
+    "look_ahead": 100.0,
+    "steering_gain": 100.0,
+    "easing": 100.0,
+    "wander_time": 3600.0,
+    "reaction_lag": 60.0,
+    "reaction_spread": 5.0,
+    "ignoring_time": 3600.0,
+    "lower_spread": 2.0,
+    "upper_spread": 2.0,
+}
+"""Largest values of an operator's numbers, far beyond what people do; TSC itself lies in [-1, 1]."""
+
+
 @numba.njit(cache=True)
-def driving_style(performance):
-    """Return cruising speed [m/s], wander [m] and steering activity [rad/s] of someone who performs so well [m/s]."""
-    share = (performance - 0.39) / 0.07
-    speed = 0.455 + 0.071 * share
-    wander = 0.32 - 0.04 * share
-    activity = 0.04 + 0.31 * share
-    return max(speed, 0.05), max(wander, 0.05), max(activity, 0.0)
+def driving_style(performance, robot_floor, robot_gain):
+    """
+    Return cruising speed [m/s], wander [m] and steering activity [rad/s] of someone who performs so well [m/s].
+
+    They are such that (2.7) comes out as `performance` and (2.4), after long, as robot_floor + robot_gain · performance,
+    or as much of it as `performance` leaves room for; what is left of (2.7) is steering. A regression on laps of the
+    default course.
+    """
+    p_r = min(robot_floor + robot_gain * performance, performance - 0.029)
+    steering = performance - p_r
+    speed = 1.264 * p_r + 0.607 * steering - 0.018
+    wander = 0.32 - 0.04 * (performance - 0.39) / 0.07
+    activity = 2.385 * np.sqrt(max(steering - 0.029 - 0.02 * p_r, 0.0))
+    return max(speed, 0.05), max(wander, 0.05), min(activity, 1.0)
 
 
 @numba.njit(cache=True)
@@ -37,6 +64,8 @@ class OperatorNumbers(NamedTuple):
     beta: float
     p_min: float
     p_max: float
+    robot_floor: float
+    robot_gain: float
     delay: float
     noise: float
     hand_lag: float
@@ -67,8 +96,11 @@ class Operator:
         Who this stands for.
     human : HumanModel
         Utilization (2.5) and performance (2.6), in the unit of (2.7) [m/s], which sets how the operator drives.
+    robot_floor, robot_gain : float
+        What robot performance comes to in the operator's hand, robot_floor + robot_gain · P_h [m/s]: where (2.3) settles
+        under manual control, P_r,min + b_pr/(1 − a_pr) P_h. The defaults are the pilot operator's.
     delay : float
-        Visuomotor delay: the hand acts on what the eye saw this long ago [s].
+        Visuomotor delay: the hand acts on what the eye saw this long ago [s]; at most 5 s.
     noise : float
         Scale of wander and of steering activity; 1 as calibrated, 0 a hand without noise.
     hand_lag : float
@@ -109,6 +141,8 @@ class Operator:
 
     participant: str | int
     human: HumanModel
+    robot_floor: float = 0.24
+    robot_gain: float = 0.326
     delay: float = 0.3
     noise: float = 1.0
     hand_lag: float = 0.15
@@ -132,12 +166,19 @@ class Operator:
             raise ValueError(
                 f"human must be a HumanModel, got {type(self.human).__name__}; of a TscModel take .human"
             )
+        named = isinstance(self.participant, str) and self.participant.strip()
+        if not named and (
+            isinstance(self.participant, bool) or not isinstance(self.participant, int | np.integer)
+        ):
+            raise ValueError(f"participant must be a name or a whole number, got {self.participant!r:.60}")
         for item in fields(self)[2:]:
             object.__setattr__(self, item.name, finite_number(item.name, getattr(self, item.name)))
         for name in ("look_ahead", "steering_gain", "wander_time", "hand_lag"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
         for name in (
+            "robot_floor",
+            "robot_gain",
             "delay",
             "noise",
             "easing",
@@ -149,6 +190,9 @@ class Operator:
         ):
             if getattr(self, name) < 0.0:
                 raise ValueError(f"{name} cannot be negative, got {getattr(self, name)}")
+        for name, most in MOST.items():
+            if getattr(self, name) > most:
+                raise ValueError(f"{name} must be at most {most:g}, got {getattr(self, name):g}")
         for name in ("idle_share", "follow_tsc", "follow_performance"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} is a share, in [0, 1]; got {getattr(self, name)}")
@@ -185,7 +229,8 @@ def operator(
     participant : str or int
         Who, for example "pilot" or 3.
     model : TscModel or HumanModel
-        The participant's model, for example `trustlab.published_models()["3"]`.
+        The participant's model, for example `trustlab.published_models()["3"]`; from a `TscModel` robot_floor and
+        robot_gain follow, unless given.
     lower, upper : (float, float), optional
         Mean and standard deviation of the participant's own thresholds of TSC, as Table 2.3 prints them.
     follow : (float, float), optional
@@ -198,7 +243,10 @@ def operator(
     ValueError
         If an argument is not of the form above or out of range.
     """
-    human = model.human if isinstance(model, TscModel) else model
+    human = model
+    if isinstance(model, TscModel):
+        human, robot = model.human, model.robot
+        more = {"robot_floor": robot.p_min, "robot_gain": robot.b / (1.0 - robot.a)} | more
     for name, pair, keys in (
         ("lower", lower, ("lower", "lower_spread")),
         ("upper", upper, ("upper", "upper_spread")),
@@ -211,7 +259,7 @@ def operator(
         except (TypeError, ValueError):
             raise ValueError(f"{name} must be a pair of numbers, got {pair!r}") from None
         more |= dict(zip(keys, (first, second), strict=True))
-    unknown = sorted(set(more) - {item.name for item in fields(Operator)})
+    unknown = sorted(set(more) - set(OperatorNumbers._fields[4:]))
     if unknown:
         raise ValueError(
             f"an Operator has no {unknown[0]!r}; it has {', '.join(OperatorNumbers._fields[4:])}"

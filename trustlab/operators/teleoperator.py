@@ -4,10 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from trustlab.models.checks import finite_number
+import numpy as np
+
+from trustlab.models.checks import finite_number, whole_number
 from trustlab.teleoperation.loop_kernel import HandNumbers
 
-__all__ = ["Teleoperator"]
+__all__ = ["RANGES", "REACH", "Teleoperator", "graded_teleoperators"]
+
+REACH = {"preliminary": 2.5, "main": 1.0}
+"""Largest command [m/s] that operators of each study ask for, above the speed of its target."""
+
+RANGES = {
+    "proportional": (0.6, 1.4),
+    "derivative": (0.2, 0.6),
+    "reaction": (0.35, 0.15),
+    "lag": (0.22, 0.08),
+    "noise": (0.25, 0.05),
+}
+"""Least and most skilled value of what skill changes: about a `Teleoperator`'s defaults, which are their middles."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +81,11 @@ class Teleoperator:
     patience: float = 3.0
 
     def __post_init__(self):
+        named = isinstance(self.participant, str) and self.participant.strip()
+        if not named and (
+            isinstance(self.participant, bool) or not isinstance(self.participant, int | np.integer)
+        ):
+            raise ValueError(f"participant must be a name or a whole number, got {self.participant!r:.60}")
         for item in fields(self)[1:]:
             value = finite_number(item.name, getattr(self, item.name))
             if value < 0.0:
@@ -102,3 +121,51 @@ class Teleoperator:
             self.shift,
             max(round(self.patience / sample_time), 1),
         )
+
+
+def graded_teleoperators(n: int, seed: int = 0, study: str = "main") -> list[Teleoperator]:
+    """
+    Return simulated operators of graded skill.
+
+    Operator i has the grade g = (i + ½)/n. Each property lies at the share q = ½(g + u) of its range in `RANGES`, with u uniform
+    in [0, 1] and drawn for every property apart, so that the better operator is not better in everything. The patience of
+    moving α by hand is uniform in 2 to 4 s and owes nothing to skill. Nothing was chosen for any outcome.
+
+    Parameters
+    ----------
+    n : int
+        How many, 1 to 100 000.
+    seed : int
+        Seed of u; operator i has a stream of its own.
+    study : {"preliminary", "main"}
+        Sets the largest command.
+
+    Returns
+    -------
+    list of Teleoperator
+        Participants 1 to n, from the least to the most skilled grade.
+
+    Raises
+    ------
+    ValueError
+        If `n` or `seed` is not a whole number, or the study is unknown.
+
+    Examples
+    --------
+    >>> [person.participant for person in graded_teleoperators(3)]
+    [1, 2, 3]
+    """
+    n, seed = whole_number("n", n, most=100_000), whole_number("seed", seed, least=0)
+    if not isinstance(study, str) or study not in REACH:
+        raise ValueError(f"study must be one of {', '.join(map(repr, REACH))}, got {study!r}")
+    people = []
+    for i, child in enumerate(np.random.SeedSequence(seed).spawn(n)):
+        draws = np.random.default_rng(child).uniform(size=len(RANGES) + 1)
+        shares = 0.5 * ((i + 0.5) / n + draws[:-1])
+        skill = {
+            name: float(low + (high - low) * share)
+            for (name, (low, high)), share in zip(RANGES.items(), shares, strict=True)
+        }
+        patience = float(2.0 + 2.0 * draws[-1])
+        people.append(Teleoperator(i + 1, reach=REACH[study], patience=patience, **skill))
+    return people

@@ -1,0 +1,197 @@
+"""What counts as another task, and what does not."""
+
+import functools
+import linecache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import trustlab as tl
+from trustlab.campaign import CampaignError
+from trustlab.campaign.identity import differences, task_identity, value_text
+from trustlab.campaign.worker import code_digest, loaded, packed
+
+
+def define(source, name="task", file="<notebook cell 1>"):
+    """Run a cell as a notebook does: its source is in linecache, its module is __main__."""
+    linecache.cache[file] = (len(source), None, source.splitlines(True), file)
+    space = {"__name__": "__main__", "np": np}
+    exec(compile(source, file, "exec"), space)
+    return space[name]
+
+
+BASE = """
+SCALE = 2.0
+
+def inner(x):
+    return x + 1
+
+def task(x, seed, power=2):
+    return {"y": SCALE * inner(x) ** power + sum(OFFSET for _ in range(2))}
+
+OFFSET = 1
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("** power", "* power", r"source of __main__.task changed: “return .*” is now"),
+        ("x + 1", "x + 2", r"source of __main__.inner changed: “return x \+ 1” is now “return x \+ 2”"),
+        ("SCALE = 2.0", "SCALE = 2.5", "SCALE in __main__.task was 2.0, is 2.5"),
+        ("OFFSET = 1", "OFFSET = 3", "OFFSET in __main__.task was 1, is 3"),
+        ("power=2", "power=3", "source of __main__.task changed"),
+    ],
+)
+def test_a_change_is_seen_and_named(old, new, said):
+    before = task_identity(define(BASE))
+    assert len(differences(before, task_identity(define(BASE.replace(old, new))))) >= 1
+    text = "; ".join(differences(before, task_identity(define(BASE.replace(old, new)))))
+    import re
+
+    assert re.search(said, text)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        BASE,
+        BASE.replace("return x + 1", "return (x   +  1)  # one more"),
+        BASE.replace("def inner", "\n\n# about it\ndef inner"),
+        BASE + "\nOTHER = 5\ndef unused(): return 1\n",
+    ],
+)
+def test_layout_comments_and_what_is_not_used_do_not_count(changed):
+    assert task_identity(define(BASE)) == task_identity(define(changed))
+
+
+def test_a_task_of_a_notebook_runs_in_processes_and_is_known_again(tmp_path):
+    runs = tl.parameter_grid(x=range(8))
+    table = tl.run_campaign(define(BASE), runs, n_jobs=2, out=tmp_path)
+    assert list(table["y"]) == [2.0 * (x + 1) ** 2 + 2 for x in range(8)]
+    assert tl.run_campaign(define(BASE), runs, n_jobs=2, out=tmp_path).attrs["resumed"] == 8
+    with pytest.raises(
+        CampaignError, match=r"source of __main__.inner changed: “return x \+ 1” is now “return x \+ 3”"
+    ):
+        tl.run_campaign(define(BASE.replace("x + 1", "x + 3")), runs, n_jobs=2, out=tmp_path)
+
+
+def test_what_a_task_carries_counts():
+    def make(value):
+        return lambda x, seed: {"y": x * value}
+
+    assert task_identity(make(1)) == task_identity(make(1))
+    for a, b in [(1, 2), (1, 1.0), (np.arange(3), np.arange(4)), ({"a": 1}, {"a": 2}), (make(1), make(2))]:
+        assert task_identity(make(a)) == task_identity(make(a))
+        assert differences(task_identity(make(a)), task_identity(make(b)))
+    bound = [functools.partial(make(1), x=x) for x in (1, 1, 2)]
+    assert task_identity(bound[0]) == task_identity(bound[1])
+    assert differences(task_identity(bound[0]), task_identity(bound[2]))[0].startswith(
+        "task: arguments bound was"
+    )
+    one, other = (lambda x, seed: {"y": x}), (lambda x, seed: {"y": -x})
+    assert differences(task_identity(one), task_identity(other))
+
+    class Task:
+        def __init__(self, k):
+            self.k = k
+
+        def __call__(self, seed):
+            return {"y": self.k}
+
+        def method(self, seed):
+            return {"y": self.k}
+
+    assert task_identity(Task(1)) == task_identity(Task(1))
+    assert differences(task_identity(Task(1)), task_identity(Task(2)))
+    assert differences(task_identity(Task(1).method), task_identity(Task(2).method))
+
+    def wrapped(k):
+        @functools.wraps(make)
+        def wrapper(**kwargs):
+            return {"y": k}
+
+        return wrapper
+
+    assert differences(task_identity(wrapped(1)), task_identity(wrapped(2)))
+
+
+def recursive(x, seed):
+    return {"y": 1 if x == 0 else recursive(x - 1, seed)["y"]}
+
+
+def test_a_task_that_calls_itself_is_no_trouble():
+    assert len(task_identity(recursive)) == 2
+
+
+@given(
+    st.recursive(
+        st.one_of(st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=3)),
+        lambda inner: st.one_of(
+            st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=2), inner, max_size=3)
+        ),
+        max_leaves=6,
+    ),
+    st.data(),
+)
+@settings(max_examples=100)
+def test_texts_of_values_are_equal_where_values_are(value, data):
+    import copy
+
+    assert value_text(value) == value_text(copy.deepcopy(value))
+    assert value_text([value]) != value_text(value)
+
+
+def test_texts_tell_numbers_apart_to_the_last_bit():
+    assert value_text(0.1) != value_text(np.nextafter(0.1, 1))
+    assert value_text(1) != value_text(1.0)
+    assert value_text(True) != value_text(1)
+    assert value_text("1") != value_text(1)
+    assert value_text(np.float64(0.1)) == value_text(0.1)
+    assert value_text(np.int64(3)) == value_text(3)
+    assert value_text(-0.0) != value_text(0.0)
+
+
+MODULE = "def task(seed):\n    return {{'y': {value}}}\n"
+
+
+def test_a_worker_that_imported_an_earlier_version_imports_it_again(tmp_path, monkeypatch):
+    """The process that sends has the new code; a worker's `sys.modules` has the old."""
+    import importlib
+    import os
+    import sys
+
+    monkeypatch.syspath_prepend(tmp_path)
+    file = tmp_path / "campaign_task_of_a_test.py"
+
+    def write(value, stamp):
+        file.write_text(MODULE.format(value=value))
+        os.utime(file, (stamp, stamp))
+
+    write(1, 1_000_000)
+    module = importlib.import_module("campaign_task_of_a_test")
+    old = module.task
+    write(2, 2_000_000)
+    importlib.reload(module)
+    sent = packed(module.task)
+    module.task = old  # what a worker still has
+    assert loaded(*sent)(None) == {"y": 2}
+    write(3, 3_000_000)  # edited again, not imported by the sender
+    module.task = old
+    loaded.cache_clear()
+    with pytest.raises(CampaignError, match=r"workers find other code for campaign_task_of_a_test.task"):
+        loaded(*sent)
+    del sys.modules["campaign_task_of_a_test"]
+    file.unlink()
+    importlib.invalidate_caches()
+    loaded.cache_clear()
+    with pytest.raises(CampaignError, match="cannot be loaded in a worker: ModuleNotFoundError"):
+        loaded(*sent)
+
+
+def test_code_is_the_same_wherever_it_stands():
+    a, b = define(BASE), define("\n\n\n" + BASE, file="<notebook cell 2>")
+    assert code_digest(a.__code__) == code_digest(b.__code__)
+    assert code_digest(a.__code__) != code_digest(recursive.__code__)

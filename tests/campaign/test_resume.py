@@ -1,0 +1,329 @@
+"""Campaigns with a folder: killed, resumed, changed, damaged. Oracle: the table of a campaign that was let run."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import trustlab as tl
+from trustlab.campaign import CampaignError
+
+SCRIPT = """
+import os, sys, time
+import numpy as np
+import trustlab as tl
+
+folder, n_jobs, log = sys.argv[1], int(sys.argv[2]), sys.argv[3]
+
+def task(x, seed):
+    with open(log, "a") as file:
+        file.write(f"{x}\\n")
+    time.sleep(0.01)
+    if x % 50 == 7:
+        raise ValueError(f"x = {x}")
+    return {"y": np.random.default_rng(seed).normal() + x}
+
+if __name__ == "__main__":
+    table = tl.run_campaign(task, tl.parameter_grid(x=range(240)), seed=5, n_jobs=n_jobs, out=folder)
+    table.to_pickle(sys.argv[4])
+    print(table.attrs["resumed"])
+"""
+
+
+def chunks(folder):
+    return sorted((Path(folder) / "chunks").glob("*.parquet"))
+
+
+@pytest.mark.parametrize("n_jobs", [1, 2])
+def test_the_driving_process_is_killed_and_restarted(tmp_path, n_jobs):
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    folder, log = tmp_path / "out", tmp_path / "log"
+    environment = os.environ | {"PYTHONPATH": str(Path(tl.__file__).parents[1]), "PYTHONWARNINGS": "ignore"}
+
+    def command(where, n, result):
+        return [sys.executable, str(script), str(where), str(n), str(log), str(tmp_path / result)]
+
+    process = subprocess.Popen(command(folder, n_jobs, "never"), env=environment)
+    until = time.monotonic() + 60
+    while len(chunks(folder)) < 4 and time.monotonic() < until and process.poll() is None:
+        time.sleep(0.005)
+    assert process.poll() is None, "it was to be killed half-way"
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    saved = tl.read_campaign(folder)
+    assert 0 < len(saved) < 240
+    again = subprocess.run(
+        command(folder, n_jobs, "b.pkl"), env=environment, check=True, capture_output=True, text=True
+    )
+    assert int(again.stdout) == len(saved)  # all that was written, and nothing else
+    resumed = pd.read_pickle(tmp_path / "b.pkl")
+    counts = pd.Series(log.read_text().split()).astype(int).value_counts()
+    assert set(counts.index) == set(range(240))
+    assert counts.max() <= 2
+    assert not set(counts.index[counts > 1]) & set(saved["run"])  # what was saved did not run again
+    assert (
+        counts > 1
+    ).sum() <= 4 * 25  # chunks under way: at most two per process of 0.25 s, the last may run twice
+    import runpy
+
+    argv = sys.argv
+    sys.argv = command(tmp_path / "whole", 1, "a.pkl")[1:]
+    try:
+        task = runpy.run_path(str(script))["task"]
+    finally:
+        sys.argv = argv
+    with pytest.warns(tl.campaign.CampaignWarning, match="5 of 240"):
+        whole = tl.run_campaign(task, tl.parameter_grid(x=range(240)), seed=5, n_jobs=1)
+    pd.testing.assert_frame_equal(whole, resumed, check_exact=True)
+
+
+def plain(offset=0, scale=2):
+    def task(x, seed):
+        return {"y": x * scale}
+
+    return task
+
+
+RUNS = tl.parameter_grid(x=range(30))
+
+
+def go(folder, task=None, runs=RUNS, **kwargs):
+    return tl.run_campaign(task or plain(), runs, n_jobs=1, out=folder, **kwargs)
+
+
+def test_a_finished_campaign_is_read_and_not_run_again(tmp_path):
+    first = go(tmp_path)
+
+    second = go(tmp_path)
+    assert second.attrs["resumed"] == 30
+    assert second.attrs["executor"] == "none"
+    pd.testing.assert_frame_equal(first, second)
+
+
+def test_gaps_in_the_middle_are_filled(tmp_path):
+    first = go(tmp_path)
+    files = chunks(tmp_path)
+    assert len(files) > 2
+    files[0].unlink()
+    files[-1].unlink()
+    second = go(tmp_path)
+    assert 0 < second.attrs["resumed"] < 30
+    pd.testing.assert_frame_equal(first, second)
+
+
+def test_what_was_being_written_is_thrown_away(tmp_path):
+    first = go(tmp_path)
+    victim = chunks(tmp_path)[-1]
+    half = victim.with_name(victim.name + ".partial-1")
+    half.write_bytes(victim.read_bytes()[:100])
+    victim.unlink()
+    pd.testing.assert_frame_equal(first, go(tmp_path))
+    assert not half.exists()
+
+
+def test_another_task_is_refused_with_what_changed(tmp_path):
+    go(tmp_path)
+    before = [f.name for f in chunks(tmp_path)]
+
+    def other(x, seed):
+        return {"y": x * 3}
+
+    with pytest.raises(CampaignError, match=r"holds another campaign: the task changed.*fresh=True"):
+        go(tmp_path, other)
+    with pytest.raises(CampaignError, match=r"scale in .*plain.*task was 2, is 4"):
+        go(tmp_path, plain(scale=4))
+    with pytest.raises(CampaignError, match="seed was 0, is 1"):
+        go(tmp_path, seed=1)
+    assert [f.name for f in chunks(tmp_path)] == before
+    assert list(go(tmp_path, other, fresh=True)["y"]) == [3 * x for x in range(30)]
+
+
+@pytest.mark.parametrize(
+    ("runs", "said"),
+    [
+        (tl.parameter_grid(x=[*range(12), 50, *range(13, 30)]), r"run 12 had x = 12, now has x = 50"),
+        (tl.parameter_grid(x=range(29)), r"30 runs then, 29 now; all 29 given are as they were"),
+        (tl.parameter_grid(x=range(31)), r"30 runs then, 31 now; the first 30 are as they were"),
+        (tl.parameter_grid(x=[float(i) for i in range(30)]), r"run 0 had x = 0, now has x = 0.0"),
+        (tl.parameter_grid(x=range(30), z=[1]), "parameters were x, are x, z"),
+    ],
+)
+def test_other_parameters_are_refused_with_what_changed(tmp_path, runs, said):
+    def task(x, seed, z=0):
+        return {"y": x}
+
+    go(tmp_path, task)
+    with pytest.raises(CampaignError, match=said):
+        go(tmp_path, task, runs)
+
+
+def test_parameters_of_any_kind_are_told_apart(tmp_path, operators):
+    def task(model, f, seed):
+        return {"b": model.robot.b}
+
+    model = operators["pilot"]
+    runs = [{"model": model, "f": plain()}, {"model": operators["1"], "f": plain()}]
+    table = go(tmp_path, task, runs)
+    assert table["model"][0] is model
+    assert list(go(tmp_path, task, [dict(values) for values in runs])["b"]) == [
+        m.robot.b for m in table["model"]
+    ]
+    with pytest.raises(CampaignError, match=r"run 1 had model = .*, now has model"):
+        go(tmp_path, task, [runs[0], {"model": operators["2"], "f": plain()}])
+    with pytest.raises(CampaignError, match=r"run 0 had model = .*, now has"):
+        go(tmp_path, task, [{"model": model, "f": plain(scale=3)}, runs[1]])
+    assert "TscModel" in tl.read_campaign(tmp_path)["model"][0]
+
+
+def test_damaged_and_foreign_folders_are_refused(tmp_path):
+    folder = tmp_path / "a"
+    go(folder)
+    victim = chunks(folder)[-1]
+    data = victim.read_bytes()
+    victim.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    with pytest.raises(CampaignError, match=rf"{victim.name} is damaged: its content.*delete it"):
+        go(folder)
+    victim.unlink()
+    go(folder)
+    extra = victim.with_name(chunks(folder)[0].name.replace("runs-0000000000", "runs-0000000002"))
+    extra.write_bytes(b"")
+    with pytest.raises(CampaignError, match="which other chunks hold too"):
+        go(folder)
+    extra.unlink()
+    (folder / "chunks" / "notes.parquet").write_bytes(b"")
+    with pytest.raises(CampaignError, match="no chunk of a campaign"):
+        go(folder)
+    (folder / "chunks" / "notes.parquet").unlink()
+    manifest = (folder / "campaign.json").read_text()
+    (folder / "campaign.json").write_text(manifest[: len(manifest) // 2])
+    with pytest.raises(CampaignError, match=r"campaign.json cannot be read"):
+        go(folder)
+    (folder / "campaign.json").write_text(json.dumps(json.loads(manifest) | {"format": 99}))
+    with pytest.raises(CampaignError, match="has format 99"):
+        go(folder)
+    (folder / "campaign.json").unlink()
+    with pytest.raises(CampaignError, match=r"half a campaign: \d+ chunks, but campaign.json"):
+        go(folder)
+    assert len(go(folder, fresh=True)) == 30
+    other = tmp_path / "b"
+    other.mkdir()
+    (other / "thesis.tex").write_text("years of work")
+    for fresh in (False, True):
+        with pytest.raises(CampaignError, match=r"holds other files \(thesis.tex\)"):
+            go(other, fresh=fresh)
+    assert (other / "thesis.tex").exists()
+    with pytest.raises(CampaignError, match=r"thesis.tex is a file"):
+        go(other / "thesis.tex")
+    with pytest.raises(CampaignError, match="holds no campaign"):
+        tl.read_campaign(other)
+
+
+def test_a_kill_before_the_first_chunk_leaves_a_folder_that_can_be_used(tmp_path):
+    go(tmp_path)
+    (tmp_path / "campaign.json").unlink()  # it is written after the parameters and before any chunk
+    for file in chunks(tmp_path):
+        file.unlink()
+    assert len(go(tmp_path)) == 30
+
+
+def test_an_unwritable_folder_is_refused(tmp_path):
+    if os.geteuid() == 0:
+        target = Path("/proc/trustlab-campaign")  # not even the superuser writes there
+    else:
+        target = tmp_path / "closed" / "out"
+        target.parent.mkdir(mode=0o500)
+    with pytest.raises(CampaignError, match=r"cannot write in .*choose a folder"):
+        go(target)
+
+
+def test_a_full_disk_loses_nothing_that_was_written(tmp_path, monkeypatch):
+    import trustlab.campaign.folder as folder
+
+    write, calls = folder.write_whole, []
+
+    def full(path, data):
+        calls.append(path)
+        if len(calls) > 3:
+            raise OSError(28, "No space left on device")
+        write(path, data)
+
+    monkeypatch.setattr(folder, "write_whole", full)
+    with pytest.raises(CampaignError, match=r"No space left on device; finished chunks before it are safe"):
+        go(tmp_path)
+    monkeypatch.undo()
+    assert go(tmp_path).attrs["resumed"] > 0
+
+
+def test_two_processes_cannot_share_a_folder(tmp_path):
+    def task(x, seed):
+        go(tmp_path)
+        return {"y": 0}
+
+    with pytest.warns(tl.campaign.CampaignWarning, match="another process is running a campaign"):
+        tl.run_campaign(task, [{"x": 1}], n_jobs=1, out=tmp_path)
+
+
+def test_a_broken_off_campaign_goes_on(tmp_path):
+    stop = [12]
+
+    def task(x, seed):
+        if x == stop[0]:
+            raise KeyboardInterrupt
+        return {"y": x}
+
+    with pytest.raises(KeyboardInterrupt):
+        go(tmp_path, task)
+    part = tl.read_campaign(tmp_path)
+    assert 0 < len(part) <= 12
+    assert part.attrs == {"runs": 30, "finished": len(part), "failed": 0}
+    stop[0] = -1
+    with pytest.raises(CampaignError, match=r"stop in .*was list\[12\], is list\[-1\]"):
+        go(tmp_path, task)
+    stop[0] = 12
+    with pytest.raises(KeyboardInterrupt):
+        go(tmp_path, task)
+
+
+def test_an_empty_campaign_reads_as_an_empty_table(tmp_path):
+    def task(x, seed):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        go(tmp_path, task)
+    assert list(tl.read_campaign(tmp_path).columns) == ["run", "x", "failed", "error", "traceback"]
+
+
+def test_memory_does_not_grow_with_the_number_of_runs(tmp_path, monkeypatch):
+    """Peak up to the moment at which the table is read, for 500 and 4,000 runs of four kilobytes each."""
+
+    def task(x, seed):
+        return {"text": f"{x:04000d}"}
+
+    def peak(n):
+        seen = []
+
+        def stop(*_):
+            seen.append(tracemalloc.get_traced_memory()[1])
+            raise InterruptedError
+
+        monkeypatch.setattr("trustlab.campaign.table.assembled", stop)
+        monkeypatch.setattr("trustlab.campaign.chunks.MOST_RUNS", 100)
+        tracemalloc.start()
+        try:
+            with pytest.raises(InterruptedError):
+                go(tmp_path / str(n), task, tl.parameter_grid(x=range(n)))
+        finally:
+            tracemalloc.stop()
+        return seen[0]
+
+    peak(300)
+    small, large = peak(500), peak(4_000)
+    assert large < small + 4e6  # the results alone are 16 MB

@@ -1,0 +1,133 @@
+"""Simulated operators at the haptic device: their ranges, their grades, and the assumption behind their answers."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.operators.answers import experience, simulated_answers
+from trustlab.operators.teleoperator import RANGES, REACH, Teleoperator, graded_teleoperators
+from trustlab.sessions.session import Metadata, Session
+
+RUN = tl.simulate_teleoperation("TMIG", seed=1, duration=20.0)
+
+
+def test_graded_operators_keep_their_ranges_and_grow_in_skill():
+    people = graded_teleoperators(60, seed=3)
+    assert [person.participant for person in people] == list(range(1, 61))
+    for name, (least, most) in RANGES.items():
+        values = np.array([getattr(person, name) for person in people])
+        assert values.min() >= min(least, most)
+        assert values.max() <= max(least, most)
+        skill = (values - least) / (most - least)
+        assert skill[30:].mean() > skill[:30].mean() + 0.15
+    assert {person.reach for person in people} == {REACH["main"]}
+    assert all(2.0 <= person.patience <= 4.0 for person in people)
+
+
+def test_defaults_are_the_middle_of_the_ranges():
+    average = Teleoperator()
+    for name, ends in RANGES.items():
+        assert getattr(average, name) == pytest.approx(np.mean(ends)), name
+
+
+def test_an_operator_has_a_stream_of_its_own():
+    assert graded_teleoperators(8, seed=2) == graded_teleoperators(8, seed=2)
+    assert graded_teleoperators(8, seed=2) != graded_teleoperators(8, seed=3)
+    few, many = graded_teleoperators(4, seed=2), graded_teleoperators(8, seed=2)
+    assert [person.patience for person in few] == [person.patience for person in many[:4]]
+    assert graded_teleoperators(1, study="preliminary")[0].reach == REACH["preliminary"]
+
+
+def test_numbers_are_the_operators_own():
+    numbers = Teleoperator(reaction=0.3, lag=0.2, patience=2.0).numbers(0.01, 0.1)
+    assert numbers.delay == 40
+    assert numbers.keep == pytest.approx(np.exp(-0.05))
+    assert numbers.patience == 200
+
+
+@pytest.mark.parametrize("name", [item.name for item in fields(Teleoperator)][1:])
+@pytest.mark.parametrize("bad", [np.nan, -1.0, "x", None, np.inf])
+def test_bad_numbers_are_refused(name, bad):
+    with pytest.raises(ValueError, match=name):
+        Teleoperator(**{name: bad})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((0,), "n must be"),
+        ((2.5,), "n must be"),
+        ((3, -1), "seed must be"),
+        ((3, 0, "third"), "study must be"),
+    ],
+)
+def test_bad_populations_are_refused(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        graded_teleoperators(*arguments)
+
+
+def made(error, force, alpha, p_h, p_r, condition="TMIG"):
+    """A session with constant signals, so that what was gone through is known in closed form."""
+    import pandas as pd
+
+    values = {
+        "path_error": error,
+        "f_h_x": force,
+        "f_h_y": 0.0,
+        "f_h_z": 0.0,
+        "mode": alpha,
+        "p_h": p_h,
+        "p_r": p_r,
+    }
+    data = pd.DataFrame(
+        {name: np.full(50, value) for name, value in values.items()}, index=0.1 * np.arange(50)
+    )
+    data.index.name = "t"
+    return Session(data, Metadata(1, condition, "made", True, {}))
+
+
+def test_experience_in_closed_form():
+    # main study: error range 3 m, holding force K/Λ + β_max b = 2 + 1 N, α in [0.2, 1]
+    felt = experience(made(0.6, 3.0, 0.6, 0.3, 0.9))
+    assert felt["error"] == pytest.approx(0.2)
+    assert felt["effort"] == pytest.approx(0.5)
+    assert felt["agreement"] == pytest.approx(1.0 - abs(0.5 - 0.25))
+    assert experience(made(30.0, 0.0, 1.0, 0.0, 0.0)) == pytest.approx(
+        {"error": 1.0, "effort": 0.0, "agreement": 0.5}
+    )
+
+
+def test_answers_follow_what_was_gone_through():
+    calm, rough = made(0.1, 0.1, 0.6, 0.5, 0.5), made(2.5, 20.0, 0.2, 0.9, 0.1)
+    low, high = simulated_answers(calm), simulated_answers(rough)
+    for name in ("mental", "physical", "temporal", "performance", "effort", "frustration"):
+        assert high[name] > low[name] + 20
+        assert low[name] % 5 == high[name] % 5 == 0
+    for name in ("satisfaction", "comfort", "control", "trust"):
+        assert high[name] < low[name] - 1
+    assert 1 <= high["trust"] <= low["trust"] <= 7
+
+
+def test_answers_are_a_persons_own_and_repeatable():
+    assert simulated_answers(RUN, participant=3, seed=1) == simulated_answers(RUN, participant=3, seed=1)
+    assert simulated_answers(RUN, participant=3, seed=1) != simulated_answers(RUN, participant=4, seed=1)
+    assert max(simulated_answers(RUN, points=5)[name] for name in ("satisfaction", "comfort", "control")) <= 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"session": 1}, "session must be of class Session"),
+        ({"study": "third"}, "study must be one of"),
+        ({"participant": 0}, "participant must be"),
+        ({"participant": "me"}, "participant must be"),
+        ({"seed": -1}, "seed must be"),
+        ({"points": 6}, "points must be 5 or 7"),
+        ({"points": True}, "points must be 5 or 7"),
+    ],
+)
+def test_bad_questions_are_refused(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        simulated_answers(**({"session": RUN} | arguments))

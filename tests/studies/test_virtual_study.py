@@ -1,0 +1,421 @@
+"""Virtual studies: populations beside the printed tables, studies beside their runs one by one, folders read again."""
+
+import pickle
+import tracemalloc
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+import trustlab as tl
+from trustlab.allocation.limits import threshold_limits
+from trustlab.campaign import CampaignError, CampaignWarning
+from trustlab.studies import GroundRobotPopulation, TeleoperatorPopulation
+from trustlab.studies import virtual_participant as one_participant
+from trustlab.studies.populations import COORDINATES
+
+PUBLISHED = GroundRobotPopulation.published()
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """Ten simulated operators, two laps, written to a folder."""
+    folder = tmp_path_factory.mktemp("virtual") / "study"
+    return tl.virtual_study(n=10, seed=3, laps=2, out=folder)
+
+
+# --- populations ----------------------------------------------------------------------------------------------------
+
+
+def test_the_published_population_has_the_printed_means_and_spreads():
+    table = tl.published_table("2.1").astype(float)
+    tau = 1.0 / (1.0 - table.loc["a_r"])
+    rows = PUBLISHED.table().set_index("quantity")
+    expected = {
+        "ln tau_r": np.log(tau),
+        "logit beta": np.log(table.loc["beta"] / (1 - table.loc["beta"])),
+        "p_h_min": table.loc["P_h_min"],
+        "ln (p_h_max - p_h_min)": np.log(table.loc["P_h_max"] - table.loc["P_h_min"]),
+        "ln tau_pr": -np.log(1.0 - table.loc["a_pr"]),
+        "ln (p_r_max - p_r_min)": np.log(table.loc["P_r_max"] - table.loc["P_r_min"]),
+        "own lower": tl.published_table("2.3").loc[("TSC_l", "mean")].astype(float),
+    }
+    for name, values in expected.items():
+        assert rows.loc[name, "mean"] == pytest.approx(values.mean(), rel=1e-12)
+        assert rows.loc[name, "sd"] == pytest.approx(values.std(), rel=1e-9)
+    assert list(rows.index) == [*COORDINATES, "follow_tsc", "follow_performance"]
+    assert rows.loc["follow_tsc", ["mean", "sd"]].tolist() == pytest.approx([0.7857, 0.2945])
+
+
+def test_thresholds_of_the_second_participant_are_at_their_place():
+    limits = threshold_limits(tl.published_models()["2"], 0.0)
+    place = (0.0 - limits.lower) / (limits.upper - limits.lower)
+    above = (0.35 - 0.0) / (limits.upper - 0.0)
+    own = GroundRobotPopulation(PUBLISHED.mean, PUBLISHED.covariance, PUBLISHED.follow)
+    z = own.mean.copy()
+    printed = tl.published_table("2.1")["2"].astype(float)
+    z[:6] = [
+        np.log(1 / (1 - 0.9995)), np.log(0.81 / 0.19), 0.365, np.log(0.407 - 0.365), np.log(1 / (1 - 0.9953)), np.log(0.35 - 0.24),
+    ]  # fmt: skip
+    z[10:] = [np.log(place / (1 - place)), np.log(above / (1 - above))]
+    values = own._values(z)
+    assert values["p_h_max"] == pytest.approx(printed["P_h_max"])
+    assert [values["tsc_l"], values["tsc_u"]] == pytest.approx([0.0, 0.35], abs=1e-12)
+
+
+def test_shrinkage_makes_the_covariance_positive_definite_and_keeps_variances():
+    eigenvalues = np.linalg.eigvalsh(PUBLISHED.covariance)
+    assert eigenvalues[0] > 1e-6 * eigenvalues[-1]
+    free = GroundRobotPopulation.published(shrinkage=1.0)
+    np.testing.assert_allclose(free.covariance, np.diag(np.diag(PUBLISHED.covariance)), atol=1e-15)
+    wide = GroundRobotPopulation.published(spread=2.0)
+    np.testing.assert_allclose(wide.covariance, 4.0 * PUBLISHED.covariance, rtol=1e-12)
+    with pytest.raises(ValueError, match=r"shrinkage must lie in \(0, 1\], got 0.0: at 0 .* is singular"):
+        GroundRobotPopulation.published(shrinkage=0)
+
+
+def test_draws_have_the_distribution_and_all_are_models():
+    drawn = PUBLISHED.draw(2000, seed=1)
+    assert (drawn["redrawn"] > 0).mean() < 0.05
+    z = stats.norm.cdf(
+        (np.log(1.0 / (1.0 - drawn["a_r"])) - PUBLISHED.mean[0]) / np.sqrt(PUBLISHED.covariance[0, 0])
+    )
+    assert stats.kstest(z, "uniform").pvalue > 0.01
+    total = 0.7857 * 0.2143 / 0.2945**2 - 1.0
+    assert stats.kstest(drawn["follow_tsc"], stats.beta(0.7857 * total, 0.2143 * total).cdf).pvalue > 0.01
+    for values in drawn.to_dict("records")[:200]:
+        operator, model, (low, high) = PUBLISHED.person(values)
+        limits = threshold_limits(model, 0.0)
+        assert limits.lower < low < high < limits.upper
+        assert operator.lower < operator.upper
+    assert drawn.attrs["synthetic"] is True
+
+
+@pytest.mark.parametrize("population", [PUBLISHED, TeleoperatorPopulation()])
+def test_the_people_of_a_smaller_study_are_the_first_of_a_larger(population):
+    pd.testing.assert_frame_equal(population.draw(4, seed=2), population.draw(9, seed=2).head(4))
+    assert not population.draw(4, seed=2).equals(population.draw(4, seed=3))
+
+
+def test_draws_that_are_no_model_are_drawn_again():
+    covariance = PUBLISHED.covariance.copy()
+    covariance[6, 6] = 1.0  # own lower thresholds far below −1
+    wide = GroundRobotPopulation(PUBLISHED.mean, covariance, PUBLISHED.follow)
+    drawn = wide.draw(60, seed=0)
+    assert drawn["redrawn"].sum() > 10
+    assert (drawn["lower"] >= -1.0).all()
+    mean = PUBLISHED.mean.copy()
+    mean[2] = 5.0  # performance of five metres a second
+    with pytest.raises(ValueError, match="none of 1000 draws for participant 1 is a valid model"):
+        GroundRobotPopulation(mean, PUBLISHED.covariance, PUBLISHED.follow).draw(1)
+
+
+def test_teleoperators_lie_in_their_ranges():
+    drawn = TeleoperatorPopulation("preliminary").draw(500, seed=1)
+    assert drawn["reaction"].between(0.15, 0.35).all()
+    assert set(drawn["reach"]) == {2.5}
+    table = TeleoperatorPopulation().table().set_index("quantity")
+    for name in ("reaction", "noise", "patience"):
+        assert drawn[name].mean() == pytest.approx(table.loc[name, "mean"], abs=0.15 * table.loc[name, "sd"])
+        assert drawn[name].std() == pytest.approx(table.loc[name, "sd"], rel=0.12)
+
+
+# --- studies --------------------------------------------------------------------------------------------------------
+
+
+def test_measures_are_those_of_the_runs_one_by_one(kept):
+    who = 4
+    values = kept.participants.to_dict("records")[who - 1]
+    operator, model, thresholds = PUBLISHED.person(values)
+    seeds = np.random.SeedSequence(3).spawn(10)[who - 1].spawn(5)
+    for place, condition in enumerate(("C1", "C2", "C3", "C4", "C5")):
+        given = thresholds if condition in ("C2", "C3") else None
+        run = tl.run_condition(condition, operator, model, given, laps=2, seed=seeds[place])
+        row = kept.measures.query("participant == @who and condition == @condition").iloc[0]
+        for name, value in run.measures().items():
+            assert row[name] == value or np.isnan(value), name
+
+
+def test_sessions_are_read_again_and_have_the_measures(kept):
+    sessions = kept.sessions()
+    assert len(sessions) == 50
+    read = pd.DataFrame(
+        [
+            (
+                s.metadata.participant,
+                s.metadata.more["trial"],
+                s.metadata.condition,
+                s["p_r"].mean(),
+                s["r"].mean(),
+            )
+            for s in sessions
+        ],
+        columns=["participant", "position", "condition", "p_r", "r"],
+    )
+    both = kept.measures.merge(read, on=["participant", "position", "condition"], suffixes=("", "_read"))
+    assert len(both) == 50
+    np.testing.assert_array_equal(both["p_r"], both["p_r_read"])
+    np.testing.assert_array_equal(both["r"], both["r_read"])
+    assert all(s.metadata.synthetic for s in sessions)
+    assert "simulated" in sessions[0].metadata.more["note"]
+    table = pd.read_csv(kept.folder / "measures.csv")
+    np.testing.assert_allclose(table["p_r"], kept.measures["p_r"], rtol=1e-12)
+    assert (kept.folder / "about.txt").read_text().startswith("SIMULATED.")
+    assert {"participants.csv", "orders.csv"} <= {item.name for item in kept.folder.iterdir()}
+
+
+def test_the_order_is_the_designs_and_balanced(kept):
+    plan = kept.design.orders().astype({"condition": str})
+    rows = kept.measures[["participant", "position", "condition"]].astype({"condition": str})
+    pd.testing.assert_frame_equal(rows, plan, check_dtype=False)
+    assert kept.design.balance().balanced
+
+
+def test_a_participant_is_a_function_of_their_row_and_seed_that_any_process_can_run(kept):
+    task = pickle.loads(pickle.dumps(one_participant.run_participant))
+    order = " ".join(kept.design.table().loc[7])
+    fixed = {"testbed": "ground_robot", "study": "", "laps": 2, "length": 0.0, "rest": None, "folder": None}
+    values = kept.participants.to_dict("records")[6]
+    found = task(**fixed, order=order, **values, seed=np.random.SeedSequence(3).spawn(7)[6])
+    for row in kept.measures.query("participant == 7").to_dict("records"):
+        for name in kept.names:
+            np.testing.assert_equal(found[f"{row['condition']}/{name}"], row[name])
+
+
+def test_analyses_are_those_of_repeated_measures(kept):
+    direct = tl.repeated_measures(kept.measures, "p_r", "condition", "participant")
+    assert kept.analysis("p_r").F == direct.F
+    assert kept.analysis("p_r").origin == "simulated operators"
+    assert "simulated operators" in kept.analysis("p_r").apa()
+    assert kept.analysis("p_r", ["C1", "C3"]).k == 2
+    table = kept.table().set_index("measure")
+    assert table.loc["p_r", "F"] == direct.F
+    assert table.loc["p_r", "p"] == direct.p_corrected
+    assert np.isnan(table.loc["laps", "F"])
+    assert "every score is 2" in table.loc["laps", "note"]
+    assert "C1" not in table.loc["followed_percent", "conditions"]
+    assert set(table.index) == set(kept.names)
+    assert kept.table().attrs["origin"] == "simulated operators"
+
+
+def test_reports_say_that_they_are_simulated(kept):
+    assert "No person took part" in kept._repr_html_()
+    assert "orders have no effect" in kept.summary
+    axes = kept.plot()
+    assert "simulated operators" in axes[0].figure.get_suptitle()
+    assert len(axes) == 4
+    assert kept.measures["synthetic"].all()
+    assert kept.measures.attrs["origin"] == "simulated operators"
+
+
+def test_orders_have_no_effect_unless_rest_is_given(tmp_path):
+    names = ["C1", "C3"]
+    first = tl.studies.latin_square_design(names, 4, seed=0)
+    second = next(
+        d for s in range(1, 20) if (d := tl.studies.latin_square_design(names, 4, seed=s)).rows != first.rows
+    )
+    key = ["participant", "condition"]
+    plain = [tl.virtual_study(d, seed=1, laps=1).measures.sort_values(key) for d in (first, second)]
+    carried = [
+        tl.virtual_study(d, seed=1, laps=1, rest=60.0).measures.sort_values(key) for d in (first, second)
+    ]
+    np.testing.assert_array_equal(plain[0]["p_r"], plain[1]["p_r"])
+    assert (plain[0]["position"].to_numpy() != plain[1]["position"].to_numpy()).any()
+    assert (carried[0]["r"].to_numpy() != carried[1]["r"].to_numpy()).any()
+
+
+def test_rest_carries_utilization_over_by_2_5(tmp_path):
+    study = tl.virtual_study(n=4, conditions=["C1", "C5"], seed=1, laps=1, rest=120.0, out=tmp_path / "s")
+    a = study.participants.set_index("participant")["a_r"]
+    sessions = {(s.metadata.participant, s.metadata.more["trial"]): s for s in study.sessions()}
+    for who in range(1, 5):
+        end, begin = sessions[who, 1]["r"][-1], sessions[who, 2]["r"][0]
+        assert sessions[who, 1]["r"][0] == 0.0
+        assert begin == pytest.approx(end * a[who] ** 1200, rel=1e-12)
+        assert begin > 0.0
+    assert "carried over" in study.summary
+
+
+def test_the_uav_testbed_measures_what_teleoperation_measures_does():
+    study = tl.virtual_study(n=4, conditions=["TMIG", "M", "MI", "OMI"], seed=2, duration=12.0)
+    assert study.conditions == ("TMIG", "M", "MI", "OMI")
+    operator = study.population.person(study.participants.to_dict("records")[2])
+    seeds = dict(zip(["M", "MI", "OMI", "TMIG"], np.random.SeedSequence(2).spawn(4)[2].spawn(4), strict=True))
+    for scheme in study.conditions:
+        run = tl.simulate_teleoperation(scheme, operator, seed=seeds[scheme], duration=12.0)
+        expected = tl.teleoperation_measures(run).iloc[0]
+        row = study.measures.query("participant == 3 and condition == @scheme").iloc[0]
+        assert all(row[name] == expected[name] for name in study.names)
+    assert study.analysis("tracking_error").k == 4
+    default = tl.studies.virtual_study
+    assert default is tl.virtual_study
+
+
+def test_memory_does_not_grow_with_runs(monkeypatch):
+    arguments = {"conditions": ["C1", "C5"], "seed": 1, "laps": 1}
+    tl.virtual_study(n=4, **arguments)  # compiled, imported
+    whole, held = one_participant.run_condition, []
+
+    def holding(*given, **options):
+        held.append(whole(*given, **options))
+        return held[-1]
+
+    def peak(n):
+        tracemalloc.start()
+        try:
+            tl.virtual_study(n=n, **arguments)
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    session = 15 * 8 * 900  # bytes of one lap
+    assert peak(24) - peak(4) < 10 * session  # 40 sessions more
+    monkeypatch.setattr(one_participant, "run_condition", holding)
+    assert peak(24) - peak(4) > 30 * session
+
+
+# --- failures and folders -------------------------------------------------------------------------------------------
+
+
+def test_a_participant_who_fails_is_listed_and_left_out(monkeypatch):
+    whole = one_participant.run_condition
+
+    def failing(condition, someone, *more, **options):
+        if someone.participant == 2 and condition == "C4":
+            raise ValueError("the joystick came off")
+        return whole(condition, someone, *more, **options)
+
+    monkeypatch.setattr(one_participant, "run_condition", failing)
+    with pytest.warns(CampaignWarning, match="joystick came off"):
+        study = tl.virtual_study(n=4, conditions=["C1", "C4"], seed=1, laps=1)
+    assert study.failures["participant"].tolist() == [2]
+    assert "joystick" in study.failures["error"].item()
+    assert set(study.measures["participant"]) == {1, 3, 4}
+    assert study.analysis("p_r").n == 3
+    assert "1 participant(s) failed" in study.summary
+
+
+def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
+    arguments = {"n": 4, "conditions": ["C1", "C4"], "seed": 1, "laps": 1, "out": tmp_path / "s"}
+    first = tl.virtual_study(**arguments)
+    stamps = {file: file.stat().st_mtime_ns for file in (tmp_path / "s" / "sessions").iterdir()}
+    again = tl.virtual_study(**arguments)
+    pd.testing.assert_frame_equal(first.measures, again.measures)
+    assert stamps == {file: file.stat().st_mtime_ns for file in stamps}
+    with pytest.raises(CampaignError, match="seed was 1, is 2"):
+        tl.virtual_study(**(arguments | {"design": first.design, "conditions": None, "seed": 2}))
+    with pytest.raises(ValueError, match="sessions that are not known to be of this study"):
+        tl.virtual_study(**(arguments | {"conditions": ["C1", "C5"]}))
+    next(iter(stamps)).unlink()
+    with pytest.raises(ValueError, match="1 of 8 sessions are missing from"):
+        tl.virtual_study(**arguments)
+
+
+def test_folders_of_others_are_refused(tmp_path):
+    arguments = {"n": 4, "conditions": ["C1", "C4"], "laps": 1}
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(ValueError, match=r"holds other things \(notes.txt\)"):
+        tl.virtual_study(**arguments, out=tmp_path)
+    with pytest.raises(ValueError, match=r"but .*notes\.txt is a file"):
+        tl.virtual_study(**arguments, out=tmp_path / "notes.txt")
+    with pytest.raises(ValueError, match="cannot write in"):
+        tl.virtual_study(**arguments, out=tmp_path / "notes.txt" / "below")
+    (tmp_path / "s" / "sessions").mkdir(parents=True)
+    (tmp_path / "s" / "sessions" / "participant_00001_trial_1_C1.parquet").write_bytes(b"")
+    with pytest.raises(ValueError, match="not known to be of this study"):
+        tl.virtual_study(**arguments, out=tmp_path / "s")
+    with pytest.raises(ValueError, match="out must be the path of a folder, got 3"):
+        tl.virtual_study(**arguments, out=3)
+    with pytest.raises(ValueError, match="kept no sessions"):
+        tl.virtual_study(**arguments).sessions()
+
+
+# --- refusals -------------------------------------------------------------------------------------------------------
+
+SQUARE = tl.studies.latin_square_design(["C1", "C2"], 4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"conditions": ["C1", "C6"]}, "unknown condition 'C6'; did you mean"),
+        ({"conditions": ["c1", "C2"]}, "unknown condition 'c1'; did you mean 'C1'"),
+        ({"conditions": ["M", "TMG"]}, "unknown condition 'TMG'; did you mean 'TMIG'"),
+        ({"conditions": ["C1", None]}, "unknown condition None"),
+        (
+            {"conditions": ["C1", "M"]},
+            "C1 of the ground-robot testbed and M of the UAV testbed; make two studies",
+        ),
+        ({"conditions": ["C1"]}, "two or more, each once"),
+        ({"conditions": []}, "two or more, each once, got none"),
+        ({"conditions": ["C1", "C1"]}, "two or more, each once"),
+        ({"conditions": "C1"}, "conditions must be a list of names"),
+        ({"conditions": 5}, "conditions must be a list of names"),
+        ({"n": 4}, "n = 4 is too small for the design: a balanced Latin square of 5 conditions needs 10"),
+        ({"n": 2, "conditions": ["C1", "C2"]}, "n = 2 is too small for the design: .* 2 conditions needs 4"),
+        ({"n": 13}, "13 participants do not fill whole squares"),
+        ({"n": 10.5}, "n must be a whole number"),
+        ({"seed": -1}, "seed must be a whole number"),
+        ({"design": "random"}, "design must be 'latin_square' or a LatinSquareDesign, got 'random'"),
+        ({"design": None}, "design must be 'latin_square'"),
+        ({"design": SQUARE, "conditions": ["C1", "C3"]}, "design has the conditions"),
+        ({"design": SQUARE, "n": 10}, "design is for 4 participants, but n = 10"),
+        ({"design": tl.studies.latin_square_design(["C1", "C2"], 2)}, "2 participants are too few"),
+        ({"design": tl.studies.latin_square_design(["C1", "C2"], ["a", "b"])}, "are numbered"),
+        (
+            {"population": "everyone"},
+            "population must be a GroundRobotPopulation or a TeleoperatorPopulation, got str",
+        ),
+        (
+            {"population": TeleoperatorPopulation(), "conditions": ["C1", "C2"]},
+            "TeleoperatorPopulation is of the UAV testbed, but the conditions are of the ground-robot testbed",
+        ),
+        ({"population": PUBLISHED, "conditions": ["M", "OMI"]}, "is of the ground-robot testbed"),
+        ({"laps": 0}, "laps must be a whole number"),
+        ({"duration": 60.0}, "duration has no effect on the ground-robot testbed"),
+        ({"rest": -1.0}, "rest cannot be negative"),
+        ({"rest": np.nan}, "rest must be finite"),
+        ({"laps": 8, "conditions": ["M", "OMI"]}, "laps has no effect on the UAV testbed"),
+        ({"rest": 1.0, "conditions": ["M", "OMI"]}, "rest has no effect on the UAV testbed"),
+        ({"duration": "long", "conditions": ["M", "OMI"]}, "duration must be a number"),
+        ({"n_jobs": 0}, "n_jobs must be a whole number"),
+    ],
+)
+def test_virtual_study_refuses(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        tl.virtual_study(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"mean": PUBLISHED.mean[:5]}, "mean must have 12 samples"),
+        ({"covariance": np.eye(3)}, "covariance must be 12 × 12"),
+        ({"covariance": np.ones((12, 12))}, "covariance is not positive definite: its least eigenvalue"),
+        ({"follow": ((0.5, 0.6), (0.5, 0.1))}, "have no beta distribution"),
+        ({"follow": ((1.0, 0.1), (0.5, 0.1))}, "have no beta distribution"),
+        ({"follow": (0.5, 0.1)}, "follow must be two pairs"),
+        ({"follow": ((0.5, 0.1),)}, "follow must be two pairs of numbers"),
+        ({"p_r_min": None}, "p_r_min must be a number"),
+    ],
+)
+def test_populations_refuse(arguments, message):
+    given = {"mean": PUBLISHED.mean, "covariance": PUBLISHED.covariance, "follow": PUBLISHED.follow}
+    with pytest.raises(ValueError, match=message):
+        GroundRobotPopulation(**(given | arguments))
+
+
+def test_other_refusals_of_populations(kept):
+    with pytest.raises(ValueError, match="spread must be positive"):
+        GroundRobotPopulation.published(spread=0.0)
+    with pytest.raises(ValueError, match="study must be one of 'preliminary', 'main'"):
+        TeleoperatorPopulation("pilot")
+    with pytest.raises(ValueError, match="n must be a whole number"):
+        PUBLISHED.draw(0)
+    with pytest.raises(ValueError, match="no measure 'p_t'; did you mean"):
+        kept.analysis("p_t")
+    with pytest.raises(ValueError, match="unknown condition 'C9'"):
+        kept.analysis("p_r", ["C1", "C9"])
+    with pytest.raises(ValueError, match="missing cells in 'followed_percent'"):
+        kept.analysis("followed_percent")

@@ -1,0 +1,152 @@
+"""Claim 2: what makes the two-port of Proposition 3 passive, found from H alone, on signals, and with guards removed."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trustlab.teleoperation.filters import (
+    TwoPortFilter,
+    WaveFilter,
+    corrected_filter,
+    passivity_margin,
+    printed_filter,
+    sinusoid_energy,
+)
+from trustlab.teleoperation.haptic_device import PassivityError
+
+T = 1e-3
+
+
+def signals(seed, n=3, count=2000):
+    """Two signals from smooth to rough, of any size."""
+    rng = np.random.default_rng([71, seed])
+    t = T * np.arange(count)[:, None]
+    out = []
+    for _ in range(2):
+        kind = rng.integers(3)
+        signal = (
+            rng.normal(size=(count, n))
+            if kind == 0
+            else np.sin(10 ** rng.uniform(-1, 3) * t + rng.uniform(0, 6, n))
+            if kind == 1
+            else np.repeat(rng.normal(size=(count // 50, n)), 50, axis=0)
+        )
+        out.append(10 ** rng.uniform(-2, 2) * signal)
+    return out
+
+
+@given(st.floats(1e-3, 1e4))
+@settings(max_examples=40)
+def test_one_pole_needs_a_quarter(cutoff):
+    margin = passivity_margin([cutoff], [1.0, cutoff])
+    assert margin.least_product == pytest.approx(0.25, rel=1e-12)
+    assert margin.frequency == pytest.approx(cutoff, rel=1e-6)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=60)
+def test_margin_against_a_grid_of_frequencies(seed):
+    """Oracle: (Im H)² on a dense grid."""
+    rng = np.random.default_rng([72, seed])
+    order = int(rng.integers(1, 4))
+    poles = -(10 ** rng.uniform(-1, 1, order)) + 0j
+    if order > 1 and rng.random() < 0.5:
+        poles[1] = np.conj(poles[0] + 1j * rng.uniform(0, 5))
+        poles[0] = np.conj(poles[1])
+    bottom = np.real(np.poly(poles))
+    top = rng.normal(size=int(rng.integers(1, order + 2)))
+    found = passivity_margin(top, bottom)
+    omega = np.concatenate([[0.0], np.logspace(-4, 4, 80_001)])
+    response = np.polyval(top, 1j * omega) / np.polyval(bottom, 1j * omega)
+    assert found.least_product == pytest.approx(float((response.imag**2).max()), rel=1e-5, abs=1e-14)
+    assert found.least_product >= (response.imag**2).max() * (1 - 1e-9)
+
+
+def test_margin_is_the_least_eigenvalue_of_the_matrix():
+    """Oracle: eigenvalues of the Hermitian part of [[k_21, H], [−H, k_12]] over frequency."""
+    omega = np.logspace(-2, 3, 4001)
+    response = 10.0 / (1j * omega + 10.0)
+    for k12, k21 in ((0.5, 0.5), (0.1, 2.5), (0.1, 2.4), (1.0, 0.2)):
+        least = min(
+            np.linalg.eigvalsh(0.5 * (m + m.conj().T)).min()
+            for m in (np.array([[k21, h], [-h, k12]]) for h in response)
+        )
+        assert passivity_margin([10.0], [1.0, 10.0], k12, k21).is_passive == (least >= -1e-12)
+
+
+def test_printed_choice_makes_half_a_unit_per_second_for_ever():
+    """Closed form: u_1ᵀLP[u_2] − u_2ᵀLP[u_1] = −½ once the start has died out."""
+    run = sinusoid_energy(printed_filter(4.0), 60.0)
+    late = run.t > 10.0
+    slope = np.polyfit(run.t[late], run.generated[late], 1)[0]
+    assert slope == pytest.approx(0.5, rel=1e-5)
+    assert run.generated[-1] > 29.0
+
+
+@given(st.integers(0, 10_000), st.floats(0.25, 2.0), st.floats(-2.0, 2.0), st.floats(-1.0, 3.0))
+@settings(max_examples=100)
+def test_corrected_filter_never_generates(seed, product, impedance, cutoff):
+    two_port = corrected_filter(10**cutoff, 10**impedance, product)
+    run = two_port.run(*signals(seed), T)
+    before = np.concatenate([[0.0], run.generated[:-1]])
+    scale = np.abs(run.supply).max() + run.storage.max()
+    assert (run.generated - before).max() <= 1e-12 * scale  # at every sample, not only in the end
+
+
+@pytest.mark.parametrize("product", [0.2, 0.1, 0.0])
+def test_less_than_a_quarter_generates(product):
+    """Negative control: at ω_c with the phase that the eigenvector asks for."""
+    root = np.sqrt(product)
+    two_port = TwoPortFilter(5.0, root, root, require_passive=False)
+    assert sinusoid_energy(two_port, 60.0).generated[-1] > 1.0
+    assert sinusoid_energy(corrected_filter(5.0, 1.0), 60.0).generated.max() <= 0.0
+
+
+@given(st.integers(0, 10_000), st.floats(-1.0, 3.0))
+@settings(max_examples=50)
+def test_filtered_waves_carry_no_more_than_came(seed, cutoff):
+    wave, _ = signals(seed)
+    out, held = WaveFilter(10**cutoff).run(wave, T)
+    energy = 0.5 * T * np.cumsum((wave**2).sum(axis=1) - (out**2).sum(axis=1)) - held
+    assert np.diff(energy, prepend=0.0).min() >= -1e-13 * max(np.abs(energy).max(), 1e-300)
+
+
+def test_wave_filter_is_a_low_pass():
+    out, _ = WaveFilter(2.0).run(np.ones(20_000), T)
+    assert out[-1, 0] == pytest.approx(1.0, abs=1e-12)
+    assert out[499, 0] == pytest.approx(1.0 - np.exp(-1.0), abs=1e-3)
+
+
+def test_storage_agrees_with_the_run():
+    two_port = corrected_filter(3.0, 2.0)
+    run = two_port.run([[1.0, 0.0]], [[0.0, 2.0]], T)
+    g = 0.5 * T * 3.0
+    a = np.array([[1.0, 0.0], [0.0, 2.0]]) * 2.0 * g / (1.0 + g)
+    assert run.storage[0] == pytest.approx(two_port.storage(*a), rel=1e-12)
+
+
+def test_refusals():
+    with pytest.raises(PassivityError, match=r"k_12 k_21 = 0\.2"):
+        TwoPortFilter(1.0, 0.2, 1.0)
+    with pytest.raises(ValueError, match="stable"):
+        passivity_margin([1.0], [1.0, -1.0])
+    with pytest.raises(ValueError, match="proper"):
+        passivity_margin([1.0, 0.0, 0.0], [1.0, 1.0])
+    with pytest.raises(ValueError, match="k12 cannot be negative"):
+        passivity_margin([1.0], [1.0, 1.0], k12=-1.0)
+    with pytest.raises(ValueError, match="same shape"):
+        corrected_filter(1.0, 1.0).run(np.zeros(3), np.zeros(4), T)
+    with pytest.raises(ValueError, match="sample 1"):
+        corrected_filter(1.0, 1.0).run([0.0, np.nan], [0.0, 1.0], T)
+    with pytest.raises(ValueError, match="at least one sample"):
+        sinusoid_energy(printed_filter(1.0), 1e-4)
+    for bad in (np.nan, np.inf, "1", True, None, [1.0], -1.0, 0.0):
+        for call in (
+            printed_filter,
+            WaveFilter,
+            lambda x: corrected_filter(1.0, x),
+            lambda x: corrected_filter(x, 1.0),
+        ):
+            with pytest.raises(ValueError):
+                call(bad)

@@ -1,0 +1,86 @@
+"""Leader policies: the most trusted leads, hysteresis waits, sequences are followed, every switch is to another robot after τ_min."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trustlab.teleoperation.leader_policies import (
+    POLICIES,
+    GivenSequence,
+    MostTrusted,
+    RandomLeaders,
+    policy_named,
+)
+
+
+def lead(policy, trust, dwell=1.0, step=0.1, seed=0, names=None):
+    names = tuple(range(trust.shape[1])) if names is None else names
+    return policy.leaders(trust, names, step, dwell, np.random.default_rng(seed))
+
+
+@given(st.integers(0, 10_000), st.sampled_from(sorted(POLICIES)), st.floats(0.05, 20.0), st.integers(2, 9))
+@settings(max_examples=100)
+def test_leaders_stay_for_the_minimum(seed, name, dwell, robots):
+    trust = np.random.default_rng(seed).uniform(size=(400, robots))
+    chosen = lead(POLICIES[name], trust, dwell, seed=seed)
+    at = np.concatenate([[0], np.flatnonzero(np.diff(chosen)) + 1])
+    assert chosen.shape == (400,)
+    assert chosen.min() >= 0
+    assert chosen.max() < robots
+    assert (np.diff(at) * 0.1 >= dwell - 1e-9).all()
+
+
+def test_most_trusted_by_hand():
+    trust = np.array([[0.5, 0.4], [0.5, 0.6], [0.5, 0.6], [0.5, 0.6], [0.7, 0.6], [0.7, 0.6]])
+    assert lead(MostTrusted(), trust, 0.2).tolist() == [0, 0, 1, 1, 0, 0]
+    assert lead(MostTrusted(margin=0.15), trust, 0.2).tolist() == [0] * 6
+    assert (
+        lead(MostTrusted(), np.full((5, 3), 0.5), 0.1).tolist() == [0] * 5
+    )  # equal trust is no reason to switch
+
+
+def test_most_trusted_is_the_argmax_whenever_it_may_switch():
+    trust = np.random.default_rng(1).uniform(size=(500, 4))
+    assert (lead(MostTrusted(), trust, 0.1) == trust.argmax(axis=1)).all()
+
+
+def test_given_sequence():
+    trust = np.zeros((10, 3))
+    assert (
+        lead(GivenSequence(["c", "a"], times=[0.0, 0.45]), trust, 0.2, names=("a", "b", "c")).tolist()
+        == [2] * 5 + [0] * 5
+    )
+    assert lead(GivenSequence([0, 2], every=0.3), trust, 0.2).tolist() == [0, 0, 0, 2, 2, 2, 0, 0, 0, 2]
+    assert lead(GivenSequence(), trust, 0.1).tolist() == [0, 0, 1, 1, 2, 2, 0, 0, 1, 1]
+    assert lead(GivenSequence([1]), trust, 0.1).tolist() == [1] * 10
+
+
+def test_random_leaders_reach_everyone():
+    chosen = lead(RandomLeaders(0.0), np.zeros((2000, 5)), 0.1)
+    assert set(chosen) == set(range(5))
+    assert (np.diff(chosen) != 0).all()  # another robot each time
+
+
+def test_refusals():
+    for make, words in (
+        (lambda: MostTrusted(-0.1), "margin"),
+        (lambda: MostTrusted("x"), "margin"),
+        (lambda: RandomLeaders(-1.0), "waiting"),
+        (lambda: RandomLeaders(np.nan), "waiting"),
+        (lambda: GivenSequence([]), "at least one"),
+        (lambda: GivenSequence("ab"), "list of names"),
+        (lambda: GivenSequence([0, 0]), "another robot"),
+        (lambda: GivenSequence([0, 1, 0]), "follow itself"),
+        (lambda: GivenSequence([0, 1], times=[1.0, 2.0]), "begin at 0"),
+        (lambda: GivenSequence([0, 1], times=[0.0, 0.0]), "increase"),
+        (lambda: GivenSequence([0, 1], times=[0.0]), "times"),
+        (lambda: GivenSequence(times=[0.0]), "times need robots"),
+        (lambda: GivenSequence([0, 1], every=0.0), "every"),
+        (lambda: policy_named("fastest"), "must be one of"),
+        (lambda: policy_named(MostTrusted), "must be one of"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            make()
+    with pytest.raises(ValueError, match="'z', which does not exist"):
+        lead(GivenSequence(["z", "a"]), np.zeros((3, 2)), names=("a", "b"))

@@ -1,0 +1,153 @@
+"""Theorem 5, (4.5)-(4.15): the channel stores energy whatever the leader, the scale and the delay do; guards removed."""
+
+import numpy as np
+import pytest
+
+from trustlab.teleoperation.delays import random_walk_delay
+from trustlab.teleoperation.scattering import Scattering
+from trustlab.teleoperation.switched_channel import switched_channel_run
+
+T, K = 0.01, 1500
+
+
+def random_case(seed):
+    """Robots with bounds of their own, signals from smooth to rough, leaders that change while waves are under way."""
+    rng = np.random.default_rng([75, seed])
+    robots = int(rng.integers(2, 7))
+    rate = rng.uniform(0.0, 0.9)
+    bounds = np.sort(rng.uniform(0.01, 3.0, (robots, 2)), axis=1)
+    ends = [
+        Scattering(10 ** rng.uniform(-1.5, 1.5), beta_min=low, beta_max=high, max_delay_rate=rate)
+        for low, high in bounds
+    ]
+    t = T * np.arange(K)[:, None]
+    signals = []
+    for _ in range(2):
+        kind = rng.integers(3)
+        if kind == 0:
+            signal = rng.normal(size=(K, 3))
+        elif kind == 1:
+            signal = np.sin(10 ** rng.uniform(-1, 2) * t + rng.uniform(0, 6, 3))
+        else:
+            signal = np.repeat(rng.normal(size=(K // 30, 3)), 30, axis=0)
+        signals.append(10 ** rng.uniform(-2, 2) * signal)
+    hold = int(10 ** rng.uniform(0, 2.5))  # from every sample to 3 s, delays are up to 1.5 s
+    leaders = np.repeat(rng.integers(robots, size=K // hold + 1), hold)[:K]
+    share = rng.choice([0.0, 1.0], K) if seed % 3 == 0 else rng.uniform(0.0, 1.0, K)
+    beta = bounds[leaders, 0] + share * (bounds[leaders, 1] - bounds[leaders, 0])
+    if seed % 2:
+        delays = [float(T * rng.integers(1, 151)) for _ in range(2)]
+    else:
+        delays = [
+            random_walk_delay(0.02, 1.5, rate, seed=int(s), hold=0.3) for s in rng.integers(1 << 30, size=2)
+        ]
+    return ends, signals, leaders, beta, delays
+
+
+def test_energy_of_the_channel_in_500_runs():
+    """(4.15) at every sample, and the wave energy of (4.13)-(4.14) below it."""
+    least, switched_in_flight = np.inf, 0
+    for seed in range(500):
+        ends, signals, leaders, beta, delays = random_case(seed)
+        run = switched_channel_run(*signals, ends, leaders, T, beta, *delays)
+        slack = 1e-12 * run.exchanged.max()
+        least = min(least, run.energy.min() / run.exchanged.max())
+        assert run.energy.min() >= -slack
+        assert run.wave_energy.min() >= -slack
+        assert (run.energy - run.wave_energy).min() >= -slack
+        waves = T * np.flatnonzero(np.diff(leaders))
+        switched_in_flight += waves.size > 0
+    assert switched_in_flight > 400
+
+
+def test_ends_may_switch_at_other_times():
+    """The operator's end may be set for any robot whose bounds hold β: each end balances by itself."""
+    for seed in range(50):
+        ends, signals, leaders, _, delays = random_case(seed)
+        late = np.roll(leaders, 40)
+        low = np.array([end.beta_min for end in ends])[late]
+        high = np.array([end.beta_max for end in ends])[late]
+        beta = np.random.default_rng(seed).uniform(low, high)
+        run = switched_channel_run(*signals, ends, leaders, T, beta, *delays, operator_leaders=late)
+        assert run.energy.min() >= -1e-12 * run.exchanged.max()
+
+
+def absorbed(near, far, beta, b=2.0, delay=20):
+    """A robot that takes all that arrives, f_s = √(b/2) v_r, so that nothing comes back: power out is ½‖v_r‖²."""
+    r_m = np.random.default_rng(76).normal(size=(K, 3))
+    ends = [Scattering(b, beta_min=low, beta_max=high) for low, high in ((1.0, 2.0), (0.05, 0.1))]
+    v_r = np.vstack([np.zeros((delay, 3)), np.sqrt(2.0 * b * ends[near].beta_min) * r_m[:-delay]])
+    f_s = np.sqrt(0.5 * b) * v_r
+    return switched_channel_run(
+        r_m, f_s, ends, np.full(K, far), T, np.full(K, beta), delay * T, operator_leaders=np.full(K, near)
+    )
+
+
+def test_bounds_not_switched_with_the_leader_give_energy():
+    """Negative control: β of the new leader, but the end of the channel still set for the old one's bounds."""
+    right, wrong = absorbed(1, 1, 0.05), absorbed(0, 1, 0.05)
+    assert right.energy.min() >= -1e-12 * right.exchanged.max()
+    # closed form: β b ‖r_m‖² goes in and β_min b ‖r_m‖² comes out, with β_min that of the wrong robot
+    given = T * (0.05 * 2.0 * (wrong.r_m**2).sum() - 1.0 * 2.0 * (wrong.r_m[:-20] ** 2).sum())
+    assert wrong.energy[-1] == pytest.approx(given, rel=1e-9)
+    assert given < -0.5 * wrong.exchanged[-1]
+
+
+def test_impedance_not_switched_with_the_leader_gives_none():
+    """What an end not switched does harm by is its bounds, not its b: waves carry their energy whatever made them."""
+    for seed in range(50):
+        ends, signals, leaders, _, delays = random_case(seed)
+        same = [
+            Scattering(end.b, beta_min=0.5, beta_max=1.5, max_delay_rate=end.max_delay_rate) for end in ends
+        ]
+        beta = np.random.default_rng(seed).uniform(0.5, 1.5, K)
+        run = switched_channel_run(
+            *signals, same, leaders, T, beta, *delays, operator_leaders=np.zeros(K, int)
+        )
+        assert run.energy.min() >= -1e-12 * run.exchanged.max()
+
+
+def test_waves_obey_4_7():
+    """Oracle: the definitions of u and v in terms of f and r."""
+    ends, signals, leaders, beta, delays = random_case(1)
+    run = switched_channel_run(*signals, ends, leaders, T, beta, *delays)
+    b, low, high = (
+        np.array([getattr(end, name) for end in ends])[leaders][:, None]
+        for name in ("b", "beta_min", "beta_max")
+    )
+    f = run.f_m / beta[:, None]
+    for found, wanted in (
+        (run.u_l, np.sqrt(low / (2 * b)) * (f + b * run.r_m)),
+        (run.v_l, np.sqrt(high / (2 * b)) * (f - b * run.r_m)),
+        (run.u_r, np.sqrt(0.5 / b) * (run.f_s - b * run.r_s)),
+        (run.v_r, np.sqrt(0.5 / b) * (run.f_s + b * run.r_s)),
+    ):
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
+
+
+def test_refusals():
+    ends, signals, leaders, beta, _ = random_case(1)
+    good = {
+        "r_m": signals[0],
+        "f_s": signals[1],
+        "ends": ends,
+        "leaders": leaders,
+        "sample_time": T,
+        "beta": beta,
+        "delay": 0.1,
+    }
+    for change, words in (
+        ({"ends": []}, "ends"),
+        ({"leaders": leaders + 50}, "names robot"),
+        ({"leaders": leaders.astype(float)}, "whole numbers"),
+        ({"r_m": signals[0][:-1]}, "one shape"),
+        ({"r_m": np.full((K, 3), np.nan)}, "finite"),
+        ({"beta": beta[:-1]}, "beta"),
+        ({"delay": 0.0}, "at least one sample"),
+        ({"delay": -1.0}, "negative"),
+        ({"sample_time": 0.0}, "positive"),
+        ({"read_out": "x"}, "read_out"),
+        ({"operator_leaders": leaders - 1}, "operator_leaders"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            switched_channel_run(**(good | change))

@@ -1,0 +1,96 @@
+"""Printed participants as operators, against Tables 2.1, 2.2, 2.3 and 2.6."""
+
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.testbeds import (
+    drive_modes,
+    published_model,
+    published_operator,
+    published_thresholds,
+    run_condition,
+)
+from trustlab.testbeds.participants import participant_label
+
+PEOPLE = ("1", "2", "3", "4", "5")
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_operators_are_what_the_tables_print(operators, name):
+    who = published_operator(name)
+    own, shares, pair = (tl.published_table(number)[name].astype(float) for number in ("2.3", "2.6", "2.2"))
+    assert who.participant == name
+    assert who.human == operators[name].human == published_model(name).human
+    assert [who.lower, who.lower_spread, who.upper, who.upper_spread] == own.tolist()
+    assert (100.0 * who.follow_tsc, 100.0 * who.follow_performance) == pytest.approx(
+        (shares["C2"], shares["C4"])
+    )
+    assert published_thresholds(name) == (pair["TSC_l"], pair["TSC_u"])
+
+
+def test_the_pilot_has_a_model_and_thresholds():
+    assert published_model("pilot") == tl.published_models()["pilot"]
+    assert published_thresholds("pilot") == (0.02, 0.45)
+    who = published_operator("pilot")
+    assert (who.lower, who.upper, who.participant) == (0.02, 0.45, "pilot")
+
+
+@pytest.mark.parametrize("given", [3, "3", " 3 ", 3.0, np.int64(3)])
+def test_ways_to_name_a_participant(given):
+    assert participant_label(given) == "3"
+
+
+@pytest.mark.parametrize(
+    "wrong", [0, 6, -1, 2.5, True, None, np.nan, np.inf, "six", "", [1], {}, 1j, 10**400]
+)
+def test_unknown_participants_are_told_the_known(wrong):
+    for ask in (published_operator, published_model, published_thresholds):
+        with pytest.raises(ValueError, match="pilot, 1, 2, 3, 4, 5"):
+            ask(wrong)
+
+
+@pytest.mark.parametrize("condition", ["C1", "C2", "C3", "C4", "C5"])
+def test_run_condition_as_typed(operators, condition):
+    run = tl.run_condition(condition, participant=2, laps=2, seed=7)
+    again = run_condition(
+        condition,
+        published_operator("2"),
+        operators["2"],
+        published_thresholds(2) if condition in ("C2", "C3") else None,
+        laps=2,
+        seed=7,
+    )
+    assert run.session == again.session
+    assert run.session == run_condition(condition, "2", laps=2, seed=7).session
+    assert (run.thresholds is None) == (condition not in ("C2", "C3"))
+    assert run.session.metadata.participant == "2"
+    assert run.session.metadata.synthetic
+
+
+def test_another_model_than_the_printed_one(operators):
+    run = run_condition("C3", participant=2, model=operators["1"], thresholds=(0.1, 0.5), laps=1)
+    assert run.model is operators["1"]
+    assert run.operator == published_operator(2)
+
+
+@pytest.mark.parametrize("name", ["pilot", *PEOPLE])
+def test_performance_under_manual_control_is_the_models(operators, name):
+    """Oracle: (2.6) and the steady state of (2.3); a hand that drove equally well for all missed P_r by up to 0.03."""
+    model, who = operators[name], published_operator(name)
+    runs = [drive_modes(np.ones(4000, int), who, seed, r0=0.8 * model.human.beta) for seed in range(4)]
+    p_h = np.mean([model.human.performance(run["r"][2000:]).mean() for run in runs])
+    assert np.mean([run["p_h"][2000:].mean() for run in runs]) == pytest.approx(p_h, abs=0.007)
+    p_r = np.mean([run["p_r"][2000:].mean() for run in runs])
+    assert p_r == pytest.approx(model.robot.steady_state(1.0, p_h), abs=0.009)
+
+
+@pytest.mark.parametrize("name", ["1", "2", "4", "5"])
+def test_captured_thresholds_lie_one_reaction_beyond_the_operators_own(name):
+    """Oracle: own thresholds, and how far TSC runs on in the reaction; before the window was full it was far too high."""
+    who = published_operator(name)
+    runs = [run_condition("C1", name, seed=seed, r0=0.5).session for seed in range(6)]
+    found = tl.estimate_thresholds(runs)
+    assert found.distinguishable
+    assert -0.14 < found.lower - who.lower < 0.0
+    assert -0.05 < found.upper - who.upper < 0.1

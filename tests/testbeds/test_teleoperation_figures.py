@@ -1,0 +1,74 @@
+"""Measures of a teleoperation run against plain arithmetic on its log, and its figures."""
+
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.testbeds import plot_alpha, plot_energies, plot_signals, plot_trajectory
+
+matplotlib.use("Agg")
+RUNS = [tl.simulate_teleoperation(scheme, seed=2, duration=12.0) for scheme in ("TMIG", "OMI")]
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    yield
+    plt.close("all")
+
+
+def test_measures_are_those_of_the_log():
+    table = tl.teleoperation_measures(RUNS)
+    assert table["scheme"].tolist() == ["TMIG", "OMI"]
+    assert table.attrs["origin"] == "simulated operators"
+    data, row = RUNS[0].data, table.iloc[0]
+    offset = (
+        data[[f"reference_{a}" for a in "xyz"]].to_numpy() - data[[f"robot_{a}" for a in "xyz"]].to_numpy()
+    )
+    assert row["tracking_error"] == pytest.approx(np.linalg.norm(offset, axis=1).mean(), rel=1e-12)
+    assert row["worst_error"] == pytest.approx(np.linalg.norm(offset, axis=1).max(), rel=1e-12)
+    assert row["hand_force"] == pytest.approx(
+        np.linalg.norm(data[[f"f_h_{a}" for a in "xyz"]], axis=1).mean()
+    )
+    assert row["alpha_rate"] == pytest.approx(np.abs(np.diff(data["mode"])).sum() / (0.01 * (len(data) - 1)))
+    assert row["energy_operator"] == data["energy_operator"].iloc[-1]
+    assert row["guarded"] == pytest.approx((data["port_share"] < 1).mean())
+    assert len(tl.teleoperation_measures(RUNS[0])) == 1
+
+
+def test_figures_show_what_was_logged():
+    axes = plot_trajectory(RUNS[0])
+    x, y, z = axes.lines[1].get_data_3d()
+    np.testing.assert_array_equal(np.column_stack([x, y, z]), RUNS[0].data[[f"robot_{a}" for a in "xyz"]])
+    panels = plot_signals(RUNS[0])
+    np.testing.assert_array_equal(panels[2].lines[0].get_ydata(), RUNS[0]["mode"])
+    panels = plot_energies(RUNS[0])
+    np.testing.assert_array_equal(panels[1].lines[1].get_ydata(), RUNS[0]["energy_robot"])
+    panels = plot_alpha(RUNS)
+    np.testing.assert_array_equal(panels[1].lines[0].get_ydata(), RUNS[1]["mode"])
+    assert "synthetic" in panels[1].get_title()
+
+
+@pytest.mark.parametrize(
+    "call", [plot_trajectory, plot_signals, plot_energies, plot_alpha, tl.teleoperation_measures]
+)
+@pytest.mark.parametrize("bad", [3, [3], None, "run"])
+def test_what_is_no_session_is_refused(call, bad):
+    with pytest.raises((ValueError, TypeError)):
+        call(bad)
+
+
+def test_nothing_to_show_is_refused():
+    for call in (plot_alpha, tl.teleoperation_measures):
+        with pytest.raises(ValueError, match="sessions is empty"):
+            call([])
+    with pytest.raises(ValueError, match="2 runs and 1 axes"):
+        plot_alpha(RUNS, plt.subplots()[1])
+
+
+@pytest.mark.parametrize("call", [plot_trajectory, plot_signals, plot_energies, tl.teleoperation_measures])
+def test_a_session_without_the_columns_is_refused(call):
+    thin = tl.Session(RUNS[0].data[["path_error"]], RUNS[0].metadata)
+    with pytest.raises(ValueError, match="has no column"):
+        call(thin)

@@ -1,0 +1,113 @@
+"""Guards inside the loop: waves against ports, the ledger under jitter and loss, and what happens when a guard is gone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trustlab.teleoperation.delays import Delay
+from trustlab.teleoperation.loop import STUDIES
+from trustlab.teleoperation.scattering import Scattering
+from trustlab.testbeds.uav_tracking import simulate_teleoperation
+
+SCHEMES = ("M", "MMI", "TMIG", "TMIS", "OMI")
+T = 0.01
+
+
+def vector(data, stem):
+    return data[[f"{stem}_{axis}" for axis in "xyz"]].to_numpy()
+
+
+def waves(data, ends):
+    """u_l, v_l, u_r, v_r by (3.13) from what was logged at the two ports."""
+    b = ends.b
+    back, out = vector(data, "f_m") / data["beta"].to_numpy()[:, None], vector(data, "r_m")
+    force, said = vector(data, "f_s"), vector(data, "r_s") / data["mode"].to_numpy()[:, None]
+    return (
+        np.sqrt(ends.beta_min / (2 * b)) * (back + b * out),
+        np.sqrt(ends.beta_max / (2 * b)) * (back - b * out),
+        np.sqrt(ends.alpha_min / (2 * b)) * (force - b * said),
+        np.sqrt(ends.alpha_max / (2 * b)) * (force + b * said),
+    )
+
+
+def squares(wave):
+    return (wave**2).sum(axis=1)
+
+
+@pytest.mark.parametrize("study", STUDIES)
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_waves_arrive_as_they_were_sent_and_carry_the_power_of_the_ports(scheme, study):
+    ends = STUDIES[study].scattering
+    data = simulate_teleoperation(scheme, study=study, seed=8, duration=20.0, delay_1=0.13, delay_2=0.21).data
+    u_l, v_l, u_r, v_r = waves(data, ends)
+    scale = max(np.abs(wave).max() for wave in (u_l, v_l, u_r, v_r))
+    np.testing.assert_allclose(
+        v_r[13:], u_l[:-13], atol=1e-11 * scale
+    )  # constant delay: unit gain (Remark 10)
+    np.testing.assert_allclose(v_l[21:], u_r[:-21], atol=1e-11 * scale)
+    alpha, beta = data["mode"].to_numpy(), data["beta"].to_numpy()
+    carried = 0.5 * beta * (squares(u_l) / ends.beta_min - squares(v_l) / ends.beta_max)
+    carried -= 0.5 * alpha * (squares(v_r) / ends.alpha_max - squares(u_r) / ends.alpha_min)
+    logged = np.diff(data["energy_channel"], prepend=0.0) / T
+    np.testing.assert_allclose(logged, carried, atol=1e-11 * np.abs(carried).max())
+
+
+def jitter(seed):
+    """Delays drawn anew in every sample: packets overtake one another."""
+    return Delay(
+        lambda t: np.random.default_rng(seed).uniform(0.02, 0.6, t.size),
+        np.inf,
+        "delays drawn anew every sample",
+    )
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_the_ledger_keeps_the_channel_passive_under_jitter_and_loss(scheme):
+    for seed in range(8):
+        lost = np.random.default_rng([71, seed]).uniform(size=(2, 3000)) < 0.3
+        data = simulate_teleoperation(
+            scheme,
+            seed=seed,
+            duration=30.0,
+            delay_1=jitter(2 * seed),
+            delay_2=jitter(2 * seed + 1),
+            lost=lost,
+        ).data
+        u_l, v_l, u_r, v_r = waves(data, STUDIES["main"].scattering)
+        for number, (sent, read) in enumerate(((u_l, v_r), (u_r, v_l))):
+            arrived = np.where(lost[number], 0.0, squares(sent))
+            assert (np.cumsum(squares(read)) <= np.cumsum(arrived) * (1 + 1e-9) + 1e-15).all()
+            assert read.any()
+        exchanged = T * (np.abs(vector(data, "r_m") * vector(data, "f_m")).sum(axis=1)).cumsum()
+        assert (data["energy_channel"] >= -1e-9 * exchanged).all()
+
+
+class Ungained(Scattering):
+    """A guard removed: delayed waves are read at full size although the delay grows."""
+
+    gain = 1.0
+
+
+def read_beyond_sent(kind):
+    """The greatest energy read beyond what was sent [J], the delays growing by half a second per second for a while."""
+    settings = replace(STUDIES["main"], scattering=kind(2.0, 0.9, 1.0, 0.9, 1.0, max_delay_rate=0.5))
+    growing = Delay(lambda t: 0.05 + 0.25 * (t % 4.0 + np.abs(t % 4.0 - 2.0) - 2.0), 0.5, "a saw of delays")
+    data = simulate_teleoperation(
+        "M", study=settings, seed=4, duration=30.0, delay_1=growing, delay_2=growing, read_out="interpolated"
+    ).data
+    u_l, _, _, v_r = waves(data, settings.scattering)
+    return T * (np.cumsum(squares(v_r)) - np.cumsum(squares(u_l))).max(), T * squares(u_l).max()
+
+
+def test_with_unit_gain_and_a_growing_delay_more_is_read_than_was_sent():
+    beyond, largest = read_beyond_sent(Scattering)
+    assert beyond <= 0.011 * largest
+    beyond, largest = read_beyond_sent(Ungained)
+    assert beyond > largest
+
+
+@pytest.mark.parametrize("bad", [np.zeros((2, 5), bool), np.zeros((2, 12000)), "none", 1])
+def test_losses_of_the_wrong_kind_are_refused(bad):
+    with pytest.raises(ValueError, match="lost must be"):
+        simulate_teleoperation(lost=bad)

@@ -1,0 +1,369 @@
+"""Maps of the steady cycle over thresholds and model parameters, and what it depends on most."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import pandas as pd
+
+from trustlab.allocation.limit_cycle import limit_cycle
+from trustlab.campaign.parameters import ParameterGrid
+from trustlab.campaign.run import run_campaign
+from trustlab.campaign.sensitivity import SobolIndices, sobol_indices
+from trustlab.models.checks import finite_array, finite_number, of_class, whole_number
+from trustlab.models.human import HumanModel
+from trustlab.models.robot import RobotModel
+from trustlab.models.tsc import TscModel
+
+__all__ = ["QUANTITIES", "Sweep", "cycle_sensitivity", "sweep", "varied_model"]
+
+QUANTITIES = {
+    "mean_p_r": "mean robot performance",
+    "p_r_low": "least robot performance",
+    "p_r_high": "greatest robot performance",
+    "mean_r": "mean utilization",
+    "r_low": "least utilization",
+    "r_high": "greatest utilization",
+    "dwell_manual_low": "least manual dwell time [samples]",
+    "dwell_manual_high": "greatest manual dwell time [samples]",
+    "dwell_autonomous_low": "least autonomous dwell time [samples]",
+    "dwell_autonomous_high": "greatest autonomous dwell time [samples]",
+}
+"""What is mapped, all of the steady cycle under rule (2.8)."""
+
+PARAMETERS = (
+    *(f"robot.{field.name}" for field in fields(RobotModel)),
+    *(f"human.{field.name}" for field in fields(HumanModel)),
+)
+THRESHOLDS = ("lower", "upper")
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """
+    The steady cycle at every point of a grid.
+
+    Parameters
+    ----------
+    axes : dict of numpy.ndarray
+        Values by name of what was varied.
+    points : pandas.DataFrame
+        One row per point.
+    """
+
+    axes: dict[str, np.ndarray]
+    points: pd.DataFrame
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return one row per point.
+
+        Returns
+        -------
+        pandas.DataFrame
+            What was varied, lower and upper; exists (whether the rule keeps switching), mean_p_r, p_r_low, p_r_high,
+            mean_r, r_low, r_high, dwell times in samples, NaN where there is no cycle; and `reason` in words.
+        """
+        return self.points.copy()
+
+    def plot(self, quantity: str = "mean_p_r", x: str | None = None, y: str | None = None, axes=None):
+        """
+        Map a quantity over one or two of what was varied; blank where the rule stops switching.
+
+        Parameters
+        ----------
+        quantity : str
+            A key of `QUANTITIES`.
+        x, y : str, optional
+            What to put on the axes; the first and second varied when not given. With y, what else was varied must have one
+            value; with one thing varied, a line is drawn.
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; a new figure when not given.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ValueError
+            If a name is unknown or more was varied than is shown.
+        """
+        import matplotlib.pyplot as plt
+
+        if quantity not in QUANTITIES:
+            raise ValueError(f"quantity must be one of {', '.join(QUANTITIES)}, got {quantity!r}")
+        names = list(self.axes)
+        x = names[0] if x is None else x
+        y = next((name for name in names if name != x), None) if y is None else y
+        for role, name in (("x", x), ("y", y)):
+            if name is not None and name not in names:
+                raise ValueError(f"{role} must be what was varied, one of {', '.join(names)}, got {name!r}")
+        if x == y:
+            raise ValueError(f"x and y must be different, both are {x!r}")
+        hidden = [name for name in names if name not in (x, y) and self.axes[name].size > 1]
+        if hidden:
+            raise ValueError(
+                f"{hidden[0]} was varied too; a map shows two: sweep it at one value, or name it as x or y"
+            )
+        if axes is None:
+            _, axes = plt.subplots(figsize=(5.6, 4.2), layout="constrained")
+        if y is None:
+            axes.plot(self.points[x], self.points[quantity], "o-", ms=3, color="#0072b2")
+            axes.set_ylabel(QUANTITIES[quantity])
+        else:
+            grid = self.points.pivot_table(index=y, columns=x, values=quantity, dropna=False, aggfunc="first")
+            grid = grid.reindex(index=np.sort(self.axes[y]), columns=np.sort(self.axes[x]))
+            image = axes.pcolormesh(grid.columns, grid.index, grid.to_numpy(dtype=float), shading="nearest")
+            axes.figure.colorbar(image, ax=axes, label=QUANTITIES[quantity])
+            axes.set_ylabel(_label(y))
+        axes.set_xlabel(_label(x))
+        missing = int((~self.points["exists"]).sum())
+        note = f"; blank: no cycle ({missing} of {len(self.points)} points)" if missing else ""
+        axes.set_title(f"steady cycle of the model{note}", fontsize="small")
+        return axes
+
+
+def _label(name: str) -> str:
+    return {"lower": "lower threshold $TSC_l$", "upper": "upper threshold $TSC_u$"}.get(name, name)
+
+
+def varied_model(tsc: TscModel, values: Mapping[str, float]) -> TscModel:
+    """
+    Return a model with some parameters changed.
+
+    b_pr follows (2.3) where it does in `tsc`, and else stays as it was given; the robot's P_h,max follows the operator's
+    where the two are equal in `tsc`. A value for either goes first.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model.
+    values : dict of float
+        By name: robot.a, robot.p_min, robot.p_max, robot.p_h_max, robot.b, human.a, human.beta, human.p_min, human.p_max.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown or the parameters make no model.
+    """
+    unknown = [name for name in values if name not in PARAMETERS]
+    if unknown:
+        raise ValueError(f"no parameter is called {unknown[0]!r}; there are {', '.join(PARAMETERS)}")
+    parts = {"robot": {}, "human": {}}
+    for name, value in values.items():
+        part, _, field = name.partition(".")
+        parts[part][field] = value
+    robot, human = tsc.robot, tsc.human
+    if "p_max" in parts["human"] and "p_h_max" not in parts["robot"] and robot.p_h_max == human.p_max:
+        parts["robot"]["p_h_max"] = parts["human"]["p_max"]
+    follows = (1.0 - robot.a) * (robot.p_max - robot.p_min) / robot.p_h_max
+    if parts["robot"] and abs(robot.b - follows) <= 1e-12 * follows:
+        parts["robot"].setdefault("b", None)
+    return TscModel(replace(robot, **parts["robot"]), replace(human, **parts["human"]))
+
+
+def cycle_at(
+    tsc: TscModel, lower: float | None, upper: float | None, starts: int, seed: object, **values: float
+) -> dict:
+    """
+    Return the measures of one steady cycle: the task of a campaign.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model.
+    lower, upper : float or None
+        Thresholds where `values` does not hold them.
+    starts : int
+        As in `limit_cycle`.
+    seed : object
+        Not used: the cycle is exact.
+    **values : float
+        Thresholds and parameters by name.
+    """
+    lower, upper = values.pop("lower", lower), values.pop("upper", upper)
+    try:
+        cycle = limit_cycle(varied_model(tsc, values), lower, upper, starts)
+    except ValueError as error:
+        nothing = dict.fromkeys(QUANTITIES, float("nan"))
+        return {"exists": False, **nothing, "reason": f"not defined: {error}"}
+    manual, autonomous = (
+        pair or (float("nan"),) * 2 for pair in (cycle.dwell_manual, cycle.dwell_autonomous)
+    )
+    return {
+        "exists": cycle.exists,
+        "mean_p_r": cycle.mean_p_r,
+        "p_r_low": cycle.p_r_low,
+        "p_r_high": cycle.p_r_high,
+        "mean_r": cycle.mean_r,
+        "r_low": cycle.r_low,
+        "r_high": cycle.r_high,
+        "dwell_manual_low": float(manual[0]),
+        "dwell_manual_high": float(manual[1]),
+        "dwell_autonomous_low": float(autonomous[0]),
+        "dwell_autonomous_high": float(autonomous[1]),
+        "reason": cycle.reason,
+    }
+
+
+def sweep(
+    tsc: TscModel,
+    axes: Mapping[str, Iterable[float]],
+    *,
+    lower: float | None = None,
+    upper: float | None = None,
+    starts: int = 1,
+    n_jobs: int = -1,
+    out: str | os.PathLike | None = None,
+    cluster: object = None,
+    progress: bool | None = None,
+    fresh: bool = False,
+) -> Sweep:
+    """
+    Map performance, utilization and dwell times of the steady cycle over thresholds and model parameters.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model around which parameters are varied.
+    axes : dict of array_like
+        Values by name: lower, upper, robot.a … human.p_max (as in `varied_model`). Every combination is a point; where it
+        makes no model, or TSC_l is not below TSC_u, `reason` says so and there are no numbers.
+    lower, upper : float, optional
+        Thresholds, where they are not varied.
+    starts : int
+        As in `limit_cycle`: 1 is the quick setting, one motion per point.
+    n_jobs, out, cluster, progress, fresh : int, path, object, bool, bool
+        As in `run_campaign`.
+
+    Returns
+    -------
+    Sweep
+        `.table()` and `.plot(quantity)`.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown, values are not finite, or a threshold is missing or given twice.
+    """
+    names = _checked(tsc, axes, lower, upper)
+    values = {name: finite_array(name, axes[name]) for name in names}
+    for name, array in values.items():
+        if np.unique(array).size < array.size:
+            raise ValueError(f"{name} has a value twice; give each once")
+    task = functools.partial(
+        cycle_at, tsc=tsc, lower=lower, upper=upper, starts=whole_number("starts", starts)
+    )
+    table = run_campaign(
+        task,
+        ParameterGrid(values),
+        n_jobs=n_jobs,
+        out=out,
+        cluster=cluster,
+        progress=progress,
+        fresh=fresh,
+    )
+    if table["failed"].any():
+        bad = table[table["failed"]].iloc[0]
+        raise ValueError(f"the point {bad[names].to_dict()} failed: {bad['error']}")
+    table = table.drop(columns=["run", "failed", "error", "traceback"])
+    for name, value in (("lower", lower), ("upper", upper)):
+        if name not in names:
+            table.insert(len(names), name, float(value))
+    order = [*names, *(name for name in THRESHOLDS if name not in names), "exists", *QUANTITIES, "reason"]
+    return Sweep(values, table[order])
+
+
+def cycle_sensitivity(
+    tsc: TscModel,
+    ranges: Mapping[str, object],
+    n: int = 256,
+    *,
+    lower: float | None = None,
+    upper: float | None = None,
+    quantities: tuple[str, ...] = ("mean_p_r", "mean_r", "dwell_manual_high", "dwell_autonomous_high"),
+    seed: int = 0,
+    level: float = 0.95,
+    resamples: int = 400,
+    n_jobs: int = -1,
+    out: str | os.PathLike | None = None,
+    cluster: object = None,
+    progress: bool | None = None,
+    fresh: bool = False,
+) -> SobolIndices:
+    """
+    Return Sobol' indices of the steady cycle: which thresholds and parameters it depends on most.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model around which parameters are varied.
+    ranges : dict
+        By name, as in `sweep`: (low, high) or a scipy.stats distribution.
+    n : int
+        Points in each of two samples, a power of 2; n (parameters + 2) cycles are computed.
+    lower, upper : float, optional
+        Thresholds, where they are not varied.
+    quantities : tuple of str
+        Keys of `QUANTITIES`.
+    seed : int
+        Seed of the points and of the bootstrap.
+    level : float
+        Level of the intervals, in (0, 1).
+    resamples : int
+        Resamples of the bootstrap.
+    n_jobs, out, cluster, progress, fresh : int, path, object, bool, bool
+        As in `run_campaign`.
+
+    Returns
+    -------
+    SobolIndices
+        `.table()` and `.plot()`.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown, a threshold is missing or given twice, or the rule stops switching at a point: narrow the
+        ranges then.
+    """
+    _checked(tsc, ranges, lower, upper)
+    unknown = [name for name in quantities if name not in QUANTITIES]
+    if unknown or not quantities or isinstance(quantities, str):
+        raise ValueError(f"quantities must be among {', '.join(QUANTITIES)}, got {quantities!r}")
+    task = functools.partial(cycle_at, tsc=tsc, lower=lower, upper=upper, starts=1)
+    return sobol_indices(
+        task,
+        ranges,
+        n,
+        results=list(quantities),
+        seed=seed,
+        level=level,
+        resamples=resamples,
+        n_jobs=n_jobs,
+        out=out,
+        cluster=cluster,
+        progress=progress,
+        fresh=fresh,
+    )
+
+
+def _checked(tsc: object, axes: object, lower: object, upper: object) -> list[str]:
+    """Return the names varied, each known, each threshold given once."""
+    of_class("tsc", tsc, TscModel)
+    if not isinstance(axes, Mapping) or not axes:
+        raise ValueError("give what to vary by name, such as {'lower': [0.0, 0.1], 'human.beta': [0.7, 0.8]}")
+    for name in axes:
+        if name not in (*THRESHOLDS, *PARAMETERS):
+            raise ValueError(f"{name!r} cannot be varied; there are {', '.join((*THRESHOLDS, *PARAMETERS))}")
+    for name, value in (("lower", lower), ("upper", upper)):
+        if (value is None) == (name not in axes):
+            remedy = "give it a value, or vary it" if value is None else "do not give it where it is varied"
+            raise ValueError(f"threshold {name} is {'missing' if value is None else 'there twice'}: {remedy}")
+        if value is not None:
+            finite_number(name, value)
+    return list(axes)

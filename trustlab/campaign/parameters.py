@@ -1,0 +1,216 @@
+"""Parameters of many runs: grids and draws."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from trustlab.campaign.worker import RESERVED
+from trustlab.models.checks import finite_number, whole_number
+
+__all__ = ["ParameterGrid", "checked_names", "parameter_draws", "parameter_grid"]
+
+
+class ParameterGrid(Sequence):
+    """
+    Every combination of values, each made when it is asked for; the last name varies fastest, repeats faster still.
+
+    Parameters
+    ----------
+    axes : dict of list
+        Values by name.
+    repeats : int
+        How often each combination stands in a row: runs that differ only by their seed.
+    """
+
+    def __init__(self, axes: Mapping[str, Iterable], repeats: int = 1):
+        if not isinstance(axes, Mapping) or not axes:
+            raise ValueError("a grid needs values by name, such as parameter_grid(lower=[0.0, 0.1])")
+        self.axes = {name: _values(name, values) for name, values in axes.items()}
+        self.repeats = whole_number("repeats", repeats)
+        self.shape = tuple(len(values) for values in self.axes.values())
+
+    def __len__(self) -> int:
+        return math.prod(self.shape) * self.repeats
+
+    def __getitem__(self, i: int | slice) -> dict | list[dict]:
+        if isinstance(i, slice):
+            return [self[k] for k in range(*i.indices(len(self)))]
+        n = len(self)
+        i = i.__index__()
+        if not -n <= i < n:
+            raise IndexError(f"run {i} of {n}")
+        at, out = (i % n) // self.repeats, {}
+        for name, values in reversed(self.axes.items()):
+            at, k = divmod(at, len(values))
+            out[name] = values[k]
+        return {name: out[name] for name in self.axes}
+
+
+def _values(name: str, values: Iterable) -> list:
+    if isinstance(values, str | bytes) or not isinstance(values, Iterable) or isinstance(values, Mapping):
+        raise ValueError(
+            f"{name} must be a list or array of values, got {values!r}; write [{values!r}] for one"
+        )
+    array = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else list(values)
+    if not array:
+        raise ValueError(f"{name} has no values; give at least one")
+    return array
+
+
+def parameter_grid(repeats: int = 1, **axes: Iterable) -> ParameterGrid:
+    """
+    Return every combination of values, as parameters of a campaign.
+
+    Parameters
+    ----------
+    repeats : int
+        How often each combination is run, each time with another seed.
+    **axes : list or numpy.ndarray
+        Values by name of the parameter.
+
+    Returns
+    -------
+    ParameterGrid
+        A sequence of dicts; the last name varies fastest.
+
+    Raises
+    ------
+    ValueError
+        If a name has no values or a single value that is not in a list.
+
+    Examples
+    --------
+    >>> list(parameter_grid(lower=[0.0, 0.1], upper=[0.4, 0.5]))[1]
+    {'lower': 0.0, 'upper': 0.5}
+    """
+    return ParameterGrid(axes, repeats)
+
+
+def parameter_draws(n: int, seed: int = 0, **distributions: object) -> list[dict]:
+    """
+    Return independent random draws of parameters.
+
+    Parameters
+    ----------
+    n : int
+        How many.
+    seed : int or numpy.random.SeedSequence
+        Seed of the draws; each parameter has a child of its own, so that adding one leaves the others as they were.
+    **distributions : tuple, scipy.stats frozen distribution, list
+        By name: (low, high) for a uniform distribution, a distribution with `rvs`, or a list of values drawn with equal
+        chances.
+
+    Returns
+    -------
+    list of dict
+        One per run.
+
+    Raises
+    ------
+    ValueError
+        If a distribution is of none of these kinds, its draws are not finite, or a range is empty.
+    """
+    n = whole_number("n", n)
+    if not distributions:
+        raise ValueError("give at least one parameter, such as beta=(0.6, 0.8)")
+    root = (
+        seed
+        if isinstance(seed, np.random.SeedSequence)
+        else np.random.SeedSequence(whole_number("seed", seed, least=0))
+    )
+    columns = {}
+    for name, kind in distributions.items():
+        words = tuple(name.encode())  # the stream follows from the name, not from the order
+        child = np.random.SeedSequence(
+            root.entropy, spawn_key=(*root.spawn_key, *words), pool_size=root.pool_size
+        )
+        columns[name] = _drawn(name, kind, n, np.random.default_rng(child))
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def _drawn(name: str, kind: object, n: int, rng: np.random.Generator) -> list:
+    if isinstance(kind, tuple) and len(kind) == 2:
+        low, high = (finite_number(f"{name}[{i}]", x) for i, x in enumerate(kind))
+        if not low < high:
+            raise ValueError(f"{name} must be (low, high) with low < high, got {kind}")
+        return rng.uniform(low, high, n).tolist()
+    if isinstance(kind, list) and kind:
+        return [kind[k] for k in rng.integers(len(kind), size=n)]
+    if callable(getattr(kind, "rvs", None)):
+        draws = np.asarray(kind.rvs(size=n, random_state=rng))
+        if draws.shape != (n,) or not np.all(np.isfinite(draws)):
+            raise ValueError(
+                f"the distribution of {name} must give {n} finite numbers, got shape {draws.shape}"
+            )
+        return draws.tolist()
+    raise ValueError(
+        f"{name} must be (low, high), a list of values or a scipy.stats distribution, got {type(kind).__name__}"
+    )
+
+
+def checked_names(parameters: Sequence[Mapping]) -> list[str]:
+    """
+    Return the names of the parameters, the same in every run.
+
+    Parameters
+    ----------
+    parameters : sequence of dict
+        Parameters of all runs.
+
+    Raises
+    ------
+    ValueError
+        If it is no sequence, is empty, or a run's parameters are no dict, have other names than those of run 0, a name
+        that is no text or a reserved one.
+    """
+    if isinstance(parameters, Mapping):
+        raise ValueError(
+            "parameters must be a list of dicts, one per run, got one dict; for every combination of its values use "
+            "parameter_grid(**parameters)"
+        )
+    if isinstance(parameters, str | bytes) or not (
+        hasattr(parameters, "__len__")
+        and hasattr(parameters, "__getitem__")
+        and not hasattr(parameters, "columns")
+    ):
+        remedy = "; use frame.to_dict('records')" if hasattr(parameters, "columns") else ""
+        raise ValueError(
+            f"parameters must be a list of dicts, one per run, got {type(parameters).__name__}{remedy}"
+        )
+    if len(parameters) == 0:
+        raise ValueError("parameters is empty: there is nothing to run")
+    if isinstance(parameters, ParameterGrid):
+        names, rest = list(parameters.axes), ()
+    else:
+        first = parameters[0]
+        _is_mapping(0, first)
+        names = list(first)
+        rest = itertools.islice(enumerate(parameters), 1, None)
+    for name in names:
+        if not isinstance(name, str) or not name:
+            raise ValueError(f"names of parameters must be text, got {name!r} in run 0")
+        if name in RESERVED:
+            why = (
+                "every run is given a seed of its own from `seed=`"
+                if name == "seed"
+                else "the table has a column of that name"
+            )
+            raise ValueError(f"a parameter cannot be called {name!r}: {why}; remove or rename it")
+    wanted = set(names)
+    for run, values in rest:
+        _is_mapping(run, values)
+        if values.keys() != wanted:
+            raise ValueError(
+                f"run {run} has parameters {', '.join(map(str, values)) or 'none'}, run 0 has {', '.join(names) or 'none'}; "
+                "give every run the same names"
+            )
+    return names
+
+
+def _is_mapping(run: int, values: object) -> None:
+    if not isinstance(values, Mapping):
+        raise ValueError(f"parameters of run {run} must be a dict, got {type(values).__name__}")

@@ -1,0 +1,267 @@
+"""Sobol' indices: which uncertain parameters of a task matter for what it returns."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from trustlab.campaign.errors import CampaignError
+from trustlab.campaign.run import run_campaign
+from trustlab.models.checks import finite_number, open_unit, whole_number
+
+__all__ = ["SobolIndices", "sobol_indices"]
+
+
+@dataclass(frozen=True, eq=False)
+class SobolIndices:
+    """
+    Shares of the variance of each result.
+
+    Parameters
+    ----------
+    indices : pandas.DataFrame
+        Columns result, parameter, first_order, first_low, first_high, total, total_low, total_high.
+    n : int
+        Points in each of the two samples; the task was run n (parameters + 2) times.
+    level : float
+        Level of the intervals.
+    """
+
+    indices: pd.DataFrame
+    n: int
+    level: float
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the indices with bootstrap intervals.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns result, parameter, first_order, first_low, first_high, total, total_low, total_high; NaN for a result
+            that did not vary. Estimates may fall below 0 or above 1 by their error, and are not cut.
+        """
+        return self.indices.copy()
+
+    def plot(self):
+        """
+        Plot first-order and total indices with their intervals, one panel per result.
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes, shape (results,)
+        """
+        import matplotlib.pyplot as plt
+
+        results = list(dict.fromkeys(self.indices["result"]))
+        names = list(dict.fromkeys(self.indices["parameter"]))
+        size = (max(4.0, 3.2 * len(results)), 1.4 + 0.4 * len(names))
+        figure, axes = plt.subplots(
+            1, len(results), squeeze=False, sharey=True, sharex=True, figsize=size, layout="constrained"
+        )
+        at = np.arange(len(names))
+        for panel, result in zip(axes[0], results, strict=True):
+            rows = self.indices[self.indices["result"] == result]
+            for shift, value, low, high, color, label in (
+                (-0.12, "first_order", "first_low", "first_high", "#0072b2", "alone (first order)"),
+                (0.12, "total", "total_low", "total_high", "#d55e00", "with interactions (total)"),
+            ):
+                middle = rows[value].to_numpy()
+                spread = np.abs(np.vstack([middle - rows[low], rows[high] - middle]))
+                panel.errorbar(
+                    middle, at + shift, xerr=spread, fmt="o", ms=4, capsize=3, color=color, label=label
+                )
+            panel.axvline(0.0, color="0.8", lw=0.8, zorder=0)
+            panel.set_title(result, fontsize="medium")
+            panel.set_xlabel("share of variance")
+        axes[0, 0].set_yticks(at, names)
+        axes[0, 0].invert_yaxis()
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize="small", frameon=False)
+        figure.suptitle(f"Sobol' indices, {100 * self.level:g} % intervals", fontsize="medium")
+        return axes[0]
+
+
+def sobol_indices(
+    task: Callable[..., Mapping],
+    ranges: Mapping[str, object],
+    n: int = 256,
+    *,
+    results: list[str] | None = None,
+    seed: int = 0,
+    level: float = 0.95,
+    resamples: int = 400,
+    n_jobs: int = -1,
+    out: str | os.PathLike | None = None,
+    cluster: object = None,
+    progress: bool | None = None,
+    fresh: bool = False,
+) -> SobolIndices:
+    """
+    Estimate first-order and total Sobol' indices of a task's results, its runs being campaigns.
+
+    The first-order index of a parameter is the share of a result's variance that knowing it would remove; the total index
+    counts its interactions too. Points are a scrambled Sobol' sequence, the estimators those of `scipy.stats.sobol_indices`
+    (Saltelli et al. 2010), intervals are percentiles of a bootstrap over points.
+
+    Parameters
+    ----------
+    task : callable
+        As in `run_campaign`. Where its results depend on the seed too, that share of variance is in all total indices.
+    ranges : dict
+        By name of the parameter: (low, high) for a uniform distribution, or a scipy.stats frozen distribution; taken as
+        independent.
+    n : int
+        Points in each of two samples, a power of 2; the task is run n (parameters + 2) times.
+    results : list of str, optional
+        Which results; all that are numbers when not given.
+    seed : int
+        Seed of the points, of the bootstrap and of the runs.
+    level : float
+        Level of the intervals, in (0, 1).
+    resamples : int
+        Resamples of the bootstrap.
+    n_jobs, out, cluster, progress, fresh : int, path, object, bool, bool
+        As in `run_campaign`; `out` gets one folder for each of the three samples.
+
+    Returns
+    -------
+    SobolIndices
+        `.table()` and `.plot()`.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not of its kind, a run failed, or a result is not a finite number at some point.
+
+    Notes
+    -----
+    Saltelli, A., et al. "Variance based sensitivity analysis of model output." *Computer Physics Communications* 181(2),
+    2010, 259-270.
+    """
+    from scipy.stats import sobol_indices as scipy_indices
+
+    n = whole_number("n", n, least=8)
+    if n & (n - 1):
+        raise ValueError(f"n must be a power of 2, such as {2 ** n.bit_length()}, got {n}")
+    level, resamples = open_unit("level", level), whole_number("resamples", resamples, least=20)
+    seed = whole_number("seed", seed, least=0)
+    distributions = _distributions(ranges)
+    samples, wanted = [], results
+    points, draws = np.random.SeedSequence(seed, spawn_key=(2**31,)).spawn(2)
+
+    def evaluate(x: np.ndarray) -> np.ndarray:
+        nonlocal wanted
+        parameters = [dict(zip(ranges, map(float, point), strict=True)) for point in x.T]
+        folder = None if out is None else Path(out) / f"sample_{len(samples) + 1}"
+        table = run_campaign(
+            task,
+            parameters,
+            seed=seed,
+            n_jobs=n_jobs,
+            out=folder,
+            cluster=cluster,
+            progress=progress,
+            fresh=fresh,
+        )
+        wanted = _numeric(table, list(ranges), wanted)
+        samples.append(table[wanted].to_numpy(dtype=float).T)
+        return samples[-1].copy()  # SciPy works in place
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        whole = scipy_indices(
+            func=evaluate, n=n, dists=list(distributions.values()), rng=np.random.default_rng(points)
+        )
+        f_a, f_b, mixed = samples
+        d = len(distributions)
+        f_ab = mixed.reshape(-1, n, d).transpose(2, 0, 1)  # points of one parameter's page lie d apart
+        again, rng = [], np.random.default_rng(draws)
+        for _ in range(resamples):
+            k = rng.integers(n, size=n)
+            one = scipy_indices(func={"f_A": f_a[:, k], "f_B": f_b[:, k], "f_AB": f_ab[..., k]}, n=n)
+            again.append(_both(one, d))
+    low, high = np.nanquantile(np.array(again), [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
+    first, total = _both(whole, d)
+    constant = np.ptp(np.concatenate([f_a, f_b], axis=1), axis=1) == 0.0
+    rows = []
+    for i, result in enumerate(wanted):
+        for j, name in enumerate(ranges):
+            numbers = [
+                first[i, j], low[0, i, j], high[0, i, j],
+                total[i, j], low[1, i, j], high[1, i, j],
+            ]  # fmt: skip
+            rows.append((result, name, *([np.nan] * 6 if constant[i] else numbers)))
+    columns = [
+        "result",
+        "parameter",
+        "first_order",
+        "first_low",
+        "first_high",
+        "total",
+        "total_low",
+        "total_high",
+    ]
+    return SobolIndices(pd.DataFrame(rows, columns=columns), n, level)
+
+
+def _both(found: object, d: int) -> np.ndarray:
+    """Return first-order and total indices, shape (2, results, d); SciPy drops axes of length 1."""
+    return np.stack([found.first_order, found.total_order]).reshape(2, -1, d)
+
+
+def _distributions(ranges: object) -> dict[str, object]:
+    from scipy import stats
+
+    if not isinstance(ranges, Mapping) or not ranges:
+        raise ValueError("ranges must be a dict of (low, high) by parameter, such as {'beta': (0.6, 0.8)}")
+    if len(ranges) < 2:
+        raise ValueError(
+            f"indices share out variance between parameters: give at least two, got {', '.join(ranges)} alone"
+        )
+    found = {}
+    for name, kind in ranges.items():
+        if isinstance(kind, tuple) and len(kind) == 2:
+            low, high = (finite_number(f"ranges[{name!r}][{i}]", x) for i, x in enumerate(kind))
+            if not low < high:
+                raise ValueError(f"ranges[{name!r}] must be (low, high) with low < high, got {kind}")
+            found[name] = stats.uniform(low, high - low)
+        elif callable(getattr(kind, "ppf", None)):
+            found[name] = kind
+        else:
+            raise ValueError(
+                f"ranges[{name!r}] must be (low, high) or a scipy.stats distribution, got {type(kind).__name__}"
+            )
+    return found
+
+
+def _numeric(table: pd.DataFrame, names: list[str], wanted: list[str] | None) -> list[str]:
+    """Return the results to analyse, finite in every run."""
+    if table["failed"].any():
+        bad = table[table["failed"]].iloc[0]
+        raise CampaignError(
+            f"indices need every point, but {int(table['failed'].sum())} of {len(table)} runs failed, first "
+            f"{bad[names].to_dict()}: {bad['error']}; narrow the ranges or mend the task"
+        )
+    known = [c for c in table.columns if c not in ("run", *names, "failed", "error", "traceback")]
+    if wanted is None:
+        wanted = [c for c in known if pd.api.types.is_numeric_dtype(table[c])]
+        if not wanted:
+            raise ValueError(f"none of the results {', '.join(known)} is a number")
+    for name in wanted:
+        if name not in known:
+            raise ValueError(f"results names {name!r}, but the task returns {', '.join(known)}")
+        if not pd.api.types.is_numeric_dtype(table[name]):
+            raise ValueError(f"result {name!r} is not a number in every run, so that it has no variance")
+        bad = ~np.isfinite(table[name].to_numpy(dtype=float))
+        if bad.any():
+            row = table.iloc[int(np.argmax(bad))]
+            raise ValueError(
+                f"indices need every point, but result {name!r} is {row[name]} at {int(bad.sum())} of {len(table)} points, "
+                f"first at {row[names].to_dict()}; narrow the ranges, or choose results that are defined there"
+            )
+    return list(wanted)

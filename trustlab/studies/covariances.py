@@ -1,0 +1,321 @@
+"""Covariances of conditions: checked, measured from data, and built to a wanted correlation and sphericity."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from trustlab.models.checks import finite_array, finite_number, whole_number
+from trustlab.studies.sphericity import greenhouse_geisser, orthonormal_contrasts
+
+__all__ = ["Conditions", "checked_covariance", "conditions_from", "graded_covariance"]
+
+_LEAST = 1e-12
+"""Least eigenvalue, as a share of the greatest, that counts as positive."""
+
+
+def checked_covariance(name: str, values: np.ndarray, size: int | None = None) -> np.ndarray:
+    """
+    Return a covariance matrix that is square, symmetric and positive definite.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name, for the error.
+    values : array_like, shape (k, k)
+        The matrix.
+    size : int, optional
+        k wanted.
+
+    Raises
+    ------
+    ValueError
+        If it is not; the eigenvalue that is too small is named.
+    """
+    try:
+        given = np.asarray(values)
+    except ValueError:
+        given = np.empty(0, dtype=object)
+    if (
+        given.dtype.kind not in "fiu"
+        or given.ndim != 2
+        or given.shape[0] != given.shape[1]
+        or given.size == 0
+    ):
+        raise ValueError(f"{name} must be a square matrix of numbers, got {_shape(given, values)}")
+    matrix = given.astype(float)
+    if size is not None and len(matrix) != size:
+        raise ValueError(
+            f"{name} must be {size} × {size}, one row per condition, got {len(matrix)} × {len(matrix)}"
+        )
+    if not np.isfinite(matrix).all():
+        i, j = np.argwhere(~np.isfinite(matrix))[0]
+        raise ValueError(f"{name} must be finite, but row {i}, column {j} is {matrix[i, j]}")
+    scale = np.abs(matrix).max()
+    off = np.abs(matrix - matrix.T)
+    if off.max() > 1e-8 * scale:
+        i, j = np.unravel_index(int(np.argmax(off)), off.shape)
+        raise ValueError(
+            f"{name} must be symmetric, but [{i}, {j}] is {matrix[i, j]:g} and [{j}, {i}] is {matrix[j, i]:g}"
+        )
+    matrix = 0.5 * (matrix + matrix.T)
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    if not eigenvalues[0] > _LEAST * eigenvalues[-1]:
+        raise ValueError(
+            f"{name} is not positive definite: its least eigenvalue is {eigenvalues[0]:.6g} (greatest "
+            f"{eigenvalues[-1]:.6g}). A negative one belongs to no scores at all, one of zero to conditions of which one follows "
+            "from the others; check its variances and correlations"
+        )
+    return matrix
+
+
+def _shape(given: np.ndarray, values: object) -> str:
+    return f"shape {given.shape}" if given.dtype.kind in "fiu" else type(values).__name__
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """
+    Population from which studies are drawn: normal scores with these means and this covariance.
+
+    Parameters
+    ----------
+    labels : tuple
+        Conditions.
+    mean : numpy.ndarray, shape (k,)
+        Their means.
+    covariance : numpy.ndarray, shape (k, k)
+        Positive definite.
+    origin : str
+        Where they come from, if not given as numbers ("reconstructed data" …).
+
+    Raises
+    ------
+    ValueError
+        If sizes differ, labels repeat, or the covariance is not positive definite.
+    """
+
+    labels: tuple[Hashable, ...]
+    mean: np.ndarray
+    covariance: np.ndarray
+    origin: str = ""
+
+    def __post_init__(self):
+        mean = finite_array("mean", self.mean)
+        if mean.size < 2:
+            raise ValueError(f"mean must have at least two conditions, got {mean.size}")
+        matrix = checked_covariance("covariance", self.covariance, mean.size)
+        if isinstance(self.labels, str | bytes) or not hasattr(self.labels, "__iter__"):
+            raise ValueError(f"labels must be a list of names, got {self.labels!r:.60}")
+        labels = tuple(self.labels)
+        if len(labels) != mean.size or any(label in labels[:i] for i, label in enumerate(labels)):
+            raise ValueError(f"labels must name {mean.size} conditions, each once, got {labels!r:.200}")
+        for name, value in (("labels", labels), ("mean", mean), ("covariance", matrix)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def contrasts(self) -> np.ndarray:
+        """Covariance of orthonormal contrasts, shape (k − 1, k − 1)."""
+        c = orthonormal_contrasts(len(self.mean))
+        return c.T @ self.covariance @ c
+
+    @property
+    def epsilon(self) -> float:
+        """ε of the population; 1 where sphericity holds."""
+        return float(greenhouse_geisser(self.contrasts)) if len(self.mean) > 2 else 1.0
+
+    @property
+    def correlation(self) -> float:
+        """Mean covariance between conditions over their mean variance."""
+        k = len(self.mean)
+        trace = np.trace(self.covariance)
+        return float((self.covariance.sum() - trace) / (trace * (k - 1)))
+
+    @property
+    def eta2_partial(self) -> float:
+        """Partial η² of the population, S / (S + tr M), S = Σ (μ_j − μ)² and M the covariance of contrasts."""
+        effect = ((self.mean - self.mean.mean()) ** 2).sum()
+        return float(effect / (effect + np.trace(self.contrasts)))
+
+    @property
+    def d_z(self) -> np.ndarray:
+        """Standardized differences of all pairs a < b, mean over SD of a − b."""
+        a, b = np.triu_indices(len(self.mean), 1)
+        s = self.covariance
+        return (self.mean[a] - self.mean[b]) / np.sqrt(s[a, a] + s[b, b] - 2.0 * s[a, b])
+
+    def with_effect(self, eta2_partial: float) -> Conditions:
+        """
+        Return the population with means drawn together or apart about their mean, to a partial η².
+
+        Parameters
+        ----------
+        eta2_partial : float
+            In [0, 1).
+
+        Raises
+        ------
+        ValueError
+            If it is out of range, or all means are the same and none of them can be told from another.
+        """
+        eta2 = finite_number("effect_size", eta2_partial)
+        if not 0.0 <= eta2 < 1.0:
+            raise ValueError(f"effect_size is a population partial η², in [0, 1), got {eta2}")
+        apart = self.mean - self.mean.mean()
+        now = np.sqrt((apart**2).sum())
+        if eta2 > 0.0 and now <= 1e-12 * max(np.abs(self.mean).max(), 1e-300):
+            raise ValueError(
+                "effect_size scales differences between means, but all means are the same: give other means"
+            )
+        wanted = np.sqrt(eta2 / (1.0 - eta2) * np.trace(self.contrasts))
+        mean = self.mean.mean() + apart * (wanted / now if eta2 > 0.0 else 0.0)
+        return Conditions(self.labels, mean, self.covariance, self.origin)
+
+    def with_structure(self, correlation: float | None, epsilon: float | None) -> Conditions:
+        """
+        Return the population with `graded_covariance` of the same mean variance; what is None stays as it is.
+
+        Parameters
+        ----------
+        correlation, epsilon : float or None
+            As for `graded_covariance`.
+        """
+        if correlation is None and epsilon is None:
+            return self
+        sd = float(np.sqrt(np.trace(self.covariance) / len(self.mean)))
+        matrix = graded_covariance(
+            len(self.mean),
+            self.correlation if correlation is None else correlation,
+            self.epsilon if epsilon is None else epsilon,
+            sd,
+        )
+        return Conditions(self.labels, self.mean, matrix, self.origin)
+
+
+def graded_covariance(k: int, correlation: float = 0.5, epsilon: float = 1.0, sd: float = 1.0) -> np.ndarray:
+    """
+    Return a covariance of k conditions with a wanted mean correlation and ε.
+
+    The variances of the k − 1 orthonormal polynomial contrasts (linear first) form a geometric sequence, falling so steeply that ε
+    comes out; their mean is σ² (1 − ρ), and that of the sum over conditions is σ² (1 + (k − 1) ρ). ε = 1 is compound symmetry. Mean
+    variance and mean covariance are σ² and ρ σ². With ε below 1 power depends on which contrasts vary most: this is one choice.
+
+    Parameters
+    ----------
+    k : int
+        Conditions, at least 2.
+    correlation : float
+        ρ, between −1/(k − 1) and 1.
+    epsilon : float
+        ε, above 1/(k − 1) and at most 1; for k = 2 it is 1.
+    sd : float
+        σ, the root of the mean variance.
+
+    Returns
+    -------
+    numpy.ndarray, shape (k, k)
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+    """
+    k = whole_number("k", k, least=2, most=1000)
+    rho, eps, sd = (
+        finite_number("correlation", correlation),
+        finite_number("epsilon", epsilon),
+        finite_number("sd", sd),
+    )
+    d = k - 1
+    if not -1.0 / d < rho < 1.0:
+        raise ValueError(f"correlation must lie between −1/(k − 1) = {-1.0 / d:.4g} and 1, got {rho}")
+    if not sd > 0.0:
+        raise ValueError(f"sd must be positive, got {sd}")
+    if not (1.0 / d < eps <= 1.0 + 1e-12 or (d == 1 and abs(eps - 1.0) < 1e-12)):
+        raise ValueError(f"epsilon must lie above 1/(k − 1) = {1.0 / d:.4g} and be at most 1, got {eps}")
+
+    def shares(log_ratio: float) -> np.ndarray:
+        values = np.exp(log_ratio * np.arange(d))
+        return values / values.sum()
+
+    ratio = 0.0
+    if d > 1 and eps < 1.0 - 1e-12:
+        ratio = brentq(lambda x: 1.0 / (d * (shares(x) ** 2).sum()) - eps, -60.0, 0.0, xtol=1e-14, rtol=1e-14)
+    variances = d * sd**2 * (1.0 - rho) * shares(ratio)
+    points = (
+        np.vander(np.linspace(-1.0, 1.0, k), k, increasing=True)
+        if k <= 12
+        else np.cos(np.pi * np.outer(np.arange(k) + 0.5, np.arange(k)) / k)
+    )
+    basis = np.linalg.qr(points)[0]
+    together = sd**2 * (1.0 + d * rho)
+    return basis @ np.diag(np.r_[together, variances]) @ basis.T
+
+
+def conditions_from(
+    mean: Sequence[float] | None,
+    covariance: np.ndarray | None,
+    data=None,
+    dv: Hashable = "value",
+    within: Hashable = "condition",
+    subject: Hashable = "subject",
+    order: Sequence | None = None,
+    labels: Sequence[Hashable] | None = None,
+) -> Conditions:
+    """
+    Return the population that means and a covariance, or those of data, make.
+
+    Parameters
+    ----------
+    mean : array_like, shape (k,), or None
+        Means of the conditions; a mapping or Series names them.
+    covariance : array_like, shape (k, k), or None
+        Covariance of the conditions; a DataFrame names them too.
+    data : pandas.DataFrame, optional
+        A long table instead of the two: its sample means and covariance are taken for the population's.
+    dv, within, subject : hashable
+        Its columns.
+    order : sequence, optional
+        Order of its conditions.
+    labels : sequence, optional
+        Names of the conditions, if means do not name them.
+
+    Raises
+    ------
+    ValueError
+        If neither or both are given, sizes differ, or the covariance is not positive definite.
+    """
+    import pandas as pd
+
+    if data is not None:
+        if mean is not None or covariance is not None:
+            raise ValueError("give either data=, or mean= and covariance=, not both")
+        from trustlab.studies.validation import complete_scores, read_scores
+
+        scores, _ = complete_scores(read_scores(data, dv, within, subject, order=order))
+        n, k = scores.values.shape
+        if n <= k:
+            raise ValueError(
+                f"data hold {n} subjects in {k} conditions: a covariance of {k} conditions needs at least {k + 1} subjects"
+            )
+        matrix = checked_covariance("covariance of data", np.cov(scores.values.T))
+        return Conditions(scores.conditions, scores.values.mean(axis=0), matrix, scores.origin)
+    if mean is None or covariance is None:
+        raise ValueError("power needs mean= and covariance= of the conditions, or data= to take both from")
+    names = (
+        list(mean.index) if isinstance(mean, pd.Series) else list(mean) if isinstance(mean, dict) else None
+    )
+    if isinstance(covariance, pd.DataFrame):
+        if list(covariance.index) != list(covariance.columns):
+            raise ValueError(
+                "covariance must have the same conditions in rows and columns, in the same order"
+            )
+        if names is not None and list(covariance.columns) != names:
+            raise ValueError(f"mean has conditions {names}, but covariance {list(covariance.columns)}")
+        names, covariance = list(covariance.columns), covariance.to_numpy()
+    mean = finite_array("mean", list(mean.values()) if isinstance(mean, dict) else mean)
+    given = labels if labels is not None else names or range(1, mean.size + 1)
+    return Conditions(given, mean, covariance)

@@ -1,0 +1,377 @@
+"""Populations that simulated operators are drawn from: stand-ins for people, with the spread that was identified."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from trustlab.allocation.limits import threshold_limits
+from trustlab.models.checks import finite_array, finite_number, whole_number
+from trustlab.models.human import HumanModel
+from trustlab.models.published import published_models, published_table
+from trustlab.models.robot import RobotModel
+from trustlab.models.tsc import TscModel
+from trustlab.operators.ground_robot import Operator, operator
+from trustlab.operators.teleoperator import RANGES, REACH, Teleoperator
+from trustlab.studies.covariances import checked_covariance
+
+__all__ = ["GroundRobotPopulation", "TeleoperatorPopulation"]
+
+COORDINATES = (
+    "ln tau_r",
+    "logit beta",
+    "p_h_min",
+    "ln (p_h_max - p_h_min)",
+    "ln tau_pr",
+    "ln (p_r_max - p_r_min)",
+    "own lower",
+    "ln (own upper - own lower)",
+    "ln own lower spread",
+    "ln own upper spread",
+    "logit place of TSC_l",
+    "logit place of TSC_u",
+)
+"""What is normally distributed. τ = 1/(1 − a) in samples; places: of TSC_l between the limits (2.9)-(2.10) at δ_Ph = 0, and of TSC_u
+between TSC_l and the upper limit."""
+
+PEOPLE = 0x70656F70
+"""Mixed into the seed, so that people and their runs have different streams."""
+
+MOST_TRIES = 1000
+
+
+def _stream(seed: int, who: int) -> np.random.Generator:
+    return np.random.default_rng(
+        np.random.SeedSequence([whole_number("seed", seed, least=0), PEOPLE], spawn_key=(who,))
+    )
+
+
+def _model(values: dict[str, float]) -> TscModel:
+    human = HumanModel(values["a_r"], values["beta"], values["p_h_min"], values["p_h_max"])
+    return TscModel(RobotModel(values["a_pr"], values["p_r_min"], values["p_r_max"], human.p_max), human)
+
+
+def _coordinates(label: str) -> np.ndarray:
+    """Return a printed participant's coordinates, from Tables 2.1, 2.2 and 2.3."""
+    model = published_models()[label]
+    own, chosen = published_table("2.3")[label].astype(float), published_table("2.2")[label]
+    limits = threshold_limits(model, 0.0)
+    low, high = float(chosen["TSC_l"]), float(chosen["TSC_u"])
+    human, robot = model.human, model.robot
+    lower, upper = own["TSC_l", "mean"], own["TSC_u", "mean"]
+    return np.array(
+        [
+            -np.log(human.b),
+            special.logit(human.beta),
+            human.p_min,
+            np.log(human.p_max - human.p_min),
+            -np.log(1.0 - robot.a),
+            np.log(robot.p_max - robot.p_min),
+            lower,
+            np.log(upper - lower),
+            np.log(own["TSC_l", "sd"]),
+            np.log(own["TSC_u", "sd"]),
+            special.logit((low - limits.lower) / (limits.upper - limits.lower)),
+            special.logit((high - low) / (limits.upper - low)),
+        ]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class GroundRobotPopulation:
+    """
+    Operators of the ground robot: a normal distribution of `COORDINATES`, truncated to valid models.
+
+    Coordinates are logarithms of positive numbers and logits of shares, so that nearly every draw is a model; what is none (utilization
+    or performance out of range, thresholds outside the limits of Theorem 1) is drawn again. Shares of suggestions followed have beta
+    distributions with the printed means and standard deviations, independent of all else. Everyone's least robot performance is the same.
+    Thresholds of TSC come from the operator's own model: identification without error.
+
+    Parameters
+    ----------
+    mean : array_like, shape (12,)
+        Of `COORDINATES`.
+    covariance : array_like, shape (12, 12)
+        Of `COORDINATES`; positive definite.
+    follow : ((float, float), (float, float))
+        Mean and standard deviation of the shares of suggestions followed, by TSC and by performance, in [0, 1].
+    p_r_min : float
+        Least robot performance [m/s].
+    origin : str
+        Where the numbers come from.
+    testbed : str
+        "ground_robot"; not an argument.
+
+    Raises
+    ------
+    ValueError
+        If sizes differ, the covariance is not positive definite, or no beta distribution has such a mean and spread.
+
+    Notes
+    -----
+    Five people identify no distribution of twelve numbers: means and spreads are rough, correlations hardly known.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    follow: tuple[tuple[float, float], tuple[float, float]]
+    p_r_min: float = 0.24
+    origin: str = "own numbers"
+    testbed: str = field(default="ground_robot", init=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "mean", finite_array("mean", self.mean, length=len(COORDINATES)))
+        object.__setattr__(
+            self, "covariance", checked_covariance("covariance", self.covariance, len(COORDINATES))
+        )
+        object.__setattr__(self, "p_r_min", finite_number("p_r_min", self.p_r_min))
+        try:
+            pairs = tuple((finite_number("follow", a), finite_number("follow", b)) for a, b in self.follow)
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"follow must be two pairs of numbers (mean, SD), got {self.follow!r:.100}"
+            ) from None
+        if len(pairs) != 2:
+            raise ValueError(f"follow must be two pairs of numbers (mean, SD), got {len(pairs)}")
+        for average, sd in pairs:
+            if not (0.0 < average < 1.0 and 0.0 < sd < np.sqrt(average * (1.0 - average))):
+                raise ValueError(
+                    f"shares followed with mean {average:g} and SD {sd:g} have no beta distribution: the mean must lie in (0, 1) "
+                    "and the SD below √(mean (1 − mean))"
+                )
+        object.__setattr__(self, "follow", pairs)
+
+    @classmethod
+    def published(cls, shrinkage: float = 0.5, spread: float = 1.0) -> GroundRobotPopulation:
+        """
+        Return the population with the means and spreads of the five participants of Tables 2.1, 2.2, 2.3 and 2.6.
+
+        Parameters
+        ----------
+        shrinkage : float
+            λ in (0, 1] of (1 − λ) S + λ diag S, S the sample covariance of the five, which alone is singular: correlations are
+            shrunk towards zero, variances stay.
+        spread : float
+            Factor on all standard deviations of the coordinates; positive.
+
+        Raises
+        ------
+        ValueError
+            If a number is out of range.
+        """
+        shrinkage, spread = finite_number("shrinkage", shrinkage), finite_number("spread", spread)
+        if not 0.0 < shrinkage <= 1.0:
+            raise ValueError(
+                f"shrinkage must lie in (0, 1], got {shrinkage}: at 0 the covariance of five participants is singular"
+            )
+        if not spread > 0.0:
+            raise ValueError(f"spread must be positive, got {spread}")
+        rows = np.array([_coordinates(label) for label in ("1", "2", "3", "4", "5")])
+        sample = np.cov(rows.T)
+        matrix = spread**2 * ((1.0 - shrinkage) * sample + shrinkage * np.diag(np.diag(sample)))
+        shares = published_table("2.6")[["mean", "sd"]].astype(float) / 100.0
+        follow = tuple((float(shares.loc[c, "mean"]), float(shares.loc[c, "sd"])) for c in ("C2", "C4"))
+        return cls(rows.mean(axis=0), matrix, follow, 0.24, "Tables 2.1, 2.2, 2.3 and 2.6")
+
+    def table(self) -> pd.DataFrame:
+        """Return the distribution: columns quantity, distribution, mean, sd, of the coordinate as named."""
+        rows = [
+            (name, "normal, truncated to valid models", m, s)
+            for name, m, s in zip(COORDINATES, self.mean, np.sqrt(np.diag(self.covariance)), strict=True)
+        ]
+        rows += [
+            (name, "beta", *pair)
+            for name, pair in zip(("follow_tsc", "follow_performance"), self.follow, strict=True)
+        ]
+        return pd.DataFrame(rows, columns=["quantity", "distribution", "mean", "sd"])
+
+    def draw(self, n: int, seed: int = 0) -> pd.DataFrame:
+        """
+        Draw operators; those of a smaller n are the first of a larger one.
+
+        Parameters
+        ----------
+        n : int
+            How many.
+        seed : int
+            Each has a stream of their own.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row per operator: participant (from 1), a_r, beta, p_h_min, p_h_max, a_pr, p_r_min, p_r_max, lower, upper,
+            lower_spread, upper_spread, follow_tsc, follow_performance, tsc_l, tsc_u, redrawn (how many draws were no valid model).
+
+        Raises
+        ------
+        ValueError
+            If hardly any draw is a valid model.
+        """
+        root = np.linalg.cholesky(self.covariance)
+        rows = [self._one(who, _stream(seed, who), root) for who in range(1, whole_number("n", n) + 1)]
+        frame = pd.DataFrame(rows)
+        frame.attrs["synthetic"] = True
+        return frame
+
+    def _one(self, who: int, rng: np.random.Generator, root: np.ndarray) -> dict:
+        shares = []
+        for average, sd in self.follow:
+            total = average * (1.0 - average) / sd**2 - 1.0
+            shares.append(float(rng.beta(average * total, (1.0 - average) * total)))
+        for tries in range(MOST_TRIES):
+            found = self._values(self.mean + root @ rng.standard_normal(len(COORDINATES)))
+            if found is not None:
+                more = {"follow_tsc": shares[0], "follow_performance": shares[1]}
+                values = {"participant": who} | found | more | {"redrawn": tries}
+                try:
+                    self.person(values)
+                except ValueError:
+                    continue
+                return values
+        raise ValueError(
+            f"none of {MOST_TRIES} draws for participant {who} is a valid model: this population is mostly outside of what models "
+            "allow; check its means and spreads"
+        )
+
+    def _values(self, z: np.ndarray) -> dict[str, float] | None:
+        """Return the parameters that coordinates stand for; None if they make no model."""
+        p_h_min, lower = float(z[2]), float(z[6])
+        values = {
+            "a_r": 1.0 - float(np.exp(-z[0])),
+            "beta": float(special.expit(z[1])),
+            "p_h_min": p_h_min,
+            "p_h_max": p_h_min + float(np.exp(z[3])),
+            "a_pr": 1.0 - float(np.exp(-z[4])),
+            "p_r_min": self.p_r_min,
+            "p_r_max": self.p_r_min + float(np.exp(z[5])),
+            "lower": lower,
+            "upper": lower + float(np.exp(z[7])),
+            "lower_spread": float(np.exp(z[8])),
+            "upper_spread": float(np.exp(z[9])),
+        }
+        try:
+            limits = threshold_limits(_model(values), 0.0)
+        except ValueError:
+            return None
+        if not limits.lower < limits.upper:
+            return None
+        low = limits.lower + float(special.expit(z[10])) * (limits.upper - limits.lower)
+        high = low + float(special.expit(z[11])) * (limits.upper - low)
+        if not (
+            limits.lower < low < high < limits.upper and -1.0 <= values["lower"] < values["upper"] <= 1.0
+        ):
+            return None
+        return values | {"tsc_l": low, "tsc_u": high}
+
+    @staticmethod
+    def person(values: dict[str, float]) -> tuple[Operator, TscModel, tuple[float, float]]:
+        """
+        Return the simulated operator, model and thresholds of TSC of one row of `draw`.
+
+        Parameters
+        ----------
+        values : dict
+            The row.
+
+        Raises
+        ------
+        ValueError
+            If they make no model or operator.
+        """
+        model = _model(values)
+        one = operator(
+            int(values["participant"]),
+            model,
+            lower=(values["lower"], values["lower_spread"]),
+            upper=(values["upper"], values["upper_spread"]),
+            follow=(values["follow_tsc"], values["follow_performance"]),
+        )
+        return one, model, (values["tsc_l"], values["tsc_u"])
+
+
+@dataclass(frozen=True)
+class TeleoperatorPopulation:
+    """
+    Operators of the haptic device: skill uniform in [0, 1], properties about it as in `graded_teleoperators`.
+
+    Each property lies at the share ½ (g + u) of its range in `trustlab.operators.teleoperator.RANGES`, g the skill and u uniform in [0, 1]
+    and drawn for every property apart; patience is uniform in 2 to 4 s. These ranges are plausible, not measured: the dissertation
+    identifies no model of its teleoperators.
+
+    Parameters
+    ----------
+    study : {"preliminary", "main"}
+        Whose settings and target: of Section 3.8 or 3.9.
+    testbed : str
+        "uav"; not an argument.
+
+    Raises
+    ------
+    ValueError
+        If the study is unknown.
+    """
+
+    study: str = "main"
+    testbed: str = field(default="uav", init=False)
+
+    def __post_init__(self):
+        if not isinstance(self.study, str) or self.study not in REACH:
+            raise ValueError(f"study must be one of {', '.join(map(repr, REACH))}, got {self.study!r:.60}")
+
+    @property
+    def origin(self) -> str:
+        """Where the numbers come from."""
+        return "plausible ranges, not measured"
+
+    def table(self) -> pd.DataFrame:
+        """Return the distribution: columns quantity, distribution, mean, sd."""
+        share = np.sqrt(2.0 / 12.0) / 2.0
+        rows = [
+            (name, f"between {low:g} and {high:g} by skill", 0.5 * (low + high), abs(high - low) * share)
+            for name, (low, high) in RANGES.items()
+        ]
+        rows.append(("patience", "uniform, 2 to 4 s", 3.0, 2.0 / np.sqrt(12.0)))
+        return pd.DataFrame(rows, columns=["quantity", "distribution", "mean", "sd"])
+
+    def draw(self, n: int, seed: int = 0) -> pd.DataFrame:
+        """
+        Draw operators; those of a smaller n are the first of a larger one.
+
+        Parameters
+        ----------
+        n : int
+            How many.
+        seed : int
+            Each has a stream of their own.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row per operator: participant (from 1), skill, proportional, derivative, reaction, lag, noise, patience, reach.
+        """
+        rows = []
+        for who in range(1, whole_number("n", n) + 1):
+            skill, last, *draws = _stream(seed, who).uniform(size=len(RANGES) + 2).tolist()
+            row = {"participant": who, "skill": skill}
+            for (name, (low, high)), u in zip(RANGES.items(), draws, strict=True):
+                row[name] = low + (high - low) * 0.5 * (skill + u)
+            rows.append(row | {"patience": 2.0 + 2.0 * last, "reach": REACH[self.study]})
+        frame = pd.DataFrame(rows)
+        frame.attrs["synthetic"] = True
+        return frame
+
+    @staticmethod
+    def person(values: dict[str, float]) -> Teleoperator:
+        """
+        Return the simulated operator of one row of `draw`.
+
+        Parameters
+        ----------
+        values : dict
+            The row.
+        """
+        own = {name: values[name] for name in (*RANGES, "patience", "reach")}
+        return Teleoperator(int(values["participant"]), **own)

@@ -1,0 +1,331 @@
+"""Power of a within-subject design by simulated studies, against n, effect size, correlation and sphericity."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import open_unit, whole_number
+from trustlab.studies.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
+from trustlab.studies.covariances import Conditions, conditions_from
+from trustlab.studies.power_simulation import ADJUSTMENTS, TESTS, claims_mask, count_findings
+
+__all__ = ["LEAST_REPLICATES", "MOST_N", "PowerAnalysis", "power_analysis"]
+
+AXES = ("n", "effect_size", "correlation", "epsilon")
+"""What power is computed against; effect_size is a population partial η²."""
+
+MOST_CELLS, MOST_N, LEAST_REPLICATES = 10_000, 100_000, 100
+
+
+@dataclass(frozen=True, eq=False)
+class PowerAnalysis:
+    """
+    Power of the omnibus F and of every pair, by simulation.
+
+    Parameters
+    ----------
+    conditions : Conditions
+        The population given.
+    alpha : float
+        Level of every test.
+    replicates : int
+        Simulated studies per cell.
+    level : float
+        Coverage of the Monte-Carlo intervals (Clopper–Pearson).
+    seed : int
+        Of the draws.
+    varied : tuple of str
+        Axes of the grid for which several values were given.
+    omnibus, pairwise, together : pandas.DataFrame
+        What `table()`, `pairs()` and `claims()` return.
+    """
+
+    conditions: Conditions
+    alpha: float
+    replicates: int
+    level: float
+    seed: int
+    varied: tuple[str, ...]
+    omnibus: pd.DataFrame
+    pairwise: pd.DataFrame
+    together: pd.DataFrame
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the power of the omnibus F.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row per cell and test: n, effect_size (population partial η²), correlation, epsilon, noncentrality, test ("none",
+            "greenhouse-geisser", "huynh-feldt", "auto"), power, ci_low, ci_high, replicates, closed_form (noncentral F; NaN where
+            sphericity does not hold or the test is corrected).
+        """
+        return self._labelled(self.omnibus)
+
+    def pairs(self) -> pd.DataFrame:
+        """
+        Return the power of each pairwise comparison, two-sided.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row per cell, pair and adjustment: n, effect_size, correlation, epsilon, a, b, d_z, adjust ("none", "bonferroni",
+            "holm"), power, ci_low, ci_high, replicates, closed_form (noncentral t; NaN for Holm's).
+        """
+        return self._labelled(self.pairwise)
+
+    def claims(self) -> pd.DataFrame:
+        """
+        Return how likely F and all claimed pairs are found in one study, each in the population's direction.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row per cell and adjustment: n, effect_size, correlation, epsilon, adjust, claims (how many pairs), power, ci_low, ci_high,
+            replicates, expected_found (mean number of claimed pairs found). No rows without claims.
+        """
+        return self._labelled(self.together)
+
+    def _labelled(self, frame: pd.DataFrame) -> pd.DataFrame:
+        frame = frame.copy()
+        frame.attrs["origin"] = self.origin
+        return frame
+
+    @property
+    def origin(self) -> str:
+        """What kind of numbers these are."""
+        return "simulated studies" + (f", from {self.conditions.origin}" if self.conditions.origin else "")
+
+    def plot(self, against: str | None = None, test: str = "auto", axes=None):
+        """
+        Plot the power of the omnibus F with its Monte-Carlo intervals.
+
+        Parameters
+        ----------
+        against : {"n", "effect_size", "correlation", "epsilon"}, optional
+            The horizontal axis; by default the first that takes several values. A line per combination of the others.
+        test : {"auto", "none", "greenhouse-geisser", "huynh-feldt"}
+            Which test.
+        axes : matplotlib.axes.Axes, optional
+            Where to draw.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ValueError
+            If an argument is none of those.
+        """
+        from trustlab.studies.power_plots import plot_power
+
+        return plot_power(self, against, test, axes)
+
+    def __repr__(self) -> str:
+        cells = len(self.omnibus) // len(TESTS)
+        return (
+            f"PowerAnalysis({len(self.conditions.mean)} conditions, {cells} cell(s) of {self.replicates} {self.origin}, "
+            f"alpha {self.alpha:g})"
+        )
+
+    def _repr_html_(self) -> str:
+        import html
+
+        head = (
+            f"<b>Power</b>, {html.escape(self.origin)}: {self.replicates} per cell, level {self.alpha:g}, "
+            f"{100 * self.level:g} % Monte-Carlo intervals"
+        )
+        parts = [self.omnibus, self.pairwise, self.together]
+        tables = [part.to_html(index=False, float_format="%.4g", max_rows=60) for part in parts if len(part)]
+        return f"<p>{head}</p>{''.join(tables)}"
+
+
+def _listed(name: str, value, check) -> list:
+    """Return one value or a sequence of them as a list, each checked; None stays None."""
+    if value is None:
+        return [None]
+    if isinstance(value, str | bytes | dict) or (np.ndim(value) == 0 and not isinstance(value, range)):
+        return [check(value)]
+    values = list(value)
+    if not values:
+        raise ValueError(f"{name} is empty: give a number or several")
+    return [check(item) for item in values]
+
+
+def _sized(n: object) -> int:
+    """Return a number of subjects that a repeated-measures study can have."""
+    value = whole_number("n", n, least=1, most=MOST_N)
+    if value < 3:
+        raise ValueError(
+            f"n = {value} is too small for the design: repeated measures need at least 3 subjects"
+        )
+    return value
+
+
+def power_analysis(
+    mean: Sequence[float] | None = None,
+    covariance: np.ndarray | None = None,
+    *,
+    data: pd.DataFrame | None = None,
+    dv: Hashable = "value",
+    within: Hashable = "condition",
+    subject: Hashable = "subject",
+    order: Sequence | None = None,
+    labels: Sequence[Hashable] | None = None,
+    n: int | Sequence[int] = 36,
+    effect_size: float | Sequence[float] | None = None,
+    correlation: float | Sequence[float] | None = None,
+    epsilon: float | Sequence[float] | None = None,
+    claims: Sequence[tuple] | None = None,
+    alpha: float = 0.05,
+    replicates: int = 10_000,
+    level: float = 0.95,
+    seed: int = 0,
+) -> PowerAnalysis:
+    """
+    Simulate studies drawn from a normal population and count how many find its effects.
+
+    The population has the given means and covariance, or those of `data`: a pilot study, a virtual study, or data
+    reconstructed from printed statistics. Each study is analysed as `repeated_measures` does. Power at the effect that a study
+    itself has estimated ("observed power") restates its p-value and says nothing more about it.
+
+    Parameters
+    ----------
+    mean : array_like, shape (k,), mapping or Series, optional
+        Means of the conditions.
+    covariance : array_like, shape (k, k), optional
+        Their covariance; `graded_covariance` makes one of a wanted correlation and ε.
+    data : pandas.DataFrame, optional
+        A long table instead of both.
+    dv, within, subject : hashable
+        Columns of `data`.
+    order : sequence, optional
+        Order of the conditions in `data`.
+    labels : sequence, optional
+        Names of the conditions, where `mean` has none.
+    n : int or sequence of int
+        Subjects; at least 3.
+    effect_size : float or sequence of float, optional
+        Partial η² of the population: means keep their pattern and are drawn together or apart. As given when left out.
+    correlation, epsilon : float or sequence of float, optional
+        Replace the covariance by `graded_covariance` of the same mean variance; what is left out stays as it is.
+    claims : sequence of (a, b), optional
+        Pairs that must be found together with F, in the direction that the population has.
+    alpha : float
+        Level of all tests, in (0, 1).
+    replicates : int
+        Studies per cell; at least 100.
+    level : float
+        Coverage of the Monte-Carlo intervals.
+    seed : int
+        One child is spawned from it per cell of the grid n × effect_size × correlation × epsilon.
+
+    Returns
+    -------
+    PowerAnalysis
+
+    Raises
+    ------
+    ValueError
+        If means and covariance do not fit together, the covariance is not positive definite (the eigenvalue is named), n is too
+        small, or another argument is out of range.
+
+    Examples
+    --------
+    >>> from trustlab.studies.covariances import graded_covariance
+    >>> found = power_analysis([0.0, 0.3, 0.6], graded_covariance(3), n=20, replicates=1000)
+    >>> found.table()["test"].tolist()
+    ['none', 'greenhouse-geisser', 'huynh-feldt', 'auto']
+    """
+    population = conditions_from(mean, covariance, data, dv, within, subject, order, labels)
+    alpha, level = open_unit("alpha", alpha), open_unit("level", level)
+    replicates = whole_number("replicates", replicates, least=LEAST_REPLICATES, most=10_000_000)
+    seed = whole_number("seed", seed, least=0)
+    mask = claims_mask(claims, population)
+    grid = [
+        _listed(name, values, check)
+        for name, values, check in zip(
+            AXES, (n, effect_size, correlation, epsilon), (_sized, *[lambda v: v] * 3), strict=True
+        )
+    ]
+    shapes = [population.with_structure(*pair) for pair in product(*grid[2:])]
+    cells = [
+        (size, shape if effect is None else shape.with_effect(effect))
+        for size in grid[0]
+        for effect in grid[1]
+        for shape in shapes
+    ]
+    if len(cells) > MOST_CELLS:
+        raise ValueError(
+            f"{len(cells)} cells are too many for one call, at most {MOST_CELLS}; split the grid"
+        )
+    omnibus, pairs, together = [], [], []
+    for (size, cell), child in zip(cells, np.random.SeedSequence(seed).spawn(len(cells)), strict=True):
+        counts = count_findings(cell, size, replicates, alpha, child, mask)
+        rows = _rows(cell, size, counts, replicates, alpha, level, mask)
+        for table, more in zip((omnibus, pairs, together), rows, strict=True):
+            table.extend(more)
+    ends = ["power", "ci_low", "ci_high", "replicates"]
+    return PowerAnalysis(
+        population,
+        alpha,
+        replicates,
+        level,
+        seed,
+        tuple(name for name, values in zip(AXES, grid, strict=True) if len(values) > 1),
+        pd.DataFrame(omnibus, columns=[*AXES, "noncentrality", "test", *ends, "closed_form"]),
+        pd.DataFrame(pairs, columns=[*AXES, "a", "b", "d_z", "adjust", *ends, "closed_form"]),
+        pd.DataFrame(together, columns=[*AXES, "adjust", "claims", *ends, "expected_found"]),
+    )
+
+
+def _rows(cell: Conditions, n: int, counts, replicates, alpha, level, mask) -> tuple[list, list, list]:
+    k = len(cell.mean)
+    epsilon, d_z = cell.epsilon, cell.d_z
+    axes = (n, cell.eta2_partial, cell.correlation, epsilon)
+    strength = noncentrality(cell.eta2_partial, n, k)
+    exact = noncentral_f_power(n, k, strength, alpha) if epsilon > 1.0 - 1e-9 else np.nan
+
+    def shares(count) -> tuple[float, float, float, int]:
+        low, high = clopper_pearson(count, replicates, level)
+        return count / replicates, float(low), float(high), replicates
+
+    omnibus = [
+        (*axes, strength, test, *shares(counts.omnibus[test]), exact if test == "none" else np.nan)
+        for test in TESTS
+    ]
+    a, b = np.triu_indices(k, 1)
+    levels = {"none": alpha, "bonferroni": alpha / a.size}
+    pairs = [
+        (
+            *axes,
+            cell.labels[a[i]],
+            cell.labels[b[i]],
+            d_z[i],
+            name,
+            *shares(int(counts.pairs[name][i])),
+            noncentral_f_power(n, 2, n * d_z[i] ** 2, levels[name]) if name in levels else np.nan,
+        )
+        for i in range(a.size)
+        for name in ADJUSTMENTS
+    ]
+    together = []
+    if mask is not None:
+        together = [
+            (
+                *axes,
+                name,
+                int(mask.sum()),
+                *shares(counts.claims[name]),
+                counts.claims_found[name] / replicates,
+            )
+            for name in ADJUSTMENTS
+        ]
+    return omnibus, pairs, together

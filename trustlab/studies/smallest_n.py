@@ -1,0 +1,208 @@
+"""The smallest study with a wanted power: bisection on simulated power, begun at the closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import open_unit, whole_number
+from trustlab.sessions.errors import nearest
+from trustlab.studies.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
+from trustlab.studies.covariances import Conditions, conditions_from
+from trustlab.studies.designs import participants_needed
+from trustlab.studies.power import LEAST_REPLICATES, MOST_N
+from trustlab.studies.power_simulation import ADJUSTMENTS, TESTS, claims_mask, count_findings
+
+__all__ = ["SmallestN", "smallest_n"]
+
+
+@dataclass(frozen=True, eq=False)
+class SmallestN:
+    """
+    The smallest number of subjects whose simulated power reaches what was wanted.
+
+    Parameters
+    ----------
+    n : int
+        Subjects.
+    power, ci_low, ci_high : float
+        Simulated power there and its Monte-Carlo interval.
+    wanted : float
+        Power wanted.
+    test : str
+        Which test.
+    whole_squares : int
+        The next number that fills whole Latin squares of the conditions.
+    evaluations : pandas.DataFrame
+        Every n that was simulated: n, power, ci_low, ci_high; n − 1 is among them, unless n is the least possible, 3.
+    origin : str
+        What kind of number this is.
+    """
+
+    n: int
+    power: float
+    ci_low: float
+    ci_high: float
+    wanted: float
+    test: str
+    whole_squares: int
+    evaluations: pd.DataFrame
+    origin: str
+
+    def table(self) -> pd.DataFrame:
+        """Return one row: test, wanted, n, power, ci_low, ci_high, whole_squares."""
+        names = ("test", "wanted", "n", "power", "ci_low", "ci_high", "whole_squares")
+        frame = pd.DataFrame([{name: getattr(self, name) for name in names}])
+        frame.attrs["origin"] = self.origin
+        return frame
+
+    def _repr_html_(self) -> str:
+        return f"<p>{self.origin}</p>{self.table().to_html(index=False, float_format='%.4g')}"
+
+
+def smallest_n(
+    power: float = 0.8,
+    mean: Sequence[float] | None = None,
+    covariance: np.ndarray | None = None,
+    *,
+    data: pd.DataFrame | None = None,
+    dv: Hashable = "value",
+    within: Hashable = "condition",
+    subject: Hashable = "subject",
+    order: Sequence | None = None,
+    labels: Sequence[Hashable] | None = None,
+    effect_size: float | None = None,
+    pair: tuple | None = None,
+    test: str = "auto",
+    adjust: str = "holm",
+    alpha: float = 0.05,
+    replicates: int = 10_000,
+    level: float = 0.95,
+    seed: int = 0,
+    most: int = 2000,
+) -> SmallestN:
+    """
+    Return the smallest n whose simulated power reaches `power` while that of n − 1 does not.
+
+    Every n has draws of its own from the seed, so that the answer is the same at every call. Within the Monte-Carlo
+    error neighbouring n can be as good.
+
+    Parameters
+    ----------
+    power : float
+        Wanted, in (0, 1).
+    mean, covariance, data, dv, within, subject, order, labels : object
+        The population, as for `power_analysis`.
+    effect_size : float, optional
+        Partial η² of the population; as given when left out.
+    pair : (a, b), optional
+        Two conditions: the power of their comparison instead of that of F.
+    test : {"auto", "none", "greenhouse-geisser", "huynh-feldt"}
+        Correction of F.
+    adjust : {"holm", "bonferroni", "none"}
+        Adjustment of the pair's p-value.
+    alpha : float
+        Level of the test.
+    replicates : int
+        Studies per n; at least 100.
+    level : float
+        Coverage of the Monte-Carlo interval.
+    seed : int
+        Of the draws.
+    most : int
+        The largest n to try.
+
+    Returns
+    -------
+    SmallestN
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, power does not exceed alpha, or even `most` subjects do not reach it.
+    """
+    population = conditions_from(mean, covariance, data, dv, within, subject, order, labels)
+    if effect_size is not None:
+        population = population.with_effect(effect_size)
+    wanted, alpha, level = open_unit("power", power), open_unit("alpha", alpha), open_unit("level", level)
+    replicates = whole_number("replicates", replicates, least=LEAST_REPLICATES, most=10_000_000)
+    seed, most = whole_number("seed", seed, least=0), whole_number("most", most, least=3, most=MOST_N)
+    for name, value, known in (("test", test, TESTS), ("adjust", adjust, ADJUSTMENTS)):
+        if not isinstance(value, str) or value not in known:
+            raise ValueError(
+                f"{name} must be one of {', '.join(known)}, got {value!r:.60}{nearest(value, known)}"
+            )
+    if wanted <= alpha:
+        raise ValueError(
+            f"power = {wanted:g} must exceed alpha = {alpha:g}, which no effect at all reaches already"
+        )
+    which = None if pair is None else int(np.flatnonzero(claims_mask([pair], population))[0])
+    found: dict[int, int] = {}
+
+    def enough(n: int) -> bool:
+        if n not in found:
+            child = np.random.SeedSequence(seed, spawn_key=(n,))
+            counts = count_findings(population, n, replicates, alpha, child)
+            found[n] = counts.omnibus[test] if which is None else int(counts.pairs[adjust][which])
+        return found[n] >= wanted * replicates
+
+    n = _bisect(enough, min(_closed_form(population, which, wanted, alpha, adjust, most), most), most)
+    if n is None:
+        share = found[most] / replicates
+        raise ValueError(
+            f"{most} subjects reach a power of {share:.3g} only, {wanted:g} was wanted: the effect is too small for the design; "
+            "raise most=, or change the design"
+        )
+    sizes = sorted(found)
+    low, high = clopper_pearson(np.array([found[size] for size in sizes]), replicates, level)
+    rows = pd.DataFrame(
+        {"n": sizes, "power": [found[s] / replicates for s in sizes], "ci_low": low, "ci_high": high}
+    )
+    here = rows[rows["n"] == n].iloc[0]
+    origin = "simulated studies" + (f", from {population.origin}" if population.origin else "")
+    name = f"F, {test}" if pair is None else f"{pair[0]} – {pair[1]}, {adjust}"
+    ends = (float(here["power"]), float(here["ci_low"]), float(here["ci_high"]))
+    return SmallestN(n, *ends, wanted, name, participants_needed(len(population.mean), n), rows, origin)
+
+
+def _bisect(enough, start: int, most: int) -> int | None:
+    """Return an n at which `enough` begins to hold, at least 3; None where `most` is not enough."""
+    low, high = None, None
+    n, step = max(start, 3), 1
+    while low is None or high is None:
+        if enough(n):
+            high = n
+            if n == 3:
+                return 3
+            n = max(n - step, 3) if low is None else n
+        else:
+            low = n
+            if n == most:
+                return None
+            n = min(n + step, most) if high is None else n
+        step *= 2
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if enough(middle) else (middle, high)
+    return high
+
+
+def _closed_form(population: Conditions, which, wanted, alpha, adjust, most) -> int:
+    """Return about how many subjects are needed, by noncentral F with Box's ε, or noncentral t."""
+    k, epsilon = len(population.mean), population.epsilon
+    if which is not None:
+        d_z, k, epsilon = population.d_z[which], 2, 1.0
+        alpha = alpha if adjust == "none" else alpha / len(population.d_z)
+
+    def short(n: int) -> bool:
+        strength = n * d_z**2 if which is not None else noncentrality(population.eta2_partial, n, k)
+        return noncentral_f_power(n, k, strength, alpha, epsilon) < wanted
+
+    low, high = 2, most
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if short(middle) else (low, middle)
+    return high

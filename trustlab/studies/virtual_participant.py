@@ -1,0 +1,116 @@
+"""One simulated participant of a virtual study: every condition in their order, measured and, if asked for, written."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from trustlab.sessions.writers import write_session
+from trustlab.studies.populations import GroundRobotPopulation, TeleoperatorPopulation
+from trustlab.testbeds.course import Course
+from trustlab.testbeds.ground_robot import SAMPLE_TIME, run_condition
+from trustlab.testbeds.teleoperation_measures import teleoperation_measures
+from trustlab.testbeds.uav_tracking import simulate_teleoperation
+
+__all__ = ["run_participant", "session_file"]
+
+
+@cache
+def _course() -> Course:
+    """Return the default course, made once per process."""
+    return Course()
+
+
+def session_file(participant: int, position: int, condition: str) -> str:
+    """
+    Return the name of the file that holds one session.
+
+    Parameters
+    ----------
+    participant, position : int
+        Who, and which of their sessions, from 1.
+    condition : str
+        The condition.
+    """
+    return f"participant_{participant:05d}_trial_{position}_{condition}.parquet"
+
+
+def run_participant(
+    testbed: str,
+    participant: int,
+    order: str,
+    study: str,
+    laps: int,
+    length: float,
+    rest: float | None,
+    folder: str | None,
+    seed: np.random.SeedSequence,
+    **operator: float,
+) -> dict[str, float]:
+    """
+    Run all conditions for one simulated operator: a task of `run_campaign`.
+
+    Parameters
+    ----------
+    testbed : {"ground_robot", "uav"}
+        Which.
+    participant : int
+        Who.
+    order : str
+        Conditions in the order in which they come, separated by blanks.
+    study : str
+        Study of the UAV testbed, "preliminary" or "main".
+    laps : int
+        Laps of each run of the ground robot.
+    length : float
+        Length of each run of the UAV [s].
+    rest : float or None
+        Pause between sessions [s], in which utilization decays by (2.5) from what it was; None: every session begins rested.
+    folder : str or None
+        Where sessions are written.
+    seed : numpy.random.SeedSequence
+        One child is spawned from it per condition, by its place in the alphabet, not in the order.
+    **operator : float
+        A row of the population's draw.
+
+    Returns
+    -------
+    dict of str to float
+        "condition/measure": value.
+    """
+    conditions = order.split()
+    streams = dict(zip(sorted(conditions), seed.spawn(len(conditions)), strict=True))
+    values, r0, found = operator | {"participant": participant}, 0.0, {}
+    for position, condition in enumerate(conditions, start=1):
+        if testbed == "ground_robot":
+            someone, model, thresholds = GroundRobotPopulation.person(values)
+            run = run_condition(
+                condition,
+                someone,
+                model,
+                thresholds if condition in ("C2", "C3") else None,
+                laps=laps,
+                seed=streams[condition],
+                course=_course(),
+                r0=r0,
+            )
+            session, measures = run.session, run.measures()
+            if rest is not None:
+                r0 = float(session["r"][-1]) * model.human.a ** (rest / SAMPLE_TIME)
+        else:
+            session = simulate_teleoperation(
+                condition,
+                TeleoperatorPopulation.person(values),
+                study,
+                seed=streams[condition],
+                duration=length,
+            )
+            row = teleoperation_measures(session).iloc[0].drop(["participant", "scheme"])
+            measures = {name: float(value) for name, value in row.items()}
+        if folder is not None:
+            named = session.with_metadata(trial=position, testbed=testbed)
+            write_session(named, Path(folder) / session_file(participant, position, condition))
+        found |= {f"{condition}/{name}": float(value) for name, value in measures.items()}
+    return found

@@ -1,0 +1,235 @@
+"""What a virtual study hands back: its design, people, measures, statistics and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from trustlab.sessions.errors import nearest
+from trustlab.studies.designs import LatinSquareDesign
+from trustlab.studies.populations import GroundRobotPopulation, TeleoperatorPopulation
+from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
+
+__all__ = ["KEYS", "ORIGIN", "WORDS", "VirtualStudy"]
+
+WORDS = {"ground_robot": "the ground-robot testbed", "uav": "the UAV testbed"}
+"""What testbeds are called in messages."""
+
+ORIGIN = "simulated operators"
+"""Where the measures come from, for headers and captions."""
+
+KEYS = ("participant", "position", "condition", "synthetic")
+"""Columns of the measures that are none."""
+
+STATISTICS = (
+    "n",
+    "k",
+    "F",
+    "df1",
+    "df2",
+    "p",
+    "correction",
+    "epsilon_gg",
+    "eta2_partial",
+    "eta2_partial_low",
+    "eta2_partial_high",
+    "note",
+)
+USUAL = {
+    "ground_robot": ("p_r", "p_h", "r", "path_error"),
+    "uav": ("tracking_error", "p_r", "p_h", "hand_force"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class VirtualStudy:
+    """
+    A study that simulated operators took part in. No person did.
+
+    Parameters
+    ----------
+    testbed : {"ground_robot", "uav"}
+        Where.
+    conditions : tuple of str
+        Its conditions, as given.
+    design : LatinSquareDesign
+        Who did what when.
+    population : GroundRobotPopulation or TeleoperatorPopulation
+        Whom the operators were drawn from.
+    participants : pandas.DataFrame
+        Their parameters as drawn, a row each.
+    measures : pandas.DataFrame
+        A row per session: participant, position, condition, synthetic, and every measure of the testbed.
+    failures : pandas.DataFrame
+        Participants whose sessions could not be run: participant, error. They have no rows in `measures`.
+    settings : dict
+        seed, laps or duration [s], rest [s].
+    folder : pathlib.Path or None
+        Where sessions, measures and participants were written.
+    """
+
+    testbed: str
+    conditions: tuple[str, ...]
+    design: LatinSquareDesign
+    population: GroundRobotPopulation | TeleoperatorPopulation
+    participants: pd.DataFrame
+    measures: pd.DataFrame
+    failures: pd.DataFrame
+    settings: dict
+    folder: Path | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the measures."""
+        return tuple(name for name in self.measures.columns if name not in KEYS)
+
+    def analysis(
+        self, dv: str, conditions: Sequence[str] | None = None, **options: object
+    ) -> RepeatedMeasures:
+        """
+        Return the repeated-measures analysis of one measure.
+
+        Parameters
+        ----------
+        dv : str
+            The measure.
+        conditions : sequence of str, optional
+            Those to compare, all by default; a measure that some conditions do not have needs this.
+        **options : object
+            Passed on to `repeated_measures`.
+
+        Raises
+        ------
+        ValueError
+            If the measure or a condition is unknown, or the measure has missing values or no variance.
+        """
+        if dv not in self.names:
+            raise ValueError(
+                f"dv: no measure {dv!r:.60}{nearest(dv, self.names)} (there are {', '.join(self.names)})"
+            )
+        wanted = self.conditions if conditions is None else tuple(conditions)
+        for condition in wanted:
+            if condition not in self.conditions:
+                raise ValueError(
+                    f"unknown condition {condition!r:.60}{nearest(condition, self.conditions)} (the study has "
+                    f"{', '.join(self.conditions)})"
+                )
+        rows = self.measures[self.measures["condition"].isin(wanted)]
+        return repeated_measures(rows, dv, "condition", "participant", order=wanted, **options)
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the omnibus test of every measure.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row per measure: measure, conditions (that have it for everyone), n, k, F, df1, df2, p (corrected as `correction` says),
+            correction, epsilon_gg, eta2_partial, eta2_partial_low, eta2_partial_high, note. NaN where a test is not defined; the note
+            says why.
+        """
+        rows = []
+        for name in self.names:
+            there = self.measures[name].notna().groupby(self.measures["condition"]).all()
+            own = [condition for condition in self.conditions if there[condition]]
+            row = dict.fromkeys(STATISTICS, np.nan)
+            try:
+                if len(own) < 2:
+                    raise ValueError("fewer than two conditions have this measure for every participant")
+                result = self.analysis(name, own)
+            except ValueError as error:
+                row |= {"correction": "", "note": str(error)}
+            else:
+                row |= {key: getattr(result, key) for key in row if key in result.__dataclass_fields__}
+                row |= {"df1": result.df1_corrected, "df2": result.df2_corrected, "p": result.p_corrected}
+                gone = [c for c in self.conditions if c not in own]
+                row["note"] = f"without {', '.join(gone)}, which do not have it for everyone" if gone else ""
+            rows.append({"measure": name, "conditions": " ".join(own)} | row)
+        frame = pd.DataFrame(rows)
+        frame.attrs["origin"] = ORIGIN
+        return frame
+
+    def sessions(self):
+        """
+        Read the sessions again from the folder.
+
+        Returns
+        -------
+        list of Session
+
+        Raises
+        ------
+        ValueError
+            If the study was run without a folder.
+        """
+        from trustlab.sessions.readers import read_sessions
+
+        if self.folder is None:
+            raise ValueError("this study kept no sessions; run it with out= the name of a folder")
+        return read_sessions(self.folder / "sessions")
+
+    def plot(self, measures: Sequence[str] | None = None, kind: str = "means"):
+        """
+        Plot measures by condition, a panel each.
+
+        Parameters
+        ----------
+        measures : sequence of str, optional
+            Which; four of the testbed's by default.
+        kind : {"means", "raincloud", "paired"}
+            As for `RepeatedMeasures.plot`.
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes
+        """
+        import matplotlib.pyplot as plt
+
+        measures = USUAL[self.testbed] if measures is None else measures
+        names = [measures] if isinstance(measures, str) else list(measures)
+        results = [self.analysis(name) for name in names]
+        columns = min(4, len(names))
+        figure, axes = plt.subplots(
+            -(-len(names) // columns), columns, squeeze=False, layout="constrained",
+            figsize=(3.2 * columns, 3.2 * -(-len(names) // columns)),
+        )  # fmt: skip
+        for axis, result in zip(axes.flat, results, strict=False):
+            result.plot(kind, axes=axis)
+            axis.set(title="", xlabel="")
+        for axis in axes.flat[len(names) :]:
+            axis.axis("off")
+        figure.suptitle(f"{ORIGIN}, n = {len(self.participants) - len(self.failures)}", fontsize="small")
+        return axes.ravel()[: len(names)]
+
+    @property
+    def summary(self) -> str:
+        """What was simulated, in a sentence or two."""
+        setting = ", ".join(f"{name} {value}" for name, value in self.settings.items() if value is not None)
+        carried = (
+            "Every session begins rested: orders have no effect on results."
+            if self.settings.get("rest") is None
+            else "Utilization is carried over from session to session by (2.5); nothing else is."
+        )
+        failed = (
+            f" {len(self.failures)} participant(s) failed and are left out." if len(self.failures) else ""
+        )
+        return (
+            f"Virtual study on {WORDS[self.testbed]}: {len(self.participants)} simulated operators ({self.population.origin}), "
+            f"conditions {', '.join(self.conditions)}; {setting}. No person took part. {carried}{failed}"
+        )
+
+    def __repr__(self) -> str:
+        return f"VirtualStudy({self.testbed}, {len(self.participants)} simulated operators, {', '.join(self.conditions)})"
+
+    def _repr_html_(self) -> str:
+        import html
+
+        means = self.measures.groupby("condition", observed=True)[list(self.names)].mean().T
+        return (
+            f"<p>{html.escape(self.summary)}</p>{self.table().to_html(index=False, float_format='%.4g')}"
+            f"<p>Means ({ORIGIN})</p>{means[list(self.conditions)].to_html(float_format='%.4g')}"
+        )

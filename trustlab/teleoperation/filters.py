@@ -1,0 +1,358 @@
+"""Filters at a port: the two-port of Proposition 3 as printed, its passivity margin, the corrected two-port, and filtered waves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trustlab.models.checks import finite_array, finite_number
+from trustlab.teleoperation.haptic_device import PassivityError
+
+__all__ = [
+    "FilterRun",
+    "PassivityMargin",
+    "TwoPortFilter",
+    "WaveFilter",
+    "corrected_filter",
+    "passivity_margin",
+    "printed_filter",
+    "sinusoid_energy",
+]
+
+SLACK = 1e-12
+
+
+def _positive(name: str, value: float) -> float:
+    number = finite_number(name, value)
+    if not number > 0.0:
+        raise ValueError(f"{name} must be positive, got {number}")
+    return number
+
+
+@dataclass(frozen=True)
+class PassivityMargin:
+    """
+    What a two-port filter needs to be passive.
+
+    Parameters
+    ----------
+    least_product : float
+        max (Im H)² over all frequencies: the two-port is passive exactly when k_12 k_21 is at least this.
+    frequency : float
+        Where the maximum is [rad/s].
+    product : float
+        k_12 k_21 given.
+    """
+
+    least_product: float
+    frequency: float
+    product: float
+
+    @property
+    def margin(self) -> float:
+        """k_12 k_21 less the least product; negative where energy can be generated."""
+        return self.product - self.least_product
+
+    @property
+    def is_passive(self) -> bool:
+        """Whether the two-port is passive, up to rounding."""
+        return self.margin >= -SLACK * max(self.least_product, 1.0)
+
+
+def passivity_margin(numerator, denominator, k12: float = 0.0, k21: float = 0.0) -> PassivityMargin:
+    """
+    Return what the two-port [[k_21, H], [−H, k_12]] of (4.16)-(4.17) needs to be passive.
+
+    Its Hermitian part [[k_21, i Im H], [−i Im H, k_12]] is positive semidefinite exactly when k_12, k_21 ≥ 0 and
+    k_12 k_21 ≥ (Im H)², at every frequency. The maximum is found among the real roots of a polynomial, not on a grid.
+
+    Parameters
+    ----------
+    numerator, denominator : array_like
+        Coefficients of H(s), highest power first; stable and proper.
+    k12 : float
+        k_12 ≥ 0 [m/(N s)].
+    k21 : float
+        k_21 ≥ 0 [N s/m].
+
+    Raises
+    ------
+    ValueError
+        If H is improper or unstable, or a gain is negative.
+
+    Notes
+    -----
+    Proposition 3 of Saeidi asks k_12, k_21 ≥ 0 only, as if u_1ᵀH u_2 − u_2ᵀH u_1 were zero.
+
+    Examples
+    --------
+    >>> passivity_margin([10.0], [1.0, 10.0]).least_product
+    0.25
+    """
+    top = np.trim_zeros(finite_array("numerator", numerator), "f")
+    bottom = np.trim_zeros(finite_array("denominator", denominator), "f")
+    k12, k21 = finite_number("k12", k12), finite_number("k21", k21)
+    for name, value in (("k12", k12), ("k21", k21)):
+        if value < 0.0:
+            raise ValueError(f"{name} cannot be negative, got {value}: it would be a source by itself")
+    if not bottom.size:
+        raise ValueError("denominator must not be zero")
+    if top.size > bottom.size:
+        raise ValueError("H must be proper: its numerator has a higher degree than its denominator")
+    poles = np.roots(bottom)
+    if poles.size and poles.real.max() >= 0.0:
+        raise ValueError(f"H must be stable, but it has a pole at {poles[np.argmax(poles.real)]:.4g}")
+    # with the poles' size as unit of frequency: Im H = Im(N(iω) D(−iω))/|D(iω)|²
+    unit = float(np.exp(np.mean(np.log(np.abs(poles))))) if poles.size else 1.0
+    top = top * unit ** np.arange(top.size - 1, -1, -1.0)
+    bottom = bottom * unit ** np.arange(bottom.size - 1, -1, -1.0)
+    turn = [1j ** np.arange(c.size - 1, -1, -1.0) for c in (top, bottom)]
+    near, far = np.poly1d(top * turn[0]), np.poly1d(bottom * turn[1])
+    conjugate = np.poly1d(np.conj(far.c))
+    imaginary, size = np.poly1d((near * conjugate).c.imag), np.poly1d((far * conjugate).c.real)
+    flat = (imaginary.deriv() * size - imaginary * size.deriv()).c
+    roots = np.roots(flat) if np.any(flat) else np.zeros(0)
+    places = np.concatenate(
+        [np.zeros(1), np.abs(roots.real), np.abs(roots)]
+    )  # one place too many does no harm
+    heights = (imaginary(places) / size(places)) ** 2
+    best = int(np.argmax(heights))
+    return PassivityMargin(float(heights[best]), float(unit * places[best]), k12 * k21)
+
+
+@dataclass(frozen=True, eq=False)
+class FilterRun:
+    """
+    What a two-port filter did with two signals, with its ledger.
+
+    Parameters
+    ----------
+    t : numpy.ndarray, shape (N,)
+        Time at the end of each sample [s].
+    y_1, y_2 : numpy.ndarray, shape (N, n)
+        Outputs of (4.16).
+    supply : numpy.ndarray, shape (N,)
+        ∫ u_1ᵀy_2 − u_2ᵀy_1 dτ: energy taken in [J].
+    storage : numpy.ndarray, shape (N,)
+        Energy held [J].
+    """
+
+    t: np.ndarray
+    y_1: np.ndarray
+    y_2: np.ndarray
+    supply: np.ndarray
+    storage: np.ndarray
+
+    @property
+    def generated(self) -> np.ndarray:
+        """Energy given out beyond what was taken in and is no longer held [J], shape (N,); at most zero in a passive filter."""
+        return self.storage - self.supply
+
+
+@dataclass(frozen=True)
+class TwoPortFilter:
+    """
+    The two-port of Fig. 4.5 with one pole, equation (4.16), in discrete time by the midpoint rule.
+
+    y_1 = LP[u_1] − k_12 u_2, y_2 = k_21 u_1 + LP[u_2], LP = ω_c/(s + ω_c). With k_12 k_21 ≥ ¼ it is passive with the storage
+    (k_21 ‖a‖² + k_12 ‖c‖²)/ω_c, a = LP[u_1], c = LP[u_2]; the ledger balances at every sample, not only in the limit.
+
+    Parameters
+    ----------
+    cutoff : float
+        ω_c [rad/s], positive.
+    k12 : float
+        Share of the force that is taken from the velocity [m/(N s)].
+    k21 : float
+        Damping [N s/m].
+    require_passive : bool
+        Refuse gains with k_12 k_21 < ¼.
+
+    Raises
+    ------
+    PassivityError
+        If the gains do not make the filter passive.
+    ValueError
+        If a number is not finite or has the wrong sign.
+    """
+
+    cutoff: float
+    k12: float
+    k21: float
+    require_passive: bool = True
+
+    def __post_init__(self):
+        object.__setattr__(self, "cutoff", _positive("cutoff", self.cutoff))
+        for name in ("k12", "k21"):
+            object.__setattr__(self, name, finite_number(name, getattr(self, name)))
+        margin = passivity_margin([self.cutoff], [1.0, self.cutoff], self.k12, self.k21)
+        if self.require_passive and not margin.is_passive:
+            raise PassivityError(
+                f"the two-port filter is not passive: k_12 k_21 = {margin.product:.4g}, and max (Im H)² = "
+                f"{margin.least_product:.4g}; raise the gains, or pass require_passive=False to see it fail"
+            )
+
+    def storage(self, a: np.ndarray, c: np.ndarray) -> float:
+        """
+        Return the energy held [J].
+
+        Parameters
+        ----------
+        a, c : array_like, shape (n,)
+            Filtered u_1 and u_2.
+        """
+        a, c = np.asarray(a, dtype=float), np.asarray(c, dtype=float)
+        return float((self.k21 * (a @ a) + self.k12 * (c @ c)) / self.cutoff)
+
+    def run(self, u_1: np.ndarray, u_2: np.ndarray, sample_time: float) -> FilterRun:
+        """
+        Filter two signals, from rest.
+
+        Parameters
+        ----------
+        u_1, u_2 : array_like, shape (N, n) or (N,)
+            Inputs: velocity at one port and force at the other; each sample held.
+        sample_time : float
+            T [s], positive.
+
+        Raises
+        ------
+        ValueError
+            If the inputs are not finite or differ in shape.
+        """
+        step = _positive("sample_time", sample_time)
+        first, second = (_samples(name, value) for name, value in (("u_1", u_1), ("u_2", u_2)))
+        if first.shape != second.shape:
+            raise ValueError(f"u_1 and u_2 must have the same shape, got {first.shape} and {second.shape}")
+        low = (_low_pass(first, self.cutoff, step), _low_pass(second, self.cutoff, step))
+        y_1, y_2 = low[0][0] - self.k12 * second, self.k21 * first + low[1][0]
+        supply = step * np.cumsum((first * y_2 - second * y_1).sum(axis=1))
+        held = (
+            self.k21 * (low[0][1] ** 2).sum(axis=1) + self.k12 * (low[1][1] ** 2).sum(axis=1)
+        ) / self.cutoff
+        return FilterRun(step * np.arange(1, len(first) + 1), y_1, y_2, supply, held)
+
+
+def printed_filter(cutoff: float) -> TwoPortFilter:
+    """
+    Return the filter of Proposition 3 with k_12 = k_21 = 0, which the text calls lossless (4.18); it generates energy.
+
+    Parameters
+    ----------
+    cutoff : float
+        ω_c [rad/s].
+    """
+    return TwoPortFilter(cutoff, 0.0, 0.0, require_passive=False)
+
+
+def corrected_filter(cutoff: float, impedance: float, product: float = 0.25) -> TwoPortFilter:
+    """
+    Return a passive two-port: k_21 = √p · impedance and k_12 = √p/impedance with p = k_12 k_21 ≥ ¼.
+
+    Parameters
+    ----------
+    cutoff : float
+        ω_c [rad/s].
+    impedance : float
+        k_21/k_12 is its square [N s/m]; the channel's b shares the cost between drag and yielding.
+    product : float
+        k_12 k_21; the least that is passive when not given.
+    """
+    impedance, root = _positive("impedance", impedance), np.sqrt(_positive("product", product))
+    return TwoPortFilter(cutoff, float(root / impedance), float(root * impedance))
+
+
+@dataclass(frozen=True)
+class WaveFilter:
+    """
+    A low-pass filter on a wave variable: |H| ≤ 1, so that it is passive without gains of its own.
+
+    da/dt = ω_c (v − a) gives out a; ½‖v‖² − ½‖a‖² is the change of ‖a‖²/(2ω_c) plus ½‖v − a‖², also sample by sample under the
+    midpoint rule, whatever b and the scales on either side of it do.
+
+    Parameters
+    ----------
+    cutoff : float
+        ω_c [rad/s], positive.
+
+    Raises
+    ------
+    ValueError
+        If the cutoff is not positive.
+    """
+
+    cutoff: float
+
+    def __post_init__(self):
+        object.__setattr__(self, "cutoff", _positive("cutoff", self.cutoff))
+
+    def run(self, wave: np.ndarray, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Filter a wave, from rest, and return what goes out and the energy held.
+
+        Parameters
+        ----------
+        wave : array_like, shape (N, n) or (N,)
+            Wave that comes in [√W].
+        sample_time : float
+            T [s], positive.
+
+        Returns
+        -------
+        out : numpy.ndarray, shape (N, n)
+            Wave that goes out [√W].
+        storage : numpy.ndarray, shape (N,)
+            ‖a‖²/(2ω_c) after each sample [J].
+        """
+        out, state = _low_pass(_samples("wave", wave), self.cutoff, _positive("sample_time", sample_time))
+        return out, (state**2).sum(axis=1) / (2.0 * self.cutoff)
+
+
+def sinusoid_energy(two_port: TwoPortFilter, duration: float, sample_time: float = 1e-3) -> FilterRun:
+    """
+    Run a two-port on u_1 = cos ω_c t, u_2 = sin ω_c t, which the printed filter turns into ½ unit of energy per second for ever.
+
+    Parameters
+    ----------
+    two_port : TwoPortFilter
+        The filter.
+    duration : float
+        Length [s].
+    sample_time : float
+        T [s].
+    """
+    if not isinstance(two_port, TwoPortFilter):
+        raise ValueError(f"two_port must be of class TwoPortFilter, got {type(two_port).__name__}")
+    step, length = _positive("sample_time", sample_time), _positive("duration", duration)
+    if length < step:
+        raise ValueError(f"duration must be at least one sample, {step:g} s, got {length:g}")
+    phase = two_port.cutoff * step * (np.arange(round(length / step)) + 0.5)
+    return two_port.run(np.cos(phase), np.sin(phase), step)
+
+
+def _low_pass(u: np.ndarray, cutoff: float, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the midpoint output and the state after each sample of da/dt = ω_c (u − a)."""
+    from scipy.signal import lfilter
+
+    g = 0.5 * step * cutoff
+    state = lfilter([2.0 * g / (1.0 + g)], [1.0, -(1.0 - g) / (1.0 + g)], u, axis=0)
+    before = np.vstack([np.zeros((1, u.shape[1])), state[:-1]])
+    return 0.5 * (before + state), state
+
+
+def _samples(name: str, values) -> np.ndarray:
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind not in "iuf":
+            raise TypeError
+        array = given.astype(float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be an array of numbers, got {type(values).__name__}") from None
+    array = array[:, None] if array.ndim == 1 else array
+    if array.ndim != 2 or not array.size:
+        raise ValueError(f"{name} must have shape (N, n), got {given.shape}")
+    if not np.isfinite(array).all():
+        k, i = np.argwhere(~np.isfinite(array))[0]
+        raise ValueError(f"{name} must be finite, but sample {k}, axis {i} is {array[k, i]}")
+    return array

@@ -1,0 +1,296 @@
+"""Who leads: leader policies as small objects, all with a minimum dwell time, and each switch to another robot."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from trustlab.models.checks import finite_array, finite_number
+
+__all__ = ["POLICIES", "GivenSequence", "LeaderPolicy", "MostTrusted", "RandomLeaders", "policy_named"]
+
+
+class LeaderPolicy(Protocol):
+    """Anything with a `title` and a method `leaders`: a policy of one's own needs no more."""
+
+    title: str
+
+    def leaders(
+        self,
+        trust: np.ndarray,
+        robots: Sequence[Hashable],
+        step: float,
+        dwell: float,
+        rng: np.random.Generator,
+    ) -> np.ndarray:
+        """
+        Return the number of the leader in each decision interval, shape (M,).
+
+        Parameters
+        ----------
+        trust : numpy.ndarray, shape (M, N)
+            Human-to-robot trust in every robot at every decision.
+        robots : sequence
+            The robots' names.
+        step : float
+            Time between decisions [s].
+        dwell : float
+            τ_min [s].
+        rng : numpy.random.Generator
+            For policies that draw.
+        """
+
+
+def _hold(dwell: float, step: float) -> int:
+    """Return how many decisions a leader stays at least."""
+    return int(np.ceil(dwell / step - 1e-9))
+
+
+@dataclass(frozen=True)
+class MostTrusted:
+    """
+    The robot that is trusted most leads, as soon as the present leader has stayed for τ_min (Section 4.3).
+
+    Parameters
+    ----------
+    margin : float
+        By how much another robot must be trusted more before it takes over (hysteresis); 0 as printed.
+
+    Raises
+    ------
+    ValueError
+        If the margin is negative.
+    """
+
+    margin: float = 0.0
+
+    def __post_init__(self):
+        margin = finite_number("margin", self.margin)
+        if margin < 0.0:
+            raise ValueError(f"margin cannot be negative, got {margin}")
+        object.__setattr__(self, "margin", margin)
+
+    @property
+    def title(self) -> str:
+        """What it is, for the log."""
+        return f"most trusted, hysteresis {self.margin:g}" if self.margin else "most trusted"
+
+    def leaders(self, trust, robots, step, dwell, rng) -> np.ndarray:
+        """
+        Return the number of the leader in each decision interval, shape (M,).
+
+        Parameters
+        ----------
+        trust : numpy.ndarray, shape (M, N)
+            Human-to-robot trust in every robot at every decision.
+        robots : sequence
+            The robots' names.
+        step : float
+            Time between decisions [s].
+        dwell : float
+            τ_min [s].
+        rng : numpy.random.Generator
+            Not used.
+        """
+        hold, best = _hold(dwell, step), np.argmax(trust, axis=1)
+        out, leader, since = np.empty(len(trust), np.int64), int(best[0]), 0
+        for k, candidate in enumerate(best.tolist()):
+            if k - since >= hold and trust[k, candidate] > trust[k, leader] + self.margin:
+                leader, since = candidate, k
+            out[k] = leader
+        return out
+
+
+@dataclass(frozen=True)
+class GivenSequence:
+    """
+    Robots lead in a given order.
+
+    Parameters
+    ----------
+    robots : sequence, optional
+        Names of the robots as the graph has them; all of them in turn when not given.
+    times : array_like, shape (S,), optional
+        When each begins to lead [s], the first at 0.
+    every : float, optional
+        Without `times`: how long each leads [s], the sequence begun again at its end; 2 τ_min when not given.
+
+    Raises
+    ------
+    ValueError
+        If a robot follows itself, times do not fit the robots, or both `times` and `every` are given; later, in `leaders`, if a
+        robot does not exist or leads for less than τ_min.
+    """
+
+    robots: Sequence[Hashable] | None = None
+    times: Sequence[float] | None = None
+    every: float | None = None
+
+    def __post_init__(self):
+        if self.robots is not None:
+            if isinstance(self.robots, str) or not np.iterable(self.robots):
+                raise ValueError(f"robots must be a list of names, got {self.robots!r}")
+            robots = tuple(self.robots)
+            if not robots:
+                raise ValueError("robots must name at least one robot")
+            object.__setattr__(self, "robots", robots)
+            for place in range(1, len(robots)):
+                if robots[place] == robots[place - 1]:
+                    raise ValueError(
+                        f"a switch must pick another robot, but robots[{place}] is {robots[place]!r} again"
+                    )
+        if self.times is not None:
+            if self.every is not None or self.robots is None:
+                raise ValueError("times need robots, and leave nothing for every to say")
+            times = finite_array("times", self.times, length=len(self.robots))
+            if times[0] != 0.0 or (np.diff(times) <= 0.0).any():
+                raise ValueError(f"times must begin at 0 and increase, got {times.tolist()}")
+            object.__setattr__(self, "times", tuple(times.tolist()))
+        if self.every is not None:
+            object.__setattr__(self, "every", finite_number("every", self.every))
+            if not self.every > 0.0:
+                raise ValueError(f"every must be positive, got {self.every}")
+        again = self.times is None and self.robots is not None and len(self.robots) > 1
+        if again and self.robots[0] == self.robots[-1]:
+            raise ValueError(f"begun again, the sequence would have {self.robots[0]!r} follow itself")
+
+    @property
+    def title(self) -> str:
+        """What it is, for the log."""
+        return "given sequence"
+
+    def leaders(self, trust, robots, step, dwell, rng) -> np.ndarray:
+        """
+        Return the number of the leader in each decision interval, shape (M,).
+
+        Parameters
+        ----------
+        trust : numpy.ndarray, shape (M, N)
+            Human-to-robot trust; only its shape counts.
+        robots : sequence
+            The robots' names.
+        step : float
+            Time between decisions [s].
+        dwell : float
+            τ_min [s].
+        rng : numpy.random.Generator
+            Not used.
+        """
+        names = {name: i for i, name in enumerate(robots)}
+        chosen = tuple(names) if self.robots is None else self.robots
+        for name in chosen:
+            if name not in names:
+                raise ValueError(
+                    f"the policy names robot {name!r}, which does not exist; robots are {list(names)}"
+                )
+        numbers, count = np.array([names[name] for name in chosen]), len(trust)
+        if self.times is not None:
+            starts = np.asarray(self.times)
+            short = np.diff(starts) < dwell - 1e-9
+            if short.any():
+                place = int(np.argmax(short))
+                raise ValueError(
+                    f"robot {chosen[place]!r} leads for {np.diff(starts)[place]:g} s from {starts[place]:g} s on, less than "
+                    f"min_dwell = {dwell:g} s"
+                )
+            begins = np.ceil(starts / step - 1e-9)
+            return numbers[np.searchsorted(begins, np.arange(count), side="right") - 1]
+        every = 2.0 * dwell if self.every is None else self.every
+        if every < dwell - 1e-9:
+            raise ValueError(f"every = {every:g} s is less than min_dwell = {dwell:g} s")
+        return numbers[(np.arange(count) // _hold(every, step)) % len(numbers)]
+
+
+@dataclass(frozen=True)
+class RandomLeaders:
+    """
+    Any other robot takes over at any time once τ_min has passed.
+
+    Parameters
+    ----------
+    waiting : float
+        Mean time beyond τ_min until the next switch, in units of τ_min; exponential.
+
+    Raises
+    ------
+    ValueError
+        If it is negative.
+    """
+
+    waiting: float = 1.0
+
+    def __post_init__(self):
+        waiting = finite_number("waiting", self.waiting)
+        if waiting < 0.0:
+            raise ValueError(f"waiting cannot be negative, got {waiting}")
+        object.__setattr__(self, "waiting", waiting)
+
+    @property
+    def title(self) -> str:
+        """What it is, for the log."""
+        return "arbitrary random"
+
+    def leaders(self, trust, robots, step, dwell, rng) -> np.ndarray:
+        """
+        Return the number of the leader in each decision interval, shape (M,).
+
+        Parameters
+        ----------
+        trust : numpy.ndarray, shape (M, N)
+            Human-to-robot trust; only its shape counts.
+        robots : sequence
+            The robots' names.
+        step : float
+            Time between decisions [s].
+        dwell : float
+            τ_min [s].
+        rng : numpy.random.Generator
+            Draws leaders and times.
+        """
+        count, n = trust.shape
+        out, k, leader = np.empty(count, np.int64), 0, int(rng.integers(n))
+        while k < count:
+            until = k + _hold(dwell * (1.0 + rng.exponential(self.waiting)), step)
+            out[k:until] = leader
+            leader = (leader + 1 + int(rng.integers(n - 1))) % n
+            k = until
+        return out
+
+
+POLICIES = {
+    "most_trusted": MostTrusted(),
+    "hysteresis": MostTrusted(margin=0.1),
+    "sequence": GivenSequence(),
+    "random": RandomLeaders(),
+}
+"""Policies by name."""
+
+
+def policy_named(policy: str | LeaderPolicy) -> LeaderPolicy:
+    """
+    Return a leader policy.
+
+    Parameters
+    ----------
+    policy : {"most_trusted", "hysteresis", "sequence", "random"} or LeaderPolicy
+        By name, or an object of one's own.
+
+    Raises
+    ------
+    ValueError
+        If there is no policy of that name.
+    """
+    if isinstance(policy, str) and policy in POLICIES:
+        return POLICIES[policy]
+    if (
+        not isinstance(policy, str | type)
+        and callable(getattr(policy, "leaders", None))
+        and hasattr(policy, "title")
+    ):
+        return policy
+    raise ValueError(
+        f"policy must be one of {', '.join(map(repr, POLICIES))}, or a LeaderPolicy, got {policy!r}"
+    )

@@ -1,0 +1,292 @@
+"""A team of robots under one operator: its graph, its blocks, and the simulated operator of (4.30)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trustlab.models.checks import finite_number
+from trustlab.models.trust import TrustModel
+from trustlab.teleoperation.haptic_device import HapticDevice
+from trustlab.teleoperation.scattering import Scattering
+
+__all__ = ["GraphError", "TeamOperator", "TeamSettings", "algebraic_connectivity", "team_graph"]
+
+
+class GraphError(ValueError):
+    """A graph that is no team's: directed, with a self-loop, weighted, not connected, or of one robot."""
+
+
+def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray]:
+    """
+    Return the robots' names and the adjacency matrix of Section 4.2.
+
+    Parameters
+    ----------
+    graph : networkx.Graph or array_like, shape (N, N)
+        Undirected, without self-loops, connected, a_ij of 0 or 1; robots of a matrix are named 0 … N − 1.
+    require_connected : bool
+        Refuse a graph in several parts.
+
+    Raises
+    ------
+    GraphError
+        If the graph is none of that; parts, loops and edges are named.
+    """
+    if hasattr(graph, "is_directed") and hasattr(graph, "adjacency"):
+        if graph.is_directed():
+            raise GraphError("the graph is directed; robots must see each other: pass graph.to_undirected()")
+        if graph.is_multigraph():
+            raise GraphError("the graph has parallel edges (a multigraph); pass networkx.Graph(graph)")
+        names = tuple(graph.nodes)
+        place = {name: i for i, name in enumerate(names)}
+        matrix = np.zeros((len(names), len(names)))
+        for one, other, facts in graph.edges(data=True):
+            if facts.get("weight", 1) != 1:
+                raise GraphError(
+                    f"edge {one!r}-{other!r} has weight {facts['weight']!r}, but a_ij is 0 or 1 (Section 4.2); remove the weights"
+                )
+            matrix[place[one], place[other]] = matrix[place[other], place[one]] = 1.0
+    else:
+        try:
+            given = np.asarray(graph)
+            if given.dtype.kind not in "biuf" or given.ndim != 2 or given.shape[0] != given.shape[1]:
+                raise TypeError
+        except (TypeError, ValueError):
+            raise GraphError(
+                f"graph must be a networkx.Graph or a square matrix of 0 and 1, got {type(graph).__name__}"
+            ) from None
+        matrix = given.astype(float)
+        if not np.isin(matrix, (0.0, 1.0)).all():
+            i, j = np.argwhere(~np.isin(matrix, (0.0, 1.0)))[0]
+            raise GraphError(f"a_ij must be 0 or 1 (Section 4.2), but a[{i}, {j}] is {matrix[i, j]}")
+        if (matrix != matrix.T).any():
+            i, j = np.argwhere(matrix != matrix.T)[0]
+            raise GraphError(
+                f"the graph is directed: a[{i}, {j}] = {matrix[i, j]:g}, a[{j}, {i}] = {matrix[j, i]:g}"
+            )
+        names = tuple(range(len(matrix)))
+    if len(names) < 2:
+        raise GraphError(f"a team needs two robots or more, got {len(names)}")
+    for i in np.flatnonzero(np.diag(matrix)):
+        raise GraphError(f"robot {names[i]!r} has a self-loop; remove it")
+    if require_connected:
+        parts = _parts(matrix)
+        if len(parts) > 1:
+            told = "; ".join("{" + ", ".join(repr(names[i]) for i in part) + "}" for part in parts)
+            raise GraphError(
+                f"the graph is not connected, it has {len(parts)} parts: {told}; robots of different parts never meet: add edges, "
+                "or pass require_connected=False to see it"
+            )
+    return names, matrix
+
+
+def _parts(matrix: np.ndarray) -> list[list[int]]:
+    """Return the connected components, each in order."""
+    left, parts = set(range(len(matrix))), []
+    while left:
+        part, border = set(), {min(left)}
+        while border:
+            part |= border
+            border = {int(j) for i in border for j in np.flatnonzero(matrix[i])} - part
+        parts.append(sorted(part))
+        left -= part
+    return parts
+
+
+def algebraic_connectivity(graph) -> float:
+    """
+    Return λ_2 of the Laplacian: how fast the team's differences die out [1/s].
+
+    Parameters
+    ----------
+    graph : networkx.Graph or array_like, shape (N, N)
+        As in `team_graph`; 0 where it is not connected.
+    """
+    matrix = team_graph(graph, require_connected=False)[1]
+    values = np.linalg.eigvalsh(np.diag(matrix.sum(axis=1)) - matrix)
+    return float(max(values[1], 0.0))
+
+
+def _trust(rate: float, ratio: float = 1.0) -> TrustModel:
+    return TrustModel(rate, ratio * rate)
+
+
+@dataclass(frozen=True)
+class TeamSettings:
+    """
+    Blocks of Fig. 4.1 that are not the graph; Chapter 4 prints no numbers, so that these are ours.
+
+    Parameters
+    ----------
+    mass, damping, stiffness, weight : float
+        M [kg], B [N s/m], K [N/m] and Λ [1/s] of the haptic device, the same on all axes (4.6).
+    scattering : Scattering or sequence of Scattering
+        b and the bounds of β (4.3), one for all robots or one per robot; α is 1 in Chapter 4.
+    human_to_robot : TrustModel or sequence of TrustModel
+        (4.1), one for all robots or one per robot; performance between 0 and 1.
+    robot_to_human : TrustModel or sequence of TrustModel
+        (4.2), likewise.
+    steepness : float
+        s of the scaling β(T_rh), as in (3.5); at least 10.
+    performance_time : float
+        How long a robot's simulated performance lasts before it is drawn anew, on average [s].
+
+    Raises
+    ------
+    PassivityError
+        If the device is too heavy to be r-passive.
+    ValueError
+        If a setting is out of range.
+    """
+
+    mass: float = 0.5
+    damping: float = 5.5
+    stiffness: float = 20.0
+    weight: float = 10.0
+    scattering: Scattering | tuple[Scattering, ...] = field(
+        default_factory=lambda: Scattering(2.0, beta_min=0.5, beta_max=1.0)
+    )
+    human_to_robot: TrustModel | tuple[TrustModel, ...] = field(default_factory=lambda: _trust(0.1))
+    robot_to_human: TrustModel | tuple[TrustModel, ...] = field(default_factory=lambda: _trust(0.1))
+    steepness: float = 10.0
+    performance_time: float = 15.0
+
+    def __post_init__(self):
+        for name in ("mass", "damping", "stiffness", "weight", "steepness", "performance_time"):
+            object.__setattr__(self, name, finite_number(name, getattr(self, name)))
+        if not self.steepness >= 10.0:
+            raise ValueError(f"steepness must be at least 10 (3.5), got {self.steepness}")
+        if not self.performance_time > 0.0:
+            raise ValueError(f"performance_time must be positive, got {self.performance_time}")
+        for name, kind in (
+            ("scattering", Scattering),
+            ("human_to_robot", TrustModel),
+            ("robot_to_human", TrustModel),
+        ):
+            given = getattr(self, name)
+            many = (given,) if isinstance(given, kind) else given
+            if isinstance(many, str) or not np.iterable(many):
+                raise ValueError(f"{name} must be a {kind.__name__} or a sequence of them, got {given!r}")
+            many = tuple(many)
+            for place, one in enumerate(many):
+                if not isinstance(one, kind):
+                    raise ValueError(
+                        f"{name}[{place}] must be of class {kind.__name__}, got {type(one).__name__}"
+                    )
+                if kind is TrustModel and (one.p_min, one.p_max) != (0.0, 1.0):
+                    raise ValueError(
+                        f"{name}[{place}]: performance lies between 0 and 1 here, set p_min=0, p_max=1"
+                    )
+                if kind is Scattering and (one.alpha_min, one.alpha_max) != (1.0, 1.0):
+                    raise ValueError(
+                        f"{name}[{place}]: α is 1 in Chapter 4, got [{one.alpha_min}, {one.alpha_max}]"
+                    )
+            if not many:
+                raise ValueError(f"{name} is empty")
+            if not isinstance(given, kind):
+                object.__setattr__(self, name, many)
+        self.device()
+
+    def device(self) -> HapticDevice:
+        """Return the haptic device, checked for r-passivity."""
+        return HapticDevice(self.mass, self.damping, self.stiffness, self.weight)
+
+    def per_robot(self, name: str, count: int) -> tuple:
+        """
+        Return a setting as one entry per robot.
+
+        Parameters
+        ----------
+        name : {"scattering", "human_to_robot", "robot_to_human"}
+            Which.
+        count : int
+            How many robots there are.
+
+        Raises
+        ------
+        ValueError
+            If there are entries for another number of robots.
+        """
+        given = getattr(self, name)
+        if not isinstance(given, tuple):
+            return (given,) * count
+        if len(given) != count:
+            raise ValueError(f"{name} has {len(given)} entries for {count} robots")
+        return given
+
+
+@dataclass(frozen=True)
+class TeamOperator:
+    """
+    A simulated operator: the hand pushes towards where the goal is seen from the leader, within an energy budget.
+
+    f_h = σ κ e − d r_m with e = r_q − y_h(t − T), κ = push, ‖κ e‖ cut at `reach`, d = drag. V_h of (4.30) is observed, and the
+    share σ ∈ [0, 1] is the greatest with which the hand leaves V_h ≥ −β_h + reserve. A hand that pushes needs energy, which
+    the budget holds; one that is dragged stores some. No law of the hand can do more: r_s(t − T)ᵀe is not in its power, and
+    the reserve is for it. Whether V_h ≥ −β_h held is said by the run.
+
+    Parameters
+    ----------
+    push : float
+        κ [N/m]; 0 is a hand that only holds on.
+    reach : float
+        Greatest force [N].
+    drag : float
+        d [N s/m].
+    budget : float
+        β_h [J] in units of V_e(0) + 1 J, for teams that begin far away need more.
+    reserve : float
+        Share of β_h that pushing leaves alone.
+    guarded : bool
+        Observe V_h and scale; without it V_h is only logged.
+    slow_down : bool
+        Push less over long delays, κ/(1 + κ_T T) with the rate κ_T = `cautious`, as people do.
+    cautious : float
+        κ_T [1/s].
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite or out of range.
+    """
+
+    push: float = 4.0
+    reach: float = 6.0
+    drag: float = 1.0
+    budget: float = 4.0
+    reserve: float = 0.5
+    guarded: bool = True
+    slow_down: bool = True
+    cautious: float = 2.0
+
+    def __post_init__(self):
+        for name in ("guarded", "slow_down"):
+            if not isinstance(getattr(self, name), bool | np.bool_):
+                raise ValueError(f"{name} must be True or False, got {getattr(self, name)!r}")
+            object.__setattr__(self, name, bool(getattr(self, name)))
+        for name in ("push", "reach", "drag", "budget", "reserve", "cautious"):
+            value = finite_number(name, getattr(self, name))
+            object.__setattr__(self, name, value)
+            if value < 0.0 and (self.guarded or name != "drag"):
+                raise ValueError(
+                    f"{name} cannot be negative, got {value}"
+                    + ("; guarded=False allows a hand that drives instead" if name == "drag" else "")
+                )
+        for name in ("reach", "budget"):
+            if not getattr(self, name):
+                raise ValueError(f"{name} must be positive")
+        if not self.reserve < 1.0:
+            raise ValueError(f"reserve must be below 1, got {self.reserve}")
+
+    def stiffness(self, delay: float) -> float:
+        """
+        Return κ [N/m] over a delay.
+
+        Parameters
+        ----------
+        delay : float
+            How old pictures are [s].
+        """
+        return self.push / (1.0 + self.cautious * delay) if self.slow_down else self.push

@@ -1,0 +1,169 @@
+"""Corrections over several tests in a row on the ground-robot testbed, as in Fig. 2.18."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from trustlab.allocation.correction import ThresholdCorrector, pair_of
+from trustlab.allocation.correction_guide import guide
+from trustlab.allocation.correction_pattern import CorrectionRun
+from trustlab.models.checks import finite_number, whole_number
+from trustlab.models.tsc import TscModel
+from trustlab.operators.ground_robot import Operator
+from trustlab.testbeds.course import Course
+from trustlab.testbeds.driving import OWN, TSC
+from trustlab.testbeds.ground_robot import (
+    MOST_LAPS,
+    SAMPLE_TIME,
+    SLOWEST,
+    _checked,
+    _drive,
+    _session,
+    _steps,
+    _task,
+    _who,
+)
+from trustlab.testbeds.pioneer import Pioneer
+
+__all__ = ["HABITS", "run_correction"]
+
+HABITS = {
+    "following": (TSC, True, False),
+    "lagging": (TSC, True, False),
+    "free": (TSC, False, False),
+    "ignoring": (OWN, False, False),
+    "adopting": (OWN, False, True),
+}
+"""What operators do about suggestions: scheme of the testbed, whether all are followed, whether own thresholds move."""
+
+
+def run_correction(
+    participant: int | str | Operator,
+    target: tuple[float, float],
+    start: tuple[float, float] | None = None,
+    habit: str = "following",
+    tests: int = 4,
+    laps: int = 8,
+    c_b: float = 1e-5,
+    horizon: int = 200,
+    seed: int | np.random.SeedSequence = 0,
+    lag: float = 10.0,
+    model: TscModel | None = None,
+    robot: Pioneer | None = None,
+    course: Course | None = None,
+    r0: float = 0.0,
+) -> CorrectionRun:
+    """
+    Drive tests in a row while the thresholds of the suggestions are corrected, Section 2.5, by the exact engine.
+
+    TSC comes from performance as measured, (2.4) and (2.7) over 100 s. Thresholds are held until that window is full and
+    carried on from test to test. Measured performance outside the model's range is planned with as at its end; the
+    status says so.
+
+    Parameters
+    ----------
+    participant : int, str or Operator
+        Who drives, as for `run_condition`.
+    target : (float, float)
+        TSC_ld and TSC_ud.
+    start : (float, float), optional
+        TSC_l and TSC_u to begin with; for a printed participant the printed ones when not given.
+    habit : {"following", "lagging", "free", "ignoring", "adopting"}
+        Follows all suggestions after a reaction; after the longer reaction `lag`; as many as the operator does in C2;
+        allocates by own thresholds whatever is suggested; or by own thresholds that move by the same corrections.
+    tests : int
+        How many tests.
+    laps : int
+        How many laps in each.
+    c_b : float
+        Largest correction per step.
+    horizon : int
+        N of (2.43).
+    seed : int or numpy.random.SeedSequence
+        One child is spawned from it per test.
+    lag : float
+        Median reaction of the habit "lagging" [s].
+    model : TscModel, optional
+        The model; for a printed participant the printed one when not given.
+    robot : Pioneer, optional
+        The robot, if not the calibrated one.
+    course : Course, optional
+        The course, if not the default one.
+    r0 : float
+        Utilization at the beginning of each test.
+
+    Returns
+    -------
+    CorrectionRun
+        With `.data`, `.table()`, `.plot()` and `.sessions`; latencies are NaN, as the loop is compiled as a whole.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood or out of range, or laps are not finished at 0.15 m/s on average.
+
+    Notes
+    -----
+    Simulated: no person took part.
+    """
+    if not isinstance(habit, str) or habit not in HABITS:
+        raise ValueError(f"habit must be one of {', '.join(HABITS)}, got {habit!r:.60}")
+    scheme, forced, adopted = HABITS[habit]
+    operator, model, printed = _who(participant, None, model)
+    operator, robot, course = _checked(operator, robot, course)
+    corrector = ThresholdCorrector(model, target, c_b, horizon)
+    if start is None and printed is None:
+        raise ValueError("an Operator needs start=(TSC_l, TSC_u), the thresholds to begin with")
+    start = pair_of("start", printed if start is None else start)
+    tests, laps = whole_number("tests", tests, most=100), whole_number("laps", laps, most=MOST_LAPS)
+    lag = finite_number("lag", lag)
+    if lag < 0.0:
+        raise ValueError(f"lag cannot be negative, got {lag}")
+    if habit == "lagging":
+        operator = replace(operator, reaction_lag=lag)
+    most = _steps(laps * course.length / SLOWEST, f"{laps} laps of {course.length:.3g} m") + 1
+    if isinstance(seed, np.random.SeedSequence):
+        own = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
+    else:
+        own = np.random.SeedSequence(whole_number("seed", seed, least=0))
+    now, parts, sessions = start, [], []
+    for test, child in enumerate(own.spawn(tests), start=1):
+        limits = (operator.lower, operator.upper) if scheme == OWN else now
+        if adopted:
+            limits = (limits[0] + now[0] - start[0], limits[1] + now[1] - start[1])
+        task = _task(scheme, forced=forced, laps=laps, lower=limits[0], upper=limits[1], model=model, r0=r0)
+        plan = guide(model, now, corrector.target, corrector.c_b, corrector.horizon, most, adopted)
+        data, lap_times = _drive(task, np.ones(1, np.int64), most, robot, course, operator, child, plan)
+        if lap_times.size < laps:
+            raise ValueError(
+                f"test {test}: only {lap_times.size} of {laps} laps were done in {most * SAMPLE_TIME:.0f} s; this robot or "
+                "operator does not keep to the course; check their parameters"
+            )
+        facts = {"laps": laps, "habit": habit, "test": test, "TSC_ld": target[0], "TSC_ud": target[1]}
+        sessions.append(_session(data, operator, f"correction, {habit}", child, **facts))
+        parts.append(_rows(test, data, plan.trace[: len(data)], plan.start))
+        now = (float(plan.start[0]), float(plan.start[1]))
+    frame = pd.concat(parts, ignore_index=True)
+    source = "simulated stand-in for the Stage testbed (synthetic)"
+    return CorrectionRun(frame, start, corrector.target, habit, source, tuple(sessions))
+
+
+def _rows(test, data, trace, end) -> pd.DataFrame:
+    """Return one test's samples in the columns of `CorrectionRun.data`."""
+    frame = data[["r", "p_r", "p_h", "tsc", "mode"]].reset_index()
+    suggested = data["suggested_mode"].to_numpy()
+    frame["suggestion"] = np.where(np.isfinite(suggested), suggested, -1.0).astype(int)
+    frame["lower"], frame["upper"] = trace[:, 0], trace[:, 1]
+    frame["c_l"], frame["c_u"] = np.diff(np.r_[trace[:, 0], end[0]]), np.diff(np.r_[trace[:, 1], end[1]])
+    cost, bound = trace[:, 2], trace[:, 3]
+    frame["cost"], frame["cost_lower_bound"] = cost, bound
+    names = np.where(
+        trace[:, 4] == 1.0, "NEAREST", np.where(cost - bound > 1e-12 * cost, "BOUNDED", "OPTIMAL")
+    )
+    frame["status"] = np.where(np.isnan(cost), "SETTLING", names)
+    frame["latency"] = np.nan
+    frame.insert(0, "test", test)
+    return frame

@@ -1,0 +1,271 @@
+"""What a simulated team did: signals, energies, whether it arrived, and how it looks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from trustlab.sessions.session import Metadata, Session
+
+__all__ = ["ENERGIES", "TeamRun"]
+
+ENERGIES = {
+    "v_h": "$V_h$ operator",
+    "v_hd": "$V_{hd}$ device",
+    "v_ch": "$V_{ch}$ channel",
+    "v_fs": "$V_{fs}$ formation",
+    "v_e_delayed": "$V_e(t-T)$ error",
+    "v_filter": "filters",
+}
+SIGNALS = ("device", "r_m", "f_h", "f_m", "r_s", "f_s")
+
+
+@dataclass(frozen=True, eq=False)
+class TeamRun:
+    """
+    One run of `simulate_team`; simulated throughout.
+
+    Parameters
+    ----------
+    robots : tuple
+        Names.
+    adjacency : numpy.ndarray, shape (N, N)
+        a_ij.
+    goal : numpy.ndarray, shape (3,)
+        r_q [m].
+    data : pandas.DataFrame
+        Signals by time; see `table`.
+    positions : numpy.ndarray, shape (K, N, 3)
+        q_i at the recorded times [m].
+    trust : numpy.ndarray, shape (K, N)
+        Human-to-robot trust (4.1) in every robot.
+    budget : float
+        β_h of (4.30) [J].
+    tolerance : float
+        Distance to the goal that counts as arrived [m].
+    facts : dict
+        How the run was made.
+    """
+
+    robots: tuple
+    adjacency: np.ndarray
+    goal: np.ndarray
+    data: pd.DataFrame
+    positions: np.ndarray
+    trust: np.ndarray
+    budget: float
+    tolerance: float
+    facts: dict
+
+    @property
+    def t(self) -> np.ndarray:
+        """Recorded times [s], shape (K,)."""
+        return self.data.index.to_numpy()
+
+    @cached_property
+    def distances(self) -> np.ndarray:
+        """‖q_i − r_q‖ of every robot [m], shape (K, N)."""
+        return np.linalg.norm(self.positions - self.goal, axis=2)
+
+    @cached_property
+    def spread(self) -> np.ndarray:
+        """Greatest distance of a robot to the team's centre [m], shape (K,): zero in synchrony."""
+        return np.linalg.norm(self.positions - self.positions.mean(axis=1, keepdims=True), axis=2).max(axis=1)
+
+    @property
+    def converged(self) -> bool:
+        """Whether every robot is within the tolerance of the goal at the end."""
+        return bool(self.distances[-1].max() < self.tolerance)
+
+    @property
+    def synchronised(self) -> bool:
+        """Whether all robots are within the tolerance of each other's centre at the end."""
+        return bool(self.spread[-1] < self.tolerance)
+
+    @property
+    def time_to_goal(self) -> float:
+        """When the last robot came within the tolerance for good [s]; NaN if not all did."""
+        if not self.converged:
+            return float("nan")
+        outside = np.flatnonzero(self.distances.max(axis=1) >= self.tolerance)
+        return float(self.t[outside[-1] + 1]) if outside.size else 0.0
+
+    @property
+    def operator_passive(self) -> bool:
+        """Whether V_h ≥ −β_h held throughout (4.30)."""
+        return bool(self.data["v_h"].min() >= -self.budget)
+
+    @property
+    def switches(self) -> np.ndarray:
+        """Times at which another robot took over [s]."""
+        return self.t[1:][np.diff(self.data["number"].to_numpy()) != 0.0]
+
+    @property
+    def label(self) -> str:
+        """One line for titles."""
+        return f"{len(self.robots)} robots, leader: {self.facts['policy']}, filter: {self.facts['filter']} (synthetic)"
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return signals and energies, one row per recorded time.
+
+        leader_x … are the leader's position at the midpoint of the sample; number is its place in `robots`; push the share σ of
+        the operator; v_… the storages of (4.32), v_t their sum; supply_… energy taken in by team, error system, hand, device and
+        filters since the start, lost_… what was dissipated.
+        """
+        return self.data.copy()
+
+    def session(self) -> Session:
+        """Return what the operator and the leader of the moment did, as a session: robot_x … is the leader, reference_x … the goal."""
+        data, number = self.data, self.data["number"].to_numpy().astype(int)
+        columns = {}
+        for axis, at in zip("xyz", self.goal, strict=True):
+            columns |= {f"robot_{axis}": data[f"leader_{axis}"], f"reference_{axis}": at}
+            columns |= {f"{name}_{axis}": data[f"{name}_{axis}"] for name in SIGNALS}
+        leader = data[["leader_x", "leader_y", "leader_z"]].to_numpy()
+        columns |= {
+            "beta": data["beta"],
+            "trust_hr": self.trust[np.arange(len(number)), number],
+            "trust_rh": data["trust_rh"],
+            "path_error": np.linalg.norm(leader - self.goal, axis=1),
+            "energy_operator": data["supply_hand"],
+            "energy_device": data["v_hd"],
+            "energy_dissipated": data["lost_device"],
+            "energy_channel": data["v_ch"],
+            "energy_robot": data["supply_team"],
+        }
+        about = Metadata("simulated", self.facts["policy"], "trustlab.testbeds.robot_team", True, self.facts)
+        return Session(pd.DataFrame(columns, index=data.index), about)
+
+    def summary(self) -> pd.DataFrame:
+        """Return one row: whether and when the team arrived, and what held on the way."""
+        rises = np.diff(self.data["v_t"].to_numpy())
+        row = {
+            "robots": len(self.robots),
+            "policy": self.facts["policy"],
+            "filter": self.facts["filter"],
+            "switches": len(self.switches),
+            "converged": self.converged,
+            "time_to_goal": self.time_to_goal,
+            "distance": float(self.distances[-1].max()),
+            "spread": float(self.spread[-1]),
+            "operator_passive": self.operator_passive,
+            "least_v_h": float(self.data["v_h"].min()),
+            "budget": self.budget,
+            "least_v_ch": float(self.data["v_ch"].min()),
+            "greatest_rise_v_t": float(rises.max()),
+        }
+        return pd.DataFrame([row])
+
+    def _repr_html_(self) -> str:
+        return self.summary().T.set_axis([""], axis=1).to_html()
+
+    def plot(self, axes=None):
+        """
+        Plot distances to the goal, who leads, the force that the operator feels, and the storage functions.
+
+        Parameters
+        ----------
+        axes : sequence of four matplotlib.axes.Axes, optional
+            Where; a new figure when not given.
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes, shape (4,)
+
+        Raises
+        ------
+        ValueError
+            If there are not four axes.
+        """
+        if axes is None:
+            import matplotlib.pyplot as plt
+
+            figure, axes = plt.subplots(
+                4, 1, sharex=True, figsize=(8.0, 8.4), layout="constrained", height_ratios=(3, 1.6, 2, 3)
+            )
+            figure.suptitle(self.label, fontsize="medium")
+        axes = np.asarray(axes, dtype=object).ravel()
+        if axes.size != 4 or not all(hasattr(axis, "plot") for axis in axes):
+            raise ValueError("axes must be four Matplotlib axes: distances, leader, force, energies")
+        t, data = self.t, self.data
+        axes[0].semilogy(t, np.maximum(self.distances, 1e-9), lw=0.8, color="#0072b2", alpha=0.6)
+        axes[0].axhline(self.tolerance, color="0.4", ls="--", lw=0.8)
+        axes[0].set(ylabel="distance to\nthe goal [m]", ylim=(0.1 * self.tolerance, None))
+        axes[1].step(t, data["number"], where="post", color="#444444", lw=1.0)
+        axes[1].set(ylabel="leader", ylim=(-0.5, len(self.robots) - 0.5))
+        if len(self.robots) <= 12:
+            axes[1].set_yticks(
+                range(len(self.robots)), [str(name) for name in self.robots], fontsize="x-small"
+            )
+        for name, colour in zip("xyz", ("#0072b2", "#d55e00", "#009e73"), strict=True):
+            axes[2].plot(t, data[f"f_m_{name}"], lw=0.9, color=colour, label=f"$f_m$, {name}")
+        axes[2].set_ylabel("force\nfeedback [N]")
+        axes[2].legend(fontsize="x-small", ncols=3)
+        for name, label in ENERGIES.items():
+            if name != "v_filter" or data[name].any():
+                axes[3].plot(t, data[name], lw=0.9, label=label)
+        axes[3].plot(t, data["v_t"] - self.budget, lw=1.6, color="black", label=r"$V_T - \beta_h$ (4.32)")
+        axes[3].set(ylabel="energy [J]", xlabel="time [s]", xlim=(t[0], t[-1]))
+        axes[3].legend(fontsize="x-small", ncols=4)
+        for axis in axes:
+            for at in self.switches:
+                axis.axvline(at, color="0.85", lw=0.6, zorder=0)
+        return axes
+
+    def animate(self, path: str | Path | None = None, rate: float = 5.0) -> str:
+        """
+        Return an animation as one HTML page without anything from outside, and write it to a file if asked for.
+
+        Robots and their links, the leader, the goal, and the force that the operator feels, seen from above and from the side.
+
+        Parameters
+        ----------
+        path : str or pathlib.Path, optional
+            File to write; its folder must exist.
+        rate : float
+            Simulated seconds per second at the start; the page has a slider for the time.
+
+        Returns
+        -------
+        str
+            The page.
+
+        Raises
+        ------
+        ValueError
+            If the rate is not positive, or the folder does not exist.
+        """
+        from trustlab.testbeds.team_animation import animation_page
+
+        page = animation_page(self, rate)
+        if path is not None:
+            target = Path(path)
+            if not target.parent.is_dir():
+                raise ValueError(f"there is no folder {target.parent} to write the animation to")
+            target.write_text(page, encoding="utf-8")
+        return page
+
+    def picture(self, until: float | None = None, lasting: float = 20.0) -> str:
+        """
+        Return a moving picture as one SVG without a script, for reports: the team from above, and the force felt.
+
+        Parameters
+        ----------
+        until : float, optional
+            Where to stop [s]; at the end of the run when not given.
+        lasting : float
+            How long one showing lasts [s].
+
+        Raises
+        ------
+        ValueError
+            If `until` is not within the run, or `lasting` is not positive.
+        """
+        from trustlab.testbeds.team_svg import animated_svg
+
+        return animated_svg(self, until, lasting)
