@@ -10,6 +10,7 @@ import tracemalloc
 from pathlib import Path
 
 import pandas as pd
+import psutil
 import pytest
 
 import trustlab as tl
@@ -56,10 +57,13 @@ def test_the_driving_process_is_killed_and_restarted(tmp_path, n_jobs):
     while len(chunks(folder)) < 4 and time.monotonic() < until and process.poll() is None:
         time.sleep(0.005)
     assert process.poll() is None, "it was to be killed half-way"
+    children = psutil.Process(process.pid).children(recursive=True)
     process.send_signal(signal.SIGKILL)
     process.wait()
     saved = tl.read_campaign(folder)
     assert 0 < len(saved) < 240
+    assert len(children) >= (n_jobs if n_jobs > 1 else 0)
+    assert psutil.wait_procs(children, timeout=30)[1] == []  # workers do not stay behind
     again = subprocess.run(
         command(folder, n_jobs, "b.pkl"), env=environment, check=True, capture_output=True, text=True
     )

@@ -314,3 +314,31 @@ def test_chunks_last_long_enough_and_cover_every_run(per_run, runs, workers):
     assert grown <= 5  # calibrated within five chunks
     assert all(size * per_run >= LEAST for size in taken[grown:-1] if size < MOST_RUNS)
     assert all(size == 1 or (size - 1) * per_run <= 5.0 for size in taken)
+
+
+def test_parameters_of_any_kind_are_in_the_table_as_they_were_given(tmp_path):
+    values = [
+        None,
+        True,
+        3,
+        2**70,
+        0.5,
+        np.float32(0.1),
+        "\ud800",
+        (1, 2),
+        np.arange(3),
+        pd.DataFrame({"a": [1]}),
+        list(range(5000)),
+    ]
+    runs = tl.parameter_grid(x=values)
+    for _ in range(2):  # run, then read
+        table = tl.run_campaign(lambda x, seed: {"y": 1}, runs, n_jobs=1, out=tmp_path)
+        assert np.isnan(table["x"][0])
+        assert all(table["x"][i] is values[i] for i in range(2, len(values)) if i != 4)
+    texts = tl.read_campaign(tmp_path)["x"]
+    assert texts[8] == "array([0, 1, 2])"
+    assert len(texts[10]) == 1000
+    lone = tl.run_campaign(
+        lambda x, seed: {"y": 1}, [{"x": "\ud800"}, {"x": "a"}], n_jobs=1, out=tmp_path / "lone"
+    )
+    assert list(lone["x"]) == ["\ud800", "a"]

@@ -75,14 +75,16 @@ class DaskCluster:
         if threads:
             self.seen, self.workers, self.slots = now, threads, 2 * threads
         elif now - self.seen > PATIENCE or self.client.status == "closed":
-            raise CampaignError(
-                f"the cluster at {self.address} is gone: {self._state()}; finished chunks are safe where `out` was given: "
-                "call again with the same arguments to go on"
-            )
+            raise CampaignError(self._gone())
         return threads
 
-    def _state(self) -> str:
-        return "no workers" if self.client.status == "running" else f"the connection is {self.client.status}"
+    def _gone(self) -> str:
+        status = self.client.status
+        state = "no workers" if status == "running" else f"the connection is {status}"
+        return (
+            f"the cluster at {self.address} is gone: {state}; finished chunks are safe where `out` was given: call again "
+            "with the same arguments to go on"
+        )
 
     def submit(self, first: int, parameters: list[dict]) -> object:
         """
@@ -103,10 +105,8 @@ class DaskCluster:
         data = as_bytes("parameters", (self.task, self.seed, first, parameters))
         try:
             future = self.client.submit(run_packed, data, pure=False)
-        except RuntimeError as error:
-            raise CampaignError(
-                f"the connection to the scheduler at {self.address} was closed: {error}"
-            ) from error
+        except Exception as error:  # whatever a closed client raises
+            raise CampaignError(self._gone()) from error
         self.futures.add(future)
         future.add_done_callback(self.finished.put)
         return future
@@ -167,6 +167,8 @@ class DaskCluster:
         except CampaignError:
             raise
         except Exception as error:
+            if self.client.status != "running":
+                raise CampaignError(self._gone()) from error
             raise CampaignError(
                 f"a worker of {self.address} could not run a chunk: {type(error).__name__}: {error}; workers need the same "
                 "versions of trustlab and its libraries as this process"

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 
 from trustlab.campaign.errors import CampaignError, WorkerDiedError
-from trustlab.campaign.worker import packed, run_chunk
+from trustlab.campaign.worker import end_with, packed, run_chunk
 
 __all__ = ["Loky", "Serial"]
 
@@ -121,7 +121,10 @@ class Loky:
         if _kept.get("key") != key:
             if _kept and _kept["key"][0] == os.getpid():
                 _kept["executor"].shutdown(wait=False, kill_workers=True)
-            _kept.update(key=key, executor=ProcessPoolExecutor(self.workers, timeout=IDLE, env=env))
+            executor = ProcessPoolExecutor(
+                self.workers, timeout=IDLE, env=env, initializer=end_with, initargs=(os.getpid(),)
+            )
+            _kept.update(key=key, executor=executor)
         self.executor = _kept["executor"]
 
     def submit(self, first: int, parameters: list[dict]) -> Future:

@@ -153,11 +153,12 @@ def value_text(value: object) -> str:
         return str(int(value))
     if isinstance(value, float):
         return repr(float(value))
-    if _is_plain(value):
+    if isinstance(value, bytes) and len(value) <= 80:
         return repr(value)
-    if isinstance(value, tuple | list):
+    short = isinstance(value, tuple | list | dict) and len(value) <= 20
+    if short and isinstance(value, tuple | list):
         return f"{type(value).__name__}[{', '.join(map(value_text, value))}]"
-    if type(value) is dict:
+    if short and type(value) is dict:
         return "{" + ", ".join(f"{value_text(k)}: {value_text(v)}" for k, v in value.items()) + "}"
     if isinstance(value, FunctionType | functools.partial | MethodType):
         digest = hashlib.sha256(json.dumps(task_identity(value)).encode()).hexdigest()[:32]

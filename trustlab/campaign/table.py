@@ -15,6 +15,8 @@ __all__ = ["assembled", "encoded"]
 EXACT = 2**53
 """Whole numbers up to this are floats without loss."""
 WIDEST = 2**63
+LONGEST = 1000
+"""Characters that a parameter which is no plain value takes in a file."""
 
 TYPES = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "str": pa.string(), "none": pa.null()}
 MIXED = {b"kind": b"mixed"}
@@ -61,7 +63,7 @@ def shown(value: object) -> bool | int | float | str | None:
         return int(value)
     if isinstance(value, float | np.floating):
         return float(value)
-    text = value if isinstance(value, str) else repr(value)
+    text = value if isinstance(value, str) else repr(value)[:LONGEST]
     return text.encode("utf-8", "backslashreplace").decode()
 
 
@@ -170,7 +172,11 @@ def _usual(returned: np.ndarray) -> list[str]:
 
 
 def _texts(values: Iterable) -> pd.Series:
-    return pd.Series(list(values), dtype="str")
+    texts = list(values)
+    try:
+        return pd.Series(texts, dtype="str")
+    except UnicodeEncodeError:  # lone surrogates, which only parameters can hold
+        return pd.Series(texts, dtype=object)
 
 
 def _gathered(chunks: list[pa.Table], name: str, missing: np.ndarray) -> np.ndarray | pd.Series:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import importlib
+import os
 import pickle
 import sys
 import threading
@@ -12,14 +13,24 @@ import traceback
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from numbers import Integral, Real
-from time import perf_counter
+from time import perf_counter, sleep
 from types import CodeType, FunctionType
 
 import numpy as np
 
 from trustlab.campaign.errors import CampaignError
 
-__all__ = ["as_bytes", "code_digest", "inside", "loaded", "packed", "run_chunk", "run_packed", "run_seed"]
+__all__ = [
+    "as_bytes",
+    "code_digest",
+    "end_with",
+    "inside",
+    "loaded",
+    "packed",
+    "run_chunk",
+    "run_packed",
+    "run_seed",
+]
 
 RESERVED = ("run", "seed", "failed", "error", "traceback", "returned")
 """Names that neither parameters nor results may have: columns of the table, and the argument of the seed."""
@@ -32,6 +43,24 @@ _local = threading.local()
 def inside() -> bool:
     """Return whether this thread is running a task of a campaign."""
     return getattr(_local, "depth", 0) > 0
+
+
+def end_with(parent: int) -> None:
+    """
+    End this process within a second or so of the one that started it, which may be killed without a word.
+
+    Parameters
+    ----------
+    parent : int
+        Its process id.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def run_seed(seed: tuple, run: int) -> np.random.SeedSequence:

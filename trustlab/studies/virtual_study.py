@@ -68,7 +68,7 @@ def virtual_study(
         Processes, as for `run_campaign`.
     out : path-like, optional
         A folder for sessions/ (Parquet, one file per session, for `read_sessions`), participants.csv, orders.csv, measures.csv, about.txt
-        and campaign/; a call with the same arguments goes on where a killed one stopped.
+        and campaign/; a call with the same arguments goes on where a killed one stopped. Eight laps are about 1 MB.
     progress : bool, optional
         Whether to show progress, as for `run_campaign`.
 
