@@ -60,7 +60,8 @@ def end_with(parent: int) -> None:
             sleep(0.5)
         os._exit(1)
 
-    threading.Thread(target=watch, daemon=True).start()
+    if os.getppid() == parent:  # with a launcher between the two, as on Windows, this cannot be told
+        threading.Thread(target=watch, daemon=True).start()
 
 
 def run_seed(seed: tuple, run: int) -> np.random.SeedSequence:
