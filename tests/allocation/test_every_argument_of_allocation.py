@@ -78,7 +78,7 @@ CALLS = {
     "PerformanceRule.step": (PerformanceRule(0.2, 0.4).step, {"p_r": 0.3, "tsc": 0.1}),
     "estimate_thresholds": (
         estimate_thresholds,
-        {"sessions": SESSION, "model": MODEL, "within": 0.15, "resamples": 100, "seed": 0},
+        {"sessions": SESSION, "model": MODEL, "within": 0.15, "resamples": 100, "seed": 0, "after": 1.0},
     ),
     "estimate_thresholds, worked out": (estimate_thresholds, {"sessions": [BARE], "model": MODEL}),
     "separation": (

@@ -96,6 +96,44 @@ def test_thresholds_are_read_off_the_switches():
     assert estimate.summary["n"].sum() == len(estimate.switches) == 66
 
 
+def test_switches_before_a_time_are_left_out():
+    run = switched(-0.2, 0.5, 0.05, 1)
+    everything = estimate_thresholds(run)
+    first = everything.switches["t"].iloc[0]
+    later = estimate_thresholds(run, after=first + 0.05)
+    pd.testing.assert_frame_equal(later.switches, everything.switches.iloc[1:].reset_index(drop=True))
+    pd.testing.assert_frame_equal(estimate_thresholds(run, after=first).switches, everything.switches)
+    with pytest.raises(tl.SessionError, match="at 1000 s or later"):
+        estimate_thresholds(run, after=1000.0)
+
+
+def test_choices_say_which_limits_they_keep(operators):
+    for model in operators.values():
+        choice = choose_thresholds(model, points=6)
+        own = tl.threshold_limits(model)
+        assert choice.limits.contains(choice.lower, choice.upper)
+        assert choice.limits.delta_p_h == 0.0
+        assert choice.model_limits == own
+        assert f"at δ_Ph = {own.delta_p_h:.3g}" in choice.message
+        assert not own.contains(choice.lower, choice.upper)
+        assert "Theorem 1 does not cover" in choice.message
+        within = choose_thresholds(model, delta_p_h=own.delta_p_h, points=6)
+        assert own.contains(within.lower, within.upper)
+        assert "also keeps" in within.message
+
+
+def test_results_read_short_in_a_terminal_and_as_tables_in_a_notebook(operators):
+    model = operators["2"]
+    choice = choose_thresholds(model, points=4)
+    bounds = tl.steady_state_bounds(model, choice.lower, choice.upper)
+    for result in (choice, choice.cycle, choice.bounds, bounds, choice.limits, choice.model_limits):
+        assert len(repr(result)) < 200
+        assert "<table" in result._repr_html_()
+    assert repr(tl.limit_cycle(model, -0.9, 0.9)).startswith("LimitCycle(exists=False")
+    assert "feasible=False" in repr(tl.allocation.ThresholdLimits(0.3, 0.1, 1e-3))
+    assert str(tl.allocation.ThresholdLimits(0.3, 0.1, 1e-3)).startswith("none at δ_Ph = 0.001")
+
+
 def test_thresholds_that_cannot_be_told_apart():
     estimate = estimate_thresholds([switched(0.2, 0.25, 0.3, seed) for seed in range(3)])
     assert not estimate.distinguishable

@@ -1,5 +1,7 @@
 """Data that cannot tell a parameter: it is named, its interval is wide, or the fit refuses with the reason."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -128,8 +130,12 @@ def test_sessions_that_do_not_fit_together(operators, make_session, switching):
         tl.fit_robot([one, other])
     with pytest.raises(IdentificationError, match="no session"):
         tl.fit_robot([])
-    with pytest.raises(ValueError, match="takes sessions, got DataFrame"):
+    with pytest.raises(ValueError, match="takes sessions, got DataFrame; read one with"):
         tl.fit_robot([one.data])
+    run = SimpleNamespace(session=one)
+    for given in (run, [run]):
+        with pytest.raises(ValueError, match=r"got SimpleNamespace; pass its \.session"):
+            tl.fit_robot(given)
     with pytest.raises(tl.SessionError, match="no column 'p_h'"):
         tl.fit_human(tl.Session(one.data[["mode", "p_r"]]))
     with pytest.raises(ValueError, match="p_h_max must be positive"):

@@ -2,8 +2,10 @@
 
 from decimal import Decimal
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import trustlab as tl
@@ -62,6 +64,16 @@ def test_the_class_wanted_and_a_remedy_are_named():
         of_class("human", "x", tl.HumanModel, "take .human")
     with pytest.raises(ValueError, match=r"robot must be of class RobotModel, got int$"):
         of_class("robot", 3, tl.RobotModel)
+
+
+def test_a_run_is_told_to_hand_over_its_session():
+    session = tl.Session(pd.DataFrame({"mode": [1.0, 0.0]}, index=[0.0, 0.1]))
+    with pytest.raises(
+        ValueError, match=r"must be of class Session, got SimpleNamespace; pass its \.session$"
+    ):
+        of_class("session", SimpleNamespace(session=session), tl.Session, "read one")
+    with pytest.raises(ValueError, match=r"got SimpleNamespace; read one$"):
+        of_class("session", SimpleNamespace(session=3), tl.Session, "read one")
 
 
 @pytest.mark.parametrize(

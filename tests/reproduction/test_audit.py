@@ -322,6 +322,10 @@ def test_same_every_time(verdicts):
     ("changes", "message"),
     [
         ({"table_2.1/a_r/9": "1"}, "no printed number has the id"),
+        ({"table_2.1/ar/1": "1"}, "did you mean 'table_2.1/a_r/1'"),
+        ({3: "1"}, "no printed number has the id 3"),
+        ("differs", "changes must map ids"),
+        (["table_2.1/a_r/1"], "changes must map ids"),
         ({"table_2.1/a_r/1": 0.5}, "must be a text"),
         ({"table_2.1/a_r/1": " "}, "must be a text"),
         ({"table_2.1/a_r/1": "about 1"}, "must be a number as printed"),

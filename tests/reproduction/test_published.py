@@ -1,5 +1,6 @@
 """Printed tables come back as printed; digits are counted as a reader would."""
 
+import numpy as np
 import pytest
 
 import trustlab as tl
@@ -55,4 +56,24 @@ def test_verdicts():
         compare({"a": 1.0, "b": 1.0}, {"a": "1"})
     with pytest.raises(ValueError, match="as printed"):
         compare({"a": 1.0}, {"a": "about one"})
+    assert compare({"a": 0.394}, {"a": "0.390"})["verdict"].tolist() == ["differs"]
+    for number in (0.390, 0.39, 1, None):  # 0.394 would round to 0.39, but not to 0.390
+        with pytest.raises(ValueError, match="must be text in quotes"):
+            compare({"a": 0.394}, {"a": number})
+        with pytest.raises(ValueError, match="must be text in quotes"):
+            matching_digits(0.394, number)
     assert tl.compare is compare
+
+
+def test_models_and_studies_are_dictionaries_that_say_what_they_hold():
+    models, studies = published_models(), tl.published_studies()
+    assert isinstance(models, dict)
+    assert models[2] is models["2"]
+    assert models[np.int64(2)] is models["2"]
+    assert models.get("6") is None
+    with pytest.raises(KeyError, match=r"nothing is called '6' .*pilot, 1, 2, 3, 4, 5"):
+        models["6"]
+    with pytest.raises(KeyError, match="True"):
+        models[True]
+    with pytest.raises(KeyError, match=r"'uav\.tlxx'; did you mean 'uav\.tlx'"):
+        studies["uav.tlxx"]

@@ -225,7 +225,9 @@ def test_samples_have_exact_moments_within_the_scale():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("uav.tlx",), "study must be a PublishedStudy, got str"),
+        (("uav.tlx",), r"study must be a PublishedStudy, got str.*published_studies\(\)\['uav.tlx'\]"),
+        (("teleop.trusts",), r"published_studies\(\)\['teleop.trust'\]"),
+        (({"n": 3},), "from_dict"),
         ((STUDIES["uav.tlx"], -1), "seed"),
         ((STUDIES["uav.tlx"], 1.5), "seed"),
         ((STUDIES["uav.tlx"], True), "seed"),

@@ -207,6 +207,53 @@ def test_faults_are_told_in_the_words_of_the_file(tmp_path):
     )
 
 
+SIGNED = """
+name = "signed"
+kind = "table"
+[time]
+unit = "s"
+[columns]
+path_error = { column = "cte", unit = "mm", scale = 2.0, offset = 100.0, absolute = true }
+"""
+
+
+def test_a_signed_deviation_becomes_a_distance(tmp_path):
+    """Oracle: |2 · raw + 100 mm| by hand."""
+    (tmp_path / "my_lab.toml").write_text(SIGNED)
+    path = tmp_path / "run.csv"
+    path.write_text("t,cte\n0,-200\n1,-50\n2,50\n")
+    session = read_session(path, recipe=tmp_path / "my_lab.toml")
+    np.testing.assert_allclose(session["path_error"], [0.3, 0.0, 0.2], rtol=1e-15)
+    (tmp_path / "my_lab.toml").write_text(SIGNED.replace(", absolute = true", ""))
+    fails(lambda: read_session(path, recipe=tmp_path / "my_lab.toml"), "line 2", "-0.3", "absolute = true")
+    (tmp_path / "my_lab.toml").write_text(SIGNED.replace("absolute = true", 'absolute = "yes"'))
+    fails(lambda: load_recipe(tmp_path / "my_lab.toml"), "path_error: absolute", "true or false", "'yes'")
+
+
+def test_a_recipe_and_a_delimiter_that_were_meant(tmp_path):
+    recipe, path = tmp_path / "my_lab.toml", tmp_path / "run.csv"
+    recipe.write_text(SIGNED)
+    fails(lambda: load_recipe(tmp_path / "mylab.toml"), "did you mean 'my_lab.toml'")
+    for mark, shown in ((";", '";"'), ("\t", '"\\t"')):
+        path.write_text(f"t{mark}cte\n0{mark}1\n1{mark}2\n")
+        fails(
+            lambda: read_session(path, recipe=recipe),
+            "line 1",
+            "one column only",
+            f"[table] delimiter = {shown}",
+        )
+        recipe.write_text(SIGNED.replace("[time]", f"[table]\ndelimiter = {shown}\n[time]"))
+        assert len(read_session(path, recipe=recipe)) == 2
+        recipe.write_text(SIGNED)
+    path.write_text("t,cte\n0,1\n1,2\n")
+    recipe.write_text(
+        SIGNED + '[files]\npattern = "{who}_{trial:int}.csv"\n[metadata]\nparticipant = { from = "who" }\n'
+    )
+    fails(lambda: read_session(path, recipe=recipe), "does not fit", "rename", "[metadata]")
+    recipe.write_text(SIGNED + '[files]\npattern = "{who}_{trial:int}.csv"\n')
+    assert len(read_session(path, recipe=recipe)) == 2  # the remedy
+
+
 def test_the_same_session_twice(tmp_path):
     recipe = lay(tmp_path)
     lay(tmp_path / "copy" if (tmp_path / "copy").mkdir() is None else tmp_path)

@@ -81,6 +81,8 @@ def test_other_faults():
         tl.Session(twice)
     with pytest.raises(tl.SessionError, match="must be a pandas DataFrame"):
         tl.Session([1, 2, 3])
+    with pytest.raises(tl.SessionError, match=r"must be a Metadata, for example.*got dict"):
+        tl.Session(frame(3), {"participant": 3})
     with pytest.raises(tl.SessionError, match="at least one column"):
         tl.Session(frame(3)[[]])
     with pytest.raises(tl.SessionError, match=r"the log\.csv: row 1"):
@@ -92,6 +94,7 @@ def test_metadata_travels_and_can_be_added():
         frame(), tl.Metadata(participant=3, condition="C1", synthetic=True, more={"trial": 2})
     )
     assert session.label == "participant 3, C1, trial 2, synthetic"
+    assert repr(session).endswith("columns mode; metadata.more: trial)")
     changed = session.with_metadata(condition="C2", block=1)
     assert changed.metadata.as_dict() == {
         "participant": 3,
@@ -111,6 +114,10 @@ def test_parts_and_added_columns():
     assert session.between(0.2, 0.5).t[0] == 0.2
     more = session.with_columns(p_r=np.linspace(0, 1, 11))
     assert more.columns == ["mode", "p_r"]
+    assert (session.with_columns(p_r=0.3)["p_r"] == 0.3).all()
+    for wrong in ([1.0, 2.0], [], np.zeros((11, 2))):
+        with pytest.raises(tl.SessionError, match=r"column 'p_r' is of shape .* the session has 11 samples"):
+            session.with_columns(p_r=wrong)
     with pytest.raises(tl.SessionError, match=r"no column 'p_h'; did you mean 'p_r'\?"):
         more.require("mode", "p_h")
     assert session.columns == ["mode"]

@@ -299,6 +299,41 @@ def test_a_pair_without_spread_is_said():
     assert "no test" in result.apa()
 
 
+@pytest.mark.parametrize("k", [2, 3])
+def test_a_condition_with_one_score_for_all_is_said(k):
+    frame = table(12, k)
+    same = frame.assign(score=frame["score"].mask(frame["condition"] == "C2", 7.1))
+    result = analysed(same)
+    assert result.notes[0].startswith("Every subject has the same score (SD = 0) in 'C2'")
+    assert "Every subject had the same score in C2 (SD = 0)." in result.apa()
+    assert analysed(frame).notes == ()
+    assert "SD = 0)" not in analysed(frame).apa()
+
+
+@pytest.mark.parametrize("k", [2, 4])
+def test_anova_table(k):
+    """Oracle: the sums of squares by their definitions, and scipy's F distribution."""
+    frame = table(k=k)
+    result = analysed(frame)
+    found = result.anova_table()
+    x = frame["score"].to_numpy().reshape(12, k)
+    by_condition, by_subject = x.mean(axis=0) - x.mean(), x.mean(axis=1) - x.mean()
+    rest = x - x.mean() - by_condition - by_subject[:, None]
+    assert found["source"].tolist() == ["condition", "error", "subjects"]
+    assert found["df"].tolist() == [k - 1, 11 * (k - 1), 11]
+    np.testing.assert_allclose(
+        found["ss"], [12 * (by_condition**2).sum(), (rest**2).sum(), k * (by_subject**2).sum()], rtol=1e-10
+    )
+    np.testing.assert_allclose(found["ms"], found["ss"] / found["df"], rtol=1e-15)
+    ratio = found["ms"][0] / found["ms"][1]
+    np.testing.assert_allclose(found["F"][0], ratio, rtol=1e-10)
+    np.testing.assert_allclose(found["p"][0], stats.f.sf(ratio, k - 1, 11 * (k - 1)), rtol=1e-9)
+    for name in ("epsilon_gg", "p_gg", "epsilon_hf", "p_hf", "eta2_partial", "eta2_generalized"):
+        assert found[name][0] == getattr(result, name)
+    assert found.loc[1:, "F":].isna().all(axis=None)
+    assert list(found.columns) == list(analysed(table(k=5 - k // 2)).anova_table().columns)
+
+
 # ---- intervals
 
 
@@ -375,6 +410,24 @@ def test_plots(kind, interval):
     plt.close("all")
     _, given = plt.subplots()
     assert result.plot(kind, axes=given) is given
+    plt.close("all")
+
+
+@pytest.mark.parametrize("kind", ["means", "raincloud", "paired"])
+@pytest.mark.parametrize("k", [2, 3, 6])
+def test_titles_stay_inside_the_figure(kind, k):
+    import matplotlib.pyplot as plt
+
+    frame = table(k=k)
+    frame.attrs["origin"] = "simulated operators"
+    _, row = plt.subplots(1, 3, figsize=(9.0, 3.0), layout="constrained")
+    for axes in (analysed(frame).plot(kind), analysed(frame).plot(kind, axes=row[0])):
+        axes.figure.canvas.draw()
+        box = axes.title.get_window_extent()
+        assert axes.get_title().startswith("simulated operators")
+        assert 0.0 <= box.x0 < box.x1 <= axes.figure.bbox.width
+        assert box.y1 <= axes.figure.bbox.height
+        assert box.width <= 1.15 * axes.bbox.width
     plt.close("all")
 
 

@@ -118,6 +118,25 @@ def test_columns_that_are_refused(names, message):
         analysed(table(), **names)
 
 
+def test_a_wide_table_is_told_how_to_become_long():
+    wide = table().pivot_table(index="pid", columns="condition", values="score")
+    wide.columns.name = None
+    right = analysed(table()).F
+    for frame, remedy in (
+        (wide, "frame.reset_index().melt("),
+        (wide.reset_index(), "frame.melt("),
+        (wide.reset_index(drop=True), "frame.rename_axis('pid').reset_index().melt("),
+    ):
+        with pytest.raises(ValueError, match=r"no column 'score'.*make it long: ") as caught:
+            analysed(frame)
+        code = str(caught.value).partition("make it long: ")[2]
+        assert code.startswith(remedy)
+        found = analysed(eval(code, {"frame": frame}))
+        np.testing.assert_allclose(found.F, right, rtol=1e-12)
+    with pytest.raises(ValueError, match=r"no column 'value'.*score\)$"):
+        analysed(table(), dv="value")
+
+
 def test_column_in_the_index_and_column_there_twice():
     with pytest.raises(ValueError, match=r"'pid' is in the index.*reset_index"):
         analysed(table().set_index("pid"))

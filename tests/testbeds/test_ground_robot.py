@@ -387,6 +387,7 @@ def test_sessions_round_trip(tmp_path, runs, suffix):
     assert meta.synthetic
     assert meta.condition == "C3"
     assert meta.more["seed"] == 3
+    assert meta.more["settling"] == 100.0
     assert "simulated stand-in for the Stage testbed" in meta.more["note"]
     assert session.sample_time == 0.1
 
@@ -407,6 +408,10 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
     assert "synthetic" in panels[0].figure.get_suptitle()
     assert len(panels[1].lines) == 3
     assert len(panels[3].lines) == 3  # TSC and its thresholds
+    for panel, name in zip(panels, ("p_r", "r", "p_h", "tsc"), strict=True):
+        low, high = panel.get_ylim()
+        assert low < run.session[name].min()
+        assert run.session[name].max() < high
     axes = run.plot_path(100.0, 500.0)
     assert "synthetic" in axes.get_title()
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
@@ -423,13 +428,14 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
         ({"condition": "C6"}, "C1, C2, C3, C4, C5, got 'C6'"),
         ({"operator": "pilot"}, "operator must be of class Operator, got str"),
         ({"model": None}, "model must be of class TscModel, got NoneType; fit one"),
-        ({"thresholds": None}, "C3 needs thresholds"),
+        ({"operator": tl.Teleoperator()}, "got Teleoperator, who flies a UAV"),
+        ({"thresholds": None}, r"C3 needs thresholds.*choose_thresholds\(model\)"),
         ({"thresholds": (0.6, 0.1)}, "in order, lower then upper, got 0.6 and 0.1"),
         ({"thresholds": (0.1, np.nan)}, "must be finite"),
         ({"thresholds": 0.4}, "two numbers"),
         ({"thresholds": (0.1, 0.9)}, r"strictly between TSC_lb = -0.6952 and TSC_ub = 0.6952"),
         ({"condition": "C1"}, "no effect in C1, where the operator's own"),
-        ({"condition": "C5"}, "no effect in C5, where Algorithm 2"),
+        ({"condition": "C5"}, "no effect in C5, where Algorithm 2 decides;"),
         ({"condition": ["C3"]}, r"C5, got \['C3'\]"),
         ({"laps": 10**9}, "from 1 to 1000"),
         (

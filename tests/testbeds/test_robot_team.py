@@ -434,8 +434,11 @@ def test_goal_time_and_views(tmp_path):
     assert run.distances[after].max() < 1e-3 <= run.distances[~after][-1].max()
     assert np.isnan(tl.simulate_team(nx.complete_graph(3), duration=2.0).time_to_goal)
     assert list(run.plot()[3].get_legend_handles_labels()[1])[-1].startswith("$V_T")
-    page = run.animate(tmp_path / "team.html")
+    page = run.animate()
+    assert run.animate(tmp_path / "team.html") == tmp_path / "team.html"
     assert (tmp_path / "team.html").read_text() == page
+    assert page._repr_html_().startswith("<iframe srcdoc=")
+    assert max(len(repr(page)), len(repr(run)), len(str(run))) < 200
     assert not re.search(r"(src|href)=|https?://|@import|fetch\(", page)
     assert "Synthetic" in page
     assert "NaN" not in page
@@ -511,6 +514,8 @@ class TestBadInput:
             ({"policy": GivenSequence([0, 1], times=[0.0, 1.0])}, "robot 0 leads for 1 s"),
             ({"policy": GivenSequence([0, 1], every=1.0)}, "less than min_dwell"),
             ({"policy": "best"}, "policy must be one of"),
+            ({"policy": "sequense"}, "did you mean 'sequence'"),
+            ({"policy": object()}, r"no method leaders\(trust, robots, step, dwell, rng\)"),
             ({"policy": GivenSequence}, "policy must be one of"),
             ({"policy": None}, "policy must be one of"),
             ({"delay": 0.0}, "at least one sample"),

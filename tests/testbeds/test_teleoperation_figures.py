@@ -34,6 +34,7 @@ def test_measures_are_those_of_the_log():
     assert row["alpha_rate"] == pytest.approx(np.abs(np.diff(data["mode"])).sum() / (0.01 * (len(data) - 1)))
     assert row["energy_operator"] == data["energy_operator"].iloc[-1]
     assert row["guarded"] == pytest.approx((data["port_share"] < 1).mean())
+    assert row["port_share"] == pytest.approx(data["port_share"].mean(), rel=1e-12)
     assert len(tl.teleoperation_measures(RUNS[0])) == 1
 
 

@@ -198,15 +198,15 @@ def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, flo
     limits = threshold_limits(tsc)
     if limits.contains(lower, upper):
         return lower, upper
-    where = (
-        f"target ({lower:g}, {upper:g}) lies outside the limits of Theorem 1, TSC_lb = {limits.lower:.4f} and "
-        f"TSC_ub = {limits.upper:.4f}"
+    where = f"target ({lower:g}, {upper:g}) lies outside the limits of Theorem 1, " + (
+        str(limits) if limits.feasible else f"for there are {limits}"
     )
     cycle = limit_cycle(tsc, lower, upper)
     if not cycle.always:
         raise ValueError(
-            f"{where}, and the rule does not keep switching under it: {cycle.reason}. Choose a target between the "
-            "limits, for example with trustlab.choose_thresholds(tsc)"
+            f"{where}, and the rule does not keep switching under it: {cycle.reason}. Choose a target whose cycle exists "
+            "(trustlab.limit_cycle), for example with trustlab.choose_thresholds(tsc)"
+            + (", or between the limits" if limits.feasible else "")
         )
     warnings.warn(
         f"{where}, so the theorem does not promise that the rule keeps switching; its exact cycle does exist, from "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 from dataclasses import dataclass
 
@@ -60,6 +61,15 @@ class InvariantBounds:
     dwell_manual_high: float
     dwell_autonomous_low: float
     dwell_autonomous_high: float
+
+    def _repr_html_(self) -> str:
+        return f"<p>{html.escape(self.reason)}</p>{self.table().to_html(float_format='%.4g')}"
+
+    def __repr__(self) -> str:
+        return (
+            f"InvariantBounds(guaranteed={self.guaranteed}, r {self.r_low:.4g} to {self.r_high:.4g}, P_r {self.p_r_low:.4g} to "
+            f"{self.p_r_high:.4g}, TSC {self.tsc_low:.4g} to {self.tsc_high:.4g}, cycles={self.cycles})"
+        )
 
     def table(self):
         """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 from dataclasses import dataclass
 
@@ -83,6 +84,17 @@ class LimitCycle:
     def stable(self) -> bool:
         """Whether the slope of the return map is below 1 in size."""
         return abs(self.slope) < 1.0
+
+    def _repr_html_(self) -> str:
+        return f"<p>{html.escape(self.reason)}</p>{self.table().to_html(float_format='%.4g')}"
+
+    def __repr__(self) -> str:
+        if not self.exists:
+            return f"LimitCycle(exists=False, reason={self.reason!r})"
+        return (
+            f"LimitCycle(r {self.r_low:.4g} to {self.r_high:.4g}, P_r {self.p_r_low:.4g} to {self.p_r_high:.4g}, "
+            f"TSC {self.tsc_low:.4g} to {self.tsc_high:.4g}, always={self.always}, exhaustive={self.exhaustive})"
+        )
 
     def table(self):
         """

@@ -49,6 +49,27 @@ class ThresholdLimits:
         """
         return self.lower < finite_number("lower", lower) < finite_number("upper", upper) < self.upper
 
+    def __str__(self) -> str:
+        if not self.feasible:
+            return (
+                f"none at δ_Ph = {self.delta_p_h:.3g} (TSC_lb = {self.lower:.4f}, TSC_ub = {self.upper:.4f})"
+            )
+        return f"TSC_lb = {self.lower:.4f} and TSC_ub = {self.upper:.4f} at δ_Ph = {self.delta_p_h:.3g}"
+
+    def _repr_html_(self) -> str:
+        room = "thresholds fit between them" if self.feasible else "no thresholds fit between them (Remark 4)"
+        return (
+            "<table><tr><th>TSC_lb</th><th>TSC_ub</th><th>δ_Ph</th><th>feasible</th></tr>"
+            f"<tr><td>{self.lower:.4f}</td><td>{self.upper:.4f}</td><td>{self.delta_p_h:.3g}</td><td>{self.feasible}: "
+            f"{room}</td></tr></table>"
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"ThresholdLimits(lower={self.lower:.6g}, upper={self.upper:.6g}, delta_p_h={self.delta_p_h:.4g}, "
+            f"feasible={self.feasible})"
+        )
+
 
 def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> ThresholdLimits:
     """
@@ -116,13 +137,13 @@ def check_thresholds(
         return lower, upper
     if not limits.feasible:
         raise ValueError(
-            f"no thresholds keep switching: TSC_ub = {limits.upper:.4f} does not exceed TSC_lb = {limits.lower:.4f} "
-            f"(Remark 4). {_remedy(tsc, limits)}"
+            f"no thresholds keep switching: at δ_Ph = {limits.delta_p_h:.3g} TSC_ub = {limits.upper:.4f} does not exceed "
+            f"TSC_lb = {limits.lower:.4f} (Remark 4). {_remedy(tsc, limits)}"
         )
     if not limits.contains(lower, upper):
         raise ValueError(
             f"thresholds ({lower:g}, {upper:g}) must lie strictly between TSC_lb = {limits.lower:.4f} and "
-            f"TSC_ub = {limits.upper:.4f} (Theorem 1)"
+            f"TSC_ub = {limits.upper:.4f} (Theorem 1 at δ_Ph = {limits.delta_p_h:.3g})"
         )
     return lower, upper
 

@@ -50,6 +50,15 @@ class SteadyStateBounds:
     r_high: float
     delta_tsc: float
 
+    def _repr_html_(self) -> str:
+        return f"<p>Bounds as printed, δ_TSC = {self.delta_tsc:.3g}</p>{self.table().to_html(float_format='%.4g')}"
+
+    def __repr__(self) -> str:
+        return (
+            f"SteadyStateBounds(r {self.r_low:.4g} to {self.r_high:.4g}, P_r {self.p_r_low:.4g} to {self.p_r_high:.4g}, "
+            f"TSC {self.tsc_low:.4g} to {self.tsc_high:.4g}, delta_tsc={self.delta_tsc:.3g})"
+        )
+
     def table(self):
         """
         Return the bounds as a table.

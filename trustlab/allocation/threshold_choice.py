@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,11 +31,11 @@ class ThresholdChoice:
     bounds : InvariantBounds
         Bounds for every trajectory under them.
     limits : ThresholdLimits
-        TSC_lb and TSC_ub.
+        TSC_lb and TSC_ub that the search kept to, at the `delta_p_h` given (0 if none was); `.delta_p_h` says which.
     encloses_beta : bool
         Whether the steady utilization encloses β.
     message : str
-        How the choice was made.
+        How the choice was made, and how it lies to the limits at the δ_Ph that the model itself gives.
     candidates : pandas.DataFrame
         All pairs that were tried: lower, upper, r_low, r_high, mean_r, p_r_high, mean_p_r, encloses_beta, on_front.
     model : TscModel
@@ -51,6 +52,11 @@ class ThresholdChoice:
     candidates: pd.DataFrame
     model: TscModel
 
+    @property
+    def model_limits(self) -> ThresholdLimits:
+        """`threshold_limits(model)`: TSC_lb and TSC_ub at the δ_Ph that the model itself gives, narrower."""
+        return threshold_limits(self.model)
+
     def front(self) -> pd.DataFrame:
         """Return the Pareto front: pairs that no other beats in both mean performance and mean utilization."""
         return self.candidates[self.candidates["on_front"]].sort_values("mean_r", ignore_index=True)
@@ -59,6 +65,16 @@ class ThresholdChoice:
         """Return the ranges of the steady motion and the bounds for every trajectory."""
         cycle, bounds = self.cycle.table(), self.bounds.table()
         return cycle.assign(bound_low=bounds["low"], bound_high=bounds["high"])
+
+    def _repr_html_(self) -> str:
+        head = f"<b>TSC_l = {self.lower:.4f}, TSC_u = {self.upper:.4f}</b>. {html.escape(self.message)}"
+        return f"<p>{head}</p>{self.table().to_html(float_format='%.4g')}"
+
+    def __repr__(self) -> str:
+        return (
+            f"ThresholdChoice(lower={self.lower:.6g}, upper={self.upper:.6g}, encloses_beta={self.encloses_beta}, "
+            f"delta_p_h={self.limits.delta_p_h:.4g}, {len(self.candidates)} candidates)"
+        )
 
     def plot(self):
         """
@@ -83,10 +99,18 @@ class ThresholdChoice:
             axis.legend(loc="lower right", fontsize="small")
             figure.colorbar(points, ax=axis)
         front = self.front()
-        axes[2].scatter(
-            self.candidates["mean_r"], self.candidates["mean_p_r"], s=8, color="0.75", label="feasible pairs"
+        axes[2].plot(
+            front["mean_r"], front["mean_p_r"], "-", color="C1", lw=3, alpha=0.5, label="Pareto front"
         )
-        axes[2].plot(front["mean_r"], front["mean_p_r"], "o-", ms=3, label="Pareto front")
+        axes[2].scatter(
+            self.candidates["mean_r"],
+            self.candidates["mean_p_r"],
+            s=10,
+            color="0.35",
+            lw=0,
+            label="feasible pairs",
+            zorder=3,
+        )
         axes[2].plot(self.cycle.mean_r, self.cycle.mean_p_r, "k*", ms=12, label="choice")
         axes[2].axvline(self.model.human.beta, color="k", lw=0.8, ls=":", label="β")
         axes[2].set(xlabel="mean utilization", ylabel="mean robot performance", title="trade-off")
@@ -108,7 +132,8 @@ def choose_thresholds(
     tsc : TscModel
         The model.
     delta_p_h : float
-        δ_Ph for the limits. 0 takes them as TSC settles; whether a pair keeps switching is then seen from its cycle.
+        δ_Ph for the limits that the search keeps to. 0 takes them as TSC settles; whether a pair keeps switching is then
+        seen from its cycle. This is not the default of `threshold_limits`, see Notes.
     margin : float
         Distance to keep from either limit, as a share of TSC_ub − TSC_lb, in (0, 0.5).
     points : int
@@ -122,6 +147,15 @@ def choose_thresholds(
     ------
     ValueError
         If an argument is out of range, or the limits leave no room (Remark 4: says what to change).
+
+    Notes
+    -----
+    `threshold_limits(tsc)` takes δ_Ph from the model unless told otherwise. Its limits are narrower than those searched
+    here at δ_Ph = 0, or there are none at all, and for all printed models the pair chosen here lies outside of them: Theorem
+    1, which is sufficient and not necessary, then does not promise that the rule keeps switching. What the choice rests on
+    is the exact cycle, `.cycle`, and the bounds for every trajectory, `.bounds`. `.limits` are the limits searched,
+    `.model_limits` those at the model's δ_Ph; `.message` says how the pair lies to both. To stay within the latter give
+    delta_p_h=threshold_limits(tsc).delta_p_h.
     """
     of_class("tsc", tsc, TscModel)
     margin = finite_number("margin", margin)
@@ -170,7 +204,19 @@ def choose_thresholds(
     lower, upper = float(table.loc[best, "lower"]), float(table.loc[best, "upper"])
     cycle = limit_cycle(tsc, lower, upper)
     bounds = invariant_bounds(tsc, lower, upper)
+    message += _beside_limits(tsc, lower, upper, limits)
     return ThresholdChoice(lower, upper, cycle, bounds, limits, encloses, message, table, tsc)
+
+
+def _beside_limits(tsc: TscModel, lower: float, upper: float, limits: ThresholdLimits) -> str:
+    """Say how a pair lies to the limits of the search and to those at the model's own δ_Ph."""
+    own = threshold_limits(tsc)
+    if own.contains(lower, upper):
+        return f" Limits searched: {limits}. The pair also keeps those at the model's own δ_Ph: {own}."
+    return (
+        f" Limits searched: {limits}. Theorem 1 does not cover the pair at the model's own δ_Ph: {own}. Whether it keeps "
+        "switching is seen from its cycle, not from the limits."
+    )
 
 
 def _front(cost: np.ndarray, gain: np.ndarray) -> np.ndarray:

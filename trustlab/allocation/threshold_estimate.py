@@ -74,6 +74,7 @@ def estimate_thresholds(
     within: float = 0.15,
     resamples: int = 2000,
     seed: int = 0,
+    after: float | None = None,
 ) -> ThresholdEstimate:
     """
     Estimate the thresholds that an operator's own switches show.
@@ -90,6 +91,8 @@ def estimate_thresholds(
         Bootstrap resamples for the intervals of the means, and draws for the interval of `separation`; at least 100.
     seed : int
         Seed of both.
+    after : float, optional
+        Leave out switches before this time [s], in every run; all count when not given.
 
     Returns
     -------
@@ -98,7 +101,7 @@ def estimate_thresholds(
     Raises
     ------
     SessionError
-        If a column is missing, mode is a share, or no run has a switch.
+        If a column is missing, mode is a share, or no run has a switch (after `after`).
     ValueError
         If `within` is not positive, or another argument is not understood.
 
@@ -109,6 +112,12 @@ def estimate_thresholds(
     at equal distances in SDs leaves Φ(−s) of the switches on the wrong side, s being `separation`; s = 1, where mean ± SD
     touch, leaves 16 %. The test asks whether s exceeds 1. Its p and interval are generalized ones (Weerahandi, 1993): means
     and SDs are drawn from what normal samples of these sizes say about them. They keep their level with few switches.
+
+    A switch shows TSC when the hand moved, not when the operator decided: TSC runs on during the reaction, so that means lie
+    beyond the operator's own thresholds by about its rate times the reaction lag, below the lower and above the upper.
+    Where switching was barred at first, a threshold may have been passed long before the first switch, whose TSC then
+    says nothing about it: `run_condition` bars switches for its first 100 s (`settling` in the session's metadata), and
+    after=110.0 leaves out what was merely waiting for that.
     """
     if not finite_number("within", within) > 0.0:
         raise ValueError(f"within must be positive, got {within}")
@@ -116,6 +125,7 @@ def estimate_thresholds(
         of_class("model", model, TscModel)
     resamples = whole_number("resamples", resamples, least=100, most=10**5)
     seed = whole_number("seed", seed, least=0)
+    after = -np.inf if after is None else finite_number("after", after)
     try:
         runs = [sessions] if isinstance(sessions, Session) else list(sessions)
     except TypeError:
@@ -138,11 +148,12 @@ def estimate_thresholds(
             )
         run.require(*(["tsc"] if "tsc" in run else ["p_r", "p_h"]))
         tsc = run["tsc"] if "tsc" in run else model.value(run["p_r"], run["p_h"])
-        for k in np.flatnonzero(np.diff(mode)) + 1:
+        for k in np.flatnonzero((np.diff(mode) != 0.0) & (run.t[1:] >= after)) + 1:
             rows.append((number, run.t[k], "lower" if mode[k] == 1.0 else "upper", tsc[k]))
     switches = pd.DataFrame(rows, columns=["run", "t", "threshold", "tsc"])
     if switches.empty:
-        raise SessionError("mode never changes in these sessions, so no threshold shows")
+        when = "" if after == -np.inf else f" at {after:g} s or later"
+        raise SessionError(f"mode never changes{when} in these sessions, so no threshold shows")
     return _summarise(switches, within, resamples, np.random.default_rng(seed))
 
 

@@ -7,7 +7,15 @@ from numbers import Integral, Real
 
 import numpy as np
 
-__all__ = ["finite_array", "finite_number", "mode_array", "of_class", "open_unit", "whole_number"]
+__all__ = [
+    "finite_array",
+    "finite_number",
+    "mode_array",
+    "of_class",
+    "open_unit",
+    "own_session",
+    "whole_number",
+]
 
 
 def finite_number(name: str, value: float) -> float:
@@ -98,8 +106,22 @@ def of_class(name: str, value: object, kind: type, remedy: str = "") -> object:
         return value
     if kind.__name__ == "TscModel" and not remedy:
         remedy = "fit one with trustlab.fit_tsc(session) or build it with trustlab.TscModel(robot, human)"
+    if kind.__name__ == "Session":
+        remedy = own_session(value) or remedy
     hint = f"; {remedy}" if remedy else ""
     raise ValueError(f"{name} must be of class {kind.__name__}, got {type(value).__name__}{hint}")
+
+
+def own_session(value: object) -> str:
+    """
+    Return "pass its .session" for a run that carries its session, else nothing.
+
+    Parameters
+    ----------
+    value : object
+        What was given where a session is wanted.
+    """
+    return "pass its .session" if type(getattr(value, "session", None)).__name__ == "Session" else ""
 
 
 def _shown(value: object) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
+from numbers import Integral
 from pathlib import Path
 
 import pandas as pd
@@ -10,7 +12,7 @@ from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 
-__all__ = ["PILOT", "published_folder", "published_models", "published_table"]
+__all__ = ["PILOT", "ByName", "published_folder", "published_models", "published_table"]
 
 PILOT = {
     "a_r": "0.9991",
@@ -24,6 +26,17 @@ PILOT = {
     "P_r_max": "0.39",
 }
 """The pilot operator's parameters as printed in Sections 2.2.2 and 2.2.3."""
+
+
+class ByName(dict):
+    """A dictionary by name that takes 2 for "2", and whose KeyError says which names there are and which is nearest."""
+
+    def __missing__(self, key):
+        if isinstance(key, Integral) and not isinstance(key, bool) and str(key) in self:
+            return self[str(key)]
+        near = get_close_matches(key[:100], self, n=1) if isinstance(key, str) else []
+        meant = f"; did you mean {near[0]!r}?" if near else ""
+        raise KeyError(f"nothing is called {key!r:.60}{meant} (there are {', '.join(map(str, self))})")
 
 
 def published_folder() -> Path:
@@ -77,11 +90,11 @@ def published_models() -> dict[str, TscModel]:
     Returns
     -------
     dict of str to TscModel
-        Keys "pilot", "1" … "5". b_pr follows from (2.3); the printed one is this, rounded to four decimals.
+        Keys "pilot", "1" … "5" (or 1 … 5). b_pr follows from (2.3); the printed one is this, rounded to four decimals.
     """
     table = published_table("2.1")
     columns = {"pilot": PILOT, **{str(name): table[name].to_dict() for name in table.columns}}
-    models = {}
+    models = ByName()
     for name, printed in columns.items():
         value = {key: float(printed[key]) for key in PILOT}
         human = HumanModel(value["a_r"], value["beta"], value["P_h_min"], value["P_h_max"])

@@ -8,6 +8,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
+from difflib import get_close_matches
 
 import pandas as pd
 
@@ -225,9 +226,16 @@ def printed_numbers(changes: Mapping[str, str] | None = None) -> dict[str, Print
         if number.id in numbers:
             raise ValueError(f"the id {number.id!r} stands for two printed numbers in data/published")
         numbers[number.id] = number
+    if changes is not None and not isinstance(changes, Mapping):
+        raise ValueError(
+            f"changes must map ids to texts of numbers, for example {{'table_2.1/a_r/1': '0.9992'}}, got {changes!r:.60}; "
+            'to select rows of the audit: verdicts[verdicts["verdict"] == "differs"]'
+        )
     for id, text in (changes or {}).items():
         if id not in numbers:
-            raise ValueError(f"no printed number has the id {id!r}; see the ids of audit()")
+            near = get_close_matches(id[:100], numbers, n=1) if isinstance(id, str) else []
+            meant = f"; did you mean {near[0]!r}?" if near else ""
+            raise ValueError(f"no printed number has the id {id!r:.100}{meant} (audit() lists all ids)")
         if not isinstance(text, str) or not text.strip():
             raise ValueError(
                 f"the change of {id!r} must be a text as it would be printed, for example '0.390', got {text!r}"

@@ -12,8 +12,13 @@ __all__ = ["compare", "matching_digits"]
 
 
 def _printed(text: str) -> Decimal:
+    if not isinstance(text, str):
+        raise ValueError(
+            f"a printed value must be text in quotes, as printed, for example '0.390', got {text!r:.60} "
+            f"({type(text).__name__}): a number has lost its trailing zeros"
+        )
     try:
-        value = Decimal(str(text).strip())
+        value = Decimal(text.strip())
     except InvalidOperation:
         raise ValueError(
             f"a printed value must be a number as printed, for example '0.390', got {text!r}"
@@ -87,7 +92,7 @@ def compare(
     Raises
     ------
     ValueError
-        If the quantities differ or a printed value is no number.
+        If the quantities differ, or a printed value is not text or no number.
     """
     if set(ours) != set(printed):
         only = sorted(set(ours) ^ set(printed))
@@ -96,8 +101,8 @@ def compare(
         )
     rows = []
     for name, value in ours.items():
-        text = str(printed[name]).strip()
-        target = _printed(text)
+        target = _printed(printed[name])
+        text = printed[name].strip()
         error = float((stderr or {}).get(name, np.nan))
         half = 0.5 * float(Decimal(1).scaleb(target.as_tuple().exponent))
         verdict = "differs"

@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import pandas as pd
 
-from trustlab.reproduction.published import published_folder
+from trustlab.reproduction.published import ByName, published_folder
 from trustlab.reproduction.study_checks import PublishedStudyError, check_study, printed_interval
 
 __all__ = ["PublishedStudy", "published_studies"]
@@ -240,7 +240,7 @@ def published_studies() -> dict[str, PublishedStudy]:
     """
     with (published_folder() / "studies.toml").open("rb") as file:
         groups = tomllib.load(file)
-    studies = {}
+    studies = ByName()
     for group, tables in groups.items():
         for measure, values in tables.items():
             name = f"{group}.{measure}"

@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 
 import numpy as np
 from scipy import optimize, special
 
 from trustlab.reproduction.moment_statistics import mauchly_p, pair_indices
-from trustlab.reproduction.published_study import PublishedStudy
+from trustlab.reproduction.published_study import PublishedStudy, published_studies
 from trustlab.reproduction.study_checks import printed_interval
 
 __all__ = ["ADJUSTMENTS", "Statement", "arithmetic_conflicts", "select", "sharpened", "statements"]
@@ -192,9 +193,12 @@ def statements(study: PublishedStudy, p_adjust: str = "bonferroni") -> list[Stat
         If the study is no `PublishedStudy` or the adjustment is unknown.
     """
     if not isinstance(study, PublishedStudy):
-        raise ValueError(
-            f"study must be a PublishedStudy, got {type(study).__name__}; PublishedStudy.from_dict builds one"
-        )
+        hint = "PublishedStudy.from_dict builds one"
+        if isinstance(study, str):
+            known = published_studies()
+            near = study if study in known else next(iter(get_close_matches(study, known, n=1)), "uav.tlx")
+            hint = f"a printed one is published_studies()[{near!r}]"
+        raise ValueError(f"study must be a PublishedStudy, got {type(study).__name__}; {hint}")
     if p_adjust not in ADJUSTMENTS:
         raise ValueError(f"p_adjust must be one of {', '.join(ADJUSTMENTS)}, got {p_adjust!r}")
     found = []

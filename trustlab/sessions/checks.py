@@ -120,6 +120,8 @@ def check_columns(data: pd.DataFrame, source: str | None = None, place: Callable
             why = (
                 f"lies outside [{low:g}, {high:g}] ({column.meaning}); correct it, or scale it with a recipe"
             )
+            if column.unit == "m" and low == 0.0:
+                why += "; a signed deviation becomes a distance with absolute = true in the recipe's column"
         if bad.any():
             k = int(np.argmax(bad))
             raise SessionError(

@@ -56,8 +56,8 @@ class FieldPath:
 
 
 _KINDS = {
-    "column": ("column", "unit", "scale", "offset", "map", "resample"),
-    "topic": ("topic", "field", "unit", "scale", "offset", "map", "resample", "hold"),
+    "column": ("column", "unit", "scale", "offset", "absolute", "map", "resample"),
+    "topic": ("topic", "field", "unit", "scale", "offset", "absolute", "map", "resample", "hold"),
     "value": ("value", "unit"),
     "from": ("from", "map", "unit", "scale", "offset"),
     "distance": ("distance", "axes"),
@@ -90,6 +90,8 @@ class ColumnRule:
         A way of resampling for this column alone.
     hold : bool
         True when the last message of the topic holds until the log ends.
+    absolute : bool
+        True when the size of the value counts, without its sign.
     """
 
     name: str
@@ -103,6 +105,7 @@ class ColumnRule:
     axes: tuple[str, ...] = ()
     resample: str | None = None
     hold: bool = False
+    absolute: bool = False
 
     @classmethod
     def parse(cls, name: str, table: object, source: str | None) -> ColumnRule:
@@ -157,8 +160,9 @@ class ColumnRule:
         for number in ("scale", "offset"):
             if number in table:
                 check_type(table[number], (int, float), "a finite number", f"{where}: {number}", source)
-        if "hold" in table:
-            check_type(table["hold"], bool, "true or false", f"{where}: hold", source)
+        for switch in ("hold", "absolute"):
+            if switch in table:
+                check_type(table[switch], bool, "true or false", f"{where}: {switch}", source)
         check_resample(table.get("resample", "linear"), where, source)
         if table.get("hold") and table.get("resample", "previous") != "previous":
             raise RecipeError(
@@ -178,6 +182,7 @@ class ColumnRule:
             map=mapping,
             resample=table.get("resample"),
             hold=table.get("hold", False),
+            absolute=table.get("absolute", False),
         )
 
     @staticmethod
@@ -217,4 +222,5 @@ class ColumnRule:
         with np.errstate(over="ignore", invalid="ignore"):
             if (self.scale, self.offset) != (1.0, 0.0):
                 values = self.scale * values + self.offset
+            values = np.abs(values) if self.absolute else values
             return values if self.factor == 1.0 else values * self.factor

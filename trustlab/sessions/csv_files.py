@@ -98,6 +98,14 @@ def read_csv(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, la
                 "comma), or say so in a recipe's [table]",
                 source,
             )
+        other = next((mark for mark in ";\t|," if mark != layout.delimiter and mark in names[0]), None)
+        if recipe and len(names) == 1 and other:
+            shown = "\\t" if other == "\t" else other
+            raise SessionError(
+                f"{where}: one column only, {names[0][:60]!r}; if its names are separated by {other!r}, say so in the recipe: "
+                f'[table] delimiter = "{shown}" (and decimal = "," if numbers have a decimal comma)',
+                source,
+            )
         if not recipe and names[0].startswith("#"):
             raise SessionError(
                 f"{where}: a comment stands where the names should; use [table] skip_lines", source

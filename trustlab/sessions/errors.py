@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
 
-__all__ = ["RecipeError", "SessionError", "nearest"]
+__all__ = ["RecipeError", "SessionError", "nearest", "nearest_file"]
 
 
 def nearest(name: object, known: Iterable[object]) -> str:
@@ -22,6 +23,24 @@ def nearest(name: object, known: Iterable[object]) -> str:
     known = {str(word).lower(): str(word) for word in known}
     close = difflib.get_close_matches(str(name)[:100].lower(), known, n=1, cutoff=0.6)
     return f"; did you mean {known[close[0]]!r}?" if close else ""
+
+
+def nearest_file(path: Path, suffix: str = "") -> str:
+    """
+    Return "; did you mean …?" for the path of a file that is not there, from the names beside it.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Where nothing is.
+    suffix : str
+        How the names end that can have been meant, for example ".toml".
+    """
+    try:
+        beside = [each.name for each in path.parent.iterdir() if each.name.lower().endswith(suffix)]
+    except (OSError, ValueError):
+        beside = []
+    return nearest(path.name, beside)
 
 
 class SessionError(ValueError):

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from trustlab.sessions.errors import RecipeError, SessionError, nearest
+from trustlab.sessions.errors import RecipeError, SessionError, nearest, nearest_file
 from trustlab.sessions.finishing import finish, metadata_values
 from trustlab.sessions.headers import Headers, find_files
 from trustlab.sessions.patterns import natural_key
@@ -133,14 +133,8 @@ def _existing(path: Path) -> Path:
     except ValueError:
         there = False
     if not there:
-        beside = []
-        try:
-            if path.parent.is_dir():
-                beside = os.listdir(path.parent)
-        except (OSError, ValueError):
-            beside = []
         looked = "" if path.is_absolute() else f" (looked in {path.parent.absolute()})"
-        raise SessionError(f"there is no such file{looked}{nearest(path.name, beside)}", source)
+        raise SessionError(f"there is no such file{looked}{nearest_file(path)}", source)
     if path.suffix.lower() in (".xlsx", ".xls", ".ods"):
         raise SessionError('a spreadsheet cannot be read; save it as "CSV UTF-8" and read that', source)
     if path.is_dir():
@@ -190,7 +184,8 @@ def _values(recipe: Recipe, path: Path, headers: Headers | None) -> dict[str, ob
     uses += [rule.key for rule in recipe.columns.values() if rule.kind == "from"]
     if recipe.pattern and match is None and any(uses):
         raise SessionError(
-            f"the path does not fit the recipe's pattern {recipe.pattern.text!r}, which metadata come from",
+            f"the path does not fit the recipe's pattern {recipe.pattern.text!r}, which metadata come from; rename the "
+            "file or its folder to fit it, or take what comes from the path out of the recipe's [metadata] and [columns]",
             source,
         )
     row = {}

@@ -33,7 +33,7 @@ other is an error. Nothing is guessed: time and columns with a dimension name th
     sample_time = 0.1               # [s]
 
     [columns]                       # name of the vocabulary = exactly one of
-    path_error = { column = "err", unit = "mm" }                   # a column; also scale, offset, map, resample
+    path_error = { column = "err", unit = "mm", absolute = true }  # a column; also scale, offset, map, resample
     robot_x = { topic = "/odom", field = "pose.pose.position.x", unit = "m" }   # the same, and hold
     mode = { topic = "/mode", field = "data", map = { MANUAL = 1, AUTO = 0 }, hold = true }
     beta = { value = 0.5 }                                         # a constant
@@ -55,7 +55,8 @@ other is an error. Nothing is guessed: time and columns with a dimension name th
     field = "folder"
     pairs = { 8 = 25 }              # those of folder 8 are left out where there are any of folder 25
 
-A column's value is (scale · raw + offset) in its unit. `map` turns texts or codes into numbers. `hold` keeps each
+A column's value is (scale · raw + offset) in its unit; `absolute` takes its size, so that a signed deviation becomes
+a distance (before any resampling). `map` turns texts or codes into numbers. `hold` keeps each
 message of a topic until the next, and the last until the log ends (for topics published when something changes). `from` names a field of
 the path pattern, ``header.<column>``, or a metadata entry above it. A field path walks a message
 (``twist.twist.linear.x``, ``axes[1]``, ``buttons[4]``); ``yaw(pose.pose.orientation)`` is a quaternion's heading.
@@ -70,7 +71,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from trustlab.sessions.column_rules import ColumnRule
-from trustlab.sessions.errors import RecipeError, nearest
+from trustlab.sessions.errors import RecipeError, nearest, nearest_file
 from trustlab.sessions.patterns import PathPattern
 from trustlab.sessions.rules import (
     HeaderRule,
@@ -387,8 +388,9 @@ def load_recipe(recipe: str | os.PathLike | Recipe) -> Recipe:
         except (OSError, ValueError):
             there = False
         if not there:
+            hint = nearest(path.stem, shipped) or nearest_file(path, ".toml")
             raise RecipeError(
-                f"there is no recipe {str(recipe)!r}, neither as a file nor by name{nearest(path.stem, shipped)} "
+                f"there is no recipe {str(recipe)!r}, neither as a file nor by name{hint} "
                 f"(known: {', '.join(shipped)})"
             )
     try:

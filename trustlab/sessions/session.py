@@ -82,6 +82,11 @@ class Session:
     metadata: Metadata = field(default_factory=Metadata)
 
     def __post_init__(self):
+        if not isinstance(self.metadata, Metadata):
+            raise SessionError(
+                "metadata must be a Metadata, for example trustlab.Metadata(participant=3, condition='C1', "
+                f"more={{'trial': 2}}), got {type(self.metadata).__name__}"
+            )
         source = self.metadata.source
         data = self.data
         if not isinstance(data, pd.DataFrame):
@@ -195,7 +200,18 @@ class Session:
         ----------
         **columns : array_like, shape (N,)
             Names of the vocabulary and their samples.
+
+        Raises
+        ------
+        SessionError
+            If a column has another number of samples than the session, or does not fit it.
         """
+        for name, values in columns.items():
+            if np.ndim(values) > 1 or (np.ndim(values) == 1 and len(values) != len(self)):
+                raise SessionError(
+                    f"column {name!r} is of shape {np.shape(values)}, but the session has {len(self)} samples",
+                    self.metadata.source,
+                )
         return Session(self.data.assign(**columns), self.metadata)
 
     def with_metadata(self, **changes: object) -> Session:
@@ -288,4 +304,6 @@ class Session:
         return f"<p>{head}</p>{self.data.describe().T.to_html(float_format='%.4g')}"
 
     def __repr__(self) -> str:
-        return f"Session({self.label}: {len(self)} samples at {self.sample_time:g} s, columns {', '.join(self.columns)})"
+        more = f"; metadata.more: {', '.join(map(str, self.metadata.more))}" if self.metadata.more else ""
+        samples = f"{len(self)} samples at {self.sample_time:g} s"
+        return f"Session({self.label}: {samples}, columns {', '.join(self.columns)}{more})"

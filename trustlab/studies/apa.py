@@ -7,6 +7,8 @@ from numbers import Number
 
 import numpy as np
 
+from trustlab.studies.validation import same_for_all
+
 __all__ = ["apa_decimals", "apa_number", "apa_p", "apa_report"]
 
 
@@ -107,7 +109,11 @@ def _means(result) -> str:
         f"{condition} (M = {apa_number(mean, digits)}, SD = {apa_number(sd, digits)})"
         for condition, mean, sd in zip(stats["condition"], stats["mean"], stats["sd"], strict=True)
     ]
-    return f" By condition: {', '.join(text)}."
+    constant = same_for_all(result.scores)
+    same = (
+        f" Every subject had the same score in {', '.join(map(str, constant))} (SD = 0)." if constant else ""
+    )
+    return f" By condition: {', '.join(text)}.{same}"
 
 
 def _compared(a: object, b: object, higher: bool) -> str:

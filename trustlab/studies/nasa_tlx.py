@@ -174,7 +174,8 @@ def score_nasa_tlx(
     Parameters
     ----------
     frame : pandas.DataFrame
-        Answers 0–100 in steps of 5: wide (a column per scale) or, with `item` and `response`, long.
+        Answers 0–100 in steps of 5: wide (a column per scale: mental, physical, temporal, performance, effort, frustration,
+        or those that `items` names) or, with `item` and `response`, long.
     subject, condition : str
         Columns that say whose answers these are and under which condition; `condition` may be None.
     items : dict or list, optional

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import numpy as np
 
 __all__ = ["plot_conditions"]
@@ -24,6 +26,18 @@ def _means(result, axes, interval: str) -> None:
         lw=1.5,
         zorder=3,
     )
+
+
+def _title(origin: str, what: str, axes) -> str:
+    """Return the title in lines as wide as the axes, the origin on lines of its own where one line is not enough."""
+    width = axes.bbox.width / axes.figure.dpi
+    letters = max(16, int(15.0 * width))  # of size "small" per inch
+    whole = f"{origin}: {what}" if origin else what
+    if len(whole) <= letters:
+        return whole
+    parts = [f"{origin}:", what] if origin else [what]
+    parts = [part.replace("N = ", "N\xa0=\xa0") for part in parts]  # which textwrap keeps together
+    return "\n".join(textwrap.fill(part, letters) for part in parts).replace("\xa0", " ")
 
 
 def _clouds(result, axes) -> None:
@@ -81,7 +95,7 @@ def plot_conditions(result, kind: str = "means", interval: str = "between", axes
     if interval not in ("between", "within"):
         raise ValueError(f"interval must be 'between' or 'within', got {interval!r}")
     if axes is None:
-        _, axes = plt.subplots(figsize=(1.6 + 0.9 * result.k, 3.6), layout="constrained")
+        _, axes = plt.subplots(figsize=(max(4.2, 1.6 + 0.9 * result.k), 3.6), layout="constrained")
     if kind == "raincloud":
         _clouds(result, axes)
     else:
@@ -99,6 +113,5 @@ def plot_conditions(result, kind: str = "means", interval: str = "between", axes
         "raincloud": "scores, quartiles, densities",
         "paired": f"subjects; means, 95 % intervals {interval} subjects",
     }[kind]
-    origin = f"{result.origin}: " if result.origin else ""
-    axes.set_title(f"{origin}{what} (N = {result.n})", fontsize="small")
+    axes.set_title(_title(result.origin, f"{what} (N = {result.n})", axes), fontsize="small")
     return axes

@@ -15,7 +15,7 @@ from trustlab.studies.effect_sizes import partial_eta_interval
 from trustlab.studies.intervals import between_half_width, cousineau_morey_half_width
 from trustlab.studies.mixed_model import MixedModel, fit_mixed_model
 from trustlab.studies.rank_tests import Friedman, friedman, normality_of_differences
-from trustlab.studies.validation import ScoreTable, complete_scores, read_scores
+from trustlab.studies.validation import ScoreTable, complete_scores, read_scores, same_for_all
 
 __all__ = ["RepeatedMeasures", "repeated_measures"]
 
@@ -131,6 +131,12 @@ class RepeatedMeasures:
         row = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in _UNTABLED}
         row["excluded"] = len(self.excluded)
         return self._labelled(pd.DataFrame([row]))
+
+    def anova_table(self) -> pd.DataFrame:
+        """Return a row per source (condition, error, subjects): source ss df ms F p epsilon_gg p_gg … eta2_generalized."""
+        from trustlab.studies.anova_table import anova_table
+
+        return self._labelled(anova_table(self))
 
     def corrections(self) -> pd.DataFrame:
         """Return the test under each correction: columns correction epsilon df1 df2 F p applies."""
@@ -346,6 +352,11 @@ def repeated_measures(
     notes = []
     if excluded:
         notes.append(f"Left out for missing cells: {', '.join(map(repr, excluded))}.")
+    if constant := same_for_all(scores):
+        notes.append(
+            f"Every subject has the same score (SD = 0) in {', '.join(map(repr, constant))}: a limit of the scale, or a fault "
+            "of the data? Tests with that condition rest on the others' spread alone."
+        )
     flat = np.flatnonzero(np.isnan(batch.pairwise.t[0]))
     if flat.size:
         a, b = (scores.conditions[int(index[flat[0]])] for index in (batch.pairwise.a, batch.pairwise.b))

@@ -79,7 +79,7 @@ def _some(texts: Sequence[str]) -> str:
     return "; ".join(texts[:_SHOWN]) + (f"; and {rest} more" if rest > 0 else "")
 
 
-def _column(frame: pd.DataFrame, argument: str, name: Hashable) -> pd.Series:
+def _column(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = "") -> pd.Series:
     if not isinstance(name, Hashable):
         raise ValueError(
             f"{argument} must be the name of one column, got {name!r}; one factor is analysed at a time"
@@ -88,7 +88,8 @@ def _column(frame: pd.DataFrame, argument: str, name: Hashable) -> pd.Series:
         if name is not None and name in frame.index.names:
             raise ValueError(f"{argument}: {name!r} is in the index, not a column; give frame.reset_index()")
         there = ", ".join(map(str, frame.columns))
-        raise ValueError(f"{argument}: no column {name!r}{nearest(name, frame.columns)} (there are {there})")
+        hint = nearest(name, frame.columns)
+        raise ValueError(f"{argument}: no column {name!r}{hint} (there are {there}){'' if hint else remedy}")
     found = frame[name]
     if isinstance(found, pd.DataFrame):
         if isinstance(frame.columns, pd.MultiIndex):
@@ -98,6 +99,21 @@ def _column(frame: pd.DataFrame, argument: str, name: Hashable) -> pd.Series:
             f"{argument}: column {name!r} is there {found.shape[1]} times; rename or remove all but one"
         )
     return found
+
+
+def _melting(frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable) -> str:
+    """Return how to make a table with a column per condition long; nothing where score or condition has a column."""
+    if any(not isinstance(name, Hashable) or name in frame.columns for name in (dv, within)):
+        return ""
+    own = f"frame.rename_axis({subject!r}).reset_index()"
+    if not isinstance(subject, Hashable) or subject in frame.columns:
+        own = "frame"
+    elif subject in frame.index.names:
+        own = "frame.reset_index()"
+    return (
+        "; if it has a column per condition, make it long: "
+        f"{own}.melt(id_vars={subject!r}, var_name={within!r}, value_name={dv!r})"
+    )
 
 
 def _labels(series: pd.Series, argument: str, row: pd.Index) -> tuple[np.ndarray, list]:
@@ -206,7 +222,8 @@ def read_scores(
     if not isinstance(frame, pd.DataFrame):
         raise ValueError(f"frame must be a pandas.DataFrame in long form, got {type(frame).__name__}")
     columns = {"dv": dv, "within": within, "subject": subject}
-    series = {argument: _column(frame, argument, name) for argument, name in columns.items()}
+    remedy = _melting(frame, dv, within, subject)
+    series = {argument: _column(frame, argument, name, remedy) for argument, name in columns.items()}
     if len(set(columns.values())) < 3:
         raise ValueError(
             f"dv, within and subject must be three columns, got {dv!r}, {within!r} and {subject!r}"
@@ -285,6 +302,19 @@ def _alike(labels: tuple) -> str:
         if other is not label:
             return f" (conditions {other!r} and {label!r} differ by spaces, case or type alone: are they the same?)"
     return ""
+
+
+def same_for_all(table: ScoreTable) -> list:
+    """
+    Return the conditions in which every subject has the same score.
+
+    Parameters
+    ----------
+    table : ScoreTable
+        Without missing cells.
+    """
+    spread = np.ptp(table.values, axis=0)
+    return [condition for condition, range_ in zip(table.conditions, spread, strict=True) if range_ == 0.0]
 
 
 def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTable, tuple]:

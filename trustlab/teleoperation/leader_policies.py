@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Protocol
 
 import numpy as np
@@ -268,6 +269,10 @@ POLICIES = {
 }
 """Policies by name."""
 
+SIGNATURE = (
+    "leaders(trust, robots, step, dwell, rng), which returns the number of the leader at each decision"
+)
+
 
 def policy_named(policy: str | LeaderPolicy) -> LeaderPolicy:
     """
@@ -291,6 +296,18 @@ def policy_named(policy: str | LeaderPolicy) -> LeaderPolicy:
         and hasattr(policy, "title")
     ):
         return policy
+    names = ", ".join(map(repr, POLICIES))
+    if isinstance(policy, str):
+        near = get_close_matches(policy.lower(), POLICIES, n=1, cutoff=0.5)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"policy must be one of {names}, or a LeaderPolicy, got {policy!r}{hint}")
+    if isinstance(policy, type):
+        raise ValueError(
+            f"policy must be one of {names}, or a LeaderPolicy, got the class {policy.__name__}; make one with {policy.__name__}()"
+        )
+    missing = (
+        "attribute title, a str" if callable(getattr(policy, "leaders", None)) else f"method {SIGNATURE}"
+    )
     raise ValueError(
-        f"policy must be one of {', '.join(map(repr, POLICIES))}, or a LeaderPolicy, got {policy!r}"
+        f"policy must be one of {names}, or a LeaderPolicy, got {policy!r:.60}, which has no {missing}"
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from difflib import get_close_matches
+from difflib import SequenceMatcher
 
 __all__ = ["LOGISTIC", "MANUAL", "OPERATOR", "OPTIMAL", "SCHEMES", "STEP", "Scheme", "scheme_named"]
 
@@ -63,6 +63,13 @@ def scheme_named(name: str) -> Scheme:
     """
     if isinstance(name, str) and name in SCHEMES:
         return SCHEMES[name]
-    near = get_close_matches(str(name).upper(), SCHEMES, n=1, cutoff=0.3)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
+    likeness = {known: _likeness(str(name).upper(), known) for known in SCHEMES}
+    near = max(likeness, key=likeness.get)
+    hint = f"; did you mean {near!r}?" if likeness[near][0] >= 0.3 else ""
     raise ValueError(f"no scheme {name!r}: there are {', '.join(SCHEMES)}{hint}")
+
+
+def _likeness(name: str, known: str) -> tuple[float, int]:
+    """Return how alike two names are, and how many letters they share in any order, which decides between equals."""
+    shared = sum(min(name.count(letter), known.count(letter)) for letter in set(name))
+    return SequenceMatcher(None, name, known).ratio(), shared

@@ -10,9 +10,10 @@ from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.models.checks import finite_array, finite_number, of_class, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
+from trustlab.operators.teleoperator import Teleoperator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.testbeds.course import Course
-from trustlab.testbeds.driving import COLUMNS, OWN, PERFORMANCE, SCHEDULE, TSC, Task, drive
+from trustlab.testbeds.driving import COLUMNS, OWN, PERFORMANCE, SCHEDULE, SETTLING, TSC, Task, drive
 from trustlab.testbeds.ground_robot_run import GroundRobotRun
 from trustlab.testbeds.participants import (
     participant_label,
@@ -105,6 +106,10 @@ def run_condition(
     -----
     Simulated: no person took part, and the robot's and the hand's parameters are calibrated, not measured.
 
+    In C1 an operator whose threshold is passed within the first 100 s switches at their end, one reaction later, whatever
+    TSC is by then: this first switch says nothing about the threshold. The metadata hold these 100 s as `settling`, and
+    `estimate_thresholds` leaves such switches out with after=110.0. All switches come a reaction late, see there.
+
     Examples
     --------
     >>> run = run_condition("C3", participant=2, laps=1, seed=1)
@@ -119,13 +124,16 @@ def run_condition(
     laps = whole_number("laps", laps, most=MOST_LAPS)
     if thresholds is not None and scheme != TSC:
         decides = (
-            "the operator's own thresholds, Operator(lower=, upper=)," if scheme == OWN else "Algorithm 2"
+            "the operator's own thresholds, Operator(lower=, upper=), decide"
+            if scheme == OWN
+            else "Algorithm 2 decides"
         )
-        raise ValueError(f"thresholds have no effect in {condition}, where {decides} decide; leave them out")
+        raise ValueError(f"thresholds have no effect in {condition}, where {decides}; leave them out")
     if scheme == TSC:
         if thresholds is None and printed is None:
             raise ValueError(
-                f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator, for example those of Table 2.2"
+                f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and .upper of "
+                "trustlab.choose_thresholds(model), or those of Table 2.2"
             )
         thresholds = check_thresholds(
             model, *_pair(printed if thresholds is None else thresholds), threshold_limits(model, 0.0)
@@ -139,7 +147,7 @@ def run_condition(
             f"only {lap_times.size} of {laps} laps were done in {most * SAMPLE_TIME:.0f} s (an average of "
             f"{SLOWEST} m/s would do): this robot or operator does not keep to the course; check their parameters"
         )
-    facts = {"laps": laps} | ({"TSC_l": lower, "TSC_u": upper} if scheme == TSC else {})
+    facts = {"laps": laps, "settling": SETTLING} | ({"TSC_l": lower, "TSC_u": upper} if scheme == TSC else {})
     session = _session(data, operator, condition, seed, **facts)
     return GroundRobotRun(session, course, operator, robot, model, thresholds, lap_times)
 
@@ -262,6 +270,11 @@ def _who(participant, operator, model) -> tuple[Operator, TscModel, tuple[float,
     someone = operator if participant is None else participant
     if someone is None:
         raise ValueError("who drives? give participant=, 1 to 5 or 'pilot', or an Operator with model=")
+    if isinstance(someone, Teleoperator):
+        raise ValueError(
+            "operator must be of class Operator, got Teleoperator, who flies a UAV (simulate_teleoperation); for the ground robot "
+            + MAKE_OPERATOR
+        )
     if operator is not None or isinstance(someone, Operator):
         of_class("operator", someone, Operator, MAKE_OPERATOR)
         return someone, of_class("model", model, TscModel), None

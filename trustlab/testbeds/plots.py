@@ -112,10 +112,8 @@ def plot_run(run, bounds: dict[str, tuple[float, float]] | None = None):
         bounds.setdefault("tsc", run.thresholds)
     figure, axes = plt.subplots(len(PANELS), 1, sharex=True, figsize=(8.0, 7.6), layout="constrained")
     for panel, (name, label) in zip(axes, PANELS.items(), strict=True):
-        # The first ten seconds of a moving mean are of few samples: drawn, but not allowed to set the scale.
-        settled = session[name][min(100, len(session) // 2) :]
         panel.plot(session.t, session[name], lw=1.2, color="#0072b2")
-        values = np.r_[settled, bounds.get(name, ())]
+        values = np.r_[session[name], bounds.get(name, ())]
         margin = 0.08 * max(float(np.ptp(values)), 1e-6)
         panel.set_ylim(values.min() - margin, values.max() + margin)
         for bound in bounds.get(name, ()):

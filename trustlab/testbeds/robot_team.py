@@ -70,7 +70,10 @@ def simulate_team(
     graph : networkx.Graph or array_like, shape (N, N)
         Who sees whom: undirected, connected, without self-loops.
     policy : {"most_trusted", "hysteresis", "sequence", "random"} or LeaderPolicy
-        Who leads; decided every 0.1 s, or every sample where samples are longer.
+        Who leads; decided every 0.1 s, or every sample where samples are longer. One of your own is any object with a
+        `title` and a method `leaders(trust, robots, step, dwell, rng)`, called once: `trust` is (4.1) in every robot at
+        every decision, shape (M, N); `robots` their N names; `step` the time between decisions [s]; `dwell` τ_min [s];
+        `rng` a numpy.random.Generator. It returns M whole numbers from 0 to N − 1, each kept for τ_min at least.
     goal : array_like, shape (3,)
         r_q [m], known to the operator alone.
     seed : int or numpy.random.SeedSequence

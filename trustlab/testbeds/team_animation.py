@@ -79,6 +79,19 @@ draw();pause(quiet||!!place);
 """
 
 
+class AnimationPage(str):
+    """An animation as one HTML page: text to write to a file, shown in a frame by a notebook."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str:
+        framed = html.escape(self, quote=True)
+        return f'<iframe srcdoc="{framed}" width="100%" height="900" style="border:0"></iframe>'
+
+    def __repr__(self) -> str:
+        return f"AnimationPage({len(self)} characters of HTML; write it with run.animate(path))"
+
+
 def animation_page(run, rate: float = 5.0) -> str:
     """
     Return an animation of a run as one HTML page.

@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from trustlab.sessions.session import Metadata, Session
+
+if TYPE_CHECKING:
+    from trustlab.testbeds.team_animation import AnimationPage
 
 __all__ = ["ENERGIES", "TeamRun"]
 
@@ -161,6 +165,12 @@ class TeamRun:
         }
         return pd.DataFrame([row])
 
+    def __repr__(self) -> str:
+        state = (
+            f"all at the goal after {self.time_to_goal:.1f} s" if self.converged else "not all at the goal"
+        )
+        return f"TeamRun({self.label}: {state}, {len(self.switches)} switches in {self.t[-1]:.0f} s)"
+
     def _repr_html_(self) -> str:
         return self.summary().T.set_axis([""], axis=1).to_html()
 
@@ -217,9 +227,9 @@ class TeamRun:
                 axis.axvline(at, color="0.85", lw=0.6, zorder=0)
         return axes
 
-    def animate(self, path: str | Path | None = None, rate: float = 5.0) -> str:
+    def animate(self, path: str | Path | None = None, rate: float = 5.0) -> Path | AnimationPage:
         """
-        Return an animation as one HTML page without anything from outside, and write it to a file if asked for.
+        Return an animation as one HTML page without anything from outside, or write it to a file.
 
         Robots and their links, the leader, the goal, and the force that the operator feels, seen from above and from the side.
 
@@ -232,15 +242,15 @@ class TeamRun:
 
         Returns
         -------
-        str
-            The page.
+        pathlib.Path or AnimationPage
+            The file, where one was named; else the page, text that a notebook shows.
 
         Raises
         ------
         ValueError
             If the rate is not positive, or the folder does not exist.
         """
-        from trustlab.testbeds.team_animation import animation_page
+        from trustlab.testbeds.team_animation import AnimationPage, animation_page
 
         page = animation_page(self, rate)
         if path is not None:
@@ -248,7 +258,8 @@ class TeamRun:
             if not target.parent.is_dir():
                 raise ValueError(f"there is no folder {target.parent} to write the animation to")
             target.write_text(page, encoding="utf-8")
-        return page
+            return target
+        return AnimationPage(page)
 
     def picture(self, until: float | None = None, lasting: float = 20.0) -> str:
         """

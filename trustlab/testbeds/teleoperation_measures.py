@@ -27,6 +27,7 @@ COLUMNS = (
     "energy_channel_min",
     "energy_robot_min",
     "guarded",
+    "port_share",
 )
 AXES = "xyz"
 
@@ -46,7 +47,8 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
         participant, scheme; tracking_error, worst_error (mean and greatest distance to the target [m]); p_r, p_h, alpha, beta
         (means); alpha_rate (mean |dα/dt| [1/s]); hand_force (mean ‖f_h‖ [N]); energy_operator, energy_dissipated (at the end
         [J]); energy_channel_min, energy_robot_min (least values [J]); guarded (share of samples in which the passivity
-        controller acted).
+        controller acted); port_share (mean share of the
+        port's velocity that the controller let pass, 1 where it rests).
 
     Raises
     ------
@@ -82,6 +84,7 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
             run["energy_channel"].min(),
             run["energy_robot"].min(),
             (run["port_share"] < 1.0).mean(),
+            run["port_share"].mean(),
         )
         rows.append(row)
     frame = pd.DataFrame(rows, columns=COLUMNS)
