@@ -23,6 +23,7 @@ from benchmarks import (  # noqa: E402
     imports,
     repeated_measures,
     report,
+    scaling,
     sessions,
     simulation,
     team,
@@ -42,6 +43,7 @@ CASES = (
     team,
     campaign,
     virtual_study,
+    scaling,
 )
 
 

@@ -34,6 +34,34 @@ def identification() -> None:
     plt.close(figure)
 
 
+CHAIN = (
+    ("logs", "CSV, Parquet,\nROS bags", "sessions"),
+    ("models", "trust models with\ntheir uncertainty", "identification"),
+    ("thresholds", "chosen, bounded,\ncorrected on line", "allocation"),
+    ("control", "passive under delay,\none robot or many", "teleoperation"),
+    ("virtual study", "simulated operators,\npower, sweeps", "testbeds, campaign"),
+    ("statistics", "figures, tables,\nsentences, audit", "studies, reproduction"),
+)
+
+
+def chain() -> None:
+    """Draw the whole chain, from logs to a paper's statistics."""
+    figure, axis = plt.subplots(figsize=(11, 1.9), layout="constrained")
+    for i, (title, what, rooms) in enumerate(CHAIN):
+        box = {"boxstyle": "round,pad=0.5", "facecolor": "white", "edgecolor": "C0"}
+        axis.text(i, 0.62, title, ha="center", va="center", weight="bold", bbox=box)
+        axis.text(i, 0.30, what, ha="center", va="center", fontsize="small")
+        axis.text(i, 0.04, rooms, ha="center", va="center", fontsize="small", style="italic", color="0.4")
+        if i:
+            arrow = {"arrowstyle": "->", "color": "0.4"}
+            axis.annotate("", (i - 0.36, 0.62), (i - 0.64, 0.62), arrowprops=arrow)
+    axis.set(xlim=(-0.5, len(CHAIN) - 0.5), ylim=(-0.05, 0.85))
+    axis.set_axis_off()
+    figure.savefig(HERE / "chain.png", dpi=110)
+    plt.close(figure)
+
+
 if __name__ == "__main__":
     use_house_style()
     identification()
+    chain()
