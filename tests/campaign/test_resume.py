@@ -331,3 +331,26 @@ def test_memory_does_not_grow_with_the_number_of_runs(tmp_path, monkeypatch):
     peak(300)
     small, large = peak(500), peak(4_000)
     assert large < small + 4e6  # the results alone are 16 MB
+
+
+class Sealed:
+    """A value that cannot be pickled and has no attributes to be known by."""
+
+    __slots__ = ("x",)
+
+    def __init__(self, x):
+        self.x = x
+
+    def __reduce__(self):
+        raise TypeError("sealed")
+
+
+def test_a_value_without_digest_never_gives_a_result_that_could_be_taken_for_another(tmp_path):
+    def unsealed(value, seed):
+        return {"y": value.x}
+
+    for x in (1, 2):
+        with pytest.warns(tl.campaign.CampaignWarning, match="sealed"):
+            table = tl.run_campaign(unsealed, [{"value": Sealed(x)}], n_jobs=1, out=tmp_path / "out")
+        assert table["failed"].all()
+        assert "y" not in table

@@ -367,7 +367,7 @@ def _column(symbol, name: str, value):
         raise ValueError(f"{name} must return a CasADi expression or a number, got {value!r}")
     try:
         return ca.vec(symbol(value))
-    except (NotImplementedError, TypeError, RuntimeError):
+    except (NotImplementedError, TypeError, RuntimeError):  # what CasADi raises for a value it cannot convert
         raise ValueError(
             f"{name} must return a CasADi expression or a number, got {type(value).__name__}"
         ) from None

@@ -140,6 +140,9 @@ def value_text(value: object) -> str:
     """
     Return a text that is the same for equal values: the value where it is plain, else its type and a digest.
 
+    A value that cannot be pickled is known by its attributes; where it has none, by its type alone, so that a change of it
+    is not seen. As a parameter such a value lets its run fail on record, so that no result is taken for another's.
+
     Parameters
     ----------
     value : object
@@ -165,13 +168,13 @@ def value_text(value: object) -> str:
         return f"{_name(value)} {digest}"
     try:
         digest = _joblib_hash()(value)
-    except Exception:  # it cannot be pickled
+    except Exception:  # pickling runs the value's own code, which may raise anything
         digest = (
             value_text(vars(value)) if getattr(value, "__dict__", None) else "of which no digest can be taken"
         )
     try:
         shown = repr(value)
-    except Exception:
+    except Exception:  # so may its repr
         shown = ""
     plain = shown and len(shown) <= 80 and " at 0x" not in shown and "\n" not in shown
     return f"{shown if plain else type(value).__qualname__} {digest}"

@@ -290,7 +290,7 @@ def _plain(name: str, value: object) -> bool | int | float | str | None:
 def _line(error: BaseException) -> str:
     try:
         text = str(error)
-    except Exception:
+    except Exception:  # the message is made by the task's own code, which may raise anything
         text = "(its message cannot be shown)"
     return _utf8(f"{type(error).__name__}: {text}" if text else type(error).__name__)
 
