@@ -45,6 +45,12 @@ def test_no_decimal_literals_in_prose(path):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_code_cells_are_short(path):
+    cells = ["".join(cell["source"]) for cell in load(path) if cell["cell_type"] == "code"]
+    assert [source for source in cells if len(source.splitlines()) > 25] == []
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_begins_with_a_title_and_a_sentence(path):
     first = "".join(load(path)[0]["source"])
     assert re.match(r"# .+\n\n\w.+", first)

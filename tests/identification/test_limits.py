@@ -130,7 +130,7 @@ def test_sessions_that_do_not_fit_together(operators, make_session, switching):
         tl.fit_robot([one, other])
     with pytest.raises(IdentificationError, match="no session"):
         tl.fit_robot([])
-    with pytest.raises(ValueError, match="takes sessions, got DataFrame; read one with"):
+    with pytest.raises(ValueError, match="must be of class Session, got DataFrame; read one with"):
         tl.fit_robot([one.data])
     run = SimpleNamespace(session=one)
     for given in (run, [run]):

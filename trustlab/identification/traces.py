@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trustlab.identification.errors import IdentificationError
-from trustlab.models.checks import own_session
+from trustlab.models.checks import of_class
 from trustlab.sessions.session import Session
 
 __all__ = ["Trace", "blocks", "traces"]
@@ -73,17 +73,18 @@ def traces(sessions: Session | Iterable[Session], *needed: str) -> tuple[list[Tr
         or isinstance(sessions, (str, bytes, Mapping))
         or hasattr(sessions, "columns")
     ):
-        remedy = own_session(sessions) or (
-            'read a file with trustlab.read_session(path), or make a table one: trustlab.Session(frame.set_index("t"))'
+        of_class(
+            "sessions",
+            sessions,
+            Session,
+            "pass a session or a list of them; read a file with trustlab.read_session(path), or make one of a table: "
+            'trustlab.Session(frame.set_index("t"))',
         )
-        raise ValueError(f"a fit takes a session or a list of them, got {type(sessions).__name__}; {remedy}")
     runs = list(sessions)
     if not runs:
         raise IdentificationError("no session was given; pass one or a list of them")
     for run in runs:
-        if not isinstance(run, Session):
-            remedy = own_session(run) or "read one with trustlab.read_session(path)"
-            raise ValueError(f"a fit takes sessions, got {type(run).__name__}; {remedy}")
+        of_class("each session", run, Session, "read one with trustlab.read_session(path)")
         run.require("mode", *needed)
         if abs(run.sample_time - runs[0].sample_time) > 1e-6 * runs[0].sample_time:
             raise IdentificationError(

@@ -1,72 +1,100 @@
-"""Checks on arguments that all models share: each names the argument, what was found and what is allowed."""
+"""
+Checks on arguments that all rooms share: each names the argument, what was found, and what is allowed.
+
+Every check returns the value in the type that the caller works with, and raises `ValueError` otherwise.
+"""
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Iterable
 from numbers import Integral, Real
 
 import numpy as np
 
 __all__ = [
+    "between",
+    "did_you_mean",
     "finite_array",
     "finite_number",
     "mode_array",
+    "not_negative",
     "of_class",
+    "one_of",
     "open_unit",
-    "own_session",
+    "positive",
+    "shown",
+    "spawned",
     "whole_number",
 ]
 
 
+def shown(value: object) -> str:
+    """Return the text of a value for an error message, shortened to 60 characters."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to print integers of more than 4,300 digits
+        text = "a number of very many digits"
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def did_you_mean(name: object, known: Iterable[object]) -> str:
+    """Return "; did you mean …?" for a misspelt name, or nothing when no known name is close."""
+    known = {str(word).lower(): str(word) for word in known}
+    close = difflib.get_close_matches(str(name)[:100].lower(), known, n=1, cutoff=0.6)
+    return f"; did you mean {known[close[0]]!r}?" if close else ""
+
+
 def finite_number(name: str, value: float) -> float:
-    """
-    Return `value` as a float.
-
-    Parameters
-    ----------
-    name : str
-        The argument's name, for the error.
-    value : float
-        The value given.
-
-    Raises
-    ------
-    ValueError
-        If `value` is not one finite real number.
-    """
+    """Return one finite real number as a float; text, booleans and arrays are refused."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, bool | np.bool_ | str | bytes | np.ndarray) or not hasattr(value, "__float__"):
-        raise ValueError(f"{name} must be a number, got {_shown(value)}")
+        raise ValueError(f"{name} must be a number, got {shown(value)}")
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError, RuntimeError):
-        raise ValueError(f"{name} must be a number, got {_shown(value)}") from None
+        raise ValueError(f"{name} must be a number, got {shown(value)}") from None
     if not math.isfinite(number):
         raise ValueError(f"{name} must be finite, got {number}")
     return number
 
 
+def positive(name: str, value: float) -> float:
+    """Return a number above 0 as a float."""
+    number = finite_number(name, value)
+    if not number > 0.0:
+        raise ValueError(f"{name} must be positive, got {number}")
+    return number
+
+
+def not_negative(name: str, value: float) -> float:
+    """Return a number of 0 or more as a float."""
+    number = finite_number(name, value)
+    if number < 0.0:
+        raise ValueError(f"{name} must not be negative, got {number}")
+    return number
+
+
+def between(name: str, value: float, low: float, high: float) -> float:
+    """Return a number in the closed interval [low, high] as a float."""
+    number = finite_number(name, value)
+    if not low <= number <= high:
+        raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {number}")
+    return number
+
+
+def open_unit(name: str, value: float) -> float:
+    """Return a number strictly between 0 and 1 as a float."""
+    number = finite_number(name, value)
+    if not 0.0 < number < 1.0:
+        raise ValueError(f"{name} must lie strictly between 0 and 1, got {number}")
+    return number
+
+
 def whole_number(name: str, value: int, least: int = 1, most: int | None = None) -> int:
-    """
-    Return `value` as an int that is at least `least`.
-
-    Parameters
-    ----------
-    name : str
-        The argument's name, for the error.
-    value : int
-        The value given; a float counts only where it is whole and less than 2⁵³.
-    least : int
-        The smallest value allowed.
-    most : int, optional
-        The greatest value allowed, if there is one.
-
-    Raises
-    ------
-    ValueError
-        If `value` is not one whole number within these limits.
-    """
+    """Return a whole number from `least` to `most` as an int; a float counts where it is whole and below 2⁵³."""
     allowed = f"{least} or more" if most is None else f"from {least} to {most}"
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
@@ -75,104 +103,51 @@ def whole_number(name: str, value: int, least: int = 1, most: int | None = None)
         or (isinstance(value, Real) and math.isfinite(value) and abs(value) < 2.0**53 and value == int(value))
     )
     if not whole:
-        raise ValueError(f"{name} must be a whole number, {allowed}, got {_shown(value)}")
+        raise ValueError(f"{name} must be a whole number, {allowed}, got {shown(value)}")
     number = int(value)
     if number < least or (most is not None and number > most):
-        raise ValueError(f"{name} must be a whole number, {allowed}, got {_shown(number)}")
+        raise ValueError(f"{name} must be a whole number, {allowed}, got {shown(number)}")
     return number
+
+
+def one_of(name: str, value: str, allowed: Iterable[str], also: str = "") -> str:
+    """Return a word that is among those allowed; `also` says what else an argument may be, for the error only."""
+    allowed = list(allowed)
+    if isinstance(value, str) and value in allowed:
+        return value
+    words = ", ".join(map(repr, allowed)) + (f", or {also}" if also else "")
+    hint = did_you_mean(value, allowed) if isinstance(value, str) else ""
+    raise ValueError(f"{name} must be one of {words}, got {shown(value)}{hint}")
 
 
 def of_class(name: str, value: object, kind: type, remedy: str = "") -> object:
     """
-    Return `value` if it is of a class.
+    Return a value that is an instance of `kind`.
 
-    Parameters
-    ----------
-    name : str
-        The argument's name, for the error.
-    value : object
-        The value given.
-    kind : type
-        The class wanted.
-    remedy : str
-        How to come by one, added to the error; for a `TscModel` it is there already.
-
-    Raises
-    ------
-    ValueError
-        If `value` is of another class.
+    The error says how to obtain one: `remedy`, or the class's own attribute `how_to_get`; and where the value carries
+    what is wanted as `.session`, it says so.
     """
     if isinstance(value, kind):
         return value
-    if kind.__name__ == "TscModel" and not remedy:
-        remedy = "fit one with trustlab.fit_tsc(session) or build it with trustlab.TscModel(robot, human)"
-    if kind.__name__ == "Session":
-        remedy = own_session(value) or remedy
+    remedy = remedy or getattr(kind, "how_to_get", "")
+    if isinstance(getattr(value, "session", None), kind):
+        remedy = "pass its .session"
     hint = f"; {remedy}" if remedy else ""
     raise ValueError(f"{name} must be of class {kind.__name__}, got {type(value).__name__}{hint}")
 
 
-def own_session(value: object) -> str:
-    """
-    Return "pass its .session" for a run that carries its session, else nothing.
-
-    Parameters
-    ----------
-    value : object
-        What was given where a session is wanted.
-    """
-    return "pass its .session" if type(getattr(value, "session", None)).__name__ == "Session" else ""
-
-
-def _shown(value: object) -> str:
-    """Return how a value reads in an error, cut short where it is long."""
-    try:
-        text = repr(value)
-    except ValueError:
-        text = "a number of very many digits"
-    return text if len(text) <= 60 else f"{text[:57]}…"
-
-
-def open_unit(name: str, value: float) -> float:
-    """
-    Return `value` as a float that lies strictly between 0 and 1.
-
-    Parameters
-    ----------
-    name : str
-        The argument's name, for the error.
-    value : float
-        The value given.
-
-    Raises
-    ------
-    ValueError
-        If `value` is not a number in (0, 1).
-    """
-    number = finite_number(name, value)
-    if not 0.0 < number < 1.0:
-        raise ValueError(f"{name} must lie strictly between 0 and 1, got {number}")
-    return number
+def spawned(seed: int | np.random.SeedSequence, count: int) -> list[np.random.SeedSequence]:
+    """Return `count` independent children of a seed, the same at every call; a SeedSequence given is not changed."""
+    if isinstance(seed, np.random.SeedSequence):
+        # Spawning advances a SeedSequence, so that the second call would give other children: spawn from a copy.
+        own = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
+    else:
+        own = np.random.SeedSequence(whole_number("seed", seed, least=0))
+    return own.spawn(count)
 
 
 def finite_array(name: str, values: np.ndarray, *, length: int | None = None) -> np.ndarray:
-    """
-    Return `values` as a one-dimensional float array without gaps.
-
-    Parameters
-    ----------
-    name : str
-        The argument's name, for the error.
-    values : array_like, shape (N,)
-        The samples.
-    length : int, optional
-        The number of samples wanted.
-
-    Raises
-    ------
-    ValueError
-        If `values` is not one-dimensional, is empty, has another length or holds NaN or infinity.
-    """
+    """Return a one-dimensional float array without gaps, of `length` samples where that is given."""
     try:
         given = np.asarray(values)
         if given.dtype.kind not in "biufO" or any(isinstance(x, str | bytes) for x in _objects(given)):
@@ -192,24 +167,12 @@ def finite_array(name: str, values: np.ndarray, *, length: int | None = None) ->
 
 
 def _objects(array: np.ndarray) -> list:
-    """Return what an array of objects holds; nothing for an array of numbers."""
+    """Return the items of an array of objects; nothing for an array of numbers."""
     return array.ravel().tolist() if array.dtype.kind == "O" else []
 
 
 def mode_array(mode: np.ndarray) -> np.ndarray:
-    """
-    Return `mode` as a float array of manual shares.
-
-    Parameters
-    ----------
-    mode : array_like, shape (N,)
-        1 manual, 0 autonomous, or a manual share between them, for every sample.
-
-    Raises
-    ------
-    ValueError
-        If a sample is not a number in [0, 1].
-    """
+    """Return a float array of manual shares in [0, 1]: 1 manual, 0 autonomous, or a share between them."""
     array = finite_array("mode", mode)
     outside = (array < 0.0) | (array > 1.0)
     if outside.any():

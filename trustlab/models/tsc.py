@@ -45,6 +45,8 @@ class TscModel:
     robot: RobotModel
     human: HumanModel
 
+    how_to_get = "fit one with trustlab.fit_tsc(session) or build it with trustlab.TscModel(robot, human)"
+
     def __post_init__(self):
         if not isinstance(self.robot, RobotModel) or not isinstance(self.human, HumanModel):
             raise ValueError(
