@@ -35,13 +35,22 @@ def test_performance_is_greatest_at_beta_and_least_at_the_ends(beta):
     assert (np.diff(curve)[rising] > 0).all()
 
 
-def test_simulation_reads_the_curve_off_at_every_sample():
+def test_simulation_evaluates_the_curve_at_every_sample():
     human = tl.HumanModel(0.9991, 0.74, 0.391, 0.4602)
     r, p_h = human.simulate(np.repeat([1.0, 0.3, 0.0], 500), 0.1)
     np.testing.assert_array_equal(p_h, human.performance(r))
     assert human.performance(np.zeros((2, 3))).shape == (2, 3)
     assert human.b == pytest.approx(0.0009)
-    assert human.tau == pytest.approx(1 / 0.0009)
+    assert human.b == pytest.approx(1.0 - human.a)
+
+
+def test_time_constants_of_both_models_share_one_definition():
+    human, robot = tl.HumanModel(0.9991, 0.74, 0.391, 0.4602), tl.RobotModel(0.9991, 0.24, 0.39, 0.4602)
+    decay = human.simulate(np.zeros(2000), 1.0)[0]
+    assert np.interp(human.time_constant, np.arange(2000), decay) == pytest.approx(np.exp(-1.0), rel=1e-6)
+    assert robot.time_constant == human.time_constant
+    with pytest.warns(DeprecationWarning, match=r"tau is now HumanModel\.time_constant .* 1/b"):
+        assert human.tau == pytest.approx(1 / 0.0009)
 
 
 @pytest.mark.parametrize(

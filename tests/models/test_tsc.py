@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import trustlab as tl
+from trustlab.models.tsc import advance, human_at, human_range, threshold_mode, tsc_at
 
 
 @st.composite
@@ -49,5 +50,49 @@ def test_refuses():
         tl.TscModel(human, robot)
     with pytest.raises(ValueError, match="a_T and b_T"):
         tl.TscModel(tl.RobotModel(0.99, -0.4, 0.2, 0.5), human)
-    with pytest.raises(ValueError, match="cannot be negative"):
+    with pytest.raises(ValueError, match="delta_p_r must not be negative"):
         tl.TscModel(robot, human).delta(-0.1, 0.0)
+
+
+def test_compiled_equations_are_those_of_the_models(operators, switching):
+    model = operators["pilot"]
+    c, run = model.constants(), model.simulate(switching, r0=0.2, p_r0=0.25)
+    assert c._asdict() == {
+        "a_r": model.human.a,
+        "beta": model.human.beta,
+        "p_h_min": model.human.p_min,
+        "p_h_max": model.human.p_max,
+        "a_pr": model.robot.a,
+        "b_pr": model.robot.b,
+        "p_r_min": model.robot.p_min,
+        "p_r_max": model.robot.p_max,
+        "a_T": model.a_T,
+        "b_T": model.b_T,
+    }
+    r, p_r = 0.2, 0.25
+    for row in run.head(500).itertuples():
+        assert (r, p_r) == (row.r, row.p_r)
+        p_h = human_at(r, c)
+        assert p_h == row.p_h
+        assert tsc_at(p_r, p_h, c) == row.tsc
+        r, p_r = advance(r, p_r, p_h, row.mode, c)
+
+
+@given(models(), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_the_range_of_human_performance_is_that_of_a_fine_grid(model, one, other):
+    low, high = sorted((one, other))
+    values = model.human.performance(np.linspace(low, high, 400))
+    least, greatest = human_range(low, high, model.constants())
+    assert least == pytest.approx(values.min(), abs=1e-12)
+    assert values.max() - 1e-12 <= greatest <= values.max() + 0.005
+
+
+def test_the_rule_switches_at_the_thresholds_and_holds_between_them():
+    assert [threshold_mode(tsc, 0.1, 0.4, mode) for tsc in (0.1, 0.25, 0.4) for mode in (0, 1)] == [
+        1,
+        1,
+        0,
+        1,
+        0,
+        0,
+    ]

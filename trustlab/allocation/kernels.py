@@ -4,22 +4,14 @@ from __future__ import annotations
 
 import numba
 
+from trustlab.models.tsc import threshold_mode
+
 __all__ = ["PERFORMANCE_TOLERANCE", "performance_suggestion", "threshold_mode"]
 
 PERFORMANCE_TOLERANCE = 0.05
 """How far below P_max, as a share of P_max − P_min, performance counts as P_max in Algorithm 2. As printed it is 0,
 which measured performance, a real number, would never meet; 0.05 halves the gap to 0.9, where the manual mode is
 suggested."""
-
-
-@numba.njit(cache=True)
-def threshold_mode(tsc, lower, upper, mode):
-    """Return the mode that (2.8) asks for: 0 when TSC ≥ upper, 1 when TSC ≤ lower, else `mode` as it was."""
-    if tsc >= upper:
-        return 0
-    if tsc <= lower:
-        return 1
-    return mode
 
 
 @numba.njit(cache=True)

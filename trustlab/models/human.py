@@ -7,9 +7,18 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from trustlab.models.checks import finite_number, mode_array, open_unit
+from trustlab.models.checks import between, finite_number, mode_array, open_unit
+from trustlab.models.deprecation import warn_renamed
 
-__all__ = ["HumanModel"]
+__all__ = [
+    "HumanModel",
+    "human_performance",
+    "next_utilization",
+    "performance_at",
+    "performance_curve",
+    "performance_range",
+    "yerkes_dodson",
+]
 
 
 @numba.njit(cache=True)
@@ -21,31 +30,51 @@ def yerkes_dodson(r, beta):
 
 
 @numba.njit(cache=True)
+def next_utilization(r, mode, a):
+    """Return utilization one sample later, (2.5)."""
+    return a * r + (1.0 - a) * mode
+
+
+@numba.njit(cache=True)
+def performance_at(r, beta, p_min, p_max):
+    """Return human performance at utilization r, (2.6)."""
+    return (p_max - p_min) * yerkes_dodson(r, beta) + p_min
+
+
+@numba.njit(cache=True)
+def performance_range(low, high, beta, p_min, p_max):
+    """Return the least and greatest P_h of (2.6) over utilizations in [low, high]."""
+    # (2.6) is concave with its maximum at β: the minimum is at an end, and so is the maximum unless β lies between.
+    at_low, at_high = performance_at(low, beta, p_min, p_max), performance_at(high, beta, p_min, p_max)
+    return min(at_low, at_high), p_max if low <= beta <= high else max(at_low, at_high)
+
+
+@numba.njit(cache=True)
 def human_performance(mode, a, beta, p_min, p_max, r0):
-    """Run (2.5) from `r0` and read (2.6) off at every sample."""
+    """Simulate (2.5) from `r0` and evaluate (2.6) at each sample."""
     r = np.empty(mode.size)
     p_h = np.empty(mode.size)
     now = r0
     for k in range(mode.size):
         r[k] = now
-        p_h[k] = (p_max - p_min) * yerkes_dodson(now, beta) + p_min
-        now = min(max(a * now + (1.0 - a) * mode[k], 0.0), 1.0)
+        p_h[k] = performance_at(now, beta, p_min, p_max)
+        now = min(max(next_utilization(now, mode[k], a), 0.0), 1.0)
     return r, p_h
 
 
 @numba.njit(cache=True)
 def performance_curve(r, beta, p_min, p_max):
-    """Read (2.6) off at each utilization of `r`."""
+    """Evaluate (2.6) at each utilization in `r`."""
     p_h = np.empty(r.size)
     for k in range(r.size):
-        p_h[k] = (p_max - p_min) * yerkes_dodson(r[k], beta) + p_min
+        p_h[k] = performance_at(r[k], beta, p_min, p_max)
     return p_h
 
 
 @dataclass(frozen=True)
 class HumanModel:
     """
-    How busy the operator is, and how well they perform for it (Yerkes–Dodson).
+    The operator's utilization, and their performance at a given utilization (Yerkes–Dodson).
 
     r(k+1) = a r(k) + (1 − a) M(k), equation (2.5), and
     P_h(k) = (P_max − P_min)(r/β)^β ((1 − r)/(1 − β))^(1 − β) + P_min, equation (2.6).
@@ -53,7 +82,7 @@ class HumanModel:
     Parameters
     ----------
     a : float
-        a_r = 1 − 1/τ, the share of utilization kept over one sample, in (0, 1). b_r is 1 − a.
+        a_r = 1 − 1/τ, the share of utilization that remains after one sample, in (0, 1). b_r is 1 − a.
     beta : float
         β, the utilization at which the operator performs best, in (0, 1); smaller for a harder task.
     p_min, p_max : float
@@ -85,8 +114,7 @@ class HumanModel:
         p_min, p_max = finite_number("p_min", self.p_min), finite_number("p_max", self.p_max)
         if not p_min < p_max:
             raise ValueError(f"p_min must be below p_max, got p_min = {p_min} and p_max = {p_max}")
-        for name, value in zip(("a", "beta", "p_min", "p_max"), (a, beta, p_min, p_max), strict=True):
-            object.__setattr__(self, name, value)
+        self.__dict__.update(a=a, beta=beta, p_min=p_min, p_max=p_max)
 
     @property
     def b(self) -> float:
@@ -95,8 +123,14 @@ class HumanModel:
 
     @property
     def tau(self) -> float:
-        """τ = 1/(1 − a_r), the time constant of utilization, in samples (2.5)."""
+        """τ = 1/b_r of (2.5): an old name, see `time_constant`."""
+        warn_renamed("HumanModel.tau", "HumanModel.time_constant (−1/ln a; τ of (2.5) itself is 1/b)")
         return 1.0 / (1.0 - self.a)
+
+    @property
+    def time_constant(self) -> float:
+        """−1/ln a, in samples: after this many, 1/e of a deviation is left; τ of (2.5), 1/b, is half a sample more."""
+        return -1.0 / np.log(self.a)
 
     def performance(self, r: float | np.ndarray) -> float | np.ndarray:
         """
@@ -147,7 +181,5 @@ class HumanModel:
         ValueError
             If a mode or `r0` lies outside [0, 1].
         """
-        start = finite_number("r0", r0)
-        if not 0.0 <= start <= 1.0:
-            raise ValueError(f"r0 must lie in [0, 1], got {start}")
+        start = between("r0", r0, 0.0, 1.0)
         return human_performance(mode_array(mode), self.a, self.beta, self.p_min, self.p_max, start)

@@ -7,18 +7,24 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, mode_array, open_unit
+from trustlab.models.checks import finite_array, finite_number, mode_array, open_unit, positive
 
-__all__ = ["RobotModel"]
+__all__ = ["RobotModel", "next_performance", "robot_performance"]
+
+
+@numba.njit(cache=True)
+def next_performance(p_r, p_h, mode, a, b, p_min):
+    """Return robot performance one sample later, (2.3)."""
+    return a * p_r + (1.0 - a) * p_min + mode * b * p_h
 
 
 @numba.njit(cache=True)
 def robot_performance(mode, p_h, a, b, p_min, p_r0):
-    """Run (2.3) from `p_r0`; the last sample of `mode` and `p_h` has no effect on what is returned."""
+    """Simulate (2.3) from `p_r0`; the last sample of `mode` and `p_h` does not affect the result."""
     p_r = np.empty(mode.size)
     p_r[0] = p_r0
     for k in range(mode.size - 1):
-        p_r[k + 1] = a * p_r[k] + (1.0 - a) * p_min + mode[k] * b * p_h[k]
+        p_r[k + 1] = next_performance(p_r[k], p_h[k], mode[k], a, b, p_min)
     return p_r
 
 
@@ -69,32 +75,25 @@ class RobotModel:
         p_min, p_max = finite_number("p_min", self.p_min), finite_number("p_max", self.p_max)
         if not p_min < p_max:
             raise ValueError(f"p_min must be below p_max, got p_min = {p_min} and p_max = {p_max}")
-        p_h_max = finite_number("p_h_max", self.p_h_max)
-        if not p_h_max > 0.0:
-            raise ValueError(f"p_h_max must be positive, got {p_h_max}")
-        b = (1.0 - a) * (p_max - p_min) / p_h_max if self.b is None else finite_number("b", self.b)
-        if not b > 0.0:
-            raise ValueError(f"b must be positive, got {b}")
-        for name, value in zip(
-            ("a", "p_min", "p_max", "p_h_max", "b"), (a, p_min, p_max, p_h_max, b), strict=True
-        ):
-            object.__setattr__(self, name, value)
+        p_h_max = positive("p_h_max", self.p_h_max)
+        b = positive("b", (1.0 - a) * (p_max - p_min) / p_h_max if self.b is None else self.b)
+        self.__dict__.update(a=a, p_min=p_min, p_max=p_max, p_h_max=p_h_max, b=b)
 
     @property
     def time_constant(self) -> float:
-        """−1/ln a, the time constant of the decay, in samples."""
+        """−1/ln a, in samples: after this many, 1/e of a deviation is left."""
         return -1.0 / np.log(self.a)
 
     def steady_state(self, mode: float, p_h: float) -> float:
         """
-        Return the performance that (2.3) settles at, P_min + M b P_h/(1 − a).
+        Return the performance to which (2.3) converges, P_min + M b P_h/(1 − a).
 
         Parameters
         ----------
         mode : float
-            Manual share M, held for ever, in [0, 1].
+            Constant manual share M, in [0, 1].
         p_h : float
-            Human performance P_h, held for ever.
+            Constant human performance P_h.
         """
         share = mode_array(np.array([mode]))[0]
         return self.p_min + share * self.b * finite_number("p_h", p_h) / (1.0 - self.a)

@@ -3,18 +3,79 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+import numba
 import numpy as np
 
-from trustlab.models.checks import finite_number
-from trustlab.models.human import HumanModel
-from trustlab.models.robot import RobotModel
+from trustlab.models.checks import not_negative
+from trustlab.models.human import HumanModel, next_utilization, performance_at, performance_range
+from trustlab.models.robot import RobotModel, next_performance
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["TscModel"]
+__all__ = [
+    "TscConstants",
+    "TscModel",
+    "advance",
+    "human_at",
+    "human_range",
+    "threshold_mode",
+    "tsc_at",
+]
+
+
+class TscConstants(NamedTuple):
+    """The constants of a `TscModel` by the names they have in (2.1)-(2.6), for compiled code."""
+
+    a_r: float
+    beta: float
+    p_h_min: float
+    p_h_max: float
+    a_pr: float
+    b_pr: float
+    p_r_min: float
+    p_r_max: float
+    a_T: float  # noqa: N815
+    b_T: float  # noqa: N815
+
+
+@numba.njit(cache=True)
+def human_at(r, c):
+    """Return P_h at utilization r, (2.6)."""
+    return performance_at(r, c.beta, c.p_h_min, c.p_h_max)
+
+
+@numba.njit(cache=True)
+def human_range(low, high, c):
+    """Return the least and greatest P_h over utilizations in [low, high], (2.6)."""
+    return performance_range(low, high, c.beta, c.p_h_min, c.p_h_max)
+
+
+@numba.njit(cache=True)
+def tsc_at(p_r, p_h, c):
+    """Return TSC, (2.1)."""
+    return c.a_T * p_r - c.b_T * p_h
+
+
+@numba.njit(cache=True)
+def advance(r, p_r, p_h, mode, c):
+    """Return r and P_r one sample later, (2.5) and (2.3); p_h is P_h at r."""
+    return (
+        next_utilization(r, mode, c.a_r),
+        next_performance(p_r, p_h, mode, c.a_pr, c.b_pr, c.p_r_min),
+    )
+
+
+@numba.njit(cache=True)
+def threshold_mode(tsc, lower, upper, mode):
+    """Return the mode of rule (2.8): 0 when TSC ≥ upper, 1 when TSC ≤ lower, else `mode` unchanged."""
+    if tsc >= upper:
+        return 0
+    if tsc <= lower:
+        return 1
+    return mode
 
 
 @dataclass(frozen=True)
@@ -74,6 +135,22 @@ class TscModel:
         """b_T = (P_r,max + P_r,min)/(P_r,max P_h,max − P_r,min P_h,min), equation (2.2)."""
         return (self.robot.p_max + self.robot.p_min) / self._denominator
 
+    def constants(self) -> TscConstants:
+        """Return the model's constants by name, as compiled code takes them."""
+        human, robot = self.human, self.robot
+        return TscConstants(
+            a_r=human.a,
+            beta=human.beta,
+            p_h_min=human.p_min,
+            p_h_max=human.p_max,
+            a_pr=robot.a,
+            b_pr=robot.b,
+            p_r_min=robot.p_min,
+            p_r_max=robot.p_max,
+            a_T=self.a_T,
+            b_T=self.b_T,
+        )
+
     def value(self, p_r: float | np.ndarray, p_h: float | np.ndarray) -> float | np.ndarray:
         """
         Return TSC = a_T P_r − b_T P_h, equation (2.1).
@@ -99,10 +176,9 @@ class TscModel:
         ValueError
             If a change is negative or not finite.
         """
-        delta_p_r, delta_p_h = finite_number("delta_p_r", delta_p_r), finite_number("delta_p_h", delta_p_h)
-        if delta_p_r < 0.0 or delta_p_h < 0.0:
-            raise ValueError(f"largest changes cannot be negative, got {delta_p_r} and {delta_p_h}")
-        return self.a_T * delta_p_r + self.b_T * delta_p_h
+        return self.a_T * not_negative("delta_p_r", delta_p_r) + self.b_T * not_negative(
+            "delta_p_h", delta_p_h
+        )
 
     def simulate(self, mode: np.ndarray, r0: float = 0.0, p_r0: float | None = None) -> pd.DataFrame:
         """
