@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from trustlab.models.checks import finite_array, finite_number, whole_number
-from trustlab.studies.sphericity import greenhouse_geisser, orthonormal_contrasts
+from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
 
 __all__ = ["Conditions", "checked_covariance", "conditions_from", "graded_covariance"]
 
@@ -293,7 +293,7 @@ def conditions_from(
     if data is not None:
         if mean is not None or covariance is not None:
             raise ValueError("give either data=, or mean= and covariance=, not both")
-        from trustlab.studies.validation import complete_scores, read_scores
+        from trustlab.studies.analysis.score_table import complete_scores, read_scores
 
         scores, _ = complete_scores(read_scores(data, dv, within, subject, order=order))
         n, k = scores.values.shape

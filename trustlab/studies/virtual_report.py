@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 
 from trustlab.sessions.errors import nearest
+from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.designs import LatinSquareDesign
 from trustlab.studies.populations import GroundRobotPopulation, TeleoperatorPopulation
-from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 
 __all__ = ["KEYS", "ORIGIN", "WORDS", "VirtualStudy"]
 

@@ -13,9 +13,14 @@ from statsmodels.stats.anova import AnovaRM
 from statsmodels.stats.multitest import multipletests
 
 import trustlab as tl
-from trustlab.studies import batch as engine
-from trustlab.studies.pairwise import bonferroni, holm
-from trustlab.studies.sphericity import greenhouse_geisser, mauchly, mauchly_p_value, orthonormal_contrasts
+from trustlab.studies.analysis import batch as engine
+from trustlab.studies.analysis.pairwise import bonferroni, holm
+from trustlab.studies.analysis.sphericity import (
+    greenhouse_geisser,
+    mauchly,
+    mauchly_p_value,
+    orthonormal_contrasts,
+)
 
 OMNIBUS = [
     "F",

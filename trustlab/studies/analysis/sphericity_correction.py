@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trustlab.studies.batch import RepeatedMeasuresBatch
+from trustlab.studies.analysis.batch import RepeatedMeasuresBatch
 
 __all__ = ["CORRECTIONS", "decide_correction", "why_no_mauchly"]
 

@@ -10,7 +10,7 @@ import pandas as pd
 
 from trustlab.models.checks import finite_array, finite_number
 from trustlab.sessions.errors import nearest
-from trustlab.studies.validation import read_scores
+from trustlab.studies.analysis.score_table import read_scores
 
 __all__ = ["OUTLIER_RULES", "Winsorized", "winsorize"]
 
@@ -186,7 +186,7 @@ def winsorize(
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.validation`), a rule is unknown or cannot apply to so few or so
+        If the table is refused (see `trustlab.studies.analysis.score_table`), a rule is unknown or cannot apply to so few or so
         many equal values, or a condition is unknown.
     """
     k = _check_rule(outside, k, to)

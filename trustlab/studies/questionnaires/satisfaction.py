@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from trustlab.studies.questionnaires import LikertScale, ScaleScores, score_likert
+from trustlab.studies.questionnaires.likert import LikertScale, ScaleScores, score_likert
 
 __all__ = ["SATISFACTION_ITEMS", "satisfaction_scale", "score_satisfaction"]
 

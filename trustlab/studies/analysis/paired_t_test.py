@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import open_unit
-from trustlab.studies.apa import apa_decimals, apa_number, apa_p
-from trustlab.studies.validation import ScoreTable, complete_scores, read_scores
+from trustlab.studies.analysis.apa import apa_decimals, apa_number, apa_p
+from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, read_scores
 
 __all__ = ["PairedTTest", "paired_t_test"]
 
@@ -222,7 +222,7 @@ def paired_t_test(
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.validation`), there are not exactly two conditions, or every
+        If the table is refused (see `trustlab.studies.analysis.score_table`), there are not exactly two conditions, or every
         subject has the same difference.
 
     References

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trustlab.studies.nasa_tlx import TLX_SCALES, score_nasa_tlx, tlx_weights
-from trustlab.studies.questionnaires import LikertScale, Subscale, score_likert
-from trustlab.studies.reliability import cronbach_alpha
-from trustlab.studies.satisfaction import satisfaction_scale, score_satisfaction
-from trustlab.studies.trust_checklist import TRUST_CHECKLIST, score_trust_checklist
+from trustlab.studies.questionnaires.likert import LikertScale, Subscale, score_likert
+from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES, score_nasa_tlx, tlx_weights
+from trustlab.studies.questionnaires.reliability import cronbach_alpha
+from trustlab.studies.questionnaires.satisfaction import satisfaction_scale, score_satisfaction
+from trustlab.studies.questionnaires.trust_checklist import TRUST_CHECKLIST, score_trust_checklist
 
-ALPHAS = json.loads((Path(__file__).parent / "reference" / "cronbach_alpha.json").read_text())["sets"]
+ALPHAS = json.loads((Path(__file__).parents[1] / "reference" / "cronbach_alpha.json").read_text())["sets"]
 WEIGHTS = {"mental": 5, "physical": 0, "temporal": 4, "performance": 3, "effort": 2, "frustration": 1}
 
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.studies.apa import apa_decimals, apa_number, apa_p
+from trustlab.studies.analysis.apa import apa_decimals, apa_number, apa_p
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,13 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.studies.pairwise import PairwiseBatch, paired_differences
-from trustlab.studies.sphericity import greenhouse_geisser, huynh_feldt, mauchly, orthonormal_contrasts
+from trustlab.studies.analysis.pairwise import PairwiseBatch, paired_differences
+from trustlab.studies.analysis.sphericity import (
+    greenhouse_geisser,
+    huynh_feldt,
+    mauchly,
+    orthonormal_contrasts,
+)
 
 __all__ = ["RepeatedMeasuresBatch", "repeated_measures_batch"]
 
@@ -40,7 +45,7 @@ class RepeatedMeasuresBatch:
     ss_effect, ss_subjects, ss_error : numpy.ndarray, shape (studies,)
         Sums of squares.
     mauchly_w, mauchly_chi2, mauchly_p, mauchly_p_first_order : numpy.ndarray, shape (studies,)
-        Mauchly's test (see `trustlab.studies.sphericity.mauchly`); NaN for k = 2, for n ≤ k − 1 and where the
+        Mauchly's test (see `trustlab.studies.analysis.sphericity.mauchly`); NaN for k = 2, for n ≤ k − 1 and where the
         contrasts' covariance is singular.
     mauchly_df : int
         k (k − 1)/2 − 1.

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import finite_number
-from trustlab.studies.item_responses import check_responses, name_cell, read_responses
-from trustlab.studies.reliability import cronbach_alpha
+from trustlab.studies.questionnaires.answers import check_responses, name_cell, read_responses
+from trustlab.studies.questionnaires.reliability import cronbach_alpha
 
 __all__ = ["MISSING_RULES", "LikertScale", "ScaleScores", "Subscale", "missing_answers", "score_likert"]
 

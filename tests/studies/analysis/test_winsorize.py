@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from trustlab.studies.winsorize import OUTLIER_RULES, winsorize
+from trustlab.studies.analysis.winsorize import OUTLIER_RULES, winsorize
 
 PLAIN = np.array([1.0, 2, 3, 4, 5, 6, 7, 8, 9, 100])
 

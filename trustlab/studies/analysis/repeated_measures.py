@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import open_unit
-from trustlab.studies.batch import RepeatedMeasuresBatch, repeated_measures_batch
-from trustlab.studies.correction import CORRECTIONS, decide_correction, why_no_mauchly
-from trustlab.studies.effect_sizes import partial_eta_interval
-from trustlab.studies.intervals import between_half_width, cousineau_morey_half_width
-from trustlab.studies.mixed_model import MixedModel, fit_mixed_model
-from trustlab.studies.rank_tests import Friedman, friedman, normality_of_differences
-from trustlab.studies.validation import ScoreTable, complete_scores, read_scores, same_for_all
+from trustlab.studies.analysis.batch import RepeatedMeasuresBatch, repeated_measures_batch
+from trustlab.studies.analysis.effect_sizes import partial_eta_interval
+from trustlab.studies.analysis.mean_intervals import between_half_width, cousineau_morey_half_width
+from trustlab.studies.analysis.mixed_model import MixedModel, fit_mixed_model
+from trustlab.studies.analysis.rank_tests import Friedman, friedman, normality_of_differences
+from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, read_scores, same_for_all
+from trustlab.studies.analysis.sphericity_correction import CORRECTIONS, decide_correction, why_no_mauchly
 
 __all__ = ["RepeatedMeasures", "repeated_measures"]
 
@@ -134,7 +134,7 @@ class RepeatedMeasures:
 
     def anova_table(self) -> pd.DataFrame:
         """Return a row per source (condition, error, subjects): source ss df ms F p epsilon_gg p_gg … eta2_generalized."""
-        from trustlab.studies.anova_table import anova_table
+        from trustlab.studies.analysis.anova_table import anova_table
 
         return self._labelled(anova_table(self))
 
@@ -234,7 +234,7 @@ class RepeatedMeasures:
         adjust : {"holm", "bonferroni", "none"}
             Which p-values of the pairs to report.
         """
-        from trustlab.studies.apa import apa_report
+        from trustlab.studies.analysis.apa import apa_report
 
         return apa_report(self, adjust)
 
@@ -255,7 +255,7 @@ class RepeatedMeasures:
         -------
         matplotlib.axes.Axes
         """
-        from trustlab.studies.plots import plot_conditions
+        from trustlab.studies.analysis.plots import plot_conditions
 
         return plot_conditions(self, kind, interval, axes)
 
@@ -325,7 +325,7 @@ def repeated_measures(
     Notes
     -----
     Values follow R: `aov_car` of afex and `Anova` of car for F, ε and η², `mauchly.test` (see
-    `trustlab.studies.sphericity.mauchly` for its p-value), `t.test(paired = TRUE)` and `p.adjust` for the pairs,
+    `trustlab.studies.analysis.sphericity.mauchly` for its p-value), `t.test(paired = TRUE)` and `p.adjust` for the pairs,
     `friedman.test`, `shapiro.test`.
     """
     if correction not in ("auto", *CORRECTIONS):

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trustlab.studies.paired_t_test import paired_t_test
+from trustlab.studies.analysis.paired_t_test import paired_t_test
 
 mpl.use("Agg")
-REFERENCE = json.loads((Path(__file__).parent / "reference" / "paired_t_test.json").read_text())["sets"]
+REFERENCE = json.loads((Path(__file__).parents[1] / "reference" / "paired_t_test.json").read_text())["sets"]
 SAME = [
     "mean_difference",
     "sd_difference",

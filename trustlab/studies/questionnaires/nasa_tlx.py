@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from trustlab.sessions.errors import nearest
-from trustlab.studies.item_responses import check_responses, name_cell, read_responses
-from trustlab.studies.questionnaires import ScaleScores, missing_answers
+from trustlab.studies.questionnaires.answers import check_responses, name_cell, read_responses
+from trustlab.studies.questionnaires.likert import ScaleScores, missing_answers
 
 __all__ = ["TLX_RESCALINGS", "TLX_SCALES", "score_nasa_tlx", "tlx_weights"]
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from trustlab.studies.questionnaires import LikertScale, ScaleScores, Subscale, score_likert
+from trustlab.studies.questionnaires.likert import LikertScale, ScaleScores, Subscale, score_likert
 
 __all__ = ["TRUST_CHECKLIST", "score_trust_checklist"]
 

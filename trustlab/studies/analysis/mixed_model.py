@@ -11,8 +11,8 @@ import pandas as pd
 from scipy import special
 from scipy.optimize import minimize_scalar
 
-from trustlab.studies.sphericity import orthonormal_contrasts
-from trustlab.studies.validation import ScoreTable, read_scores
+from trustlab.studies.analysis.score_table import ScoreTable, read_scores
+from trustlab.studies.analysis.sphericity import orthonormal_contrasts
 
 __all__ = ["MixedModel", "fit_mixed_model", "mixed_model"]
 
@@ -97,7 +97,7 @@ def mixed_model(
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.validation.read_scores`), fewer than three subjects have a
+        If the table is refused (see `trustlab.studies.analysis.score_table.read_scores`), fewer than three subjects have a
         score, a condition has fewer than two, or nothing is left to estimate the error from.
     """
     return fit_mixed_model(read_scores(frame, dv, within, subject, order=order))

@@ -10,8 +10,8 @@ from statsmodels.regression.mixed_linear_model import MixedLM
 
 import trustlab as tl
 from trustlab.studies import mixed_model
-from trustlab.studies.mixed_model import fit_mixed_model
-from trustlab.studies.validation import ScoreTable
+from trustlab.studies.analysis.mixed_model import fit_mixed_model
+from trustlab.studies.analysis.score_table import ScoreTable
 
 
 def laid_out(values):

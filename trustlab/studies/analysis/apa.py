@@ -7,7 +7,7 @@ from numbers import Number
 
 import numpy as np
 
-from trustlab.studies.validation import same_for_all
+from trustlab.studies.analysis.score_table import same_for_all
 
 __all__ = ["apa_decimals", "apa_number", "apa_p", "apa_report"]
 

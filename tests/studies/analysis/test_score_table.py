@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import trustlab as tl
-from trustlab.studies.validation import complete_scores, read_scores
+from trustlab.studies.analysis.score_table import complete_scores, read_scores
 
 
 def table(n=5, k=3):

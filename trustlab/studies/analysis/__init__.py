@@ -1,0 +1,1 @@
+"""Analyses of scores from within-subject studies."""

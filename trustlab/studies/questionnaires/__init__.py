@@ -1,0 +1,1 @@
+"""Questionnaires: answers read and checked, scales scored, reliability."""
