@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from trustlab.allocation.step_bounds import step_bounds
 from trustlab.models.checks import finite_number, of_class
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import TscConstants, TscModel
 
-__all__ = ["ThresholdLimits", "check_thresholds", "threshold_limits"]
+__all__ = ["ThresholdLimits", "check_thresholds", "limits_as_printed", "threshold_limits"]
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,16 @@ class ThresholdLimits:
         )
 
 
+def limits_as_printed(c: TscConstants, delta_p_h: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return TSC_lb (2.9) and TSC_ub (2.10); the constants and δ_Ph may be arrays."""
+    slack = c.b_T * delta_p_h / (c.a_T * (1.0 - c.a_pr))
+    slope = c.a_T * c.b_pr / (1.0 - c.a_pr) - c.b_T
+    lower = c.a_T * (c.p_r_min + slack) - c.b_T * c.p_h_min
+    # (2.10) must hold for every P_h, so that the limit is the least of a line over [P_h,min, P_h,max]: one of its ends.
+    upper = c.a_T * (c.p_r_min - slack) + slope * np.where(slope < 0.0, c.p_h_max, c.p_h_min)
+    return lower, upper
+
+
 def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> ThresholdLimits:
     """
     Return the limits of the decision thresholds, (2.9)-(2.10).
@@ -97,14 +109,8 @@ def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> Threshold
     delta_p_h = finite_number("delta_p_h", delta_p_h)
     if delta_p_h < 0.0:
         raise ValueError(f"delta_p_h is a largest change and cannot be negative, got {delta_p_h}")
-    a_T, b_T, robot, human = tsc.a_T, tsc.b_T, tsc.robot, tsc.human
-    slack = b_T * delta_p_h / (a_T * (1.0 - robot.a))
-    slope = a_T * robot.b / (1.0 - robot.a) - b_T
-    lower = a_T * (robot.p_min + slack) - b_T * human.p_min
-    upper = a_T * (robot.p_min - slack) + slope * (
-        human.p_max if slope < 0.0 else human.p_min if slope > 0.0 else 0.0
-    )
-    return ThresholdLimits(lower, upper, delta_p_h)
+    lower, upper = limits_as_printed(tsc.constants(), delta_p_h)
+    return ThresholdLimits(float(lower), float(upper), delta_p_h)
 
 
 def check_thresholds(

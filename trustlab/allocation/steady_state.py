@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
 
 from trustlab.allocation.limit_cycle import limit_cycle
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.allocation.step_bounds import step_bounds
 from trustlab.models.checks import finite_number, open_unit
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import TscConstants, TscModel
 
-__all__ = ["SteadyStateBounds", "steady_state_bounds", "utilization_bounds"]
+__all__ = [
+    "SteadyStateBounds",
+    "performance_as_printed",
+    "steady_state_bounds",
+    "utilization_as_printed",
+    "utilization_bounds",
+]
 
 
 @dataclass(frozen=True)
@@ -80,11 +89,55 @@ class SteadyStateBounds:
         return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high"]).rename_axis("quantity")
 
 
-def _dwell(numerator: float, denominator: float, a: float) -> float:
+class PerformanceRange(NamedTuple):
+    """P_rl and P_ru (2.15), and the dwell times between them (2.16), (2.20) and (2.21), in samples."""
+
+    p_low: np.ndarray
+    p_high: np.ndarray
+    dwell_autonomous: np.ndarray
+    dwell_manual_low: np.ndarray
+    dwell_manual_high: np.ndarray
+
+
+def _dwell(numerator, denominator, a):
     """Return ⌊ln(numerator/denominator)/ln a⌋, infinite where the target is never reached."""
-    return (
-        math.inf if numerator <= 0.0 else float(math.floor(math.log(numerator / denominator) / math.log(a)))
-    )
+    reached = numerator > 0.0
+    steps = np.floor(np.log(np.where(reached, numerator, 1.0) / denominator) / np.log(a))
+    return np.where(reached, steps, np.inf)
+
+
+def performance_as_printed(
+    c: TscConstants, lower: float, upper: float, delta_tsc: float, rise: float | None = None
+) -> PerformanceRange:
+    """
+    Evaluate (2.14)-(2.16), (2.20) and (2.21); the constants and arguments may be arrays.
+
+    `rise` is c of (2.20), how far robot performance rises above P_r,min under the operator's best performance:
+    P_r,max − P_r,min unless given, or b_pr P_h,max/(1 − a_pr) for a printed, rounded b_pr.
+    """
+    p_low = np.maximum((lower - delta_tsc + c.b_T * c.p_h_min) / c.a_T, c.p_r_min)
+    p_high = np.minimum((upper + delta_tsc + c.b_T * c.p_h_max) / c.a_T, c.p_r_max)
+    # P_r,max itself where it is the goal: P_r,min + (P_r,max − P_r,min) can round above it, which would make an endless dwell time finite.
+    best = c.p_r_max if rise is None else c.p_r_min + rise
+    worst = c.p_r_min + c.p_h_min * (c.p_r_max - c.p_r_min if rise is None else rise) / c.p_h_max
+    with np.errstate(all="ignore"):  # impossible constants give NaN, which the caller sees
+        return PerformanceRange(
+            p_low,
+            p_high,
+            _dwell(p_low - c.p_r_min, p_high - c.p_r_min, c.a_pr),
+            _dwell(best - p_high, best - p_low, c.a_pr),
+            _dwell(worst - p_high, worst - p_low, c.a_pr),
+        )
+
+
+def utilization_as_printed(a, dwell_manual_low, dwell_manual_high, dwell_autonomous):
+    """Evaluate (2.33), NaN where both dwell times are 0; takes numbers or arrays."""
+    a = np.asarray(a, dtype=float)  # a number's own power refuses what an array's gives as NaN
+    low, high, rest = a**dwell_manual_low, a**dwell_manual_high, a**dwell_autonomous
+    with np.errstate(all="ignore"):
+        r_low = np.where(low * rest < 1.0, (1.0 - low) * rest / (1.0 - low * rest), np.nan)
+        r_high = np.where(high * rest < 1.0, (1.0 - high) / (1.0 - high * rest), np.nan)
+    return r_low, r_high
 
 
 def utilization_bounds(a: float, dwell_manual_low: float, dwell_manual_high: float, dwell_autonomous: float):
@@ -121,10 +174,8 @@ def utilization_bounds(a: float, dwell_manual_low: float, dwell_manual_high: flo
         dwells.append(math.inf if endless else finite_number(name, dwell))
         if dwells[-1] < 0.0:
             raise ValueError(f"{name} is a number of samples and cannot be negative, got {dwell}")
-    low, high, rest = (a**dwell for dwell in dwells)
-    r_low = (1.0 - low) * rest / (1.0 - low * rest) if low * rest < 1.0 else math.nan
-    r_high = (1.0 - high) / (1.0 - high * rest) if high * rest < 1.0 else math.nan
-    return r_low, r_high
+    r_low, r_high = utilization_as_printed(a, *dwells)
+    return float(r_low), float(r_high)
 
 
 def steady_state_bounds(
@@ -168,20 +219,25 @@ def steady_state_bounds(
         raise ValueError(f"delta_tsc is a largest change and cannot be negative, got {delta_tsc}")
     if delta_tsc > 2.0:
         raise ValueError(f"delta_tsc cannot exceed 2, as TSC lies in [-1, 1]; got {delta_tsc:g}")
-    robot, human = tsc.robot, tsc.human
-    tsc_low, tsc_high = lower - delta_tsc, upper + delta_tsc
-    p_low = max((tsc_low + tsc.b_T * human.p_min) / tsc.a_T, robot.p_min)
-    p_high = min((tsc_high + tsc.b_T * human.p_max) / tsc.a_T, robot.p_max)
+    robot = tsc.robot
+    found = performance_as_printed(tsc.constants(), lower, upper, delta_tsc)
+    p_low, p_high, *dwells = (float(x) for x in found)
     if not p_low < p_high:
         raise ValueError(
             f"the thresholds ({lower:g}, {upper:g}) leave no range of robot performance: (2.15) gives P_rl = {p_low:.4g} "
             f"and P_ru = {p_high:.4g} within [{robot.p_min}, {robot.p_max}]; move them towards each other's middle"
         )
-    best, worst = robot.p_max, robot.p_min + human.p_min * (robot.p_max - robot.p_min) / human.p_max
-    autonomous = _dwell(p_low - robot.p_min, p_high - robot.p_min, robot.a)
-    manual_low = _dwell(best - p_high, best - p_low, robot.a)
-    manual_high = _dwell(worst - p_high, worst - p_low, robot.a)
-    r_low, r_high = utilization_bounds(human.a, manual_low, manual_high, autonomous)
+    autonomous, manual_low, manual_high = dwells
+    r_low, r_high = utilization_bounds(tsc.human.a, manual_low, manual_high, autonomous)
     return SteadyStateBounds(
-        tsc_low, tsc_high, p_low, p_high, autonomous, manual_low, manual_high, r_low, r_high, delta_tsc
+        tsc_low=lower - delta_tsc,
+        tsc_high=upper + delta_tsc,
+        p_r_low=p_low,
+        p_r_high=p_high,
+        dwell_autonomous=autonomous,
+        dwell_manual_low=manual_low,
+        dwell_manual_high=manual_high,
+        r_low=r_low,
+        r_high=r_high,
+        delta_tsc=delta_tsc,
     )

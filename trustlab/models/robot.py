@@ -9,7 +9,12 @@ import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number, mode_array, open_unit, positive
 
-__all__ = ["RobotModel", "next_performance", "robot_performance"]
+__all__ = ["RobotModel", "gain_of_human_performance", "next_performance", "robot_performance"]
+
+
+def gain_of_human_performance(a, p_min, p_max, p_h_max):
+    """Return b_pr = (1 − a_pr)(P_r,max − P_r,min)/P_h,max of (2.3); takes numbers or arrays."""
+    return (1.0 - a) * (p_max - p_min) / p_h_max
 
 
 @numba.njit(cache=True)
@@ -76,7 +81,7 @@ class RobotModel:
         if not p_min < p_max:
             raise ValueError(f"p_min must be below p_max, got p_min = {p_min} and p_max = {p_max}")
         p_h_max = positive("p_h_max", self.p_h_max)
-        b = positive("b", (1.0 - a) * (p_max - p_min) / p_h_max if self.b is None else self.b)
+        b = positive("b", gain_of_human_performance(a, p_min, p_max, p_h_max) if self.b is None else self.b)
         self.__dict__.update(a=a, p_min=p_min, p_max=p_max, p_h_max=p_h_max, b=b)
 
     @property

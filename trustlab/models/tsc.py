@@ -21,6 +21,7 @@ __all__ = [
     "advance",
     "human_at",
     "human_range",
+    "performance_weights",
     "threshold_mode",
     "tsc_at",
 ]
@@ -39,6 +40,12 @@ class TscConstants(NamedTuple):
     p_r_max: float
     a_T: float  # noqa: N815
     b_T: float  # noqa: N815
+
+
+def performance_weights(p_r_min, p_r_max, p_h_min, p_h_max):
+    """Return a_T and b_T, the weights of robot and human performance in TSC, (2.2); takes numbers or arrays."""
+    scale = p_r_max * p_h_max - p_r_min * p_h_min
+    return (p_h_max + p_h_min) / scale, (p_r_max + p_r_min) / scale
 
 
 @numba.njit(cache=True)
@@ -125,15 +132,21 @@ class TscModel:
     def _denominator(self) -> float:
         return self.robot.p_max * self.human.p_max - self.robot.p_min * self.human.p_min
 
+    def _weights(self) -> tuple[float, float]:
+        robot, human = self.robot, self.human
+        return performance_weights(robot.p_min, robot.p_max, human.p_min, human.p_max)
+
     @property
     def a_T(self) -> float:  # noqa: N802
         """a_T = (P_h,max + P_h,min)/(P_r,max P_h,max − P_r,min P_h,min), equation (2.2)."""
-        return (self.human.p_max + self.human.p_min) / self._denominator
+        a_T, _ = self._weights()
+        return a_T
 
     @property
     def b_T(self) -> float:  # noqa: N802
         """b_T = (P_r,max + P_r,min)/(P_r,max P_h,max − P_r,min P_h,min), equation (2.2)."""
-        return (self.robot.p_max + self.robot.p_min) / self._denominator
+        _, b_T = self._weights()
+        return b_T
 
     def constants(self) -> TscConstants:
         """Return the model's constants by name, as compiled code takes them."""
