@@ -12,7 +12,7 @@ import pandas as pd
 from trustlab.sessions.errors import nearest
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.designs import LatinSquareDesign
-from trustlab.studies.populations import GroundRobotPopulation, TeleoperatorPopulation
+from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
 
 __all__ = ["KEYS", "ORIGIN", "WORDS", "VirtualStudy"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from trustlab.sessions.writers import write_session
-from trustlab.studies.populations import GroundRobotPopulation, TeleoperatorPopulation
+from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
 from trustlab.testbeds.course import Course
 from trustlab.testbeds.ground_robot import SAMPLE_TIME, run_condition
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from trustlab.studies.designs import LatinSquareDesign
-from trustlab.studies.virtual_participant import session_file
+from trustlab.studies.planning.virtual_participant import session_file
 
 __all__ = ["Folder"]
 

@@ -9,9 +9,9 @@ from scipy import stats
 
 import trustlab as tl
 from trustlab.studies import clopper_pearson, graded_covariance, noncentral_f_power, noncentrality
-from trustlab.studies import power_simulation as simulation
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
-from trustlab.studies.covariances import Conditions, conditions_from
+from trustlab.studies.planning import power_simulation as simulation
+from trustlab.studies.planning.covariances import Conditions, conditions_from
 
 MEANS = [0.0, 0.1, 0.4, 0.5, 0.5]
 

@@ -12,8 +12,8 @@ import trustlab as tl
 from trustlab.allocation.limits import threshold_limits
 from trustlab.campaign import CampaignError, CampaignWarning
 from trustlab.studies import GroundRobotPopulation, TeleoperatorPopulation
-from trustlab.studies import virtual_participant as one_participant
-from trustlab.studies.populations import COORDINATES
+from trustlab.studies.planning import virtual_participant as one_participant
+from trustlab.studies.planning.populations import COORDINATES
 
 PUBLISHED = GroundRobotPopulation.published()
 

@@ -9,10 +9,10 @@ import pandas as pd
 
 from trustlab.models.checks import finite_number, whole_number
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
-from trustlab.studies.populations import GroundRobotPopulation, TeleoperatorPopulation
-from trustlab.studies.virtual_folder import Folder
-from trustlab.studies.virtual_participant import run_participant
-from trustlab.studies.virtual_report import KEYS, ORIGIN, WORDS, VirtualStudy
+from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
+from trustlab.studies.planning.virtual_folder import Folder
+from trustlab.studies.planning.virtual_participant import run_participant
+from trustlab.studies.planning.virtual_report import KEYS, ORIGIN, WORDS, VirtualStudy
 from trustlab.teleoperation.schemes import SCHEMES
 from trustlab.testbeds.ground_robot import CONDITIONS, MOST_LAPS
 

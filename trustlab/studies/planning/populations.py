@@ -16,7 +16,7 @@ from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, operator
 from trustlab.operators.teleoperator import RANGES, REACH, Teleoperator
-from trustlab.studies.covariances import checked_covariance
+from trustlab.studies.planning.covariances import checked_covariance
 
 __all__ = ["GroundRobotPopulation", "TeleoperatorPopulation"]
 

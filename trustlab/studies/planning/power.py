@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import open_unit, whole_number
-from trustlab.studies.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
-from trustlab.studies.covariances import Conditions, conditions_from
-from trustlab.studies.power_simulation import ADJUSTMENTS, TESTS, claims_mask, count_findings
+from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
+from trustlab.studies.planning.covariances import Conditions, conditions_from
+from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, claims_mask, count_findings
 
 __all__ = ["LEAST_REPLICATES", "MOST_N", "PowerAnalysis", "power_analysis"]
 
@@ -124,7 +124,7 @@ class PowerAnalysis:
         ValueError
             If an argument is none of those.
         """
-        from trustlab.studies.power_plots import plot_power
+        from trustlab.studies.planning.power_plots import plot_power
 
         return plot_power(self, against, test, axes)
 
@@ -239,7 +239,7 @@ def power_analysis(
 
     Examples
     --------
-    >>> from trustlab.studies.covariances import graded_covariance
+    >>> from trustlab.studies.planning.covariances import graded_covariance
     >>> found = power_analysis([0.0, 0.3, 0.6], graded_covariance(3), n=20, replicates=1000)
     >>> found.table()["test"].tolist()
     ['none', 'greenhouse-geisser', 'huynh-feldt', 'auto']

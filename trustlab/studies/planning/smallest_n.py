@@ -10,11 +10,11 @@ import pandas as pd
 
 from trustlab.models.checks import open_unit, whole_number
 from trustlab.sessions.errors import nearest
-from trustlab.studies.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
-from trustlab.studies.covariances import Conditions, conditions_from
 from trustlab.studies.designs import participants_needed
-from trustlab.studies.power import LEAST_REPLICATES, MOST_N
-from trustlab.studies.power_simulation import ADJUSTMENTS, TESTS, claims_mask, count_findings
+from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
+from trustlab.studies.planning.covariances import Conditions, conditions_from
+from trustlab.studies.planning.power import LEAST_REPLICATES, MOST_N
+from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, claims_mask, count_findings
 
 __all__ = ["SmallestN", "smallest_n"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from trustlab.sessions.errors import nearest
 from trustlab.studies.analysis.batch import repeated_measures_batch
 from trustlab.studies.analysis.sphericity_correction import CORRECTIONS
-from trustlab.studies.covariances import Conditions
+from trustlab.studies.planning.covariances import Conditions
 
 __all__ = ["ADJUSTMENTS", "TESTS", "Counts", "claims_mask", "count_findings"]
 

@@ -1,0 +1,1 @@
+"""Planning of studies: power by simulation, and whole studies with simulated participants."""
