@@ -9,12 +9,10 @@ import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
 from trustlab.publishing import figures
-from trustlab.publishing.execution import declared_parameters, parse_value
-from trustlab.publishing.html_report import ReportError, report_html
 from trustlab.publishing.inputs import Checkout, input_digest
-from trustlab.publishing.notebooks import find_notebooks, parameters_for
-from trustlab.publishing.page_check import page_faults
+from trustlab.publishing.notebooks import declared_parameters, find_notebooks, parameters_for, parse_value
 from trustlab.publishing.provenance import commit, provenance
+from trustlab.publishing.report_page import ReportError, page_faults, report_html
 
 ORIGIN = {
     "notebook": "01_a.ipynb",
@@ -102,7 +100,7 @@ def test_outputs_of_every_kind_have_their_formulas():
     page, _ = page_of(
         shown(html="<table><tr><td>$R^2$</td><td><code>$x$</code></td></tr></table>"),
         shown(markdown="$a_b$"),
-        shown(latex=r"\begin{align} a &= b \end{align}"),
+        shown(latex=r"\begin{align*} a &= b \end{align*}"),
         shown(latex="$$c$$", plain="plain"),
     )
     assert page.count("<math") == 4
@@ -205,7 +203,7 @@ def test_notebooks_are_found_by_name(checkout):
     write(checkout, "scratch", "x = 1")
     assert find_notebooks(checkout) == [a, b]
     assert find_notebooks(checkout, ["02"]) == [b]
-    with pytest.raises(ValueError, match="did you mean 01_first"):
+    with pytest.raises(ValueError, match="did you mean '01_first'"):
         find_notebooks(checkout, ["01_frist"])
 
 

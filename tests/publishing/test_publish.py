@@ -16,7 +16,7 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 from trustlab.publishing.__main__ import main
 from trustlab.publishing.inputs import Checkout
 from trustlab.publishing.notebooks import publish
-from trustlab.publishing.page_check import page_faults
+from trustlab.publishing.report_page import page_faults
 
 PICTURE = """from IPython.display import Image, display
 import base64, pathlib
@@ -51,7 +51,7 @@ def world(tmp_path_factory):
         root,
         "01_good",
         new_markdown_cell("# A good one\n\nIt shows $a_r$ and succeeds."),
-        tagged("seed = 7\nsize = 2", "parameters"),
+        tagged("seed = 7\nsize = 2\nlevel = 0.5", "parameters"),
         new_code_cell(PICTURE % DOT),
         new_code_cell("print('seed is', seed)"),
     )
@@ -127,8 +127,8 @@ def test_failing_notebook_leaves_no_report_and_says_where(world):
     assert "\x1b" not in failed[0].failure["traceback"]
     assert not (checkout.reports / "02_bad.html").exists()
     assert any("FAILED in cell 3" in line for line in lines)
-    assert any(line.startswith("[1/3] 01_good … built in ") for line in lines)
-    assert not list((checkout.reports / ".build").glob("run-*"))
+    assert any(line.startswith("01_good … built in ") for line in lines)
+    assert {path.suffix for path in (checkout.reports / ".build").iterdir()} == {".json"}
 
 
 def test_index_has_a_card_for_each(world):
@@ -156,6 +156,17 @@ def test_rebuilt_only_when_an_input_changed(world):
     assert "older than its inputs" in (checkout.reports / "index.html").read_text()
 
 
+@pytest.mark.parametrize("value", ["inf", "nan"])
+def test_index_is_written_after_a_run_with_a_parameter_that_is_not_finite(world, value):
+    checkout, *_ = world
+    (checkout.reports / "index.html").unlink()
+    given = {"level": value}
+    assert publish(["01"], checkout=checkout, parameters=given)[0].state == "built"
+    assert f"level = {value}" in (checkout.reports / "index.html").read_text()
+    assert publish(["01"], checkout=checkout, parameters=given)[0].state == "up to date"
+    assert publish(["01"], checkout=checkout, parameters={"seed": 5})[0].state == "built"
+
+
 def test_unknown_parameter_is_refused_before_any_run(world, capsys):
     checkout, *_ = world
     words = ["--notebooks", str(checkout.notebooks), "-p", "sed", "1", "--force"]
@@ -163,7 +174,7 @@ def test_unknown_parameter_is_refused_before_any_run(world, capsys):
     assert main(words) == 2
     said = capsys.readouterr()
     assert "did you mean 'seed'" in said.err
-    assert "01_good: seed, size" in said.err
+    assert "01_good: seed, size, level" in said.err
     assert "running" not in said.out
     assert (checkout.reports / "index.html").stat().st_mtime_ns == before
 
@@ -179,6 +190,31 @@ def test_command_line_tells_of_failure_and_builds_what_was_deleted(world, capsys
     assert "    y = 1 / x" in said.err
     assert "ZeroDivisionError" in said.err
     assert str(checkout.reports / "index.html") in said.out
+
+
+def test_kernel_that_dies_is_a_failure_of_its_cell(tmp_path):
+    root = make(tmp_path)
+    write(root, "01_dies", new_markdown_cell("# Dies"), new_code_cell("import os; os._exit(1)"))
+    failure = publish(checkout=Checkout.find(root))[0].failure
+    assert failure["cell"] == 2
+    assert "The kernel ended" in failure["traceback"]
+    assert not (root / "reports" / "01_dies.html").exists()
+
+
+@pytest.mark.parametrize("package", ["papermill", "nbconvert", "latex2mathml.converter"])
+def test_missing_extra_is_named_before_anything_runs(tmp_path, package):
+    root = make(tmp_path)
+    write(root, "01_a", new_markdown_cell("# A"))
+    code = (
+        f"import sys; sys.modules[{package!r}] = None\n"
+        "from trustlab.publishing.__main__ import main\n"
+        f"sys.exit(main(['--notebooks', {str(root / 'notebooks')!r}]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 2
+    assert 'pip install "trustlab[reports]"' in done.stderr
+    assert package.partition(".")[0] in done.stderr
+    assert not (root / "reports").exists()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")

@@ -5,43 +5,31 @@ import signal
 import sys
 import time
 
-from trustlab.publishing.html_report import duration
 from trustlab.publishing.inputs import Checkout
 from trustlab.publishing.notebooks import publish
+from trustlab.publishing.provenance import duration
 
 
-def _parser():
+def _arguments(words):
     parser = argparse.ArgumentParser(
         prog="python -m trustlab.publishing",
         description="Run notebooks/NN_*.ipynb and write one self-contained HTML report each, and reports/index.html. "
         "Notebooks run with their own folder as working directory.",
     )
-    parser.add_argument(
-        "names",
-        nargs="*",
-        metavar="NAME",
-        help="notebooks to publish (01, 01_identification); all by default",
+    add = parser.add_argument
+    add("names", nargs="*", metavar="NAME", help="notebooks (01, 01_identification); all by default")
+    add(
+        "-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), help="a parameter they declare"
     )
-    parser.add_argument(
-        "--jobs", default="auto", metavar="N", help="notebooks run at once; auto: as many as there are CPUs"
-    )
-    parser.add_argument(
-        "-p",
-        dest="parameters",
-        nargs=2,
-        action="append",
-        default=[],
-        metavar=("NAME", "VALUE"),
-        help="a parameter notebooks declare",
-    )
-    parser.add_argument("--notebooks", metavar="DIR", help="folder of the notebooks (default: notebooks)")
-    parser.add_argument("--reports", metavar="DIR", help="folder of the reports (default: reports)")
-    parser.add_argument("--force", action="store_true", help="build also what is up to date")
-    return parser
+    add("--jobs", default="auto", metavar="N", type=_jobs, help="notebooks run at once; auto: one per CPU")
+    add("--notebooks", metavar="DIR", help="folder of the notebooks (default: notebooks)")
+    add("--reports", metavar="DIR", help="folder of the reports (default: reports)")
+    add("--force", action="store_true", help="build also what is up to date")
+    return parser.parse_args(words)
 
 
-def _say(line):
-    print(line, flush=True)
+def _jobs(text):
+    return text if text == "auto" else int(text)
 
 
 def _complain(built):
@@ -50,53 +38,42 @@ def _complain(built):
     lines = [f"\n── {built.name}{where} ──"]
     if failure["source"]:
         lines += [f"    {line}" for line in failure["source"].splitlines()] + [""]
-    print("\n".join([*lines, failure["traceback"] or failure["error"], ""]), file=sys.stderr, flush=True)
+    print("\n".join([*lines, failure["traceback"], ""]), file=sys.stderr, flush=True)
 
 
 def _interrupt(number, frame):
     raise KeyboardInterrupt
 
 
-def main(arguments=None):
-    """Publish as the command line says.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        The words behind the command, by default those of this process.
-
-    Returns
-    -------
-    int
-        0 if every report stands, 1 if a notebook failed, 2 if the command cannot be followed, 130 if interrupted.
-    """
-    options = _parser().parse_args(arguments)
+def main(words=None):
+    """Publish as the command line says; return 0, 1 if a notebook failed, 2 for a wrong command, 130 if interrupted."""
+    options = _arguments(words)
     signal.signal(signal.SIGTERM, _interrupt)
     clock = time.monotonic()
     try:
         checkout = Checkout.find(notebooks=options.notebooks, reports=options.reports)
         if not checkout.external.is_dir():
-            _say(
-                "no third-party data (TRUSTLAB_DATA, else data/external, names no folder): sections that need it are left out"
+            print(
+                "no third-party data: neither TRUSTLAB_DATA nor data/external is a folder; sections that need it are left out"
             )
         built = publish(
             options.names,
             checkout=checkout,
-            parameters=dict(options.parameters),
+            parameters=dict(options.p),
             jobs=options.jobs,
             force=options.force,
-            report=_say,
+            report=lambda line: print(line, flush=True),
             on_failure=_complain,
         )
-    except ValueError as error:
+    except (ModuleNotFoundError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("\ninterrupted: every kernel is ended, no report is half made", file=sys.stderr)
         return 130
     counts = {state: sum(one.state == state for one in built) for state in ("built", "up to date", "failed")}
-    words = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
-    _say(f"{words}, in {duration(time.monotonic() - clock)}: {checkout.reports / 'index.html'}")
+    told = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+    print(f"{told}, in {duration(time.monotonic() - clock)}: {checkout.reports / 'index.html'}")
     return 1 if counts["failed"] else 0
 
 

@@ -1,315 +1,141 @@
-"""One notebook, run in a process of its own: ``python -m trustlab.publishing.execution``, its job on standard input.
+"""One notebook, run by papermill in a kernel of its own, and what went wrong in it."""
 
-The process ends, and takes the kernel with it, as soon as its standard input is closed: whatever becomes of the publisher,
-no kernel is left behind.
-"""
-
-import json
+import contextlib
 import os
 import re
-import shutil
+import signal
 import sys
 import tempfile
-import threading
-import time
-from datetime import UTC, datetime
 from pathlib import Path
 
-__all__ = ["declared_parameters", "end_processes", "parse_value", "run_notebook"]
+from trustlab.models.extras import extra
 
-ANSI = re.compile(r"\x1b\[[0-9;?]*[ -/]*[@-~]|\x1b\][^\x07]*\x07|\x1b[@-_]")
-INJECTED = "injected-parameters"
-
-
-def parse_value(text):
-    """Return a parameter's value as papermill reads it.
-
-    Parameters
-    ----------
-    text : str
-        What was typed: ``True``, ``False``, ``None``, an integer, a real number, or else a string.
-
-    Returns
-    -------
-    bool or None or int or float or str
-        The scalar.
-    """
-    words = {"True": True, "False": False, "None": None}
-    if text in words:
-        return words[text]
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
-
-
-def declared_parameters(notebook):
-    """Return the parameters a notebook declares in its cell tagged ``parameters``.
-
-    Parameters
-    ----------
-    notebook : path-like or nbformat.NotebookNode
-        The notebook, as a file or read.
-
-    Returns
-    -------
-    dict
-        Name → default, a Python literal where the default is one, else its source text.
-    """
-    import ast
-
-    import nbformat
-
-    if not hasattr(notebook, "cells"):
-        notebook = nbformat.read(notebook, as_version=4)
-    found = {}
-    for cell in notebook.cells:
-        if cell.cell_type != "code" or "parameters" not in cell.metadata.get("tags", []):
-            continue
-        try:
-            statements = ast.parse(re.sub(r"(?m)^[%!].*$", "", cell.source)).body
-        except SyntaxError:  # running the cell says where
-            break
-        for statement in statements:
-            targets = (
-                statement.targets
-                if isinstance(statement, ast.Assign)
-                else [getattr(statement, "target", None)]
-            )
-            for target in targets:
-                if isinstance(target, ast.Name) and getattr(statement, "value", None) is not None:
-                    source = ast.unparse(statement.value)
-                    try:
-                        found[target.id] = ast.literal_eval(source)
-                    except ValueError:
-                        found[target.id] = source
-        break
-    return found
-
-
-def end_processes(pids):
-    """End processes and all that they started.
-
-    Parameters
-    ----------
-    pids : iterable of int
-        Process ids; those already gone are passed over.
-    """
-    import psutil
-
-    family = []
-    for pid in pids:
-        try:
-            process = psutil.Process(pid)
-            family += [*process.children(recursive=True), process]
-        except psutil.NoSuchProcess:
-            continue
-    for act in ("terminate", "kill"):
-        for process in family:
-            try:
-                getattr(process, act)()
-            except psutil.NoSuchProcess:
-                continue
-        _, family = psutil.wait_procs(family, timeout=2)
-
-
-def _end_with_parent(scratch):
-    """Wait until standard input closes, then end everything below this process and the process."""
-    import psutil
-
-    sys.stdin.read()
-    end_processes([child.pid for child in psutil.Process().children()])
-    shutil.rmtree(scratch, ignore_errors=True)
-    os._exit(1)
-
-
-def _kernel_manager():
-    """Return a kernel manager whose kernel is this interpreter, whatever kernels are or are not installed."""
-    from jupyter_client.kernelspec import KernelSpec
-    from jupyter_client.manager import AsyncKernelManager
-    from jupyter_core.paths import jupyter_runtime_dir
-    from traitlets import Unicode, default
-
-    class ThisInterpreter(AsyncKernelManager):
-        if (
-            os.name == "posix"
-        ):  # no ports: kernels that start at the same time would now and then take the same ones
-            transport = Unicode("ipc")
-
-            @default("ip")
-            def _sockets(self):
-                return os.path.join(jupyter_runtime_dir(), "kernel")
-
-        @property
-        def kernel_spec(self):
-            argv = [sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}"]
-            return KernelSpec(argv=argv, display_name="Python 3", language="python")
-
-    return ThisInterpreter
-
-
-def _cell_number(notebook, index):
-    """Return the number, from 1, of a cell in the notebook as written: the injected cell is not counted."""
-    tags = [cell.metadata.get("tags", []) for cell in notebook.cells[: index + 1]]
-    return sum(INJECTED not in names for names in tags)
-
-
-def _failure(notebook, index, words, trace):
-    cell = notebook.cells[index] if index is not None else None
-    return {
-        "cell": None if cell is None else _cell_number(notebook, index),
-        "source": "" if cell is None else cell.source,
-        "error": ANSI.sub("", words).strip(),
-        "traceback": ANSI.sub("", trace).strip(),
-    }
-
-
-def _scrub(value, replacements):
-    """Return nested text with the paths of this machine replaced."""
-    if isinstance(value, str):
-        for old, new in replacements:
-            value = value.replace(old, new)
-        return re.sub(r"[\w.@+~/-]*ipykernel_\d+/\d+\.py", "this notebook", value)
-    if isinstance(value, list):
-        return [_scrub(item, replacements) for item in value]
-    if isinstance(value, dict):
-        pixels = ("image/png", "image/jpeg")  # base64 may spell anything
-        return type(value)({k: v if k in pixels else _scrub(v, replacements) for k, v in value.items()})
-    return value
-
-
-def path_replacements(checkout):
-    """Return what stands for the paths of this machine in a report, longest path first.
-
-    Parameters
-    ----------
-    checkout : Checkout
-        The folders.
-
-    Returns
-    -------
-    list of tuple of str
-        Pairs of a path and what is written in its place.
-    """
-    pairs = {
-        str(checkout.external) + os.sep: "TRUSTLAB_DATA/",
-        str(checkout.external): "TRUSTLAB_DATA",
-        str(checkout.root) + os.sep: "",
-        str(checkout.root): ".",
-        str(checkout.package.parent) + os.sep: "",
-        sys.prefix + os.sep: ".venv/",
-        sys.base_prefix + os.sep: "python/",
-        str(Path.home()) + os.sep: "~/",
-        tempfile.gettempdir() + os.sep: "temporary/",
-    }
-    return sorted(((old, new) for old, new in pairs.items() if len(old) > 2), key=lambda pair: -len(pair[0]))
-
-
-def _execute(notebook, checkout, parameters, kept):
-    """Run a notebook; return it with its outputs, and its failure or None."""
+with extra("reports"):
     import nbformat
     import papermill
+    from jupyter_client.manager import AsyncKernelManager
+    from nbconvert.filters import strip_ansi
     from papermill.exceptions import PapermillExecutionError
+    from papermill.utils import find_first_tagged_cell_index
 
-    reached = []
-    engine = {
-        "kernel_manager_class": _kernel_manager(),
-        "on_cell_execute": lambda cell, cell_index: reached.append(cell_index),
-    }
-    try:
-        return papermill.execute_notebook(
-            str(notebook).replace("{", "{{").replace("}", "}}"),
-            str(kept),
-            parameters=parameters,
-            kernel_name="python3",
-            language="python",
-            progress_bar=False,
-            cwd=str(checkout.notebooks),
-            start_timeout=60,
-            **engine,
-        ), None
-    except PapermillExecutionError as error:
-        run = nbformat.read(kept, as_version=4)
-        run.cells = [
-            cell for cell in run.cells if "papermill-error-cell-tag" not in cell.metadata.get("tags", [])
-        ]
-        trace = "\n".join(error.traceback) or f"{error.ename}: {error.evalue}"
-        return run, _failure(run, error.cell_index, f"{error.ename}: {error.evalue}", trace)
-    except Exception as error:  # the kernel died, or never came up
-        if not kept.exists():
-            raise
-        run = nbformat.read(kept, as_version=4)
-        index = reached[-1] if reached else None
-        words = f"{type(error).__name__}: {error}"
-        return run, _failure(
-            run, index, words, f"{words}\nThe kernel ended before the cell did (out of memory?)."
-        )
+__all__ = ["Kernels", "anonymous", "execute", "failure_in"]
+
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""Libraries told to sum in one thread: with more, the last digits differ from machine to machine."""
 
 
-def run_notebook(checkout, notebook, parameters, target, scratch):
-    """Run one notebook and write its report.
+class Kernels:
+    """The kernels of one command: started in one folder and environment, and ended together when it is interrupted."""
 
-    Parameters
-    ----------
-    checkout : Checkout
-        The folders; the notebook runs in the folder of the notebooks.
-    notebook : pathlib.Path
-        The notebook.
-    parameters : dict
-        Values for parameters it declares.
-    target : pathlib.Path
-        Where the HTML is written, once everything has succeeded.
-    scratch : pathlib.Path
-        An empty folder for the run.
+    def __init__(self, checkout, threads):
+        self.running, self.ended = [], False
+        self.folder = checkout.notebooks
+        defaults = dict.fromkeys(ONE_THREAD, "1") | {"NUMBA_NUM_THREADS": str(threads)}
+        self.environment = defaults | os.environ  # what the user has set stays
+        self.environment["PYTHONHASHSEED"] = "0"
+        self.environment["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
+        if "TRUSTLAB_DATA" in os.environ or checkout.external.is_dir():
+            self.environment["TRUSTLAB_DATA"] = str(checkout.external)
 
-    Returns
-    -------
-    dict
-        ``started``, ``seconds`` and either ``failure`` (``cell source error traceback``) or ``title``, ``sentence``,
-        ``thumbnail`` and ``parameters``.
-    """
-    from trustlab.publishing.html_report import ReportError, report_html
-    from trustlab.publishing.provenance import provenance
+    def manager(self, scratch):
+        """Return the class that starts a kernel of this command; its sockets lie in the folder `scratch`."""
+        kernels = self
 
-    clock = time.monotonic()
-    result = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
-    replacements = path_replacements(checkout)
-    used = {**declared_parameters(notebook), **parameters}
-    origin = provenance(
-        checkout, notebook, used, started=result["started"]
-    )  # before the run: what it starts from
-    run, failure = _execute(notebook, checkout, parameters, scratch / "run.ipynb")
-    result["seconds"] = origin["seconds"] = time.monotonic() - clock
-    if failure is None:
-        for cell in run.cells:
-            if "outputs" in cell:
-                cell.outputs = _scrub(cell.outputs, replacements)
+        class Manager(AsyncKernelManager):
+            def __init__(self, **options):
+                super().__init__(**options)
+                self.connection_file = str(Path(scratch, "kernel.json"))
+                if (
+                    os.name == "posix"
+                ):  # kernels that start at the same time would now and then take the same ports
+                    self.transport, self.ip = "ipc", str(Path(scratch, "kernel"))
+
+            async def start_kernel(self, **options):
+                own = {"IPYTHONDIR": str(Path(scratch, "ipython"))}  # nobody's own start-up files
+                options |= {"cwd": str(kernels.folder), "env": kernels.environment | own}
+                kernels.running.append(self)
+                await super().start_kernel(**options)
+                kernels.check()
+
+        return Manager
+
+    def check(self):
+        """End the kernels that have started since `end` was called."""
+        if self.ended:
+            self.end()
+            raise RuntimeError("interrupted")
+
+    def end(self):
+        """End every kernel at once, with the processes that it started."""
+        self.ended = True
+        for manager in self.running:
+            group = getattr(manager.provisioner, "pgid", None)  # each kernel leads a group of processes
+            if manager.has_kernel and group:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(group, signal.SIGKILL)
+
+
+def execute(path, parameters, kernels):
+    """Run a notebook; return it with its outputs, and None or its failure: cell, source, error, traceback."""
+    notebook = nbformat.read(path, as_version=4)
+    reached = [None]
+    # a short path, as those of sockets must be
+    with tempfile.TemporaryDirectory(prefix="tl-", dir="/tmp" if os.path.isdir("/tmp") else None) as scratch:
         try:
-            page, card = report_html(run, notebook.stem, origin, given=parameters, folder=checkout.notebooks)
-            target.write_text(page, encoding="utf-8")
-            result |= card | {"parameters": {name: repr(value) for name, value in parameters.items()}}
-        except ReportError as error:
-            failure = _failure(run, error.cell, str(error), str(error))
-    if failure is not None:
-        failure["shown"] = _scrub(failure["error"], replacements)
-        result["failure"] = failure
-    return result
+            run = papermill.execute_notebook(
+                notebook,
+                None,
+                parameters=parameters,
+                kernel_name="python3",
+                language="python",
+                progress_bar=False,
+                kernel_manager_class=kernels.manager(scratch),
+                on_cell_execute=lambda cell, cell_index: reached.append((cell_index, cell.source)),
+            )
+            return run, None
+        except PapermillExecutionError as error:
+            index, source, words = error.cell_index, error.source, f"{error.ename}: {error.evalue}"
+            traceback = "\n".join(error.traceback) or words
+        except Exception as error:  # the kernel died, or never came up
+            index, source = reached[-1] or (None, "")
+            words = f"{type(error).__name__}: {error}"
+            traceback = f"{words}\nThe kernel ended before the cell did (out of memory?)."
+    return notebook, failure_in(notebook, index, words, traceback, source, parameters)
 
 
-def _main():
-    from trustlab.publishing.inputs import Checkout
+def failure_in(notebook, index, words, traceback, source="", parameters=None):
+    """Return a failure as plain values; `index` counts the cells that ran, the result those of the notebook as written."""
+    number = None if index is None else index + 1
+    # papermill puts the given parameters into a cell behind the one that declares them
+    if number is not None and parameters and index > find_first_tagged_cell_index(notebook, "parameters"):
+        number -= 1
+    return {
+        "cell": number,
+        "source": source,
+        "error": strip_ansi(words).strip(),
+        "traceback": strip_ansi(traceback).strip(),
+    }
 
-    job = json.loads(sys.stdin.readline())
-    scratch = Path(job["scratch"])
-    threading.Thread(target=_end_with_parent, args=[job["sockets"]], daemon=True).start()
-    checkout = Checkout(**{name: Path(value) for name, value in job["checkout"].items()})
-    result = run_notebook(
-        checkout, Path(job["notebook"]), job["parameters"], scratch / "report.html", scratch
+
+def anonymous(text, checkout):
+    """Return a page or an error message with the paths of this machine replaced."""
+    places = {
+        checkout.external: "TRUSTLAB_DATA",
+        checkout.root: ".",
+        checkout.package.parent: ".",
+        sys.prefix: ".venv",
+        sys.base_prefix: "python",
+        Path.home(): "~",
+        tempfile.gettempdir(): "temporary",
+    }
+    words = {f"{place}/": f"{name}/".removeprefix("./") for place, name in places.items()}
+    words |= {str(place): name for place, name in list(places.items())[:2]}
+    longest_first = sorted((re.escape(word) for word in words if len(word) > 2), key=len, reverse=True)
+    # embedded pictures come first and stay as they are: base64 may spell anything
+    pattern = "|".join([r"data:image/[^\"]*", r"[\w.@+~/-]*ipykernel_\d+/\d+\.py", *longest_first])
+    cell = re.compile(r".*ipykernel_\d+/\d+\.py")
+    return re.sub(
+        pattern,
+        lambda found: "this notebook" if cell.fullmatch(found[0]) else words.get(found[0], found[0]),
+        text,
     )
-    (scratch / "result.json").write_text(json.dumps(result), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    _main()

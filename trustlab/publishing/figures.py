@@ -1,6 +1,7 @@
 """The house style of figures: readable, distinguishable without colour vision, honest about synthetic data."""
 
 import textwrap
+from pathlib import Path
 
 __all__ = ["PALETTE", "caption", "label_synthetic", "use_house_style"]
 
@@ -31,44 +32,9 @@ def use_house_style(inline="svg"):
     import matplotlib as mpl
     from cycler import cycler
 
-    mpl.rcParams.update(
-        {
-            "figure.figsize": (7.2, 4.0),
-            "figure.dpi": 100,
-            "figure.constrained_layout.use": True,
-            "savefig.dpi": 150,
-            "savefig.bbox": "tight",
-            "savefig.facecolor": "white",
-            "svg.fonttype": "path",
-            "svg.hashsalt": "trustlab",
-            "font.family": "sans-serif",
-            "font.sans-serif": ["DejaVu Sans"],
-            "font.size": 10,
-            "axes.titlesize": 11,
-            "axes.titleweight": "bold",
-            "axes.titlelocation": "left",
-            "axes.labelsize": 10,
-            "axes.labelcolor": "#333333",
-            "axes.edgecolor": "#8a8a8a",
-            "axes.linewidth": 0.8,
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-            "axes.grid": True,
-            "axes.axisbelow": True,
-            "axes.prop_cycle": cycler(color=PALETTE),
-            "grid.color": "#e4e4e4",
-            "grid.linewidth": 0.7,
-            "lines.linewidth": 1.6,
-            "lines.markersize": 5,
-            "xtick.color": "#555555",
-            "ytick.color": "#555555",
-            "xtick.labelsize": 9,
-            "ytick.labelsize": 9,
-            "legend.frameon": False,
-            "legend.fontsize": 9,
-            "image.cmap": "cividis",
-        }
-    )
+    sheet = Path(__file__).parent / "templates" / "house.mplstyle"
+    mpl.rcParams.update(mpl.rc_params_from_file(sheet, use_default_template=False))
+    mpl.rcParams["axes.prop_cycle"] = cycler(color=PALETTE)
     try:
         from IPython import get_ipython
         from matplotlib_inline.backend_inline import set_matplotlib_formats

@@ -1,76 +1,52 @@
-"""The page that leads to all reports: a card each, with a picture, a sentence and the time taken."""
+"""The records of reports, and the page that leads to all: a card each, with a picture, a sentence and the time taken."""
 
 import html
 import json
 import os
 import re
-from pathlib import Path
 
-from trustlab.publishing.html_report import TEMPLATES, ReportError, duration, stylesheet
+from trustlab.models.extras import extra
 from trustlab.publishing.inputs import input_digest
-from trustlab.publishing.page_check import page_faults
+from trustlab.publishing.provenance import duration
+from trustlab.publishing.report_page import TEMPLATES, check_page, stylesheet
 
-__all__ = ["read_sidecar", "sidecar_path", "write_index"]
+with extra("reports"):
+    from jinja2 import Environment, FileSystemLoader
+
+__all__ = ["read_record", "record_path", "replace_file", "write_index"]
 
 
-def sidecar_path(checkout, name):
-    """Return where the record of a report is kept.
-
-    Parameters
-    ----------
-    checkout : Checkout
-        The folders.
-    name : str
-        Name of the report.
-
-    Returns
-    -------
-    pathlib.Path
-        A JSON file: digest of the inputs, title, sentence, thumbnail, start, time taken; or the failure.
-    """
+def record_path(checkout, name):
+    """Return where the record of a report is kept: digests of its inputs, title, sentence, thumbnail, or its failure."""
     return checkout.reports / ".build" / f"{name}.json"
 
 
-def read_sidecar(checkout, name):
-    """Return the record of a report.
-
-    Parameters
-    ----------
-    checkout : Checkout
-        The folders.
-    name : str
-        Name of the report.
-
-    Returns
-    -------
-    dict
-        Empty where there is none, or none that can be read.
-    """
+def read_record(checkout, name):
+    """Return the record of a report; empty where there is none, or none that can be read."""
     try:
-        found = json.loads(sidecar_path(checkout, name).read_text(encoding="utf-8"))
+        found = json.loads(record_path(checkout, name).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}
 
 
-def _given(record):
-    import ast
-
-    return {name: ast.literal_eval(text) for name, text in record.get("parameters", {}).items()}
+def replace_file(path, text):
+    """Write a file at once: whoever reads it meanwhile sees the old one or the new one."""
+    written = path.with_name(f"{path.name}-{os.getpid()}")
+    written.write_text(text, encoding="utf-8")
+    os.replace(written, path)
 
 
 def _card(checkout, notebook, shared):
+    """Return what the index shows of one notebook."""
     name = notebook.stem
-    record = read_sidecar(checkout, name)
+    record = read_record(checkout, name)
     failure = record.get("failure")
     page = checkout.reports / f"{name}.html"
     card = {"title": record.get("title", name), "mark": name[:2], "thumbnail": record.get("thumbnail", "")}
     if failure:
-        cell = failure.get("cell")
-        return card | {
-            "failure": failure | {"where": "failed" + (f" in cell {cell}" if cell else "")},
-            "facts": name,
-        }
+        where = f" in cell {failure['cell']}" if failure.get("cell") else ""
+        return card | {"failure": failure | {"where": f"failed{where}"}, "facts": name}
     if not record or not page.is_file():
         return {"title": name, "mark": name[:2], "facts": name}
     facts = [name, duration(record["seconds"]), f"{record['started'][:16].replace('T', ' ')} UTC"]
@@ -79,7 +55,7 @@ def _card(checkout, notebook, shared):
         "link": page.name,
         "sentence": record.get("sentence", ""),
         "facts": " · ".join(facts),
-        "stale": record.get("digest") != input_digest(checkout, notebook, _given(record), shared),
+        "stale": record.get("sources") != input_digest(checkout, notebook, shared=shared),
     }
 
 
@@ -88,54 +64,24 @@ def _others(checkout, names):
     found = []
     for page in sorted(checkout.reports.glob("*.html")):
         if page.stem not in names and page.name != "index.html":
-            title = re.search(
-                r"<title>(.*?)</title>", page.read_text(encoding="utf-8", errors="replace"), re.DOTALL
-            )
-            found.append(
-                (page.name, html.unescape(title[1]).strip() if title and title[1].strip() else page.stem)
-            )
+            text = page.read_text(encoding="utf-8", errors="replace")
+            title = re.search(r"<title>\s*(.*?)\s*</title>", text, re.DOTALL)
+            found.append((page.name, html.unescape(title[1] if title else "") or page.stem))
     return found
 
 
 def write_index(checkout, notebooks, shared):
-    """Write ``index.html``.
-
-    Parameters
-    ----------
-    checkout : Checkout
-        The folders.
-    notebooks : iterable of pathlib.Path
-        Every notebook there is, in order.
-    shared : str
-        What `trustlab.publishing.inputs.shared_digest` returns.
-
-    Returns
-    -------
-    pathlib.Path
-        The page.
-
-    Raises
-    ------
-    ReportError
-        If the page would need a script or the network.
-    """
-    from jinja2 import Environment, FileSystemLoader
-
+    """Write ``index.html`` with a card for every notebook; `shared` is the `shared_digest` of the checkout."""
     cards = [_card(checkout, notebook, shared) for notebook in notebooks]
     failed = sum("failure" in card for card in cards)
     built = sum("link" in card for card in cards)
-    summary = f"{built} of {len(cards)} notebooks published" + (f"; {failed} failed." if failed else ".")
     # titles are escaped in the template; sentences and style sheet are HTML and CSS of our own
-    templates = Environment(loader=FileSystemLoader(Path(TEMPLATES)), autoescape=False, trim_blocks=True)
-    others = _others(checkout, {notebook.stem for notebook in notebooks})
+    templates = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=False, trim_blocks=True)
     page = templates.get_template("index.html.j2").render(
-        css=stylesheet(), cards=cards, others=others, summary=summary
+        css=stylesheet(),
+        cards=cards,
+        others=_others(checkout, {notebook.stem for notebook in notebooks}),
+        summary=f"{built} of {len(cards)} notebooks published" + (f"; {failed} failed." if failed else "."),
     )
-    faults = page_faults(page)
-    if faults:
-        raise ReportError("the index would not be self-contained: " + "; ".join(faults))
-    written = checkout.reports / ".build" / f"index-{os.getpid()}.html"
-    written.write_text(page, encoding="utf-8")
-    target = checkout.reports / "index.html"
-    os.replace(written, target)
-    return target
+    check_page(page, "index")
+    replace_file(checkout.reports / "index.html", page)

@@ -92,20 +92,7 @@ class Checkout:
 
 
 def list_files(folder, without=()):
-    """Return every file below a folder, sorted by name; caches and hidden files are not listed.
-
-    Parameters
-    ----------
-    folder : path-like
-        Where to look; an absent folder has no files.
-    without : iterable of path-like
-        Folders to leave out.
-
-    Returns
-    -------
-    list of pathlib.Path
-        Absolute if ``folder`` is.
-    """
+    """Return every file below a folder in order of path; caches, hidden files and the folders `without` are left out."""
     without = {Path(place) for place in without}
     found = []
     for here, folders, files in os.walk(folder, followlinks=True):
@@ -120,18 +107,7 @@ def list_files(folder, without=()):
 
 
 def file_digest(path):
-    """Return the SHA-256 of a file's content.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits, or ``"absent"``.
-    """
+    """Return the SHA-256 of a file's content, or "absent"."""
     try:
         with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -140,20 +116,7 @@ def file_digest(path):
 
 
 def folder_digest(folder, times=False):
-    """Return a cheap digest of a folder: names and sizes of its files, contents unread.
-
-    Parameters
-    ----------
-    folder : path-like
-        The folder.
-    times : bool
-        Whether the times of last change count too (which differ from one copy to the next).
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits, or ``"absent"``.
-    """
+    """Return a digest of names and sizes of a folder's files, and of their times of last change; or "absent"."""
     if not Path(folder).is_dir():
         return "absent"
     digest = hashlib.sha256()
@@ -165,18 +128,7 @@ def folder_digest(folder, times=False):
 
 
 def shared_digest(checkout):
-    """Return the digest of all that every report depends on.
-
-    Parameters
-    ----------
-    checkout : Checkout
-        The folders.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits over the package, the committed data, the lock, Python and the external data.
-    """
+    """Return the digest of what every report depends on: package, committed data, lock, Python, external data."""
     digest = hashlib.sha256(f"{platform.python_version()} {platform.machine()}".encode())
     for folder in (checkout.package, checkout.data):
         for path in list_files(folder, without=[checkout.data / "external", checkout.external]):
@@ -187,24 +139,7 @@ def shared_digest(checkout):
 
 
 def input_digest(checkout, notebook, parameters=None, shared=None):
-    """Return the digest of all that one report depends on.
-
-    Parameters
-    ----------
-    checkout : Checkout
-        The folders.
-    notebook : path-like
-        The notebook.
-    parameters : dict, optional
-        Parameters given to it.
-    shared : str, optional
-        `shared_digest` of the checkout, where it is at hand.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-    """
+    """Return the digest of all that one report depends on; `shared` is the `shared_digest` where it is at hand."""
     shared = shared_digest(checkout) if shared is None else shared
     line = [shared, file_digest(notebook), sorted((parameters or {}).items())]
     return hashlib.sha256(json.dumps(line, default=repr).encode()).hexdigest()

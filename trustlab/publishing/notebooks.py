@@ -1,35 +1,22 @@
 """Every notebook to a report, in parallel, built again only when its inputs changed."""
 
+import ast
 import json
-import os
 import re
-import shutil
-import signal
-import subprocess
-import sys
-import tempfile
 import time
-from collections import deque
-from dataclasses import asdict, dataclass
-from difflib import get_close_matches
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
-from trustlab.publishing.execution import declared_parameters, end_processes, parse_value
-from trustlab.publishing.html_report import duration
-from trustlab.publishing.index_page import read_sidecar, sidecar_path, write_index
+from trustlab.models.checks import did_you_mean, shown, whole_number
+from trustlab.models.extras import extra
 from trustlab.publishing.inputs import Checkout, input_digest, shared_digest
+from trustlab.publishing.provenance import duration, provenance
 
-__all__ = ["Built", "find_notebooks", "parameters_for", "publish"]
+__all__ = ["Built", "declared_parameters", "find_notebooks", "parameters_for", "parse_value", "publish"]
 
 NAMED = re.compile(r"\d\d_.+\.ipynb")
-ONE_THREAD = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "BLIS_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-)
 
 
 @dataclass(frozen=True)
@@ -55,25 +42,7 @@ class Built:
 
 
 def find_notebooks(checkout, names=()):
-    """Return the notebooks to publish.
-
-    Parameters
-    ----------
-    checkout : Checkout
-        The folders.
-    names : iterable of str
-        Names with or without ``.ipynb``, or the beginning of one (``"01"``); none for all.
-
-    Returns
-    -------
-    list of pathlib.Path
-        ``NN_*.ipynb`` in order of their names.
-
-    Raises
-    ------
-    ValueError
-        If there is none, or a name fits none.
-    """
+    """Return the files ``NN_*.ipynb`` in order; those that `names` name, in full or by their beginning, or all."""
     found = sorted(path for path in checkout.notebooks.glob("*.ipynb") if NAMED.fullmatch(path.name))
     if not found:
         raise ValueError(f"no notebook NN_name.ipynb (two digits, underscore, name) in {checkout.notebooks}")
@@ -84,192 +53,117 @@ def find_notebooks(checkout, names=()):
         short = Path(name).name.removesuffix(".ipynb")
         fits = [stem for stem in stems if stem == short] or [stem for stem in stems if stem.startswith(short)]
         if not fits:
-            near = get_close_matches(short, stems, 1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise ValueError(f"no notebook is called {name!r}{hint} There are: {', '.join(stems)}")
+            known = f"{did_you_mean(short, stems)}. There are: {', '.join(stems)}"
+            raise ValueError(f"no notebook is called {name!r}{known}")
         chosen.update(fits)
     return [path for path in found if path.stem in chosen]
 
 
-def _fitting(name, value, text, default, notebook):
-    """Return a value of the kind the notebook declares."""
-    if isinstance(default, str) and text is not None and not isinstance(value, str):
-        return text
-    kinds = {bool: (bool,), int: (int,), float: (int, float)}.get(type(default))
-    wrong = kinds is not None and (
-        not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds)
-    )
-    if wrong:
-        raise ValueError(
-            f"parameter {name} of {notebook.stem} is {default!r} by default; {value!r} is of another kind"
-        )
-    return value
+def declared_parameters(path):
+    """Return the parameters that a notebook declares in its cell tagged ``parameters``, and their defaults."""
+    with extra("reports"):
+        import nbformat
+        from papermill.translators import PythonTranslator
+
+    cells = nbformat.read(path, as_version=4).cells
+    tagged = (cell for cell in cells if "parameters" in cell.metadata.get("tags", []))
+    return {one.name: _literal(one.default) for one in PythonTranslator.inspect(next(tagged, {"source": ""}))}
+
+
+def _literal(source):
+    """Return the value of a Python literal, or else its source."""
+    try:
+        return ast.literal_eval(source)
+    except (SyntaxError, ValueError):
+        return source
+
+
+def parse_value(text):
+    """Return a parameter's value as papermill's command line reads it: True, False, None, a number, or else the text."""
+    words = {"True": True, "False": False, "None": None}
+    if text in words:
+        return words[text]
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
 
 
 def parameters_for(notebooks, given):
-    """Return the parameters each notebook gets: those of the given ones it declares.
-
-    Parameters
-    ----------
-    notebooks : iterable of pathlib.Path
-        The notebooks to run.
-    given : dict
-        Name → value. A string is read as papermill reads it: ``True False None``, numbers, else text.
-
-    Returns
-    -------
-    dict
-        Notebook → dict of parameters.
-
-    Raises
-    ------
-    ValueError
-        If no notebook declares one of the names, or a value is of another kind than the declared default.
-    """
+    """Return the parameters each notebook gets: those of the given ones that it declares, of the kind of their default."""
     if not given:
         return {path: {} for path in notebooks}
     declared = {path: declared_parameters(path) for path in notebooks}
-    known = sorted({name for names in declared.values() for name in names})
+    known = {name for names in declared.values() for name in names}
     for name in given:
         if name not in known:
-            near = get_close_matches(name, known, 1)
             lines = [f"  {path.stem}: {', '.join(names) or '(none)'}" for path, names in declared.items()]
             raise ValueError(
-                f"no notebook declares a parameter {name!r}"
-                + (f"; did you mean {near[0]!r}?" if near else ".")
-                + "\nDeclared parameters:\n"
-                + "\n".join(lines)
+                f"no notebook declares a parameter {name!r}{did_you_mean(name, known)}\n"
+                "Declared parameters:\n" + "\n".join(lines)
             )
-    values = {name: (parse_value(v), v) if isinstance(v, str) else (v, None) for name, v in given.items()}
     return {
-        path: {name: _fitting(name, *values[name], names[name], path) for name in given if name in names}
+        path: {name: _fitting(name, given[name], names[name], path) for name in given if name in names}
         for path, names in declared.items()
     }
 
 
-class _Run:
-    """One notebook under way in a process of its own."""
-
-    def __init__(self, checkout, notebook, parameters, digest, threads, build):
-        self.notebook, self.digest = notebook, digest
-        self.scratch = Path(tempfile.mkdtemp(prefix=f"run-{os.getpid()}-", dir=build))
-        self.sockets = tempfile.mkdtemp(prefix="tl-", dir="/tmp" if os.access("/tmp", os.W_OK) else None)
-        environment = os.environ | {
-            "PYTHONHASHSEED": "0",
-            "MPLBACKEND": "module://matplotlib_inline.backend_inline",
-            "JUPYTER_RUNTIME_DIR": self.sockets,
-            "IPYTHONDIR": str(Path(self.sockets, "ipython")),  # nobody's own start-up files
-            "JUPYTER_PLATFORM_DIRS": "1",
-        }
-        for name in ONE_THREAD:  # also the same sums on every machine
-            environment.setdefault(name, "1")
-        environment.setdefault("NUMBA_NUM_THREADS", str(threads))
-        if "TRUSTLAB_DATA" in os.environ or checkout.external.is_dir():
-            environment["TRUSTLAB_DATA"] = str(checkout.external)
-        job = {
-            "checkout": {name: str(value) for name, value in asdict(checkout).items()},
-            "notebook": str(notebook),
-            "parameters": parameters,
-            "scratch": str(self.scratch),
-            "sockets": self.sockets,
-        }
-        self.words = (self.scratch / "words.txt").open("w+", encoding="utf-8", errors="replace")
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "trustlab.publishing.execution"],
-            stdin=subprocess.PIPE,
-            stdout=self.words,
-            stderr=subprocess.STDOUT,
-            env=environment,
-            text=True,
-            start_new_session=True,  # an interrupt reaches the publisher, which ends its processes in order
+def _fitting(name, given, default, notebook):
+    """Return a value of the kind the notebook declares; text is read as papermill reads it."""
+    if isinstance(given, str) and isinstance(default, str):
+        return given
+    value = parse_value(given) if isinstance(given, str) else given
+    kinds = {bool: bool, int: int, float: int | float}.get(type(default), object)
+    if not isinstance(value, kinds) or (isinstance(value, bool) and kinds not in (bool, object)):
+        raise ValueError(
+            f"parameter {name} of {notebook.stem} is {default!r} by default; {shown(value)} is of another kind"
         )
-        try:
-            self.process.stdin.write(json.dumps(job) + "\n")
-            self.process.stdin.flush()
-        except BrokenPipeError:
-            pass
-
-    def result(self):
-        """Return what the process found; call it once it has ended."""
-        self.words.seek(0)
-        said = self.words.read().strip()
-        try:
-            found = json.loads((self.scratch / "result.json").read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            last = said.splitlines()[-1] if said else f"its process ended with code {self.process.returncode}"
-            failure = {
-                "cell": None,
-                "source": "",
-                "error": last,
-                "traceback": said,
-                "shown": "It could not be run.",
-            }
-            return {"seconds": 0.0, "failure": failure}
-        if "failure" in found and found["failure"]["cell"] is None:
-            found["failure"]["traceback"] += f"\n{said}"
-        return found
-
-    def close(self):
-        """Remove what the run leaves, having ended it if it has not."""
-        if self.process.poll() is None:
-            end_processes([self.process.pid])
-            self.process.wait()
-        self.process.stdin.close()
-        self.words.close()
-        for folder in (self.scratch, self.sockets):
-            shutil.rmtree(folder, ignore_errors=True)
+    return value
 
 
-def _sweep(build):
-    """Remove what publishers left that were killed outright."""
-    import psutil
+def _run(checkout, path, parameters, kernels):
+    """Run one notebook and lay out its page; return what is known of it afterwards."""
+    from trustlab.publishing.execution import anonymous, execute, failure_in
+    from trustlab.publishing.report_page import ReportError, report_html
 
-    for folder in build.glob("run-*"):
-        pid = folder.name.split("-")[1]
-        if pid.isdigit() and int(pid) != os.getpid() and not psutil.pid_exists(int(pid)):
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-def _remove(checkout, name):
-    (checkout.reports / f"{name}.html").unlink(missing_ok=True)
-    sidecar_path(checkout, name).unlink(missing_ok=True)
-
-
-def _keep(checkout, run, result, report, position):
-    """Put a finished run's report in place, or take away the one that is no longer true."""
-    name, failure = run.notebook.stem, result.get("failure")
-    page = checkout.reports / f"{name}.html"
-    record = {"name": name, "digest": run.digest} | result
+    clock, started = time.monotonic(), datetime.now(UTC).isoformat(timespec="seconds")
+    used = declared_parameters(path) | parameters
+    origin = provenance(checkout, path, used, started)  # before the run: what it starts from
+    run, failure = execute(path, parameters, kernels)
+    result = {"started": started, "seconds": time.monotonic() - clock}
     if failure is None:
-        sidecar_path(checkout, name).unlink(missing_ok=True)
-        os.replace(run.scratch / "report.html", page)
+        try:
+            page, card = report_html(run, path.stem, origin | result, parameters, checkout.notebooks)
+            return result | card | {"page": anonymous(page, checkout)}
+        except ReportError as error:
+            failure = failure_in(run, error.cell, str(error), str(error), parameters=parameters)
+    return result | {"failure": failure | {"shown": anonymous(failure["error"], checkout)}}
+
+
+def _keep(checkout, name, result, record):
+    """Put a finished report in place, or take away the one that is no longer true."""
+    from trustlab.publishing.index_page import record_path, replace_file
+
+    page, failure = checkout.reports / f"{name}.html", result.get("failure")
+    record_path(checkout, name).unlink(missing_ok=True)  # what is cut off here is built again
+    if failure is None:
+        replace_file(page, result.pop("page"))
+        record |= result
     else:
         page.unlink(missing_ok=True)
-        record = {"name": name, "digest": None} | {key: result.get(key) for key in ("started", "seconds")}
-        record["failure"] = {key: failure[key] for key in ("cell", "shown")}
-    written = run.scratch / "sidecar.json"
-    written.write_text(json.dumps(record, indent=1), encoding="utf-8")
-    os.replace(written, sidecar_path(checkout, name))
-    if failure is None:
-        report(f"{position} {name} … built in {duration(result['seconds'])}")
-        return Built(name, "built", result["seconds"])
-    where = f" in cell {failure['cell']}" if failure["cell"] is not None else ""
-    report(f"{position} {name} … FAILED{where} after {duration(result['seconds'])}")
-    return Built(name, "failed", result["seconds"], failure)
+        record = result | {"failure": {key: failure[key] for key in ("cell", "shown")}}
+    replace_file(record_path(checkout, name), json.dumps(record, indent=1))
+    return Built(name, "failed" if failure else "built", result["seconds"], failure)
 
 
-def _jobs(jobs):
-    if jobs == "auto":
-        from joblib import cpu_count
-
-        return cpu_count()
-    try:
-        count = int(jobs)
-    except ValueError:
-        count = 0
-    if count < 1:
-        raise ValueError(f'jobs must be "auto" or a whole number from 1, found {jobs!r}')
-    return count
+def _told(built):
+    """Return the line of progress of one finished notebook."""
+    if built.failure is None:
+        return f"{built.name} … built in {duration(built.seconds)}"
+    where = f" in cell {built.failure['cell']}" if built.failure["cell"] is not None else ""
+    return f"{built.name} … FAILED{where} after {duration(built.seconds)}"
 
 
 def publish(
@@ -305,66 +199,61 @@ def publish(
     ------
     ValueError
         Before any notebook runs: no such notebook, a parameter no notebook declares, a value of another kind.
+    ModuleNotFoundError
+        If the extra ``reports`` is not installed.
     """
+    from loky import cpu_count
+
+    from trustlab.publishing.execution import Kernels
+    from trustlab.publishing.index_page import read_record, write_index
+
     checkout = Checkout.find() if checkout is None else checkout
     say = report or (lambda line: None)
     chosen = find_notebooks(checkout, names)
     given = parameters_for(chosen, dict(parameters or {}))
-    most = _jobs(jobs)
-    build = checkout.reports / ".build"
-    build.mkdir(parents=True, exist_ok=True)
-    _sweep(build)
+    most = cpu_count() if jobs == "auto" else whole_number("jobs", jobs)
+    (checkout.reports / ".build").mkdir(parents=True, exist_ok=True)
     shared = shared_digest(checkout)
     digests = {path: input_digest(checkout, path, given[path], shared) for path in chosen}
-    done, waiting = {}, deque()
-    positions = {path: f"[{number}/{len(chosen)}]" for number, path in enumerate(chosen, 1)}
+    done = {}
     for path in chosen:
-        current = read_sidecar(checkout, path.stem).get("digest") == digests[path]
+        current = read_record(checkout, path.stem).get("digest") == digests[path]
         if current and not force and (checkout.reports / f"{path.stem}.html").is_file():
-            say(f"{positions[path]} {path.stem} … up to date")
+            say(f"{path.stem} … up to date")
             done[path] = Built(path.stem, "up to date")
-        else:
-            waiting.append(path)
-    threads = max(1, _jobs("auto") // max(1, min(most, len(waiting))))
-    running = []
+    waiting = [path for path in chosen if path not in done]
+    most = max(1, min(most, len(waiting)))
+    kernels = Kernels(checkout, threads=max(1, cpu_count() // most))
+    # The work is done in the kernels, which are processes: threads are enough to wait for them.
+    pool = ThreadPoolExecutor(most)
     try:
-        while waiting or running:
-            while waiting and len(running) < most:
-                path = waiting.popleft()
-                say(f"{positions[path]} {path.stem} … running")
-                running.append(_Run(checkout, path, given[path], digests[path], threads, build))
-            for run in [run for run in running if run.process.poll() is not None]:
-                path = run.notebook
-                done[path] = _keep(checkout, run, run.result(), say, positions[path])
-                running.remove(run)
-                run.close()
-                if done[path].failure and on_failure:
-                    on_failure(done[path])
-            time.sleep(0.05 if running else 0)
+        runs = {pool.submit(_run, checkout, path, given[path], kernels): path for path in waiting}
+        for run in as_completed(runs):
+            path = runs[run]
+            record = {
+                "digest": digests[path],
+                "sources": input_digest(checkout, path, shared=shared),
+                "parameters": {name: repr(value) for name, value in given[path].items()},
+            }
+            done[path] = _keep(checkout, path.stem, run.result(), record)
+            say(_told(done[path]))
+            if done[path].failure and on_failure:
+                on_failure(done[path])
+    except BaseException:  # an interrupt too: no kernel outlives the command
+        kernels.end()
+        raise
     finally:
-        before = signal.getsignal(signal.SIGINT)
-        _hold_interrupts(running)
-        end_processes([run.process.pid for run in running if run.process.poll() is None])
-        for run in running:
-            run.close()
-        _hold_interrupts(running, before)
+        pool.shutdown(cancel_futures=True)
     if not names:
         _remove_orphans(checkout, say)
     write_index(checkout, find_notebooks(checkout), shared)
     return [done[path] for path in chosen]
 
 
-def _hold_interrupts(running, handler=signal.SIG_IGN):
-    """Let nothing disturb the ending of processes (only the main thread may say so)."""
-    import threading
-
-    if running and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, handler)
-
-
-def _remove_orphans(checkout, report):
+def _remove_orphans(checkout, say):
     """Remove reports whose notebook is gone."""
-    for path in sorted((checkout.reports / ".build").glob("*.json")):
-        if not (checkout.notebooks / f"{path.stem}.ipynb").is_file():
-            _remove(checkout, path.stem)
-            report(f"{path.stem}: removed, its notebook is gone")
+    for record in sorted((checkout.reports / ".build").glob("*.json")):
+        if not (checkout.notebooks / f"{record.stem}.ipynb").is_file():
+            (checkout.reports / f"{record.stem}.html").unlink(missing_ok=True)
+            record.unlink()
+            say(f"{record.stem}: removed, its notebook is gone")

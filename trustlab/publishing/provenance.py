@@ -7,9 +7,9 @@ from pathlib import Path
 
 from trustlab.publishing.inputs import file_digest, folder_digest, list_files
 
-__all__ = ["commit", "provenance", "versions"]
+__all__ = ["commit", "duration", "provenance", "versions"]
 
-PACKAGES = (
+PACKAGES = [
     "trustlab",
     "numpy",
     "scipy",
@@ -19,23 +19,13 @@ PACKAGES = (
     "statsmodels",
     "pingouin",
     "casadi",
-)
+]
 SHORT = 12
+"""Digits of a digest that a reader sees."""
 
 
 def commit(root):
-    """Return the commit a repository is at.
-
-    Parameters
-    ----------
-    root : path-like
-        The top folder of the repository.
-
-    Returns
-    -------
-    str
-        The hash, with ``" + uncommitted changes"`` if there are any, or ``"not a git checkout"``.
-    """
+    """Return the commit a repository is at, marked where files are changed, or that it is no git checkout."""
 
     def git(*words):
         command = ["git", "-C", str(root), *words]
@@ -51,13 +41,7 @@ def commit(root):
 
 
 def versions():
-    """Return the versions of Python and of the packages results depend on.
-
-    Returns
-    -------
-    dict
-        Name → version; ``"not installed"`` where a package is absent.
-    """
+    """Return the versions of Python and of the packages that results depend on, by name."""
     found = {"python": platform.python_version()}
     for name in PACKAGES:
         try:
@@ -70,24 +54,8 @@ def versions():
 def provenance(checkout, notebook, parameters=None, started="", seconds=float("nan")):
     """Return where a report comes from, as plain values without paths, user or host names of this machine.
 
-    Parameters
-    ----------
-    checkout : Checkout
-        The folders.
-    notebook : path-like
-        The notebook.
-    parameters : dict, optional
-        Parameters used: declared ones at their values in this run. Those named ``…seed…`` are the seeds.
-    started : str
-        Start of the run, UTC, ISO 8601.
-    seconds : float
-        Time taken, s.
-
-    Returns
-    -------
-    dict
-        ``notebook notebook_sha256 commit environment_lock inputs external_data parameters seeds versions platform started
-        seconds``; ``inputs`` maps every file of ``data/published`` and ``data/sessions`` to its SHA-256.
+    `parameters` are those used, with their values in this run; those named ``…seed…`` are the seeds. `inputs` in the result
+    maps every file of ``data/published`` and ``data/sessions`` to its SHA-256.
     """
     parameters = dict(parameters or {})
     folders = [checkout.data / "published", checkout.data / "sessions"]
@@ -110,3 +78,10 @@ def provenance(checkout, notebook, parameters=None, started="", seconds=float("n
         "started": started,
         "seconds": seconds,
     }
+
+
+def duration(seconds):
+    """Return a time taken as people write it: "0.8 s", "12.3 s", "3 min 07 s"."""
+    if round(seconds, 1) < 60:
+        return f"{seconds:.1f} s"
+    return f"{round(seconds) // 60} min {round(seconds) % 60:02d} s"

@@ -1,0 +1,266 @@
+"""An executed notebook to one HTML page by nbconvert: no script, nothing fetched, formulas as MathML."""
+
+import base64
+import html
+import re
+from pathlib import Path
+
+from trustlab.models.extras import extra
+from trustlab.publishing.figures import CAPTION_ID
+from trustlab.publishing.mathml import MathError, to_mathml
+from trustlab.publishing.provenance import duration
+
+with extra("reports"):
+    from bs4 import BeautifulSoup
+    from nbconvert import HTMLExporter
+    from nbconvert.filters import strip_ansi
+    from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath, MathInlineParser
+    from pygments.formatters import HtmlFormatter
+    from traitlets.config import Config
+
+__all__ = ["ReportError", "markdown_html", "page_faults", "report_html", "stylesheet"]
+
+TEMPLATES = Path(__file__).parent / "templates"
+CONTENTS_FROM = 5
+"""Number of headings from which a page has a list of contents."""
+
+IMAGES = ("image/svg+xml", "image/png", "image/jpeg")
+SHOWN = (
+    "text/html",
+    "text/markdown",
+    *IMAGES[:1],
+    "text/latex",
+    *IMAGES[1:],
+    "application/javascript",
+    "text/plain",
+)
+# what a cell that ends with a call of Matplotlib returns: no reader wants to see it
+LEFT_OVER = re.compile(
+    r"^\[?(<Axes|<matplotlib\.|<Figure|Text\(|\(?array\(\[<Axes)|^\[?<[\w. ]+ at 0x[0-9a-f]+>"
+)
+# $5 and $6 are prices: a dollar that opens a formula is not followed by a space, one that closes it is neither preceded
+# by a space nor followed by a digit
+FORMULA = r"(?s:(?<![\\$])\$(?![\s$])(?P<math_inline_tex>(?:\\\$|(?!\n\s*\n)[^$`])+?)(?<![\s\\])\$(?![\d$]))"
+FETCHED = ("src", "srcset", "poster", "data", "background", "xlink:href")
+ELSEWHERE = re.compile(r"@import|url\(\s*['\"]?\s*(?!data:|#)", re.IGNORECASE)
+NUMBER = re.compile(
+    r"(?:[<>]\s*)?[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|[-+]?inf|\u2013|-"
+)
+
+
+class ReportError(ValueError):
+    """A notebook that ran but cannot be published: what is wrong, and the index of its cell where it is one cell's."""
+
+    def __init__(self, words, cell=None):
+        super().__init__(words)
+        self.cell = cell
+
+
+class _Inline(MathInlineParser):
+    SPECIFICATION = MathInlineParser.SPECIFICATION | {"inline_math_tex": FORMULA}
+
+
+class _Renderer(IPythonRenderer):
+    """nbconvert's Markdown, with MathML in place of formulas for a script, and anchors that are noted."""
+
+    def __init__(self, headings, attachments, folder):
+        super().__init__(escape=False, embed_images=True, attachments=attachments, path=str(folder))
+        self.headings = headings
+
+    def inline_math(self, body):
+        return to_mathml(body)
+
+    def block_math(self, body):
+        return f'<span class="equation">{to_mathml(body, display=True)}</span>'
+
+    def latex_environment(self, name, body):
+        return self.block_math(f"\\begin{{{name}}}{body}\\end{{{name}}}")
+
+    def heading(self, text, level, **_):
+        slug = re.sub(r"\W+", "-", plain(text).lower()).strip("-") or "section"
+        taken = [anchor for _, anchor, _ in self.headings]
+        repeated = sum(re.fullmatch(re.escape(slug) + r"(-\d+)?", anchor) is not None for anchor in taken)
+        anchor = f"{slug}-{repeated + 1}" if repeated else slug
+        self.headings.append((level, anchor, text))
+        link = f'<a class="anchor" href="#{anchor}" aria-hidden="true">#</a>'
+        return f'<h{level} id="{anchor}">{text}{link}</h{level}>\n'
+
+
+def markdown_html(source, headings=None, attachments=None, folder=""):
+    """Return Markdown as HTML with formulas and pictures embedded; `headings` gets (level, anchor, HTML) of each."""
+    renderer = _Renderer([] if headings is None else headings, attachments or {}, folder)
+    return MarkdownWithMath(renderer, inline=_Inline())(source)
+
+
+def plain(markup):
+    """Return the text of markup, each formula as its LaTeX."""
+    markup = re.sub(r'<math[^>]*alttext="([^"]*)".*?</math>', r"\1", markup, flags=re.DOTALL)
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", "", markup)).split())
+
+
+def output_html(markup):
+    """Return an HTML output with its formulas as MathML and its tables in the style of the page."""
+    soup = BeautifulSoup(markup, "html.parser")
+    for style in soup.select("style[scoped]"):  # pandas sends it along with every table
+        style.decompose()
+    for text in soup.find_all(string=re.compile(FORMULA)):
+        if not text.find_parent(["code", "pre", "style", "script", "textarea", "math"]):
+            words = html.escape(str(text), quote=False)
+            words = re.sub(FORMULA, lambda found: to_mathml(html.unescape(found[1])), words)
+            text.replace_with(BeautifulSoup(words, "html.parser"))
+    for image in soup.select("img:not([alt])"):
+        image["alt"] = ""
+    for table in soup.find_all("table"):
+        _style_table(table)
+        table.wrap(soup.new_tag("div", attrs={"class": "scroll", "tabindex": "0"}))
+    return str(soup)
+
+
+def _style_table(table):
+    """Mark the columns of numbers, heads included, which the style sheet aligns."""
+    for element in [table, *table.find_all("tr")]:
+        element.attrs = {
+            name: value for name, value in element.attrs.items() if name not in ("border", "style")
+        }
+    for cell in table.find_all("td"):
+        if NUMBER.fullmatch(cell.get_text(strip=True)):
+            cell["class"] = [*cell.get("class", []), "number"]
+    rows = [row.find_all(["th", "td"]) for row in table.find_all("tr") if not row.select("[colspan]")]
+    heads = [row for row in rows if all(cell.name == "th" for cell in row)]
+    first = next((row for row in rows if row not in heads), [])
+    for head in heads:
+        for name, below in zip(head, first, strict=False):
+            if "number" in below.get("class", []):
+                name["class"] = [*name.get("class", []), "number"]
+
+
+def image_uri(output):
+    """Return an output's picture as a data URI, or an empty string."""
+    data = output.get("data", {})
+    kind = next((kind for kind in IMAGES if kind in data), None)
+    if kind is None:
+        return ""
+    text = base64.b64encode(data[kind].encode()).decode() if "svg" in kind else "".join(data[kind].split())
+    return f"data:{kind};base64,{text}"
+
+
+def result(text):
+    """Return the text of a cell's last value, or nothing where it is an object of Matplotlib."""
+    return "" if LEFT_OVER.match(text) else strip_ansi(text)
+
+
+class Page:
+    """What the template asks for while nbconvert lays out a notebook, cell by cell."""
+
+    def __init__(self, notebook, folder):
+        self.notebook, self.folder = notebook, folder
+        self.headings, self.index, self.attachments = [], None, None
+
+    def __deepcopy__(self, memo):  # nbconvert copies what it passes on to the template
+        return self
+
+    def enter(self, index):
+        """Note which cell is laid out, for errors."""
+        self.index = index
+        self.attachments = self.notebook.cells[index].get("attachments")
+        return ""
+
+    def markdown(self, source):
+        return markdown_html(source, self.headings, self.attachments, self.folder)
+
+    def alt(self, output):
+        """Return what a figure shows: by its metadata, its caption, or else the heading above it."""
+        given = [output.metadata, *(output.metadata.get(kind, {}) for kind in IMAGES)]
+        words = next((entry["alt"] for entry in given if entry.get("alt")), "")
+        drawing = output.data.get("image/svg+xml", "")
+        group = re.search(rf'<g id="{CAPTION_ID}">(.*?)</g>\s*(?:</g>|</svg>)', drawing, re.DOTALL)
+        if not words and group:  # Matplotlib writes each line of text as a comment beside its outlines
+            words = " ".join(re.findall(r"<!--(.*?)-->", group[1], re.DOTALL))
+        above = plain(self.headings[-1][2]) if self.headings else "result"
+        return " ".join((words or f"Figure: {above}").split())
+
+    def refuse_script(self):
+        raise MathError("it shows JavaScript, which a report cannot hold; show a figure or a table instead")
+
+    @property
+    def title(self):
+        titles = sorted(self.headings, key=lambda heading: heading[0] != 1)
+        return plain(titles[0][2]) if titles else ""
+
+    @property
+    def contents(self):
+        found = [
+            (level, anchor, re.sub(r"</?a\b[^>]*>", "", text))
+            for level, anchor, text in self.headings
+            if level in (2, 3)
+        ]
+        return found if len(self.headings) >= CONTENTS_FROM else []
+
+    @property
+    def thumbnail(self):
+        """The picture of the cell tagged ``thumbnail``, else the first there is, as a data URI."""
+        cells = [cell for cell in self.notebook.cells if cell.cell_type == "code"]
+        cells.sort(key=lambda cell: "thumbnail" not in cell.metadata.get("tags", []))
+        return next((uri for cell in cells for output in cell.outputs if (uri := image_uri(output))), "")
+
+    @property
+    def sentence(self):
+        """The first sentence below the title as HTML, or the one in the notebook's metadata."""
+        first = next((cell.source for cell in self.notebook.cells if cell.cell_type == "markdown"), "")
+        paragraphs = re.split(r"\n\s*\n", re.sub(r"(?m)^#.*$", "\n", first).strip())
+        given = self.notebook.metadata.get("trustlab", {}).get("sentence", paragraphs[0])
+        words = re.split(r"(?<!e\.g\.)(?<!i\.e\.)(?<!\bcf\.)(?<!Fig\.)(?<=[.!?])\s+(?=[A-Z“])", given)[0]
+        return re.sub(r"</?(p|a)\b[^>]*>", "", markdown_html(words, folder=self.folder)).strip()
+
+
+def report_html(notebook, name, origin, given=None, folder=""):
+    """Return an executed notebook as one self-contained page, and its title, sentence and thumbnail for the index."""
+    page = Page(notebook, folder)
+    exporter = HTMLExporter(
+        template_file="report.html.j2",
+        extra_template_paths=[str(TEMPLATES)],
+        filters={"duration": duration, "image_uri": image_uri, "output_html": output_html, "result": result},
+        config=Config({"NbConvertBase": {"display_data_priority": list(SHOWN)}}),
+    )
+    resources = {"page": page, "name": name, "origin": origin, "given": given or {}, "css": stylesheet()}
+    try:
+        text, _ = exporter.from_notebook_node(notebook, resources)
+    except MathError as error:
+        raise ReportError(str(error), page.index) from error
+    check_page(text, "report")
+    return text, {"title": page.title or name, "sentence": page.sentence, "thumbnail": page.thumbnail}
+
+
+def stylesheet():
+    """Return the style sheet of reports and index, with the colours of code."""
+    own = (TEMPLATES / "report.css").read_text(encoding="utf-8")
+    return own + HtmlFormatter(style="friendly", nobackground=True).get_style_defs(".highlight")
+
+
+def page_faults(page):
+    """Return what a page would run or fetch, one phrase each; nothing for a page that is complete in itself."""
+    faults = []
+    # pictures that are embedded need no look: without them the page is small
+    soup = BeautifulSoup(re.sub(r"""(["'])data:.*?\1""", '"data:"', page), "html.parser")
+    for tag in soup.find_all(True):
+        if tag.name in ("script", "iframe", "object", "embed", "base"):
+            faults.append(f"it has a <{tag.name}> element")
+        for name, value in tag.attrs.items():
+            value = "".join(value).strip()
+            fetched = name in FETCHED or (name == "href" and tag.name not in ("a", "area"))
+            if fetched and value and not value.startswith(("data:", "#")):
+                faults.append(f"its <{tag.name}> would fetch {value[:80]!r}; embed it")
+            if name.startswith("on") or value.lower().startswith("javascript:"):
+                faults.append(f"its <{tag.name}> has a script in {name}")
+            if name == "http-equiv" and value.lower() == "refresh":
+                faults.append("it loads another page by itself")
+        if ELSEWHERE.search(tag.get("style", "") + (str(tag.string) if tag.name == "style" else "")):
+            faults.append(f"a style of its <{tag.name}> would fetch something")
+    return list(dict.fromkeys(faults))
+
+
+def check_page(page, what):
+    """Refuse a page that would run or fetch anything."""
+    faults = page_faults(page)
+    if faults:
+        raise ReportError(f"the {what} would not be self-contained: {'; '.join(faults)}")
