@@ -54,8 +54,24 @@ def versions():
 def provenance(checkout, notebook, parameters=None, started="", seconds=float("nan")):
     """Return where a report comes from, as plain values without paths, user or host names of this machine.
 
-    `parameters` are those used, with their values in this run; those named ``…seed…`` are the seeds. `inputs` in the result
-    maps every file of ``data/published`` and ``data/sessions`` to its SHA-256.
+    Parameters
+    ----------
+    checkout : Checkout
+        The folders.
+    notebook : path-like
+        The notebook.
+    parameters : dict, optional
+        Parameters used, with their values in this run. Those named ``…seed…`` are the seeds.
+    started : str
+        Start of the run, UTC, ISO 8601.
+    seconds : float
+        Time taken, s.
+
+    Returns
+    -------
+    dict
+        ``notebook notebook_sha256 commit environment_lock inputs external_data parameters seeds versions platform started
+        seconds``; ``inputs`` maps every file of ``data/published`` and ``data/sessions`` to its SHA-256.
     """
     parameters = dict(parameters or {})
     folders = [checkout.data / "published", checkout.data / "sessions"]
