@@ -229,22 +229,22 @@ def test_rescaling_by_name(tlx, rescale, answer, score):
         ),
         (lambda f: f.drop(columns="effort"), {}, "item 'effort': no column 'effort'"),
         (lambda f: f.rename(columns={"effort": "efort"}), {}, "did you mean 'efort'"),
-        (lambda f: pd.concat([f, f.iloc[:1]]), {}, "subject 's1', condition 'M': there are two rows"),
-        (lambda f: put(f, 1, "scheme", None), {}, "column 'scheme', row 1: the condition is missing"),
-        (lambda f: put(f, 1, "pid", np.nan), {}, "column 'pid', row 1: the subject is missing"),
+        (lambda f: pd.concat([f, f.iloc[:1]]), {}, "subject 's1', condition 'M', item 'mental' occurs twice"),
+        (lambda f: put(f, 1, "scheme", None), {}, "condition: column 'scheme' has no label in row 1"),
+        (lambda f: put(f, 1, "pid", np.nan), {}, "subject: column 'pid' has no label in row 1"),
         (lambda f: f.iloc[:0], {}, "the table of answers is empty"),
         (lambda f: f.to_numpy(), {}, "the answers must be a DataFrame"),
-        (lambda f: pd.concat([f, f[["mental"]]], axis=1), {}, "column 'mental' is there 2 times"),
+        (lambda f: pd.concat([f, f[["mental"]]], axis=1), {}, "column 'mental' occurs 2 times"),
         (lambda f: f, {"subject": "pidd"}, "subject: no column 'pidd'; did you mean 'pid'"),
         (lambda f: f, {"condition": "pid"}, "subject and condition are the same column"),
         (lambda f: f, {"items": {"mental": "mental"}}, "no column is named for physical, temporal"),
         (
             lambda f: f,
             {"items": {"mentall": "mental"}},
-            "'mentall' is no item of this questionnaire; did you mean 'mental'",
+            "'mentall' is not an item of this questionnaire; did you mean 'mental'",
         ),
         (lambda f: f, {"items": ["mental"]}, "items lists 1 columns, the questionnaire has 6"),
-        (lambda f: f, {"items": ["mental"] * 6}, "a column stands for two items"),
+        (lambda f: f, {"items": ["mental"] * 6}, "two items are given the same column"),
         (lambda f: f, {"items": "mental"}, "items must be a dict"),
         (lambda f: f, {"item": "what"}, "needs both item= and response="),
         (lambda f: f, {"performance": "good"}, "performance must be"),
@@ -252,7 +252,7 @@ def test_rescaling_by_name(tlx, rescale, answer, score):
         (lambda f: f, {"rescale": ["0-20"]}, "rescale must be one of"),
         (lambda f: f, {"missing": ["refuse"]}, "missing must be one of"),
         (lambda f: f, {"subject": ["pid"]}, "subject must be the name of one column"),
-        (lambda f: f, {"condition": None}, "subject 's1': there are two rows; keep one, or say condition="),
+        (lambda f: f, {"condition": None}, "subject 's1', item 'mental' occurs twice; keep one, or say condition="),
         (lambda f: f, {"rescale": "1-20"}, "rescale must be one of '0-20'"),
         (lambda f: f, {"rescale": "0-20"}, "80 lies outside 0 to 20"),
         (
@@ -286,7 +286,7 @@ def test_bad_tlx_is_refused(tlx, change, arguments, words):
         ([5, 0, 4, 3, 2, 1], "weights must be a DataFrame or a dict"),
         (pd.DataFrame([WEIGHTS]), "weights has no column 'pid'"),
         (pd.DataFrame([{"pid": "s1"} | WEIGHTS]), "subject 's2': there are no weights"),
-        (pd.DataFrame([{"pid": "s1"} | WEIGHTS] * 2), "subject 's1': there are two rows"),
+        (pd.DataFrame([{"pid": "s1"} | WEIGHTS] * 2), "subject 's1', item 'mental' occurs twice"),
         (
             pd.DataFrame([{"pid": "s1"} | WEIGHTS, {"pid": "s2"} | WEIGHTS | {"effort": 1}]),
             "weights of subject 's2' sum to 14",
@@ -308,9 +308,9 @@ def test_bad_weights_are_refused(tlx, weights, words):
             lambda f: put(f, 0, "chosen", "effort"),
             "'mental' or 'physical': chosen is 'effort', which is neither",
         ),
-        (lambda f: put(f, 0, "first", "metal"), "'metal' is no scale; did you mean 'mental'"),
-        (lambda f: f.drop(columns="chosen"), "choices has no column 'chosen'"),
-        (lambda f: put(f, 3, "subject", None), "a subject is missing"),
+        (lambda f: put(f, 0, "first", "metal"), "'metal' is not a scale; did you mean 'mental'"),
+        (lambda f: f.drop(columns="chosen"), "chosen: no column 'chosen'"),
+        (lambda f: put(f, 3, "subject", None), "subject: column 'subject' has no label in row 3"),
         (lambda f: None, "choices must be a DataFrame"),
     ],
 )
@@ -430,10 +430,10 @@ def test_bad_trust_is_refused(trust, change, words):
 def test_bad_long_tables_are_refused(trust):
     melted = long(trust, TRUST_CHECKLIST.items)
     args = {"subject": "pid", "condition": "scheme", "item": "what", "response": "answer"}
-    with pytest.raises(ValueError, match="item 'deceptive': there are two answers"):
+    with pytest.raises(ValueError, match="item 'deceptive' occurs twice"):
         score_trust_checklist(pd.concat([melted, melted.iloc[:1]]), **args)
     with pytest.raises(
-        ValueError, match="'warry' in column 'what' is no item of this questionnaire; did you mean 'wary'"
+        ValueError, match="'warry' in column 'what' is not an item of this questionnaire; did you mean 'wary'"
     ):
         score_trust_checklist(melted.replace({"what": {"wary": "warry"}}), **args)
     with pytest.raises(ValueError, match="response: no column 'anser'; did you mean 'answer'"):
@@ -513,7 +513,7 @@ def test_bad_scales_are_refused(arguments, words):
 
 
 def test_scale_must_be_a_scale():
-    with pytest.raises(ValueError, match="scale must be a LikertScale"):
+    with pytest.raises(ValueError, match="scale must be of class LikertScale"):
         score_likert(pd.DataFrame({"who": [1]}), "trust", subject="who")
 
 

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Required, TypedDict
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_number
-from trustlab.studies.questionnaires.answers import check_responses, name_cell, read_responses
+from trustlab.models.checks import finite_number, of_class, one_of
+from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
 from trustlab.studies.questionnaires.reliability import cronbach_alpha
 
-__all__ = ["MISSING_RULES", "LikertScale", "ScaleScores", "Subscale", "missing_answers", "score_likert"]
+__all__ = [
+    "MISSING_RULES",
+    "AnswerColumns",
+    "LikertScale",
+    "ScaleScores",
+    "Subscale",
+    "missing_answers",
+    "score_likert",
+]
 
 MISSING_RULES = {
     "refuse": "every item must be answered",
@@ -191,55 +200,41 @@ class ScaleScores:
         return f"<p>{self.name}</p>{self.scores._repr_html_()}"
 
 
-def missing_answers(responses: pd.DataFrame, parts: Mapping[str, Sequence[str]], rule: str) -> pd.DataFrame:
+def missing_answers(answers: pd.DataFrame, parts: Mapping[str, Sequence[str]], rule: str) -> pd.DataFrame:
     """
-    Return the answers that are missing, or refuse them if the rule does not allow for them.
+    Return the answers that are missing (subject, condition, item, rule), or refuse them where the rule does.
 
-    Parameters
-    ----------
-    responses : pandas.DataFrame
-        A row per subject (and condition), a column per item, NaN where not answered.
-    parts : mapping of str to list of str
-        The items of every score.
-    rule : str
-        A name in MISSING_RULES.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Columns subject, condition, item, rule.
-
-    Raises
-    ------
-    ValueError
-        Naming subject, condition and item of what is missing.
+    `parts` gives the items of every score.
     """
-    if not isinstance(rule, str) or rule not in MISSING_RULES:
-        known = "; ".join(f"{name!r}: {words}" for name, words in MISSING_RULES.items())
-        raise ValueError(f"missing must be one of {known}; got {rule!r}")
-    several = isinstance(responses.index, pd.MultiIndex)
-    gaps = responses.isna().to_numpy()
-    rows = []
-    for i, j in np.argwhere(gaps):
-        row = responses.index[i]
-        rows.append((*(tuple(row) if several else (row, None)), responses.columns[j], rule))
-    if rows and rule == "refuse":
-        named = "; ".join(name_cell(*row[:3]) for row in rows[:10]) + (" …" if len(rows) > 10 else "")
+    one_of("missing", rule, MISSING_RULES)
+    several = isinstance(answers.index, pd.MultiIndex)
+    gaps = [(answers.index[i], answers.columns[j]) for i, j in np.argwhere(answers.isna().to_numpy())]
+    if gaps and rule == "refuse":
+        named = "; ".join(answer_name(*gap) for gap in gaps[:10]) + (" …" if len(gaps) > 10 else "")
         raise ValueError(
-            f"{len(rows)} {'answer is' if len(rows) == 1 else 'answers are'} missing: {named}. Fill them in from the records, leave the subject out, or ask for "
-            'missing="half_rule"'
+            f"{len(gaps)} {'answer is' if len(gaps) == 1 else 'answers are'} missing: {named}. Fill them in from the "
+            'records, leave the subject out, or ask for missing="half_rule"'
         )
     for score, items in parts.items():
-        short = responses[list(items)].isna().mean(axis=1).to_numpy() > 0.5
+        short = answers[list(items)].isna().mean(axis=1).to_numpy() > 0.5
         if short.any():
-            row = responses.index[int(np.argmax(short))]
-            labels = tuple(row) if several else (row, None)
             raise ValueError(
-                f"{name_cell(*labels)}: fewer than half of the {len(items)} items of {score!r} are answered, so that the "
-                "half rule gives no score; leave the subject out"
+                f"{answer_name(answers.index[int(np.argmax(short))])}: fewer than half of the {len(items)} items of "
+                f"{score!r} are answered, so that the half rule gives no score; leave the subject out"
             )
-    table = pd.DataFrame(rows, columns=["subject", "condition", "item", "rule"])
-    return table if several else table.assign(condition=np.nan)
+    rows = [(*(row if several else (row, np.nan)), item, rule) for row, item in gaps]
+    return pd.DataFrame(rows, columns=["subject", "condition", "item", "rule"])
+
+
+class AnswerColumns(TypedDict, total=False):
+    """Where the answers are and what is done about missing ones: the keyword arguments of `score_likert`."""
+
+    subject: Required[str]
+    condition: str | None
+    items: Mapping[str, str] | Sequence[str] | None
+    item: str | None
+    response: str | None
+    missing: str
 
 
 def score_likert(
@@ -281,18 +276,17 @@ def score_likert(
     ValueError
         Naming subject, condition and item of an answer that is missing, no number, outside the scale or between its steps.
     """
-    if not isinstance(scale, LikertScale):
-        raise ValueError(f"scale must be a LikertScale, got {type(scale).__name__}")
-    responses = read_responses(
+    of_class("scale", scale, LikertScale)
+    answers = read_answers(
         frame, scale.items, subject=subject, condition=condition, items=items, item=item, response=response
     )
-    check_responses(responses, scale.low, scale.high, scale.step)
+    check_answers(answers, scale.low, scale.high, scale.step)
     whole = Subscale(f"{scale.name}_mean", scale.items, scale.reversed)
     parts = (whole, *scale.subscales)
-    gaps = missing_answers(responses, {part.name: part.items for part in parts}, missing)
+    gaps = missing_answers(answers, {part.name: part.items for part in parts}, missing)
     coded, scores = {}, {}
     for part in parts:
-        own = responses[list(part.items)].copy()
+        own = answers[list(part.items)].copy()
         turned = list(part.reversed)
         own[turned] = scale.low + scale.high - own[turned]
         coded[part.name] = own
@@ -301,6 +295,6 @@ def score_likert(
             scores[f"{scale.name}_sum"] = scores[part.name] * len(scale.items)
     ranges = dict.fromkeys(scores, (scale.low, scale.high))
     ranges[f"{scale.name}_sum"] = (scale.low * len(scale.items), scale.high * len(scale.items))
-    table = pd.DataFrame(scores, index=responses.index).reset_index()
+    table = pd.DataFrame(scores, index=answers.index).reset_index()
     table.attrs = dict(frame.attrs)  # synthetic answers give synthetic scores
-    return ScaleScores(scale.source or scale.name, table, responses, ranges, coded, gaps)
+    return ScaleScores(scale.source or scale.name, table, answers, ranges, coded, gaps)

@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from trustlab.sessions.errors import nearest
-from trustlab.studies.questionnaires.answers import check_responses, name_cell, read_responses
+from trustlab.models.checks import did_you_mean, one_of
+from trustlab.studies.columns import column_of, refuse_missing_labels
+from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
 from trustlab.studies.questionnaires.likert import ScaleScores, missing_answers
 
 __all__ = ["TLX_RESCALINGS", "TLX_SCALES", "score_nasa_tlx", "tlx_weights"]
@@ -34,13 +35,12 @@ _PAIRS = tuple(itertools.combinations(TLX_SCALES, 2))
 
 
 def _check_weights(weights: np.ndarray, whose: str) -> None:
-    """Refuse weights that fifteen choices cannot give."""
+    """Refuse weights that fifteen pairwise choices cannot give."""
     for name, weight in zip(TLX_SCALES, weights, strict=True):
-        if not np.isfinite(weight):
-            raise ValueError(f"weights of {whose}: that of {name!r} is missing")
         if weight not in range(6):
+            found = "missing" if np.isnan(weight) else f"{weight:g}"
             raise ValueError(
-                f"weights of {whose}: that of {name!r} is {weight:g}; each must be a whole number from 0 to 5"
+                f"weights of {whose}: that of {name!r} is {found}; each must be a whole number from 0 to 5"
             )
     total = float(weights.sum())
     if total != 15.0:
@@ -87,18 +87,19 @@ def tlx_weights(
     """
     if not isinstance(choices, pd.DataFrame) or choices.empty:
         raise ValueError("choices must be a DataFrame with a row per subject and pair of scales")
-    for name in (subject, first, second, chosen):
-        if name not in choices.columns:
-            raise ValueError(f"choices has no column {name!r}{nearest(name, choices.columns)}")
-    if choices[subject].isna().any():
-        raise ValueError(f"column {subject!r}: a subject is missing; every row needs one")
+    columns = {"subject": subject, "first": first, "second": second, "chosen": chosen}
+    for argument, name in columns.items():
+        column_of(choices, argument, name)
+    refuse_missing_labels(choices[subject], "subject")
     rows = []
     for who, own in choices.groupby(subject, sort=False):
         counts, seen = dict.fromkeys(TLX_SCALES, 0), set()
         for a, b, pick in own[[first, second, chosen]].itertuples(index=False, name=None):
             for scale in (a, b):
                 if scale not in TLX_SCALES:
-                    raise ValueError(f"subject {who!r}: {scale!r} is no scale{nearest(scale, TLX_SCALES)}")
+                    raise ValueError(
+                        f"subject {who!r}: {scale!r} is not a scale{did_you_mean(scale, TLX_SCALES)}"
+                    )
             pair = frozenset((a, b))
             if len(pair) < 2 or pair in seen:
                 what = "is compared with itself" if len(pair) < 2 else f"and {b!r} are compared twice"
@@ -114,43 +115,50 @@ def tlx_weights(
     return pd.DataFrame(rows, columns=[subject, *TLX_SCALES])
 
 
-def _weight_table(weights, responses: pd.DataFrame) -> np.ndarray:
-    """Return the weights beside every row of the answers."""
-    several = isinstance(responses.index, pd.MultiIndex)
-    names = list(responses.index.names)
+def _weights_of_rows(weights: pd.DataFrame | Mapping, answers: pd.DataFrame) -> np.ndarray:
+    """Return six weights for every row of the answers."""
+    keys = list(answers.index.names)
     if isinstance(weights, Mapping):
-        lacking = [name for name in TLX_SCALES if name not in weights]
-        unknown = [name for name in weights if name not in TLX_SCALES]
-        if lacking or unknown:
+        if set(weights) != set(TLX_SCALES):
             raise ValueError(
                 f"weights must have the six scales {', '.join(TLX_SCALES)}; got {', '.join(map(str, weights))}"
             )
-        weights = pd.DataFrame(
-            {name: [weights[name]] * len(responses) for name in TLX_SCALES}, index=responses.index
-        )
-        own = weights.reset_index()
-        keys = names
-    elif isinstance(weights, pd.DataFrame):
-        own = weights
-        keys = [name for name in names if name in own.columns]
-        if names[0] not in keys:
-            raise ValueError(f"weights has no column {names[0]!r}, which says whose they are")
-    else:
+        weights = pd.DataFrame([dict(weights)] * len(answers), index=answers.index).reset_index()
+    if not isinstance(weights, pd.DataFrame):
         raise ValueError(
             f"weights must be a DataFrame or a dict of scale to weight, got {type(weights).__name__}"
         )
-    table = read_responses(
-        own, TLX_SCALES, subject=keys[0], condition=keys[1] if several and len(keys) > 1 else None
-    )
-    by_condition = isinstance(table.index, pd.MultiIndex)
+    if keys[0] not in weights.columns:
+        raise ValueError(f"weights has no column {keys[0]!r}, which says whose they are")
+    condition = keys[1] if len(keys) > 1 and keys[1] in weights.columns else None
+    table = read_answers(weights, TLX_SCALES, subject=keys[0], condition=condition)
     for row, values in zip(table.index, table.to_numpy(), strict=True):
-        _check_weights(values, name_cell(*(row if by_condition else (row, None))))
-    wanted = responses.index if by_condition or not several else responses.index.get_level_values(0)
+        _check_weights(values, answer_name(row))
+    # Without a column for the condition, a subject's weights hold under every condition.
+    wanted = answers.index if condition or len(keys) == 1 else answers.index.get_level_values(0)
     lacking = [row for row in wanted if row not in table.index]
     if lacking:
-        whose = name_cell(*(lacking[0] if by_condition else (lacking[0], None)))
-        raise ValueError(f"{whose}: there are no weights; add them, or leave weights out for the raw score")
+        raise ValueError(
+            f"{answer_name(lacking[0])}: there are no weights; add them, or leave weights out for the raw score"
+        )
     return table.loc[list(wanted)].to_numpy(dtype=float)
+
+
+def _on_hundred(answers: pd.DataFrame, rescale: str | None) -> pd.DataFrame:
+    """Return checked answers on the scale 0–100."""
+    known = "; ".join(f"{name!r}: {row[3]}" for name, row in TLX_RESCALINGS.items())
+    if rescale is None:
+        hint = ""
+        top = np.nanmax(answers.to_numpy(), initial=0.0)
+        if top <= 21.0:
+            hint = f"; no answer passes {top:g}: if the form had another scale, say rescale= one of {known}"
+        check_answers(answers, 0.0, 100.0, 5.0, hint)
+        return answers
+    if not isinstance(rescale, str) or rescale not in TLX_RESCALINGS:
+        raise ValueError(f"rescale must be one of {known}; got {rescale!r}")
+    low, high, rule, words = TLX_RESCALINGS[rescale]
+    check_answers(answers, low, high, 1.0, f' (rescale="{rescale}": {words})')
+    return rule(answers)
 
 
 def score_nasa_tlx(
@@ -206,37 +214,25 @@ def score_nasa_tlx(
     ----------
     S. G. Hart, L. E. Staveland, Development of NASA-TLX, in: Human Mental Workload, 1988, 139-183.
     """
-    if performance not in ("good_to_poor", "poor_to_good"):
-        raise ValueError(f'performance must be "good_to_poor" or "poor_to_good", got {performance!r}')
-    responses = read_responses(
+    one_of("performance", performance, ("good_to_poor", "poor_to_good"))
+    answers = read_answers(
         frame, TLX_SCALES, subject=subject, condition=condition, items=items, item=item, response=response
     )
-    known = "; ".join(f"{name!r}: {row[3]}" for name, row in TLX_RESCALINGS.items())
-    if rescale is None:
-        hint = ""
-        top = np.nanmax(responses.to_numpy(), initial=0.0)
-        if top <= 21.0:
-            hint = f"; no answer passes {top:g}: if the form had another scale, say rescale= one of {known}"
-        check_responses(responses, 0.0, 100.0, 5.0, hint)
-    elif isinstance(rescale, str) and rescale in TLX_RESCALINGS:
-        low, high, rule, words = TLX_RESCALINGS[rescale]
-        check_responses(responses, low, high, 1.0, f' (rescale="{rescale}": {words})')
-        responses = rule(responses)
-    else:
-        raise ValueError(f"rescale must be one of {known}; got {rescale!r}")
-    gaps = missing_answers(responses, {"tlx_raw": TLX_SCALES}, missing)
-    coded = responses.copy()
+    answers = _on_hundred(answers, rescale)
+    gaps = missing_answers(answers, {"tlx_raw": TLX_SCALES}, missing)
+    coded = answers.copy()
     if performance == "poor_to_good":
         coded["performance"] = 100.0 - coded["performance"]
-    scores = pd.DataFrame({"tlx_raw": coded.mean(axis=1), "tlx_weighted": np.nan}, index=responses.index)
+    scores = pd.DataFrame({"tlx_raw": coded.mean(axis=1), "tlx_weighted": np.nan}, index=answers.index)
     if weights is not None:
-        w = np.where(coded.notna(), _weight_table(weights, responses), 0.0)
+        w = np.where(coded.notna(), _weights_of_rows(weights, answers), 0.0)
         if (w.sum(axis=1) == 0.0).any():
-            row = responses.index[int(np.argmax(w.sum(axis=1) == 0.0))]
-            whose = name_cell(*(row if isinstance(responses.index, pd.MultiIndex) else (row, None)))
-            raise ValueError(f"{whose}: every scale with a weight is missing, so there is no weighted score")
+            row = answers.index[int(np.argmax(w.sum(axis=1) == 0.0))]
+            raise ValueError(
+                f"{answer_name(row)}: every scale with a weight is missing, so there is no weighted score"
+            )
         scores["tlx_weighted"] = (w * coded.fillna(0.0)).sum(axis=1) / w.sum(axis=1)
     ranges = dict.fromkeys(scores, (0.0, 100.0))
     table = scores.reset_index()
     table.attrs = dict(frame.attrs)  # synthetic answers give synthetic scores
-    return ScaleScores("NASA-TLX", table, responses, ranges, {"tlx_raw": coded}, gaps)
+    return ScaleScores("NASA-TLX", table, answers, ranges, {"tlx_raw": coded}, gaps)

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from typing import Unpack
 
 import pandas as pd
 
-from trustlab.studies.questionnaires.likert import LikertScale, ScaleScores, Subscale, score_likert
+from trustlab.studies.questionnaires.likert import (
+    AnswerColumns,
+    LikertScale,
+    ScaleScores,
+    Subscale,
+    score_likert,
+)
 
 __all__ = ["TRUST_CHECKLIST", "score_trust_checklist"]
 
@@ -22,19 +28,10 @@ TRUST_CHECKLIST = LikertScale(
     subscales=(Subscale("trust_subscale", _TRUST), Subscale("distrust_subscale", _DISTRUST)),
     source="trust checklist (Jian, Bisantz and Drury 2000)",
 )
-"""Items 1–5 (distrust) reversed in mean and sum; the subscales are means of answers as given, distrust included."""
+"""Items 1–5 (distrust) are reversed in mean and sum; both subscales are means of the answers as given."""
 
 
-def score_trust_checklist(
-    frame: pd.DataFrame,
-    *,
-    subject: str,
-    condition: str | None = None,
-    items: Mapping[str, str] | Sequence[str] | None = None,
-    item: str | None = None,
-    response: str | None = None,
-    missing: str = "refuse",
-) -> ScaleScores:
+def score_trust_checklist(frame: pd.DataFrame, **columns: Unpack[AnswerColumns]) -> ScaleScores:
     """
     Score the twelve-item trust checklist, 1 to 7, items 1–5 reversed.
 
@@ -42,38 +39,24 @@ def score_trust_checklist(
     ----------
     frame : pandas.DataFrame
         Answers as given, not reversed: wide (a column per item) or, with `item` and `response`, long.
-    subject, condition : str
-        Columns that say whose answers these are and under which condition; `condition` may be None.
-    items : dict or list, optional
-        Item of TRUST_CHECKLIST → column (wide) or label in column `item` (long); or those of items 1 to 12.
-    item, response : str, optional
-        For a long table: the column that names the item and the one that holds the answer.
-    missing : str
-        "refuse", or "half_rule" (see `score_likert`).
+    **columns
+        The keyword arguments of `score_likert`: subject, condition, items, item, response, missing. `items` maps items of
+        TRUST_CHECKLIST to columns (wide) or to labels in column `item` (long), or lists those of items 1 to 12.
 
     Returns
     -------
     ScaleScores
         Scores trust_mean (1–7), trust_sum (12–84), trust_subscale (1–7, items 6–12) and distrust_subscale (1–7, items
-        1–5, high is distrust).
+        1–5, where a high score is distrust).
 
     Raises
     ------
     ValueError
-        Naming subject, condition and item of an answer that is missing, no number, or no whole number from 1 to 7.
+        Naming subject, condition and item of an answer that is missing, not a number, or not a whole number from 1 to 7.
 
     References
     ----------
     J.-Y. Jian, A. M. Bisantz, C. G. Drury, Foundations for an empirically determined scale of trust in automated systems,
     International Journal of Cognitive Ergonomics 4 (2000) 53-71.
     """
-    return score_likert(
-        frame,
-        TRUST_CHECKLIST,
-        subject=subject,
-        condition=condition,
-        items=items,
-        item=item,
-        response=response,
-        missing=missing,
-    )
+    return score_likert(frame, TRUST_CHECKLIST, **columns)

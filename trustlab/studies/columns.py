@@ -1,0 +1,56 @@
+"""Reading columns of a user's table: found by name, without missing labels, numbers as floats."""
+
+from __future__ import annotations
+
+import decimal
+import numbers
+from collections.abc import Hashable
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import did_you_mean
+
+__all__ = ["column_of", "number_or_nan", "refuse_missing_labels"]
+
+
+def column_of(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = "") -> pd.Series:
+    """Return the one column that an argument names; `remedy` is appended to the error if no name is similar."""
+    if not isinstance(name, Hashable):
+        raise ValueError(
+            f"{argument} must be the name of one column, got {name!r}; one factor is analysed at a time"
+        )
+    if name not in frame.columns:
+        if name is not None and name in frame.index.names:
+            raise ValueError(f"{argument}: {name!r} is in the index, not a column; give frame.reset_index()")
+        there = ", ".join(map(str, frame.columns))
+        hint = did_you_mean(name, frame.columns)
+        raise ValueError(f"{argument}: no column {name!r}{hint} (there are {there}){'' if hint else remedy}")
+    found = frame[name]
+    if isinstance(found, pd.Series):
+        return found
+    if isinstance(frame.columns, pd.MultiIndex):
+        inside = ", ".join(repr(label) for label in frame.columns if label[0] == name)
+        raise ValueError(f"{argument}: {name!r} has columns below it; give one of them in full, {inside}")
+    raise ValueError(
+        f"{argument}: column {name!r} occurs {found.shape[1]} times; rename or remove all but one"
+    )
+
+
+def refuse_missing_labels(column: pd.Series, argument: str) -> None:
+    """Refuse a column of labels in which one is missing, and name the first such row."""
+    missing = column.isna().to_numpy()
+    if missing.any():
+        row = column.index.astype(object)[int(np.argmax(missing))]  # a plain Python label, for the error
+        raise ValueError(
+            f"{argument}: column {column.name!r} has no label in row {row!r}; every row needs one"
+        )
+
+
+def number_or_nan(value: object) -> float:
+    """Return a real number as a float and any mark of a missing value as NaN; a TypeError for all else."""
+    if value is None or value is pd.NA or value is pd.NaT:
+        return np.nan
+    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real | decimal.Decimal):
+        raise TypeError
+    return float(value)
