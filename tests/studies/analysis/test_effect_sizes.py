@@ -49,10 +49,10 @@ def test_no_effect_at_all():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((-1.0, 3, 40), "f must be at least 0"),
+        ((-1.0, 3, 40), "f must not be negative"),
         ((np.nan, 3, 40), "f must be finite"),
-        ((1.0, 0, 40), "df1 and df2 must be above 0"),
-        ((1.0, 3, -2), "df1 and df2 must be above 0"),
+        ((1.0, 0, 40), "df1 must be positive"),
+        ((1.0, 3, -2), "df2 must be positive"),
         ((1.0, 3, 40, 1.0), "level must lie"),
         (("1", 3, 40), "f must be a number"),
     ],

@@ -93,7 +93,7 @@ def test_agrees_with_pingouin():
 def test_turning_and_scaling(pairs, factor):
     a, b = np.array(pairs, dtype=float).T
     if np.ptp(a - b) == 0:
-        with pytest.raises(ValueError, match="every subject has the same difference"):
+        with pytest.raises(ValueError, match="error variance is zero|every score is"):
             run(frame_of(a, b))
         return
     one = run(frame_of(a, b))
@@ -170,14 +170,14 @@ GOOD = frame_of([1.0, 2, 4, 9], [2.0, 2, 3, 5])
 @pytest.mark.parametrize(
     ("frame", "words"),
     [
-        (GOOD.assign(score=1.0), "every subject has the same difference"),
-        (frame_of([0.1, 0.2, 0.3], [0.2, 0.3, 0.4]), "every subject has the same difference"),
+        (GOOD.assign(score=1.0), "every score is 1"),
+        (frame_of([0.1, 0.2, 0.3], [0.2, 0.3, 0.4]), "all subjects differ by the same amounts"),
         (GOOD[GOOD["which"] == "A"], "one condition only"),
         (GOOD[GOOD["who"] < 2], "at least three"),
         (pd.concat([GOOD, GOOD.iloc[:1]]), "more than one row"),
         (GOOD.assign(score=GOOD["score"].astype(str)), "scores must be numbers"),
         (GOOD.assign(score=np.inf), "finite"),
-        (GOOD.assign(score=GOOD["score"] * 1e300), "so large that their squares overflow"),
+        (GOOD.assign(score=GOOD["score"] * 1e300), "its square overflows"),
         (GOOD.rename(columns={"score": "scores"}), "did you mean 'scores'"),
         (pd.concat([GOOD, frame_of([1.0, 2, 3, 4], [1.0, 3, 2, 5], ("C", "D"))]), "has 4 conditions"),
         (GOOD.iloc[:0], "no rows"),

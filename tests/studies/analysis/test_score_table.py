@@ -141,7 +141,7 @@ def test_column_in_the_index_and_column_there_twice():
     with pytest.raises(ValueError, match=r"'pid' is in the index.*reset_index"):
         analysed(table().set_index("pid"))
     twice = pd.concat([table(), table()[["score"]]], axis=1)
-    with pytest.raises(ValueError, match="'score' is there 2 times"):
+    with pytest.raises(ValueError, match="'score' occurs 2 times"):
         analysed(twice)
 
 
@@ -168,9 +168,9 @@ def test_what_is_no_table(frame):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"missing": "drop"}, "missing must be 'raise' or 'listwise', got 'drop'"),
+        ({"missing": "drop"}, "missing must be one of 'raise', 'listwise', got 'drop'"),
         ({"missing": None}, "missing must be"),
-        ({"correction": "gg"}, "correction must be 'auto'.*got 'gg'"),
+        ({"correction": "gg"}, "correction must be one of 'auto'.*got 'gg'"),
         ({"alpha": 0.0}, "alpha must lie strictly between 0 and 1"),
         ({"alpha": "5 %"}, "alpha must be a number"),
         (

@@ -252,7 +252,11 @@ def test_rescaling_by_name(tlx, rescale, answer, score):
         (lambda f: f, {"rescale": ["0-20"]}, "rescale must be one of"),
         (lambda f: f, {"missing": ["refuse"]}, "missing must be one of"),
         (lambda f: f, {"subject": ["pid"]}, "subject must be the name of one column"),
-        (lambda f: f, {"condition": None}, "subject 's1', item 'mental' occurs twice; keep one, or say condition="),
+        (
+            lambda f: f,
+            {"condition": None},
+            "subject 's1', item 'mental' occurs twice; keep one, or say condition=",
+        ),
         (lambda f: f, {"rescale": "1-20"}, "rescale must be one of '0-20'"),
         (lambda f: f, {"rescale": "0-20"}, "80 lies outside 0 to 20"),
         (

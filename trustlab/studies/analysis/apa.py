@@ -6,10 +6,19 @@ from decimal import ROUND_HALF_UP, Context, Decimal
 from numbers import Number
 
 import numpy as np
+import pandas as pd
 
-from trustlab.studies.analysis.score_table import same_for_all
+from trustlab.models.checks import one_of
+from trustlab.studies.analysis.score_table import ScoreTable, same_for_all
 
-__all__ = ["apa_decimals", "apa_number", "apa_p", "apa_report"]
+__all__ = ["apa_decimals", "apa_number", "apa_p", "apa_pair", "apa_report"]
+
+_ADJUSTMENTS = {
+    "holm": ("p_holm", "Holm-adjusted p"),
+    "bonferroni": ("p_bonferroni", "Bonferroni-adjusted p"),
+    "none": ("p", "unadjusted p"),
+}
+"""Column of p-values and its name in the sentence."""
 
 
 def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str:
@@ -57,14 +66,7 @@ def _df(value: float) -> str:
 
 
 def apa_decimals(sd: np.ndarray) -> int:
-    """
-    Return how many decimals show means to three digits of a typical standard deviation.
-
-    Parameters
-    ----------
-    sd : numpy.ndarray
-        Standard deviations of the conditions.
-    """
+    """Return how many decimals show means to three digits of a typical standard deviation of the conditions."""
     typical = float(np.median(sd[sd > 0.0])) if (sd > 0.0).any() else 1.0
     return int(np.clip(2 - np.floor(np.log10(typical)), 0, 12))
 
@@ -102,18 +104,32 @@ def _sphericity(result) -> str:
     )
 
 
-def _means(result) -> str:
-    stats = result.descriptives()
+def _condition_means(stats: pd.DataFrame) -> list[str]:
+    """Return "C1 (M = 3.21, SD = 0.80)" for each row of descriptive statistics."""
     digits = apa_decimals(stats["sd"].to_numpy())
-    text = [
+    return [
         f"{condition} (M = {apa_number(mean, digits)}, SD = {apa_number(sd, digits)})"
         for condition, mean, sd in zip(stats["condition"], stats["mean"], stats["sd"], strict=True)
     ]
+
+
+def _means(result) -> str:
     constant = same_for_all(result.scores)
     same = (
         f" Every subject had the same score in {', '.join(map(str, constant))} (SD = 0)." if constant else ""
     )
-    return f" By condition: {', '.join(text)}.{same}"
+    return f" By condition: {', '.join(_condition_means(result.descriptives()))}.{same}"
+
+
+def _left_out(result, what: str) -> str:
+    if not result.excluded:
+        return ""
+    who = ", ".join(map(str, result.excluded))
+    return f" {len(result.excluded)} subject(s) with missing {what} were left out ({who})."
+
+
+def _origin(scores: ScoreTable) -> str:
+    return f"[{scores.origin}] " if scores.origin else ""
 
 
 def _compared(a: object, b: object, higher: bool) -> str:
@@ -124,8 +140,8 @@ def _compared(a: object, b: object, higher: bool) -> str:
 
 def _pairs(result, adjust: str) -> str:
     pairs = result.pairs()
-    p = pairs[{"holm": "p_holm", "bonferroni": "p_bonferroni", "none": "p"}[adjust]].to_numpy()
-    kind = {"holm": "Holm-adjusted p", "bonferroni": "Bonferroni-adjusted p", "none": "unadjusted p"}[adjust]
+    column, kind = _ADJUSTMENTS[adjust]
+    p = pairs[column].to_numpy()
     tests = f"Paired t-tests ({kind})" if len(pairs) > 1 else "A paired t-test"
     found, other = [], []
     for i, (a, b) in enumerate(zip(pairs["a"], pairs["b"], strict=True)):
@@ -151,29 +167,21 @@ def _listed(texts: list[str]) -> str:
 
 
 def apa_report(result, adjust: str = "holm") -> str:
-    """
-    Return omnibus test, sphericity and significant pairs as sentences.
+    """Return omnibus test, sphericity and significant pairs of repeated measures as sentences."""
+    one_of("adjust", adjust, _ADJUSTMENTS)
+    sentences = _omnibus(result) + _sphericity(result) + _means(result) + _pairs(result, adjust)
+    return _origin(result.scores) + sentences + _left_out(result, "cells")
 
-    Parameters
-    ----------
-    result : RepeatedMeasures
-        The analysis.
-    adjust : {"holm", "bonferroni", "none"}
-        Which p-values of the pairs to report.
 
-    Raises
-    ------
-    ValueError
-        If `adjust` is none of those.
-    """
-    if adjust not in ("holm", "bonferroni", "none"):
-        raise ValueError(f"adjust must be 'holm', 'bonferroni' or 'none', got {adjust!r}")
-    origin = f"[{result.origin}] " if result.origin else ""
-    left_out = (
-        f" {len(result.excluded)} subject(s) with missing cells were left out ({', '.join(map(str, result.excluded))})."
-        if result.excluded
-        else ""
-    )
+def apa_pair(result) -> str:
+    """Return a paired t-test as a sentence."""
+    stats = result.descriptives()
+    a, b = _condition_means(stats)
+    digits = apa_decimals(stats["sd"].to_numpy())
+    words = "differed significantly" if result.p < 0.05 else "did not differ significantly"
     return (
-        origin + _omnibus(result) + _sphericity(result) + _means(result) + _pairs(result, adjust) + left_out
+        f"{_origin(result.scores)}{result.scores.dv} {words} between {a} and {b}, t({result.df}) = {apa_number(result.t)}, "
+        f"{apa_p(result.p)}, mean difference {apa_number(result.mean_difference, digits)}, {100 * result.confidence:g}% CI "
+        f"[{apa_number(result.ci_low, digits)}, {apa_number(result.ci_high, digits)}], d_z = {apa_number(result.d_z)}."
+        f"{_left_out(result, 'scores')}"
     )

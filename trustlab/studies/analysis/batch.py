@@ -9,6 +9,7 @@ import pandas as pd
 from scipy import special
 
 from trustlab.studies.analysis.pairwise import PairwiseBatch, paired_differences
+from trustlab.studies.analysis.score_table import ScoreTable
 from trustlab.studies.analysis.sphericity import (
     greenhouse_geisser,
     huynh_feldt,
@@ -16,7 +17,7 @@ from trustlab.studies.analysis.sphericity import (
     orthonormal_contrasts,
 )
 
-__all__ = ["RepeatedMeasuresBatch", "repeated_measures_batch"]
+__all__ = ["RepeatedMeasuresBatch", "analyse_table", "repeated_measures_batch"]
 
 _CHUNK = 1 << 20
 """Scores analysed in one go."""
@@ -119,6 +120,7 @@ class RepeatedMeasuresBatch:
 
 
 def _checked(array: np.ndarray) -> np.ndarray:
+    """Return scores as floats of shape (studies, subjects, conditions), each finite and of a size that can be squared."""
     try:
         given = np.asarray(array)
     except ValueError:
@@ -148,16 +150,17 @@ def _checked(array: np.ndarray) -> np.ndarray:
     largest = np.abs(scores).max()
     if largest > _GREATEST:
         raise ValueError(
-            f"array holds a score of size {largest:.3g}; its square overflows: take another unit"
+            f"a score of size {largest:.3g} is too large: its square overflows; use another unit"
         )
     return scores
 
 
 def _analyse(scores: np.ndarray, first: int) -> dict:
+    """Return every statistic of some studies; `first` is the number of the first, for errors."""
     studies, n, k = scores.shape
     d = k - 1
     largest = np.abs(scores).max(axis=(1, 2))
-    rounding = 4.0 * np.finfo(float).eps * largest
+    rounding = 4.0 * np.finfo(float).eps * largest  # a spread of differences below this is no variance
     grand = scores.mean(axis=(1, 2))
     centred = scores - grand[:, None, None]
     mean = centred.mean(axis=1)
@@ -171,11 +174,9 @@ def _analyse(scores: np.ndarray, first: int) -> dict:
     ss_subjects = (residual.sum(axis=2) ** 2).sum(axis=1) / k
     flat = ss_error <= (n - 1) * d * rounding**2
     if flat.any():
-        raise ValueError(
-            _why_flat(
-                scores, first, int(np.argmax(flat)), bool(ss_effect[flat][0] > n * d * rounding[flat][0] ** 2)
-            )
-        )
+        study = int(np.argmax(flat))
+        effect = bool(ss_effect[study] > n * d * rounding[study] ** 2)
+        raise ValueError(f"study {first + study}: {_why_flat(scores[study], effect)}")
     df1, df2 = d, d * (n - 1)
     f = (ss_effect / df1) / (ss_error / df2)
     gg = np.ones(studies) if d == 1 else greenhouse_geisser(covariance)
@@ -205,18 +206,18 @@ def _analyse(scores: np.ndarray, first: int) -> dict:
     }
 
 
-def _why_flat(scores: np.ndarray, first: int, study: int, effect: bool) -> str:
-    values = scores[study]
+def _why_flat(values: np.ndarray, effect: bool) -> str:
+    """Return why a study has no error variance; `effect` says whether its conditions differ."""
     if np.ptp(values) == 0.0:
-        return f"study {first + study}: every score is {values.flat[0]:g}; there is nothing to analyse"
+        return f"every score is {values.flat[0]:g}; there is nothing to analyse"
     if np.ptp(values) < _LEAST:
-        return f"study {first + study}: the scores spread over {np.ptp(values):.3g} only; take another unit"
+        return f"the scores spread over {np.ptp(values):.3g} only; use another unit"
     found = (
         "all subjects differ by the same amounts between conditions"
         if effect
         else "no subject's scores differ between conditions"
     )
-    return f"study {first + study}: the error variance is zero ({found}), so that F and t are not defined"
+    return f"the error variance is zero ({found}), so that F and t are not defined"
 
 
 def repeated_measures_batch(array: np.ndarray) -> RepeatedMeasuresBatch:
@@ -247,23 +248,30 @@ def repeated_measures_batch(array: np.ndarray) -> RepeatedMeasuresBatch:
     studies, n, k = scores.shape
     step = max(1, _CHUNK // (n * k))
     parts = [_analyse(scores[start : start + step], start) for start in range(0, studies, step)]
-    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name != "pairwise"}
-    pairwise = parts[0]["pairwise"]
-    if len(parts) > 1:
-        pairwise = PairwiseBatch(
-            **{
-                name: np.concatenate([getattr(part["pairwise"], name) for part in parts])
-                if np.ndim(value) == 2
-                else value
-                for name, value in vars(pairwise).items()
-            }
-        )
+    pairs = _joined([vars(part.pop("pairwise")) for part in parts])
     return RepeatedMeasuresBatch(
         n=n,
         k=k,
         df1=k - 1,
         df2=(k - 1) * (n - 1),
         mauchly_df=k * (k - 1) // 2 - 1,
-        pairwise=pairwise,
-        **joined,
+        pairwise=PairwiseBatch(**pairs),
+        **_joined(parts),
     )
+
+
+def _joined(parts: list[dict]) -> dict:
+    """Put the arrays of all chunks below each other; what is one for all studies (a, b, df) comes from the first."""
+    return {
+        name: value if name in ("a", "b", "df") else np.concatenate([part[name] for part in parts])
+        for name, value in parts[0].items()
+    }
+
+
+def analyse_table(scores: ScoreTable) -> RepeatedMeasuresBatch:
+    """Analyse one complete table as a batch of one; an error names its columns."""
+    try:
+        return repeated_measures_batch(scores.values[None])
+    except ValueError as error:
+        why = str(error).removeprefix("study 0: ")
+        raise ValueError(f"dv: column {scores.dv!r} by {scores.within!r}: {why}") from None

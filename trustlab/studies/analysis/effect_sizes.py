@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from scipy import special
 from scipy.optimize import brentq
 
-from trustlab.models.checks import finite_number, open_unit
+from trustlab.models.checks import not_negative, open_unit, positive
 
 __all__ = ["PartialEtaInterval", "noncentrality_limit", "partial_eta_interval"]
 
@@ -35,18 +35,7 @@ class PartialEtaInterval:
 
 
 def noncentrality_limit(f: float, df1: float, df2: float, probability: float) -> float:
-    """
-    Return the λ ≥ 0 at which P(F′ ≤ f | λ) is `probability`; 0 where even λ = 0 gives less.
-
-    Parameters
-    ----------
-    f : float
-        Observed F.
-    df1, df2 : float
-        Degrees of freedom.
-    probability : float
-        In (0, 1).
-    """
+    """Return the λ ≥ 0 at which P(F′ ≤ f | λ) is `probability`; 0 where it is less even at λ = 0."""
 
     def excess(noncentrality: float) -> float:
         return float(special.ncfdtr(df1, df2, noncentrality, f)) - probability
@@ -81,12 +70,8 @@ def partial_eta_interval(f: float, df1: float, df2: float, level: float = 0.90) 
     ValueError
         If F is negative or a number is not finite.
     """
-    f, df1, df2 = finite_number("f", f), finite_number("df1", df1), finite_number("df2", df2)
-    level = open_unit("level", level)
-    if f < 0.0:
-        raise ValueError(f"f must be at least 0, got {f}")
-    if df1 <= 0.0 or df2 <= 0.0:
-        raise ValueError(f"df1 and df2 must be above 0, got {df1} and {df2}")
+    f, level = not_negative("f", f), open_unit("level", level)
+    df1, df2 = positive("df1", df1), positive("df2", df2)
     tail = 0.5 * (1.0 - level)
     low = noncentrality_limit(f, df1, df2, 1.0 - tail)
     high = noncentrality_limit(f, df1, df2, tail)

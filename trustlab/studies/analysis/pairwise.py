@@ -8,32 +8,19 @@ from itertools import combinations
 import numpy as np
 from scipy import special
 
+from trustlab.studies.analysis.descriptives import t_half_width
+
 __all__ = ["PairwiseBatch", "bonferroni", "holm", "paired_differences"]
 
 
 @dataclass(frozen=True, eq=False)
 class PairwiseBatch:
     """
-    Pairwise statistics of many studies; NaN where every subject has the same difference.
+    Pairwise statistics of many studies, shape (studies, pairs); NaN where every subject has the same difference.
 
-    Parameters
-    ----------
-    a, b : numpy.ndarray of int, shape (pairs,)
-        Positions of the two conditions, a before b.
-    mean_difference, sd_difference : numpy.ndarray, shape (studies, pairs)
-        Of a − b.
-    ci_low, ci_high : numpy.ndarray, shape (studies, pairs)
-        95 % interval of the mean difference.
-    t : numpy.ndarray, shape (studies, pairs)
-        Paired t.
-    df : int
-        n − 1.
-    p, p_bonferroni, p_holm : numpy.ndarray, shape (studies, pairs)
-        Two-sided, unadjusted and adjusted.
-    d_z : numpy.ndarray, shape (studies, pairs)
-        Mean over standard deviation of the differences.
-    d_av : numpy.ndarray, shape (studies, pairs)
-        Mean difference over the mean of the two conditions' standard deviations (Lakens, 2013).
+    `a` and `b` are the positions of the two conditions, shape (pairs,), a before b; differences are a − b, intervals
+    have 95 %, p-values are two-sided. d_z is the mean over the standard deviation of the differences, d_av the mean
+    difference over the mean of the two conditions' standard deviations (Lakens, 2013).
     """
 
     a: np.ndarray
@@ -52,27 +39,13 @@ class PairwiseBatch:
 
 
 def bonferroni(p: np.ndarray) -> np.ndarray:
-    """
-    Return p-values times their number, at most 1; NaN stay NaN and do not count (as in R's p.adjust).
-
-    Parameters
-    ----------
-    p : numpy.ndarray, shape (..., pairs)
-        Unadjusted p-values of one family along the last axis.
-    """
+    """Return p-values times their number along the last axis, at most 1; NaN do not count, as in R's p.adjust."""
     count = (~np.isnan(p)).sum(axis=-1, keepdims=True)
     return np.minimum(count * p, 1.0)
 
 
 def holm(p: np.ndarray) -> np.ndarray:
-    """
-    Return p-values adjusted step by step (Holm, 1979); NaN stay NaN and do not count (as in R's p.adjust).
-
-    Parameters
-    ----------
-    p : numpy.ndarray, shape (..., pairs)
-        Unadjusted p-values of one family along the last axis.
-    """
+    """Return p-values adjusted step by step along the last axis (Holm, 1979); NaN do not count, as in R's p.adjust."""
     count = (~np.isnan(p)).sum(axis=-1, keepdims=True)
     order = np.argsort(p, axis=-1, kind="stable")  # NaN last
     steps = np.maximum(count - np.arange(p.shape[-1]), 1)
@@ -87,30 +60,25 @@ def paired_differences(scores: np.ndarray, sd: np.ndarray, rounding: np.ndarray)
     """
     Compare every pair of conditions by a paired t-test.
 
-    Parameters
-    ----------
-    scores : numpy.ndarray, shape (studies, subjects, conditions)
-        Complete finite scores.
-    sd : numpy.ndarray, shape (studies, conditions)
-        Standard deviation of each condition.
-    rounding : numpy.ndarray, shape (studies,)
-        Spread of differences that rounding of the scores alone can cause.
+    `scores` has shape (studies, subjects, conditions), `sd` are the conditions' standard deviations, and `rounding` is
+    the spread of differences that rounding of the scores alone can cause, shape (studies,).
     """
     studies, n, k = scores.shape
     a, b = np.array(list(combinations(range(k), 2))).T
     mean = np.empty((studies, a.size))
     spread = np.empty((studies, a.size))
-    for pair, (i, j) in enumerate(zip(a, b, strict=True)):
+    for pair, (i, j) in enumerate(
+        zip(a, b, strict=True)
+    ):  # pair by pair: all at once would not fit the cache
         difference = scores[:, :, i] - scores[:, :, j]
         mean[:, pair] = difference.mean(axis=1)
         difference -= mean[:, pair, None]
         spread[:, pair] = np.sqrt(np.einsum("sn,sn->s", difference, difference) / (n - 1))
     sd_difference = np.where(spread <= rounding[:, None], 0.0, spread)
     divisor = np.where(sd_difference > 0.0, sd_difference, np.nan)
-    standard_error = divisor / np.sqrt(n)
-    t = mean / standard_error
+    t = mean / (divisor / np.sqrt(n))
     p = 2.0 * special.stdtr(n - 1, -np.abs(t))
-    half = special.stdtrit(n - 1, 0.975) * standard_error
+    half = t_half_width(divisor, n)
     average = 0.5 * (sd[:, a] + sd[:, b])
     return PairwiseBatch(
         a=a,

@@ -1,31 +1,37 @@
-"""Conditions to look at: means with intervals, rainclouds, a line per subject."""
+"""Figures of analyses: means with intervals, rainclouds, a line per subject, differences of a pair."""
 
 from __future__ import annotations
 
 import textwrap
 
 import numpy as np
+import pandas as pd
 
-__all__ = ["plot_conditions"]
+from trustlab.models.checks import one_of
+from trustlab.studies.analysis.score_table import ScoreTable
+
+__all__ = ["plot_conditions", "plot_pair"]
 
 _BLUE, _GREY = "#1f5a8c", "0.6"
 
 
-def _means(result, axes, interval: str) -> None:
-    stats = result.descriptives()
-    end = "" if interval == "between" else "_within"
-    mean = stats["mean"].to_numpy()
-    low, high = stats[f"ci_low{end}"].to_numpy(), stats[f"ci_high{end}"].to_numpy()
-    axes.errorbar(
-        np.arange(mean.size),
-        mean,
-        [mean - low, high - mean],
-        fmt="o",
-        color=_BLUE,
-        capsize=5,
-        lw=1.5,
-        zorder=3,
-    )
+def _subjects(scores: ScoreTable, axes) -> None:
+    """Draw a line per subject."""
+    places = np.arange(len(scores.conditions))
+    axes.plot(places, scores.values.T, color=_GREY, lw=0.7, alpha=0.6, marker=".", ms=3)
+
+
+def _means(stats: pd.DataFrame, axes, end: str = "") -> None:
+    """Draw means with the intervals in columns ci_low and ci_high, their names with that end."""
+    mean = stats["mean"]
+    reach = [mean - stats[f"ci_low{end}"], stats[f"ci_high{end}"] - mean]
+    axes.errorbar(np.arange(mean.size), mean, reach, fmt="o", color=_BLUE, capsize=5, lw=1.5, zorder=3)
+
+
+def _label_conditions(scores: ScoreTable, axes) -> None:
+    k = len(scores.conditions)
+    axes.set_xticks(np.arange(k), [str(condition) for condition in scores.conditions])
+    axes.set(xlim=(-0.6, k - 0.4), xlabel=str(scores.within), ylabel=str(scores.dv))
 
 
 def _title(origin: str, what: str, axes) -> str:
@@ -40,11 +46,12 @@ def _title(origin: str, what: str, axes) -> str:
     return "\n".join(textwrap.fill(part, letters) for part in parts).replace("\xa0", " ")
 
 
-def _clouds(result, axes) -> None:
+def _clouds(scores: ScoreTable, axes) -> None:
+    """Draw every score, a box of quartiles and a density per condition."""
     from scipy.stats import gaussian_kde
 
-    jitter = np.random.default_rng(0).uniform(-0.05, 0.05, result.scores.values.shape)
-    for j, values in enumerate(result.scores.values.T):
+    jitter = np.random.default_rng(0).uniform(-0.05, 0.05, scores.values.shape)
+    for j, values in enumerate(scores.values.T):
         axes.plot(j - 0.22 + jitter[:, j], values, "o", ms=3, color=_BLUE, alpha=0.5, mew=0)
         axes.boxplot(
             values,
@@ -64,50 +71,20 @@ def _clouds(result, axes) -> None:
 
 
 def plot_conditions(result, kind: str = "means", interval: str = "between", axes=None):
-    """
-    Draw the conditions of one analysis side by side.
-
-    Parameters
-    ----------
-    result : RepeatedMeasures
-        The analysis.
-    kind : {"means", "raincloud", "paired"}
-        Means with 95 % intervals; scores, boxes and densities (from the least to the greatest score); or a line per subject
-        under the means.
-    interval : {"between", "within"}
-        Which interval the means carry.
-    axes : matplotlib.axes.Axes, optional
-        Where to draw.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-
-    Raises
-    ------
-    ValueError
-        If `kind` or `interval` is none of those.
-    """
+    """Draw the conditions of one analysis side by side; the arguments are those of `RepeatedMeasures.plot`."""
     import matplotlib.pyplot as plt
 
-    if kind not in ("means", "raincloud", "paired"):
-        raise ValueError(f"kind must be 'means', 'raincloud' or 'paired', got {kind!r}")
-    if interval not in ("between", "within"):
-        raise ValueError(f"interval must be 'between' or 'within', got {interval!r}")
+    one_of("kind", kind, ("means", "raincloud", "paired"))
+    one_of("interval", interval, ("between", "within"))
     if axes is None:
         _, axes = plt.subplots(figsize=(max(4.2, 1.6 + 0.9 * result.k), 3.6), layout="constrained")
     if kind == "raincloud":
-        _clouds(result, axes)
+        _clouds(result.scores, axes)
     else:
         if kind == "paired":
-            axes.plot(
-                np.arange(result.k), result.scores.values.T, color=_GREY, lw=0.7, alpha=0.6, marker=".", ms=3
-            )
-        _means(result, axes, interval)
-    axes.set_xticks(np.arange(result.k), [str(condition) for condition in result.conditions])
-    axes.set_xlim(-0.6, result.k - 0.4)
-    axes.set_xlabel(str(result.within))
-    axes.set_ylabel(str(result.dv))
+            _subjects(result.scores, axes)
+        _means(result.descriptives(), axes, "" if interval == "between" else "_within")
+    _label_conditions(result.scores, axes)
     what = {
         "means": f"means, 95 % intervals {interval} subjects",
         "raincloud": "scores, quartiles, densities",
@@ -115,3 +92,25 @@ def plot_conditions(result, kind: str = "means", interval: str = "between", axes
     }[kind]
     axes.set_title(_title(result.origin, f"{what} (N = {result.n})", axes), fontsize="small")
     return axes
+
+
+def plot_pair(result, axes=None) -> np.ndarray:
+    """Draw both conditions of a paired t-test subject by subject, and the differences beside them."""
+    import matplotlib.pyplot as plt
+
+    if axes is None:
+        _, axes = plt.subplots(1, 2, figsize=(7.2, 3.6), width_ratios=[2, 1], layout="constrained")
+    left, right = axes
+    _subjects(result.scores, left)
+    _means(result.descriptives(), left)
+    _label_conditions(result.scores, left)
+    differences = result.scores.values[:, 0] - result.scores.values[:, 1]
+    jitter = np.random.default_rng(0).uniform(-0.12, 0.12, differences.size)
+    right.plot(jitter, differences, "o", color=_GREY, ms=4, zorder=1)
+    half = result.ci_high - result.mean_difference
+    right.errorbar([0], [result.mean_difference], [half], fmt="o", color="C1", capsize=5, lw=1.8, zorder=3)
+    right.axhline(0.0, color="k", lw=0.8, ls=":")
+    right.set(xlim=(-0.6, 0.6), xticks=[], ylabel=f"{result.a} − {result.b}")
+    if result.scores.origin:
+        left.set_title(result.scores.origin, fontsize="small", color="#8a5a00")
+    return np.array([left, right])

@@ -1,31 +1,23 @@
-"""What to look at beside the ANOVA: Friedman's test and the normality of the differences."""
+"""Beside the ANOVA and the t-test: Friedman's and Wilcoxon's rank tests, and the normality of differences."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy import special, stats
 
-__all__ = ["Friedman", "friedman", "normality_of_differences"]
+__all__ = ["Friedman", "Wilcoxon", "friedman", "normality_of_differences", "wilcoxon"]
 
 
 @dataclass(frozen=True)
 class Friedman:
     """
-    Friedman's rank test.
+    Friedman's rank test: χ² = n (k − 1) W, corrected for ties, on k − 1 degrees of freedom.
 
-    Parameters
-    ----------
-    chi2 : float
-        n (k − 1) W, corrected for ties.
-    df : int
-        k − 1.
-    p : float
-        Upper tail of χ².
-    kendall_w : float
-        Concordance of the subjects' rankings, from 0 to 1.
+    `kendall_w` is the concordance W of the subjects' rankings, from 0 to 1.
     """
 
     chi2: float
@@ -41,52 +33,57 @@ class Friedman:
         return f"<p><b>Friedman</b></p>{self.table().to_html(index=False, float_format='%.6g')}"
 
 
-def friedman(scores: np.ndarray) -> Friedman:
-    """
-    Rank every subject's scores and test whether the conditions' mean ranks differ (pingouin).
-
-    Parameters
-    ----------
-    scores : numpy.ndarray, shape (n, k)
-        Complete scores.
-    """
+def friedman(values: np.ndarray) -> Friedman:
+    """Rank the scores of every subject, shape (n, k), and test whether the mean ranks of the conditions differ."""
     import pingouin
 
-    n, k = scores.shape
-    frame = pd.DataFrame(
-        {
-            "subject": np.repeat(np.arange(n), k),
-            "condition": np.tile(np.arange(k), n),
-            "value": scores.ravel(),
-        }
-    )
-    w = float(pingouin.friedman(frame, dv="value", within="condition", subject="subject")["W"].iloc[0])
-    w = min(max(w, 0.0), 1.0)  # the bounds are exact: only rounding is cut
+    n, k = values.shape
+    cells = {
+        "subject": np.repeat(np.arange(n), k),
+        "condition": np.tile(np.arange(k), n),
+        "value": values.ravel(),
+    }
+    found = pingouin.friedman(pd.DataFrame(cells), dv="value", within="condition", subject="subject")
+    w = float(np.clip(found["W"].iloc[0], 0.0, 1.0))  # the bounds are exact: only rounding is cut
     chi2 = n * (k - 1) * w
     return Friedman(chi2, k - 1, float(special.chdtrc(k - 1, chi2)), w)
 
 
-def normality_of_differences(scores: np.ndarray, a: np.ndarray, b: np.ndarray) -> pd.DataFrame:
-    """
-    Apply the Shapiro–Wilk test to the differences of every pair.
+class Wilcoxon(NamedTuple):
+    """Wilcoxon's signed-rank test: rank sum of the positive differences, two-sided p, method, effect size."""
 
-    Parameters
-    ----------
-    scores : numpy.ndarray, shape (n, k)
-        Complete scores.
-    a, b : numpy.ndarray of int, shape (pairs,)
-        Positions of the two conditions.
+    v: float
+    p: float
+    method: str
+    rank_biserial: float
 
-    Returns
-    -------
-    pandas.DataFrame
-        Columns W, p, one row per pair; NaN where all differences are equal, and above 5000 subjects, where the
-        approximation of p does not reach.
+
+def wilcoxon(differences: np.ndarray) -> Wilcoxon:
     """
-    rounding = 4.0 * np.finfo(float).eps * np.abs(scores).max()
+    Test paired differences, not all zero, by the rules of R's wilcox.test.
+
+    Zero differences are left out. The p-value is exact below 50 subjects without ties or zero differences, else from the
+    normal approximation with continuity correction.
+    """
+    kept = differences[differences != 0.0]
+    ranks = stats.rankdata(np.abs(kept))
+    exact = kept.size == differences.size < 50 and np.unique(ranks).size == kept.size
+    found = stats.wilcoxon(kept, method="exact" if exact else "asymptotic", correction=not exact)
+    v, total = float(ranks[kept > 0.0].sum()), kept.size * (kept.size + 1) / 2.0
+    method = "exact" if exact else "normal approximation, continuity corrected"
+    return Wilcoxon(v, float(found.pvalue), method, (2.0 * v - total) / total)
+
+
+def normality_of_differences(values: np.ndarray, a: np.ndarray, b: np.ndarray) -> pd.DataFrame:
+    """
+    Apply the Shapiro–Wilk test to the differences of every pair of conditions a, b: a row W, p per pair.
+
+    NaN where all differences are equal, and above 5000 subjects, where the approximation of p is not valid.
+    """
+    rounding = 4.0 * np.finfo(float).eps * np.abs(values).max()
     rows = []
     for i, j in zip(a, b, strict=True):
-        difference = scores[:, i] - scores[:, j]
+        difference = values[:, i] - values[:, j]
         if difference.size > 5000 or np.ptp(difference) <= 2.0 * rounding:
             rows.append((np.nan, np.nan))
         else:

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import open_unit
-from trustlab.studies.analysis.batch import RepeatedMeasuresBatch, repeated_measures_batch
+from trustlab.models.checks import one_of, open_unit
+from trustlab.studies.analysis.batch import RepeatedMeasuresBatch, analyse_table
+from trustlab.studies.analysis.descriptives import describe
 from trustlab.studies.analysis.effect_sizes import partial_eta_interval
-from trustlab.studies.analysis.mean_intervals import between_half_width, cousineau_morey_half_width
 from trustlab.studies.analysis.mixed_model import MixedModel, fit_mixed_model
 from trustlab.studies.analysis.rank_tests import Friedman, friedman, normality_of_differences
 from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, read_scores, same_for_all
-from trustlab.studies.analysis.sphericity_correction import CORRECTIONS, decide_correction, why_no_mauchly
+from trustlab.studies.analysis.sphericity import CORRECTIONS, decide_correction, why_no_mauchly
 
 __all__ = ["RepeatedMeasures", "repeated_measures"]
 
@@ -133,10 +133,31 @@ class RepeatedMeasures:
         return self._labelled(pd.DataFrame([row]))
 
     def anova_table(self) -> pd.DataFrame:
-        """Return a row per source (condition, error, subjects): source ss df ms F p epsilon_gg p_gg … eta2_generalized."""
-        from trustlab.studies.analysis.anova_table import anova_table
+        """
+        Return sums of squares, mean squares and the test, one row per source of variance; nothing is rounded.
 
-        return self._labelled(anova_table(self))
+        Returns
+        -------
+        pandas.DataFrame
+            Rows condition, error (conditions × subjects) and subjects. Columns source, ss, df, ms (of all three), then F,
+            p (sphericity assumed), epsilon_gg, p_gg, epsilon_hf, p_hf, eta2_partial and eta2_generalized, which only the
+            first row has.
+        """
+        ss = np.array([self.ss_effect, self.ss_error, self.ss_subjects])
+        df = np.array([self.df1, self.df2, self.n - 1])
+        columns = {"source": ["condition", "error", "subjects"], "ss": ss, "df": df, "ms": ss / df}
+        for name in (
+            "F",
+            "p",
+            "epsilon_gg",
+            "p_gg",
+            "epsilon_hf",
+            "p_hf",
+            "eta2_partial",
+            "eta2_generalized",
+        ):
+            columns[name] = [getattr(self, name), np.nan, np.nan]
+        return self._labelled(pd.DataFrame(columns))
 
     def corrections(self) -> pd.DataFrame:
         """Return the test under each correction: columns correction epsilon df1 df2 F p applies."""
@@ -161,24 +182,7 @@ class RepeatedMeasures:
             Columns condition n mean sd se median minimum maximum, then two 95 % intervals of the mean: ci_low and
             ci_high between subjects, ci_low_within and ci_high_within after Cousineau and Morey.
         """
-        values = self.scores.values
-        mean, sd = self.batch.mean[0], self.batch.sd[0]
-        between, within = between_half_width(values), cousineau_morey_half_width(values)
-        columns = {
-            "condition": pd.Index(self.conditions, tupleize_cols=False),
-            "n": self.n,
-            "mean": mean,
-            "sd": sd,
-            "se": sd / np.sqrt(self.n),
-            "median": np.median(values, axis=0),
-            "minimum": values.min(axis=0),
-            "maximum": values.max(axis=0),
-            "ci_low": mean - between,
-            "ci_high": mean + between,
-            "ci_low_within": mean - within,
-            "ci_high_within": mean + within,
-        }
-        return self._labelled(pd.DataFrame(columns))
+        return self._labelled(describe(self.scores))
 
     def _pair_labels(self) -> dict[str, pd.Index]:
         labels = pd.Index(self.conditions, tupleize_cols=False)
@@ -193,23 +197,15 @@ class RepeatedMeasures:
         pandas.DataFrame
             Columns a b mean_difference (a − b) ci_low ci_high (95 %, unadjusted) t df p p_bonferroni p_holm d_z d_av.
         """
-        found = self.batch.pairwise
-        names = [
-            "mean_difference",
-            "ci_low",
-            "ci_high",
-            "t",
-            "df",
-            "p",
-            "p_bonferroni",
-            "p_holm",
-            "d_z",
-            "d_av",
-        ]
-        values = {
-            name: value if name == "df" else value[0] for name in names for value in [getattr(found, name)]
+        statistics = vars(self.batch.pairwise)
+        columns = {
+            name: statistics[name] if name == "df" else statistics[name][0]
+            for name in (
+                *("mean_difference", "ci_low", "ci_high", "t", "df", "p"),
+                *("p_bonferroni", "p_holm", "d_z", "d_av"),
+            )
         }
-        return self._labelled(pd.DataFrame(self._pair_labels() | values))
+        return self._labelled(pd.DataFrame(self._pair_labels() | columns))
 
     def normality(self) -> pd.DataFrame:
         """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
@@ -328,47 +324,30 @@ def repeated_measures(
     `trustlab.studies.analysis.sphericity.mauchly` for its p-value), `t.test(paired = TRUE)` and `p.adjust` for the pairs,
     `friedman.test`, `shapiro.test`.
     """
-    if correction not in ("auto", *CORRECTIONS):
-        raise ValueError(
-            f"correction must be 'auto', {', '.join(map(repr, CORRECTIONS))}, got {correction!r}"
-        )
+    one_of("correction", correction, ("auto", *CORRECTIONS))
     alpha = open_unit("alpha", alpha)
     observed = read_scores(frame, dv, within, subject, order=order)
     scores, excluded = complete_scores(observed, missing)
-    try:
-        batch = repeated_measures_batch(scores.values[None])
-    except ValueError as error:
-        raise ValueError(f"dv: column {dv!r} by {within!r}: {str(error).removeprefix('study 0: ')}") from None
+    batch = analyse_table(scores)
     value = {
         name: float(getattr(batch, name)[0])
         for name in batch.__dataclass_fields__
         if name in RepeatedMeasures.__dataclass_fields__ and np.ndim(getattr(batch, name)) == 1
     }
-    why_not = why_no_mauchly(batch)
-    applied, reason = decide_correction(correction, alpha, batch, why_not)
+    n, k = batch.n, batch.k
+    why_not = why_no_mauchly(n, k, value["mauchly_w"])
+    applied, reason = decide_correction(
+        correction, alpha, k, value["mauchly_p"], value["epsilon_gg"], why_not
+    )
     epsilons = dict(zip(CORRECTIONS, (1.0, value["epsilon_gg"], value["epsilon_hf"]), strict=True))
     p_values = dict(zip(CORRECTIONS, (value["p"], value["p_gg"], value["p_hf"]), strict=True))
     interval = partial_eta_interval(value["F"], batch.df1, batch.df2, 0.90)
-    notes = []
-    if excluded:
-        notes.append(f"Left out for missing cells: {', '.join(map(repr, excluded))}.")
-    if constant := same_for_all(scores):
-        notes.append(
-            f"Every subject has the same score (SD = 0) in {', '.join(map(repr, constant))}: a limit of the scale, or a fault "
-            "of the data? Tests with that condition rest on the others' spread alone."
-        )
-    flat = np.flatnonzero(np.isnan(batch.pairwise.t[0]))
-    if flat.size:
-        a, b = (scores.conditions[int(index[flat[0]])] for index in (batch.pairwise.a, batch.pairwise.b))
-        notes.append(
-            f"{flat.size} pair(s) have the same difference for every subject ({a!r} and {b!r} first): no t-test."
-        )
     return RepeatedMeasures(
         dv=dv,
         within=within,
         subject=subject,
-        n=batch.n,
-        k=batch.k,
+        n=n,
+        k=k,
         conditions=scores.conditions,
         subjects=scores.subjects,
         excluded=excluded,
@@ -388,10 +367,29 @@ def repeated_measures(
         eta2_partial_low=interval.low,
         eta2_partial_high=interval.high,
         alpha=alpha,
-        notes=tuple(notes),
+        notes=_notes(scores, excluded, batch),
         origin=scores.origin,
         scores=scores,
         observed=observed,
         batch=batch,
         **value,
     )
+
+
+def _notes(scores: ScoreTable, excluded: tuple, batch: RepeatedMeasuresBatch) -> tuple[str, ...]:
+    """Return what a reader should know of the data before using the numbers."""
+    notes = []
+    if excluded:
+        notes.append(f"Left out for missing cells: {', '.join(map(repr, excluded))}.")
+    if constant := same_for_all(scores):
+        notes.append(
+            f"Every subject has the same score (SD = 0) in {', '.join(map(repr, constant))}: a limit of the scale, or a "
+            "fault of the data? Tests with that condition rest on the variance of the other conditions alone."
+        )
+    flat = np.flatnonzero(np.isnan(batch.pairwise.t[0]))
+    if flat.size:
+        a, b = (scores.conditions[int(index[flat[0]])] for index in (batch.pairwise.a, batch.pairwise.b))
+        notes.append(
+            f"In {flat.size} pair(s) of conditions every subject has the same difference ({a!r} and {b!r} first): no t-test."
+        )
+    return tuple(notes)

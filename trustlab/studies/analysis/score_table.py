@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import decimal
-import numbers
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
-from trustlab.sessions.errors import nearest
+from trustlab.models.checks import one_of
+from trustlab.studies.columns import column_of, number_or_nan, refuse_missing_labels
 
-__all__ = ["ScoreTable", "complete_scores", "data_origin", "read_scores"]
+__all__ = ["ScoreTable", "complete_scores", "read_scores", "same_for_all"]
 
 _SHOWN = 5
 """Cells or rows that an error lists before it counts the rest."""
@@ -57,16 +56,8 @@ class ScoreTable:
         return pd.DataFrame(columns)
 
 
-def data_origin(frame: pd.DataFrame) -> str:
-    """
-    Return "reconstructed data", "synthetic data", the text of `frame.attrs["origin"]`, or "" for measured data.
-
-    Parameters
-    ----------
-    frame : pandas.DataFrame
-        A table whose `attrs` may hold reconstructed=True, synthetic=True or origin="…".
-    """
-    attrs = frame.attrs
+def _origin(attrs: dict) -> str:
+    """Return "reconstructed data", "synthetic data", the text of attrs["origin"], or "" for measured data."""
     for kind in ("reconstructed", "synthetic"):
         if attrs.get(kind) is True:
             return f"{kind} data"
@@ -74,35 +65,13 @@ def data_origin(frame: pd.DataFrame) -> str:
     return origin if isinstance(origin, str) else ""
 
 
-def _some(texts: Sequence[str]) -> str:
+def _first_of(texts: Sequence[str]) -> str:
     rest = len(texts) - _SHOWN
     return "; ".join(texts[:_SHOWN]) + (f"; and {rest} more" if rest > 0 else "")
 
 
-def _column(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = "") -> pd.Series:
-    if not isinstance(name, Hashable):
-        raise ValueError(
-            f"{argument} must be the name of one column, got {name!r}; one factor is analysed at a time"
-        )
-    if name not in frame.columns:
-        if name is not None and name in frame.index.names:
-            raise ValueError(f"{argument}: {name!r} is in the index, not a column; give frame.reset_index()")
-        there = ", ".join(map(str, frame.columns))
-        hint = nearest(name, frame.columns)
-        raise ValueError(f"{argument}: no column {name!r}{hint} (there are {there}){'' if hint else remedy}")
-    found = frame[name]
-    if isinstance(found, pd.DataFrame):
-        if isinstance(frame.columns, pd.MultiIndex):
-            inside = ", ".join(repr(label) for label in frame.columns if label[0] == name)
-            raise ValueError(f"{argument}: {name!r} has columns below it; give one of them in full, {inside}")
-        raise ValueError(
-            f"{argument}: column {name!r} is there {found.shape[1]} times; rename or remove all but one"
-        )
-    return found
-
-
-def _melting(frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable) -> str:
-    """Return how to make a table with a column per condition long; nothing where score or condition has a column."""
+def _how_to_melt(frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable) -> str:
+    """Return how to turn a table with a column per condition into a long one; nothing where the table is long."""
     if any(not isinstance(name, Hashable) or name in frame.columns for name in (dv, within)):
         return ""
     own = f"frame.rename_axis({subject!r}).reset_index()"
@@ -116,13 +85,9 @@ def _melting(frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hasha
     )
 
 
-def _labels(series: pd.Series, argument: str, row: pd.Index) -> tuple[np.ndarray, list]:
-    missing = series.isna().to_numpy()
-    if missing.any():
-        k = int(np.argmax(missing))
-        raise ValueError(
-            f"{argument}: column {series.name!r} has no label in row {row[k]!r}; every score needs one"
-        )
+def _labels(series: pd.Series, argument: str) -> tuple[np.ndarray, list]:
+    """Return each row's label as a number, and the labels: those of a categorical column in its own order."""
+    refuse_missing_labels(series, argument)
     if isinstance(series.dtype, pd.CategoricalDtype):
         codes = series.cat.codes.to_numpy().astype(np.intp)
         present = np.unique(codes)
@@ -136,14 +101,13 @@ def _labels(series: pd.Series, argument: str, row: pd.Index) -> tuple[np.ndarray
 
 def _sorted(codes: np.ndarray, labels: list) -> tuple[np.ndarray, list]:
     order = sorted(range(len(labels)), key=labels.__getitem__)
-    place = np.empty(len(labels), dtype=np.intp)
-    place[order] = np.arange(len(labels))
-    return place[codes], [labels[i] for i in order]
+    return np.argsort(order)[codes], [labels[i] for i in order]
 
 
 def _arranged(
     codes: np.ndarray, labels: list, series: pd.Series, order: Sequence | None
 ) -> tuple[np.ndarray, list]:
+    """Put the conditions into the order asked for, else that of the categories, else sort them."""
     if order is not None:
         wanted = list(order) if isinstance(order, Iterable) and not isinstance(order, str) else []
         if len(wanted) != len(labels) or any(label not in wanted for label in labels):
@@ -165,32 +129,51 @@ def _arranged(
         ) from None
 
 
-def _scores(series: pd.Series, where) -> np.ndarray:
+def _scores(series: pd.Series, where: Callable[[int], str]) -> np.ndarray:
+    """Return the scores as floats, NaN where missing; text, booleans, dates and infinities are refused."""
     dtype = series.dtype
+    start = f"dv: column {series.name!r}"
     if isinstance(dtype, pd.CategoricalDtype):
         raise ValueError(
-            f"dv: column {series.name!r} is categorical; scores must be numbers (convert it with pandas.to_numeric)"
+            f"{start} is categorical; scores must be numbers (convert it with pandas.to_numeric)"
         )
     if pd.api.types.is_bool_dtype(dtype):
-        raise ValueError(f"dv: column {series.name!r} holds True and False; scores must be numbers")
+        raise ValueError(f"{start} holds True and False; scores must be numbers")
     if pd.api.types.is_numeric_dtype(dtype) and not pd.api.types.is_complex_dtype(dtype):
-        return series.to_numpy(dtype=float, na_value=np.nan)
-    if not (pd.api.types.is_object_dtype(dtype) or pd.api.types.is_string_dtype(dtype)):
-        raise ValueError(f"dv: column {series.name!r} is of type {dtype}; scores must be numbers")
-    values = np.empty(len(series))
-    for k, value in enumerate(series.array):
-        if value is None or value is pd.NA or value is pd.NaT:
-            values[k] = np.nan
-        elif isinstance(value, numbers.Real | decimal.Decimal) and not isinstance(value, bool | np.bool_):
-            values[k] = float(value)
-        elif isinstance(value, float) and np.isnan(value):
-            values[k] = np.nan
-        else:
-            raise ValueError(
-                f"dv: column {series.name!r} holds {value!r} for {where(k)}; scores must be numbers "
-                "(text that stands for numbers: convert it with pandas.to_numeric)"
-            )
+        values = series.to_numpy(dtype=float, na_value=np.nan)
+    elif pd.api.types.is_object_dtype(dtype) or pd.api.types.is_string_dtype(dtype):
+        values = np.empty(len(series))
+        for k, value in enumerate(series.array):
+            try:
+                values[k] = number_or_nan(value)
+            except TypeError:
+                raise ValueError(
+                    f"{start} holds {value!r} for {where(k)}; scores must be numbers "
+                    "(text that stands for numbers: convert it with pandas.to_numeric)"
+                ) from None
+    else:
+        raise ValueError(f"{start} is of type {dtype}; scores must be numbers")
+    infinite = np.isinf(values)
+    if infinite.any():
+        k = int(np.argmax(infinite))
+        raise ValueError(f"{start} is {values[k]} for {where(k)}; scores must be finite")
     return values
+
+
+def _refuse_repeated_cells(
+    cell: np.ndarray, counts: np.ndarray, name: Callable[[int], str], row: pd.Index, remedy: str
+) -> None:
+    """Refuse a table with several rows for one subject and condition."""
+    repeated = np.flatnonzero(counts > 1)
+    if repeated.size == 0:
+        return
+    texts = []
+    for c in repeated[:_SHOWN]:
+        rows = ", ".join(repr(row[k]) for k in np.flatnonzero(cell == c)[:_SHOWN])
+        texts.append(f"{name(c)} has {counts[c]} rows ({rows})")
+    raise ValueError(
+        f"{repeated.size} cell(s) with more than one row: {'; '.join(texts)}; average the trials of a cell first: {remedy}"
+    )
 
 
 def read_scores(
@@ -199,103 +182,70 @@ def read_scores(
     """
     Check a long table and lay its scores out as subjects × conditions, missing cells as NaN.
 
-    Parameters
-    ----------
-    frame : pandas.DataFrame
-        One row per subject and condition; other columns are not looked at.
-    dv, within, subject : hashable
-        Columns with the score, the condition and the subject.
-    order : sequence, optional
-        Conditions in the order wanted. By default a categorical column keeps the order of its categories (those that
-        occur); any other is sorted.
-
-    Returns
-    -------
-    ScoreTable
-
-    Raises
-    ------
-    ValueError
-        If a column is unknown or there twice, a label is missing, a score is infinite or no number, a cell has more
-        than one row, or there is only one condition; subject, condition and row are named.
+    By default a categorical column keeps the order of its categories (those that occur); any other is sorted.
     """
     if not isinstance(frame, pd.DataFrame):
         raise ValueError(f"frame must be a pandas.DataFrame in long form, got {type(frame).__name__}")
     columns = {"dv": dv, "within": within, "subject": subject}
-    remedy = _melting(frame, dv, within, subject)
-    series = {argument: _column(frame, argument, name, remedy) for argument, name in columns.items()}
+    remedy = _how_to_melt(frame, dv, within, subject)
+    series = {argument: column_of(frame, argument, name, remedy) for argument, name in columns.items()}
     if len(set(columns.values())) < 3:
         raise ValueError(
             f"dv, within and subject must be three columns, got {dv!r}, {within!r} and {subject!r}"
         )
     if len(frame) == 0:
         raise ValueError("frame has no rows")
-    row = frame.index.astype(object)  # plain Python labels for the errors
-    condition, conditions = _labels(series["within"], "within", row)
+    condition, conditions = _labels(series["within"], "within")
     condition, conditions = _arranged(condition, conditions, series["within"], order)
-    person, subjects = _labels(series["subject"], "subject", row)
+    person, subjects = _labels(series["subject"], "subject")
     with suppress(TypeError):  # labels of several types stay in order of appearance: nothing depends on it
         person, subjects = _sorted(person, subjects)
+    k = len(conditions)
+    cell = person * k + condition
+    row = frame.index.astype(object)  # plain Python labels for the errors
 
-    def where(k: int) -> str:
-        return f"subject {subjects[person[k]]!r}, condition {conditions[condition[k]]!r} (row {row[k]!r})"
+    def cell_name(c: int) -> str:
+        return f"subject {subjects[c // k]!r}, condition {conditions[c % k]!r}"
 
-    scores = _scores(series["dv"], where)
-    infinite = np.isinf(scores)
-    if infinite.any():
-        k = int(np.argmax(infinite))
-        raise ValueError(f"dv: column {dv!r} is {scores[k]} for {where(k)}; scores must be finite")
-    if len(conditions) < 2:
+    scores = _scores(series["dv"], lambda i: f"{cell_name(cell[i])} (row {row[i]!r})")
+    if k < 2:
         raise ValueError(
             f"within: column {within!r} has one condition only, {conditions[0]!r}; at least two are compared"
         )
-    cell = person * len(conditions) + condition
-    counts = np.bincount(cell, minlength=len(subjects) * len(conditions))
-    if counts.max() > 1:
-        texts = []
-        for c in np.flatnonzero(counts > 1):
-            rows = [row[k] for k in np.flatnonzero(cell == c)[:_SHOWN]]
-            i, j = divmod(int(c), len(conditions))
-            texts.append(
-                f"subject {subjects[i]!r}, condition {conditions[j]!r} has {counts[c]} rows ({', '.join(map(repr, rows))})"
-            )
-            if len(texts) > _SHOWN:
-                break
-        raise ValueError(
-            f"{(counts > 1).sum()} cell(s) with more than one row: {'; '.join(texts[:_SHOWN])}; "
-            f"average the trials of a cell first: frame.groupby([{subject!r}, {within!r}], as_index=False)[{dv!r}].mean()"
-        )
-    values = np.full(len(subjects) * len(conditions), np.nan)
+    counts = np.bincount(cell, minlength=len(subjects) * k)
+    average = f"frame.groupby([{subject!r}, {within!r}], as_index=False)[{dv!r}].mean()"
+    _refuse_repeated_cells(cell, counts, cell_name, row, average)
+    values = np.full(counts.size, np.nan)
     values[cell] = scores
     return ScoreTable(
-        values.reshape(len(subjects), -1),
-        tuple(subjects),
-        tuple(conditions),
-        dv,
-        within,
-        subject,
-        data_origin(frame),
+        values=values.reshape(len(subjects), k),
+        subjects=tuple(subjects),
+        conditions=tuple(conditions),
+        dv=dv,
+        within=within,
+        subject=subject,
+        origin=_origin(frame.attrs),
     )
 
 
 def _missing_cells(table: ScoreTable) -> str:
-    gone = np.isnan(table.values)
-    k = len(table.conditions)
     texts = []
-    for i in np.flatnonzero(gone.any(axis=1)):
-        there = [c for c, absent in zip(table.conditions, gone[i], strict=True) if not absent]
-        name = f"subject {table.subjects[i]!r}"
+    for subject, scores in zip(table.subjects, table.values, strict=True):
+        absent = [repr(c) for c, score in zip(table.conditions, scores, strict=True) if np.isnan(score)]
+        there = [repr(c) for c in table.conditions if repr(c) not in absent]
+        if not absent:
+            continue
         if not there:
-            texts.append(f"{name} has no score at all")
-        elif len(there) == 1 and k > 2:
-            texts.append(f"{name} has a score in one condition only, {there[0]!r}")
+            texts.append(f"subject {subject!r} has no score at all")
+        elif len(there) == 1 and len(table.conditions) > 2:
+            texts.append(f"subject {subject!r} has a score in one condition only, {there[0]}")
         else:
-            absent = [repr(c) for c in table.conditions if c not in there]
-            texts.append(f"{name} has no score in condition {', '.join(absent)}")
-    return _some(texts)
+            texts.append(f"subject {subject!r} has no score in condition {', '.join(absent)}")
+    return _first_of(texts)
 
 
 def _alike(labels: tuple) -> str:
+    """Return a hint where two conditions may be one that was written in two ways."""
     plain: dict[str, Hashable] = {}
     for label in labels:
         other = plain.setdefault(str(label).strip().casefold(), label)
@@ -305,43 +255,14 @@ def _alike(labels: tuple) -> str:
 
 
 def same_for_all(table: ScoreTable) -> list:
-    """
-    Return the conditions in which every subject has the same score.
-
-    Parameters
-    ----------
-    table : ScoreTable
-        Without missing cells.
-    """
+    """Return the conditions of a complete table in which every subject has the same score."""
     spread = np.ptp(table.values, axis=0)
     return [condition for condition, range_ in zip(table.conditions, spread, strict=True) if range_ == 0.0]
 
 
 def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTable, tuple]:
-    """
-    Return a table without missing cells and the subjects that were left out for it.
-
-    Parameters
-    ----------
-    table : ScoreTable
-        What was read.
-    missing : {"raise", "listwise"}
-        Whether a missing cell is an error, or its subject is left out.
-
-    Returns
-    -------
-    table : ScoreTable
-        Complete.
-    excluded : tuple
-        Subjects left out.
-
-    Raises
-    ------
-    ValueError
-        If cells are missing and `missing` is "raise", or fewer than three complete subjects are there.
-    """
-    if missing not in ("raise", "listwise"):
-        raise ValueError(f"missing must be 'raise' or 'listwise', got {missing!r}")
+    """Return a table without missing cells, and the subjects that were left out for it (missing="listwise")."""
+    one_of("missing", missing, ("raise", "listwise"))
     gone = np.isnan(table.values).any(axis=1)
     if gone.any() and missing == "raise":
         raise ValueError(
@@ -356,7 +277,4 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
         raise ValueError(
             f"subject: {len(kept)} complete subject(s){named} in column {table.subject!r}{without}; at least three are needed"
         )
-    complete = ScoreTable(
-        table.values[~gone], kept, table.conditions, table.dv, table.within, table.subject, table.origin
-    )
-    return complete, excluded
+    return replace(table, values=table.values[~gone], subjects=kept), excluded

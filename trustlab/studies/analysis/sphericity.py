@@ -1,40 +1,33 @@
-"""Sphericity of the contrasts: Mauchly's test, Greenhouse–Geisser and Huynh–Feldt ε; arrays of studies at once."""
+"""Sphericity: Mauchly's test, Greenhouse–Geisser and Huynh–Feldt ε for arrays of studies, and which correction applies."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
 __all__ = [
+    "CORRECTIONS",
     "Mauchly",
+    "decide_correction",
     "greenhouse_geisser",
     "huynh_feldt",
     "mauchly",
     "mauchly_factor",
     "mauchly_p_value",
     "orthonormal_contrasts",
+    "why_no_mauchly",
 ]
 
+CORRECTIONS = ("none", "greenhouse-geisser", "huynh-feldt")
+
 _RELATIVE_RANK = 1e-14
-"""Least ratio of eigenvalues that double precision tells from zero in a covariance matrix."""
+"""Smallest ratio of eigenvalues that double precision distinguishes from zero in a covariance matrix."""
 
 
 def orthonormal_contrasts(k: int) -> np.ndarray:
-    """
-    Return Helmert contrasts of unit length.
-
-    Parameters
-    ----------
-    k : int
-        Number of conditions, at least 2.
-
-    Returns
-    -------
-    numpy.ndarray, shape (k, k − 1)
-        Orthonormal columns, each orthogonal to the constant.
-    """
+    """Return Helmert contrasts of unit length, shape (k, k − 1): orthonormal columns, orthogonal to the constant."""
     contrasts = np.zeros((k, k - 1))
     for j in range(1, k):
         contrasts[:j, j - 1] = 1.0
@@ -44,14 +37,7 @@ def orthonormal_contrasts(k: int) -> np.ndarray:
 
 
 def greenhouse_geisser(covariance: np.ndarray) -> np.ndarray:
-    """
-    Return ε = (tr M)² / (d tr M²), between 1/d and 1; defined for a singular M too.
-
-    Parameters
-    ----------
-    covariance : numpy.ndarray, shape (..., d, d)
-        Covariance M of orthonormal contrasts.
-    """
+    """Return ε = (tr M)² / (d tr M²) of covariances M of orthonormal contrasts, shape (..., d, d); M may be singular."""
     d = covariance.shape[-1]
     trace = np.trace(covariance, axis1=-2, axis2=-1)
     square = ((covariance / trace[..., None, None]) ** 2).sum(axis=(-2, -1))
@@ -60,19 +46,10 @@ def greenhouse_geisser(covariance: np.ndarray) -> np.ndarray:
 
 def huynh_feldt(epsilon_gg: np.ndarray, n: int, d: int) -> np.ndarray:
     """
-    Return (n d ε − 2) / (d (n − 1 − d ε)), not truncated at 1.
+    Return (n d ε − 2) / (d (n − 1 − d ε)) for n subjects and d + 1 conditions, not truncated at 1.
 
-    This is the formula of car and afex. Lecoutre's correction of it concerns designs with groups: with one group
-    of subjects, as here, both are the same.
-
-    Parameters
-    ----------
-    epsilon_gg : numpy.ndarray
-        Greenhouse–Geisser ε.
-    n : int
-        Number of subjects.
-    d : int
-        Number of conditions less one.
+    This is the formula of car and afex. Lecoutre's correction concerns designs with groups: with one group of subjects,
+    as here, both are the same.
     """
     if d == 1:
         return np.ones_like(epsilon_gg)
@@ -81,26 +58,8 @@ def huynh_feldt(epsilon_gg: np.ndarray, n: int, d: int) -> np.ndarray:
     return np.where(undefined, np.inf, (n * d * epsilon_gg - 2.0) / np.where(undefined, 1.0, below))
 
 
-@dataclass(frozen=True, eq=False)
-class Mauchly:
-    """
-    Mauchly's test; NaN where it is not defined.
-
-    Parameters
-    ----------
-    w : numpy.ndarray
-        W = det M / (tr M / d)^d.
-    chi2 : numpy.ndarray
-        −(n − 1) ρ ln W.
-    df : int
-        d (d + 1)/2 − 1.
-    p : numpy.ndarray
-        With the second-order term.
-    p_first_order : numpy.ndarray
-        Upper tail of χ² alone.
-    singular : numpy.ndarray of bool
-        Where M has no full rank, so that W is zero whatever the population is.
-    """
+class Mauchly(NamedTuple):
+    """Mauchly's test of many studies; NaN where it is not defined, `singular` where M has no full rank."""
 
     w: np.ndarray
     chi2: np.ndarray
@@ -111,61 +70,34 @@ class Mauchly:
 
 
 def mauchly_factor(n: int, k: int) -> float:
-    """
-    Return (n − 1) ρ with ρ = 1 − (2d² + d + 2) / (6 d (n − 1)), d = k − 1, so that χ² = −(n − 1) ρ ln W.
-
-    Parameters
-    ----------
-    n, k : int
-        Subjects and conditions, n ≥ k ≥ 3.
-    """
+    """Return (n − 1) ρ with ρ = 1 − (2d² + d + 2) / (6 d (n − 1)), d = k − 1, so that χ² = −(n − 1) ρ ln W."""
     d = k - 1
     return n - 1 - (2 * d**2 + d + 2) / (6 * d)
 
 
 def mauchly_p_value(chi2: np.ndarray, n: int, k: int) -> np.ndarray:
     """
-    Return the p-value of Mauchly's χ² to second order, as R and SPSS print it.
+    Return the p-value of Mauchly's χ² to second order, as R, SPSS, JASP, jamovi and pingouin print it; n ≥ k ≥ 3.
 
     p = P_f + w₂ (P_{f+4} − P_f) with f = d (d + 1)/2 − 1 and w₂ = (d+2)(d−1)(d−2)(2d³ + 6d² + 3k + 2) / (288 ((n−1) d ρ)²),
-    d = k − 1. The expansion can pass 1 by some thousandths when n is hardly above k; it is then given as 1.
-
-    Parameters
-    ----------
-    chi2 : numpy.ndarray
-        χ² as `mauchly` gives it.
-    n, k : int
-        Subjects and conditions, n ≥ k ≥ 3.
+    d = k − 1 (Anderson, 2003). The expansion can exceed 1 by some thousandths when n is hardly above k; it is then 1.
     """
     d = k - 1
     df = d * (d + 1) // 2 - 1
-    w2 = (
-        (d + 2)
-        * (d - 1)
-        * (d - 2)
-        * (2 * d**3 + 6 * d**2 + 3 * k + 2)
-        / (288 * (d * mauchly_factor(n, k)) ** 2)
-    )
+    # Anderson has d in the place of k; the packages named above all put k there, and printed values come from them.
+    cubic = 2 * d**3 + 6 * d**2 + 3 * k + 2
+    w2 = (d + 2) * (d - 1) * (d - 2) * cubic / (288 * (d * mauchly_factor(n, k)) ** 2)
     first = special.chdtrc(df, chi2)
     return np.minimum(first + w2 * (special.chdtrc(df + 4, chi2) - first), 1.0)
 
 
 def mauchly(covariance: np.ndarray, n: int, floor: np.ndarray | float = 0.0) -> Mauchly:
     """
-    Test whether contrasts have equal variances and no correlation (Mauchly, 1940).
+    Test whether contrasts have equal variances and no correlation: W = det M / (tr M / d)^d (Mauchly, 1940).
 
-    The p-value follows Anderson (2003) to second order (see `mauchly_p_value`) with k, the number of conditions, in one
-    place of w₂ where Anderson has d = k − 1: the convention of R (mauchly.test, car, afex), SPSS and pingouin. Not
-    defined for d = 1 (nothing to test) and for n − 1 < d (W is zero by counting).
-
-    Parameters
-    ----------
-    covariance : numpy.ndarray, shape (..., d, d)
-        Covariance M of orthonormal contrasts, with divisor n − 1.
-    n : int
-        Number of subjects.
-    floor : numpy.ndarray or float
-        Variance that rounding of the scores alone can cause; an eigenvalue below it counts as zero.
+    `covariance` holds covariances M of orthonormal contrasts, divisor n − 1, shape (..., d, d). An eigenvalue below
+    `floor`, the variance that rounding of the scores alone can cause, counts as zero. Not defined for d = 1 (nothing to
+    test) and for n − 1 < d (M is singular whatever the population is).
     """
     d = covariance.shape[-1]
     shape = covariance.shape[:-2]
@@ -185,5 +117,51 @@ def mauchly(covariance: np.ndarray, n: int, floor: np.ndarray | float = 0.0) -> 
         singular[doubtful] = eigenvalues[..., 0] <= least
     log_w = np.where(singular, np.nan, log_w)
     chi2 = -mauchly_factor(n, d + 1) * log_w
-    p, first = mauchly_p_value(chi2, n, d + 1), special.chdtrc(df, chi2)
-    return Mauchly(np.exp(log_w), chi2, df, p, first, singular)
+    return Mauchly(
+        w=np.exp(log_w),
+        chi2=chi2,
+        df=df,
+        p=mauchly_p_value(chi2, n, d + 1),
+        p_first_order=special.chdtrc(df, chi2),
+        singular=singular,
+    )
+
+
+def why_no_mauchly(n: int, k: int, w: float) -> str:
+    """Return why Mauchly's test is not defined; an empty text where it is."""
+    if k == 2:
+        return "With two conditions sphericity always holds; there is nothing for Mauchly's test to test."
+    if n <= k - 1:
+        return (
+            f"Mauchly's test is not defined: {n} subjects are too few for {k} conditions "
+            f"(at least {k} are needed)."
+        )
+    if np.isnan(w):
+        return (
+            "Mauchly's test is not defined: the covariance of the contrasts is singular "
+            "(a condition is a linear combination of others)."
+        )
+    return ""
+
+
+def decide_correction(
+    correction: str, alpha: float, k: int, p: float, epsilon_gg: float, why_not: str
+) -> tuple[str, str]:
+    """
+    Return the correction that applies and the reason in a sentence or two.
+
+    "auto" is Greenhouse–Geisser where Mauchly's test rejects sphericity at `alpha` or is not defined (`why_not` says
+    why), else none.
+    """
+    if correction != "auto":
+        return correction, f"Correction “{correction}” was asked for." + (f" {why_not}" if why_not else "")
+    if k == 2:
+        return "none", why_not
+    if why_not:
+        return "greenhouse-geisser", f"{why_not} Sphericity cannot be tested and is not assumed."
+    if p >= alpha:
+        return "none", f"Mauchly's test does not reject sphericity (p = {p:.3g} ≥ {alpha:g})."
+    reason = f"Mauchly's test rejects sphericity (p = {p:.3g} < {alpha:g})."
+    if epsilon_gg > 0.75:
+        reason += " Greenhouse–Geisser ε is above 0.75, where Huynh–Feldt's is less conservative."
+    return "greenhouse-geisser", reason

@@ -8,7 +8,7 @@ import numpy as np
 
 from trustlab.sessions.errors import nearest
 from trustlab.studies.analysis.batch import repeated_measures_batch
-from trustlab.studies.analysis.sphericity_correction import CORRECTIONS
+from trustlab.studies.analysis.sphericity import CORRECTIONS
 from trustlab.studies.planning.covariances import Conditions
 
 __all__ = ["ADJUSTMENTS", "TESTS", "Counts", "claims_mask", "count_findings"]

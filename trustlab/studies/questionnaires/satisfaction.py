@@ -63,7 +63,7 @@ def score_satisfaction(
         The items, which are the columns' names; or a dict of item → column (wide) or label in column `item` (long).
     reversed : sequence of str
         Items for which a high answer means little satisfaction.
-    **columns
+    **columns : AnswerColumns
         The other keyword arguments of `score_likert`: subject, condition, item, response, missing.
 
     Returns

@@ -39,7 +39,7 @@ def score_trust_checklist(frame: pd.DataFrame, **columns: Unpack[AnswerColumns])
     ----------
     frame : pandas.DataFrame
         Answers as given, not reversed: wide (a column per item) or, with `item` and `response`, long.
-    **columns
+    **columns : AnswerColumns
         The keyword arguments of `score_likert`: subject, condition, items, item, response, missing. `items` maps items of
         TRUST_CHECKLIST to columns (wide) or to labels in column `item` (long), or lists those of items 1 to 12.
 
