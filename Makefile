@@ -1,12 +1,13 @@
 # `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
 .DEFAULT_GOAL := help
-.PHONY: reports test lock bench lab data clean help
+.PHONY: reports test test-long lock bench lab data clean help
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 UV := $(shell command -v uv 2>/dev/null)
 PARAMS ?=
+ONLY ?=
 JOBS ?= auto
 
 $(VENV)/.stamp: environment.lock pyproject.toml
@@ -24,23 +25,27 @@ else
 endif
 	@touch $@
 
-# Compiled kernels are kept beside their file, which does not see a change in another file that they call.
+# A compiled kernel is kept beside its file, and numba does not see a change in another file that it calls: when any source
+# is newer than the mark, all of them go. (find -newer is understood by GNU and BSD alike.)
 .PHONY: fresh
 fresh:
-	@newest=$$(find trustlab -name '*.py' -printf '%T@ %p\n' | sort -n | tail -1 | cut -d' ' -f2-); \
-	  find trustlab -name '*.nb[ic]' ! -newer "$$newest" -delete
+	@if [ ! -e $(VENV)/.compiled ] || [ -n "$$(find trustlab -name '*.py' -newer $(VENV)/.compiled)" ]; then \
+	  find trustlab -name '*.nb[ic]' -delete; touch $(VENV)/.compiled; fi
 
 reports: $(VENV)/.stamp fresh  ## every notebook, run and published under reports/ (PARAMS="-p name value" passes parameters on)
 	$(BIN)/python -m trustlab.publishing --jobs $(JOBS) $(PARAMS)
 
-test: $(VENV)/.stamp fresh  ## formatting, linting and every test
+test: $(VENV)/.stamp fresh  ## formatting, linting and every test but the long ones
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/python -m pytest -n $(JOBS)
+	$(BIN)/python -m pytest -n $(JOBS) -m "not long"
 
-bench: $(VENV)/.stamp fresh  ## benchmarks beside the peers, written under reports/
+test-long: $(VENV)/.stamp fresh  ## the tests that take too long for every time
+	$(BIN)/python -m pytest -n $(JOBS) -m long
+
+bench: $(VENV)/.stamp fresh  ## benchmarks beside the peers, written under reports/ (ONLY=arx runs one)
 	@$(MAKE) --no-print-directory benchmarks/.venv/.stamp || echo "peers could not be installed; see above"
-	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks $(ONLY)
 
 benchmarks/.venv/.stamp: benchmarks/environment.lock
 	rm -rf benchmarks/.venv
@@ -60,13 +65,13 @@ data: $(VENV)/.stamp  ## write data/sessions/ again from its seeds
 	$(BIN)/python data/sessions/make_sessions.py
 
 lock:  ## resolve environment.lock again (needs uv)
-	uv pip compile pyproject.toml --extra cluster --group dev --universal --python-version 3.11 \
+	uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 \
 	  --generate-hashes --no-annotate --no-header --no-emit-index-url -o environment.lock
 
 clean:  ## remove the environment, the caches and what was generated
-	rm -rf $(VENV) benchmarks/.venv .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) benchmarks/.venv .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find reports -mindepth 1 -maxdepth 1 ! -name README.md ! -name figures -exec rm -rf {} +
 	find trustlab tests benchmarks data notebooks -name __pycache__ -prune -exec rm -rf {} +
 
 help:  ## this list
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 20
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
