@@ -11,7 +11,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from trustlab.sessions import RecipeError, SessionError, read_session, read_sessions, write_session
-from trustlab.sessions.recipes import Recipe
+from trustlab.sessions.recipe import Recipe
 
 START = 1_700_000_000_123_456_789  # [ns]
 KINDS = ["lab.bag", "lab.mcap", "lab"]
@@ -321,7 +321,7 @@ def test_missing_pages_of_a_database_would_read_as_zeros(tmp_path, monkeypatch):
     session = read_session(errors(tmp_path / "a.mcap", range(1, 401)).write(), recipe=Recipe.from_toml(ERROR))
     file = next(write_session(session, tmp_path / "own").glob("*.db3"))
     data = file.read_bytes()
-    monkeypatch.setattr("trustlab.sessions.bags._check_sqlite_size", lambda *args: None)
+    monkeypatch.setattr("trustlab.sessions.readers.bags._check_sqlite_size", lambda *args: None)
     file.write_bytes(data[:-7])
     assert (read_session(tmp_path / "own")["path_error"] == 0.0).any()
     assert not (session["path_error"] == 0.0).any()
@@ -345,7 +345,7 @@ def test_what_is_missing_from_a_bag_of_ours_is_noticed(tmp_path, monkeypatch):
     with pytest.raises(SessionError, match=r"'/trustlab/t' has 20 messages where the metadata say 40"):
         read_session(path)
     monkeypatch.setattr(
-        "trustlab.sessions.bags.metadata_from_json", lambda text, source: (None, {"samples": 20})
+        "trustlab.sessions.readers.bags.metadata_from_json", lambda text: (None, {"samples": 20})
     )
     assert len(read_session(path)) == 20
 

@@ -11,10 +11,9 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from trustlab.sessions import Metadata, RecipeError, Session, SessionError, read_session, write_session
-from trustlab.sessions.csv_files import _fast, _scan
-from trustlab.sessions.recipes import Recipe, load_recipe
-from trustlab.sessions.rules import TableRule
-from trustlab.sessions.tables import Cell
+from trustlab.sessions.readers.csv_files import _fast, _scan
+from trustlab.sessions.readers.tables import SourceColumn
+from trustlab.sessions.recipe import Recipe, TableRule, load_recipe
 
 MORE = "TRUSTLAB_FUZZ" in os.environ  # a number of examples for a longer search, other ones each time
 EXAMPLES = int(os.environ.get("TRUSTLAB_FUZZ", "120"))
@@ -184,11 +183,11 @@ def test_tables_that_are_nearly_right(folder, text, resample, step):
 def test_the_fast_reader_agrees_with_the_exact_one(text):
     body = text.split("\n", 1)[-1]
     width = max(body.split("\n")[0].count(",") + 1, 1)
-    cells = [Cell(str(k), k, str(k)) for k in range(width)]
+    cells = [SourceColumn(str(k), k, str(k)) for k in range(width)]
     fast = _fast(body, cells, TableRule(), width)
     if fast is None:
         return  # then the exact reader is the one that counts
-    exact, _, fault = _scan(body, cells, TableRule(), width, "it has", 1, "x.csv")
+    exact, _, fault = _scan(body, cells, TableRule(), width, "it has", 1)
     assert fault is None
     for name, values in exact.items():
         assert values.tobytes() == np.ascontiguousarray(fast[name]).tobytes()
@@ -303,7 +302,7 @@ def test_an_exception_that_is_not_ours_is_noticed(folder, monkeypatch):
     path = folder / "control.bag"
     path.write_bytes(b"#ROSBAG V2.0\n" + b"\0" * 40)
     read_or_refuse(path)
-    monkeypatch.setattr("trustlab.sessions.bags._guard", lambda source: nullcontext())
+    monkeypatch.setattr("trustlab.sessions.readers.bags._guard", nullcontext)
     with pytest.raises(Exception) as caught:
         read_or_refuse(path)
     assert not isinstance(caught.value, SessionError)

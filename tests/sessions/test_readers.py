@@ -89,7 +89,7 @@ def test_what_cannot_be_written(session, tmp_path):
         write_session(session.with_metadata(when=(1, 2)), tmp_path / "a.csv")
     with pytest.raises(SessionError, match=r"cannot tell the format.*did you mean '.csv'"):
         write_session(session, tmp_path / "a.cvs")
-    with pytest.raises(SessionError, match="did you mean 'parquet'"):
+    with pytest.raises(ValueError, match="format must be one of .*did you mean 'parquet'"):
         write_session(session, tmp_path / "a.parquet", format="parket")
     with pytest.raises(SessionError, match=r"call it a\.csv"):
         write_session(session, tmp_path / "a.txt", format="csv")
@@ -239,12 +239,13 @@ def test_resampling_only_when_asked(tmp_path):
         ({"resample": "linear"}, "sample_time"),
         ({"sample_time": 0.1}, "resample"),
         ({"resample": "liner", "sample_time": 0.1}, "did you mean 'linear'"),
-        ({"resample": "linear", "sample_time": -1}, "positive"),
-        ({"resample": "linear", "sample_time": float("nan")}, "positive"),
-        ({"resample": "linear", "sample_time": 1e-9}, "at most 20000000"),
-        ({"resample": "linear", "sample_time": 100.0}, "fewer than two"),
+        ({"resample": "linear", "sample_time": -1}, "sample_time must be positive"),
+        ({"resample": "linear", "sample_time": float("nan")}, "sample_time must be finite"),
     ]:
-        refused(path, fragment, **options)
+        with pytest.raises(ValueError, match=fragment):
+            read_session(path, **options)
+    refused(path, "at most 20000000", resample="linear", sample_time=1e-9)
+    refused(path, "fewer than two", resample="linear", sample_time=100.0)
     # Faults that resampling would hide are told all the same.
     refused(write(tmp_path, text.replace("40", "nan")), "line 4", resample="nearest", sample_time=1.0)
     refused(
@@ -332,7 +333,7 @@ def test_folders(tmp_path, session):
 def test_tables_without_fault_are_read_by_the_compiled_reader(tmp_path, session, monkeypatch):
     # 240 files of 416 rows are read in less than a second that way; row by row it would take several.
     path = write_session(session, tmp_path / "a.csv")
-    monkeypatch.setattr("trustlab.sessions.csv_files._scan", None)
+    monkeypatch.setattr("trustlab.sessions.readers.csv_files._scan", None)
     assert read_session(path) == session
 
 
@@ -341,7 +342,7 @@ def test_no_warnings_and_no_shadowed_names(tmp_path, session):
         warnings.simplefilter("error")
         read_session(write_session(session, tmp_path / "a.csv"))
     assert callable(tl.sessions.list_recipes)
-    assert tl.sessions.recipes.__doc__.startswith("\nRecipes:")
+    assert tl.sessions.recipe.__doc__.startswith("\nRecipes:")
     assert (
         json.loads((tmp_path / "a.csv").read_text().splitlines()[0].removeprefix("# trustlab "))[
             "participant"

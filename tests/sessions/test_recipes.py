@@ -12,8 +12,8 @@ from trustlab.sessions import (
     read_sessions,
 )
 from trustlab.sessions.patterns import PathPattern, natural_key
-from trustlab.sessions.recipes import Recipe
-from trustlab.sessions.units import UNITS, to_si
+from trustlab.sessions.recipe import Recipe
+from trustlab.sessions.vocabulary import UNITS, to_si
 
 LAB = """
 name = "lab"
@@ -161,7 +161,7 @@ def test_headers_and_files_name_each_other(tmp_path):
         (good.replace("1,10,low", "1,ten,low"), ["run1.csv", "'r'", "'ten'", "not a number"]),
         (
             good.replace("1,10,low", "1,10,medium"),
-            ["run1.csv", "'beta'", "'medium'", "does not list", "low, high"],
+            ["run1.csv", "'beta' (from header.level)", "'medium'", "map (known: low, high)"],
         ),
         (good.replace("1,10,low", "1,,low"), ["run1.csv", "header.share is empty"]),
         (good.replace("share", "part"), ["run1.csv", "no header.share", "header.part"]),
@@ -263,7 +263,10 @@ def test_the_same_session_twice(tmp_path):
 def test_metadata_maps_without_a_way_out(tmp_path):
     recipe = lay(tmp_path, LAB.replace(", keep = true", ""))
     fails(
-        lambda: read_session(tmp_path / "raw/p2/run1.csv", recipe=recipe), "'participant'", "who is 2", "25"
+        lambda: read_session(tmp_path / "raw/p2/run1.csv", recipe=recipe),
+        "'participant' (from who)",
+        "'2'",
+        "known: 25",
     )
 
 
@@ -272,7 +275,7 @@ def test_metadata_maps_without_a_way_out(tmp_path):
     [
         ("[columns]", "[colums]", ["unknown key 'colums'", "did you mean 'columns'"]),
         ('kind = "table"', 'kind = "tabel"', ["kind must be", "'tabel'"]),
-        ('kind = "table"\n', "", ["kind must be"]),
+        ('kind = "table"\n', "", ["needs kind", '"table" or "bag"']),
         ('kind = "table"', 'kind = "bag"', ["[table] is for"]),
         ("robot_x =", "robot_xx =", ["robot_xx", "vocabulary", "did you mean 'robot_x'"]),
         ("yaw =", "t =", ["time goes under [time]"]),
@@ -293,7 +296,7 @@ def test_metadata_maps_without_a_way_out(tmp_path):
         (
             'distance = ["robot", "reference"]',
             'distance = ["robot", "target"]',
-            ["'target' is not a position"],
+            ["path_error: distance must be one of 'robot', 'reference'", "'target'"],
         ),
         ('distance = ["robot", "reference"]', 'distance = ["robot", "human"]', ["human_x", "no rule"]),
         ('axes = ["x", "y"]', 'axes = ["x", "w"]', ["axes", "'w'"]),
@@ -308,15 +311,19 @@ def test_metadata_maps_without_a_way_out(tmp_path):
             ["[header]", "'trail'", "did you mean 'trial'"],
         ),
         ("p{who}/runs", "p{whom}/runs", ["[header] file", "'whom'", "did you mean 'who'"]),
-        ("{who:int}", "{who:integer}", ["unknown type 'integer'", "did you mean 'int'"]),
+        ("{who:int}", "{who:integer}", ["[files]", "type of field 'who'", "'integer'", "did you mean 'int'"]),
         ("{who:int}", "{who:int", ["brace"]),
         ('field = "who"', 'field = "whom"', ["[supersedes]", "who"]),
         ('delimiter = ";"', 'delimiter = ";;"', ["delimiter"]),
         ('decimal = ","', 'decimal = ";"', ["decimal"]),
         ("skip_lines = 1", "skip_lines = -1", ["skip_lines"]),
         ("skip_lines = 1", "skip_lines = true", ["skip_lines"]),
-        ("[time]", "[resampling]\nmethod = 'linear'\n[time]", ["[resampling] needs"]),
-        ("[time]", "[resampling]\nmethod = 'lin'\nsample_time = 1\n[time]", ["unknown resampling 'lin'"]),
+        ("[time]", "[resampling]\nmethod = 'linear'\n[time]", ["[resampling]: needs sample_time"]),
+        (
+            "[time]",
+            "[resampling]\nmethod = 'lin'\nsample_time = 1\n[time]",
+            ["[resampling]: method must be", "'lin'", "did you mean 'linear'"],
+        ),
         (
             "[time]",
             "[resampling]\nmethod = 'linear'\nsample_time = 0\n[time]",

@@ -2,17 +2,21 @@
 
 import lazy_loader as lazy
 
-__getattr__, __dir__, __all__ = lazy.attach(
+from trustlab.models.deprecation import old_names
+
+_lazy_getattr, __dir__, __all__ = lazy.attach(
     __name__,
-    submodules=["metrics", "recipes"],
+    submodules=["metrics", "recipe"],
     submod_attrs={
         "errors": ["RecipeError", "SessionError"],
         "external": ["external_data"],
+        "metadata": ["Metadata"],
         "metrics": ["tracking_error"],
         "readers": ["read_session", "read_sessions"],
-        "recipes": ["Recipe", "list_recipes", "load_recipe"],
-        "session": ["Metadata", "Session"],
+        "recipe": ["Recipe", "list_recipes", "load_recipe"],
+        "session": ["Session"],
         "vocabulary": ["vocabulary"],
         "writers": ["write_session"],
     },
 )
+__getattr__ = old_names(__name__, _lazy_getattr, {"recipes": "recipe"})

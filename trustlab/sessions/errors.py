@@ -1,60 +1,28 @@
-"""What goes wrong with a log, and where."""
+"""Errors of logs and recipes, and the parts that their messages share."""
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["RecipeError", "SessionError", "nearest", "nearest_file"]
+from trustlab.models.checks import did_you_mean
 
-
-def nearest(name: object, known: Iterable[object]) -> str:
-    """
-    Return "; did you mean …?" for a misspelt name, or nothing when no known name is near.
-
-    Parameters
-    ----------
-    name : str
-        What was found.
-    known : iterable of str
-        What could have been meant.
-    """
-    known = {str(word).lower(): str(word) for word in known}
-    close = difflib.get_close_matches(str(name)[:100].lower(), known, n=1, cutoff=0.6)
-    return f"; did you mean {known[close[0]]!r}?" if close else ""
-
-
-def nearest_file(path: Path, suffix: str = "") -> str:
-    """
-    Return "; did you mean …?" for the path of a file that is not there, from the names beside it.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Where nothing is.
-    suffix : str
-        How the names end that can have been meant, for example ".toml".
-    """
-    try:
-        beside = [each.name for each in path.parent.iterdir() if each.name.lower().endswith(suffix)]
-    except (OSError, ValueError):
-        beside = []
-    return nearest(path.name, beside)
+__all__ = ["RecipeError", "SessionError", "damage_named", "listed", "nearest_file", "source_named"]
 
 
 class SessionError(ValueError):
     """
-    A log or a table that is not a session.
+    A log or a table that is not a valid session.
 
     Parameters
     ----------
     message : str
         What was found and what to do about it.
     source : str, optional
-        The file it was found in; put in front of the message.
+        The file in which it was found; it precedes the message.
     row : int, optional
-        The sample it was found at, from 0; tells which of two faults comes first.
+        The sample at which it was found, from 0; decides which of two faults comes first in the file.
     """
 
     def __init__(self, message: str, source: str | None = None, row: int | None = None):
@@ -64,4 +32,45 @@ class SessionError(ValueError):
 
 
 class RecipeError(SessionError):
-    """A recipe that is not there or cannot be followed; takes the same arguments as SessionError."""
+    """A recipe that does not exist or cannot be followed; takes the same arguments as SessionError."""
+
+
+@contextmanager
+def source_named(source: str | None) -> Iterator[None]:
+    """Put the name of the file in front of every error raised inside that names no file yet."""
+    try:
+        yield
+    except SessionError as error:
+        if source and error.source is None:
+            error.source = source
+            error.args = (f"{source}: {error}",)
+        raise
+
+
+@contextmanager
+def damage_named(what: str, remedy: str) -> Iterator[None]:
+    """Turn whatever a decoder of a binary format raises inside into a SessionError: what the file is, and the remedy."""
+    # Decoders meet damaged files with errors of their own, struct.error, KeyError, AssertionError, zlib and database
+    # errors, MemoryError … There is no common base, so that this one place, around calls into a decoder and little else,
+    # takes every Exception and hands on the cause.
+    try:
+        yield
+    except SessionError:
+        raise
+    except Exception as error:
+        reason = (str(error) or "no reason given").splitlines()[0][:200]
+        raise SessionError(f"{what} ({type(error).__name__}: {reason}); {remedy}") from error
+
+
+def listed(names: Sequence[object]) -> str:
+    """Return names separated by commas for an error message: at most 30 of them, each at most 40 characters."""
+    return ", ".join(str(name)[:40] for name in names[:30]) + (" …" if len(names) > 30 else "")
+
+
+def nearest_file(path: Path, suffix: str = "") -> str:
+    """Return "; did you mean …?" for the path of a missing file, from the names beside it that end with `suffix`."""
+    try:
+        beside = [each.name for each in path.parent.iterdir() if each.name.lower().endswith(suffix)]
+    except (OSError, ValueError):
+        beside = []
+    return did_you_mean(path.name, beside)

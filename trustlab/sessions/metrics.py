@@ -7,9 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_array, finite_number, mode_array
+from trustlab.models.checks import finite_array, mode_array, one_of, positive
 from trustlab.sessions.errors import SessionError
-from trustlab.sessions.session import Session
+from trustlab.sessions.metadata import Metadata
 
 __all__ = [
     "command_deviation",
@@ -22,13 +22,6 @@ __all__ = [
     "window_mean",
     "with_performance",
 ]
-
-
-def _positive(name: str, value: float) -> float:
-    number = finite_number(name, value)
-    if not number > 0.0:
-        raise ValueError(f"{name} must be positive, got {number}")
-    return number
 
 
 def window_mean(values: np.ndarray, sample_time: float, window: float) -> np.ndarray:
@@ -52,7 +45,7 @@ def window_mean(values: np.ndarray, sample_time: float, window: float) -> np.nda
         If the window is shorter than one sample or a value is not finite.
     """
     values = finite_array("values", values)
-    samples = round(_positive("window", window) / _positive("sample_time", sample_time))
+    samples = round(positive("window", window) / positive("sample_time", sample_time))
     if samples < 1:
         raise ValueError(f"window = {window} s is shorter than one sample ({sample_time} s)")
     return pd.Series(values).rolling(samples, min_periods=1).mean().to_numpy()
@@ -78,7 +71,7 @@ def nearness(distance: np.ndarray, largest: float) -> np.ndarray:
     if (distance < 0.0).any():
         k = int(np.argmax(distance < 0.0))
         raise ValueError(f"a deviation cannot be negative, but sample {k} is {distance[k]}")
-    return 1.0 - distance / _positive("largest", largest)
+    return 1.0 - distance / positive("largest", largest)
 
 
 def goal_speed(
@@ -105,7 +98,7 @@ def goal_speed(
     """
     near = nearness(path_error, e_max)
     step_distance = finite_array("step_distance", step_distance, length=near.size)
-    return step_distance / _positive("sample_time", sample_time) * near
+    return step_distance / positive("sample_time", sample_time) * near
 
 
 def manoeuvring(
@@ -157,7 +150,7 @@ def command_deviation(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndar
     u_max : float
         Δu_max, in the unit of the commands.
     """
-    return _difference(u_i, u_h).sum(axis=1) / _positive("u_max", u_max)
+    return _difference(u_i, u_h).sum(axis=1) / positive("u_max", u_max)
 
 
 def mixed_initiative(
@@ -203,12 +196,6 @@ def _difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return one - other
 
 
-def _vector(session, stem: str, axes: str) -> np.ndarray:
-    names = [f"{stem}_{axis}" for axis in axes]
-    session.require(*names)
-    return session.data[names].to_numpy()
-
-
 def with_performance(
     session,
     window: float = 100.0,
@@ -230,9 +217,9 @@ def with_performance(
     measure : {"ground_robot", "uav_tracking", "mixed_initiative"}
         (2.4) and (2.7); Section 2.4.2; (3.26)-(3.27).
     e_max : float, optional
-        Greatest acceptable deviation [m]; 2 m for "ground_robot", to be given for the others.
+        Greatest acceptable deviation [m]; 2 m for "ground_robot", required for the others.
     u_max : float, optional
-        Greatest deviation of a command, in the unit of the commands; to be given for all but "ground_robot".
+        Greatest deviation of a command, in the unit of the commands; required for all but "ground_robot".
     axes : str
         Axes of the commands and positions that count, for example "yz".
 
@@ -243,43 +230,43 @@ def with_performance(
     ValueError
         If the measure is unknown or a scale is missing or not positive.
     """
+
+    def vector(stem: str) -> np.ndarray:
+        names = [f"{stem}_{axis}" for axis in axes]
+        session.require(*names)
+        return session.data[names].to_numpy()
+
+    one_of("measure", measure, ("ground_robot", "uav_tracking", "mixed_initiative"))
     if measure == "ground_robot":
-        e_max = 2.0 if e_max is None else e_max
         if u_max is not None:
             raise ValueError("u_max has no part in (2.4) and (2.7); leave it out")
+        e_max = 2.0 if e_max is None else e_max
         session.require("step_distance", "path_error", "v_command", "w_command")
         p_r = goal_speed(session["step_distance"], session["path_error"], session.sample_time, e_max)
         p_h = manoeuvring(session["v_command"], session["w_command"], session["path_error"], e_max)
         equations = "(2.4), (2.7)"
-    elif measure in ("uav_tracking", "mixed_initiative"):
-        if e_max is None or u_max is None:
-            raise ValueError(f"measure {measure!r} needs e_max [m] and u_max (unit of the commands)")
-        u_h, u_i = _vector(session, "u_h", axes), _vector(session, "u_i", axes)
-        if measure == "uav_tracking":
-            session.require("path_error")
-            p_r, p_h = nearness(session["path_error"], e_max), command_quality(u_h, u_i, u_max)
-            equations = "Section 2.4.2.4"
-        else:
-            error = _vector(session, "reference", axes) - _vector(session, "robot", axes)
-            u_a = _vector(session, "u_a", axes)
-            p_r, p_h = mixed_initiative(u_h, u_a, u_i, error, session["mode"], u_max, e_max)
-            equations = "(3.26), (3.27)"
+    elif e_max is None or u_max is None:
+        raise ValueError(f"measure {measure!r} needs e_max [m] and u_max (unit of the commands)")
+    elif measure == "uav_tracking":
+        p_h = command_quality(vector("u_h"), vector("u_i"), u_max)
+        p_r = nearness(session["path_error"], e_max)
+        equations = "Section 2.4.2.4"
     else:
-        raise ValueError(
-            f'unknown measure {measure!r}; there are "ground_robot", "uav_tracking" and "mixed_initiative"'
-        )
-    measured = {
-        "p_r": window_mean(p_r, session.sample_time, window),
-        "p_h": window_mean(p_h, session.sample_time, window),
-    }
-    return session.with_columns(**measured).with_metadata(performance=f"{equations}, window {window:g} s")
+        u_h, u_i, u_a = vector("u_h"), vector("u_i"), vector("u_a")
+        error = vector("reference") - vector("robot")
+        p_r, p_h = mixed_initiative(u_h, u_a, u_i, error, session["mode"], u_max, e_max)
+        equations = "(3.26), (3.27)"
+    p_r, p_h = (window_mean(values, session.sample_time, window) for values in (p_r, p_h))
+    return session.with_columns(p_r=p_r, p_h=p_h).with_metadata(
+        performance=f"{equations}, window {window:g} s"
+    )
 
 
 def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
     """
     Return the mean tracking error of every participant at every level of autonomy.
 
-    The mean over a block's trials of the trial's mean `path_error`; training is left out, and so are the first
+    It is the mean over a block's trials of the trial's mean `path_error`, without training and without the first
     `drop_first` trials of each block.
 
     Parameters
@@ -299,36 +286,34 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
     SessionError
         If a trial lacks path_error or one of the metadata, or a block has no trial left.
     """
-    rows = []
-    for session in [sessions] if isinstance(sessions, Session) else sessions:
-        session.require("path_error")
-        facts = session.metadata.as_dict()
-        lacking = [name for name in ("autonomy", "block", "trial", "training") if name not in facts]
-        if lacking or facts["participant"] is None:
-            raise SessionError(
-                f"metadata {(lacking or ['participant'])[0]!r} is missing", session.metadata.source
-            )
-        if not facts["training"]:
-            names = ("participant", "autonomy", "block", "trial")
-            rows.append([facts[name] for name in names] + [100.0 * session["path_error"].mean()])
-    if not rows:
+    # One session alone is known by its metadata: its class uses this file, so that this file cannot import it.
+    alone = isinstance(getattr(sessions, "metadata", None), Metadata)
+    trials = pd.DataFrame([_trial(session) for session in ([sessions] if alone else sessions)])
+    if trials.empty or trials["training"].all():
         raise SessionError("no trial to take the tracking error of (all are training, or none was given)")
-    trials = pd.DataFrame(rows, columns=["participant", "autonomy", "block", "trial", "traj_err"])
-    if trials.duplicated(["participant", "trial"]).any():
-        twice = (
-            trials.loc[trials.duplicated(["participant", "trial"]), ["participant", "trial"]]
-            .astype(str)
-            .iloc[0]
-        )
-        raise SessionError(f"trial {twice['trial']} of participant {twice['participant']} is there twice")
+    trials = trials[~trials["training"].astype(bool)]
+    twice = trials[trials.duplicated(["participant", "trial"])]
+    if len(twice):
+        first = twice.iloc[0]
+        raise SessionError(f"trial {first['trial']} of participant {first['participant']} is there twice")
     order = trials.sort_values("trial").groupby(["participant", "block"]).cumcount()
     kept = trials[order.reindex(trials.index) >= drop_first]
-    lost = set(map(tuple, trials[["participant", "autonomy"]].to_numpy().tolist())) - set(
-        map(tuple, kept[["participant", "autonomy"]].to_numpy().tolist())
-    )
-    if lost:
-        participant, level = sorted(lost)[0]
+    levels = trials.groupby(["participant", "autonomy"]).size().index
+    lost = levels.difference(kept.groupby(["participant", "autonomy"]).size().index)
+    if len(lost):
+        participant, level = lost[0]
         raise SessionError(
             f"participant {participant}, autonomy {level}: no trial is left after dropping the first {drop_first}"
         )
     return kept.groupby(["participant", "autonomy"], as_index=False)["traj_err"].mean()
+
+
+def _trial(session) -> dict[str, object]:
+    """Return what the tracking error of a trial [cm] is grouped by, and the error."""
+    session.require("path_error")
+    facts = session.metadata.as_dict()
+    names = ("participant", "autonomy", "block", "trial", "training")
+    for name in names:
+        if facts.get(name) is None:
+            raise SessionError(f"metadata {name!r} is missing", session.metadata.source)
+    return {name: facts[name] for name in names} | {"traj_err": 100.0 * session["path_error"].mean()}

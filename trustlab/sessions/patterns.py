@@ -1,4 +1,4 @@
-"""Path patterns: what the names of folders and files say of a session."""
+"""Patterns for paths of files, which say something about a session, and paths to a field inside a message."""
 
 from __future__ import annotations
 
@@ -7,23 +7,17 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from trustlab.sessions.errors import RecipeError, nearest
+from trustlab.models.checks import one_of, shown
 
-__all__ = ["PathMatch", "PathPattern", "natural_key"]
+__all__ = ["FieldPath", "PathMatch", "PathPattern", "natural_key"]
 
 _FIELD = re.compile(r"\{([^{}]*)\}")
+# The lengths are bounded, so that no digits of a path overflow and no match takes long.
 _TYPES = {"int": (r"\d{1,15}", int), "float": (r"-?\d{1,15}(?:\.\d{1,15})?", float), "str": (r"[^/]+?", str)}
 
 
 def natural_key(value: object) -> tuple:
-    """
-    Return a sort key that puts 2 before 10, numbers before words and nothing last.
-
-    Parameters
-    ----------
-    value : object
-        A number, a text or None.
-    """
+    """Return a sort key that puts 2 before 10, numbers before words and None last."""
     if value is None:
         return (2,)
     if isinstance(value, int | float):
@@ -34,18 +28,7 @@ def natural_key(value: object) -> tuple:
 
 @dataclass(frozen=True)
 class PathMatch:
-    """
-    A path that fits a pattern.
-
-    Parameters
-    ----------
-    base : str
-        The folder that the pattern starts from.
-    fields : mapping
-        The pattern's fields, typed.
-    texts : mapping
-        The same as they are written in the path.
-    """
+    """A path that fits a pattern: the folder where the pattern starts, and its fields, typed and as written."""
 
     base: str
     fields: Mapping[str, object]
@@ -57,28 +40,16 @@ class PathPattern:
     """
     A pattern such as ``part{folder:int}/trial{trial:int}.csv`` for the end of a path.
 
-    Parameters
-    ----------
-    text : str
-        Folders and file with ``/`` between them; ``{name}``, ``{name:int}`` or ``{name:float}`` for a field (the
-        same name twice must read the same twice), ``*`` for anything within one folder or file name.
-    source : str, optional
-        The recipe, for errors.
-
-    Raises
-    ------
-    RecipeError
-        If the pattern is empty, or a field has no name or a type that does not exist.
+    Folders and file are separated by ``/``; a field is ``{name}``, ``{name:int}`` or ``{name:float}`` (a name that
+    occurs twice must have the same text twice); ``*`` stands for anything within one folder or file name.
     """
 
     text: str
-    source: str | None = None
 
     def __post_init__(self):
         if not isinstance(self.text, str) or not self.text.strip("/ "):
-            raise RecipeError(
-                f"a path pattern must be a text such as 'trial{{trial:int}}.csv', got {self.text!r}",
-                self.source,
+            raise ValueError(
+                f"a path pattern must be a text such as 'trial{{trial:int}}.csv', got {shown(self.text)}"
             )
         types: dict[str, type] = {}
         regex, last = "", 0
@@ -86,14 +57,8 @@ class PathPattern:
             regex += self._literal(self.text[last : found.start()])
             name, _, kind = found.group(1).partition(":")
             if not name.isidentifier():
-                raise RecipeError(f"pattern {self.text!r}: {found.group()!r} needs a name", self.source)
-            kind = kind or "str"
-            if kind not in _TYPES:
-                raise RecipeError(
-                    f"pattern {self.text!r}: field {name!r} has the unknown type {kind!r}"
-                    f"{nearest(kind, _TYPES)} (known: int, float, str)",
-                    self.source,
-                )
+                raise ValueError(f"pattern {self.text!r}: {found.group()!r} needs a name")
+            kind = one_of(f"pattern {self.text!r}: the type of field {name!r}", kind or "str", _TYPES)
             regex += f"(?P={name})" if name in types else f"(?P<{name}>{_TYPES[kind][0]})"
             types.setdefault(name, _TYPES[kind][1])
             last = found.end()
@@ -104,18 +69,11 @@ class PathPattern:
 
     def _literal(self, text: str) -> str:
         if "{" in text or "}" in text:
-            raise RecipeError(f"pattern {self.text!r}: a brace is open", self.source)
+            raise ValueError(f"pattern {self.text!r}: a brace is not closed, or not opened")
         return "[^/]*".join(re.escape(part) for part in text.replace(os.sep, "/").split("*"))
 
     def match(self, path: str | os.PathLike) -> PathMatch | None:
-        """
-        Return the fields of a path whose end fits the pattern, or None.
-
-        Parameters
-        ----------
-        path : path-like
-            A file or folder; its absolute path counts, so that it may be named from anywhere.
-        """
+        """Return the fields of a path whose end fits the pattern, or None; a relative path is made absolute."""
         parts = os.path.abspath(path).replace(os.sep, "/").split("/")
         found = self._regex.fullmatch("/".join(parts[-self.depth :]))
         if found is None:
@@ -125,12 +83,28 @@ class PathPattern:
         return PathMatch("/".join(parts[: -self.depth]) or "/", fields, texts)
 
     def fill(self, texts: Mapping[str, object]) -> str:
-        """
-        Return the pattern with its fields filled in.
-
-        Parameters
-        ----------
-        texts : mapping
-            Field names to what to write.
-        """
+        """Return the pattern with its fields filled in."""
         return _FIELD.sub(lambda found: str(texts[found.group(1).partition(":")[0]]), self.text)
+
+
+@dataclass(frozen=True)
+class FieldPath:
+    """Where a number stands in a message: ``twist.twist.linear.x``, ``axes[1]``, ``yaw(pose.pose.orientation)``."""
+
+    text: str
+
+    def __post_init__(self):
+        path, yaw = self.text, False
+        if isinstance(path, str) and path.startswith("yaw(") and path.endswith(")"):
+            path, yaw = path[4:-1], True
+        steps: list[str | int] = []
+        for part in path.split(".") if isinstance(path, str) else [""]:
+            found = re.fullmatch(r"([A-Za-z_]\w*)((?:\[\d{1,9}\])*)", part)
+            if found is None:
+                raise ValueError(
+                    f"cannot read the field path {shown(self.text)}; write for example "
+                    "'twist.twist.linear.x', 'axes[1]' or 'yaw(pose.pose.orientation)'"
+                )
+            steps += [found.group(1), *(int(index) for index in re.findall(r"\d+", found.group(2)))]
+        object.__setattr__(self, "steps", tuple(steps))
+        object.__setattr__(self, "yaw", yaw)

@@ -65,7 +65,7 @@ def plot_session(session, columns: str | list[str] | None = None):
     )
     for panel, name in zip(axes[:, 0], columns, strict=True):
         panel.plot(session.t, session[name], lw=1)
-        unit = VOCABULARY[name].unit
+        unit = "s" if name == "t" else VOCABULARY[name].unit
         panel.set_ylabel(name if unit in ("1", "measure") else f"{name} [{unit}]")
         if "mode" in session and name != "mode":
             shade_manual(panel, session.t, session["mode"])

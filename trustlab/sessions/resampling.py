@@ -1,139 +1,116 @@
-"""Bring samples to a uniform time axis, by a way that has a name; nothing is extrapolated."""
+"""Bring the streams of a log to one uniform time axis, by a method that has a name; nothing is extrapolated."""
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trustlab.sessions.column_rules import ColumnRule
-from trustlab.sessions.errors import SessionError, nearest
-from trustlab.sessions.log import MAX_SAMPLES, Log
-from trustlab.sessions.rules import RESAMPLING
+from trustlab.models.checks import one_of, positive
+from trustlab.sessions.errors import RecipeError, SessionError
+from trustlab.sessions.raw_log import MAX_SAMPLES, RawLog
 
-__all__ = [
-    "HELD",
-    "check_resampling",
-    "interpolate",
-    "method_for",
-    "resample_log",
-    "resampled_note",
-    "time_grid",
-]
+if TYPE_CHECKING:
+    from trustlab.sessions.recipe import ColumnRule
 
-HELD = ("mode", "suggested_mode")
-"""Columns that name a state; "linear" holds their previous value, as half a state was never there."""
+__all__ = ["METHODS", "check_resampling", "require_common_times", "resample"]
+
+METHODS = ("previous", "linear", "nearest")
+"""Ways to resample, by name."""
+
+_STATES = ("mode", "suggested_mode")
+"""Columns that name a state; "linear" holds their previous value, as the log never was in half a state."""
 
 
-def check_resampling(method: object, sample_time: object, source: str | None) -> None:
-    """
-    Raise unless both are given and make sense, or neither.
-
-    Parameters
-    ----------
-    method : str or None
-        A name from RESAMPLING.
-    sample_time : float or None
-        Time between samples [s].
-    source : str, optional
-        The file, for the error.
-    """
+def check_resampling(method: object, sample_time: object) -> None:
+    """Raise unless method and sample time are both given and valid, or neither is given."""
     if method is None and sample_time is None:
         return
     if method is None or sample_time is None:
         given, missing = ("sample_time", "resample") if method is None else ("resample", "sample_time")
-        raise SessionError(
+        raise ValueError(
             f'{given} needs {missing} as well, for example resample="linear", sample_time=0.1 '
-            f"(known: {', '.join(RESAMPLING)})",
-            source,
+            f"(methods: {', '.join(METHODS)})"
         )
-    if not isinstance(method, str) or method not in RESAMPLING:
+    one_of("resample", method, METHODS)
+    positive("sample_time", sample_time)
+
+
+def require_common_times(log: RawLog) -> None:
+    """Raise where the streams of a log differ in their times, so that only resampling can join them."""
+    first = log.streams[0]
+    for stream in log.streams[1:]:
+        if not np.array_equal(stream.t, first.t):
+            raise RecipeError(
+                f"topics {first.topic!r} and {stream.topic!r} have stamps of their own; name how to bring them together: "
+                '[resampling] in the recipe, or read_session(..., resample="previous", sample_time=0.1)'
+            )
+
+
+def resample(
+    log: RawLog, method: str, sample_time: float, rules: Mapping[str, ColumnRule]
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return a uniform time axis and the columns of a checked log on it; say so in the log's notes."""
+    # Where every stream has samples: from the last first sample to the first last one. A stream that is held has a
+    # value beyond its last sample, so that it does not end this interval unless all are held.
+    bounding = [stream for stream in log.streams if not stream.held]
+    start = max(stream.t[0] for stream in log.streams)
+    stop = min(stream.t[-1] for stream in bounding) if bounding else max(s.t[-1] for s in log.streams)
+    if len(log.streams) > 1 and stop <= start:
+        late = max(log.streams, key=lambda stream: stream.t[0])
+        early = min(bounding or log.streams, key=lambda stream: stream.t[-1])
         raise SessionError(
-            f"unknown resampling {method!r}{nearest(method, RESAMPLING)} (known: {', '.join(RESAMPLING)})",
-            source,
+            f"topics do not overlap: {early.topic!r} ends {start - stop:.6g} s before {late.topic!r} starts "
+            "(say hold = true for a topic whose last message holds to the end)"
         )
-    number = isinstance(sample_time, int | float | np.number) and not isinstance(sample_time, bool)
-    if not number or not (math.isfinite(sample_time) and sample_time > 0):
-        raise SessionError(f"sample_time must be a positive number of seconds, got {sample_time!r}", source)
+    grid = _time_grid(start, stop, sample_time)
+    columns = {
+        name: _interpolate(stream.t, values, grid, _method(name, method, rules.get(name)), name == "yaw")
+        for stream in log.streams
+        for name, values in stream.columns.items()
+    }
+    gap = max((float(np.diff(stream.t).max()) for stream in bounding if stream.t.size > 1), default=0.0)
+    log.notes["resampled"] = f"{method} at {sample_time:g} s; longest gap in the log {gap:.6g} s"
+    if len(log.streams) == 1:
+        _warn_of_gap(log.streams[0].t, sample_time, log.source)
+    return grid, columns
 
 
-def time_grid(start: float, stop: float, sample_time: float, source: str | None) -> np.ndarray:
-    """
-    Return start, start + sample_time … up to stop, which is not passed.
-
-    Parameters
-    ----------
-    start, stop : float
-        Times [s].
-    sample_time : float
-        Time between samples [s].
-    source : str, optional
-        The file, for the error.
-
-    Raises
-    ------
-    SessionError
-        If that makes fewer than two samples or more than MAX_SAMPLES.
-    """
+def _time_grid(start: float, stop: float, sample_time: float) -> np.ndarray:
+    """Return start, start + sample_time … up to stop, which is not passed."""
     start, stop = float(start), float(stop)
     steps = (stop - start) / float(sample_time)
     if not steps < MAX_SAMPLES:
         raise SessionError(
             f"resampling {stop - start:.6g} s to {sample_time:g} s would make {steps:.3g} samples; at most "
-            f"{MAX_SAMPLES} are made; check the times and their unit",
-            source,
+            f"{MAX_SAMPLES} are made; check the times and their unit"
         )
-    count = int(steps + 1e-9) + 1
+    count = int(steps + 1e-9) + 1  # rounding must not cost the last sample
     if count < 2:
         raise SessionError(
-            f"a sample time of {sample_time:g} s leaves fewer than two samples of {stop - start:.6g} s",
-            source,
+            f"a sample time of {sample_time:g} s leaves fewer than two samples of {stop - start:.6g} s"
         )
     return np.minimum(start + sample_time * np.arange(count), stop)
 
 
-def method_for(name: str, method: str, rule: ColumnRule | None) -> str:
-    """
-    Return the way that one column is resampled.
-
-    Parameters
-    ----------
-    name : str
-        The session's column.
-    method : str
-        What was asked for.
-    rule : ColumnRule, optional
-        The recipe's rule, which may ask for its own.
-    """
-    if rule is not None and (rule.hold or rule.resample is not None):
-        return "previous" if rule.hold else rule.resample
-    return "previous" if name in HELD and method == "linear" else method
+def _method(name: str, method: str, rule: ColumnRule | None) -> str:
+    """Return the method for one column; the recipe's rule comes before what was asked for."""
+    if getattr(rule, "hold", False):
+        return "previous"
+    own = getattr(rule, "resample", None)
+    return own or ("previous" if name in _STATES and method == "linear" else method)
 
 
-def interpolate(
-    times: np.ndarray, values: np.ndarray, grid: np.ndarray, method: str, angle: bool = False
+def _interpolate(
+    times: np.ndarray, values: np.ndarray, grid: np.ndarray, method: str, angle: bool
 ) -> np.ndarray:
-    """
-    Return values at other times.
-
-    Parameters
-    ----------
-    times : numpy.ndarray, shape (N,)
-        Rising times [s].
-    values : numpy.ndarray, shape (N,)
-        The samples.
-    grid : numpy.ndarray, shape (M,)
-        Rising times [s], none before the first of `times`.
-    method : {"previous", "linear", "nearest"}
-        The value of the sample before, on the line between neighbours, of the sample that is nearest.
-    angle : bool
-        True for an angle [rad], which turns the short way; in [−π, π] where the samples are.
-    """
+    """Return values at the times of the grid, none of which is before the first sample."""
     if method == "linear":
         if not angle:
             return np.interp(grid, times, values)
+        # An angle turns the short way, and stays in [−π, π] if the samples are.
         turned = np.interp(grid, times, np.unwrap(values))
         return turned if np.abs(values).max() > np.pi else np.arctan2(np.sin(turned), np.cos(turned))
     if method == "nearest":
@@ -145,49 +122,7 @@ def interpolate(
     return values[np.maximum(np.searchsorted(times, grid + slack, side="right") - 1, 0)]
 
 
-def resampled_note(method: str, sample_time: float, gap: float) -> str:
-    """
-    Return what the metadata say of resampling.
-
-    Parameters
-    ----------
-    method : str
-        How.
-    sample_time : float
-        To which sample time [s].
-    gap : float
-        The longest time between two samples as logged [s].
-    """
-    return f"{method} at {sample_time:g} s; longest gap in the log {gap:.6g} s"
-
-
-def resample_log(log: Log, method: str, sample_time: float, rules: Mapping[str, ColumnRule]) -> None:
-    """
-    Bring a log whose columns share their times to a uniform time axis.
-
-    Parameters
-    ----------
-    log : Log
-        Checked; changed in place.
-    method : str
-        A name from RESAMPLING.
-    sample_time : float
-        Time between samples [s].
-    rules : mapping
-        The recipe's rules by column, where there is one.
-    """
-    grid = time_grid(log.t[0], log.t[-1], sample_time, log.source)
-    log.columns = {
-        name: interpolate(log.t, values, grid, method_for(name, method, rules.get(name)), name == "yaw")
-        for name, values in log.columns.items()
-    }
-    log.notes["resampled"] = resampled_note(method, sample_time, float(np.diff(log.t).max()))
-    _warn_of_gaps(log.t, sample_time, log.source)
-    log.t = grid
-    log.place = lambda k: f"sample {k} after resampling"
-
-
-def _warn_of_gaps(t: np.ndarray, sample_time: float, source: str | None) -> None:
+def _warn_of_gap(t: np.ndarray, sample_time: float, source: str) -> None:
     """Warn where resampling bridges a gap much longer than the log's own steps and the new ones."""
     steps = np.diff(t)
     k = int(np.argmax(steps))

@@ -2,54 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
 
-from trustlab.sessions.checks import check_columns, check_time
-from trustlab.sessions.errors import SessionError, nearest
+from trustlab.models.checks import did_you_mean
+from trustlab.sessions.checks import check_column, check_time
+from trustlab.sessions.errors import SessionError, source_named
+from trustlab.sessions.metadata import Metadata
 
 __all__ = ["Metadata", "Session"]
-
-
-@dataclass(frozen=True)
-class Metadata:
-    """
-    What a session says of itself.
-
-    Parameters
-    ----------
-    participant : str, int or None
-        Who took part.
-    condition : str, int, float or None
-        The experimental condition, for example "C1".
-    source : str or None
-        The file or the generator that the session came from.
-    synthetic : bool
-        True when the data were simulated; said in every figure and table made from them.
-    more : mapping
-        Whatever else the log names (trial, block, autonomy …): names to plain values.
-    """
-
-    participant: str | int | None = None
-    condition: str | int | float | None = None
-    source: str | None = None
-    synthetic: bool = False
-    more: Mapping[str, object] = field(default_factory=dict)
-
-    def __post_init__(self):
-        object.__setattr__(self, "more", MappingProxyType(dict(self.more)))
-
-    def __reduce__(self):
-        return (Metadata, (self.participant, self.condition, self.source, self.synthetic, dict(self.more)))
-
-    def as_dict(self) -> dict[str, object]:
-        """Return everything in one flat dictionary."""
-        flat = {name: getattr(self, name) for name in ("participant", "condition", "source", "synthetic")}
-        return flat | dict(self.more)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,30 +51,8 @@ class Session:
                 "metadata must be a Metadata, for example trustlab.Metadata(participant=3, condition='C1', "
                 f"more={{'trial': 2}}), got {type(self.metadata).__name__}"
             )
-        source = self.metadata.source
-        data = self.data
-        if not isinstance(data, pd.DataFrame):
-            raise SessionError(
-                f"data must be a pandas DataFrame indexed by time, got {type(data).__name__}", source
-            )
-        if data.index.name != "t" and "t" in data.columns:
-            data = data.set_index("t")
-        if isinstance(data.index, pd.RangeIndex) and data.index.name != "t":
-            raise SessionError(
-                "the rows are numbered, not timed; name the column of times [s] 't', or set it as the index: "
-                'frame.set_index("t")',
-                source,
-            )
-        if data.index.dtype.kind not in "fiu":
-            raise SessionError(f"the index must be time in seconds, found {data.index.dtype}", source)
-        check_time(data.index.to_numpy(), source)
-        if data.shape[1] == 0:
-            raise SessionError("a session needs at least one column besides t", source)
-        check_columns(data, source)
-        data = data.astype(float)
-        data.index = pd.Index(data.index.to_numpy(dtype=float), name="t")
-        data.columns.name = None
-        object.__setattr__(self, "data", data)
+        with source_named(self.metadata.source):
+            object.__setattr__(self, "data", _checked(self.data))
 
     def __eq__(self, other):
         if not isinstance(other, Session):
@@ -120,13 +62,21 @@ class Session:
         return mine == theirs and self.data.sort_index(axis=1).equals(other.data.sort_index(axis=1))
 
     __hash__ = None
-    __iter__ = None
+
+    # As for a DataFrame, `in`, iteration and keys() are about the names of the columns, and len() about the samples.
 
     def __len__(self) -> int:
         return len(self.data)
 
-    def __contains__(self, name: str) -> bool:
-        return name in self.data.columns
+    def __contains__(self, name: object) -> bool:
+        return name in self.keys()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.keys())
+
+    def keys(self) -> list[str]:
+        """Return the names that `session[name]` accepts: "t" and the columns."""
+        return ["t", *self.columns]
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return one column, or "t", as an array of shape (N,)."""
@@ -183,11 +133,11 @@ class Session:
         SessionError
             Naming what is missing, the nearest column there is, and what there is.
         """
-        missing = [name for name in names if name not in self.data.columns]
+        missing = [name for name in names if name not in self]
         if missing:
             own = self.label if self.label != self.metadata.source else "the session"
             raise SessionError(
-                f"{own} has no column {missing[0]!r}{nearest(missing[0], self.columns)} "
+                f"{own} has no column {missing[0]!r}{did_you_mean(missing[0], self.columns)} "
                 f"(it has: {', '.join(self.columns)}; needed: {', '.join(names)})",
                 self.metadata.source,
             )
@@ -307,3 +257,27 @@ class Session:
         more = f"; metadata.more: {', '.join(map(str, self.metadata.more))}" if self.metadata.more else ""
         samples = f"{len(self)} samples at {self.sample_time:g} s"
         return f"Session({self.label}: {samples}, columns {', '.join(self.columns)}{more})"
+
+
+def _checked(data: pd.DataFrame) -> pd.DataFrame:
+    """Return a copy of a session's table with time as its index, every value checked."""
+    if not isinstance(data, pd.DataFrame):
+        raise SessionError(f"data must be a pandas DataFrame indexed by time, got {type(data).__name__}")
+    if data.index.name != "t" and "t" in data.columns:
+        data = data.set_index("t")
+    if isinstance(data.index, pd.RangeIndex) and data.index.name != "t":
+        raise SessionError(
+            "the rows are numbered, not timed; name the column of times [s] 't', or set it as the index: "
+            'frame.set_index("t")'
+        )
+    if data.index.dtype.kind not in "fiu":
+        raise SessionError(f"the index must be time in seconds, found {data.index.dtype}")
+    t = data.index.to_numpy(dtype=float)
+    check_time(t)
+    if data.shape[1] == 0:
+        raise SessionError("a session needs at least one column besides t")
+    if data.columns.has_duplicates:
+        twice = data.columns[data.columns.duplicated()][0]
+        raise SessionError(f"column {twice!r} is there twice; rename or remove one")
+    columns = {name: check_column(name, data[name].to_numpy(), t) for name in data.columns}
+    return pd.DataFrame(columns, index=pd.Index(t, name="t"))

@@ -1,28 +1,18 @@
-"""The columns a session can have, with their units and what they mean."""
+"""The columns a session can have: their units, ranges and meaning; and the units in which a log may hold them."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-__all__ = ["VOCABULARY", "Column", "vocabulary"]
+from trustlab.models.checks import did_you_mean, shown
+
+__all__ = ["UNITS", "VOCABULARY", "Column", "to_si", "vocabulary"]
 
 
 @dataclass(frozen=True)
 class Column:
-    """
-    One column of the vocabulary.
-
-    Parameters
-    ----------
-    name : str
-        The column's name in a session.
-    unit : str
-        SI unit; "1" for a pure number, "measure" for the unit of the performance measure.
-    meaning : str
-        What the column holds.
-    low, high : float, optional
-        The least and the greatest value allowed.
-    """
+    """One column: `unit` is SI, "1" for a pure number, "measure" for the unit of the performance measure."""
 
     name: str
     unit: str
@@ -91,3 +81,39 @@ def vocabulary():
 
     rows = [(c.name, c.unit, c.low, c.high, c.meaning) for c in VOCABULARY.values()]
     return pd.DataFrame(rows, columns=["column", "unit", "low", "high", "meaning"]).set_index("column")
+
+
+UNITS: dict[str, tuple[str, float]] = {
+    "1": ("1", 1.0),
+    "%": ("1", 0.01),
+    "percent": ("1", 0.01),
+    "m": ("m", 1.0),
+    "cm": ("m", 0.01),
+    "mm": ("m", 0.001),
+    "km": ("m", 1000.0),
+    "s": ("s", 1.0),
+    "ms": ("s", 1e-3),
+    "us": ("s", 1e-6),
+    "ns": ("s", 1e-9),
+    "min": ("s", 60.0),
+    "h": ("s", 3600.0),
+    "m/s": ("m/s", 1.0),
+    "cm/s": ("m/s", 0.01),
+    "mm/s": ("m/s", 0.001),
+    "km/h": ("m/s", 1.0 / 3.6),
+    "rad": ("rad", 1.0),
+    "deg": ("rad", math.pi / 180.0),
+    "rad/s": ("rad/s", 1.0),
+    "deg/s": ("rad/s", math.pi / 180.0),
+}
+"""Name of a unit: its SI unit, and how many of those it is."""
+
+
+def to_si(unit: str, wanted: str) -> float:
+    """Return the factor that converts a unit to the SI unit wanted; "measure" takes any unit."""
+    if not isinstance(unit, str) or unit not in UNITS:
+        raise ValueError(f"unknown unit {shown(unit)}{did_you_mean(unit, UNITS)} (known: {', '.join(UNITS)})")
+    base, factor = UNITS[unit]
+    if wanted not in (base, "measure"):
+        raise ValueError(f"{unit!r} measures {base}, but {wanted} is needed")
+    return factor

@@ -10,8 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from trustlab.sessions.errors import SessionError, nearest
-from trustlab.sessions.log import check_sqlite_path, metadata_to_json
+from trustlab.models.checks import did_you_mean, of_class, one_of
+from trustlab.sessions.errors import SessionError, source_named
+from trustlab.sessions.metadata import metadata_to_json
+from trustlab.sessions.readers.bags import PREFIX, check_sqlite_path
+from trustlab.sessions.readers.csv_files import COMMENT
 from trustlab.sessions.session import Session
 
 __all__ = ["FORMATS", "write_session"]
@@ -48,59 +51,50 @@ def write_session(session: Session, path: str | os.PathLike, format: str | None 
     SessionError
         If the format is unknown, the place cannot be written to, or metadata would not read back the same.
     """
-    if not isinstance(session, Session):
-        raise SessionError(f"a Session is needed, got {type(session).__name__}")
+    of_class("session", session, Session)
     path = Path(path)
-    source = str(path)
-    if format is None:
-        by_suffix = {suffix: name for name, suffix in FORMATS.items()}
-        format = by_suffix.get(path.suffix.lower())
+    with source_named(str(path)):
         if format is None:
-            raise SessionError(
-                f"cannot tell the format from {path.suffix!r}{nearest(path.suffix, by_suffix)}; name it with "
-                f"format= ({', '.join(FORMATS)})",
-                source,
-            )
-    if format not in FORMATS:
-        raise SessionError(
-            f"unknown format {format!r}{nearest(format, FORMATS)} (known: {', '.join(FORMATS)})", source
-        )
-    if not path.parent.is_dir():
-        raise SessionError("its folder does not exist; make it first", source)
-    _check_target(path, format)
-    write = {"csv": _write_csv, "parquet": _write_parquet, "bag": _write_bag}.get(format, _write_rosbag2)
-    try:
-        # Written beside its place and moved there at the end, so that a failure leaves nothing half made.
-        with tempfile.TemporaryDirectory(prefix=".trustlab-", dir=path.parent) as folder:
-            made = write(session, Path(folder) / path.name, format)
-            if path.is_dir():
-                shutil.rmtree(path)
-            os.replace(made, path)
-    except OSError as error:
-        raise SessionError(f"cannot be written ({error.strerror or error})", source) from error
+            by_suffix = {suffix: name for name, suffix in FORMATS.items()}
+            format = by_suffix.get(path.suffix.lower())
+            if format is None:
+                raise SessionError(
+                    f"cannot tell the format from {path.suffix!r}{did_you_mean(path.suffix, by_suffix)}; name it with "
+                    f"format= ({', '.join(FORMATS)})"
+                )
+        one_of("format", format, FORMATS)
+        _check_target(path, format)
+        write = {"csv": _write_csv, "parquet": _write_parquet}.get(format, _write_bag)
+        try:
+            # Written beside its place and moved there at the end, so that a failure leaves nothing half made.
+            with tempfile.TemporaryDirectory(prefix=".trustlab-", dir=path.parent) as folder:
+                made = write(session, Path(folder) / path.name, format)
+                if path.is_dir():
+                    shutil.rmtree(path)
+                os.replace(made, path)
+        except OSError as error:
+            raise SessionError(f"cannot be written ({error.strerror or error})") from error
     return path
 
 
 def _check_target(path: Path, format: str) -> None:
+    """Raise where the session must not be written, or could not be read back."""
+    if not path.parent.is_dir():
+        raise SessionError("its folder does not exist; make it first")
     if path.is_dir() and not (format == "rosbag2" and (path / "metadata.yaml").is_file()):
-        raise SessionError("a folder is in this place; choose another name", str(path))
+        raise SessionError("a folder is in this place; choose another name")
     if path.is_file() and format == "rosbag2":
-        raise SessionError("a file is in this place, and a rosbag2 recording is a folder", str(path))
+        raise SessionError("a file is in this place, and a rosbag2 recording is a folder")
     if format == "rosbag2":
         check_sqlite_path(path)
-    # Both are decided by read_session from the name, so that a session could not be read back under another.
-    if format != "rosbag2" and path.suffix.lower() != FORMATS[format]:
-        raise SessionError(
-            f"a {format} file is read by its suffix; call it {path.stem}{FORMATS[format]}", str(path)
-        )
+    elif path.suffix.lower() != FORMATS[format]:  # read_session chooses the reader by the suffix
+        raise SessionError(f"a {format} file is read by its suffix; call it {path.stem}{FORMATS[format]}")
 
 
 def _write_csv(session: Session, place: Path, format: str) -> Path:
-    from trustlab.sessions.csv_files import COMMENT
-
     table = np.column_stack([session.t, session.data.to_numpy()])
-    lines = [COMMENT + metadata_to_json(session.metadata), ",".join(["t", *session.columns])]
-    lines += [",".join(map(repr, row)) for row in table.tolist()]
+    lines = [COMMENT + metadata_to_json(session.metadata), ",".join(session.keys())]
+    lines += [",".join(map(repr, row)) for row in table.tolist()]  # repr of a float reads back bit for bit
     place.write_bytes(("\n".join(lines) + "\n").encode())
     return place
 
@@ -109,65 +103,48 @@ def _write_parquet(session: Session, place: Path, format: str) -> Path:
     import pyarrow as pa
     import pyarrow.parquet
 
-    arrays = {"t": session.t, **{name: session[name] for name in session.columns}}
-    table = pa.table({name: np.ascontiguousarray(values) for name, values in arrays.items()})
+    table = pa.table({name: np.ascontiguousarray(session[name]) for name in session})
     table = table.replace_schema_metadata({"trustlab": metadata_to_json(session.metadata)})
     pyarrow.parquet.write_table(table, place)
     return place
 
 
-def _stamps(t: np.ndarray) -> list[int]:
-    """Return rising stamps [ns] from 0; the exact times stand on /trustlab/t."""
-    stamps = np.arange(t.size) * 1_000_000
+def _write_bag(session: Session, place: Path, format: str) -> Path:
+    from rosbags import rosbag1, rosbag2
+    from rosbags.typesys import Stores, get_typestore
+
+    ros1 = format == "bag"
+    typestore = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    serialize = typestore.serialize_ros1 if ros1 else typestore.serialize_cdr
+    stamps = _stamps(
+        session.t, latest=4_000_000_000 * 10**9 if ros1 else 4 * 10**18
+    )  # ROS 1: 32 bits of seconds
+    plugin = rosbag2.StoragePlugin.MCAP if format == "mcap" else rosbag2.StoragePlugin.SQLITE3
+    writer = rosbag1.Writer(place) if ros1 else rosbag2.Writer(place, version=8, storage_plugin=plugin)
+    with writer:
+        connections = {}
+        for topic, k, message in _messages(session, typestore):
+            kind = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=typestore)
+            writer.write(connections[topic], stamps[k], serialize(message, kind))
+    return next(place.glob("*.mcap")) if format == "mcap" else place
+
+
+def _stamps(t: np.ndarray, latest: int) -> list[int]:
+    """Return rising stamps [ns] from 0; the exact times stand on /trustlab/t, so that made-up stamps do no harm."""
     with np.errstate(over="ignore", invalid="ignore"):
         nanoseconds = np.round((t - t[0]) * 1e9)
-    if np.isfinite(nanoseconds).all() and nanoseconds[-1] < 4e18 and (np.diff(nanoseconds) >= 1.0).all():
-        stamps = nanoseconds.astype(np.int64)
-    return stamps.tolist()
+    if np.isfinite(nanoseconds).all() and nanoseconds[-1] < latest and (np.diff(nanoseconds) >= 1.0).all():
+        return nanoseconds.astype(np.int64).tolist()
+    return [k * 1_000_000 for k in range(t.size)]
 
 
-def _messages(session: Session, typestore) -> Iterator[tuple[str, int | None, object]]:
+def _messages(session: Session, typestore) -> Iterator[tuple[str, int, object]]:
     """Yield topic, number of the sample and message."""
-    from trustlab.sessions.bags import PREFIX
-
     text, number = typestore.types["std_msgs/msg/String"], typestore.types["std_msgs/msg/Float64"]
     yield f"{PREFIX}metadata", 0, text(metadata_to_json(session.metadata, samples=len(session)))
-    columns = {f"{PREFIX}{name}": session[name].tolist() for name in ["t", *session.columns]}
+    columns = {f"{PREFIX}{name}": session[name].tolist() for name in session}
     for k in range(len(session)):
         for topic, values in columns.items():
             yield topic, k, number(values[k])
-
-
-def _write_bag(session: Session, place: Path, format: str) -> Path:
-    from rosbags.rosbag1 import Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    typestore = get_typestore(Stores.ROS1_NOETIC)
-    stamps = _stamps(session.t)
-    if stamps[-1] >= 4_000_000_000 * 10**9:
-        stamps = [k * 1_000_000 for k in range(len(session))]
-    with Writer(place) as writer:
-        connections = {}
-        for topic, k, message in _messages(session, typestore):
-            kind = message.__msgtype__
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=typestore)
-            writer.write(connections[topic], stamps[k], typestore.serialize_ros1(message, kind))
-    return place
-
-
-def _write_rosbag2(session: Session, place: Path, format: str) -> Path:
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    typestore = get_typestore(Stores.ROS2_HUMBLE)
-    stamps = _stamps(session.t)
-    plugin = StoragePlugin.MCAP if format == "mcap" else StoragePlugin.SQLITE3
-    with Writer(place, version=8, storage_plugin=plugin) as writer:
-        connections = {}
-        for topic, k, message in _messages(session, typestore):
-            kind = message.__msgtype__
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=typestore)
-            writer.write(connections[topic], stamps[k], typestore.serialize_cdr(message, kind))
-    return next(place.glob("*.mcap")) if format == "mcap" else place

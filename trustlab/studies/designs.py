@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.sessions.errors import nearest
+from trustlab.models.checks import did_you_mean
 
 __all__ = [
     "DesignBalance",
@@ -206,7 +206,7 @@ def design_balance(
         raise ValueError(f"orders must be a DataFrame, got {type(orders).__name__}")
     for name in (participant, position, condition):
         if name not in orders.columns:
-            raise ValueError(f"orders has no column {name!r}{nearest(name, orders.columns)}")
+            raise ValueError(f"orders has no column {name!r}{did_you_mean(name, orders.columns)}")
         if orders[name].isna().any():
             row = orders.index[orders[name].isna().to_numpy()][0]
             raise ValueError(f"column {name!r}, row {row}: the value is missing; every row needs one")

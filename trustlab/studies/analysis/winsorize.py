@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_array, finite_number
-from trustlab.sessions.errors import nearest
+from trustlab.models.checks import did_you_mean, finite_array, finite_number
 from trustlab.studies.analysis.score_table import read_scores
 
 __all__ = ["OUTLIER_RULES", "Winsorized", "winsorize"]
@@ -215,7 +214,7 @@ def winsorize(
     for condition in chosen:
         if condition not in table.conditions:
             raise ValueError(
-                f"conditions: {condition!r} is not in column {within!r}{nearest(condition, table.conditions)} "
+                f"conditions: {condition!r} is not in column {within!r}{did_you_mean(condition, table.conditions)} "
                 f"(there are {', '.join(map(str, table.conditions))})"
             )
     if len(set(chosen)) < len(chosen):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.sessions.errors import nearest
+from trustlab.models.checks import did_you_mean
 from trustlab.studies.analysis.batch import repeated_measures_batch
 from trustlab.studies.analysis.sphericity import CORRECTIONS
 from trustlab.studies.planning.covariances import Conditions
@@ -129,7 +129,7 @@ def claims_mask(claims, conditions: Conditions) -> np.ndarray | None:
         for label in pair:
             if label not in labels:
                 raise ValueError(
-                    f"unknown condition {label!r}{nearest(label, labels)} (there are {', '.join(map(str, labels))})"
+                    f"unknown condition {label!r}{did_you_mean(label, labels)} (there are {', '.join(map(str, labels))})"
                 )
         where = places[tuple(sorted(labels.index(label) for label in pair))]
         if mask[where]:

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import open_unit, whole_number
-from trustlab.sessions.errors import nearest
+from trustlab.models.checks import did_you_mean, open_unit, whole_number
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
@@ -133,7 +132,7 @@ def smallest_n(
     for name, value, known in (("test", test, TESTS), ("adjust", adjust, ADJUSTMENTS)):
         if not isinstance(value, str) or value not in known:
             raise ValueError(
-                f"{name} must be one of {', '.join(known)}, got {value!r:.60}{nearest(value, known)}"
+                f"{name} must be one of {', '.join(known)}, got {value!r:.60}{did_you_mean(value, known)}"
             )
     if wanted <= alpha:
         raise ValueError(

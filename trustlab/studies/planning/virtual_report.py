@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from trustlab.sessions.errors import nearest
+from trustlab.models.checks import did_you_mean
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.designs import LatinSquareDesign
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
@@ -109,13 +109,13 @@ class VirtualStudy:
         """
         if dv not in self.names:
             raise ValueError(
-                f"dv: no measure {dv!r:.60}{nearest(dv, self.names)} (there are {', '.join(self.names)})"
+                f"dv: no measure {dv!r:.60}{did_you_mean(dv, self.names)} (there are {', '.join(self.names)})"
             )
         wanted = self.conditions if conditions is None else tuple(conditions)
         for condition in wanted:
             if condition not in self.conditions:
                 raise ValueError(
-                    f"unknown condition {condition!r:.60}{nearest(condition, self.conditions)} (the study has "
+                    f"unknown condition {condition!r:.60}{did_you_mean(condition, self.conditions)} (the study has "
                     f"{', '.join(self.conditions)})"
                 )
         rows = self.measures[self.measures["condition"].isin(wanted)]

@@ -1,0 +1,106 @@
+"""What a session says about itself, and its form as JSON in the files that `write_session` writes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from trustlab.models.checks import shown
+from trustlab.sessions.errors import SessionError
+
+__all__ = ["Metadata", "metadata_from_json", "metadata_to_json"]
+
+# The fields with a name of their own, and the types that a file may give them; everything else goes to `more`.
+_TYPES = {
+    "participant": (str, int, type(None)),
+    "condition": (str, int, float, type(None)),
+    "synthetic": (bool,),
+    "more": (dict,),
+}
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """
+    What a session says about itself.
+
+    Parameters
+    ----------
+    participant : str, int or None
+        Who took part.
+    condition : str, int, float or None
+        The experimental condition, for example "C1".
+    source : str or None
+        The file or the generator that the session came from.
+    synthetic : bool
+        True when the data were simulated; every figure and table made from them says so.
+    more : mapping
+        Whatever else the log names (trial, block, autonomy …): names to plain values.
+    """
+
+    participant: str | int | None = None
+    condition: str | int | float | None = None
+    source: str | None = None
+    synthetic: bool = False
+    more: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self):
+        object.__setattr__(self, "more", MappingProxyType(dict(self.more)))
+
+    def __reduce__(self):
+        # A MappingProxyType cannot be pickled; the constructor makes it again from a dictionary.
+        return (Metadata, (self.participant, self.condition, self.source, self.synthetic, dict(self.more)))
+
+    def as_dict(self) -> dict[str, object]:
+        """Return everything in one flat dictionary."""
+        flat = {name: getattr(self, name) for name in ("participant", "condition", "source", "synthetic")}
+        return flat | dict(self.more)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} is not a plain value")
+
+
+def metadata_to_json(metadata: Metadata, **extra: object) -> str:
+    """Return metadata, and what else is given, as one line of JSON; the source is left out, as it will be the new file."""
+    content = {name: getattr(metadata, name) for name in ("participant", "condition", "synthetic")}
+    for name, value in [*content.items(), *metadata.more.items()]:
+        if not _survives_json(value):
+            raise SessionError(
+                f"metadata {name!r} cannot be written so that it reads back the same: {shown(value)}; "
+                "use plain numbers, texts, lists or dictionaries with text keys"
+            )
+    return json.dumps(content | {"more": dict(metadata.more)} | extra, default=_plain)
+
+
+def _survives_json(value: object) -> bool:
+    try:
+        return bool(json.loads(json.dumps(value, default=_plain)) == value)
+    except (TypeError, ValueError, RecursionError):  # ValueError also where == gives an array
+        return False
+
+
+def metadata_from_json(text: str) -> tuple[Metadata, dict]:
+    """Return the metadata written by `metadata_to_json`, and what else was given there."""
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise SessionError(f"the trustlab metadata are damaged ({error}); write the file again") from error
+    if not isinstance(content, dict):
+        raise SessionError(
+            f"the trustlab metadata must be a JSON object, found {type(content).__name__}; write the file again"
+        )
+    given = {}
+    for name, types in _TYPES.items():
+        value = content.pop(name, {"synthetic": False, "more": {}}.get(name))
+        if not isinstance(value, types):
+            allowed = " or ".join("null" if kind is type(None) else kind.__name__ for kind in types)
+            raise SessionError(f"the trustlab metadata give {name} as {shown(value)}; it must be {allowed}")
+        given[name] = value
+    return Metadata(**given), content

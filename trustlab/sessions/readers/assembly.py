@@ -1,0 +1,142 @@
+"""From a raw log to a session: checks, resampling, constant and computed columns, metadata."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from trustlab.sessions.checks import check_column, check_rising, check_time
+from trustlab.sessions.errors import RecipeError, SessionError, source_named
+from trustlab.sessions.metadata import Metadata
+from trustlab.sessions.patterns import PathMatch
+from trustlab.sessions.raw_log import RawLog
+from trustlab.sessions.recipe import Constant, MetadataColumn, MetadataRule, Recipe, mapped, plain_key
+from trustlab.sessions.resampling import require_common_times, resample
+from trustlab.sessions.session import Session
+
+__all__ = ["assemble_session", "recipe_values"]
+
+
+def recipe_values(recipe: Recipe, match: PathMatch | None, header: Mapping[str, object]) -> dict[str, object]:
+    """Return what is known about one session beside its log: path fields, header cells and the recipe's metadata."""
+    values = dict(match.fields) if match else {}
+    values |= {f"header.{name}": value for name, value in header.items()}
+    for name, rule in recipe.metadata.items():
+        values[name] = rule.value if rule.origin is None else _mapped(name, rule, values)
+    return values
+
+
+def _mapped(name: str, rule: MetadataRule, values: Mapping[str, object]) -> object:
+    """Return an entry of the metadata that comes from a value known already."""
+    where = f"metadata {name!r}"
+    value = _lookup(rule.origin, values, where)
+    if rule.map is not None:
+        if plain_key(value) not in rule.map and rule.keep:
+            return value
+        if plain_key(value) not in rule.map and rule.default is not None:
+            return rule.default
+        return _from_map(rule.map, value, where, rule.origin)
+    if rule.bins is not None:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise SessionError(f"{where}: {rule.origin} is {value!r}, not a number")
+        return sum(value > limit for limit in rule.bins)
+    return value
+
+
+def _lookup(origin: str, values: Mapping[str, object], where: str) -> object:
+    if origin not in values:
+        columns = [name for name in values if name.startswith("header.")]
+        raise SessionError(f"{where}: there is no {origin} (known: {', '.join(columns or values)})")
+    if values[origin] == "":
+        raise SessionError(f"{where}: {origin} is empty in the header")
+    return values[origin]
+
+
+def _from_map(entries: Mapping[str, object], value: object, where: str, origin: str) -> object:
+    try:
+        return mapped(entries, value)
+    except ValueError as error:
+        raise SessionError(f"{where} (from {origin}): {error}") from None
+
+
+def assemble_session(
+    log: RawLog,
+    recipe: Recipe | None,
+    values: Mapping[str, object],
+    wanted: Sequence[str] | None,
+    method: str | None,
+    sample_time: float | None,
+) -> Session:
+    """Return the session that a raw log makes: `values` come from `recipe_values`, `wanted` are the columns to keep."""
+    rules = recipe.columns if recipe else {}
+    with source_named(log.source):
+        if method is None:
+            require_common_times(log)
+            _check(log, uniform=True)
+            t = log.streams[0].t
+            columns = {name: each for stream in log.streams for name, each in stream.columns.items()}
+        else:
+            _check(log, uniform=False)
+            t, columns = resample(log, method, sample_time, rules)
+        for name, rule in rules.items():
+            if isinstance(rule, Constant):
+                columns[name] = np.full(t.size, rule.convert(rule.value))
+            elif isinstance(rule, MetadataColumn):
+                columns[name] = np.full(t.size, _constant(rule, values))
+        for name, rule in rules.items():
+            if rule.needs and (wanted is None or name in wanted):
+                with np.errstate(over="ignore"):  # the session refuses what is not finite
+                    columns[name] = rule.compute(columns)
+        names = wanted or list(rules or columns)
+        frame = pd.DataFrame({name: columns[name] for name in names}, index=pd.Index(t, name="t"))
+        return Session(frame, _metadata(log, recipe, values))
+
+
+def _constant(rule: MetadataColumn, values: Mapping[str, object]) -> float:
+    where = f"column {rule.name!r}"
+    value = _lookup(rule.origin, values, where)
+    if rule.map is not None:
+        value = _from_map(rule.map, value, where, rule.origin)
+    if not isinstance(value, int | float):
+        raise RecipeError(f"{where}: {rule.origin} is {value!r}, not a number; give it a map")
+    return float(rule.convert(value))
+
+
+def _metadata(log: RawLog, recipe: Recipe | None, values: Mapping[str, object]) -> Metadata:
+    metadata = log.metadata or Metadata()
+    own = {name: values[name] for name in (recipe.metadata if recipe else ())}
+    known = {name: own.pop(name) for name in ("participant", "condition", "synthetic") if name in own}
+    if not isinstance(known.get("synthetic", False), bool):
+        raise RecipeError(f"metadata 'synthetic' must be true or false, got {known['synthetic']!r}")
+    return replace(metadata, **known, source=log.source, more={**metadata.more, **log.notes, **own})
+
+
+def _check(log: RawLog, uniform: bool) -> None:
+    """Raise the fault that comes first: in the file where there is one stream, in time where there are several."""
+    faults: list[tuple[float, SessionError]] = []
+
+    def attempt(stream, check, *arguments) -> None:
+        try:
+            check(*arguments)
+        except SessionError as error:
+            row = stream.t.size if error.row is None else error.row
+            position = row if len(log.streams) == 1 else float(stream.t[min(row, stream.t.size - 1)])
+            faults.append((position, error))
+
+    for stream in log.streams:
+        # A fault that ended reading explains irregular times and a short log, which are then not worth a word.
+        too_short = len(log.streams) == 1 and stream.t.size < 2
+        if log.fault is None and (uniform or too_short):
+            attempt(stream, check_time, stream.t, stream.place, stream.remedy)
+        else:
+            attempt(stream, check_rising, stream.t, stream.place, stream.remedy)
+        for name, samples in stream.columns.items():
+            attempt(stream, check_column, name, samples, stream.t, stream.place)
+    if log.fault is not None:
+        row = log.streams[0].t.size if log.fault.row is None else log.fault.row
+        faults.append((row, log.fault))
+    if faults:
+        raise min(faults, key=lambda fault: fault[0])[1]

@@ -1,0 +1,255 @@
+"""ROS 1 and ROS 2 bags, read without ROS."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from trustlab.models.checks import did_you_mean
+from trustlab.sessions.errors import RecipeError, SessionError, damage_named, listed
+from trustlab.sessions.metadata import metadata_from_json
+from trustlab.sessions.patterns import FieldPath
+from trustlab.sessions.raw_log import MAX_SAMPLES, RawLog, Stream
+from trustlab.sessions.recipe import Recipe, TopicField, mapped
+
+__all__ = ["PREFIX", "check_sqlite_path", "read_bag"]
+
+PREFIX = "/trustlab/"
+"""Where the topics of a bag stand that `write_session` wrote: t, metadata and one per column."""
+
+_DAMAGED = "not a bag, or a damaged or truncated one"
+_guard = partial(
+    damage_named, _DAMAGED, "try `ros2 bag reindex` or `rosbag reindex` on it, or record it again"
+)
+
+
+def read_bag(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None) -> RawLog:
+    """Return the log in a bag: a stream per topic of the recipe; without a recipe, what `write_session` wrote."""
+    with _open(path) as bag:
+        if recipe is None:
+            return _read_own(bag, wanted, str(path))
+        rules = [rule for rule in map(recipe.columns.get, wanted) if isinstance(rule, TopicField)]
+        return _read_topics(bag, rules, recipe, str(path))
+
+
+def check_sqlite_path(path: Path) -> None:
+    """Raise where a path has one of ? # %: sqlite3 would read it as a URI with a query."""
+    for mark in "?#%":
+        if mark in str(path.absolute()):
+            raise SessionError(
+                f"a sqlite3 recording cannot stand under a path with {mark!r} in it; rename the folder, or use .mcap",
+                str(path),
+            )
+
+
+class _Bag:
+    """A bag that is open: its topics, and their messages one by one."""
+
+    def __init__(self, reader):
+        self.reader = reader
+        self.types: dict[str, str] = {}
+        for connection in reader.connections:
+            known = self.types.setdefault(connection.topic, connection.msgtype)
+            if known != connection.msgtype:
+                self.types[connection.topic] = f"{known} and {connection.msgtype}"
+
+    def messages(self, topics: Sequence[str]) -> Iterator[tuple[str, int, object]]:
+        """Yield topic, time of receipt [ns] and message, in order of time."""
+        chosen = [connection for connection in self.reader.connections if connection.topic in topics]
+        expected, found = Counter(), Counter()
+        for connection in chosen:
+            expected[connection.topic] += connection.msgcount
+        if sum(expected.values()) > MAX_SAMPLES:
+            raise SessionError(
+                f"the bag has more than {MAX_SAMPLES} messages on the topics read", self.source
+            )
+        stream = self.reader.messages(connections=chosen) if chosen else iter(())
+        while True:
+            with _guard():
+                entry = next(stream, None)
+                if entry is not None:
+                    connection, stamp, data = entry
+                    message = self.reader.deserialize(data, connection.msgtype)
+            if entry is None:
+                break
+            found[connection.topic] += 1
+            if not abs(stamp) < 2**62:
+                raise SessionError(
+                    f"topic {connection.topic!r}: a message has the time {stamp} ns", self.source
+                )
+            yield connection.topic, stamp, message
+        for topic in topics:
+            if found[topic] == 0:
+                raise SessionError(f"topic {topic!r} has no messages; was it being published?")
+            if expected[topic] and found[topic] != expected[topic]:
+                raise SessionError(
+                    f"topic {topic!r}: the bag's index counts {expected[topic]} messages, {found[topic]} are there; "
+                    "the bag is damaged or truncated"
+                )
+
+
+def _check_sqlite_size(database: Path) -> None:
+    """Raise for a database that is shorter than it says; its missing pages would read as zeros."""
+    with database.open("rb") as file:
+        head = file.read(100)
+    size = database.stat().st_size
+    page = int.from_bytes(head[16:18], "big")
+    said = int.from_bytes(head[28:32], "big") * (65536 if page == 1 else page)
+    if len(head) < 100 or not head.startswith(b"SQLite format 3\0") or size < said:
+        what = f"has {size} bytes of {said}" if size else "is empty"
+        raise SessionError(
+            f"not a bag, or a damaged or truncated one ({database.name} {what}); record it again"
+        )
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[_Bag]:
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    for database in [path] if path.suffix == ".db3" else sorted(path.glob("*.db3")):
+        check_sqlite_path(path)
+        _check_sqlite_size(database)
+    with _guard():
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    try:
+        with _guard():
+            bag = _Bag(reader)
+        yield bag
+    finally:
+        with _guard():
+            reader.close()
+
+
+def _read_own(bag: _Bag, wanted: Sequence[str] | None, source: str) -> RawLog:
+    names = [topic.removeprefix(PREFIX) for topic in bag.types if topic.startswith(PREFIX)]
+    if "t" not in names or "metadata" not in names:
+        raise SessionError(
+            f"this bag was not written by trustlab, so that it needs a recipe (its topics: {listed(list(bag.types))})"
+        )
+    names = [name for name in names if name not in ("t", "metadata")]
+    for name in wanted or ():
+        if name not in names:
+            raise SessionError(
+                f"column {name!r} is missing{did_you_mean(name, names)} (the bag has: {listed(names)})",
+                bag.source,
+            )
+    topics = {PREFIX + name: [] for name in ["metadata", "t", *(wanted or names)]}
+    for topic, _, message in bag.messages(list(topics)):
+        value = getattr(message, "data", None)
+        if not isinstance(value, str if topic == f"{PREFIX}metadata" else float):
+            raise SessionError(
+                f"topic {topic!r} holds {bag.types[topic]}, not what trustlab writes", bag.source
+            )
+        topics[topic].append(value)
+    metadata, extra = metadata_from_json(topics.pop(f"{PREFIX}metadata")[0])
+    for topic, values in topics.items():
+        if len(values) != extra.get("samples"):
+            raise SessionError(
+                f"topic {topic!r} has {len(values)} messages where the metadata say {extra.get('samples')}; "
+                "the bag is damaged or truncated"
+            )
+    columns = {topic.removeprefix(PREFIX): np.array(values) for topic, values in topics.items()}
+    stream = Stream(columns.pop("t"), columns, "message {} (from 0)".format)
+    return RawLog(source, [stream], metadata)
+
+
+def _read_topics(bag: _Bag, rules: Sequence[TopicField], recipe: Recipe, source: str) -> RawLog:
+    """Return a stream per topic, timed from the last of the topics' first stamps."""
+    by_topic: dict[str, list[TopicField]] = {}
+    for rule in rules:
+        if rule.topic not in bag.types:
+            raise SessionError(
+                f"topic {rule.topic!r} (for {rule.name}) is not in the bag{did_you_mean(rule.topic, bag.types)} "
+                f"(it has: {listed(list(bag.types))})"
+            )
+        if " and " in bag.types[rule.topic]:
+            raise SessionError(f"topic {rule.topic!r} has messages of two types: {bag.types[rule.topic]}")
+        by_topic.setdefault(rule.topic, []).append(rule)
+    stamps: dict[str, list[int]] = {topic: [] for topic in by_topic}
+    values: dict[str, list[float]] = {rule.name: [] for rule in rules}
+    for topic, received, message in bag.messages(list(by_topic)):
+        kind = bag.types[topic]
+        where = f"topic {topic!r}, message {len(stamps[topic])} (from 0)"
+        stamps[topic].append(
+            _header_stamp(message, kind, where) if recipe.time.of(topic) == "header" else received
+        )
+        for rule in by_topic[topic]:
+            values[rule.name].append(_value(message, rule, kind, where))
+    start = max(each[0] for each in stamps.values())
+    streams = [
+        Stream(
+            # Differences of whole nanoseconds are exact; as floats the stamps would be 0.2 µs apart at best.
+            t=(np.array(stamps[topic], dtype=np.int64) - start) / 1e9,
+            columns={rule.name: rule.convert(values[rule.name]) for rule in own},
+            place=partial("topic {!r}, message {} (from 0)".format, topic),
+            topic=topic,
+            held=any(rule.hold for rule in own),
+            remedy="choose the other stamp under [time], or ",
+        )
+        for topic, own in by_topic.items()
+    ]
+    return RawLog(source, streams, notes={"start_time": float(start) / 1e9})
+
+
+def _header_stamp(message, kind: str, where: str) -> int:
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    if stamp is None:
+        raise RecipeError(
+            f'{where}: {kind} has no header stamp; say "receive" for this topic under [time] topics'
+        )
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def _value(message, rule: TopicField, kind: str, where: str) -> float:
+    here = f"{where}, field {rule.path.text!r} ({rule.name})"
+    value = _walk(message, rule.path, kind, here)
+    if rule.map is not None:
+        try:
+            return float(mapped(rule.map, value))
+        except ValueError as error:
+            raise SessionError(f"{here}: {error}") from None
+    if rule.path.yaw:
+        return _yaw(value, kind, here)
+    if not isinstance(value, bool | int | float | np.bool_ | np.number):
+        hint = "; give it a map" if isinstance(value, str) else "; name one number in it"
+        raise RecipeError(f"{here}: holds {type(value).__name__} in {kind}, not a number{hint}")
+    return float(value)
+
+
+def _walk(value, path: FieldPath, kind: str, here: str):
+    for step in path.steps:
+        if isinstance(step, int):
+            if not isinstance(value, list | tuple | np.ndarray):
+                raise RecipeError(f"{here}: [{step}] needs a list, but {kind} has none there")
+            if step >= len(value):
+                raise SessionError(f"{here}: the list has {len(value)} entries, [{step}] is not among them")
+            value = value[step]
+            continue
+        fields = [each.name for each in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
+        if step not in fields:
+            raise RecipeError(
+                f"{here}: {kind} has no field {step!r} there{did_you_mean(step, fields)} "
+                f"(it has: {listed(fields) or 'a plain value'})"
+            )
+        value = getattr(value, step)
+    return value
+
+
+def _yaw(value, kind: str, here: str) -> float:
+    try:
+        x, y, z, w = (float(getattr(value, name)) for name in "xyzw")
+    except (AttributeError, TypeError, ValueError):
+        raise RecipeError(f"{here}: yaw needs a quaternion, which {kind} has not there") from None
+    norm = math.hypot(x, y, z, w)
+    if not abs(norm - 1.0) <= 0.01:
+        raise SessionError(f"{here}: the quaternion has norm {norm:.6g}, so that it is no rotation")
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -1,0 +1,195 @@
+"""Read one logged session: which reader a file needs, and with which recipe."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from trustlab.models.checks import did_you_mean
+from trustlab.sessions.errors import RecipeError, SessionError, nearest_file, source_named
+from trustlab.sessions.raw_log import RawLog
+from trustlab.sessions.readers.assembly import assemble_session, recipe_values
+from trustlab.sessions.readers.index import SessionIndex
+from trustlab.sessions.recipe import MetadataColumn, Recipe, TableRule, load_recipe, parse
+from trustlab.sessions.resampling import check_resampling
+from trustlab.sessions.session import Session
+
+__all__ = ["SUFFIXES", "FileReader", "read_session"]
+
+_TABLES = (".csv", ".parquet")
+_BAGS = (".bag", ".mcap", ".db3")
+SUFFIXES = (*_TABLES, *_BAGS)
+"""Suffixes of the files that can be read; a rosbag2 recording may also be a folder."""
+
+
+def read_session(
+    path: str | os.PathLike,
+    recipe: str | os.PathLike | Recipe | None = None,
+    columns: Sequence[str] | None = None,
+    resample: str | None = None,
+    sample_time: float | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+) -> Session:
+    """
+    Read one logged session.
+
+    Parameters
+    ----------
+    path : path-like
+        A ``.csv``, ``.parquet``, ``.bag`` (ROS 1), ``.mcap`` or ``.db3`` file, or a rosbag2 folder.
+    recipe : str, path-like or Recipe, optional
+        How the log's columns become ours: a name from `list_recipes()`, the path of a TOML file, or a Recipe. A table
+        with the vocabulary's names in SI units, and t in seconds, needs none; nor does anything that `write_session`
+        wrote.
+    columns : sequence of str, optional
+        Read only these columns of the session; all when not given.
+    resample : {"previous", "linear", "nearest"}, optional
+        Bring the log to a uniform time axis, within the times it covers, and record it in the metadata. "linear" holds
+        the previous value of mode and suggested_mode, and turns yaw the short way.
+    sample_time : float, optional
+        Time between samples [s] after resampling.
+    delimiter, decimal : str, optional
+        The separator of the cells of a CSV file read without a recipe ("," ";" "|" tab or space), and the decimal mark
+        of its numbers ("." or ","); a comma and a point when not given. A recipe states them in its [table]; other
+        formats have neither.
+
+    Returns
+    -------
+    Session
+
+    Raises
+    ------
+    SessionError
+        For the first fault of the file: it names the file, the line, row or message, the column, and the remedy.
+    RecipeError
+        If the recipe is unknown or cannot be followed.
+    ValueError
+        If another argument is not valid, or does not apply to the file's format.
+    """
+    reader = FileReader(recipe, columns, resample, sample_time, delimiter, decimal)
+    reader.check_layout([path])
+    return reader.read(path)
+
+
+class FileReader:
+    """The arguments of `read_session`, checked, for one file or for many."""
+
+    def __init__(self, recipe, columns, resample, sample_time, delimiter, decimal):
+        check_resampling(resample, sample_time)
+        self.recipe = None if recipe is None else load_recipe(recipe)
+        self.columns, self.method, self.sample_time = columns, resample, sample_time
+        if resample is None and self.recipe is not None:
+            self.method, self.sample_time = self.recipe.method, self.recipe.sample_time
+        layout = {"delimiter": delimiter, "decimal": decimal}
+        self.layout = {name: value for name, value in layout.items() if value is not None}
+        self.table = parse(TableRule, self.layout, "arguments")
+        if self.layout and self.recipe is not None:
+            given = next(iter(self.layout))
+            raise RecipeError(
+                f"{given} is given, but a recipe states it itself, in [table]", self.recipe.source
+            )
+        self.index = SessionIndex(self.recipe) if self.recipe and self.recipe.header else None
+
+    def check_layout(self, paths: Sequence[str | os.PathLike]) -> None:
+        """Refuse a delimiter or decimal mark that is given where none of the files is a CSV file."""
+        if self.layout and not any(str(path).lower().endswith(".csv") for path in paths):
+            name = next(iter(self.layout))
+            kind = Path(paths[0]).suffix.lower() or "folders"
+            raise ValueError(f"{name} applies to .csv files, not to {kind}: leave it out (file: {paths[0]})")
+
+    def read(self, path: str | os.PathLike) -> Session:
+        """Return the session of one file, or of one rosbag2 folder."""
+        source = os.fspath(path) if isinstance(path, str | os.PathLike) else path
+        if not isinstance(source, str):
+            raise SessionError(f"a path is needed, got {type(path).__name__}")
+        with source_named(source):
+            try:
+                path = _existing(Path(source))
+                wanted = self._wanted()
+                values = self._values(path)
+                needed = wanted
+                if self.recipe is not None:
+                    needs = [need for name in wanted for need in self.recipe.columns[name].needs]
+                    needed = list(dict.fromkeys([*wanted, *needs]))
+                log = self._raw_log(path, needed)
+            except OSError as error:
+                raise SessionError(f"cannot be read ({error.strerror or error})") from error
+        return assemble_session(log, self.recipe, values, wanted, self.method, self.sample_time)
+
+    def _raw_log(self, path: Path, needed: Sequence[str] | None) -> RawLog:
+        suffix = path.suffix.lower()
+        kind = "bag" if path.is_dir() or suffix in _BAGS else "table"
+        if self.recipe is not None and self.recipe.kind != kind:
+            raise RecipeError(f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a {kind}")
+        if path.is_file() and path.stat().st_size == 0:
+            raise SessionError("the file is empty")
+        # Each format is imported when it is first read: rosbags and pyarrow are heavy.
+        if kind == "bag":
+            from trustlab.sessions.readers.bags import read_bag
+
+            return read_bag(path, self.recipe, needed)
+        if suffix == ".csv":
+            from trustlab.sessions.readers.csv_files import read_csv
+
+            return read_csv(path, self.recipe, needed, self.recipe.table if self.recipe else self.table)
+        from trustlab.sessions.readers.parquet_files import read_parquet
+
+        return read_parquet(path, self.recipe, needed)
+
+    def _wanted(self) -> list[str] | None:
+        """Return the session's columns to read; None for all of a file that is read without a recipe."""
+        known = list(self.recipe.columns) if self.recipe else None
+        if self.columns is None:
+            return known
+        if isinstance(self.columns, str) or not all(isinstance(name, str) for name in self.columns):
+            raise SessionError(f"columns must be a list of names, got {self.columns!r}")
+        names = [name for name in dict.fromkeys(self.columns) if name != "t"]
+        if not names:
+            raise SessionError("columns names no column besides t; name at least one, or leave it out")
+        for name in names if known is not None else ():
+            if name not in known:
+                raise SessionError(
+                    f"the recipe has no column {name!r}{did_you_mean(name, known)} (it has: {', '.join(known)})"
+                )
+        return names
+
+    def _values(self, path: Path) -> dict[str, object]:
+        """Return what the recipe takes from the file's path and from its row in the header file."""
+        recipe = self.recipe
+        if recipe is None:
+            return {}
+        match = recipe.pattern.match(path) if recipe.pattern else None
+        origins = [rule.origin for rule in recipe.metadata.values()]
+        origins += [rule.origin for rule in recipe.columns.values() if isinstance(rule, MetadataColumn)]
+        if recipe.pattern and match is None and any(origins):
+            raise SessionError(
+                f"the path does not fit the recipe's pattern {recipe.pattern.text!r}, which metadata come from; rename the "
+                "file or its folder to fit it, or take what comes from the path out of the recipe's [metadata] and [columns]"
+            )
+        row = {}
+        if self.index is not None and any(str(origin).startswith("header.") for origin in origins):
+            row = self.index.row(match, str(path))
+        return recipe_values(recipe, match, row)
+
+
+def _existing(path: Path) -> Path:
+    """Return the path when something that can be read is there."""
+    if not path.exists():
+        looked = "" if path.is_absolute() else f" (looked in {path.parent.absolute()})"
+        raise SessionError(f"there is no such file{looked}{nearest_file(path)}")
+    if path.suffix.lower() in (".xlsx", ".xls", ".ods"):
+        raise SessionError('a spreadsheet cannot be read; save it as "CSV UTF-8" and read that')
+    if path.is_dir():
+        if not (path / "metadata.yaml").is_file():
+            hint = "use read_sessions for a folder of sessions"
+            if any(path.glob("*.db3")) or any(path.glob("*.mcap")):
+                hint += ", run `ros2 bag reindex` on a recording, or name the .db3 or .mcap file in it"
+            raise SessionError(f"a folder without metadata.yaml is not a rosbag2 recording; {hint}")
+    elif path.suffix.lower() not in SUFFIXES:
+        raise SessionError(
+            f"cannot read {path.suffix or 'files without a suffix'}{did_you_mean(path.suffix, SUFFIXES)} "
+            f"(known: {', '.join(SUFFIXES)}, or a rosbag2 folder)"
+        )
+    return path

@@ -1,0 +1,171 @@
+"""Read all sessions of a folder: which files belong to it, and whether they are complete."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from trustlab.sessions.errors import SessionError
+from trustlab.sessions.patterns import PathMatch, PathPattern, natural_key
+from trustlab.sessions.readers.file import SUFFIXES, FileReader
+from trustlab.sessions.readers.index import SessionIndex
+from trustlab.sessions.recipe import Recipe, plain_key
+from trustlab.sessions.session import Session
+
+__all__ = ["read_sessions"]
+
+
+def read_sessions(
+    folder: str | os.PathLike,
+    recipe: str | os.PathLike | Recipe | None = None,
+    *,
+    columns: Sequence[str] | None = None,
+    resample: str | None = None,
+    sample_time: float | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    progress: Callable[[int, int], object] | None = None,
+) -> list[Session]:
+    """
+    Read all sessions of a folder.
+
+    Parameters
+    ----------
+    folder : path-like
+        With a recipe that has a files pattern: all files at any depth whose paths fit it (the folder may be any folder
+        above them, or the one they are in). Without: all logs in the folder itself.
+    recipe : str, path-like or Recipe, optional
+        As for `read_session`.
+    columns : sequence of str, optional
+        Read only these columns of the sessions.
+    resample : {"previous", "linear", "nearest"}, optional
+        As for `read_session`.
+    sample_time : float, optional
+        Time between samples [s] after resampling.
+    delimiter, decimal : str, optional
+        As for `read_session`; they apply to the CSV files of the folder.
+    progress : callable, optional
+        Called after each file with the number of files read and the number of all.
+
+    Returns
+    -------
+    list of Session
+        Ordered by participant, then trial, then path, numbers as numbers.
+
+    Raises
+    ------
+    SessionError
+        If nothing is found, if the rows of a header file and the files do not correspond one to one, or if a file has
+        a fault.
+    RecipeError
+        If the recipe is unknown or cannot be followed.
+    ValueError
+        If another argument is not valid, or applies to none of the files.
+
+    Warns
+    -----
+    UserWarning
+        For sessions that the recipe declares superseded by others; they are left out.
+    """
+    reader = FileReader(recipe, columns, resample, sample_time, delimiter, decimal)
+    source = os.fspath(folder) if isinstance(folder, str | os.PathLike) else folder
+    if not isinstance(source, str):
+        raise SessionError(f"a folder is needed, got {type(folder).__name__}")
+    if not os.path.isdir(source):
+        hint = "; read a single file with read_session" if os.path.exists(source) else ""
+        raise SessionError(f"there is no such folder{hint}", source)
+    has_pattern = reader.recipe is not None and reader.recipe.pattern is not None
+    paths = _matching(source, reader.recipe, reader.index) if has_pattern else _logs_in(source)
+    reader.check_layout(paths)
+    sessions = []
+    for done, path in enumerate(paths, start=1):
+        sessions.append(reader.read(path))
+        if progress is not None:
+            progress(done, len(paths))
+    return sorted(
+        sessions,
+        key=lambda session: (
+            natural_key(session.metadata.participant),
+            natural_key(session.metadata.more.get("trial")),
+            natural_key(session.metadata.source),
+        ),
+    )
+
+
+def _logs_in(folder: str) -> list[str]:
+    paths = [os.path.join(folder, name) for name in os.listdir(folder)]
+    logs = [
+        path
+        for path in paths
+        if (os.path.isfile(path) and Path(path).suffix.lower() in SUFFIXES)
+        or os.path.isfile(os.path.join(path, "metadata.yaml"))
+    ]
+    if not logs:
+        raise SessionError(
+            f"no logs stand in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders); for logs in "
+            "folders below it, give a recipe with a [files] pattern",
+            folder,
+        )
+    return sorted(logs, key=natural_key)
+
+
+def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[str]:
+    """Return the files that a recipe reads in a folder, checked against each other and against the header files."""
+    sessions = _find(folder, recipe.pattern)
+    headers = _find(folder, index.pattern) if index else {}
+    if recipe.superseded:
+        gone = _superseded(folder, recipe, sessions)
+        sessions, headers = (
+            {
+                path: match
+                for path, match in found.items()
+                if plain_key(match.fields.get(recipe.superseded_field)) not in gone
+            }
+            for found in (sessions, headers)
+        )
+    if not sessions and not headers:
+        raise SessionError(
+            f"no file at any depth of this folder fits the recipe's pattern {recipe.pattern.text!r}", folder
+        )
+    same: dict[tuple, str] = {}
+    for path, match in sessions.items():
+        key = tuple(match.fields.items())
+        if key in same and key:
+            fields = ", ".join(f"{name} {value}" for name, value in key)
+            raise SessionError(f"this file and {same[key]} are both {fields}; read one of the folders", path)
+        same[key] = path
+    if index:
+        index.check(headers, sessions)
+    return sorted(sessions, key=natural_key)
+
+
+def _superseded(folder: str, recipe: Recipe, sessions: dict[str, PathMatch]) -> set[str]:
+    """Return the values of the path field whose sessions are left out, as those that replace them are there."""
+    name = recipe.superseded_field
+    present = {plain_key(match.fields[name]) for match in sessions.values()}
+    gone = {old: new for old, new in recipe.superseded.items() if old in present and new in present}
+    for old, new in gone.items():
+        warnings.warn(
+            f"{folder}: the sessions of {name} {old} were superseded by those of {name} {new} (recipe "
+            f"{recipe.name!r}) and are left out",
+            UserWarning,
+            stacklevel=4,
+        )
+    return set(gone)
+
+
+def _find(folder: str, pattern: PathPattern) -> dict[str, PathMatch]:
+    """Return the files and rosbag2 folders at any depth of a folder whose paths fit a pattern."""
+    found: dict[str, PathMatch] = {}
+    for here, folders, files in os.walk(folder):
+        folders.sort()
+        bags = [name for name in folders if os.path.isfile(os.path.join(here, name, "metadata.yaml"))]
+        folders[:] = [name for name in folders if name not in bags]  # what is inside a bag is not searched
+        for name in sorted([*bags, *files]):
+            path = os.path.join(here, name)
+            match = pattern.match(path)
+            if match is not None:
+                found[path] = match
+    return found

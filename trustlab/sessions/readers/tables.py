@@ -1,0 +1,123 @@
+"""Tables of numbers: which columns of a file are read, and the raw log that they make."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trustlab.models.checks import did_you_mean
+from trustlab.sessions.errors import SessionError, listed
+from trustlab.sessions.metadata import Metadata
+from trustlab.sessions.raw_log import RawLog, Stream
+from trustlab.sessions.recipe import NUMBER, Recipe, TableColumn, TableTime
+from trustlab.sessions.vocabulary import VOCABULARY, to_si
+
+__all__ = ["SourceColumn", "select_columns", "table_log"]
+
+
+@dataclass(frozen=True)
+class SourceColumn:
+    """One column of the file: its name in the session (or "t"), its position from 0, its label in errors, its rule."""
+
+    name: str
+    position: int
+    label: str
+    rule: TableColumn | None = None
+
+    @property
+    def map(self) -> Mapping[str, float] | None:
+        """Texts to numbers."""
+        return self.rule.map if self.rule else None
+
+
+def select_columns(
+    names: Sequence[str], recipe: Recipe | None, wanted: Sequence[str] | None, where: str
+) -> list[SourceColumn]:
+    """Return the columns to read from a file whose columns have these names, empty ones if it has no header."""
+    rules = {}
+    if recipe is not None:
+        rules = {name: recipe.columns[name] for name in wanted}
+        rules = {name: rule for name, rule in rules.items() if isinstance(rule, TableColumn)}
+        keys = {"t": recipe.time.column} | {name: rule.column for name, rule in rules.items()}
+    else:
+        if wanted is None:
+            _check_names(names, where)
+            wanted = [name for name in names if name != "t"]
+        keys = {name: name for name in ["t", *wanted]}
+    return [
+        SourceColumn(name, *_find(name, key, names, where), rule=rules.get(name))
+        for name, key in keys.items()
+    ]
+
+
+def _find(name: str, key: str | int, names: Sequence[str], where: str) -> tuple[int, str]:
+    """Return where a column stands, and its label in errors."""
+    if isinstance(key, int):
+        if key >= len(names):
+            raise SessionError(
+                f"{where}: has {len(names)} columns; the recipe takes {name} from column {key} (from 0)"
+            )
+        return key, f"{key} ({name})"
+    if names.count(key) != 1:
+        what = "is there twice; rename or remove one"
+        if key not in names:
+            what = f"is missing{did_you_mean(key, names) or _time_hint(key, names)}"
+        raise SessionError(f"{where}: column {key!r} {what} (the file has: {listed(names)})")
+    return names.index(key), repr(key) if key == name else f"{key!r} ({name})"
+
+
+def _time_hint(key: str, names: Sequence[str]) -> str:
+    likely = [name for name in names if re.match(r"(?i)(t|time|stamp|secs?|clock)([^a-z]|$|stamp)", name)]
+    return f"; if {likely[0]!r} is time in seconds, rename it to t" if key == "t" and likely else ""
+
+
+def _check_names(names: Sequence[str], where: str) -> None:
+    """Raise unless all names of a file that is read without a recipe are of the vocabulary, and none is there twice."""
+    if all(NUMBER.fullmatch(name.strip()) for name in names):
+        raise SessionError(
+            f"{where}: numbers stand where the column names should; add a line of names, or read the file with a "
+            "recipe that says [table] header = false"
+        )
+    seen: set[str] = set()
+    twice = [name for name in names if name in seen or seen.add(name)]
+    if twice and twice[0]:
+        raise SessionError(f"{where}: column {twice[0]!r} is there twice; rename or remove one")
+    for k, name in enumerate(names):
+        if not name:
+            raise SessionError(
+                f"{where}: column {k} (from 0) has no name; name it, or remove it (pandas writes one so unless told "
+                "index=False)"
+            )
+        if name not in VOCABULARY and name != "t":
+            hint = did_you_mean(name, VOCABULARY) or _time_hint("t", [name])
+            raise SessionError(
+                f"{where}: column {name[:100]!r} is not in the vocabulary{hint} (map it with a recipe, leave it out "
+                "with columns=[...], or rename it; see trustlab.sessions.vocabulary())"
+            )
+
+
+def table_log(
+    source: str,
+    selected: Sequence[SourceColumn],
+    raw: Mapping[str, np.ndarray],
+    time: TableTime,
+    place: Callable[[int], str],
+    metadata: Metadata | None,
+    fault: SessionError | None = None,
+) -> RawLog:
+    """Return the log that the columns of a table make; `raw` are their numbers in the file's units."""
+    columns = {
+        each.name: each.rule.convert(raw[each.name]) if each.rule else raw[each.name] for each in selected
+    }
+    t, notes = columns.pop("t"), {}
+    factor = to_si(time.unit, "s")
+    with np.errstate(over="ignore", invalid="ignore"):
+        if time.from_zero and t.size and np.isfinite(t[0]):
+            notes["start_time"] = float(t[0]) * factor
+            t = t - t[0]  # before the conversion to float, which would round large integer stamps
+        t = np.asarray(t, dtype=float)
+        t = t * factor if factor != 1.0 else t
+    return RawLog(source, [Stream(t, columns, place)], metadata, fault, notes)

@@ -1,0 +1,710 @@
+"""
+Recipes: how a lab's logs become sessions, written down in a TOML file.
+
+A recipe says for one kind of log where each column, the time and the metadata come from. Every key is listed here; any
+other key is an error. Nothing is guessed: time and columns with a dimension name their unit, and resampling is asked
+for by name.
+
+::
+
+    name = "my_lab"                 # the recipe's own name
+    description = "..."             # one line, free
+    kind = "table"                  # "table": CSV or Parquet; "bag": ROS 1 or ROS 2
+
+    [files]                         # needed by read_sessions and by metadata that come from paths
+    pattern = "part{folder:int}/trial{trial:int}.csv"   # fields {name}, {name:int}, {name:float}; * for anything
+
+    [table]                         # kind = "table" only; these are the defaults
+    header = true                   # false: no line of names, columns are numbered from 0
+    delimiter = ","
+    decimal = "."
+    skip_lines = 0                  # lines before the table
+
+    [time]                          # kind = "table"
+    column = "t"                    # name or index
+    unit = "s"
+    from_zero = false               # true: count from the first sample; its time becomes metadata start_time
+
+    [time]                          # kind = "bag"; t counts from the first sample, metadata start_time says when
+    stamp = "receive"               # or "header": the message's own stamp
+    topics = { "/cmd_vel" = "receive" }   # topics that use the other one
+
+    [resampling]                    # needed for topics with stamps of their own; a caller's resample= overrides it
+    method = "previous"             # or "linear", "nearest"
+    sample_time = 0.1               # [s]
+
+    [columns]                       # name of the vocabulary = exactly one of
+    path_error = { column = "err", unit = "mm", absolute = true }  # a column; also scale, offset, map, resample
+    robot_x = { topic = "/odom", field = "pose.pose.position.x", unit = "m" }   # the same, and hold
+    mode = { topic = "/mode", field = "data", map = { MANUAL = 1, AUTO = 0 }, hold = true }
+    beta = { value = 0.5 }                                         # a constant
+    r = { from = "header.share", unit = "%" }                      # one value from the metadata for all samples
+    path_error = { distance = ["robot", "reference"], axes = ["y", "z"] }
+    step_distance = { travelled = "robot", axes = ["x", "y"] }     # since the sample before; the first takes the second's
+
+    [metadata]                      # participant, condition, synthetic or any other name = from or value
+    participant = { from = "folder", map = { 25 = 8 }, keep = true }    # keep: values not in the map stay as they are
+    training = { from = "block", map = { 0 = true }, default = false }  # default: for values not in the map
+    block = { from = "trial", bins = [5, 10, 15] }                 # how many of these limits lie below the value
+    site = { value = "north wing" }
+
+    [header]                        # a table beside the sessions with one row for each
+    file = "part{folder}/part{folder}_header.csv"       # from the folder that files.pattern starts in
+    keys = { trial = "trial_number" }                   # path field = the column that names it
+
+    [supersedes]                    # for read_sessions: sessions replaced by others, left out with a warning
+    field = "folder"
+    pairs = { 8 = 25 }              # those of folder 8 are left out where there are any of folder 25
+
+A column's value is (scale · raw + offset) in its unit; `absolute` takes its absolute value before any resampling, so
+that a signed deviation becomes a distance. `map` turns texts or codes into numbers. `hold` keeps each message of a
+topic until the next one, and the last until the log ends (for topics published on change). `from` names a field of the
+path pattern, ``header.<column>``, or a metadata entry above it. A field path leads to one number of a message
+(``twist.twist.linear.x``, ``axes[1]``, ``buttons[4]``); ``yaw(pose.pose.orientation)`` is a quaternion's heading.
+"""
+
+# ruff: noqa: RUF009 - key() makes a dataclass field
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from trustlab.models.checks import did_you_mean, finite_number, one_of, positive, shown, whole_number
+from trustlab.sessions.errors import RecipeError, listed, nearest_file, source_named
+from trustlab.sessions.patterns import FieldPath, PathPattern
+from trustlab.sessions.resampling import METHODS
+from trustlab.sessions.vocabulary import VOCABULARY, to_si
+
+__all__ = [
+    "ColumnRule",
+    "Recipe",
+    "TableRule",
+    "TableTime",
+    "list_recipes",
+    "load_recipe",
+    "parse",
+    "plain_key",
+]
+
+_SHIPPED = Path(__file__).parent / "recipes"
+
+NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+"""How a number is written in a table."""
+
+
+# The schema: every table of the file is a dataclass whose fields are the table's keys, each with the check that its
+# value must pass. A validation library would take over `parse` only: pydantic takes as long to import as a file to read,
+# and msgspec's errors have neither the entry's name nor the value found nor the values allowed.
+
+
+def key(check: Callable, default: object = MISSING, spelt: str = "", hint: str = "") -> dataclasses.Field:
+    """Declare a key: `check(name, value)` returns the value to keep or raises ValueError; `hint` is said when it is missing."""
+    return field(default=default, metadata={"check": check, "spelt": spelt, "hint": hint})
+
+
+def parse(rule: type, table: object, where: str, **given: object):
+    """Return the rule that one table of the recipe states; refuse by name a key that is unknown, missing or wrong."""
+    keys = _keys(rule)
+    table = _known_keys(table, keys, where)
+    for name, each in keys.items():
+        if name not in table and each.default is MISSING:
+            raise RecipeError(f"{where}: needs {name}, {each.metadata['hint']}")
+    try:
+        values = {keys[name].name: keys[name].metadata["check"](name, value) for name, value in table.items()}
+        return rule(**values, **given)
+    except ValueError as error:
+        raise RecipeError(f"{where}: {error}") from None
+
+
+def _keys(rule: type) -> dict[str, dataclasses.Field]:
+    return {each.metadata["spelt"] or each.name: each for each in dataclasses.fields(rule) if each.metadata}
+
+
+def _known_keys(table: object, known: Sequence[str], where: str) -> Mapping[str, object]:
+    if not isinstance(table, Mapping):
+        raise RecipeError(f"{where} must be a table, got {shown(table)}")
+    for name in table:
+        if name not in known:
+            raise RecipeError(
+                f"{where}: unknown key {name!r}{did_you_mean(name, known)} (known: {', '.join(known)})"
+            )
+    return table
+
+
+# Checks of single values, beside those of trustlab.models.checks.
+
+
+def _instance(kind: type, words: str) -> Callable:
+    def check(name: str, value: object) -> object:
+        if not isinstance(value, kind):
+            raise ValueError(f"{name} must be {words}, got {shown(value)}")
+        return value
+
+    return check
+
+
+text = _instance(str, "a text")
+switch = _instance(bool, "true or false")
+any_table = _instance(Mapping, "a table")
+resampling_method = partial(one_of, allowed=METHODS)
+stamp_kind = partial(one_of, allowed=("receive", "header"))
+
+
+def plain(name: str, value: object) -> str | float | bool:
+    """Return a text, a finite number, true or false."""
+    if not isinstance(value, str | bool):
+        finite_number(name, value)
+    return value
+
+
+def column_key(name: str, value: object) -> str | int:
+    """Return the name of a table's column, or its number from 0."""
+    return value if isinstance(value, str) else whole_number(name, value, least=0, most=999_999)
+
+
+def plain_key(value: object) -> str:
+    """Return what a value is looked up by in a map: "1", 1 and 1.0 are the same, "MANUAL" stays a text."""
+    if isinstance(value, bool | np.bool_):
+        return "true" if value else "false"
+    written = str(value).strip()
+    if NUMBER.fullmatch(written):
+        number = float(written)
+        return str(int(number)) if number.is_integer() and abs(number) < 1e15 else str(number)
+    return written
+
+
+def mapped(entries: Mapping[str, object], value: object) -> object:
+    """Return what a map of the recipe makes of a value."""
+    if plain_key(value) not in entries:
+        raise ValueError(
+            f"{str(value)[:60]!r} is not in the recipe's map (known: {listed(list(entries))})"
+            f"{did_you_mean(str(value).strip(), entries)}"
+        )
+    return entries[plain_key(value)]
+
+
+def value_map(name: str, value: object, check: Callable = plain) -> dict[str, object]:
+    """Return a map with its keys made plain."""
+    if not isinstance(value, Mapping) or not value:
+        raise ValueError(f"{name} must be a table such as {{ MANUAL = 1, AUTO = 0 }}, got {shown(value)}")
+    entries = {plain_key(own): check(f"{name} entry {own!r}", each) for own, each in value.items()}
+    if len(entries) < len(value):
+        raise ValueError(f"two keys of the {name} mean the same value")
+    return entries
+
+
+def path_pattern(_: str, value: object) -> PathPattern:
+    """Return a compiled path pattern."""
+    return PathPattern(value)
+
+
+def rising(name: str, value: object) -> tuple[float, ...]:
+    """Return a list of rising numbers."""
+    if not isinstance(value, list) or not value:
+        raise ValueError(f"{name} must be a list of rising numbers, got {shown(value)}")
+    limits = tuple(finite_number(name, limit) for limit in value)
+    if any(a >= b for a, b in pairwise(limits)):
+        raise ValueError(f"{name} must be rising numbers, got {shown(value)}")
+    return limits
+
+
+def axis_names(name: str, value: object) -> tuple[str, ...]:
+    """Return some of the axes x, y and z, none twice."""
+    if not isinstance(value, list) or not value or len(set(map(str, value))) < len(value):
+        raise ValueError(f'{name} must be some of ["x", "y", "z"], none twice, got {shown(value)}')
+    return tuple(one_of(name, axis, "xyz") for axis in value)
+
+
+def positions(name: str, value: object, count: int) -> tuple[str, ...]:
+    """Return the stems of so many positions: "robot" is the stem of robot_x, robot_y and robot_z."""
+    stems = [each[:-2] for each, column in VOCABULARY.items() if each.endswith("_x") and column.unit == "m"]
+    if not isinstance(value, list) or len(value) != count:
+        raise ValueError(f"{name} must name {count} of {', '.join(stems)}, got {shown(value)}")
+    return tuple(one_of(name, stem, stems) for stem in value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColumnRule:
+    """Where one column of the session, called `name`, comes from; `needs` are the columns it is computed from."""
+
+    name: str
+    needs: ClassVar[tuple[str, ...]] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _WithUnit(ColumnRule):
+    unit: str | None = key(text, None)
+
+    def __post_init__(self):
+        wanted = VOCABULARY[self.name].unit
+        if self.unit is None and wanted not in ("1", "measure"):
+            raise ValueError(f"needs its unit (the session holds {wanted})")
+        to_si(self.unit or "1", wanted)
+
+    def convert(self, values: np.ndarray) -> np.ndarray:
+        """Return raw numbers in the session's unit."""
+        factor = to_si(self.unit or "1", VOCABULARY[self.name].unit)
+        values = np.asarray(values, dtype=float)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return values if factor == 1.0 else values * factor
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constant(_WithUnit):
+    """One number for all samples."""
+
+    value: float = key(finite_number)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Scaled(_WithUnit):
+    scale: float = key(finite_number, 1.0)
+    offset: float = key(finite_number, 0.0)
+    map: Mapping[str, float] | None = key(partial(value_map, check=finite_number), None)
+
+    def convert(self, values: np.ndarray) -> np.ndarray:
+        """Return (scale · raw + offset) in the session's unit."""
+        values = np.asarray(values, dtype=float)
+        with np.errstate(over="ignore", invalid="ignore"):
+            if (self.scale, self.offset) != (1.0, 0.0):
+                values = self.scale * values + self.offset
+        return super().convert(values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MetadataColumn(_Scaled):
+    """One value from the path, the header or the metadata, for all samples."""
+
+    origin: str = key(text, spelt="from")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Logged(_Scaled):
+    absolute: bool = key(switch, False)
+    resample: str | None = key(resampling_method, None)
+
+    def convert(self, values: np.ndarray) -> np.ndarray:
+        """Return (scale · raw + offset) in the session's unit, or its absolute value."""
+        values = super().convert(values)
+        return np.abs(values) if self.absolute else values
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableColumn(_Logged):
+    """A column of a table, by name or by number from 0."""
+
+    column: str | int = key(column_key)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TopicField(_Logged):
+    """One number in every message of a topic; `hold` where the last message holds until the log ends."""
+
+    topic: str = key(text)
+    path: FieldPath = key(
+        lambda _, value: FieldPath(value),
+        spelt="field",
+        hint="the place in the message, for example 'data' or 'axes[1]'",
+    )
+    hold: bool = key(switch, False)
+
+    def __post_init__(self):
+        if self.path.yaw and self.unit is None:
+            object.__setattr__(self, "unit", "rad")
+        if self.hold and self.resample not in (None, "previous"):
+            raise ValueError(f"hold keeps the previous value, but resample is {self.resample!r}")
+        super().__post_init__()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _FromPositions(ColumnRule):
+    axes: tuple[str, ...] = key(axis_names, hint='the axes that count, some of ["x", "y", "z"]')
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """The session columns that this one is computed from: all axes of the first position, then of the second."""
+        return tuple(f"{stem}_{axis}" for stem in self.stems for axis in self.axes)
+
+    @staticmethod
+    def norm(parts: Sequence[np.ndarray]) -> np.ndarray:
+        """Return the Euclidean norm; of one axis exactly the absolute value."""
+        return np.abs(parts[0]) if len(parts) == 1 else np.sqrt(sum(part * part for part in parts))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distance(_FromPositions):
+    """The distance between two positions."""
+
+    stems: tuple[str, ...] = key(partial(positions, count=2), spelt="distance")
+
+    def compute(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return the column, from those of the session."""
+        first, second = self.needs[: len(self.axes)], self.needs[len(self.axes) :]
+        return self.norm([columns[one] - columns[other] for one, other in zip(first, second, strict=True)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Travelled(_FromPositions):
+    """The distance from the sample before."""
+
+    stems: tuple[str, ...] = key(lambda name, value: positions(name, [value], count=1), spelt="travelled")
+
+    def compute(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return the column, from those of the session."""
+        moved = self.norm([np.diff(columns[name]) for name in self.needs])
+        return np.r_[
+            moved[:1], moved
+        ]  # nothing stands before the first sample: it gets the second one's distance
+
+
+_COLUMN_RULES = {
+    "column": TableColumn,
+    "topic": TopicField,
+    "value": Constant,
+    "from": MetadataColumn,
+    "distance": Distance,
+    "travelled": Travelled,
+}
+
+
+def _column_rule(name: str, table: object) -> ColumnRule:
+    where = f"[columns] {name}"
+    if name not in VOCABULARY:
+        hint = " (time goes under [time])" if name == "t" else did_you_mean(name, VOCABULARY)
+        raise RecipeError(f"{where}: not in the vocabulary{hint}")
+    found = [own for own in _COLUMN_RULES if isinstance(table, Mapping) and own in table]
+    if len(found) == 1:
+        return parse(_COLUMN_RULES[found[0]], table, where, name=name)
+    known = dict.fromkeys(own for rule in _COLUMN_RULES.values() for own in _keys(rule))
+    _known_keys(table, list(known), where)  # a misspelt key may be why none was found
+    raise RecipeError(f"{where}: needs exactly one of {', '.join(_COLUMN_RULES)}, has {len(found)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MetadataRule:
+    """Where one entry of the metadata comes from; a tuple of `bins` counts the limits below the value."""
+
+    origin: str | None = key(text, None, spelt="from")
+    value: object = key(plain, None)
+    map: Mapping[str, object] | None = key(value_map, None)
+    default: object = key(plain, None)
+    keep: bool = key(switch, False)
+    bins: tuple[float, ...] | None = key(rising, None)
+
+    def __post_init__(self):
+        if (self.origin is None) == (self.value is None):
+            raise ValueError("needs either from or value")
+        if self.map is None and (self.default is not None or self.keep):
+            raise ValueError("default and keep go with a map")
+        if self.bins is not None and self.map is not None:
+            raise ValueError("bins go without a map")
+        if self.value is not None and (self.map is not None or self.bins is not None):
+            raise ValueError("value is a constant, which takes no map and no bins")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableRule:
+    """How a table is written; without a header line its columns are numbered from 0."""
+
+    header: bool = key(switch, True)
+    delimiter: str = key(partial(one_of, allowed=(",", ";", "\t", "|", " ")), ",")
+    decimal: str = key(partial(one_of, allowed=(".", ",")), ".")
+    skip_lines: int = key(partial(whole_number, least=0), 0)
+
+    def __post_init__(self):
+        if self.decimal == self.delimiter:
+            raise ValueError(f"decimal and delimiter must differ, both are {self.decimal!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableTime:
+    """The column of a table that holds time; `from_zero` counts it from the first sample."""
+
+    column: str | int = key(column_key, "t")
+    unit: str = key(text, hint='the unit of its column, for example unit = "s" or "ms"')
+    from_zero: bool = key(switch, False)
+
+    def __post_init__(self):
+        to_si(self.unit, "s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BagTime:
+    """Whether messages are timed by their receipt or by the stamp in their header; `topics` may differ."""
+
+    stamp: str = key(stamp_kind, "receive")
+    topics: Mapping[str, str] = key(partial(value_map, check=stamp_kind), None)
+
+    def of(self, topic: str) -> str:
+        """Return "receive" or "header" for one topic."""
+        return (self.topics or {}).get(plain_key(topic), self.stamp)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeaderRule:
+    """The table beside the sessions: its path, and path fields to the columns that name them."""
+
+    file: PathPattern = key(
+        path_pattern, hint="the path of the table, from the folder that the files pattern starts in"
+    )
+    keys: Mapping[str, str] = key(
+        partial(value_map, check=text), hint="the path fields that its rows are found by"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Files:
+    pattern: PathPattern = key(path_pattern, hint='for example "part{folder:int}/trial{trial:int}.csv"')
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Resampling:
+    method: str = key(resampling_method, hint=f"one of {', '.join(METHODS)}")
+    sample_time: float = key(positive, hint="the time between samples [s]")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Supersedes:
+    field: str = key(text, hint="the path field that tells the sessions apart")
+    pairs: Mapping[str, object] = key(value_map, hint="the values left out, and what replaces them")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Document:
+    """The top of the file: which tables it has."""
+
+    kind: str = key(partial(one_of, allowed=("table", "bag")), hint='which must be "table" or "bag"')
+    name: str | None = key(text, None)
+    description: str = key(text, "")
+    files: Mapping | None = key(any_table, None)
+    table: Mapping | None = key(any_table, None)
+    time: Mapping | None = key(any_table, None)
+    resampling: Mapping | None = key(any_table, None)
+    columns: Mapping = key(any_table, hint="a table with at least one column of the session")
+    metadata: Mapping | None = key(any_table, None)
+    header: Mapping | None = key(any_table, None)
+    supersedes: Mapping | None = key(any_table, None)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """
+    A recipe, checked.
+
+    Parameters
+    ----------
+    name : str
+        The recipe's own name.
+    kind : {"table", "bag"}
+        Which kind of log it reads.
+    columns : mapping
+        Session column to its rule.
+    description : str
+        One line.
+    pattern : PathPattern, optional
+        Which files it reads, and what their paths say.
+    table : TableRule
+        How a table is written.
+    time : TableTime or BagTime
+        Where time comes from.
+    method : str, optional
+        How to resample.
+    sample_time : float, optional
+        To which sample time [s].
+    metadata : mapping
+        Metadata name to its rule, in the order of evaluation.
+    header : HeaderRule, optional
+        The table with one row per session.
+    superseded : mapping
+        Values of a path field whose sessions are replaced by those of another value.
+    superseded_field : str, optional
+        That field.
+    source : str, optional
+        The file it was read from.
+    """
+
+    name: str
+    kind: str
+    columns: Mapping[str, ColumnRule]
+    description: str = ""
+    pattern: PathPattern | None = None
+    table: TableRule = field(default_factory=TableRule)
+    time: TableTime | BagTime = field(default_factory=lambda: TableTime(unit="s"))
+    method: str | None = None
+    sample_time: float | None = None
+    metadata: Mapping[str, MetadataRule] = field(default_factory=dict)
+    header: HeaderRule | None = None
+    superseded: Mapping[str, str] = field(default_factory=dict)
+    superseded_field: str | None = None
+    source: str | None = None
+
+    @classmethod
+    def from_toml(cls, text: str, source: str = "recipe") -> Recipe:
+        """
+        Return the recipe stated by a TOML text.
+
+        Parameters
+        ----------
+        text : str
+            The text; see the module's documentation.
+        source : str
+            The name of the recipe in errors.
+
+        Raises
+        ------
+        RecipeError
+            If the text is not TOML, or any key, name, unit or value in it cannot be followed.
+        """
+        with source_named(source):
+            try:
+                document = tomllib.loads(text)
+            except (ValueError, RecursionError) as error:
+                raise RecipeError(
+                    f"not a TOML file ({error}; texts need quotes); help(trustlab.sessions.recipe) has every key"
+                ) from error
+            recipe = cls._from_document(parse(_Document, document, "recipe"), source)
+            recipe._check_columns()
+            recipe._check_origins()
+            recipe._check_path_fields()
+        return recipe
+
+    @classmethod
+    def _from_document(cls, document: _Document, source: str) -> Recipe:
+        if document.kind == "bag" and document.table is not None:
+            raise RecipeError('[table] is for kind = "table"')
+        for name in document.metadata or {}:
+            if name in ("source", "t", ""):
+                raise RecipeError(f"[metadata] {name}: this name is taken; choose another")
+
+        def part(rule: type, name: str, default: Mapping | None = None):
+            table = default if getattr(document, name) is None else getattr(document, name)
+            return None if table is None else parse(rule, table, f"[{name}]")
+
+        files, supersedes = part(_Files, "files"), part(_Supersedes, "supersedes")
+        resampling = part(_Resampling, "resampling")
+        return cls(
+            name=document.name or source,
+            kind=document.kind,
+            columns={name: _column_rule(name, table) for name, table in document.columns.items()},
+            description=document.description,
+            pattern=files and files.pattern,
+            table=part(TableRule, "table", {}),
+            time=part(TableTime if document.kind == "table" else BagTime, "time", {}),
+            method=resampling and resampling.method,
+            sample_time=resampling and resampling.sample_time,
+            metadata={
+                name: parse(MetadataRule, table, f"[metadata] {name}")
+                for name, table in (document.metadata or {}).items()
+            },
+            header=part(HeaderRule, "header"),
+            superseded={old: plain_key(new) for old, new in supersedes.pairs.items()} if supersedes else {},
+            superseded_field=supersedes and supersedes.field,
+            source=source,
+        )
+
+    def _check_columns(self) -> None:
+        wrong, word = (TopicField, "topic") if self.kind == "table" else (TableColumn, "column")
+        for name, rule in self.columns.items():
+            if isinstance(rule, wrong):
+                raise RecipeError(f'[columns] {name}: {word} does not go with kind = "{self.kind}"')
+            missing = [need for need in rule.needs if need not in self.columns]
+            if missing:
+                raise RecipeError(f"[columns] {name}: needs column {missing[0]!r}, which has no rule")
+        if not any(isinstance(rule, _Logged) for rule in self.columns.values()):
+            raise RecipeError("[columns]: at least one column must come from the log")
+        by_key = {name: rule.column for name, rule in self.columns.items() if isinstance(rule, TableColumn)}
+        if self.kind == "table":
+            by_key = {"time": self.time.column, **by_key}
+        for name, own in by_key.items():
+            if isinstance(own, int) == self.table.header:
+                how = "name" if self.table.header else "index (a number), as the table has no header line"
+                raise RecipeError(f"{name}: columns of this table go by {how}, got {own!r}")
+
+    def _check_origins(self) -> None:
+        known = list(self.pattern.fields) if self.pattern else []
+        # Metadata may refer to metadata above them; columns to all of them.
+        origins = [(f"[metadata] {name}", rule.origin, [name]) for name, rule in self.metadata.items()]
+        origins += [
+            (f"[columns] {name}", rule.origin, [])
+            for name, rule in self.columns.items()
+            if isinstance(rule, MetadataColumn)
+        ]
+        for where, origin, defines in origins:
+            in_header = str(origin).startswith("header.")
+            if origin is not None and origin not in known and not (in_header and self.header):
+                hint = "; add a [header] table" if in_header else did_you_mean(origin, known)
+                there = ", ".join(known) or "nothing; fields of the path come from [files] pattern"
+                raise RecipeError(f"{where}: nothing is called {origin!r}{hint} (there is: {there})")
+            known += defines
+
+    def _check_path_fields(self) -> None:
+        known = list(self.pattern.fields) if self.pattern else []
+        used = [("[supersedes] field", name) for name in [self.superseded_field] if name is not None]
+        if self.header:
+            used += [("[header] keys", name) for name in self.header.keys]
+            used += [("[header] file", name) for name in self.header.file.fields]
+        for where, name in used:
+            if name not in known:
+                there = ", ".join(known) or "none: it needs a [files] pattern"
+                raise RecipeError(
+                    f"{where}: {name!r} is not a field of the files pattern{did_you_mean(name, known)} (its fields: {there})"
+                )
+
+
+def _shipped() -> dict[str, Path]:
+    return {path.stem: path for path in sorted(_SHIPPED.glob("*.toml"))}
+
+
+def list_recipes() -> dict[str, str]:
+    """
+    Return the recipes that come with the package: names and descriptions.
+
+    Returns
+    -------
+    dict of str to str
+    """
+    return {name: load_recipe(name).description for name in _shipped()}
+
+
+def load_recipe(recipe: str | os.PathLike | Recipe) -> Recipe:
+    """
+    Return a recipe by name or from a file.
+
+    Parameters
+    ----------
+    recipe : str, path-like or Recipe
+        The name of a recipe that comes with the package (see `list_recipes`), the path of a TOML file, or a recipe,
+        which is returned as it is.
+
+    Raises
+    ------
+    RecipeError
+        If there is no such recipe (the nearest name is suggested) or the file cannot be followed.
+    """
+    if isinstance(recipe, Recipe):
+        return recipe
+    if not isinstance(recipe, str | os.PathLike):
+        raise RecipeError(f"a recipe is a name, a path or a Recipe, got {type(recipe).__name__}")
+    shipped = _shipped()
+    path = shipped.get(str(recipe), Path(recipe)) if isinstance(recipe, str) else Path(recipe)
+    if not os.path.isfile(path):
+        hint = did_you_mean(path.stem, shipped) or nearest_file(path, ".toml")
+        raise RecipeError(
+            f"there is no recipe {str(recipe)!r}, neither as a file nor by name{hint} "
+            f"(known: {', '.join(shipped)})"
+        )
+    try:
+        text = path.read_bytes().decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecipeError(f"cannot be read as UTF-8 text ({error})", str(path)) from error
+    return Recipe.from_toml(text, str(path))
