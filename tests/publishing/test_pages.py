@@ -148,7 +148,7 @@ def test_wide_table_scrolls_and_numbers_line_up():
             html='<table border="1"><thead><tr><th>a</th><th>b</th></tr></thead><tr><td>x</td><td>-1.5e-3</td></tr></table>'
         )
     )
-    assert '<div class="scroll" tabindex="0"><table>' in page
+    assert '<div class="scroll" tabindex="0"><table border="1">' in page
     assert '<td class="number">-1.5e-3</td>' in page
     assert '<th class="number">b</th>' in page
 

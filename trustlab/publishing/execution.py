@@ -45,25 +45,18 @@ class Kernels:
             def __init__(self, **options):
                 super().__init__(**options)
                 self.connection_file = str(Path(scratch, "kernel.json"))
-                if (
-                    os.name == "posix"
-                ):  # kernels that start at the same time would now and then take the same ports
-                    self.transport, self.ip = "ipc", str(Path(scratch, "kernel"))
+                # Sockets in a folder: kernels that start at the same time now and then take the same ports.
+                self.transport, self.ip = "ipc", str(Path(scratch, "kernel"))
 
             async def start_kernel(self, **options):
                 own = {"IPYTHONDIR": str(Path(scratch, "ipython"))}  # nobody's own start-up files
                 options |= {"cwd": str(kernels.folder), "env": kernels.environment | own}
                 kernels.running.append(self)
                 await super().start_kernel(**options)
-                kernels.check()
+                if kernels.ended:  # interrupted while this kernel started
+                    kernels.end()
 
         return Manager
-
-    def check(self):
-        """End the kernels that have started since `end` was called."""
-        if self.ended:
-            self.end()
-            raise RuntimeError("interrupted")
 
     def end(self):
         """End every kernel at once, with the processes that it started."""
@@ -79,8 +72,8 @@ def execute(path, parameters, kernels):
     """Run a notebook; return it with its outputs, and None or its failure: cell, source, error, traceback."""
     notebook = nbformat.read(path, as_version=4)
     reached = [None]
-    # a short path, as those of sockets must be
-    with tempfile.TemporaryDirectory(prefix="tl-", dir="/tmp" if os.path.isdir("/tmp") else None) as scratch:
+    # A socket's path has some 100 characters at most; macOS's own folder for temporary files is long.
+    with tempfile.TemporaryDirectory(prefix="tl-", dir="/tmp") as scratch:
         try:
             run = papermill.execute_notebook(
                 notebook,
@@ -104,7 +97,7 @@ def execute(path, parameters, kernels):
 
 
 def failure_in(notebook, index, words, traceback, source="", parameters=None):
-    """Return a failure as plain values; `index` counts the cells that ran, the result those of the notebook as written."""
+    """Return a failure as plain values; `index` is that of the cell as run, the result numbers cells as written, from 1."""
     number = None if index is None else index + 1
     # papermill puts the given parameters into a cell behind the one that declares them
     if number is not None and parameters and index > find_first_tagged_cell_index(notebook, "parameters"):
@@ -132,10 +125,9 @@ def anonymous(text, checkout):
     words |= {str(place): name for place, name in list(places.items())[:2]}
     longest_first = sorted((re.escape(word) for word in words if len(word) > 2), key=len, reverse=True)
     # embedded pictures come first and stay as they are: base64 may spell anything
-    pattern = "|".join([r"data:image/[^\"]*", r"[\w.@+~/-]*ipykernel_\d+/\d+\.py", *longest_first])
-    cell = re.compile(r".*ipykernel_\d+/\d+\.py")
-    return re.sub(
-        pattern,
-        lambda found: "this notebook" if cell.fullmatch(found[0]) else words.get(found[0], found[0]),
-        text,
-    )
+    pattern = "|".join([r"data:image/[^\"]*", r"(?P<cell>[\w.@+~/-]*ipykernel_\d+/\d+\.py)", *longest_first])
+
+    def named(found):
+        return "this notebook" if found["cell"] else words.get(found[0], found[0])
+
+    return re.sub(pattern, named, text)

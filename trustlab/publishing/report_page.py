@@ -25,21 +25,15 @@ CONTENTS_FROM = 5
 """Number of headings from which a page has a list of contents."""
 
 IMAGES = ("image/svg+xml", "image/png", "image/jpeg")
-SHOWN = (
-    "text/html",
-    "text/markdown",
-    *IMAGES[:1],
-    "text/latex",
-    *IMAGES[1:],
-    "application/javascript",
-    "text/plain",
-)
-# what a cell that ends with a call of Matplotlib returns: no reader wants to see it
+SHOWN = ("text/html", "text/markdown", "text/latex", *IMAGES, "application/javascript", "text/plain")
+"""Forms of an output, the best first: a page shows one of them."""
+
+# What a cell that ends with a call of Matplotlib returns: no reader wants to see it.
 LEFT_OVER = re.compile(
     r"^\[?(<Axes|<matplotlib\.|<Figure|Text\(|\(?array\(\[<Axes)|^\[?<[\w. ]+ at 0x[0-9a-f]+>"
 )
-# $5 and $6 are prices: a dollar that opens a formula is not followed by a space, one that closes it is neither preceded
-# by a space nor followed by a digit
+# $5 and $6 are prices: a dollar that opens a formula is not followed by a space; one that closes it is neither preceded
+# by a space nor followed by a digit.
 FORMULA = r"(?s:(?<![\\$])\$(?![\s$])(?P<math_inline_tex>(?:\\\$|(?!\n\s*\n)[^$`])+?)(?<![\s\\])\$(?![\d$]))"
 FETCHED = ("src", "srcset", "poster", "data", "background", "xlink:href")
 ELSEWHERE = re.compile(r"@import|url\(\s*['\"]?\s*(?!data:|#)", re.IGNORECASE)
@@ -118,10 +112,6 @@ def output_html(markup):
 
 def _style_table(table):
     """Mark the columns of numbers, heads included, which the style sheet aligns."""
-    for element in [table, *table.find_all("tr")]:
-        element.attrs = {
-            name: value for name, value in element.attrs.items() if name not in ("border", "style")
-        }
     for cell in table.find_all("td"):
         if NUMBER.fullmatch(cell.get_text(strip=True)):
             cell["class"] = [*cell.get("class", []), "number"]
@@ -240,8 +230,8 @@ def stylesheet():
 def page_faults(page):
     """Return what a page would run or fetch, one phrase each; nothing for a page that is complete in itself."""
     faults = []
-    # pictures that are embedded need no look: without them the page is small
-    soup = BeautifulSoup(re.sub(r"""(["'])data:.*?\1""", '"data:"', page), "html.parser")
+    # Without its embedded pictures the page is small.
+    soup = BeautifulSoup(re.sub(r"""(["'])data:image/[^"'>]*\1""", '"data:"', page), "html.parser")
     for tag in soup.find_all(True):
         if tag.name in ("script", "iframe", "object", "embed", "base"):
             faults.append(f"it has a <{tag.name}> element")
