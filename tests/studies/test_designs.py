@@ -131,21 +131,21 @@ def test_participants_needed(k, least, needed):
         ((["A", "B", "C", "D"], 30), "multiple of 4; 32 would do, or 28"),
         ((["A", "B", "C", "D", "E"], 5), "multiple of 10; 10 would do$"),
         ((["A"], 2), "conditions must have at least 2 labels, got 1"),
-        ((["A", "B", "A"], 6), "'A' is there twice"),
+        ((["A", "B", "A"], 6), "'A' occurs twice"),
         (("AB", 2), "conditions must be a list of labels, got 'AB'"),
         ((5, 10), "conditions must be a list of labels, got 5"),
         ((["A", None], 2), r"conditions\[1\] is None"),
         ((["A", pd.NA], 2), r"conditions\[1\] is <NA>"),
         ((["A", float("nan")], 2), r"conditions\[1\] is nan"),
-        ((["A", " "], 2), r"conditions\[1\] is empty"),
+        ((["A", " "], 2), r"conditions\[1\] is ' '"),
         ((["A", ["B"]], 2), r"conditions\[1\] is \['B'\]"),
-        ((["A", "B"], 0), "participants must be at least 1"),
-        ((["A", "B"], 2.5), "participants must be a whole number, got 2.5"),
-        ((["A", "B"], True), "participants must be a whole number, got True"),
+        ((["A", "B"], 0), "participants must be a whole number, 1 or more, got 0"),
+        ((["A", "B"], 2.5), "participants must be a whole number, 1 or more, got 2.5"),
+        ((["A", "B"], True), "participants must be a whole number, 1 or more, got True"),
         ((["A", "B"], "12"), "participants must be a list of labels"),
         ((["A", "B"], [1, 1]), "participants must differ from one another"),
-        ((["A", "B"], 2, -1), "seed must be at least 0"),
-        ((["A", "B"], 2, None), "seed must be a whole number, got None"),
+        ((["A", "B"], 2, -1), "seed must be a whole number, 0 or more, got -1"),
+        ((["A", "B"], 2, None), "seed must be a whole number, 0 or more, got None"),
     ],
 )
 def test_bad_designs_are_refused(arguments, words):
@@ -162,7 +162,7 @@ def test_an_unfinished_square_only_when_asked_for():
         latin_square_design(["A", "B"], 2, whole_squares="no")
 
 
-@pytest.mark.parametrize("n", [1, 0, -2, 2.0, "4", True, None])
+@pytest.mark.parametrize("n", [1, 0, -2, 2.5, "4", True, None])
 def test_sizes_that_are_none(n):
     with pytest.raises(ValueError, match="n must be"):
         williams_square(n)
@@ -173,17 +173,17 @@ def test_sizes_that_are_none(n):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda f: f.drop(columns="position"), "orders has no column 'position'"),
+        (lambda f: f.drop(columns="position"), "position: no column 'position'"),
         (lambda f: f.rename(columns={"condition": "conditon"}), "did you mean 'conditon'"),
         (lambda f: f.iloc[1:], r"participant 1 has positions \[2, 3, 4\]; 4 conditions need 1 to 4"),
         (lambda f: pd.concat([f, f.iloc[:1]]), "participant 1 has positions"),
         (
             lambda f: f.assign(condition=f["condition"].where(f.index != 2)),
-            "'condition', row 2: the value is missing",
+            "column 'condition' has no label in row 2",
         ),
         (lambda f: f.assign(condition="A"), "at least two conditions, found 1"),
         (lambda f: f.assign(position=f["position"].astype(str)), "participant 1 has positions"),
-        (lambda f: f.to_numpy(), "orders must be a DataFrame, got ndarray"),
+        (lambda f: f.to_numpy(), "orders must be of class DataFrame, got ndarray"),
     ],
 )
 def test_bad_orders_are_refused(change, words):

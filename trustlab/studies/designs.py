@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean
+from trustlab.models.checks import of_class, spawned, whole_number
+from trustlab.studies.columns import column_of, refuse_missing_labels
 
 __all__ = [
     "DesignBalance",
@@ -22,31 +23,24 @@ __all__ = [
 ]
 
 
-def _whole(name: str, value: object, least: int) -> int:
-    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Integral):
-        raise ValueError(f"{name} must be a whole number, got {value!r}")
-    if value < least:
-        raise ValueError(f"{name} must be at least {least}, got {value}")
-    return int(value)
-
-
 def _labels(name: str, values: object, least: int) -> tuple[Hashable, ...]:
-    """Return labels that are there, can be told apart and are at least so many."""
+    """Return labels that are all there, all different, and at least so many."""
     if isinstance(values, str | bytes) or not isinstance(
         values, Sequence | np.ndarray | pd.Series | pd.Index
     ):
         raise ValueError(f"{name} must be a list of labels, got {values!r}")
     labels = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
     for k, label in enumerate(labels):
-        if not isinstance(label, Hashable) or isinstance(label, bool) or pd.isna([label]).any():
-            raise ValueError(f"{name}[{k}] is {label!r}; every label must be text or a number")
-        if isinstance(label, str) and not label.strip():
-            raise ValueError(f"{name}[{k}] is empty; give it a name")
+        blank = isinstance(label, str) and not label.strip()
+        if not isinstance(label, Hashable) or isinstance(label, bool) or pd.isna([label]).any() or blank:
+            raise ValueError(
+                f"{name}[{k}] is {label!r}; every label must be a number or a text that is not empty"
+            )
     if len(labels) < least:
         raise ValueError(f"{name} must have at least {least} labels, got {len(labels)}")
     twice = [label for k, label in enumerate(labels) if label in labels[:k]]
     if twice:
-        raise ValueError(f"{name} must differ from one another, but {twice[0]!r} is there twice")
+        raise ValueError(f"{name} must differ from one another, but {twice[0]!r} occurs twice")
     return labels
 
 
@@ -77,7 +71,7 @@ def williams_square(n: int) -> np.ndarray:
     E. J. Williams, Experimental designs balanced for the estimation of residual effects of treatments, Australian
     Journal of Scientific Research A 2 (1949) 149-168.
     """
-    n = _whole("n", n, 2)
+    n = whole_number("n", n, least=2)
     steps = np.arange(n)
     zigzag = np.where(steps % 2 == 1, (steps + 1) // 2, -(steps // 2)) % n
     square = (zigzag[None, :] + np.arange(n)[:, None]) % n
@@ -104,13 +98,11 @@ def participants_needed(conditions: int | Sequence[Hashable], at_least: int = 1)
     ValueError
         If there are fewer than two conditions, or `at_least` is no whole number of at least 1.
     """
-    n = (
-        _whole("conditions", conditions, 2)
-        if isinstance(conditions, numbers.Number)
-        else len(_labels("conditions", conditions, 2))
-    )
-    rows = _rows(n)
-    return -(-_whole("at_least", at_least, 1) // rows) * rows
+    if isinstance(conditions, numbers.Number):
+        n = whole_number("conditions", conditions, least=2)
+    else:
+        n = len(_labels("conditions", conditions, 2))
+    return -(-whole_number("at_least", at_least) // _rows(n)) * _rows(n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,28 +140,13 @@ class DesignBalance:
 
     def table(self) -> pd.DataFrame:
         """Return all counts in one tidy table: kind, condition, position, after, count, balanced_count."""
-        k = len(self.positions)
-        n = self.positions.to_numpy().sum() / k
-        places = [
-            (
-                "position",
-                condition,
-                float(position),
-                np.nan,
-                int(self.positions.loc[condition, position]),
-                n / k,
-            )
-            for condition in self.positions.index
-            for position in self.positions.columns
-        ]
-        follows = [
-            ("carry_over", condition, np.nan, after, int(self.carry_over.loc[after, condition]), n / k)
-            for condition in self.carry_over.index
-            for after in self.carry_over.index
-            if after != condition
-        ]
+        places = self.positions.T.melt(ignore_index=False, value_name="count").reset_index()
+        follows = self.carry_over.melt(ignore_index=False, var_name="condition", value_name="count")
+        follows = follows.rename_axis("after").reset_index().dropna(subset="count")  # nothing follows itself
+        table = pd.concat([places.assign(kind="position"), follows.assign(kind="carry_over")])
+        table["balanced_count"] = places["count"].mean()
         columns = ["kind", "condition", "position", "after", "count", "balanced_count"]
-        return pd.DataFrame(places + follows, columns=columns)
+        return table[columns].astype({"position": float, "count": int}).reset_index(drop=True)
 
     def _repr_html_(self) -> str:
         words = {True: "balanced", False: "not balanced"}
@@ -202,18 +179,13 @@ def design_balance(
     ValueError
         If a column or a value is missing, or a participant has not had each condition once, at positions 1, 2 ….
     """
-    if not isinstance(orders, pd.DataFrame):
-        raise ValueError(f"orders must be a DataFrame, got {type(orders).__name__}")
-    for name in (participant, position, condition):
-        if name not in orders.columns:
-            raise ValueError(f"orders has no column {name!r}{did_you_mean(name, orders.columns)}")
-        if orders[name].isna().any():
-            row = orders.index[orders[name].isna().to_numpy()][0]
-            raise ValueError(f"column {name!r}, row {row}: the value is missing; every row needs one")
+    of_class("orders", orders, pd.DataFrame)
+    for argument, name in {"participant": participant, "position": position, "condition": condition}.items():
+        refuse_missing_labels(column_of(orders, argument, name), argument)
     conditions = list(pd.unique(orders[condition]))
     k = len(conditions)
     if k < 2:
-        raise ValueError(f"column {condition!r} must hold at least two conditions, found {k}")
+        raise ValueError(f"condition: column {condition!r} must hold at least two conditions, found {k}")
     wide = []
     for who, own in orders.groupby(participant, sort=False):
         found = own[position].tolist()
@@ -234,10 +206,12 @@ def design_balance(
         index=pd.Index(conditions, name="before"),
         columns=pd.Index(conditions, name="after"),
     )
-    numbers_ = pd.Index(range(1, k + 1), name="position")
-    return DesignBalance(
-        pd.DataFrame(places, index=pd.Index(conditions, name="condition"), columns=numbers_), carry
+    positions = pd.DataFrame(
+        places,
+        index=pd.Index(conditions, name="condition"),
+        columns=pd.Index(range(1, k + 1), name="position"),
     )
+    return DesignBalance(positions, carry)
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,10 +301,10 @@ def latin_square_design(
     """
     conditions = _labels("conditions", conditions, 2)
     if isinstance(participants, numbers.Number):
-        participants = tuple(range(1, _whole("participants", participants, 1) + 1))
+        participants = tuple(range(1, whole_number("participants", participants) + 1))
     else:
         participants = _labels("participants", participants, 1)
-    seed = _whole("seed", seed, 0)
+    seed = whole_number("seed", seed, least=0)
     if not isinstance(whole_squares, bool):
         raise ValueError(f"whole_squares must be True or False, got {whole_squares!r}")
     k, n, size = len(conditions), len(participants), _rows(len(conditions))
@@ -344,7 +318,7 @@ def latin_square_design(
             raise ValueError(text)
         warnings.warn(f"{text}; this design is not balanced", stacklevel=2)
     squares = -(-n // size)
-    labels, *batches = np.random.SeedSequence(seed).spawn(1 + squares)
+    labels, *batches = spawned(seed, 1 + squares)
     drawn = np.random.default_rng(labels).permutation(k)
     names = np.empty(k, dtype=object)
     names[:] = [conditions[i] for i in drawn]

@@ -141,10 +141,10 @@ def test_missing_cells_stay_missing(frame):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"outside": "sigma"}, f"outside must be one of {', '.join(OUTLIER_RULES)}"),
+        ({"outside": "sigma"}, f"outside must be one of {', '.join(map(repr, OUTLIER_RULES))}"),
         ({"to": "mean"}, "to must be"),
-        ({"k": 0}, "k must be above 0"),
-        ({"k": -1.5}, "k must be above 0"),
+        ({"k": 0}, "k must be positive"),
+        ({"k": -1.5}, "k must be positive"),
         ({"k": np.nan}, "k must be finite"),
         ({"k": "1.5"}, "k must be a number"),
         ({"k": True}, "k must be a number"),

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -104,51 +104,33 @@ def mixed_model(
 
 
 def fit_mixed_model(table: ScoreTable) -> MixedModel:
-    """
-    Fit a random intercept per subject to scores laid out as subjects × conditions.
-
-    The ratio of the two variances is searched over its whole range first and statsmodels' MixedLM is started there: from
-    its own start, its optimizers can stop at a variance of zero and report success. A variance whose estimate is zero is
-    no fit for MixedLM; the model is then ordinary least squares.
-
-    Parameters
-    ----------
-    table : ScoreTable
-        Scores; NaN for a missing cell.
-
-    Returns
-    -------
-    MixedModel
-
-    Raises
-    ------
-    ValueError
-        See `mixed_model`.
-    """
+    """Fit a random intercept per subject to scores laid out as subjects × conditions, NaN for a missing cell."""
     there = ~np.isnan(table.values)
     person, condition = np.nonzero(there)
-    score = table.values[there]
+    raw = table.values[there]
     k, n = len(table.conditions), int(there.any(axis=1).sum())
-    df2 = score.size - n - (k - 1)
-    _check(table, there, n, df2)
-    centre = score.mean()
-    scale = np.abs(score - centre).max()
-    if scale > 0.0:
-        score = (score - centre) / scale
+    df2 = raw.size - n - (k - 1)
+    _check_counts(table, there, n, df2)
+    # Scores are centred and scaled, so that neither their unit nor a common offset costs digits.
+    centre = raw.mean()
+    scale = np.abs(raw - centre).max()
+    score = (raw - centre) / scale if scale > 0.0 else raw
     design = (condition[:, None] == np.arange(k)).astype(float)
-    _check_error(table, score, design, person, np.abs(table.values[there]).max() / max(scale, 1e-300))
-    beta, covariance, ratio, residual = _fit(score, design, person)
+    _check_error(table, score, design, person, np.abs(raw).max() / max(scale, 1e-300))
+    ratio = _ratio_of_variances(score, design, person)
+    fit = _generalized_least_squares(score, design, person, ratio)
+    covariance = fit.residual_variance * fit.inverse
     contrasts = orthonormal_contrasts(k)
-    effect = contrasts.T @ beta
+    effect = contrasts.T @ fit.means
     chi2 = float(effect @ np.linalg.solve(contrasts.T @ covariance @ contrasts, effect))
+    f = chi2 / (k - 1)
     standard_error = scale * np.sqrt(np.diag(covariance))
-    mean = centre + scale * beta
+    mean = centre + scale * fit.means
     half = special.stdtrit(df2, 0.975) * standard_error
     means = pd.DataFrame(
         {"mean": mean, "se": standard_error, "ci_low": mean - half, "ci_high": mean + half},
         index=pd.Index(table.conditions, name="condition", tupleize_cols=False),
     )
-    f = chi2 / (k - 1)
     return MixedModel(
         F=f,
         df1=k - 1,
@@ -156,19 +138,20 @@ def fit_mixed_model(table: ScoreTable) -> MixedModel:
         p=float(special.fdtrc(k - 1, df2, f)),
         chi2=chi2,
         p_chi2=float(special.chdtrc(k - 1, chi2)),
-        subject_variance=float(ratio * residual * scale**2),
-        residual_variance=float(residual * scale**2),
+        subject_variance=float(ratio * fit.residual_variance * scale**2),
+        residual_variance=float(fit.residual_variance * scale**2),
         icc=float(ratio / (1.0 + ratio)),
         singular=ratio == 0.0,
         n=n,
-        cells=int(there.sum()),
-        missing_cells=int(n * k - there.sum()),
+        cells=raw.size,
+        missing_cells=n * k - raw.size,
         means=means,
         origin=table.origin,
     )
 
 
-def _check(table: ScoreTable, there: np.ndarray, n: int, df2: int) -> None:
+def _check_counts(table: ScoreTable, there: np.ndarray, n: int, df2: int) -> None:
+    """Refuse a table with too few scores to estimate means, both variances and the error."""
     if n < 3:
         raise ValueError(
             f"subject: {n} subject(s) in column {table.subject!r} have a score; at least three are needed"
@@ -186,15 +169,17 @@ def _check(table: ScoreTable, there: np.ndarray, n: int, df2: int) -> None:
         )
 
 
+def _sums_by_subject(columns: np.ndarray, person: np.ndarray) -> np.ndarray:
+    """Return, in every row, the sums of the columns over that row's subject."""
+    return np.column_stack([np.bincount(person, column)[person] for column in columns.T])
+
+
 def _check_error(
     table: ScoreTable, score: np.ndarray, design: np.ndarray, person: np.ndarray, size: float
 ) -> None:
-    """Refuse scores that are a subject's number plus a condition's number exactly."""
-    counts = np.bincount(person)
+    """Refuse scores that are exactly the sum of a subject's level and a condition's."""
     columns = np.column_stack([score, design])
-    within = (
-        columns - np.column_stack([np.bincount(person, c) for c in columns.T])[person] / counts[person, None]
-    )
+    within = columns - _sums_by_subject(columns, person) / np.bincount(person)[person, None]
     fitted = within[:, 1:] @ np.linalg.lstsq(within[:, 1:], within[:, 0], rcond=None)[0]
     if np.abs(within[:, 0] - fitted).max() <= 32.0 * np.finfo(float).eps * max(size, 1.0):
         raise ValueError(
@@ -202,59 +187,47 @@ def _check_error(
         )
 
 
+class _Fit(NamedTuple):
+    """Generalized least squares at one ratio of variances; `inverse` is (X'V⁻¹X)⁻¹."""
+
+    deviance: float
+    means: np.ndarray
+    inverse: np.ndarray
+    residual_variance: float
+
+
 def _generalized_least_squares(
     score: np.ndarray, design: np.ndarray, person: np.ndarray, ratio: float
-) -> tuple:
-    """Return the restricted deviance, means and (X'V⁻¹X)⁻¹ for V = I + ratio · 11' within a subject."""
-    counts = np.bincount(person, minlength=person.max() + 1)
+) -> _Fit:
+    """Estimate the means for V = I + ratio · 11' within a subject; the deviance is that of the restricted likelihood."""
+    counts = np.bincount(person)
+    # V⁻¹ = I − ratio/(1 + counts · ratio) · 11' within a subject (Sherman–Morrison): no matrix of all scores is formed.
     weight = (ratio / (1.0 + counts * ratio))[person, None]
     columns = np.column_stack([score, design])
-    sums = np.column_stack([np.bincount(person, column, minlength=counts.size) for column in columns.T])[
-        person
-    ]
-    products = columns.T @ (columns - weight * sums)
+    products = columns.T @ (columns - weight * _sums_by_subject(columns, person))
     inverse = np.linalg.inv(products[1:, 1:])
-    beta = inverse @ products[1:, 0]
-    error = score - design @ beta
-    quadratic = error @ (error - weight[:, 0] * np.bincount(person, error, minlength=counts.size)[person])
+    means = inverse @ products[1:, 0]
+    error = (score - design @ means)[:, None]
+    quadratic = float((error * (error - weight * _sums_by_subject(error, person))).sum())
     free = score.size - design.shape[1]
     deviance = free * np.log(quadratic) + np.log1p(counts * ratio).sum() - np.linalg.slogdet(inverse)[1]
-    return float(deviance), beta, inverse
+    return _Fit(float(deviance), means, inverse, quadratic / free)
 
 
 def _ratio_of_variances(score: np.ndarray, design: np.ndarray, person: np.ndarray) -> float:
-    """Return the ratio of subjects' to residual variance with the least restricted deviance; 0 at the boundary."""
+    """
+    Return the ratio of subjects' to residual variance with the least restricted deviance; 0 at the boundary.
+
+    The whole range is searched: statsmodels' MixedLM, from its own start, can stop at a variance of zero and report
+    success.
+    """
 
     def deviance(log_ratio: float) -> float:
-        return _generalized_least_squares(score, design, person, float(np.exp(log_ratio)))[0]
+        return _generalized_least_squares(score, design, person, float(np.exp(log_ratio))).deviance
 
     grid = np.linspace(-16.0, 23.0, 40)
-    values = [deviance(x) for x in grid]
-    best = int(np.argmin(values))
+    best = int(np.argmin([deviance(x) for x in grid]))
     bounds = grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)]
     found = minimize_scalar(deviance, bounds=bounds, method="bounded", options={"xatol": 1e-10})
-    at_zero = _generalized_least_squares(score, design, person, 0.0)[0]
+    at_zero = _generalized_least_squares(score, design, person, 0.0).deviance
     return 0.0 if at_zero <= found.fun + 1e-9 else float(np.exp(found.x))
-
-
-def _fit(score: np.ndarray, design: np.ndarray, person: np.ndarray) -> tuple:
-    """Return means, their covariance, the ratio of subjects' to residual variance, and the residual variance."""
-    from statsmodels.regression.mixed_linear_model import MixedLM, MixedLMParams
-
-    ratio = _ratio_of_variances(score, design, person)
-    _, beta, inverse = _generalized_least_squares(score, design, person, ratio)
-    if ratio == 0.0:
-        residual = float(((score - design @ beta) ** 2).sum() / (score.size - design.shape[1]))
-        return beta, residual * inverse, 0.0, residual
-    start = MixedLMParams.from_components(fe_params=beta, cov_re=np.array([[ratio]]))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it starts at the solution: that it can go no further is no news
-        fit = MixedLM(score, design, groups=person).fit(start_params=start, reml=True, method=["bfgs"])
-    ratio, residual = float(fit.cov_re[0, 0]) / fit.scale, float(fit.scale)
-    # Not fit.cov_params(): it inverts the Hessian of all parameters, which with missing cells is not what nlme and lme4 do.
-    return (
-        fit.fe_params,
-        residual * _generalized_least_squares(score, design, person, ratio)[2],
-        ratio,
-        residual,
-    )

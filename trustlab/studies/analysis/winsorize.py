@@ -8,21 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, finite_array, finite_number
-from trustlab.studies.analysis.score_table import read_scores
+from trustlab.models.checks import did_you_mean, finite_array, one_of, positive
+from trustlab.studies.analysis.score_table import ScoreTable, read_scores
 
 __all__ = ["OUTLIER_RULES", "Winsorized", "winsorize"]
 
 OUTLIER_RULES = {
-    "sd": "outside mean ± {k:g} standard deviations",
-    "mad": "outside median ± {k:g} scaled median absolute deviations",
-    "iqr": "outside the quartiles ± {k:g} interquartile ranges",
-    "quantile": "outside the quantiles {k:g} and {rest:g}",
+    "sd": "values outside mean ± {k:g} standard deviations",
+    "mad": "values outside median ± {k:g} scaled median absolute deviations",
+    "iqr": "values outside the quartiles ± {k:g} interquartile ranges",
+    "quantile": "values outside the quantiles {k:g} and {rest:g}",
     "extremes": "the {k:g} lowest and {k:g} highest values",
 }
 """Which values count as outlying, by the name of the rule and its k."""
 
 _TARGETS = {"limit": "set to that limit", "next": "set to the next most extreme value"}
+_SPREADS = {"mad": "median absolute deviation", "iqr": "interquartile range"}
+
+_MAD_TO_SD = 1.482602218505602
+"""1/Φ⁻¹(3/4): times the median absolute deviation it estimates the standard deviation of normal values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,24 +79,11 @@ class Winsorized:
 
 def _limits(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, float]:
     """Return the lowest and highest value that is not outlying; not finite where the spread overflows."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return _limits_by_rule(x, outside, k, where)
-
-
-def _limits_by_rule(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, float]:
     n = x.size
     if n < 3:
         raise ValueError(f"{where}: {n} values; winsorizing needs at least three")
     if np.ptp(x) == 0.0:
         return float(x[0]), float(x[0])
-    if outside == "sd":
-        reach = (n - 1) / np.sqrt(n)
-        if k >= reach:
-            raise ValueError(
-                f"{where}: none of {n} values can lie {k:g} standard deviations from their mean (at most {reach:.3g}); "
-                'use a smaller k or outside="mad" or "iqr"'
-            )
-        return float(x.mean() - k * x.std(ddof=1)), float(x.mean() + k * x.std(ddof=1))
     if outside == "extremes":
         if 2 * k >= n:
             raise ValueError(f"{where}: {k:g} values at each end are all of the {n}; use a smaller k")
@@ -101,22 +92,31 @@ def _limits_by_rule(x: np.ndarray, outside: str, k: float, where: str) -> tuple[
     if outside == "quantile":
         low, high = np.quantile(x, [k, 1.0 - k])
         return float(low), float(high)
-    if outside == "mad":
-        centre = np.median(x)
-        spread = 1.482602218505602 * float(np.median(np.abs(x - centre)))
-        low = high = float(centre)
+    if outside == "sd":
+        reach = (n - 1) / np.sqrt(n)  # no value of n lies more standard deviations from their mean
+        if k >= reach:
+            raise ValueError(
+                f"{where}: none of {n} values can lie {k:g} standard deviations from their mean (at most {reach:.3g}); "
+                'use a smaller k or outside="mad" or "iqr"'
+            )
+        low = high = x.mean()
+        spread = x.std(ddof=1)
+    elif outside == "mad":
+        low = high = np.median(x)
+        spread = _MAD_TO_SD * np.median(np.abs(x - low))
     else:
-        low, high = (float(q) for q in np.quantile(x, [0.25, 0.75]))
+        low, high = np.quantile(x, [0.25, 0.75])
         spread = high - low
     if spread == 0.0:
         raise ValueError(
-            f"{where}: so many values are the same that their {'median absolute deviation' if outside == 'mad' else 'interquartile range'} "
-            "is 0, and every other value would count as outlying; choose another rule"
+            f"{where}: so many values are equal that their {_SPREADS[outside]} is 0, and every other value would count "
+            "as outlying; choose another rule"
         )
-    return low - k * spread, high + k * spread
+    return float(low - k * spread), float(high + k * spread)
 
 
 def _moved(x: np.ndarray, low: float, high: float, to: str, where: str) -> np.ndarray:
+    """Return the values with those outside [low, high] moved in."""
     if not np.isfinite([low, high]).all():
         raise ValueError(f"{where}: values are so large that their spread overflows; change their unit")
     inside = x[(x >= low) & (x <= high)]
@@ -128,20 +128,49 @@ def _moved(x: np.ndarray, low: float, high: float, to: str, where: str) -> np.nd
 
 
 def _check_rule(outside: str, k: float, to: str) -> float:
-    if not isinstance(outside, str) or outside not in OUTLIER_RULES:
-        raise ValueError(f"outside must be one of {', '.join(OUTLIER_RULES)}; got {outside!r}")
-    if not isinstance(to, str) or to not in _TARGETS:
-        raise ValueError(f'to must be "limit" or "next", got {to!r}')
-    if isinstance(k, bool):
-        raise ValueError(f"k must be a number, got {k!r}")
-    k = finite_number("k", k)
-    if k <= 0.0 or (outside == "quantile" and k >= 0.5):
-        raise ValueError(f"k must be above 0{' and below 0.5' if outside == 'quantile' else ''}, got {k:g}")
+    """Return k as a float, if the three parts of the rule fit each other."""
+    one_of("outside", outside, OUTLIER_RULES)
+    one_of("to", to, _TARGETS)
+    k = positive("k", k)
+    if outside == "quantile" and k >= 0.5:
+        raise ValueError(f"k must be below 0.5 for quantiles, got {k:g}")
     if outside == "extremes" and (k != int(k) or to != "next"):
         raise ValueError(
             f'outside="extremes" needs a whole number k and to="next" (there is no other limit), got k={k:g} and to={to!r}'
         )
     return k
+
+
+def _chosen(conditions: Sequence[Hashable] | None, table: ScoreTable) -> list:
+    """Return the conditions to look at: all by default."""
+    if conditions is None:
+        return list(table.conditions)
+    if (
+        isinstance(conditions, str)
+        or not isinstance(conditions, Sequence | np.ndarray)
+        or len(conditions) == 0
+    ):
+        raise ValueError(f"conditions must be a list of conditions, got {conditions!r}")
+    unknown = [condition for condition in conditions if condition not in table.conditions]
+    if unknown:
+        raise ValueError(
+            f"conditions: {unknown[0]!r} is not in column {table.within!r}{did_you_mean(unknown[0], table.conditions)} "
+            f"(there are {', '.join(map(str, table.conditions))})"
+        )
+    if len(set(conditions)) < len(conditions):
+        raise ValueError(f"conditions lists one twice: {list(conditions)}")
+    return list(conditions)
+
+
+def _cells(
+    frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable, conditions: Sequence | None
+) -> tuple[np.ndarray, np.ndarray, dict]:
+    """Return a table's scores and subjects, and the rows of each condition in which there is a score."""
+    chosen = _chosen(conditions, read_scores(frame, dv, within, subject))
+    scores = pd.to_numeric(frame[dv]).to_numpy(dtype=float, na_value=np.nan).copy()
+    labels, there = list(frame[within]), np.isfinite(scores)
+    rows = {c: np.flatnonzero([label == c for label in labels] & there) for c in chosen}
+    return scores, frame[subject].to_numpy(), rows
 
 
 def winsorize(
@@ -189,59 +218,35 @@ def winsorize(
         many equal values, or a condition is unknown.
     """
     k = _check_rule(outside, k, to)
-    rule = f"values {OUTLIER_RULES[outside].format(k=k, rest=1.0 - k)}, per condition, {_TARGETS[to]}"
-    if outside == "extremes":
-        rule = f"{OUTLIER_RULES[outside].format(k=k)} of each condition, {_TARGETS[to]}"
-    if not isinstance(data, pd.DataFrame):
+    words = OUTLIER_RULES[outside].format(k=k, rest=1.0 - k)
+    if isinstance(data, pd.DataFrame):
+        scores, subjects, groups = _cells(data, dv, within, subject, conditions)
+        words += " of each condition" if outside == "extremes" else ", per condition"
+    else:
         if any(argument is not None for argument in (dv, within, subject, conditions)):
             raise ValueError("dv, within, subject and conditions are for a DataFrame; plain values have none")
         if np.asarray(data).dtype.kind not in "iuf":
             raise ValueError(f"data must be numbers, got {np.asarray(data).dtype}")
-        x = finite_array("data", data)
-        low, high = _limits(x, outside, k, "data")
-        new = _moved(x, low, high, to, "data")
-        at = np.flatnonzero(new != x)
-        changes = pd.DataFrame({"subject": at, "condition": np.nan, "old": x[at], "new": new[at]})
-        limits = pd.DataFrame([(np.nan, x.size, low, high, at.size)], columns=_LIMIT_COLUMNS)
-        return Winsorized(
-            new, changes, limits, rule.replace(", per condition", "").replace(" of each condition", "")
-        )
-
-    table = read_scores(data, dv, within, subject)
-    chosen = list(table.conditions) if conditions is None else conditions
-    if isinstance(chosen, str) or not isinstance(chosen, Sequence | np.ndarray) or len(chosen) == 0:
-        raise ValueError(f"conditions must be a list of conditions, got {conditions!r}")
-    for condition in chosen:
-        if condition not in table.conditions:
-            raise ValueError(
-                f"conditions: {condition!r} is not in column {within!r}{did_you_mean(condition, table.conditions)} "
-                f"(there are {', '.join(map(str, table.conditions))})"
-            )
-    if len(set(chosen)) < len(chosen):
-        raise ValueError(f"conditions lists one twice: {list(chosen)}")
-    frame = data.copy()
-    scores = pd.to_numeric(frame[dv]).to_numpy(dtype=float, na_value=np.nan).copy()
-    labels, who = list(frame[within]), frame[subject].to_numpy()
+        scores = finite_array("data", data).copy()
+        subjects = np.arange(scores.size)
+        groups = {np.nan: subjects}
     changes, limits = [], []
-    for condition in chosen:
-        rows = np.flatnonzero([label == condition for label in labels] & np.isfinite(scores))
-        x, where = scores[rows], f"condition {condition!r} of {dv!r}"
-        low, high = _limits(x, outside, k, where)
+    for condition, rows in groups.items():
+        x, where = scores[rows], "data" if dv is None else f"condition {condition!r} of {dv!r}"
+        with np.errstate(over="ignore", invalid="ignore"):  # a spread that overflows is refused below
+            low, high = _limits(x, outside, k, where)
         new = _moved(x, low, high, to, where)
-        moved = new != x
-        changes += [
-            (who[row], condition, old, value)
-            for row, old, value in zip(rows[moved], x[moved], new[moved], strict=True)
-        ]
-        limits.append((condition, x.size, low, high, int(moved.sum())))
+        moved = np.flatnonzero(new != x)
+        changes += [(subjects[rows[i]], condition, x[i], new[i]) for i in moved]
+        limits.append((condition, x.size, low, high, moved.size))
         scores[rows] = new
-    frame[dv] = scores
+    result = scores
+    if isinstance(data, pd.DataFrame):
+        result = data.copy()
+        result[dv] = scores
     return Winsorized(
-        frame,
-        pd.DataFrame(changes, columns=["subject", "condition", "old", "new"]),
-        pd.DataFrame(limits, columns=_LIMIT_COLUMNS),
-        rule,
+        data=result,
+        changes=pd.DataFrame(changes, columns=["subject", "condition", "old", "new"]),
+        limits=pd.DataFrame(limits, columns=["condition", "n", "low", "high", "changed"]),
+        rule=f"{words}, {_TARGETS[to]}",
     )
-
-
-_LIMIT_COLUMNS = ["condition", "n", "low", "high", "changed"]
