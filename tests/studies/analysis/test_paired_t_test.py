@@ -93,7 +93,7 @@ def test_agrees_with_pingouin():
 def test_turning_and_scaling(pairs, factor):
     a, b = np.array(pairs, dtype=float).T
     if np.ptp(a - b) == 0:
-        with pytest.raises(ValueError, match="error variance is zero|every score is"):
+        with pytest.raises(ValueError, match=r"error variance is zero|every score is"):
             run(frame_of(a, b))
         return
     one = run(frame_of(a, b))
