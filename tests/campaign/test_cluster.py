@@ -139,11 +139,9 @@ def test_a_closed_client_is_refused(cluster):
 def test_without_workers_or_without_its_scheduler_a_campaign_gives_up_and_goes_on_later(
     tmp_path, monkeypatch
 ):
-    import trustlab.campaign.dask_cluster as module
-
-    monkeypatch.setattr(module, "CONNECT", 0.5)
-    monkeypatch.setattr(module, "PATIENCE", 1.0)
-    monkeypatch.setattr(module, "LOOK", 0.2)
+    monkeypatch.setattr("trustlab.campaign.dask_cluster.CONNECT", 0.5)
+    monkeypatch.setattr("trustlab.campaign.dask_cluster.PATIENCE", 1.0)
+    monkeypatch.setattr("trustlab.campaign.dispatch.WATCH", 0.2)
     stop, quick = tmp_path / "stop", tmp_path / "quick"
 
     def task(x, seed):
@@ -180,10 +178,9 @@ def test_without_workers_or_without_its_scheduler_a_campaign_gives_up_and_goes_o
 
 
 def test_a_scheduler_that_goes_away_is_an_error_and_not_a_wait_for_ever(tmp_path, monkeypatch):
-    import trustlab.campaign.dask_cluster as module
-
-    for name, seconds in (("CONNECT", 0.5), ("PATIENCE", 2.0), ("LOOK", 0.2)):
-        monkeypatch.setattr(module, name, seconds)
+    monkeypatch.setattr("trustlab.campaign.dask_cluster.CONNECT", 0.5)
+    monkeypatch.setattr("trustlab.campaign.dask_cluster.PATIENCE", 2.0)
+    monkeypatch.setattr("trustlab.campaign.dispatch.WATCH", 0.2)
     local = distributed.LocalCluster(
         n_workers=1, processes=False, dashboard_address=":0", silence_logs="CRITICAL", threads_per_worker=1
     )

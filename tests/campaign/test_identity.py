@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import trustlab as tl
 from trustlab.campaign import CampaignError
 from trustlab.campaign.identity import differences, task_identity, value_text
-from trustlab.campaign.worker import code_digest, loaded, packed
+from trustlab.campaign.worker import code_digest, pickled_task, unpickled_task
 
 
 def define(source, name="task", file="<notebook cell 1>"):
@@ -175,20 +175,20 @@ def test_a_worker_that_imported_an_earlier_version_imports_it_again(tmp_path, mo
     old = module.task
     write(2, 2_000_000)
     importlib.reload(module)
-    sent = packed(module.task)
+    sent = pickled_task(module.task)
     module.task = old  # what a worker still has
-    assert loaded(*sent)(None) == {"y": 2}
+    assert unpickled_task(*sent)(None) == {"y": 2}
     write(3, 3_000_000)  # edited again, not imported by the sender
     module.task = old
-    loaded.cache_clear()
+    unpickled_task.cache_clear()
     with pytest.raises(CampaignError, match=r"workers find other code for campaign_task_of_a_test.task"):
-        loaded(*sent)
+        unpickled_task(*sent)
     del sys.modules["campaign_task_of_a_test"]
     file.unlink()
     importlib.invalidate_caches()
-    loaded.cache_clear()
+    unpickled_task.cache_clear()
     with pytest.raises(CampaignError, match="cannot be loaded in a worker: ModuleNotFoundError"):
-        loaded(*sent)
+        unpickled_task(*sent)
 
 
 def test_code_is_the_same_wherever_it_stands():

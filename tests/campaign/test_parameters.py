@@ -55,6 +55,15 @@ def test_draws_follow_their_distributions_and_their_names():
     assert tl.parameter_draws(3, seed=2, a=(2.0, 4.0)) != draws[:3]
 
 
+def test_a_parameter_may_be_called_n():
+    draws = tl.parameter_draws(50, seed=1, n=[5, 20], a=(0.0, 1.0))
+    assert {d["n"] for d in draws} == {5, 20}
+    assert [d["a"] for d in draws] == [d["a"] for d in tl.parameter_draws(n=50, seed=1, a=(0.0, 1.0))]
+    assert len(tl.parameter_draws(50, 1, n=stats.norm())) == 50
+    with pytest.raises(ValueError, match="n must be a whole number"):
+        tl.parameter_draws(n=[5, 20])
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -319,7 +319,7 @@ def test_memory_does_not_grow_with_the_number_of_runs(tmp_path, monkeypatch):
             raise InterruptedError
 
         monkeypatch.setattr("trustlab.campaign.table.assembled", stop)
-        monkeypatch.setattr("trustlab.campaign.chunks.MOST_RUNS", 100)
+        monkeypatch.setattr("trustlab.campaign.dispatch.MOST_RUNS", 100)
         tracemalloc.start()
         try:
             with pytest.raises(InterruptedError):

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 import trustlab as tl
 from trustlab.campaign import CampaignError, CampaignWarning
-from trustlab.campaign.chunks import LEAST, MOST_RUNS, ChunkSizes
-from trustlab.campaign.progress import Progress, clock
+from trustlab.campaign.dispatch import LEAST, MOST_RUNS, ChunkSizes
 from trustlab.campaign.table import assembled, encoded
 from trustlab.campaign.worker import run_chunk
 
@@ -118,7 +117,7 @@ def test_chunk_boundaries_have_no_effect(values, cuts):
         chunks = []
         for first, last in zip([0, *ends], [*ends, len(values)], strict=True):
             part = parameters[first:last]
-            chunks.append(encoded(first, part, run_chunk(task, (0, (), 4, 0), first, part)[0]))
+            chunks.append(encoded(first, part, run_chunk(task, np.random.SeedSequence(0), first, part)[0]))
         return assembled(chunks[::-1], ["i"], {"i": list(range(len(values)))})
 
     whole = table([])
@@ -188,9 +187,7 @@ def test_a_traceback_tells_the_cause_too():
     with pytest.warns(CampaignWarning):
         text = tl.run_campaign(task, [{}], n_jobs=1)["traceback"][0]
     assert (
-        text.index("KeyError: 'missing'")
-        < text.index("caused the following")
-        < text.index("RuntimeError: no such")
+        text.index("KeyError: 'missing'") < text.index("direct cause") < text.index("RuntimeError: no such")
     )
     assert "worker.py" not in text
 
@@ -282,21 +279,10 @@ def test_nothing_is_printed_unless_asked(capfd, mean_task):
     quiet(mean_task, GRID, n_jobs=1, progress=True)
     out, err = capfd.readouterr()
     assert out == ""
-    assert "40/40 runs" in err
-    assert "failed" in err
-    assert "runs/s" in err
+    assert "40/40" in err
+    assert "failed=" in err
+    assert "run/s" in err
     assert err.endswith("\n")
-
-
-def test_progress_tells_rate_and_time_left(monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr("trustlab.campaign.progress.monotonic", lambda: now[0])
-    bar = Progress(1000, 100, 0, False)
-    for _ in range(40):
-        now[0] += 1.0
-        bar.add(10, 0)
-    assert bar.text() == "██████████░░░░░░░░░░ 500/1,000 runs, 10 runs/s, 50 s left"
-    assert (clock(59.6), clock(3599), clock(3600 * 26)) == ("1 min 00 s", "59 min 59 s", "26 h 00 min")
 
 
 @given(st.floats(1e-6, 3.0), st.integers(1, 5000), st.integers(1, 8))

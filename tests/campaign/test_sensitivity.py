@@ -49,7 +49,7 @@ def test_indices_of_the_ishigami_function(tmp_path):
         assert (first - 0.02 <= rows["first_high"]).all()
         assert (rows["total_high"] - rows["total_low"] < 0.3).all()
     assert table.loc["constant"].drop(columns="parameter").isna().all(axis=None)
-    assert sorted(f.name for f in tmp_path.iterdir()) == ["sample_1", "sample_2", "sample_3"]
+    assert len(tl.read_campaign(tmp_path)) == 1024 * 5  # one campaign holds all points
     again = tl.sobol_indices(
         ishigami(),
         BOX,
@@ -73,6 +73,33 @@ def test_other_distributions():
     table = tl.sobol_indices(linear, ranges, 512, n_jobs=1, resamples=50).table()
     np.testing.assert_allclose(table["first_order"], [9 / 13, 4 / 13], atol=0.03)
     np.testing.assert_allclose(table["total"], [9 / 13, 4 / 13], atol=0.03)
+
+
+def test_noise_is_independent_between_points():
+    """y = x + ε with equal variances: S_x = 1/2, and ε is an interaction with nothing, so that S_Tx = 1, S_Tz = 1/2."""
+
+    def noisy(x, z, seed):
+        return {"y": x + np.random.default_rng(seed).normal()}
+
+    ranges = {"x": (0.0, math.sqrt(12.0)), "z": (0.0, 1.0)}
+    table = tl.sobol_indices(noisy, ranges, 4096, n_jobs=1, resamples=20).table()
+    np.testing.assert_allclose(table["first_order"], [0.5, 0.0], atol=0.06)
+    np.testing.assert_allclose(table["total"], [1.0, 0.5], atol=0.06)
+
+
+def test_estimates_are_those_of_scipy_with_its_own_sampling():
+    def values(x):
+        y = np.sin(x[0]) + 7.0 * np.sin(x[1]) ** 2 + 0.1 * x[2] ** 4 * np.sin(x[0])
+        return np.array([y, 2.0 * y + 5.0])
+
+    points = np.random.SeedSequence(3, spawn_key=(2**31,)).spawn(2)[0]
+    box = [stats.uniform(-PI, 2.0 * PI)] * 3
+    want = stats.sobol_indices(func=values, n=256, dists=box, rng=np.random.default_rng(points))
+    table = tl.sobol_indices(
+        ishigami(), BOX, 256, results=["y", "double"], n_jobs=1, resamples=20, seed=3
+    ).table()
+    np.testing.assert_allclose(table["first_order"], want.first_order.ravel(), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(table["total"], want.total_order.ravel(), rtol=1e-9, atol=1e-12)
 
 
 def test_the_plot_has_a_panel_per_result():
@@ -103,7 +130,7 @@ def test_the_plot_has_a_panel_per_result():
         ({"results": ["word"]}, "'word' is not a number"),
         (
             {"task": lambda x1, x2, x3, seed: {"y": math.nan if x1 > 0 else 1.0}},
-            "result 'y' is nan at .* of 8 points",
+            "result 'y' is nan at .* of 40 points",
         ),
         ({"task": lambda x1, x2, x3, seed: {"w": "a"}}, "none of the results w is a number"),
     ],
@@ -122,6 +149,6 @@ def test_a_failed_run_is_refused():
         return {"y": x}
 
     with pytest.raises(
-        ValueError, match=r"indices need every point, but 4 of 8 runs failed.*ArithmeticError: too far"
+        ValueError, match=r"indices need every point, but 16 of 32 runs failed.*ArithmeticError: too far"
     ):
         tl.sobol_indices(task, {"x": (0, 1), "z": (0, 1)}, 8, n_jobs=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["CampaignError", "CampaignWarning", "WorkerDiedError"]
+__all__ = ["CampaignError", "CampaignWarning"]
 
 
 class CampaignError(ValueError):
@@ -11,7 +11,3 @@ class CampaignError(ValueError):
 
 class CampaignWarning(UserWarning):
     """Some runs of a campaign failed."""
-
-
-class WorkerDiedError(Exception):
-    """The process that ran a chunk ended without an answer."""

@@ -1,201 +1,138 @@
-"""Where chunks run: here, in other processes, on a cluster."""
+"""Where chunks run: in this process, in others, or on any `concurrent.futures` executor."""
 
 from __future__ import annotations
 
-import atexit
 import os
-import pickle
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 
-from trustlab.campaign.errors import CampaignError, WorkerDiedError
-from trustlab.campaign.worker import end_with, packed, run_chunk
+import numpy as np
 
-__all__ = ["Loky", "Serial"]
+from trustlab.campaign.errors import CampaignError
+from trustlab.campaign.worker import exit_with_parent, pickled, pickled_task, run_chunk, run_pickled
 
+__all__ = ["InProcess", "Workers", "brought_workers", "loky_workers"]
 
 IDLE = 300
 """Seconds after which processes end that have nothing to do."""
 
-_kept: dict = {}  # the processes of the last campaign, for the next; joblib's own are left alone
-atexit.register(_kept.clear)  # while the modules that end them are still there
+THREADS = [f"{library}_NUM_THREADS" for library in ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "NUMBA")]
 
 
-class Serial:
-    """
-    One chunk after the other in this process.
+class Workers:
+    """Workers behind an executor; `make` returns it, and a new one when the death of a process has broken it."""
 
-    Parameters
-    ----------
-    task : callable
-        The task.
-    seed : tuple
-        As in `worker.run_seed`.
-    """
+    deaths: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
+    """What a future raises whose worker died."""
 
-    name = "serial"
-    workers = slots = 1
+    def __init__(
+        self,
+        task: Callable,
+        seed: np.random.SeedSequence,
+        name: str,
+        make: Callable[[], Executor],
+        count: int = 1,
+    ):
+        self.task, self.seed, self.name = pickled_task(task), seed, name
+        self.make, self.count = make, count
+        self.executor = make()
 
-    def __init__(self, task: Callable, seed: tuple):
-        self.task, self.seed = task, seed
-
-    def submit(self, first: int, parameters: list[dict]) -> object:
-        """
-        Take a chunk.
-
-        Parameters
-        ----------
-        first : int
-            Index of its first run.
-        parameters : list of dict
-            Parameters of its runs.
-        """
-        return _Later(first, parameters)
-
-    def done(self, waiting: list) -> list:
-        """
-        Run the first chunk.
-
-        Parameters
-        ----------
-        waiting : list
-            What `submit` returned.
-        """
-        return waiting[:1]
-
-    def outcome(self, later: object) -> tuple[list[tuple], float]:
-        """
-        Return what `worker.run_chunk` returned.
-
-        Parameters
-        ----------
-        later : object
-            What `done` returned.
-        """
-        return run_chunk(self.task, self.seed, later.first, later.parameters)
-
-    def close(self, finished: bool) -> None:
-        """
-        Let go of what was taken.
-
-        Parameters
-        ----------
-        finished : bool
-            Whether the campaign came to its end.
-        """
-
-
-class _Later:
-    def __init__(self, first: int, parameters: list[dict]):
-        self.first, self.parameters = first, parameters
-
-
-class Loky:
-    """
-    Processes of this machine, kept by joblib's loky for the next campaign.
-
-    Parameters
-    ----------
-    task : callable
-        The task.
-    seed : tuple
-        As in `worker.run_seed`.
-    n_jobs : int
-        How many processes.
-    """
-
-    name = "loky"
-
-    def __init__(self, task: Callable, seed: tuple, n_jobs: int):
-        self.task, self.seed, self.workers = packed(task), seed, n_jobs
-        self.slots = 2 * n_jobs
-        self._start()
-
-    def _start(self) -> None:
-        from joblib.externals.loky import ProcessPoolExecutor, cpu_count
-
-        threads = str(max(1, cpu_count() // self.workers))
-        names = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "NUMBA")
-        env = {f"{name}_NUM_THREADS": os.environ.get(f"{name}_NUM_THREADS", threads) for name in names}
-        key = (os.getpid(), self.workers, tuple(env.values()))
-        if _kept.get("key") != key:
-            if _kept and _kept["key"][0] == os.getpid():
-                _kept["executor"].shutdown(wait=False, kill_workers=True)
-            executor = ProcessPoolExecutor(
-                self.workers, timeout=IDLE, env=env, initializer=end_with, initargs=(os.getpid(),)
-            )
-            _kept.update(key=key, executor=executor)
-        self.executor = _kept["executor"]
+    @property
+    def slots(self) -> int:
+        """How many chunks are under way at most: two for each worker, so that none waits for the next."""
+        return 2 * self.count
 
     def submit(self, first: int, parameters: list[dict]) -> Future:
-        """
-        Send a chunk.
-
-        Parameters
-        ----------
-        first : int
-            Index of its first run.
-        parameters : list of dict
-            Parameters of its runs.
-        """
+        """Send a chunk, of which `first` is the index of the first run."""
+        data = pickled("parameters", (self.task, self.seed, first, parameters))
         try:
-            return self.executor.submit(run_chunk, self.task, self.seed, first, parameters)
-        except RuntimeError:  # a process died, or another campaign of this process was stopped
-            if _kept.get("executor") is self.executor:
-                _kept.clear()
-            self._start()
-            return self.executor.submit(run_chunk, self.task, self.seed, first, parameters)
+            return self.executor.submit(run_pickled, data)
+        except RuntimeError as error:  # broken by the death of a process, or shut down by someone else
+            self.executor, broken = self.make(), self.executor
+            if self.executor is broken:
+                raise CampaignError(
+                    f"{type(broken).__name__} takes no more work ({error}); runs {first} to {first + len(parameters) - 1} "
+                    "were lost with it or still to be sent. Finished chunks are safe where `out` was given: call again with "
+                    "a new executor, or give a function that makes one, so that the campaign goes on by itself"
+                ) from error
+            return self.executor.submit(run_pickled, data)
 
-    def done(self, waiting: list[Future]) -> list[Future]:
-        """
-        Wait until a chunk is done.
+    def watch(self) -> None:
+        """Raise where no answer can be expected any more; called every few seconds while nothing arrives."""
 
-        Parameters
-        ----------
-        waiting : list of Future
-            Chunks under way.
-        """
-        return list(wait(waiting, return_when=FIRST_COMPLETED)[0])
+    def failed(self, error: Exception) -> CampaignError:
+        """Return what to raise for an error that no run raised."""
+        return CampaignError(
+            f"a worker of {self.name} could not run a chunk: {type(error).__name__}: {error}; workers need the same "
+            "versions of trustlab and its libraries as this process"
+        )
 
-    def outcome(self, future: Future) -> tuple[list[tuple], float]:
-        """
-        Return what `worker.run_chunk` returned.
+    def close(self, left: list[Future]) -> None:
+        """Release what was taken; `left` are the chunks under way where the campaign was broken off."""
+        for future in left:
+            future.cancel()
 
-        Parameters
-        ----------
-        future : Future
-            A chunk that is done.
 
-        Raises
-        ------
-        WorkerDiedError
-            If its process ended.
-        CampaignError
-            If the parameters could not be sent.
-        """
-        from concurrent.futures import BrokenExecutor, CancelledError
+class InProcess(Workers):
+    """No other workers: each chunk runs in this process when it is submitted, and nothing is pickled."""
 
-        from joblib.externals.loky.process_executor import ShutdownExecutorError
+    name, slots, count = "serial", 1, 1
 
-        try:
-            return future.result()
-        except (BrokenExecutor, CancelledError, ShutdownExecutorError) as error:
-            raise WorkerDiedError(str(error)) from error
-        except (pickle.PicklingError, TypeError, AttributeError) as error:
-            raise CampaignError(
-                f"parameters cannot be sent to other processes: {error}; run with n_jobs=1"
-            ) from error
+    def __init__(self, task: Callable, seed: np.random.SeedSequence):
+        self.task, self.seed = task, seed
 
-    def close(self, finished: bool) -> None:
-        """
-        Stop what is under way; keep the processes if the campaign came to its end.
+    def submit(self, first: int, parameters: list[dict]) -> Future:
+        """Run a chunk. Errors of runs are results; what escapes, such as KeyboardInterrupt, ends the campaign."""
+        future = Future()
+        future.set_result(run_chunk(self.task, self.seed, first, parameters))
+        return future
 
-        Parameters
-        ----------
-        finished : bool
-            Whether it did.
-        """
-        if not finished:
+
+class _Loky(Workers):
+    """Processes of this machine."""
+
+    def close(self, left: list[Future]) -> None:
+        """Keep the processes for the next campaign, or kill them where they are still at work."""
+        if left:
             self.executor.shutdown(wait=False, kill_workers=True)
-            if _kept.get("executor") is self.executor:
-                _kept.clear()
+
+
+def loky_workers(task: Callable, seed: np.random.SeedSequence, count: int) -> Workers:
+    """Return processes of this machine: loky's reusable executor."""
+    import loky
+
+    # Linear algebra in every process takes its share of the cores, unless the user has said otherwise.
+    share = str(max(1, loky.cpu_count() // count))
+    options = {
+        "timeout": IDLE,
+        "env": {name: os.environ.get(name, share) for name in THREADS},
+        "initializer": exit_with_parent,
+        "initargs": (os.getpid(),),
+    }
+    return _Loky(task, seed, "loky", lambda: loky.get_reusable_executor(count, **options), count)
+
+
+class _Made(Workers):
+    """Workers of an executor that the user's function made for this campaign alone."""
+
+    def close(self, left: list[Future]) -> None:
+        """Shut the executor down."""
+        self.executor.shutdown(wait=not left, cancel_futures=True)
+
+
+def brought_workers(
+    task: Callable, seed: np.random.SeedSequence, executor: object, count: int | None
+) -> Workers:
+    """Return the workers of an executor that the user brings, or of a function that makes executors."""
+    if isinstance(executor, Executor):
+        workers = Workers(task, seed, type(executor).__name__, lambda: executor)
+    elif callable(executor):
+        workers = _Made(task, seed, getattr(executor, "__name__", "executor"), executor)
+    if not isinstance(getattr(workers, "executor", None), Executor):
+        raise ValueError(
+            "executor must be a concurrent.futures.Executor or a function that makes one, got "
+            f"{type(workers.executor).__name__}"
+        )
+    # Executors of the standard library, loky and mpi4py know how many workers they have; others need not.
+    workers.count = count or getattr(workers.executor, "_max_workers", None) or os.cpu_count() or 1
+    return workers

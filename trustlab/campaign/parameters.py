@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -11,12 +10,12 @@ import numpy as np
 from trustlab.campaign.worker import RESERVED
 from trustlab.models.checks import finite_number, whole_number
 
-__all__ = ["ParameterGrid", "checked_names", "parameter_draws", "parameter_grid"]
+__all__ = ["ParameterGrid", "checked_names", "interval", "parameter_draws", "parameter_grid"]
 
 
 class ParameterGrid(Sequence):
     """
-    Every combination of values, each made when it is asked for; the last name varies fastest, repeats faster still.
+    Every combination of values, each made when it is asked for: the last name varies fastest, repeats faster still.
 
     Parameters
     ----------
@@ -90,14 +89,14 @@ def parameter_grid(repeats: int = 1, **axes: Iterable) -> ParameterGrid:
     return ParameterGrid(axes, repeats)
 
 
-def parameter_draws(n: int, seed: int = 0, **distributions: object) -> list[dict]:
+def parameter_draws(n: int | None = None, /, seed: int = 0, **distributions: object) -> list[dict]:
     """
     Return independent random draws of parameters.
 
     Parameters
     ----------
     n : int
-        How many.
+        How many; `n=100` by name works too, and is told by its type from a parameter called n.
     seed : int or numpy.random.SeedSequence
         Seed of the draws; each parameter has a child of its own, so that adding one leaves the others as they were.
     **distributions : tuple, scipy.stats frozen distribution, list
@@ -114,30 +113,36 @@ def parameter_draws(n: int, seed: int = 0, **distributions: object) -> list[dict
     ValueError
         If a distribution is of none of these kinds, its draws are not finite, or a range is empty.
     """
+    # A parameter of the task may be called n too: parameter_draws(100, n=(5, 20)).
+    named = distributions.get("n")
+    if n is None and not isinstance(named, tuple | list) and not hasattr(named, "rvs"):
+        n = distributions.pop("n", None)
     n = whole_number("n", n)
     if not distributions:
         raise ValueError("give at least one parameter, such as beta=(0.6, 0.8)")
-    root = (
-        seed
-        if isinstance(seed, np.random.SeedSequence)
-        else np.random.SeedSequence(whole_number("seed", seed, least=0))
-    )
+    if not isinstance(seed, np.random.SeedSequence):
+        seed = np.random.SeedSequence(whole_number("seed", seed, least=0))
     columns = {}
     for name, kind in distributions.items():
-        words = tuple(name.encode())  # the stream follows from the name, not from the order
-        child = np.random.SeedSequence(
-            root.entropy, spawn_key=(*root.spawn_key, *words), pool_size=root.pool_size
-        )
+        key = (*seed.spawn_key, *name.encode())  # the stream follows from the name, not from the order
+        child = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
         columns[name] = _drawn(name, kind, n, np.random.default_rng(child))
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
+def interval(name: str, pair: tuple) -> tuple[float, float]:
+    """Return the ends of a range as floats, low < high."""
+    if len(pair) != 2:
+        raise ValueError(f"{name} must be (low, high), got {pair}")
+    low, high = (finite_number(f"{name}[{i}]", x) for i, x in enumerate(pair))
+    if not low < high:
+        raise ValueError(f"{name} must be (low, high) with low < high, got {pair}")
+    return low, high
+
+
 def _drawn(name: str, kind: object, n: int, rng: np.random.Generator) -> list:
-    if isinstance(kind, tuple) and len(kind) == 2:
-        low, high = (finite_number(f"{name}[{i}]", x) for i, x in enumerate(kind))
-        if not low < high:
-            raise ValueError(f"{name} must be (low, high) with low < high, got {kind}")
-        return rng.uniform(low, high, n).tolist()
+    if isinstance(kind, tuple):
+        return rng.uniform(*interval(name, kind), n).tolist()
     if isinstance(kind, list) and kind:
         return [kind[k] for k in rng.integers(len(kind), size=n)]
     if callable(getattr(kind, "rvs", None)):
@@ -153,43 +158,33 @@ def _drawn(name: str, kind: object, n: int, rng: np.random.Generator) -> list:
 
 
 def checked_names(parameters: Sequence[Mapping]) -> list[str]:
-    """
-    Return the names of the parameters, the same in every run.
-
-    Parameters
-    ----------
-    parameters : sequence of dict
-        Parameters of all runs.
-
-    Raises
-    ------
-    ValueError
-        If it is no sequence, is empty, or a run's parameters are no dict, have other names than those of run 0, a name
-        that is no text or a reserved one.
-    """
+    """Return the names of the parameters; raise unless there is a dict per run, with the same names in each."""
     if isinstance(parameters, Mapping):
         raise ValueError(
             "parameters must be a list of dicts, one per run, got one dict; for every combination of its values use "
             "parameter_grid(**parameters)"
         )
-    if isinstance(parameters, str | bytes) or not (
-        hasattr(parameters, "__len__")
-        and hasattr(parameters, "__getitem__")
-        and not hasattr(parameters, "columns")
-    ):
-        remedy = "; use frame.to_dict('records')" if hasattr(parameters, "columns") else ""
+    frame = hasattr(parameters, "columns")
+    listed = hasattr(parameters, "__len__") and hasattr(parameters, "__getitem__")
+    if frame or not listed or isinstance(parameters, str | bytes):
+        remedy = "; use frame.to_dict('records')" if frame else ""
         raise ValueError(
             f"parameters must be a list of dicts, one per run, got {type(parameters).__name__}{remedy}"
         )
     if len(parameters) == 0:
         raise ValueError("parameters is empty: there is nothing to run")
-    if isinstance(parameters, ParameterGrid):
-        names, rest = list(parameters.axes), ()
-    else:
-        first = parameters[0]
-        _is_mapping(0, first)
-        names = list(first)
-        rest = itertools.islice(enumerate(parameters), 1, None)
+    # Every run of a grid has the names of its axes; a grid of a million runs need not be made to see that.
+    first = parameters[0]
+    runs = [first] if isinstance(parameters, ParameterGrid) else parameters
+    for run, values in enumerate(runs):
+        if not isinstance(values, Mapping):
+            raise ValueError(f"parameters of run {run} must be a dict, got {type(values).__name__}")
+        if values.keys() != first.keys():
+            raise ValueError(
+                f"run {run} has parameters {', '.join(map(str, values)) or 'none'}, run 0 has "
+                f"{', '.join(map(str, first)) or 'none'}; give every run the same names"
+            )
+    names = list(first)
     for name in names:
         if not isinstance(name, str) or not name:
             raise ValueError(f"names of parameters must be text, got {name!r} in run 0")
@@ -200,17 +195,4 @@ def checked_names(parameters: Sequence[Mapping]) -> list[str]:
                 else "the table has a column of that name"
             )
             raise ValueError(f"a parameter cannot be called {name!r}: {why}; remove or rename it")
-    wanted = set(names)
-    for run, values in rest:
-        _is_mapping(run, values)
-        if values.keys() != wanted:
-            raise ValueError(
-                f"run {run} has parameters {', '.join(map(str, values)) or 'none'}, run 0 has {', '.join(names) or 'none'}; "
-                "give every run the same names"
-            )
     return names
-
-
-def _is_mapping(run: int, values: object) -> None:
-    if not isinstance(values, Mapping):
-        raise ValueError(f"parameters of run {run} must be a dict, got {type(values).__name__}")

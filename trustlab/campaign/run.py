@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import inspect
 import os
+import sys
 import warnings
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trustlab.campaign.chunks import ChunkSizes
-from trustlab.campaign.errors import CampaignError, CampaignWarning, WorkerDiedError
+from trustlab.campaign.errors import CampaignWarning
 from trustlab.campaign.parameters import checked_names
-from trustlab.campaign.progress import Progress
-from trustlab.campaign.worker import inside
+from trustlab.campaign.worker import running_task
 from trustlab.models.checks import whole_number
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["run_campaign"]
+    from trustlab.campaign.executors import Workers
 
-HOPELESS = 5
-"""So many runs may end their process, one after the other and none succeeding, before the campaign gives up."""
+__all__ = ["run_campaign"]
 
 
 def run_campaign(
@@ -36,15 +34,16 @@ def run_campaign(
     n_jobs: int = -1,
     out: str | os.PathLike | None = None,
     cluster: object = None,
+    executor: Executor | Callable[[], Executor] | None = None,
     progress: bool | None = None,
     fresh: bool = False,
 ) -> pd.DataFrame:
     """
     Run a task once for each set of parameters and return one table.
 
-    Run i gets `seed.spawn`'s child i, so that the table does not depend on who ran what when: serial, parallel, on a
-    cluster, or resumed, it is the same bit for bit (as far as the task is a function of its arguments; the text of an
-    error may hold addresses). A run that fails is recorded, and the others go on.
+    Run i gets the child i of `seed.spawn`, so that the table does not depend on which worker ran what and when: serial,
+    parallel, on a cluster, or resumed, it is the same bit for bit (as far as the task is a function of its arguments; the
+    text of an error may hold addresses). A run that fails is recorded, and the others go on.
 
     Parameters
     ----------
@@ -57,13 +56,18 @@ def run_campaign(
     seed : int or numpy.random.SeedSequence
         Seed of the campaign.
     n_jobs : int
-        Processes: 1 runs everything in this one; -1 takes as many as there are cores, -2 one fewer. Within a task of
-        another campaign -1 means 1.
+        Processes, kept by loky for the next campaign: 1 runs everything in this process; -1 takes as many as there are
+        cores, -2 one fewer. Within a task of another campaign -1 means 1. With `executor`: how many workers it has, where
+        the executor does not know.
     out : str or os.PathLike, optional
         A folder to which finished chunks are written at once. A call with the same arguments goes on where a killed one
         stopped; at most the chunks under way are lost. Memory then holds no results until the table is read at the end.
     cluster : distributed.Client, distributed cluster or str, optional
         A Dask cluster, or the address of its scheduler, instead of processes of this machine.
+    executor : concurrent.futures.Executor or callable, optional
+        Any executor instead: ThreadPoolExecutor, ProcessPoolExecutor, or an adapter such as `mpi4py.futures.MPIPoolExecutor`
+        or `executorlib.SlurmClusterExecutor`; it stays open. A function without arguments that makes an executor is called
+        again when the death of a process has broken the executor, so that the campaign goes on; what it makes is shut down.
     progress : bool, optional
         Whether to show runs done, rate and time left on stderr; by default where it is a terminal. In a notebook: True.
     fresh : bool
@@ -80,7 +84,7 @@ def run_campaign(
     ------
     CampaignError
         If the folder cannot be used, or holds a campaign with another task, parameters or seed (it says what changed); if
-        the task cannot be sent to workers; if a cluster cannot be reached.
+        the task cannot be sent to workers; if a cluster cannot be reached, or an executor is broken.
     ValueError
         If an argument is not of its kind.
 
@@ -91,9 +95,9 @@ def run_campaign(
 
     Notes
     -----
-    A run also fails whose process dies (it is then tried alone once more), that returns no dict, or that returns other
-    names than most runs. Whether a task is the same as before is told by its module, name and source, see
-    `trustlab.campaign.identity.task_identity`.
+    A run also fails if its process dies (it is first tried once more, with nothing beside it), if it returns no dict, or
+    if it returns other names than most runs. Whether a task is the same as before is decided by its module, name and
+    source, see `trustlab.campaign.identity.task_identity`.
 
     Examples
     --------
@@ -105,13 +109,10 @@ def run_campaign(
     100
     """
     names = _checked_task(task, parameters)
-    state = _seed_state(seed)
-    for name, value, none in (("progress", progress, True), ("fresh", fresh, False)):
-        if not (isinstance(value, bool) or (none and value is None)):
-            raise ValueError(f"{name} must be True or False{' or None' if none else ''}, got {value!r}")
-    if fresh and out is None:
-        raise ValueError("fresh=True removes a campaign from a folder, but `out` is not given")
-    workers = _workers(n_jobs, cluster)
+    root = seed if isinstance(seed, np.random.SeedSequence) else whole_number("seed", seed, least=0)
+    root = root if isinstance(root, np.random.SeedSequence) else np.random.SeedSequence(root)
+    _check_flags(progress, fresh, out)
+    _check_where(n_jobs, cluster, executor)
     began = perf_counter()
     if out is None:
         store = _Memory()
@@ -119,29 +120,31 @@ def run_campaign(
         from trustlab.campaign.folder import Folder
         from trustlab.campaign.identity import task_identity
 
-        identity = {"task": task_identity(task), "seed": _seed_text(state), "names": names}
+        identity = {"task": task_identity(task), "seed": _seed_text(root), "names": names}
         store = Folder(out, identity, parameters, names, fresh)
     try:
-        todo = _gaps(store.spans, len(parameters))
-        resumed = len(parameters) - sum(last - first for first, last in todo)
-        executor, busy = None, 0.0
-        if todo:
-            executor = _executor(task, state, workers, cluster)
-            busy = _drive(executor, parameters, todo, store, resumed, progress)
+        gaps = _gaps(store.spans, len(parameters))
+        resumed = len(parameters) - sum(last - first for first, last in gaps)
+        workers, busy = None, 0.0
+        if gaps:
+            from trustlab.campaign.dispatch import Dispatcher
+
+            workers = _workers(task, root, n_jobs, cluster, executor)
+            with _bar(len(parameters), resumed, progress) as bar:
+                busy = Dispatcher(workers, parameters, store, bar).run(gaps)
         from trustlab.campaign.table import assembled
 
-        columns = {name: [] for name in names}
-        for values in parameters:
-            for name, column in columns.items():
-                column.append(values[name])
+        columns = {name: [values[name] for values in parameters] for name in names}
         table = assembled(store.tables(), names, columns)
     finally:
         store.close()
+    where = workers.name if workers else "none"
     times = {"seconds": perf_counter() - began, "seconds_in_runs": busy}
-    return _summed(table, resumed, times | {"executor": executor.name if executor else "none"})
+    return _summed(table, resumed, times | {"executor": where})
 
 
 def _checked_task(task: object, parameters: object) -> list[str]:
+    """Return the names of the parameters; raise unless the task can be called with them and a seed."""
     if not callable(task):
         raise ValueError(
             f"task must be a function that is called as task(**parameters, seed=…), got {type(task).__name__}"
@@ -162,52 +165,71 @@ def _checked_task(task: object, parameters: object) -> list[str]:
     return names
 
 
-def _seed_state(seed: object) -> tuple:
-    if isinstance(seed, np.random.SeedSequence):
-        entropy = seed.entropy
-        entropy = int(entropy) if isinstance(entropy, int | np.integer) else tuple(int(x) for x in entropy)
-        return entropy, tuple(int(k) for k in seed.spawn_key), seed.pool_size, seed.n_children_spawned
-    return whole_number("seed", seed, least=0), (), 4, 0
+def _seed_text(seed: np.random.SeedSequence) -> str:
+    """Return a seed as the text by which a folder knows it again."""
+    entropy = seed.entropy
+    text = str(int(entropy) if isinstance(entropy, int | np.integer) else tuple(int(x) for x in entropy))
+    if seed.spawn_key or seed.pool_size != 4 or seed.n_children_spawned:
+        key = tuple(int(k) for k in seed.spawn_key)
+        text += f", spawn key {key}, pool {seed.pool_size}, child {seed.n_children_spawned} on"
+    return text
 
 
-def _seed_text(state: tuple) -> str:
-    entropy, key, pool_size, before = state
-    rest = (
-        ""
-        if (key, pool_size, before) == ((), 4, 0)
-        else f", spawn key {key}, pool {pool_size}, child {before} on"
-    )
-    return f"{entropy}{rest}"
+def _check_flags(progress: object, fresh: object, out: object) -> None:
+    if not (progress is None or isinstance(progress, bool)):
+        raise ValueError(f"progress must be True or False or None, got {progress!r}")
+    if not isinstance(fresh, bool):
+        raise ValueError(f"fresh must be True or False, got {fresh!r}")
+    if fresh and out is None:
+        raise ValueError("fresh=True removes a campaign from a folder, but `out` is not given")
 
 
-def _workers(n_jobs: object, cluster: object) -> int:
+def _check_where(n_jobs: object, cluster: object, executor: object) -> None:
+    """Raise unless it is clear where chunks are to run."""
     if isinstance(n_jobs, bool | np.bool_) or not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
         raise ValueError(
             f"n_jobs must be a whole number of processes, 1 for none beside this one, -1 for all cores, got {n_jobs!r}"
         )
+    if cluster is not None and executor is not None:
+        raise ValueError("give cluster or executor, not both: each says where to run")
+    if cluster is not None and n_jobs != -1:
+        raise ValueError(
+            f"give n_jobs or cluster, not both: a cluster has its own workers, got n_jobs={n_jobs}"
+        )
+    if executor is not None and not (isinstance(executor, Executor) or callable(executor)):
+        raise ValueError(
+            "executor must be a concurrent.futures.Executor or a function that makes one, got "
+            f"{type(executor).__name__}"
+        )
+
+
+def _workers(
+    task: Callable, seed: np.random.SeedSequence, n_jobs: int, cluster: object, executor: object
+) -> Workers:
+    """Return where chunks run."""
+    from trustlab.campaign.executors import InProcess, brought_workers, loky_workers
+
     if cluster is not None:
-        if n_jobs != -1:
-            raise ValueError(
-                f"give n_jobs or cluster, not both: a cluster has its own workers, got n_jobs={n_jobs}"
-            )
-        return 0
-    if n_jobs > 0:
-        return int(n_jobs)
-    if inside():
-        return 1
-    import joblib
+        from trustlab.campaign.dask_cluster import DaskWorkers
 
-    return max(1, joblib.cpu_count() + 1 + int(n_jobs))
+        return DaskWorkers(task, seed, cluster)
+    if executor is not None:
+        return brought_workers(task, seed, executor, int(n_jobs) if n_jobs > 0 else None)
+    if n_jobs < 0:
+        # The cores are taken already where this is part of a run of another campaign.
+        import loky
+
+        n_jobs = 1 if running_task() else max(1, loky.cpu_count() + 1 + n_jobs)
+    return InProcess(task, seed) if n_jobs == 1 else loky_workers(task, seed, int(n_jobs))
 
 
-def _executor(task: Callable, state: tuple, workers: int, cluster: object) -> object:
-    if cluster is not None:
-        from trustlab.campaign.dask_cluster import DaskCluster
+def _bar(total: int, done: int, shown: bool | None) -> object:
+    """Return a progress bar on stderr, shown by default where that is a terminal."""
+    from tqdm import tqdm
 
-        return DaskCluster(task, state, cluster)
-    from trustlab.campaign.executors import Loky, Serial
-
-    return Serial(task, state) if workers == 1 else Loky(task, state, workers)
+    if shown is None:
+        shown = bool(getattr(sys.stderr, "isatty", lambda: False)())
+    return tqdm(total=total, initial=done, unit="run", disable=not shown)
 
 
 class _Memory:
@@ -237,78 +259,8 @@ def _gaps(spans: list[tuple], runs: int) -> list[tuple[int, int]]:
     return [*gaps, (end, runs)] if end < runs else gaps
 
 
-def _drive(
-    executor: object,
-    parameters: Sequence[Mapping],
-    todo: list[tuple[int, int]],
-    store: object,
-    resumed: int,
-    shown: bool | None,
-) -> float:
-    """Send chunks, write what comes back, try what was lost with a process again, alone; return seconds in runs."""
-    from trustlab.campaign.table import encoded
-
-    todo, suspects, under_way, solitary = deque(todo), deque(), {}, None
-    sizes = ChunkSizes(sum(last - first for first, last in todo), executor.workers)
-    bar, died, succeeded, finished, busy = Progress(len(parameters), resumed, 0, shown), 0, False, False, 0.0
-
-    def send(first: int, last: int) -> object:
-        future = executor.submit(first, [dict(parameters[i]) for i in range(first, last)])
-        under_way[future] = (first, last)
-        return future
-
-    def take(first: int, last: int, outcomes: list[tuple]) -> None:
-        store.add(first, last, encoded(first, [parameters[i] for i in range(first, last)], outcomes))
-        bar.add(last - first, sum(outcome[0] is None for outcome in outcomes))
-
-    try:
-        while todo or suspects or under_way:
-            alone = bool(suspects)
-            if alone and not under_way:
-                solitary = send(*suspects.popleft())
-            while not alone and todo and len(under_way) < executor.slots:
-                first, last = todo.popleft()
-                size = sizes.next(last - first)
-                if first + size < last:
-                    todo.appendleft((first + size, last))
-                send(first, first + size)
-            for future in executor.done(list(under_way)):
-                was_alone = future is solitary
-                first, last = under_way.pop(future)
-                try:
-                    outcomes, seconds = executor.outcome(future)
-                except WorkerDiedError as error:
-                    if last - first > 1 and was_alone:
-                        half = (first + last) // 2
-                        suspects.extendleft([(half, last), (first, half)])
-                    elif was_alone:
-                        died += 1
-                        if died >= HOPELESS and not succeeded:
-                            raise CampaignError(
-                                f"{died} processes died one after the other and no run has succeeded ({error}); try the "
-                                "task with n_jobs=1"
-                            ) from error
-                        take(first, last, [(None, DIED, DIED + "\n")])
-                    else:
-                        suspects.append((first, last))
-                else:
-                    sizes.took(last - first, seconds)
-                    busy += seconds
-                    succeeded = succeeded or any(outcome[0] is not None for outcome in outcomes)
-                    take(first, last, outcomes)
-        finished = True
-    finally:
-        executor.close(finished)
-        bar.close()
-    return busy
-
-
-DIED = (
-    "WorkerDiedError: the process ended while it ran this, twice: it was killed, ran out of memory or crashed"
-)
-
-
 def _summed(table: pd.DataFrame, resumed: int, facts: dict) -> pd.DataFrame:
+    """Add to a table what its campaign was, and warn of failed runs."""
     failed = int(table["failed"].sum())
     words = f"{len(table):,} runs, {failed:,} failed"
     if failed:
@@ -322,11 +274,6 @@ def _summed(table: pd.DataFrame, resumed: int, facts: dict) -> pd.DataFrame:
         )
     if resumed:
         words += f"; {resumed:,} were there already"
-    table.attrs = {
-        "runs": len(table),
-        "failed": failed,
-        "resumed": resumed,
-        **facts,
-        "summary": words,
-    }
+    facts = {"runs": len(table), "failed": failed, "resumed": resumed} | facts
+    table.attrs = facts | {"summary": words}
     return table

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from trustlab.campaign.errors import CampaignError
+from trustlab.campaign.parameters import interval
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import finite_number, open_unit, whole_number
+from trustlab.models.checks import open_unit, whole_number
 
 __all__ = ["SobolIndices", "sobol_indices"]
 
@@ -99,11 +99,12 @@ def sobol_indices(
     n_jobs: int = -1,
     out: str | os.PathLike | None = None,
     cluster: object = None,
+    executor: object = None,
     progress: bool | None = None,
     fresh: bool = False,
 ) -> SobolIndices:
     """
-    Estimate first-order and total Sobol' indices of a task's results, its runs being campaigns.
+    Estimate first-order and total Sobol' indices of a task's results from one campaign of runs.
 
     The first-order index of a parameter is the share of a result's variance that knowing it would remove; the total index
     counts its interactions too. Points are a scrambled Sobol' sequence, the estimators those of `scipy.stats.sobol_indices`
@@ -112,7 +113,8 @@ def sobol_indices(
     Parameters
     ----------
     task : callable
-        As in `run_campaign`. Where its results depend on the seed too, that share of variance is in all total indices.
+        As in `run_campaign`. Where its results depend on the seed too, every run has a seed of its own, so that the noise is
+        independent between points: its share of variance is in all total indices and in no first-order index.
     ranges : dict
         By name of the parameter: (low, high) for a uniform distribution, or a scipy.stats frozen distribution; taken as
         independent.
@@ -126,8 +128,8 @@ def sobol_indices(
         Level of the intervals, in (0, 1).
     resamples : int
         Resamples of the bootstrap.
-    n_jobs, out, cluster, progress, fresh : int, path, object, bool, bool
-        As in `run_campaign`; `out` gets one folder for each of the three samples.
+    n_jobs, out, cluster, executor, progress, fresh : int, path, object, Executor, bool, bool
+        As in `run_campaign`.
 
     Returns
     -------
@@ -152,66 +154,62 @@ def sobol_indices(
     level, resamples = open_unit("level", level), whole_number("resamples", resamples, least=20)
     seed = whole_number("seed", seed, least=0)
     distributions = _distributions(ranges)
-    samples, wanted = [], results
+    names, d = list(ranges), len(distributions)
+    # Runs take the children 0, 1, … of the seed; points and bootstrap those of another child far from them.
     points, draws = np.random.SeedSequence(seed, spawn_key=(2**31,)).spawn(2)
-
-    def evaluate(x: np.ndarray) -> np.ndarray:
-        nonlocal wanted
-        parameters = [dict(zip(ranges, map(float, point), strict=True)) for point in x.T]
-        folder = None if out is None else Path(out) / f"sample_{len(samples) + 1}"
-        table = run_campaign(
-            task,
-            parameters,
-            seed=seed,
-            n_jobs=n_jobs,
-            out=folder,
-            cluster=cluster,
-            progress=progress,
-            fresh=fresh,
-        )
-        wanted = _numeric(table, list(ranges), wanted)
-        samples.append(table[wanted].to_numpy(dtype=float).T)
-        return samples[-1].copy()  # SciPy works in place
-
-    with np.errstate(invalid="ignore", divide="ignore"):
-        whole = scipy_indices(
-            func=evaluate, n=n, dists=list(distributions.values()), rng=np.random.default_rng(points)
-        )
-        f_a, f_b, mixed = samples
-        d = len(distributions)
-        f_ab = mixed.reshape(-1, n, d).transpose(2, 0, 1)  # points of one parameter's page lie d apart
-        again, rng = [], np.random.default_rng(draws)
-        for _ in range(resamples):
-            k = rng.integers(n, size=n)
-            one = scipy_indices(func={"f_A": f_a[:, k], "f_B": f_b[:, k], "f_AB": f_ab[..., k]}, n=n)
-            again.append(_both(one, d))
-    low, high = np.nanquantile(np.array(again), [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
-    first, total = _both(whole, d)
-    constant = np.ptp(np.concatenate([f_a, f_b], axis=1), axis=1) == 0.0
-    rows = []
-    for i, result in enumerate(wanted):
-        for j, name in enumerate(ranges):
-            numbers = [
-                first[i, j], low[0, i, j], high[0, i, j],
-                total[i, j], low[1, i, j], high[1, i, j],
-            ]  # fmt: skip
-            rows.append((result, name, *([np.nan] * 6 if constant[i] else numbers)))
-    columns = [
-        "result",
-        "parameter",
-        "first_order",
-        "first_low",
-        "first_high",
-        "total",
-        "total_low",
-        "total_high",
+    parameters = [
+        dict(zip(names, map(float, point), strict=True)) for point in _points(distributions, n, points)
     ]
-    return SobolIndices(pd.DataFrame(rows, columns=columns), n, level)
+    table = run_campaign(
+        task,
+        parameters,
+        seed=seed,
+        n_jobs=n_jobs,
+        out=out,
+        cluster=cluster,
+        executor=executor,
+        progress=progress,
+        fresh=fresh,
+    )
+    wanted = _numeric(table, names, results)
+    values = table[wanted].to_numpy(dtype=float).T.reshape(len(wanted), d + 2, n)
+    f_a, f_b, f_ab = values[:, 0], values[:, 1], values[:, 2:].swapaxes(0, 1)
+
+    def indices(k: np.ndarray) -> np.ndarray:
+        """Return first-order and total indices from the points k; SciPy drops axes of length 1."""
+        found = scipy_indices(func={"f_A": f_a[:, k], "f_B": f_b[:, k], "f_AB": f_ab[..., k]}, n=n)
+        return np.stack([found.first_order, found.total_order]).reshape(2, -1, d)
+
+    rng = np.random.default_rng(draws)
+    with np.errstate(invalid="ignore", divide="ignore"):  # a result that does not vary has no shares
+        whole = indices(np.arange(n))
+        again = [indices(rng.integers(n, size=n)) for _ in range(resamples)]
+    low, high = np.nanquantile(again, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
+    # Axes: estimate and its two ends, first order and total, results, parameters.
+    shares = np.stack([whole, low, high])
+    shares[:, :, np.ptp(values[:, :2].reshape(len(wanted), -1), axis=1) == 0.0] = np.nan
+    index = pd.MultiIndex.from_product([wanted, names], names=["result", "parameter"])
+    columns = [f"{order}_{end}" for order in ("first", "total") for end in ("order", "low", "high")]
+    frame = pd.DataFrame(shares.transpose(2, 3, 1, 0).reshape(len(index), 6), index, columns)
+    return SobolIndices(frame.rename(columns={"total_order": "total"}).reset_index(), n, level)
 
 
-def _both(found: object, d: int) -> np.ndarray:
-    """Return first-order and total indices, shape (2, results, d); SciPy drops axes of length 1."""
-    return np.stack([found.first_order, found.total_order]).reshape(2, -1, d)
+def _points(distributions: dict[str, object], n: int, seed: np.random.SeedSequence) -> np.ndarray:
+    """
+    Return the points of Saltelli's design, shape (n (d + 2), d): A, B, then for each parameter A with B's column.
+
+    A and B are the halves of one scrambled Sobol' sequence of 2 d dimensions, as in `scipy.stats.sobol_indices`.
+    """
+    from scipy.stats import qmc
+
+    d = len(distributions)
+    unit = qmc.Sobol(2 * d, rng=np.random.default_rng(seed), bits=64).random(n)
+    a, b = (
+        np.column_stack([one.ppf(u) for one, u in zip(distributions.values(), half.T, strict=True)])
+        for half in np.hsplit(unit, 2)
+    )
+    mixed = [np.where(np.arange(d) == j, b, a) for j in range(d)]
+    return np.concatenate([a, b, *mixed])
 
 
 def _distributions(ranges: object) -> dict[str, object]:
@@ -225,10 +223,8 @@ def _distributions(ranges: object) -> dict[str, object]:
         )
     found = {}
     for name, kind in ranges.items():
-        if isinstance(kind, tuple) and len(kind) == 2:
-            low, high = (finite_number(f"ranges[{name!r}][{i}]", x) for i, x in enumerate(kind))
-            if not low < high:
-                raise ValueError(f"ranges[{name!r}] must be (low, high) with low < high, got {kind}")
+        if isinstance(kind, tuple):
+            low, high = interval(f"ranges[{name!r}]", kind)
             found[name] = stats.uniform(low, high - low)
         elif callable(getattr(kind, "ppf", None)):
             found[name] = kind

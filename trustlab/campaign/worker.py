@@ -15,21 +15,24 @@ from functools import lru_cache
 from numbers import Integral, Real
 from time import perf_counter, sleep
 from types import CodeType, FunctionType
+from typing import NamedTuple
 
 import numpy as np
 
 from trustlab.campaign.errors import CampaignError
 
 __all__ = [
-    "as_bytes",
+    "Outcome",
     "code_digest",
-    "end_with",
-    "inside",
-    "loaded",
-    "packed",
+    "exit_with_parent",
+    "pickled",
+    "pickled_task",
+    "plain",
     "run_chunk",
-    "run_packed",
+    "run_pickled",
     "run_seed",
+    "running_task",
+    "unpickled_task",
 ]
 
 RESERVED = ("run", "seed", "failed", "error", "traceback", "returned")
@@ -40,54 +43,39 @@ PLAIN = (bool, int, float, str, type(None))
 _local = threading.local()
 
 
-def inside() -> bool:
+class Outcome(NamedTuple):
+    """What one run left: its results by name, or the error in one line and its traceback."""
+
+    results: dict | None
+    error: str | None = None
+    traceback: str | None = None
+
+
+def running_task() -> bool:
     """Return whether this thread is running a task of a campaign."""
     return getattr(_local, "depth", 0) > 0
 
 
-def end_with(parent: int) -> None:
-    """
-    End this process within a second or so of the one that started it, which may be killed without a word.
-
-    Parameters
-    ----------
-    parent : int
-        Its process id.
-    """
+def exit_with_parent(parent: int) -> None:
+    """End this process within a second of the process that started it, even where that one was killed."""
 
     def watch() -> None:
         while os.getppid() == parent:
             sleep(0.5)
         os._exit(1)
 
-    if os.getppid() == parent:  # with a launcher between the two, as on Windows, this cannot be told
+    if os.getppid() == parent:  # not so where a launcher stands between the two, as on Windows
         threading.Thread(target=watch, daemon=True).start()
 
 
-def run_seed(seed: tuple, run: int) -> np.random.SeedSequence:
-    """
-    Return the seed of one run: the child that `spawn` gives at that index.
-
-    Parameters
-    ----------
-    seed : tuple
-        Entropy, spawn key, pool size and how many children were spawned before.
-    run : int
-        Index of the run.
-    """
-    entropy, key, pool_size, before = seed
-    return np.random.SeedSequence(entropy, spawn_key=(*key, before + run), pool_size=pool_size)
+def run_seed(seed: np.random.SeedSequence, run: int) -> np.random.SeedSequence:
+    """Return the seed of one run: the child that `seed.spawn` would give at that index."""
+    key = (*seed.spawn_key, seed.n_children_spawned + run)
+    return np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
 
 
 def code_digest(code: CodeType) -> str:
-    """
-    Return a digest of compiled code that does not depend on where the source stands.
-
-    Parameters
-    ----------
-    code : types.CodeType
-        Code of a function.
-    """
+    """Return a digest of compiled code that does not depend on where its source stands."""
     digest = hashlib.sha256()
 
     def add(part: CodeType) -> None:
@@ -96,7 +84,7 @@ def code_digest(code: CodeType) -> str:
         for constant in part.co_consts:
             if isinstance(constant, CodeType):
                 add(constant)
-            elif isinstance(constant, frozenset):
+            elif isinstance(constant, frozenset):  # its order differs between processes
                 digest.update(repr(sorted(map(repr, constant))).encode())
             else:
                 digest.update(repr(constant).encode("utf-8", "backslashreplace"))
@@ -105,26 +93,9 @@ def code_digest(code: CodeType) -> str:
     return digest.hexdigest()
 
 
-def as_bytes(what: str, value: object) -> bytes:
-    """
-    Return a value as bytes that any process can load, with functions of scripts and notebooks by value.
-
-    Parameters
-    ----------
-    what : str
-        What it is, for the error.
-    value : object
-        The value.
-
-    Raises
-    ------
-    CampaignError
-        If it cannot be pickled.
-    """
-    try:
-        import cloudpickle
-    except ImportError:  # joblib before 1.6 carries its own
-        from joblib.externals import cloudpickle
+def pickled(what: str, value: object) -> bytes:
+    """Return a value as bytes that any process can load, with functions of scripts and notebooks by value."""
+    import cloudpickle
 
     try:
         return cloudpickle.dumps(value)
@@ -135,44 +106,17 @@ def as_bytes(what: str, value: object) -> bytes:
         ) from error
 
 
-def packed(task: Callable) -> tuple[bytes, str | None]:
-    """
-    Return a task as bytes that any process can load, and a digest of its code where it is a function of a module.
-
-    Parameters
-    ----------
-    task : callable
-        The task; functions of scripts and notebooks, closures and lambdas go by value.
-
-    Raises
-    ------
-    CampaignError
-        If it cannot be pickled.
-    """
-    data = as_bytes("task", task)
+def pickled_task(task: Callable) -> tuple[bytes, str | None]:
+    """Return a task as bytes, and a digest of its code where workers import it by name from a module."""
     by_name = (
         isinstance(task, FunctionType) and task.__module__ != "__main__" and "<" not in task.__qualname__
     )
-    return data, code_digest(task.__code__) if by_name else None
+    return pickled("task", task), code_digest(task.__code__) if by_name else None
 
 
 @lru_cache(maxsize=4)
-def loaded(data: bytes, digest: str | None) -> Callable:
-    """
-    Return the task that `packed` made into bytes.
-
-    Parameters
-    ----------
-    data : bytes
-        The pickled task.
-    digest : str or None
-        Digest of its code: a worker that imported an earlier version of its module imports it again.
-
-    Raises
-    ------
-    CampaignError
-        If the task cannot be loaded here or its code is another than that of the process that sent it.
-    """
+def unpickled_task(data: bytes, digest: str | None) -> Callable:
+    """Return the task that `pickled_task` made into bytes; a module imported in an earlier version is reloaded."""
     try:
         task = pickle.loads(data)
         if digest is not None and code_digest(task.__code__) != digest:
@@ -191,100 +135,75 @@ def loaded(data: bytes, digest: str | None) -> Callable:
     return task
 
 
-def run_packed(data: bytes) -> tuple[list[tuple], float]:
-    """
-    Run a chunk that came as bytes, so that nothing between here and there takes it apart.
-
-    Parameters
-    ----------
-    data : bytes
-        The arguments of `run_chunk`, pickled.
-    """
-    return run_chunk(*pickle.loads(data))
+def run_pickled(data: bytes) -> tuple[list[Outcome], float]:
+    """Run a chunk whose arguments come as bytes, so that Dask does not traverse them."""
+    task, *rest = pickle.loads(data)
+    return run_chunk(unpickled_task(*task), *rest)
 
 
 def run_chunk(
-    task: Callable | tuple[bytes, str | None], seed: tuple, first: int, parameters: list[Mapping]
-) -> tuple[list[tuple], float]:
-    """
-    Run a task with consecutive parameters and return what came of each.
-
-    Parameters
-    ----------
-    task : callable or tuple
-        The task, or what `packed` made of it.
-    seed : tuple
-        As in `run_seed`.
-    first : int
-        Index of the first run.
-    parameters : list of dict
-        Parameters of the runs.
-
-    Returns
-    -------
-    outcomes : list of tuple
-        For each run the results by name, or None; the error in a line, or None; the traceback, or None.
-    seconds : float
-        How long the runs took.
-    """
-    if isinstance(task, tuple):
-        task = loaded(*task)
-    outcomes, began = [], perf_counter()
+    task: Callable, seed: np.random.SeedSequence, first: int, parameters: list[Mapping]
+) -> tuple[list[Outcome], float]:
+    """Run a task with consecutive parameters; return what came of each run, and the seconds they took together."""
+    began = perf_counter()
     _local.depth = getattr(_local, "depth", 0) + 1
     try:
-        for run, values in enumerate(parameters, first):
-            outcomes.append(_outcome(task, values, run_seed(seed, run)))
+        outcomes = [
+            _outcome(task, values, run_seed(seed, run)) for run, values in enumerate(parameters, first)
+        ]
     finally:
         _local.depth -= 1
     return outcomes, perf_counter() - began
 
 
-def _outcome(task: Callable, values: Mapping, seed: np.random.SeedSequence) -> tuple:
+def _outcome(task: Callable, values: Mapping, seed: np.random.SeedSequence) -> Outcome:
     try:
+        # A task that changes its arguments must not change those of other runs.
         own = {k: v if isinstance(v, PLAIN) else copy.deepcopy(v) for k, v in values.items()}
-        result = task(**own, seed=seed)
-        return _checked(result, values), None, None
+        return Outcome(_checked(task(**own, seed=seed), values))
     except (Exception, SystemExit) as error:
-        return None, _line(error), _trace(error)
+        return Outcome(None, _line(error), _traceback(error))
 
 
-def _checked(result: object, parameters: Mapping) -> dict:
+def _checked(results: object, parameters: Mapping) -> dict:
     """Return the results as plain Python values."""
-    if not isinstance(result, Mapping):
+    if not isinstance(results, Mapping):
         raise CampaignError(
-            f"a task must return a dict of results by name, got {type(result).__name__}; return {{'name': value}}"
+            f"a task must return a dict of results by name, got {type(results).__name__}; return {{'name': value}}"
         )
     checked = {}
-    for name, value in result.items():
+    for name, value in results.items():
         if not isinstance(name, str) or not name:
             raise CampaignError(f"results must have names that are text, got {name!r}")
         if name in RESERVED or name in parameters:
             what = "a parameter" if name in parameters else "a column of every campaign"
             raise CampaignError(f"result {name!r} has the name of {what}; return it under another name")
-        checked[name] = _plain(name, value)
+        try:
+            checked[name] = plain(value)
+        except TypeError:
+            raise CampaignError(
+                f"result {name!r} must be a number, text, True, False or None, got {type(value).__name__}; return one "
+                "value under each name"
+            ) from None
+        if isinstance(value, str):
+            value.encode()  # a lone surrogate cannot be written to a file
     if not checked:
         raise CampaignError("a task must return at least one result, got an empty dict")
     return checked
 
 
-def _plain(name: str, value: object) -> bool | int | float | str | None:
+def plain(value: object) -> bool | int | float | str | None:
+    """Return a number, text, truth value or None as Python's own; raise `TypeError` for anything else."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if value is None:
         return None
     if isinstance(value, bool | np.bool_):
         return bool(value)
-    if isinstance(value, str):
-        str(value).encode()
-        return str(value)
-    if isinstance(value, Integral):
-        return int(value)
-    if isinstance(value, Real):
-        return float(value)
-    raise CampaignError(
-        f"result {name!r} must be a number, text, True, False or None, got {type(value).__name__}; return one value "
-        "under each name"
-    )
+    for kind, of in ((str, str), (Integral, int), (Real, float)):
+        if isinstance(value, kind):
+            return of(value)
+    raise TypeError(f"{type(value).__name__} is no plain value")
 
 
 def _line(error: BaseException) -> str:
@@ -295,29 +214,22 @@ def _line(error: BaseException) -> str:
     return _utf8(f"{type(error).__name__}: {text}" if text else type(error).__name__)
 
 
+def _traceback(error: BaseException) -> str:
+    """Return Python's text of a traceback, without source lines, which not every process can read."""
+    whole = traceback.TracebackException.from_exception(error, lookup_lines=False)
+    waiting = [whole]
+    while waiting:
+        part = waiting.pop()
+        part.stack = traceback.StackSummary.from_list(
+            [
+                traceback.FrameSummary(f.filename, f.lineno, f.name, lookup_line=False, line="")
+                for f in part.stack
+                if f.filename != __file__
+            ]
+        )
+        waiting += [cause for cause in (part.__cause__, part.__context__) if cause is not None]
+    return _utf8("".join(whole.format()))
+
+
 def _utf8(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
-
-
-def _trace(error: BaseException) -> str:
-    """Return files, lines and functions, without source text, which not every process can read."""
-    parts, seen = [], set()
-    while error is not None and id(error) not in seen:
-        seen.add(id(error))
-        frames = [
-            traceback.FrameSummary(f.filename, f.lineno, f.name, lookup_line=False, line="")
-            for f in traceback.extract_tb(error.__traceback__)
-            if f.filename != __file__
-        ]
-        lines = [f'  File "{f.filename}", line {f.lineno}, in {f.name}\n' for f in frames]
-        parts.append("Traceback (most recent call last):\n" + "".join(lines) + _line(error) + "\n")
-        cause = error.__cause__
-        between = (
-            "\nThe exception above caused the following one:\n\n"
-            if cause
-            else "\nAnd then, while it was handled:\n\n"
-        )
-        error = cause or (None if error.__suppress_context__ else error.__context__)
-        if error is not None:
-            parts.append(between)
-    return _utf8("".join(reversed(parts)))
