@@ -2,6 +2,9 @@
 
 import functools
 import linecache
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -154,14 +157,36 @@ def test_texts_tell_numbers_apart_to_the_last_bit():
     assert value_text(-0.0) != value_text(0.0)
 
 
+def test_equal_objects_have_equal_texts_in_every_process():
+    """Which strings are one object, and the order of sets, differ between processes."""
+    words = ["".join(["al", "pha"]), "".join(["al", "pha"])]
+    shared = [words[0], words[0]]
+    assert value_text(functools.partial(max, words)) == value_text(functools.partial(max, shared))
+    long = [*words, *range(30)]
+    assert value_text(long) == value_text([*shared, *range(30)])
+    script = (
+        "import numpy as np; from trustlab.campaign.identity import value_text as t; import trustlab as tl; "
+        "print(t(set(map(str, range(50)))), t({'m': tl.published_models()['1'], 'a': np.arange(99.0), 's': {'x', 'y', 'z'}}))"
+    )
+    texts = {
+        subprocess.run(
+            [sys.executable, "-c", script],
+            env=os.environ | {"PYTHONHASHSEED": str(seed)},
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+        for seed in (1, 2)
+    }
+    assert len(texts) == 1
+
+
 MODULE = "def task(seed):\n    return {{'y': {value}}}\n"
 
 
 def test_a_worker_that_imported_an_earlier_version_imports_it_again(tmp_path, monkeypatch):
     """The process that sends has the new code; a worker's `sys.modules` has the old."""
     import importlib
-    import os
-    import sys
 
     monkeypatch.syspath_prepend(tmp_path)
     file = tmp_path / "campaign_task_of_a_test.py"

@@ -6,7 +6,9 @@ import ast
 import functools
 import hashlib
 import inspect
+import io
 import json
+import pickle
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from numbers import Integral
@@ -152,10 +154,8 @@ def value_text(value: object) -> str:
     if isinstance(value, FunctionType | functools.partial | MethodType):
         digest = hashlib.sha256(json.dumps(task_identity(value)).encode()).hexdigest()[:32]
         return f"{_name(value)} {digest}"
-    import joblib
-
     try:
-        digest = joblib.hash(value)
+        digest = _pickle_digest(value)
     except Exception:  # pickling runs the value's own code, which may raise anything
         attributes = getattr(value, "__dict__", None)
         digest = value_text(attributes) if attributes else "of which no digest can be taken"
@@ -163,9 +163,24 @@ def value_text(value: object) -> str:
         shown = repr(value)
     except Exception:  # so may its repr
         shown = ""
-    # A repr with an address differs between processes.
-    plain = shown and len(shown) <= 80 and " at 0x" not in shown and "\n" not in shown
+    # A repr that holds an address or a set differs between processes.
+    plain = shown and len(shown) <= 80 and not any(sign in shown for sign in (" at 0x", "{", "\n"))
     return f"{shown if plain else type(value).__qualname__} {digest}"
+
+
+class _Pickler(pickle.Pickler):
+    """Pickles equal values to equal bytes: no memo, which depends on which parts are one object, and sorted sets."""
+
+    def persistent_id(self, value: object) -> tuple | None:
+        return ("set", sorted(map(value_text, value))) if isinstance(value, set | frozenset) else None
+
+
+def _pickle_digest(value: object) -> str:
+    buffer = io.BytesIO()
+    pickler = _Pickler(buffer, protocol=4)
+    pickler.fast = True  # without memo; values that contain themselves are refused
+    pickler.dump(value)
+    return hashlib.sha256(buffer.getvalue()).hexdigest()[:32]
 
 
 def parameter_texts(parameters: Sequence[Mapping], names: list[str]) -> Iterator[str]:
