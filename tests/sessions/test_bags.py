@@ -290,7 +290,7 @@ def test_topics_that_cannot_be_used(tmp_path, name):
     late = ERROR + 'r = { topic = "/f", field = "data" }\n' + RESAMPLED
     fails(path, late, "do not overlap", "'/e' ends 0.3 s before '/f' starts")
     fails(path, ERROR.replace("/e", "/two"), "'/two' has messages of two types")
-    with pytest.raises(SessionError, match=r"needs a recipe \(its topics: /e, /f, /two\)"):
+    with pytest.raises(SessionError, match=r"needs a recipe \(topics: /e, /f, /two\)"):
         read_session(path)
 
 

@@ -135,7 +135,7 @@ BAD = {
     "no header": ("0,1,1\n1,1,1\n", ["line 1", "numbers stand where", "header = false"]),
     "semicolons": (
         "t;mode\n0;1\n1;1\n",
-        ["line 1", "columns are separated by ';', not by commas", 'delimiter=";"'],
+        ["line 1", "one column only, 't;mode'", "separated by ';'", 'with delimiter=";"'],
     ),
     "text": (HEAD + "0,1,1\n1,1,abc\n2,1,1\n", ["line 3", "'p_r'", "'abc' is not a number", "map"]),
     "comma": (HEAD + '0,1,1\n1,1,"0,5"\n', ["line 3", "decimal"]),

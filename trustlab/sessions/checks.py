@@ -30,11 +30,8 @@ def check_rising(t: np.ndarray, place: Callable[[int], str] = _row, remedy: str 
     if not (steps > 0.0).all():
         k = int(np.argmax(steps <= 0.0)) + 1
         what = "repeats" if steps[k - 1] == 0.0 else "runs backwards"
-        raise SessionError(
-            f"{place(k)}, column t: time {what} ({t[k - 1]} s, then {t[k]} s); "
-            f"{remedy}sort or split the log where this happens",
-            row=k,
-        )
+        found = f"{place(k)}, column t: time {what} ({t[k - 1]} s, then {t[k]} s)"
+        raise SessionError(f"{found}; {remedy}sort or split the log where this happens", row=k)
     return steps
 
 
@@ -64,9 +61,9 @@ def check_column(
 ) -> np.ndarray:
     """Return a column as floats; raise if its name is unknown, or at its first value that is missing or out of range."""
     if name not in VOCABULARY:
+        remedy = "map it with a recipe, leave it out, or see trustlab.sessions.vocabulary()"
         raise SessionError(
-            f"column {name!r} is not in the vocabulary{did_you_mean(name, VOCABULARY) or '.'} "
-            "Map it with a recipe, leave it out, or see trustlab.sessions.vocabulary()"
+            f"column {name!r} is not in the vocabulary{did_you_mean(name, VOCABULARY)} ({remedy})"
         )
     values = np.asarray(values)
     if values.dtype.kind not in "fiub":

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from trustlab.models.checks import did_you_mean
 
-__all__ = ["RecipeError", "SessionError", "damage_named", "listed", "nearest_file", "source_named"]
+__all__ = ["RecipeError", "SessionError"]
 
 
 class SessionError(ValueError):
@@ -62,9 +62,16 @@ def damage_named(what: str, remedy: str) -> Iterator[None]:
         raise SessionError(f"{what} ({type(error).__name__}: {reason}); {remedy}") from error
 
 
-def listed(names: Sequence[object]) -> str:
+def listed(names: Iterable[object]) -> str:
     """Return names separated by commas for an error message: at most 30 of them, each at most 40 characters."""
+    names = list(names)
     return ", ".join(str(name)[:40] for name in names[:30]) + (" …" if len(names) > 30 else "")
+
+
+def alternatives(name: object, known: Iterable[object], words: str = "known") -> str:
+    """Return what an error says after an unknown name: the nearest known name, if one is close, and all there are."""
+    known = list(known)
+    return f"{did_you_mean(name, known)} ({words}: {listed(known)})"
 
 
 def nearest_file(path: Path, suffix: str = "") -> str:

@@ -72,10 +72,8 @@ def metadata_to_json(metadata: Metadata, **extra: object) -> str:
     content = {name: getattr(metadata, name) for name in ("participant", "condition", "synthetic")}
     for name, value in [*content.items(), *metadata.more.items()]:
         if not _survives_json(value):
-            raise SessionError(
-                f"metadata {name!r} cannot be written so that it reads back the same: {shown(value)}; "
-                "use plain numbers, texts, lists or dictionaries with text keys"
-            )
+            what = f"metadata {name!r} would not read back the same: {shown(value)}"
+            raise SessionError(f"{what}; use plain numbers, texts, lists or dictionaries with text keys")
     return json.dumps(content | {"more": dict(metadata.more)} | extra, default=_plain)
 
 
@@ -94,7 +92,7 @@ def metadata_from_json(text: str) -> tuple[Metadata, dict]:
         raise SessionError(f"the trustlab metadata are damaged ({error}); write the file again") from error
     if not isinstance(content, dict):
         raise SessionError(
-            f"the trustlab metadata must be a JSON object, found {type(content).__name__}; write the file again"
+            f"the trustlab metadata are no JSON object but {shown(content)}; write the file again"
         )
     given = {}
     for name, types in _TYPES.items():

@@ -301,10 +301,8 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
     levels = trials.groupby(["participant", "autonomy"]).size().index
     lost = levels.difference(kept.groupby(["participant", "autonomy"]).size().index)
     if len(lost):
-        participant, level = lost[0]
-        raise SessionError(
-            f"participant {participant}, autonomy {level}: no trial is left after dropping the first {drop_first}"
-        )
+        where = "participant {}, autonomy {}".format(*lost[0])
+        raise SessionError(f"{where}: no trial is left after dropping the first {drop_first}")
     return kept.groupby(["participant", "autonomy"], as_index=False)["traj_err"].mean()
 
 

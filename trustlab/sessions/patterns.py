@@ -49,7 +49,7 @@ class PathPattern:
     def __post_init__(self):
         if not isinstance(self.text, str) or not self.text.strip("/ "):
             raise ValueError(
-                f"a path pattern must be a text such as 'trial{{trial:int}}.csv', got {shown(self.text)}"
+                f"a pattern must be a text such as 'trial{{trial:int}}.csv', got {shown(self.text)}"
             )
         types: dict[str, type] = {}
         regex, last = "", 0
@@ -101,9 +101,9 @@ class FieldPath:
         for part in path.split(".") if isinstance(path, str) else [""]:
             found = re.fullmatch(r"([A-Za-z_]\w*)((?:\[\d{1,9}\])*)", part)
             if found is None:
+                example = "'twist.twist.linear.x', 'axes[1]' or 'yaw(pose.pose.orientation)'"
                 raise ValueError(
-                    f"cannot read the field path {shown(self.text)}; write for example "
-                    "'twist.twist.linear.x', 'axes[1]' or 'yaw(pose.pose.orientation)'"
+                    f"cannot read the field path {shown(self.text)}; write for example {example}"
                 )
             steps += [found.group(1), *(int(index) for index in re.findall(r"\d+", found.group(2)))]
         object.__setattr__(self, "steps", tuple(steps))

@@ -80,21 +80,12 @@ from typing import ClassVar
 import numpy as np
 
 from trustlab.models.checks import did_you_mean, finite_number, one_of, positive, shown, whole_number
-from trustlab.sessions.errors import RecipeError, listed, nearest_file, source_named
+from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
 from trustlab.sessions.patterns import FieldPath, PathPattern
 from trustlab.sessions.resampling import METHODS
 from trustlab.sessions.vocabulary import VOCABULARY, to_si
 
-__all__ = [
-    "ColumnRule",
-    "Recipe",
-    "TableRule",
-    "TableTime",
-    "list_recipes",
-    "load_recipe",
-    "parse",
-    "plain_key",
-]
+__all__ = ["Recipe", "list_recipes", "load_recipe"]
 
 _SHIPPED = Path(__file__).parent / "recipes"
 
@@ -122,6 +113,8 @@ def parse(rule: type, table: object, where: str, **given: object):
     try:
         values = {keys[name].name: keys[name].metadata["check"](name, value) for name, value in table.items()}
         return rule(**values, **given)
+    except RecipeError:  # of a table inside this one, which names itself
+        raise
     except ValueError as error:
         raise RecipeError(f"{where}: {error}") from None
 
@@ -135,9 +128,7 @@ def _known_keys(table: object, known: Sequence[str], where: str) -> Mapping[str,
         raise RecipeError(f"{where} must be a table, got {shown(table)}")
     for name in table:
         if name not in known:
-            raise RecipeError(
-                f"{where}: unknown key {name!r}{did_you_mean(name, known)} (known: {', '.join(known)})"
-            )
+            raise RecipeError(f"{where}: unknown key {name!r}{alternatives(name, known)}")
     return table
 
 
@@ -158,6 +149,8 @@ switch = _instance(bool, "true or false")
 any_table = _instance(Mapping, "a table")
 resampling_method = partial(one_of, allowed=METHODS)
 stamp_kind = partial(one_of, allowed=("receive", "header"))
+path_pattern = lambda _, value: PathPattern(value)  # noqa: E731
+field_path = lambda _, value: FieldPath(value)  # noqa: E731
 
 
 def plain(name: str, value: object) -> str | float | bool:
@@ -183,14 +176,13 @@ def plain_key(value: object) -> str:
     return written
 
 
-def mapped(entries: Mapping[str, object], value: object) -> object:
-    """Return what a map of the recipe makes of a value."""
-    if plain_key(value) not in entries:
-        raise ValueError(
-            f"{str(value)[:60]!r} is not in the recipe's map (known: {listed(list(entries))})"
-            f"{did_you_mean(str(value).strip(), entries)}"
-        )
-    return entries[plain_key(value)]
+def mapped(entries: Mapping[str, object], value: object, where: str, row: int | None = None) -> object:
+    """Return what a map of the recipe makes of a value that stands at `where` in a log."""
+    own = plain_key(value)
+    if own not in entries:
+        hint = alternatives(str(value).strip(), entries)
+        raise SessionError(f"{where}: {str(value)[:60]!r} is not in the recipe's map{hint}", row=row)
+    return entries[own]
 
 
 def value_map(name: str, value: object, check: Callable = plain) -> dict[str, object]:
@@ -201,11 +193,6 @@ def value_map(name: str, value: object, check: Callable = plain) -> dict[str, ob
     if len(entries) < len(value):
         raise ValueError(f"two keys of the {name} mean the same value")
     return entries
-
-
-def path_pattern(_: str, value: object) -> PathPattern:
-    """Return a compiled path pattern."""
-    return PathPattern(value)
 
 
 def rising(name: str, value: object) -> tuple[float, ...]:
@@ -311,11 +298,7 @@ class TopicField(_Logged):
     """One number in every message of a topic; `hold` where the last message holds until the log ends."""
 
     topic: str = key(text)
-    path: FieldPath = key(
-        lambda _, value: FieldPath(value),
-        spelt="field",
-        hint="the place in the message, for example 'data' or 'axes[1]'",
-    )
+    path: FieldPath = key(field_path, spelt="field", hint="the place in the message, such as 'axes[1]'")
     hold: bool = key(switch, False)
 
     def __post_init__(self):
@@ -362,9 +345,8 @@ class Travelled(_FromPositions):
     def compute(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the column, from those of the session."""
         moved = self.norm([np.diff(columns[name]) for name in self.needs])
-        return np.r_[
-            moved[:1], moved
-        ]  # nothing stands before the first sample: it gets the second one's distance
+        # Nothing stands before the first sample: it gets the second one's distance.
+        return np.r_[moved[:1], moved]
 
 
 _COLUMN_RULES = {
@@ -412,6 +394,12 @@ class MetadataRule:
             raise ValueError("value is a constant, which takes no map and no bins")
 
 
+def _metadata_rule(name: str, table: object) -> MetadataRule:
+    if name in ("source", "t", ""):
+        raise RecipeError(f"[metadata] {name}: this name is taken; choose another")
+    return parse(MetadataRule, table, f"[metadata] {name}")
+
+
 @dataclass(frozen=True, kw_only=True)
 class TableRule:
     """How a table is written; without a header line its columns are numbered from 0."""
@@ -454,12 +442,8 @@ class BagTime:
 class HeaderRule:
     """The table beside the sessions: its path, and path fields to the columns that name them."""
 
-    file: PathPattern = key(
-        path_pattern, hint="the path of the table, from the folder that the files pattern starts in"
-    )
-    keys: Mapping[str, str] = key(
-        partial(value_map, check=text), hint="the path fields that its rows are found by"
-    )
+    file: PathPattern = key(path_pattern, hint="its path, from the folder that files.pattern starts in")
+    keys: Mapping[str, str] = key(partial(value_map, check=text), hint="the path fields that find a row")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -476,24 +460,44 @@ class _Resampling:
 @dataclass(frozen=True, kw_only=True)
 class _Supersedes:
     field: str = key(text, hint="the path field that tells the sessions apart")
-    pairs: Mapping[str, object] = key(value_map, hint="the values left out, and what replaces them")
+    pairs: Mapping[str, str] = key(
+        partial(value_map, check=lambda _, value: plain_key(plain(_, value))),
+        hint="the values left out, and what replaces them",
+    )
+
+
+def _nested(rule: type) -> Callable:
+    return lambda name, value: parse(rule, value, f"[{name}]")
+
+
+def _each(name: str, value: object, rule: Callable) -> dict[str, object]:
+    """Return a table whose entries, of any name, are tables themselves."""
+    return {own: rule(own, each) for own, each in any_table(name, value).items()}
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Document:
-    """The top of the file: which tables it has."""
+    """The top of the file."""
 
     kind: str = key(partial(one_of, allowed=("table", "bag")), hint='which must be "table" or "bag"')
     name: str | None = key(text, None)
     description: str = key(text, "")
-    files: Mapping | None = key(any_table, None)
-    table: Mapping | None = key(any_table, None)
+    files: _Files | None = key(_nested(_Files), None)
+    table: TableRule | None = key(_nested(TableRule), None)
     time: Mapping | None = key(any_table, None)
-    resampling: Mapping | None = key(any_table, None)
-    columns: Mapping = key(any_table, hint="a table with at least one column of the session")
-    metadata: Mapping | None = key(any_table, None)
-    header: Mapping | None = key(any_table, None)
-    supersedes: Mapping | None = key(any_table, None)
+    resampling: _Resampling | None = key(_nested(_Resampling), None)
+    columns: Mapping[str, ColumnRule] = key(
+        partial(_each, rule=_column_rule), hint="a table with at least one column of the session"
+    )
+    metadata: Mapping[str, MetadataRule] | None = key(partial(_each, rule=_metadata_rule), None)
+    header: HeaderRule | None = key(_nested(HeaderRule), None)
+    supersedes: _Supersedes | None = key(_nested(_Supersedes), None)
+
+    def __post_init__(self):
+        if self.kind == "bag" and self.table is not None:
+            raise ValueError('[table] is for kind = "table"')
+        time = TableTime if self.kind == "table" else BagTime
+        object.__setattr__(self, "time", parse(time, self.time or {}, "[time]"))
 
 
 @dataclass(frozen=True)
@@ -569,48 +573,29 @@ class Recipe:
             try:
                 document = tomllib.loads(text)
             except (ValueError, RecursionError) as error:
-                raise RecipeError(
-                    f"not a TOML file ({error}; texts need quotes); help(trustlab.sessions.recipe) has every key"
-                ) from error
-            recipe = cls._from_document(parse(_Document, document, "recipe"), source)
+                where = "texts need quotes; help(trustlab.sessions.recipe) has every key"
+                raise RecipeError(f"not a TOML file ({error}); {where}") from error
+            top = parse(_Document, document, "recipe")
+            recipe = cls(
+                name=top.name or source,
+                kind=top.kind,
+                columns=top.columns,
+                description=top.description,
+                pattern=top.files and top.files.pattern,
+                table=top.table or TableRule(),
+                time=top.time,
+                method=top.resampling and top.resampling.method,
+                sample_time=top.resampling and top.resampling.sample_time,
+                metadata=top.metadata or {},
+                header=top.header,
+                superseded=top.supersedes.pairs if top.supersedes else {},
+                superseded_field=top.supersedes and top.supersedes.field,
+                source=source,
+            )
             recipe._check_columns()
             recipe._check_origins()
             recipe._check_path_fields()
         return recipe
-
-    @classmethod
-    def _from_document(cls, document: _Document, source: str) -> Recipe:
-        if document.kind == "bag" and document.table is not None:
-            raise RecipeError('[table] is for kind = "table"')
-        for name in document.metadata or {}:
-            if name in ("source", "t", ""):
-                raise RecipeError(f"[metadata] {name}: this name is taken; choose another")
-
-        def part(rule: type, name: str, default: Mapping | None = None):
-            table = default if getattr(document, name) is None else getattr(document, name)
-            return None if table is None else parse(rule, table, f"[{name}]")
-
-        files, supersedes = part(_Files, "files"), part(_Supersedes, "supersedes")
-        resampling = part(_Resampling, "resampling")
-        return cls(
-            name=document.name or source,
-            kind=document.kind,
-            columns={name: _column_rule(name, table) for name, table in document.columns.items()},
-            description=document.description,
-            pattern=files and files.pattern,
-            table=part(TableRule, "table", {}),
-            time=part(TableTime if document.kind == "table" else BagTime, "time", {}),
-            method=resampling and resampling.method,
-            sample_time=resampling and resampling.sample_time,
-            metadata={
-                name: parse(MetadataRule, table, f"[metadata] {name}")
-                for name, table in (document.metadata or {}).items()
-            },
-            header=part(HeaderRule, "header"),
-            superseded={old: plain_key(new) for old, new in supersedes.pairs.items()} if supersedes else {},
-            superseded_field=supersedes and supersedes.field,
-            source=source,
-        )
 
     def _check_columns(self) -> None:
         wrong, word = (TopicField, "topic") if self.kind == "table" else (TableColumn, "column")
@@ -655,10 +640,8 @@ class Recipe:
             used += [("[header] file", name) for name in self.header.file.fields]
         for where, name in used:
             if name not in known:
-                there = ", ".join(known) or "none: it needs a [files] pattern"
-                raise RecipeError(
-                    f"{where}: {name!r} is not a field of the files pattern{did_you_mean(name, known)} (its fields: {there})"
-                )
+                hint = alternatives(name, known, "its fields") if known else "; add [files] pattern"
+                raise RecipeError(f"{where}: {name!r} is not a field of the files pattern{hint}")
 
 
 def _shipped() -> dict[str, Path]:
@@ -699,10 +682,8 @@ def load_recipe(recipe: str | os.PathLike | Recipe) -> Recipe:
     path = shipped.get(str(recipe), Path(recipe)) if isinstance(recipe, str) else Path(recipe)
     if not os.path.isfile(path):
         hint = did_you_mean(path.stem, shipped) or nearest_file(path, ".toml")
-        raise RecipeError(
-            f"there is no recipe {str(recipe)!r}, neither as a file nor by name{hint} "
-            f"(known: {', '.join(shipped)})"
-        )
+        what = f"there is no recipe {str(recipe)!r}, neither as a file nor by name"
+        raise RecipeError(f"{what}{hint} (known: {', '.join(shipped)})")
     try:
         text = path.read_bytes().decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:

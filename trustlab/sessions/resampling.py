@@ -30,10 +30,7 @@ def check_resampling(method: object, sample_time: object) -> None:
         return
     if method is None or sample_time is None:
         given, missing = ("sample_time", "resample") if method is None else ("resample", "sample_time")
-        raise ValueError(
-            f'{given} needs {missing} as well, for example resample="linear", sample_time=0.1 '
-            f"(methods: {', '.join(METHODS)})"
-        )
+        raise ValueError(f'{given} needs {missing} as well, for example resample="linear", sample_time=0.1')
     one_of("resample", method, METHODS)
     positive("sample_time", sample_time)
 
@@ -61,10 +58,9 @@ def resample(
     if len(log.streams) > 1 and stop <= start:
         late = max(log.streams, key=lambda stream: stream.t[0])
         early = min(bounding or log.streams, key=lambda stream: stream.t[-1])
-        raise SessionError(
-            f"topics do not overlap: {early.topic!r} ends {start - stop:.6g} s before {late.topic!r} starts "
-            "(say hold = true for a topic whose last message holds to the end)"
-        )
+        what = f"{early.topic!r} ends {start - stop:.6g} s before {late.topic!r} starts"
+        hint = "say hold = true for a topic whose last message holds to the end"
+        raise SessionError(f"topics do not overlap: {what} ({hint})")
     grid = _time_grid(start, stop, sample_time)
     columns = {
         name: _interpolate(stream.t, values, grid, _method(name, method, rules.get(name)), name == "yaw")
@@ -83,15 +79,11 @@ def _time_grid(start: float, stop: float, sample_time: float) -> np.ndarray:
     start, stop = float(start), float(stop)
     steps = (stop - start) / float(sample_time)
     if not steps < MAX_SAMPLES:
-        raise SessionError(
-            f"resampling {stop - start:.6g} s to {sample_time:g} s would make {steps:.3g} samples; at most "
-            f"{MAX_SAMPLES} are made; check the times and their unit"
-        )
+        what = f"resampling {stop - start:.6g} s to {sample_time:g} s would make {steps:.3g} samples"
+        raise SessionError(f"{what}; at most {MAX_SAMPLES} are made; check the times and their unit")
     count = int(steps + 1e-9) + 1  # rounding must not cost the last sample
     if count < 2:
-        raise SessionError(
-            f"a sample time of {sample_time:g} s leaves fewer than two samples of {stop - start:.6g} s"
-        )
+        raise SessionError(f"at {sample_time:g} s fewer than two samples are left of {stop - start:.6g} s")
     return np.minimum(start + sample_time * np.arange(count), stop)
 
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean
 from trustlab.sessions.checks import check_column, check_time
-from trustlab.sessions.errors import SessionError, source_named
+from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.metadata import Metadata
 
 __all__ = ["Metadata", "Session"]
@@ -47,10 +46,9 @@ class Session:
 
     def __post_init__(self):
         if not isinstance(self.metadata, Metadata):
-            raise SessionError(
-                "metadata must be a Metadata, for example trustlab.Metadata(participant=3, condition='C1', "
-                f"more={{'trial': 2}}), got {type(self.metadata).__name__}"
-            )
+            example = "trustlab.Metadata(participant=3, condition='C1', more={'trial': 2})"
+            found = type(self.metadata).__name__
+            raise SessionError(f"metadata must be a Metadata, for example {example}, got {found}")
         with source_named(self.metadata.source):
             object.__setattr__(self, "data", _checked(self.data))
 
@@ -81,9 +79,7 @@ class Session:
     def __getitem__(self, name: str) -> np.ndarray:
         """Return one column, or "t", as an array of shape (N,)."""
         if not isinstance(name, str):
-            raise SessionError(
-                f"a session is indexed by one column's name, got {name!r}; its table is session.data"
-            )
+            raise SessionError(f"a session is indexed by a column's name, got {name!r}; its table is .data")
         if name == "t":
             return self.t
         self.require(name)
@@ -136,11 +132,8 @@ class Session:
         missing = [name for name in names if name not in self]
         if missing:
             own = self.label if self.label != self.metadata.source else "the session"
-            raise SessionError(
-                f"{own} has no column {missing[0]!r}{did_you_mean(missing[0], self.columns)} "
-                f"(it has: {', '.join(self.columns)}; needed: {', '.join(names)})",
-                self.metadata.source,
-            )
+            hint = alternatives(missing[0], self.columns, f"needed: {', '.join(names)}; it has")
+            raise SessionError(f"{own} has no column {missing[0]!r}{hint}", self.metadata.source)
 
     def with_columns(self, **columns: np.ndarray) -> Session:
         """
@@ -158,10 +151,10 @@ class Session:
         """
         for name, values in columns.items():
             if np.ndim(values) > 1 or (np.ndim(values) == 1 and len(values) != len(self)):
-                raise SessionError(
-                    f"column {name!r} is of shape {np.shape(values)}, but the session has {len(self)} samples",
-                    self.metadata.source,
+                what = (
+                    f"column {name!r} is of shape {np.shape(values)}, but the session has {len(self)} samples"
                 )
+                raise SessionError(what, self.metadata.source)
         return Session(self.data.assign(**columns), self.metadata)
 
     def with_metadata(self, **changes: object) -> Session:
@@ -173,11 +166,8 @@ class Session:
         **changes : object
             participant, condition, source, synthetic, or any other name, which goes to `metadata.more`.
         """
-        own = {
-            name: changes.pop(name)
-            for name in ("participant", "condition", "source", "synthetic")
-            if name in changes
-        }
+        fixed = ("participant", "condition", "source", "synthetic")
+        own = {name: changes.pop(name) for name in fixed if name in changes}
         return Session(self.data, replace(self.metadata, **own, more={**self.metadata.more, **changes}))
 
     def between(self, start: float, stop: float) -> Session:
@@ -198,9 +188,9 @@ class Session:
             raise SessionError(f"start must be before stop, got {start} and {stop}")
         part = self.data.loc[start:stop]
         if len(part) < 2:
+            range_ = f"the session runs from {self.t[0]:g} s to {self.t[-1]:g} s"
             raise SessionError(
-                f"no two samples lie between {start} s and {stop} s; the session runs from {self.t[0]:g} s to {self.t[-1]:g} s",
-                self.metadata.source,
+                f"no two samples lie between {start} s and {stop} s; {range_}", self.metadata.source
             )
         return Session(part, self.metadata)
 
@@ -266,10 +256,8 @@ def _checked(data: pd.DataFrame) -> pd.DataFrame:
     if data.index.name != "t" and "t" in data.columns:
         data = data.set_index("t")
     if isinstance(data.index, pd.RangeIndex) and data.index.name != "t":
-        raise SessionError(
-            "the rows are numbered, not timed; name the column of times [s] 't', or set it as the index: "
-            'frame.set_index("t")'
-        )
+        remedy = "name the column of times [s] 't', or set it as the index: frame.set_index(\"t\")"
+        raise SessionError(f"the rows are numbered, not timed; {remedy}")
     if data.index.dtype.kind not in "fiu":
         raise SessionError(f"the index must be time in seconds, found {data.index.dtype}")
     t = data.index.to_numpy(dtype=float)

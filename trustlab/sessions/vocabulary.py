@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from trustlab.models.checks import did_you_mean, shown
+from trustlab.models.checks import shown
+from trustlab.sessions.errors import alternatives
 
 __all__ = ["UNITS", "VOCABULARY", "Column", "to_si", "vocabulary"]
 
@@ -83,36 +84,22 @@ def vocabulary():
     return pd.DataFrame(rows, columns=["column", "unit", "low", "high", "meaning"]).set_index("column")
 
 
-UNITS: dict[str, tuple[str, float]] = {
-    "1": ("1", 1.0),
-    "%": ("1", 0.01),
-    "percent": ("1", 0.01),
-    "m": ("m", 1.0),
-    "cm": ("m", 0.01),
-    "mm": ("m", 0.001),
-    "km": ("m", 1000.0),
-    "s": ("s", 1.0),
-    "ms": ("s", 1e-3),
-    "us": ("s", 1e-6),
-    "ns": ("s", 1e-9),
-    "min": ("s", 60.0),
-    "h": ("s", 3600.0),
-    "m/s": ("m/s", 1.0),
-    "cm/s": ("m/s", 0.01),
-    "mm/s": ("m/s", 0.001),
-    "km/h": ("m/s", 1.0 / 3.6),
-    "rad": ("rad", 1.0),
-    "deg": ("rad", math.pi / 180.0),
-    "rad/s": ("rad/s", 1.0),
-    "deg/s": ("rad/s", math.pi / 180.0),
+_SIZES = {
+    "1": {"1": 1.0, "%": 0.01, "percent": 0.01},
+    "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+    "m/s": {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001, "km/h": 1.0 / 3.6},
+    "rad": {"rad": 1.0, "deg": math.pi / 180.0},
+    "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
 }
+UNITS = {unit: (si, size) for si, sizes in _SIZES.items() for unit, size in sizes.items()}
 """Name of a unit: its SI unit, and how many of those it is."""
 
 
 def to_si(unit: str, wanted: str) -> float:
     """Return the factor that converts a unit to the SI unit wanted; "measure" takes any unit."""
     if not isinstance(unit, str) or unit not in UNITS:
-        raise ValueError(f"unknown unit {shown(unit)}{did_you_mean(unit, UNITS)} (known: {', '.join(UNITS)})")
+        raise ValueError(f"unknown unit {shown(unit)}{alternatives(unit, UNITS)}")
     base, factor = UNITS[unit]
     if wanted not in (base, "measure"):
         raise ValueError(f"{unit!r} measures {base}, but {wanted} is needed")

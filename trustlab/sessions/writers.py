@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from trustlab.models.checks import did_you_mean, of_class, one_of
-from trustlab.sessions.errors import SessionError, source_named
+from trustlab.models.checks import of_class, one_of
+from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.metadata import metadata_to_json
 from trustlab.sessions.readers.bags import PREFIX, check_sqlite_path
 from trustlab.sessions.readers.csv_files import COMMENT
@@ -58,10 +58,8 @@ def write_session(session: Session, path: str | os.PathLike, format: str | None 
             by_suffix = {suffix: name for name, suffix in FORMATS.items()}
             format = by_suffix.get(path.suffix.lower())
             if format is None:
-                raise SessionError(
-                    f"cannot tell the format from {path.suffix!r}{did_you_mean(path.suffix, by_suffix)}; name it with "
-                    f"format= ({', '.join(FORMATS)})"
-                )
+                hint = alternatives(path.suffix, filter(None, by_suffix))
+                raise SessionError(f"cannot tell the format from {path.suffix!r}{hint}; name it with format=")
         one_of("format", format, FORMATS)
         _check_target(path, format)
         write = {"csv": _write_csv, "parquet": _write_parquet}.get(format, _write_bag)

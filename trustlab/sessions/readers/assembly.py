@@ -25,41 +25,33 @@ def recipe_values(recipe: Recipe, match: PathMatch | None, header: Mapping[str, 
     values = dict(match.fields) if match else {}
     values |= {f"header.{name}": value for name, value in header.items()}
     for name, rule in recipe.metadata.items():
-        values[name] = rule.value if rule.origin is None else _mapped(name, rule, values)
+        where = f"metadata {name!r} (from {rule.origin})"
+        values[name] = _derived(rule, values, where) if rule.origin else rule.value
     return values
 
 
-def _mapped(name: str, rule: MetadataRule, values: Mapping[str, object]) -> object:
+def _derived(rule: MetadataRule, values: Mapping[str, object], where: str) -> object:
     """Return an entry of the metadata that comes from a value known already."""
-    where = f"metadata {name!r}"
-    value = _lookup(rule.origin, values, where)
-    if rule.map is not None:
-        if plain_key(value) not in rule.map and rule.keep:
-            return value
-        if plain_key(value) not in rule.map and rule.default is not None:
-            return rule.default
-        return _from_map(rule.map, value, where, rule.origin)
+    value = _known(rule.origin, values, where)
     if rule.bins is not None:
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise SessionError(f"{where}: {rule.origin} is {value!r}, not a number")
+            raise SessionError(f"{where}: {value!r} is not a number")
         return sum(value > limit for limit in rule.bins)
-    return value
+    if rule.map is None:
+        return value
+    unlisted = value if rule.keep else rule.default
+    if plain_key(value) not in rule.map and unlisted is not None:
+        return unlisted
+    return mapped(rule.map, value, where)
 
 
-def _lookup(origin: str, values: Mapping[str, object], where: str) -> object:
+def _known(origin: str, values: Mapping[str, object], where: str) -> object:
     if origin not in values:
         columns = [name for name in values if name.startswith("header.")]
         raise SessionError(f"{where}: there is no {origin} (known: {', '.join(columns or values)})")
     if values[origin] == "":
         raise SessionError(f"{where}: {origin} is empty in the header")
     return values[origin]
-
-
-def _from_map(entries: Mapping[str, object], value: object, where: str, origin: str) -> object:
-    try:
-        return mapped(entries, value)
-    except ValueError as error:
-        raise SessionError(f"{where} (from {origin}): {error}") from None
 
 
 def assemble_session(
@@ -96,12 +88,12 @@ def assemble_session(
 
 
 def _constant(rule: MetadataColumn, values: Mapping[str, object]) -> float:
-    where = f"column {rule.name!r}"
-    value = _lookup(rule.origin, values, where)
+    where = f"column {rule.name!r} (from {rule.origin})"
+    value = _known(rule.origin, values, where)
     if rule.map is not None:
-        value = _from_map(rule.map, value, where, rule.origin)
+        value = mapped(rule.map, value, where)
     if not isinstance(value, int | float):
-        raise RecipeError(f"{where}: {rule.origin} is {value!r}, not a number; give it a map")
+        raise RecipeError(f"{where}: {value!r} is not a number; give it a map")
     return float(rule.convert(value))
 
 

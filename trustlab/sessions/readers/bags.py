@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from trustlab.models.checks import did_you_mean
-from trustlab.sessions.errors import RecipeError, SessionError, damage_named, listed
+from trustlab.sessions.errors import RecipeError, SessionError, alternatives, damage_named, listed
 from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.patterns import FieldPath
 from trustlab.sessions.raw_log import MAX_SAMPLES, RawLog, Stream
@@ -43,10 +42,8 @@ def check_sqlite_path(path: Path) -> None:
     """Raise where a path has one of ? # %: sqlite3 would read it as a URI with a query."""
     for mark in "?#%":
         if mark in str(path.absolute()):
-            raise SessionError(
-                f"a sqlite3 recording cannot stand under a path with {mark!r} in it; rename the folder, or use .mcap",
-                str(path),
-            )
+            what = f"a sqlite3 recording cannot stand under a path with {mark!r} in it"
+            raise SessionError(f"{what}; rename the folder, or use .mcap", str(path))
 
 
 class _Bag:
@@ -61,52 +58,29 @@ class _Bag:
                 self.types[connection.topic] = f"{known} and {connection.msgtype}"
 
     def messages(self, topics: Sequence[str]) -> Iterator[tuple[str, int, object]]:
-        """Yield topic, time of receipt [ns] and message, in order of time."""
+        """Yield topic, time of receipt [ns] and message, in order of time; check that none is missing."""
         chosen = [connection for connection in self.reader.connections if connection.topic in topics]
         expected, found = Counter(), Counter()
         for connection in chosen:
             expected[connection.topic] += connection.msgcount
-        if sum(expected.values()) > MAX_SAMPLES:
-            raise SessionError(
-                f"the bag has more than {MAX_SAMPLES} messages on the topics read", self.source
-            )
-        stream = self.reader.messages(connections=chosen) if chosen else iter(())
-        while True:
-            with _guard():
-                entry = next(stream, None)
-                if entry is not None:
-                    connection, stamp, data = entry
-                    message = self.reader.deserialize(data, connection.msgtype)
-            if entry is None:
-                break
-            found[connection.topic] += 1
-            if not abs(stamp) < 2**62:
-                raise SessionError(
-                    f"topic {connection.topic!r}: a message has the time {stamp} ns", self.source
-                )
-            yield connection.topic, stamp, message
+        if expected.total() > MAX_SAMPLES:
+            raise SessionError(f"the bag has more than {MAX_SAMPLES} messages on the topics read")
+        for topic, stamp, message in self._decoded(chosen):
+            found[topic] += 1
+            if not abs(stamp) < 2**62:  # differences of stamps must not overflow
+                raise SessionError(f"topic {topic!r}: a message has the time {stamp} ns")
+            yield topic, stamp, message
         for topic in topics:
             if found[topic] == 0:
                 raise SessionError(f"topic {topic!r} has no messages; was it being published?")
             if expected[topic] and found[topic] != expected[topic]:
-                raise SessionError(
-                    f"topic {topic!r}: the bag's index counts {expected[topic]} messages, {found[topic]} are there; "
-                    "the bag is damaged or truncated"
-                )
+                what = f"the bag's index counts {expected[topic]} messages, {found[topic]} are there"
+                raise SessionError(f"topic {topic!r}: {what}; the bag is damaged or truncated")
 
-
-def _check_sqlite_size(database: Path) -> None:
-    """Raise for a database that is shorter than it says; its missing pages would read as zeros."""
-    with database.open("rb") as file:
-        head = file.read(100)
-    size = database.stat().st_size
-    page = int.from_bytes(head[16:18], "big")
-    said = int.from_bytes(head[28:32], "big") * (65536 if page == 1 else page)
-    if len(head) < 100 or not head.startswith(b"SQLite format 3\0") or size < said:
-        what = f"has {size} bytes of {said}" if size else "is empty"
-        raise SessionError(
-            f"not a bag, or a damaged or truncated one ({database.name} {what}); record it again"
-        )
+    def _decoded(self, connections) -> Iterator[tuple[str, int, object]]:
+        with _guard():  # of what is done with a message, nothing happens in here
+            for connection, stamp, data in self.reader.messages(connections=connections):
+                yield connection.topic, stamp, self.reader.deserialize(data, connection.msgtype)
 
 
 @contextmanager
@@ -129,59 +103,62 @@ def _open(path: Path) -> Iterator[_Bag]:
             reader.close()
 
 
+def _check_sqlite_size(database: Path) -> None:
+    """Raise for a database that is shorter than its header says; its missing pages would read as zeros."""
+    with database.open("rb") as file:
+        head = file.read(100)
+    size = database.stat().st_size
+    page = int.from_bytes(head[16:18], "big")  # the format writes a page of 65536 bytes as 1
+    said = int.from_bytes(head[28:32], "big") * (65536 if page == 1 else page)
+    if len(head) < 100 or not head.startswith(b"SQLite format 3\0") or size < said:
+        what = f"has {size} bytes of {said}" if size else "is empty"
+        raise SessionError(f"{_DAMAGED} ({database.name} {what}); record it again")
+
+
 def _read_own(bag: _Bag, wanted: Sequence[str] | None, source: str) -> RawLog:
+    """Return the log in a bag that `write_session` wrote."""
     names = [topic.removeprefix(PREFIX) for topic in bag.types if topic.startswith(PREFIX)]
     if "t" not in names or "metadata" not in names:
-        raise SessionError(
-            f"this bag was not written by trustlab, so that it needs a recipe (its topics: {listed(list(bag.types))})"
-        )
+        raise SessionError(f"not written by trustlab, so it needs a recipe (topics: {listed(bag.types)})")
     names = [name for name in names if name not in ("t", "metadata")]
     for name in wanted or ():
         if name not in names:
-            raise SessionError(
-                f"column {name!r} is missing{did_you_mean(name, names)} (the bag has: {listed(names)})",
-                bag.source,
-            )
+            raise SessionError(f"column {name!r} is missing{alternatives(name, names, 'the bag has')}")
     topics = {PREFIX + name: [] for name in ["metadata", "t", *(wanted or names)]}
     for topic, _, message in bag.messages(list(topics)):
         value = getattr(message, "data", None)
         if not isinstance(value, str if topic == f"{PREFIX}metadata" else float):
-            raise SessionError(
-                f"topic {topic!r} holds {bag.types[topic]}, not what trustlab writes", bag.source
-            )
+            raise SessionError(f"topic {topic!r} holds {bag.types[topic]}, not what trustlab writes")
         topics[topic].append(value)
     metadata, extra = metadata_from_json(topics.pop(f"{PREFIX}metadata")[0])
     for topic, values in topics.items():
         if len(values) != extra.get("samples"):
-            raise SessionError(
-                f"topic {topic!r} has {len(values)} messages where the metadata say {extra.get('samples')}; "
-                "the bag is damaged or truncated"
-            )
+            what = f"topic {topic!r} has {len(values)} messages where the metadata say {extra.get('samples')}"
+            raise SessionError(f"{what}; the bag is damaged or truncated")
     columns = {topic.removeprefix(PREFIX): np.array(values) for topic, values in topics.items()}
-    stream = Stream(columns.pop("t"), columns, "message {} (from 0)".format)
-    return RawLog(source, [stream], metadata)
+    return RawLog(source, [Stream(columns.pop("t"), columns, "message {} (from 0)".format)], metadata)
 
 
 def _read_topics(bag: _Bag, rules: Sequence[TopicField], recipe: Recipe, source: str) -> RawLog:
     """Return a stream per topic, timed from the last of the topics' first stamps."""
     by_topic: dict[str, list[TopicField]] = {}
     for rule in rules:
-        if rule.topic not in bag.types:
-            raise SessionError(
-                f"topic {rule.topic!r} (for {rule.name}) is not in the bag{did_you_mean(rule.topic, bag.types)} "
-                f"(it has: {listed(list(bag.types))})"
-            )
-        if " and " in bag.types[rule.topic]:
-            raise SessionError(f"topic {rule.topic!r} has messages of two types: {bag.types[rule.topic]}")
-        by_topic.setdefault(rule.topic, []).append(rule)
+        topic = rule.topic
+        if topic not in bag.types:
+            hint = alternatives(topic, bag.types, "it has")
+            raise SessionError(f"topic {topic!r} (for {rule.name}) is not in the bag{hint}")
+        if " and " in bag.types[topic]:
+            raise SessionError(f"topic {topic!r} has messages of two types: {bag.types[topic]}")
+        by_topic.setdefault(topic, []).append(rule)
+    if not by_topic:
+        raise SessionError("none of the columns to read comes from a topic; add one that does")
     stamps: dict[str, list[int]] = {topic: [] for topic in by_topic}
     values: dict[str, list[float]] = {rule.name: [] for rule in rules}
     for topic, received, message in bag.messages(list(by_topic)):
         kind = bag.types[topic]
         where = f"topic {topic!r}, message {len(stamps[topic])} (from 0)"
-        stamps[topic].append(
-            _header_stamp(message, kind, where) if recipe.time.of(topic) == "header" else received
-        )
+        by_header = recipe.time.of(topic) == "header"
+        stamps[topic].append(_header_stamp(message, kind, where) if by_header else received)
         for rule in by_topic[topic]:
             values[rule.name].append(_value(message, rule, kind, where))
     start = max(each[0] for each in stamps.values())
@@ -201,31 +178,29 @@ def _read_topics(bag: _Bag, rules: Sequence[TopicField], recipe: Recipe, source:
 
 
 def _header_stamp(message, kind: str, where: str) -> int:
+    """Return the time of measurement [ns]."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     if stamp is None:
-        raise RecipeError(
-            f'{where}: {kind} has no header stamp; say "receive" for this topic under [time] topics'
-        )
+        raise RecipeError(f'{where}: {kind} has no header stamp; say "receive" for it under [time] topics')
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
 def _value(message, rule: TopicField, kind: str, where: str) -> float:
+    """Return the number that a rule takes from a message of type `kind`."""
     here = f"{where}, field {rule.path.text!r} ({rule.name})"
     value = _walk(message, rule.path, kind, here)
     if rule.map is not None:
-        try:
-            return float(mapped(rule.map, value))
-        except ValueError as error:
-            raise SessionError(f"{here}: {error}") from None
+        return float(mapped(rule.map, value, here))
     if rule.path.yaw:
         return _yaw(value, kind, here)
     if not isinstance(value, bool | int | float | np.bool_ | np.number):
-        hint = "; give it a map" if isinstance(value, str) else "; name one number in it"
-        raise RecipeError(f"{here}: holds {type(value).__name__} in {kind}, not a number{hint}")
+        hint = "give it a map" if isinstance(value, str) else "name one number in it"
+        raise RecipeError(f"{here}: holds {type(value).__name__} in {kind}, not a number; {hint}")
     return float(value)
 
 
 def _walk(value, path: FieldPath, kind: str, here: str):
+    """Follow a field path into a message."""
     for step in path.steps:
         if isinstance(step, int):
             if not isinstance(value, list | tuple | np.ndarray):
@@ -236,20 +211,19 @@ def _walk(value, path: FieldPath, kind: str, here: str):
             continue
         fields = [each.name for each in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
         if step not in fields:
-            raise RecipeError(
-                f"{here}: {kind} has no field {step!r} there{did_you_mean(step, fields)} "
-                f"(it has: {listed(fields) or 'a plain value'})"
-            )
+            hint = alternatives(step, fields or ["a plain value"], "it has")
+            raise RecipeError(f"{here}: {kind} has no field {step!r} there{hint}")
         value = getattr(value, step)
     return value
 
 
 def _yaw(value, kind: str, here: str) -> float:
+    """Return the heading [rad] of a quaternion: its rotation about the vertical axis (roll and pitch do not matter)."""
     try:
         x, y, z, w = (float(getattr(value, name)) for name in "xyzw")
     except (AttributeError, TypeError, ValueError):
         raise RecipeError(f"{here}: yaw needs a quaternion, which {kind} has not there") from None
     norm = math.hypot(x, y, z, w)
     if not abs(norm - 1.0) <= 0.01:
-        raise SessionError(f"{here}: the quaternion has norm {norm:.6g}, so that it is no rotation")
+        raise SessionError(f"{here}: the quaternion has norm {norm:.6g}, but a rotation has norm 1")
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

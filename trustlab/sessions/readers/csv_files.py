@@ -22,6 +22,7 @@ __all__ = ["COMMENT", "read_csv"]
 COMMENT = "# trustlab "
 """The start of the first line of a CSV file whose rest is metadata."""
 
+_FILL = "fill or cut it before reading, by a rule you can name"
 _NOT_A_NUMBER = {"nan", "na", "n/a", "null", "none", "inf", "-inf", "+inf", "infinity", "-infinity", "-"}
 
 
@@ -85,9 +86,8 @@ def _decode(data: bytes) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
-        raise SessionError(
-            f"line {line}: byte 0x{data[error.start]:02x} is not UTF-8 text; save the file as UTF-8"
-        ) from error
+        what = f"byte 0x{data[error.start]:02x} is not UTF-8 text"
+        raise SessionError(f"line {line}: {what}; save the file as UTF-8") from error
 
 
 def _check_header(
@@ -100,15 +100,11 @@ def _check_header(
     if len(names) > 1 or other is None or (not recipe and (wanted is not None or other in "|,")):
         return
     written = "\\t" if other == "\t" else other
+    how = f'with delimiter="{written}" (and decimal="," if numbers have a decimal comma), or in a recipe\'s [table]'
     if recipe:
-        raise SessionError(
-            f"{where}: one column only, {names[0][:60]!r}; if its names are separated by {other!r}, say so in the recipe: "
-            f'[table] delimiter = "{written}" (and decimal = "," if numbers have a decimal comma)'
-        )
-    raise SessionError(
-        f"{where}: columns are separated by {'a tab' if other == chr(9) else repr(other)}, not by commas; read it with "
-        f'delimiter="{written}" (and decimal="," if numbers have a decimal comma), or say so in a recipe\'s [table]'
-    )
+        how = f'in the recipe: [table] delimiter = "{written}" (and decimal = "," if numbers have a decimal comma)'
+    what = f"one column only, {names[0][:60]!r}; if its names are separated by {other!r}, say so {how}"
+    raise SessionError(f"{where}: {what}")
 
 
 def _fast(
@@ -197,18 +193,19 @@ def _rows(body: str, layout: TableRule, width: int, basis: str, line: int) -> It
 
 
 def _cell(column: SourceColumn, row: Sequence[str], layout: TableRule, line: int, k: int) -> float:
-    """Return the number in one cell of a row."""
+    """Return the number in one cell of row k."""
+    where = f"line {line}, column {column.label}"
+    if column.map is not None:
+        return float(mapped(column.map, row[column.position], where, row=k))
     try:
-        if column.map is not None:
-            return float(mapped(column.map, row[column.position]))
         return _number(row[column.position].strip(" \t"), layout.decimal)
     except ValueError as error:
-        raise SessionError(f"line {line}, column {column.label}: {error}", row=k) from None
+        raise SessionError(f"{where}: {error}", row=k) from None
 
 
 def _number(text: str, decimal: str) -> float:
     if not text:
-        raise ValueError("the cell is empty; fill or cut it before reading, by a rule you can name")
+        raise ValueError(f"the cell is empty; {_FILL}")
     # With a decimal comma a point has no meaning: "!" makes such a number fail.
     number = text if decimal == "." else text.replace(".", "!").replace(",", ".")
     if NUMBER.fullmatch(number):
@@ -218,9 +215,7 @@ def _number(text: str, decimal: str) -> float:
         return value
     shown = repr(text[:60])
     if text.lower() in _NOT_A_NUMBER:
-        raise ValueError(
-            f"{shown} is not a finite number; fill or cut it before reading, by a rule you can name"
-        )
+        raise ValueError(f"{shown} is not a finite number; {_FILL}")
     if decimal == "." and re.fullmatch(r"[+-]?\d+,\d+", text):
         raise ValueError(f'{shown} is not a number; say decimal = "," in a recipe')
     raise ValueError(f"{shown} is not a number; correct it, or turn words into numbers with a recipe's map")

@@ -6,8 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from trustlab.models.checks import did_you_mean
-from trustlab.sessions.errors import RecipeError, SessionError, nearest_file, source_named
+from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
 from trustlab.sessions.raw_log import RawLog
 from trustlab.sessions.readers.assembly import assemble_session, recipe_values
 from trustlab.sessions.readers.index import SessionIndex
@@ -87,9 +86,7 @@ class FileReader:
         self.table = parse(TableRule, self.layout, "arguments")
         if self.layout and self.recipe is not None:
             given = next(iter(self.layout))
-            raise RecipeError(
-                f"{given} is given, but a recipe states it itself, in [table]", self.recipe.source
-            )
+            raise RecipeError(f"{given} is given, but the recipe states it, in [table]", self.recipe.source)
         self.index = SessionIndex(self.recipe) if self.recipe and self.recipe.header else None
 
     def check_layout(self, paths: Sequence[str | os.PathLike]) -> None:
@@ -148,11 +145,9 @@ class FileReader:
         names = [name for name in dict.fromkeys(self.columns) if name != "t"]
         if not names:
             raise SessionError("columns names no column besides t; name at least one, or leave it out")
-        for name in names if known is not None else ():
-            if name not in known:
-                raise SessionError(
-                    f"the recipe has no column {name!r}{did_you_mean(name, known)} (it has: {', '.join(known)})"
-                )
+        for name in names:
+            if known is not None and name not in known:
+                raise SessionError(f"the recipe has no column {name!r}{alternatives(name, known, 'it has')}")
         return names
 
     def _values(self, path: Path) -> dict[str, object]:
@@ -165,8 +160,8 @@ class FileReader:
         origins += [rule.origin for rule in recipe.columns.values() if isinstance(rule, MetadataColumn)]
         if recipe.pattern and match is None and any(origins):
             raise SessionError(
-                f"the path does not fit the recipe's pattern {recipe.pattern.text!r}, which metadata come from; rename the "
-                "file or its folder to fit it, or take what comes from the path out of the recipe's [metadata] and [columns]"
+                f"the path does not fit the recipe's pattern {recipe.pattern.text!r}; rename the file or its folder, or "
+                "remove what comes from the path from the recipe's [metadata] and [columns]"
             )
         row = {}
         if self.index is not None and any(str(origin).startswith("header.") for origin in origins):
@@ -188,8 +183,6 @@ def _existing(path: Path) -> Path:
                 hint += ", run `ros2 bag reindex` on a recording, or name the .db3 or .mcap file in it"
             raise SessionError(f"a folder without metadata.yaml is not a rosbag2 recording; {hint}")
     elif path.suffix.lower() not in SUFFIXES:
-        raise SessionError(
-            f"cannot read {path.suffix or 'files without a suffix'}{did_you_mean(path.suffix, SUFFIXES)} "
-            f"(known: {', '.join(SUFFIXES)}, or a rosbag2 folder)"
-        )
+        hint = alternatives(path.suffix, [*SUFFIXES, "rosbag2 folders"])
+        raise SessionError(f"cannot read {path.suffix or 'files without a suffix'}{hint}")
     return path

@@ -84,29 +84,27 @@ def read_sessions(
         sessions.append(reader.read(path))
         if progress is not None:
             progress(done, len(paths))
-    return sorted(
-        sessions,
-        key=lambda session: (
-            natural_key(session.metadata.participant),
-            natural_key(session.metadata.more.get("trial")),
-            natural_key(session.metadata.source),
-        ),
-    )
+
+    def order(session: Session) -> list[tuple]:
+        metadata = session.metadata
+        return [
+            natural_key(key) for key in (metadata.participant, metadata.more.get("trial"), metadata.source)
+        ]
+
+    return sorted(sessions, key=order)
 
 
 def _logs_in(folder: str) -> list[str]:
-    paths = [os.path.join(folder, name) for name in os.listdir(folder)]
-    logs = [
-        path
-        for path in paths
-        if (os.path.isfile(path) and Path(path).suffix.lower() in SUFFIXES)
-        or os.path.isfile(os.path.join(path, "metadata.yaml"))
-    ]
+    logs = []
+    for name in os.listdir(folder):
+        path = os.path.join(folder, name)
+        is_log = os.path.isfile(path) and Path(path).suffix.lower() in SUFFIXES
+        if is_log or os.path.isfile(os.path.join(path, "metadata.yaml")):
+            logs.append(path)
     if not logs:
+        what = f"no logs stand in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders)"
         raise SessionError(
-            f"no logs stand in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders); for logs in "
-            "folders below it, give a recipe with a [files] pattern",
-            folder,
+            f"{what}; for logs in folders below it, give a recipe with a [files] pattern", folder
         )
     return sorted(logs, key=natural_key)
 
@@ -117,25 +115,21 @@ def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[s
     headers = _find(folder, index.pattern) if index else {}
     if recipe.superseded:
         gone = _superseded(folder, recipe, sessions)
-        sessions, headers = (
-            {
-                path: match
-                for path, match in found.items()
-                if plain_key(match.fields.get(recipe.superseded_field)) not in gone
-            }
-            for found in (sessions, headers)
-        )
+        for found in (sessions, headers):
+            for path, match in list(found.items()):
+                if plain_key(match.fields.get(recipe.superseded_field)) in gone:
+                    del found[path]
     if not sessions and not headers:
         raise SessionError(
-            f"no file at any depth of this folder fits the recipe's pattern {recipe.pattern.text!r}", folder
+            f"no file below this folder fits the recipe's pattern {recipe.pattern.text!r}", folder
         )
     same: dict[tuple, str] = {}
     for path, match in sessions.items():
         key = tuple(match.fields.items())
-        if key in same and key:
+        other = same.setdefault(key, path)
+        if key and other != path:
             fields = ", ".join(f"{name} {value}" for name, value in key)
-            raise SessionError(f"this file and {same[key]} are both {fields}; read one of the folders", path)
-        same[key] = path
+            raise SessionError(f"this file and {other} are both {fields}; read one of the folders", path)
     if index:
         index.check(headers, sessions)
     return sorted(sessions, key=natural_key)

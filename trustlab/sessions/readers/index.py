@@ -6,7 +6,7 @@ import csv
 import io
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from trustlab.models.checks import did_you_mean
@@ -37,10 +37,8 @@ class SessionIndex:
         rows = self._table(path, source)
         if self._key(match) not in rows:
             named = ", ".join(f"{column} {match.fields[name]}" for name, column in self.keys.items())
-            raise SessionError(
-                f"the header {path} has no row for {named}; add it, or move the file out of the folder",
-                source,
-            )
+            what = f"the header {path} has no row for {named}"
+            raise SessionError(f"{what}; add it, or move the file out of the folder", source)
         return rows[self._key(match)][1]
 
     def check(self, headers: Mapping[str, PathMatch], matches: Mapping[str, PathMatch]) -> None:
@@ -53,10 +51,8 @@ class SessionIndex:
             for key, (line, _) in self._table(header, header).items():
                 if key not in keys:
                     named = ", ".join(map(" ".join, zip(self.keys.values(), key, strict=True)))
-                    raise SessionError(
-                        f"line {line}: names {named}, which has no file; bring the file or take the row out",
-                        header,
-                    )
+                    what = f"line {line}: names {named}, which has no file; add the file or remove the row"
+                    raise SessionError(what, header)
 
     def _path(self, match: PathMatch) -> str:
         return os.path.join(match.base, *self.pattern.fill(match.texts).split("/"))
@@ -78,15 +74,18 @@ class SessionIndex:
         return self._tables[path]
 
     def _parse(self, text: str) -> dict[tuple, tuple[int, dict]]:
-        lines = _lines(text)
-        _, names = next(lines, (1, []))
-        names = [name.strip() for name in names]
+        reader = csv.reader(io.StringIO(text, newline=""))
+        try:
+            lines = [(reader.line_num, cells) for cells in reader]
+        except csv.Error as error:
+            raise SessionError(f"line {reader.line_num}: not a line of a CSV file ({error})") from error
+        names = [name.strip() for name in lines[0][1]] if lines else []
         for column in self.keys.values():
             if names.count(column) != 1:
                 what = "is there twice" if column in names else f"is missing{did_you_mean(column, names)}"
                 raise SessionError(f"line 1: column {column!r} {what}")
         rows: dict[tuple, tuple[int, dict]] = {}
-        for line, cells in lines:
+        for line, cells in lines[1:]:
             if not cells:
                 continue
             if len(cells) != len(names):
@@ -96,18 +95,6 @@ class SessionIndex:
             if "" in key:
                 raise SessionError(f"line {line}: a key is empty ({', '.join(self.keys.values())})")
             if key in rows:
-                raise SessionError(
-                    f"line {line}: {' '.join(key)} is there twice, first in line {rows[key][0]}"
-                )
+                raise SessionError(f"line {line}: {' '.join(key)} is there twice (line {rows[key][0]})")
             rows[key] = (line, row)
         return rows
-
-
-def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number and the cells of every line of a CSV text."""
-    reader = csv.reader(io.StringIO(text, newline=""))
-    try:
-        for cells in reader:
-            yield reader.line_num, cells
-    except csv.Error as error:
-        raise SessionError(f"line {reader.line_num}: not a line of a CSV file ({error})") from error

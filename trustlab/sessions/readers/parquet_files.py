@@ -56,16 +56,11 @@ def _numbers(values, column: SourceColumn) -> np.ndarray:
     import pyarrow as pa
 
     if column.map:
-        return np.array([_coded(k, value, column) for k, value in enumerate(values.to_pylist())], dtype=float)
+        rows = enumerate(values.to_pylist())
+        coded = [mapped(column.map, value, f"row {k} (from 0), column {column.label}") for k, value in rows]
+        return np.array(coded, dtype=float)
     if pa.types.is_boolean(values.type):
         values = values.cast(pa.int8())
     if not pa.types.is_signed_integer(values.type):  # large times stay exact until their start is subtracted
         values = values.cast(pa.float64(), safe=False)
     return values.to_numpy(zero_copy_only=False)
-
-
-def _coded(row: int, value: object, column: SourceColumn) -> float:
-    try:
-        return float(mapped(column.map, value))
-    except ValueError as error:
-        raise SessionError(f"row {row} (from 0), column {column.label}: {error}") from None

@@ -57,9 +57,8 @@ def _find(name: str, key: str | int, names: Sequence[str], where: str) -> tuple[
     """Return where a column stands, and its label in errors."""
     if isinstance(key, int):
         if key >= len(names):
-            raise SessionError(
-                f"{where}: has {len(names)} columns; the recipe takes {name} from column {key} (from 0)"
-            )
+            what = f"the recipe takes {name} from column {key} (from 0)"
+            raise SessionError(f"{where}: has {len(names)} columns; {what}")
         return key, f"{key} ({name})"
     if names.count(key) != 1:
         what = "is there twice; rename or remove one"
@@ -77,26 +76,21 @@ def _time_hint(key: str, names: Sequence[str]) -> str:
 def _check_names(names: Sequence[str], where: str) -> None:
     """Raise unless all names of a file that is read without a recipe are of the vocabulary, and none is there twice."""
     if all(NUMBER.fullmatch(name.strip()) for name in names):
-        raise SessionError(
-            f"{where}: numbers stand where the column names should; add a line of names, or read the file with a "
-            "recipe that says [table] header = false"
-        )
+        remedy = "add a line of names, or read the file with a recipe that says [table] header = false"
+        raise SessionError(f"{where}: numbers stand where the column names should; {remedy}")
     seen: set[str] = set()
     twice = [name for name in names if name in seen or seen.add(name)]
     if twice and twice[0]:
         raise SessionError(f"{where}: column {twice[0]!r} is there twice; rename or remove one")
     for k, name in enumerate(names):
         if not name:
-            raise SessionError(
-                f"{where}: column {k} (from 0) has no name; name it, or remove it (pandas writes one so unless told "
-                "index=False)"
-            )
+            hint = "name it, or remove it (pandas writes one so unless told index=False)"
+            raise SessionError(f"{where}: column {k} (from 0) has no name; {hint}")
         if name not in VOCABULARY and name != "t":
             hint = did_you_mean(name, VOCABULARY) or _time_hint("t", [name])
-            raise SessionError(
-                f"{where}: column {name[:100]!r} is not in the vocabulary{hint} (map it with a recipe, leave it out "
-                "with columns=[...], or rename it; see trustlab.sessions.vocabulary())"
-            )
+            remedy = "map it with a recipe, leave it out with columns=[...], or rename it"
+            what = f"column {name[:100]!r} is not in the vocabulary{hint}"
+            raise SessionError(f"{where}: {what} ({remedy}; see trustlab.sessions.vocabulary())")
 
 
 def table_log(
