@@ -10,7 +10,7 @@ import trustlab as tl
 from trustlab.allocation import simulate_allocation, steady_state_bounds, step_bounds, threshold_limits
 from trustlab.allocation.steady_state import utilization_bounds
 from trustlab.reproduction import published_table, recompute
-from trustlab.reproduction.rounding import half_unit
+from trustlab.reproduction.printed_number import half_unit
 
 
 @pytest.fixture(scope="module")

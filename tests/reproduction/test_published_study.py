@@ -6,7 +6,8 @@ import pickle
 import pytest
 
 import trustlab as tl
-from trustlab.reproduction.study_checks import PublishedStudyError, printed_interval
+from trustlab.reproduction import PublishedStudyError
+from trustlab.reproduction.printed_number import printed_interval
 
 GOOD = {
     "n": 20,
@@ -68,7 +69,7 @@ def test_a_study_from_a_dictionary_and_from_toml(tmp_path):
         (changed(anova={"F": "-8.1"}), r"anova\.F = -8\.1"),
         (changed(anova={"F": "nan"}), r"anova\.F must be a number"),
         (changed(anova={"F": 8.1}), r"anova\.F must be a number as printed, in quotes"),
-        (changed(anova={"F": "<8"}), r"anova\.F must be a number, not the inequality"),
+        (changed(anova={"F": "<8"}), r"anova\.F must be a number as printed, not the inequality"),
         (changed(anova={"G": "8"}), r"anova\.G is unknown"),
         (changed(anova={"eta2": "1.3"}), r"anova\.eta2"),
         (changed(anova={"df1": "3"}), r"anova\.df1 = 3 must be 2 for 3 conditions"),
@@ -87,7 +88,7 @@ def test_a_study_from_a_dictionary_and_from_toml(tmp_path):
         (changed(pairs={"A-C": "1.2"}), r"pairs\.A-C"),
         (changed(pairs={"A-C": True}), r"pairs\.A-C"),
         (changed(significant_without_p="A-B"), r"significant_without_p must be a list"),
-        (changed(n=2), r"n must be at least 3"),
+        (changed(n=2), r"n must be a whole number, 3 or more"),
         (changed(n=3), r"too few for 3 conditions"),
         (changed(n="20"), r"n must be a whole number"),
         (changed(n=True), r"n must be a whole number"),

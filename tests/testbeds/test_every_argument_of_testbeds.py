@@ -10,7 +10,7 @@ import pytest
 import trustlab as tl
 from trustlab.operators import Operator, operator
 from trustlab.reproduction import published_table, recompute, smallest_change
-from trustlab.reproduction.rounding import half_unit
+from trustlab.reproduction.printed_number import half_unit
 from trustlab.testbeds import (
     Course,
     Pioneer,

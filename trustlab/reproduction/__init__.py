@@ -5,13 +5,16 @@ import lazy_loader as lazy
 __getattr__, __dir__, __all__ = lazy.attach(
     __name__,
     submod_attrs={
-        "audit": ["audit"],
-        "comparison": ["compare", "matching_digits"],
-        "conflicts": ["Feasibility", "compare_adjustments", "feasibility"],
+        "audit.audit": ["audit"],
+        "comparison": ["compare", "matching_digits", "recompute", "smallest_change"],
         "published": ["published_models", "published_table"],
-        "published_study": ["PublishedStudy", "published_studies"],
-        "reconstruction": ["Reconstruction", "ReconstructionError", "reconstruct", "reconstruct_study"],
-        "rounding": ["recompute", "smallest_change"],
-        "study_checks": ["PublishedStudyError"],
+        "published_study": ["PublishedStudy", "PublishedStudyError", "published_studies"],
+        "reconstruction.feasibility": ["Feasibility", "compare_adjustments", "feasibility"],
+        "reconstruction.reconstruction": [
+            "Reconstruction",
+            "ReconstructionError",
+            "reconstruct",
+            "reconstruct_study",
+        ],
     },
 )

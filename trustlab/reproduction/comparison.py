@@ -1,31 +1,20 @@
-"""Ours | printed | matching digits | verdict."""
+"""Computed numbers beside printed ones: matching digits, ranges within rounding, and the least change that explains."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from decimal import ROUND_HALF_EVEN, ROUND_HALF_UP, Decimal, InvalidOperation
+from collections.abc import Callable, Mapping
+from decimal import Decimal
+from itertools import product
 
 import numpy as np
 import pandas as pd
 
-__all__ = ["compare", "matching_digits"]
+from trustlab.models.checks import shown, whole_number
+from trustlab.reproduction.printed_number import ROUNDINGS, half_unit, printed_decimal, rounds_to
 
+__all__ = ["compare", "matching_digits", "recompute", "smallest_change"]
 
-def _printed(text: str) -> Decimal:
-    if not isinstance(text, str):
-        raise ValueError(
-            f"a printed value must be text in quotes, as printed, for example '0.390', got {text!r:.60} "
-            f"({type(text).__name__}): a number has lost its trailing zeros"
-        )
-    try:
-        value = Decimal(text.strip())
-    except InvalidOperation:
-        raise ValueError(
-            f"a printed value must be a number as printed, for example '0.390', got {text!r}"
-        ) from None
-    if not value.is_finite():
-        raise ValueError(f"a printed value must be finite, got {text!r}")
-    return value
+Compute = Callable[[dict[str, float]], Mapping[str, float]]
 
 
 def matching_digits(ours: float, printed: str) -> int:
@@ -44,27 +33,17 @@ def matching_digits(ours: float, printed: str) -> int:
     int
         The largest d up to the number of printed digits for which both round to the same d significant digits.
     """
-    target = _printed(printed)
+    target = printed_decimal(printed)
     if not np.isfinite(ours):
         return 0
     value = Decimal(float(ours))
     if target == 0:
-        return int(_rounds_to(value, target))
-    digits, top = len(target.normalize().as_tuple().digits), target.adjusted()
-    digits = max(digits, top - target.as_tuple().exponent + 1)
-    for d in range(digits, 0, -1):
-        unit = Decimal(1).scaleb(top - d + 1)
-        if any(
-            value.quantize(unit, rule) == target.quantize(unit, rule)
-            for rule in (ROUND_HALF_EVEN, ROUND_HALF_UP)
-        ):
-            return d
+        return int(rounds_to(ours, target))
+    for digits in range(len(target.as_tuple().digits), 0, -1):
+        unit = Decimal(1).scaleb(target.adjusted() - digits + 1)
+        if any(value.quantize(unit, rule) == target.quantize(unit, rule) for rule in ROUNDINGS):
+            return digits
     return 0
-
-
-def _rounds_to(value: Decimal, target: Decimal) -> bool:
-    unit = Decimal(1).scaleb(target.as_tuple().exponent)
-    return any(value.quantize(unit, rule) == target for rule in (ROUND_HALF_EVEN, ROUND_HALF_UP))
 
 
 def compare(
@@ -78,7 +57,7 @@ def compare(
     ours : mapping of str to float
         Values found here, by quantity.
     printed : mapping of str to str
-        Values as printed, by the same quantities; what only one side has is an error.
+        Values as printed, by the same quantities; it is an error if one side lacks any.
     stderr : mapping of str to float, optional
         Standard errors of our values.
 
@@ -92,7 +71,7 @@ def compare(
     Raises
     ------
     ValueError
-        If the quantities differ, or a printed value is not text or no number.
+        If the quantities differ, or a printed value is not text or not a number.
     """
     if set(ours) != set(printed):
         only = sorted(set(ours) ^ set(printed))
@@ -101,18 +80,146 @@ def compare(
         )
     rows = []
     for name, value in ours.items():
-        target = _printed(printed[name])
+        target = printed_decimal(printed[name])
         text = printed[name].strip()
         error = float((stderr or {}).get(name, np.nan))
-        half = 0.5 * float(Decimal(1).scaleb(target.as_tuple().exponent))
         verdict = "differs"
-        if np.isfinite(value) and _rounds_to(Decimal(float(value)), target):
+        if np.isfinite(value) and rounds_to(value, target):
             verdict = "rounds to it"
-        elif np.isfinite(error) and abs(float(value) - float(target)) <= half + 2.0 * error:
+        elif np.isfinite(error) and abs(float(value) - float(target)) <= half_unit(text) + 2.0 * error:
             verdict = "within 2 s.e."
-        digits = max(
-            len(target.normalize().as_tuple().digits), target.adjusted() - target.as_tuple().exponent + 1
-        )
+        digits = len(target.as_tuple().digits)
         rows.append((name, float(value), error, text, matching_digits(value, text), digits, verdict))
     columns = ["quantity", "ours", "stderr", "printed", "matching_digits", "printed_digits", "verdict"]
     return pd.DataFrame(rows, columns=columns).set_index("quantity")
+
+
+def _printed_values(name: str, values: Mapping[str, str]) -> dict[str, str]:
+    """Return a mapping of names to printed numbers as a dictionary, every text checked."""
+    if not isinstance(values, Mapping) and not hasattr(values, "items"):
+        raise ValueError(f"{name} must map names to numbers as printed, got {type(values).__name__}")
+    found = dict(values.items())
+    if not found:
+        raise ValueError(f"{name} must hold at least one number as printed, got none")
+    for text in found.values():
+        printed_decimal(text)
+    return found
+
+
+def _outputs(compute: Compute, inputs: Mapping[str, float], wanted: list) -> Mapping[str, float]:
+    """Return what `compute` gives, or say which of the wanted outputs it does not give."""
+    if not callable(compute):
+        raise ValueError(
+            f"compute must be a function of a dictionary of inputs, got {type(compute).__name__}"
+        )
+    found = compute(dict(inputs))
+    for name in wanted:
+        if name not in found:
+            raise ValueError(f"compute returns {', '.join(map(str, found))}, but no {shown(name)}")
+    return found
+
+
+def recompute(
+    compute: Compute, inputs: Mapping[str, str], outputs: Mapping[str, str], draws: int = 500, seed: int = 0
+) -> pd.DataFrame:
+    """
+    Recompute printed outputs from printed inputs, and their ranges when every input varies within its rounding.
+
+    Parameters
+    ----------
+    compute : callable
+        Takes inputs as a dictionary of floats and returns outputs by name; may raise ValueError where inputs are
+        impossible, which is left out of the ranges.
+    inputs, outputs : mapping of str to str
+        Numbers as printed.
+    draws : int
+        Random points inside the box of rounding, besides its corners (all of them up to 12 inputs).
+    seed : int
+        Seed of the draws.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Index `quantity`; columns recomputed, printed, low, high, verdict: "reproduced" (rounds to the printed number),
+        "within rounding" (the range meets what rounds to it), else "not reproducible".
+
+    Raises
+    ------
+    ValueError
+        If nothing can be computed from the printed inputs, an output is not computed, or an argument is not understood.
+    """
+    inputs, outputs = _printed_values("inputs", inputs), _printed_values("outputs", outputs)
+    draws, seed = whole_number("draws", draws, least=0, most=10**6), whole_number("seed", seed, least=0)
+    centre = np.array([float(text) for text in inputs.values()])
+    half = np.array([half_unit(text) for text in inputs.values()])
+    points = np.random.default_rng(seed).uniform(-1.0, 1.0, (draws, len(inputs)))
+    if len(inputs) <= 12:
+        points = np.concatenate([points, np.array(list(product((-1.0, 1.0), repeat=len(inputs))))])
+    exact = _outputs(compute, dict(zip(inputs, centre.tolist(), strict=True)), list(outputs))
+    low, high = dict(exact), dict(exact)
+    for point in points:
+        try:
+            found = compute(dict(zip(inputs, centre + half * point, strict=True)))
+        except ValueError:
+            continue
+        for name in outputs:
+            low[name], high[name] = min(low[name], found[name]), max(high[name], found[name])
+    rounds = compare({name: exact[name] for name in outputs}, outputs)["verdict"] == "rounds to it"
+    rows = []
+    for name, text in outputs.items():
+        value, reach = float(text), half_unit(text)
+        meets = low[name] <= value + reach and high[name] >= value - reach
+        verdict = "reproduced" if rounds[name] else "within rounding" if meets else "not reproducible"
+        rows.append((name, exact[name], text, low[name], high[name], verdict))
+    columns = ["quantity", "recomputed", "printed", "low", "high", "verdict"]
+    return pd.DataFrame(rows, columns=columns).set_index("quantity")
+
+
+def smallest_change(
+    compute: Compute, inputs: Mapping[str, str], output: str, printed: str, units: int = 400
+) -> pd.DataFrame:
+    """
+    Find which single printed input, changed least, makes an output round to its printed value.
+
+    Parameters
+    ----------
+    compute : callable
+        As for `recompute`.
+    inputs : mapping of str to str
+        Numbers as printed.
+    output : str
+        The output to explain.
+    printed : str
+        Its printed value.
+    units : int
+        Greatest change to try, in units of an input's last digit.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row per input that can explain it, least change first: input, printed, needed, units (of its last digit).
+
+    Raises
+    ------
+    ValueError
+        If the output is not computed, or an argument is not understood.
+    """
+    inputs, reach = _printed_values("inputs", inputs), half_unit(printed)
+    units = whole_number("units", units, most=10**5)
+    middle = {name: float(text) for name, text in inputs.items()}
+    if not isinstance(output, str):
+        raise ValueError(f"output must be the name of an output of compute, got {shown(output)}")
+    _outputs(compute, middle, [output])
+    target, rows = float(printed), []
+    for name, text in inputs.items():
+        unit = 2.0 * half_unit(text)
+        for k in sorted(range(-units, units + 1), key=abs):
+            try:
+                found = compute(middle | {name: middle[name] + k * unit})[output]
+            except ValueError:
+                continue
+            if abs(found - target) <= reach:
+                rows.append((name, text, middle[name] + k * unit, k))
+                break
+    table = pd.DataFrame(rows, columns=["input", "printed", "needed", "units"])
+    return table.sort_values("units", key=np.abs, ignore_index=True)

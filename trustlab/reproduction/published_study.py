@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -10,10 +11,11 @@ from types import MappingProxyType
 
 import pandas as pd
 
+from trustlab.models.checks import of_class, shown, whole_number
+from trustlab.reproduction.printed_number import printed_decimal, printed_interval
 from trustlab.reproduction.published import ByName, published_folder
-from trustlab.reproduction.study_checks import PublishedStudyError, check_study, printed_interval
 
-__all__ = ["PublishedStudy", "published_studies"]
+__all__ = ["PublishedStudy", "PublishedStudyError", "published_studies"]
 
 CONDITIONS = {
     "uav.satisfaction": ("C1", "C2", "C3", "C4", "C5"),
@@ -37,8 +39,16 @@ SCALES = {
 """Ranges of the measures. The pilot studies name a 1-5 scale for satisfaction; means above 5 need the 1-7 one."""
 
 
-def _frozen(mapping: Mapping | None) -> Mapping:
-    return MappingProxyType(dict(mapping or {}))
+STATISTICS = {
+    "mauchly": ("chi2", "df", "p"),
+    "anova": ("F", "df1", "df2", "p", "eta2"),
+    "t_test": ("t", "df", "p"),
+}
+"""What a study may print of each test."""
+
+
+class PublishedStudyError(ValueError):
+    """A printed study that cannot be: the message names the field."""
 
 
 @dataclass(frozen=True)
@@ -99,22 +109,32 @@ class PublishedStudy:
     title: str = ""
     where: str = ""
 
+    how_to_get = "PublishedStudy.from_dict builds one, published_studies() has those of the dissertation"
+
     def __post_init__(self) -> None:
-        for key in ("mean", "sd", "anova", "mauchly", "t_test", "pairs"):
+        try:
+            self._freeze()
+            for check in (_check_design, _check_scale, _check_cells, _check_tests, _check_pairs):
+                check(self)
+        except PublishedStudyError:
+            raise
+        except ValueError as error:
+            raise PublishedStudyError(f"{self.name}: {error}") from None
+
+    def _freeze(self) -> None:
+        """Replace mappings by read-only copies and lists by tuples."""
+        for key in ("mean", "sd", *STATISTICS, "pairs"):
             value = getattr(self, key)
             if not isinstance(value, Mapping):
-                raise PublishedStudyError(
-                    f"{self.name}: {key} must be a table of names and printed numbers, got {value!r}"
-                )
-            object.__setattr__(self, key, _frozen(value))
+                raise ValueError(f"{key} must be a table of names and printed numbers, got {shown(value)}")
+            object.__setattr__(self, key, MappingProxyType(dict(value)))
         for key in ("conditions", "significant_without_p"):
             value = getattr(self, key)
             if isinstance(value, str) or not all(isinstance(item, str) for item in value):
-                raise PublishedStudyError(f"{self.name}: {key} must be a list of names, got {value!r}")
+                raise ValueError(f"{key} must be a list of names, got {shown(value)}")
             object.__setattr__(self, key, tuple(value))
         if not self.conditions:
             object.__setattr__(self, "conditions", tuple(dict.fromkeys([*self.mean, *self.sd])))
-        check_study(self)
 
     def __hash__(self) -> int:
         return hash((self.name, self.n, self.conditions, tuple(self.mean.items()), tuple(self.anova.items())))
@@ -164,16 +184,13 @@ class PublishedStudy:
 
     def table(self) -> pd.DataFrame:
         """Return what is printed, one row per number: index statistic; columns printed, low, high."""
-        rows = [(f"mean.{c}", text) for c, text in self.mean.items()]
-        rows += [(f"sd.{c}", text) for c, text in self.sd.items()]
-        for key in ("mauchly", "anova", "t_test", "pairs"):
-            rows += [(f"{key}.{name}", text) for name, text in getattr(self, key).items()]
-        rows += [("epsilon", self.epsilon)] if self.epsilon else []
-        table = pd.DataFrame(
-            [(name, text, *printed_interval(text)) for name, text in rows],
-            columns=["statistic", "printed", "low", "high"],
-        )
-        return table.set_index("statistic")
+        rows = [
+            (f"{key}.{name}", text, *printed_interval(text))
+            for key in ("mean", "sd", "mauchly", "anova", "t_test", "pairs")
+            for name, text in getattr(self, key).items()
+        ]
+        rows += [("epsilon", self.epsilon, *printed_interval(self.epsilon))] if self.epsilon else []
+        return pd.DataFrame(rows, columns=["statistic", "printed", "low", "high"]).set_index("statistic")
 
     @classmethod
     def from_dict(cls, values: Mapping, name: str = "study") -> PublishedStudy:
@@ -227,6 +244,128 @@ class PublishedStudy:
             else:
                 studies[group] = tables
         return {key: cls.from_dict(values, key) for key, values in studies.items()}
+
+
+def _check_design(study: PublishedStudy) -> None:
+    """Check the name, the number of subjects and the conditions."""
+    if not isinstance(study.name, str) or not study.name:
+        raise ValueError(f"name must be a text, got {shown(study.name)}")
+    object.__setattr__(study, "n", whole_number("n", study.n, least=3))
+    of_class("listed_only", study.listed_only, bool, "it must be true or false")
+    if len(set(study.conditions)) != study.k:
+        raise ValueError(f"conditions must differ, got {', '.join(study.conditions)}")
+    if study.k < 2:
+        raise ValueError(f"at least two conditions are needed, got {study.k}")
+    if study.n <= study.k:
+        raise ValueError(
+            f"n = {study.n} subjects are too few for {study.k} conditions; n must exceed their number"
+        )
+    if not study.mean:
+        raise ValueError("mean has no condition")
+    for key in ("mean", "sd"):
+        for condition in getattr(study, key):
+            if condition not in study.conditions:
+                raise ValueError(f"{key}.{condition} is none of the conditions {', '.join(study.conditions)}")
+
+
+def _check_scale(study: PublishedStudy) -> None:
+    """Check the ends of the scale; missing means and standard deviations need both."""
+    scale = study.scale
+    numbers = isinstance(scale, tuple | list) and len(scale) == 2
+    numbers = numbers and all(isinstance(x, int | float) and not isinstance(x, bool) for x in scale)
+    if not numbers or not scale[0] < scale[1]:
+        raise ValueError(f"scale must be the lowest and the highest value, in this order, got {shown(scale)}")
+    object.__setattr__(study, "scale", (float(scale[0]), float(scale[1])))
+    if study.missing and math.isinf(scale[1] - scale[0]):
+        raise ValueError(
+            f"scale must have both ends, because mean and SD of {', '.join(study.missing)} are not printed;"
+            f" got {scale}"
+        )
+
+
+def _check_cells(study: PublishedStudy) -> None:
+    """Check that n values within the scale can have each mean and standard deviation."""
+    low, high = study.scale
+    for condition, text in study.mean.items():
+        printed_decimal(text, f"mean.{condition}")
+        first, last = printed_interval(text)
+        if last < low or first > high:
+            raise ValueError(f"mean.{condition} = {text} lies outside the scale {low:g} to {high:g}")
+    for condition, text in study.sd.items():
+        if printed_decimal(text, f"sd.{condition}") <= 0:
+            raise ValueError(f"sd.{condition} = {text} must be positive")
+        if condition not in study.mean or math.isinf(high - low):
+            continue
+        first, last = printed_interval(study.mean[condition])
+        # The variance is greatest with all values at the ends of the scale, and with the mean as near its middle as can be.
+        mean = min(max(0.5 * (low + high), first), last)
+        largest = math.sqrt(max((mean - low) * (high - mean), 0.0) * study.n / (study.n - 1))
+        if printed_interval(text)[0] > largest:
+            raise ValueError(
+                f"sd.{condition} = {text} is more than {study.n} values from {low:g} to {high:g} with mean"
+                f" {study.mean[condition]} can have ({largest:.4g})"
+            )
+
+
+def _check_p(name: str, text: str) -> None:
+    """Check that a p-value, or the end of an inequality, lies between 0 and 1."""
+    low, high = printed_interval(text, name)
+    end = high if math.isinf(low) else low if math.isinf(high) else 0.5 * (low + high)
+    empty = (math.isinf(low) and end == 0.0) or (math.isinf(high) and end == 1.0)  # p < 0 and p > 1
+    if not 0.0 <= end <= 1.0 or empty:
+        raise ValueError(f"{name} = {text!r} is no p-value; it must lie between 0 and 1")
+
+
+def _check_tests(study: PublishedStudy) -> None:
+    """Check the statistics of each test, one by one and against the number of conditions."""
+    k = study.k
+    for key, allowed in STATISTICS.items():
+        for name, text in getattr(study, key).items():
+            if name not in allowed:
+                raise ValueError(f"{key}.{name} is unknown; there are {', '.join(allowed)}")
+            if name == "p":
+                _check_p(f"{key}.p", text)
+            elif printed_decimal(text, f"{key}.{name}") < 0 and name != "t":
+                raise ValueError(f"{key}.{name} = {text} must not be negative")
+    if "eta2" in study.anova and printed_interval(study.anova["eta2"])[0] >= 1.0:
+        raise ValueError(f"anova.eta2 = {study.anova['eta2']} must lie between 0 and 1")
+    if study.mauchly and k < 3:
+        raise ValueError("mauchly: sphericity is no question for two conditions")
+    if study.t_test and k != 2:
+        raise ValueError(f"t_test needs two conditions, got {k}")
+    _check_epsilon_and_degrees(study)
+
+
+def _check_epsilon_and_degrees(study: PublishedStudy) -> None:
+    """Check epsilon and the degrees of freedom against the number of conditions."""
+    k = study.k
+    if study.epsilon:
+        printed_decimal(study.epsilon, "epsilon")
+        low, high = printed_interval(study.epsilon)
+        if high < 1.0 / (k - 1) or low > 1.0:
+            raise ValueError(
+                f"epsilon = {study.epsilon} must lie between 1/(k − 1) = {1.0 / (k - 1):.4g} and 1 for {k} conditions"
+            )
+    df = k * (k - 1) // 2 - 1
+    if "df" in study.mauchly and float(study.mauchly["df"]) != df:
+        raise ValueError(f"mauchly.df = {study.mauchly['df']} does not belong to {k} conditions ({df})")
+    if "df1" in study.anova:
+        low, high = printed_interval(study.anova["df1"])
+        if high < 1.0 or low > k - 1 or (not study.corrected and not low <= k - 1 <= high):
+            wanted = f"between 1 and {k - 1}" if study.corrected else f"{k - 1}"
+            raise ValueError(f"anova.df1 = {study.anova['df1']} must be {wanted} for {k} conditions")
+
+
+def _check_pairs(study: PublishedStudy) -> None:
+    """Check that each pair is named once, with a p-value."""
+    seen = {}
+    for name in (*study.pairs, *study.significant_without_p):
+        pair = study.pair(name)
+        if pair in seen:
+            raise ValueError(f"pairs: {name} was given already, as {seen[pair]}")
+        seen[pair] = name
+    for name, text in study.pairs.items():
+        _check_p(f"pairs.{name}", text)
 
 
 def published_studies() -> dict[str, PublishedStudy]:

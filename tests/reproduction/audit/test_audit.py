@@ -1,0 +1,346 @@
+"""
+The audit's verdicts: against arithmetic by hand, with printed numbers spoiled and slips corrected, and complete.
+
+Oracles: exact fractions of the printed decimals; closed forms of the F distribution with 4 degrees of freedom; the
+printed files themselves, read here without the audit's own reader.
+"""
+
+import csv
+import tomllib
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.reproduction.audit.audit import MAKERS, audit
+from trustlab.reproduction.audit.catalogue import printed_numbers
+from trustlab.reproduction.audit.joint_consistency import joint_rows
+from trustlab.reproduction.audit.verdict import VERDICTS, Check, rows_of
+
+PUBLISHED = Path(__file__).parents[3] / "data" / "published"
+QUICK = [maker for maker in MAKERS if maker is not joint_rows]
+COLUMNS = [
+    "id",
+    "where",
+    "quantity",
+    "printed",
+    "recomputed",
+    "low",
+    "high",
+    "verdict",
+    "reason",
+    "formula",
+    "inputs",
+]
+
+
+@pytest.fixture(scope="module")
+def verdicts():
+    return audit().set_index("id")
+
+
+def quick(changes=None):
+    """Verdicts by id of everything but the searches of `joint_rows`."""
+    numbers = printed_numbers(changes)
+    return {row.id: row for maker in QUICK for row in rows_of(maker(numbers), numbers)}
+
+
+# Slips that stand however the inputs were rounded.
+SLIPS = {
+    "table_2.1/delta_TSC/2",
+    "table_2.1/delta_TSC/4",
+    "table_2.1/delta_TSC/5",
+    "table_2.1/TSC_ub/5",
+    "table_2.2/P_ru/3/column",
+    "teleop.tracking_error/anova.df1",
+    "claim/section_2_1/c3_lowers_perceived_workload_against_c1_by",
+    "section_2_4_2_4/anovas",
+    "figure_2_18/TSC_ld",
+    "figure_2_18/TSC_ud",
+    "section_3_8_3/MI_tlx",
+    "appendix_a/state/x_damping",
+}
+
+
+def test_the_slips_are_these(verdicts):
+    assert set(verdicts.index[verdicts["verdict"] == "differs"]) == SLIPS
+
+
+def test_shape(verdicts):
+    assert ["id", *verdicts.columns] == COLUMNS
+    assert verdicts.index.is_unique
+    assert set(verdicts["verdict"]) == set(VERDICTS)
+    assert (verdicts["reason"].str.len() > 10).all()
+    known = verdicts[["low", "recomputed", "high"]].dropna()
+    assert (known["low"] <= known["recomputed"]).all()
+    assert (known["recomputed"] <= known["high"]).all()
+    assert tl.audit is audit
+
+
+def test_every_printed_number_is_there(verdicts):
+    printed = []
+    for path in sorted(PUBLISHED.glob("table_*.csv")):
+        table = "table_" + path.stem.removeprefix("table_").replace("_", ".")
+        keys = 2 if table == "table_2.3" else 1
+        with path.open() as file:
+            head, *rows = csv.reader(file)
+        for row in rows:
+            for column, text in zip(head[keys:], row[keys:], strict=True):
+                printed.append((f"{table}/{'.'.join(row[:keys])}/{column}", text))
+    for chapter, studies in tomllib.loads((PUBLISHED / "studies.toml").read_text()).items():
+        for name, study in studies.items():
+            for field, entry in study.items():
+                if isinstance(entry, dict):
+                    printed += [(f"{chapter}.{name}/{field}.{key}", text) for key, text in entry.items()]
+                elif field in ("epsilon", "n"):
+                    printed.append((f"{chapter}.{name}/{field}", str(entry)))
+    assert len(printed) > 430
+    for id, text in printed:
+        assert verdicts.loc[id, "printed"] == text, id
+    with (PUBLISHED / "claims.csv").open() as file:
+        claims = [text for row in csv.DictReader(file) for text in row["printed"].split(" / ")]
+    rows = verdicts[verdicts.index.str.startswith("claim/")]
+    assert sorted(set(claims)) == sorted(set(rows["printed"]))
+    with (PUBLISHED / "statements.csv").open() as file:
+        for row in csv.DictReader(file):
+            assert verdicts.index.str.startswith(row["id"]).any(), row["id"]
+
+
+def hand(verdicts, id, value, rel=1e-9):
+    assert verdicts.loc[id, "recomputed"] == pytest.approx(float(value), rel=rel)
+    return verdicts.loc[id, "verdict"]
+
+
+def gain_and_bias(p):
+    t = tl.published_table("2.1")[p]
+    low, high, least, most = (Fraction(t[k]) for k in ("P_r_min", "P_r_max", "P_h_min", "P_h_max"))
+    scale = high * most - low * least
+    return (most + least) / scale, (high + low) / scale, t
+
+
+@pytest.mark.parametrize(
+    ("p", "verdict"),
+    [("1", "reproduced"), ("2", "differs"), ("3", "reproduced"), ("4", "differs"), ("5", "differs")],
+)
+def test_delta_tsc_by_hand(verdicts, p, verdict):
+    a_t, b_t, t = gain_and_bias(p)
+    robot, human = a_t * Fraction(t["delta_P_r"]), b_t * Fraction(t["delta_P_h"])
+    assert hand(verdicts, f"table_2.1/delta_TSC/{p}", robot + human) == verdict
+    # The explanation: what is printed is the difference, to its last digit, for those three and only those.
+    assert (f"{float(robot - human):.4f}" == t["delta_TSC"]) == (verdict == "differs")
+    assert ("|a_T δ_Pr − b_T δ_Ph|" in verdicts.loc[f"table_2.1/delta_TSC/{p}", "reason"]) == (
+        verdict == "differs"
+    )
+
+
+@pytest.mark.parametrize(("p", "verdict"), [("2", "reproduced"), ("4", "reproduced"), ("5", "differs")])
+def test_upper_limit_by_hand(verdicts, p, verdict):
+    a_t, b_t, t = gain_and_bias(p)
+    keep = 1 - Fraction(t["a_pr"])
+
+    def upper(gain):
+        slope = a_t * Fraction(gain) / keep - b_t
+        assert slope < 0
+        start = a_t * Fraction(t["P_r_min"]) - b_t * Fraction(t["delta_P_h"]) / keep
+        return slope * Fraction(t["P_h_max"]) + start
+
+    assert hand(verdicts, f"table_2.1/TSC_ub/{p}", upper(t["b_pr"])) == verdict
+    if verdict == "differs":
+        assert f"{float(upper(tl.published_table('2.1').loc['b_pr', '4'])):.3f}" == t["TSC_ub"]
+        assert "participant 4" in verdicts.loc[f"table_2.1/TSC_ub/{p}", "reason"]
+
+
+def test_percentages_by_hand(verdicts):
+    def of(id, value):
+        return hand(verdicts, f"claim/{id}", value)
+
+    assert (
+        of("section_2_1/c3_raises_uav_robot_performance_over_c1_by", 100 * (0.551 / 0.493 - 1))
+        == "reproduced"
+    )
+    assert of("section_2_1/c3_lowers_perceived_workload_against_c1_by", 54.296 - 44.213) == "differs"
+    assert of("remark_7/c5_robot_performance_over_c3_by_2_39", 100 * 0.019 / 0.16) == "within rounding"
+    assert of("section_2_4_2_4/uav_robot_performance_c5_over_c1", 100 * 0.087 / 0.493) == "within rounding"
+    assert of("section_3_8_3/tmig_lowers_error_against_m_by", 100 * 1.16 / 3.79) == "reproduced"
+    assert of("section_3_8_3/tmig_lowers_workload_against_m_by", 54.12 - 30.21) == "reproduced"
+    assert of("section_2_4_1_3/c2_suggestions_followed_more_than_c4_by", 78.57 - 63.89) == "reproduced"
+    assert "23.0 %" in verdicts.loc["claim/section_2_4_1_3/c2_suggestions_followed_more_than_c4_by", "reason"]
+
+
+def test_statistics_by_hand(verdicts):
+    # P(F(4, m) > f) = x^(m/2) (1 + (m/2)(1 − x)), x = m/(m + 4 f).
+    x = 140 / (140 + 4 * 18.714)
+    assert hand(verdicts, "uav.robot_performance/anova.p", x**70 * (1 + 70 * (1 - x))) == "reproduced"
+    assert hand(verdicts, "uav.trust/anova.eta2", 6.13 / 41.13) == "reproduced"
+    assert hand(verdicts, "teleop.tracking_error/anova.df1", 70.628 / 29) == "differs"
+    assert hand(verdicts, "uav.tlx/epsilon", 114.63 / 140) == "reproduced"
+    assert hand(verdicts, "uav.tlx/n", 2 * (20 - 2)) == "reproduced"
+    # (100, 100, 50, 100, 42.86): n − 1 in the SD, not n.
+    entries = np.array([100, 100, 50, 100, 42.86])
+    spread = np.sqrt(((entries - 78.572) ** 2).sum() / 4)
+    assert hand(verdicts, "table_2.6/C2/sd", spread) == "reproduced"
+    assert abs(spread * np.sqrt(0.8) - 29.45) > 3
+    assert verdicts.loc["table_2.6/C4/5", "reason"].endswith("1 of 4.")
+
+
+CORRECTIONS = {
+    "table_2.1/delta_TSC/2": "0.0061",
+    "table_2.1/delta_TSC/4": "0.0059",
+    "table_2.1/delta_TSC/5": "0.0056",
+    "table_2.1/TSC_ub/5": "0.358",
+    "teleop.tracking_error/anova.df1": "2.435",
+    "claim/section_2_1/c3_lowers_perceived_workload_against_c1_by": "10.08",
+    "section_2_4_2_4/anovas": "six",
+    "figure_2_18/TSC_ld": "0.15",
+    "figure_2_18/TSC_ud": "0.56",
+    "section_3_8_3/MI_tlx": "third best",
+    "appendix_a/state/x_damping": "1.475",
+}
+
+
+@pytest.mark.parametrize(("id", "text"), CORRECTIONS.items())
+def test_a_corrected_slip_is_reproduced(id, text):
+    assert quick({id: text})[id].verdict == "reproduced"
+
+
+SPOILED = {
+    "table_2.1/delta_TSC/1": "0.0042",
+    "table_2.1/b_pr/2": "0.0023",
+    "table_2.1/b_r/4": "0.005",
+    "table_2.1/TSC_lb/2": "-0.604",
+    "table_2.2/P_rl/4": "0.385",
+    "table_2.2/r_l/5": "0.549",
+    "table_2.6/C2/mean": "75.87",
+    "table_2.6/C4/sd": "13.17",
+    "uav.trust/anova.eta2": "0.194",
+    "uav.trust/anova.df1": "2.696",
+    "uav.tlx/anova.p": "0.01",
+    "uav.followed/t_test.p": "0.01",
+    "uav.trust/mauchly.p": "0.07",
+    "teleop.trust/mauchly.p": "0.196",
+    "teleop.tlx/mauchly.df": "6",
+    "teleop.tlx/anova.df2": "116",
+    "claim/remark_7/c2_utilization_below_c1": "5.1",
+    "claim/remark_3/delta_tsc_of_the_pilot_operator": "0.0048",
+    "section_3_9_2/participants": "31",
+    "section_3_8_3/TMIG_error": "third best",
+    "appendix_a/state/y_damping": "0.4760",
+}
+
+
+@pytest.mark.parametrize(("id", "text"), SPOILED.items())
+def test_a_spoiled_number_differs(id, text, verdicts):
+    assert verdicts.loc[id, "verdict"] == "reproduced"
+    assert quick({id: text})[id].verdict == "differs"
+
+
+def test_a_spoiled_input_shows_where_it_is_used():
+    rows = quick(
+        {"table_2.1/b_pr/5": "0.0012", "uav.tlx/mean.C3": "44.226", "table_3.1/MI/tlx_mean": "62.42"}
+    )
+    assert rows["table_2.1/TSC_ub/5"].verdict == "reproduced"
+    assert rows["table_2.1/b_pr/5"].verdict == "differs"
+    assert rows["claim/section_2_1/c3_lowers_perceived_workload_against_c1_by"].verdict == "reproduced"
+    assert rows["section_3_8_3/MI_tlx"].verdict == "reproduced"
+
+
+def test_a_gain_that_breaks_its_equation_is_no_excuse_but_is_named(verdicts):
+    """Parameters that round as printed and give both limits of participant 5, by hand; (2.3) would print their b_pr as 0.0010."""
+    p_r_min, p_r_max, p_h_min, p_h_max, a_pr, b_pr = 0.244, 0.3616, 0.374, 0.4094, 0.99644, 0.00114
+    a_t, b_t = np.array([p_h_max + p_h_min, p_r_max + p_r_min]) / (p_r_max * p_h_max - p_r_min * p_h_min)
+    gap = b_t * 1.01e-4 / (1.0 - a_pr)
+    assert a_t * p_r_min + gap - b_t * p_h_min == pytest.approx(-0.319, abs=0.002)
+    upper = (a_t * b_pr / (1.0 - a_pr) - b_t) * p_h_max + a_t * p_r_min - gap
+    assert upper == pytest.approx(0.507, abs=0.005)
+    assert f"{(1.0 - a_pr) * (p_r_max - p_r_min) / p_h_max:.4f}" == "0.0010"
+    named = verdicts["reason"].str.contains("does not obey (2.3)", regex=False)
+    assert list(verdicts.index[named]) == ["table_2.1/TSC_ub/5"]
+    assert "from 0.00105 to 0.00115, could reach 0.507" in verdicts.loc["table_2.1/TSC_ub/5", "reason"]
+
+
+def test_impossible_numbers_differ():
+    changes = {
+        "uav.utilization/anova.F": "9.9",  # means and SDs leave 10.26 and more
+        "uav.satisfaction/mauchly.chi2": "20.1",  # ε = 0.693 leaves 22.9 and more
+        "uav.utilization/sd.C5": "0.250",  # a share of mean 0.95 has at most 0.231
+        "uav.followed/t_test.t": "1.9",
+        "table_2.1/delta_P_r/3": "4.9e-4",  # (2.3) moves P_r by (1 − a_pr)(P_r_max − P_r_min) at most, 0.0035 × 0.12
+        "teleop.tlx/pairs.M-TMIG": "0.045",  # 6 p at a correlation of −1 is 0.015
+    }
+    before = quick()
+    for id, text in changes.items():
+        assert before[id].verdict == "not checkable"
+        assert quick({id: text})[id].verdict == "differs", id
+
+
+def test_participant_3_follows_from_other_thresholds(verdicts):
+    id = "table_2.2/P_ru/3/column"
+    assert "TSC_l = 0.10 and TSC_u = 0.37" in verdicts.loc[id, "reason"]
+    numbers = printed_numbers({"table_2.2/TSC_l/3": "0.10", "table_2.2/TSC_u/3": "0.37"})
+    assert {row.id: row.verdict for row in joint_rows(numbers)}[id] == "within rounding"
+
+
+def test_a_spoiled_column_does_not_fit(verdicts):
+    id = "table_2.2/P_ru/4/column"
+    assert verdicts.loc[id, "verdict"] == "within rounding"
+    numbers = printed_numbers({"table_2.2/r_l/4": "0.687"})
+    assert {row.id: row.verdict for row in joint_rows(numbers)}[id] == "differs"
+
+
+def test_no_certain_slip_within_rounding():
+    # Brute force: 20,000 draws of inputs that round as printed never give the printed number, by any convention.
+    numbers = printed_numbers()
+    checks = [check for maker in QUICK for check in maker(numbers) if isinstance(check, Check)]
+    checks = [check for check in checks if check.row(numbers).verdict == "differs"]
+    assert len(checks) == 8
+    rng = np.random.default_rng(1)
+    for check in checks:
+        least, most = numbers[check.number].compatible
+        for way in (check.formula, *check.conventions):
+            values = {}
+            for symbol, id in way.inputs.items():
+                half = 0.0 if symbol in way.as_printed else numbers[id].half
+                values[symbol] = numbers[id].value + half * rng.uniform(-1, 1, 20000)
+            found = np.broadcast_to(way.compute(values), (20000,))
+            assert not ((found >= least) & (found <= most)).any(), (check.number, way.label)
+
+
+def test_duplicates_are_named():
+    id = "teleop.satisfaction/mauchly.chi2/duplicate"
+    row = quick()[id]
+    assert row.reason.startswith("Suspicious: χ² = 5.14 and p = 0.399 are printed for teleop.tlx as well")
+    assert id not in quick({"teleop.tlx/mauchly.chi2": "5.41"})
+
+
+def test_suspicion_is_said_first(verdicts):
+    odd = verdicts[verdicts["reason"].str.contains("Suspicious")]
+    assert odd["reason"].str.startswith("Suspicious").all()
+    assert not (odd["verdict"] == "differs").any()
+    assert len(odd) >= 10
+
+
+def test_same_every_time(verdicts):
+    again = audit().set_index("id")
+    assert again.equals(verdicts)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"table_2.1/a_r/9": "1"}, "no printed number has the id"),
+        ({"table_2.1/ar/1": "1"}, "did you mean 'table_2.1/a_r/1'"),
+        ({3: "1"}, "no printed number has the id 3"),
+        ("differs", "changes must map ids"),
+        (["table_2.1/a_r/1"], "changes must map ids"),
+        ({"table_2.1/a_r/1": 0.5}, "must be a text"),
+        ({"table_2.1/a_r/1": " "}, "must be a text"),
+        ({"table_2.1/a_r/1": "about 1"}, "must be a number as printed"),
+        ({"table_2.1/a_r/1": "nan"}, "must be a number as printed"),
+        ({"table_2.1/a_r/1": "inf"}, "must be a number as printed"),
+    ],
+)
+def test_bad_changes_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        audit(changes)

@@ -1,0 +1,83 @@
+"""
+Pairwise p-values against F: printed statistics of simulated data must fit under the adjustment they were made with.
+
+Oracles: scipy.stats.ttest_rel on the data; the F ratio from sums of squares of the data.
+"""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from trustlab.reproduction.audit.catalogue import conditions_of, printed_numbers
+from trustlab.reproduction.audit.pairwise import pair_checks
+from trustlab.reproduction.audit.verdict import rows_of
+from trustlab.reproduction.printed_number import PrintedNumber
+
+NAMES = conditions_of("uav.made")
+
+
+def printed_study(seed, times, n=36):
+    """A study of simulated data as a paper would print it, p-values multiplied by `times`."""
+    rng = np.random.default_rng(seed)
+    data = (
+        rng.normal(size=(n, 1)) + rng.normal(size=(n, 5)) * rng.uniform(0.6, 1.4, 5) + rng.normal(0.0, 0.4, 5)
+    )
+    centred = data - data.mean(axis=1, keepdims=True)
+    between = n * data.mean(axis=0).var(ddof=1)
+    error = ((centred - centred.mean(axis=0)) ** 2).sum() / (4 * (n - 1))
+    printed = {"n": str(n), "anova.F": f"{between / error:.3f}"}
+    for i, c in enumerate(NAMES):
+        printed |= {f"mean.{c}": f"{data[:, i].mean():.3f}", f"sd.{c}": f"{data[:, i].std(ddof=1):.3f}"}
+    for i, j in combinations(range(5), 2):
+        p = min(times * stats.ttest_rel(data[:, i], data[:, j]).pvalue, 1.0)
+        if p < 0.0495:
+            printed[f"pairs.{NAMES[i]}-{NAMES[j]}"] = "<.0005" if p < 0.0005 else f"{p:.3f}"
+    return {
+        f"uav.made/{key}": PrintedNumber(f"uav.made/{key}", "made here", key, text, key == "n")
+        for key, text in printed.items()
+    }
+
+
+def fits(numbers):
+    rows = {row.id: row for row in rows_of(pair_checks("uav.made", numbers), numbers)}
+    row = rows["uav.made/pairs/adjustment"]
+    if "leave it open" in row.reason:
+        return {"unadjusted", "Bonferroni"}
+    if "Neither" in row.reason:
+        assert row.reason.startswith("Suspicious")
+        return set()
+    return {"unadjusted" if "only unadjusted" in row.reason else "Bonferroni"}
+
+
+@pytest.mark.parametrize(("way", "times"), [("unadjusted", 1.0), ("Bonferroni", 10.0)])
+def test_data_fit_under_their_own_adjustment(way, times):
+    found = [fits(printed_study(seed, times)) for seed in range(25)]
+    assert all(way in each for each in found)
+    if way == "Bonferroni":  # the other one is ruled out now and then, else the check would show nothing
+        assert any(len(each) == 1 for each in found)
+
+
+def test_a_wrong_f_fits_under_neither():
+    numbers = printed_study(3, 10.0)
+    id = "uav.made/anova.F"
+    spoiled = f"{20 * numbers[id].value:.3f}"
+    assert fits(numbers | {id: PrintedNumber(id, "made here", "F", spoiled)}) == set()
+
+
+def test_each_printed_pair_is_possible():
+    numbers = printed_study(4, 10.0)
+    rows = rows_of(pair_checks("uav.made", numbers), numbers)
+    assert len(rows) > 2
+    assert {row.verdict for row in rows} == {"not checkable"}
+
+
+def test_the_printed_studies_are_bonferronis():
+    numbers = printed_numbers()
+    reasons = {
+        name: pair_checks(name, numbers)[-1].reason
+        for name in ("uav.tlx", "teleop.trust", "teleop.satisfaction")
+    }
+    assert "leave it open" in reasons["uav.tlx"]
+    assert all("only Bonferroni is possible" in reasons[f"teleop.{x}"] for x in ("trust", "satisfaction"))

@@ -1,0 +1,173 @@
+"""How verdicts are made: ranges against closed forms and brute force, rounding of printed text, and the bounds used."""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from trustlab.reproduction.audit.catalogue import printed_numbers
+from trustlab.reproduction.audit.sample_moments import attainable, sample_checks, simplest_ratio
+from trustlab.reproduction.audit.statistics import chi2_of_epsilon
+from trustlab.reproduction.audit.verdict import Check, Formula, Possible, reach, rows_of, show
+from trustlab.reproduction.printed_number import PrintedNumber
+from trustlab.studies.analysis.sphericity import mauchly_p_value
+
+
+def number(text, exact=False):
+    return PrintedNumber("x", "Table", "x", text, exact)
+
+
+def test_printed_text_keeps_its_rounding():
+    assert number("0.50").half == pytest.approx(0.005)
+    assert number("5.44e-5").half == pytest.approx(5e-8)
+    assert number("36", exact=True).half == 0.0
+    assert number("worst").value == 1.0
+    assert number("4 and 11").value == 2.0
+    assert number("<.0005").compatible == (-math.inf, 0.0005)
+    assert number("31").compatible == pytest.approx((30.5, 31.5))
+    assert math.isnan(number("met").value)
+
+
+def test_shown_as_printed():
+    assert show(2.43545, number("2.425")) == "2.435"
+    assert show(0.0060521, number("0.0047"), 2) == "0.006052"
+    assert show(6.0, number("seven")) == "6"
+
+
+positive = st.floats(0.1, 10.0)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(positive, positive, positive, st.floats(0.001, 0.05))
+def test_reach_holds_every_point_of_the_box(a, b, c, half):
+    def compute(v):
+        return (v["a"] * v["b"] + v["c"]) / (v["b"] + v["c"])
+
+    middle = {"a": a, "b": b, "c": c}
+    halves = dict.fromkeys(middle, half)
+    value, low, high = reach(compute, middle, halves)
+    assert value == pytest.approx(compute(middle))
+    draws = np.random.default_rng(0).uniform(-1, 1, (3, 500))
+    found = compute({k: middle[k] + half * draws[i] for i, k in enumerate(middle)})
+    assert found.min() >= low - 1e-12
+    assert found.max() <= high + 1e-12
+
+
+def test_reach_of_many_inputs_takes_the_corners():
+    middle = {f"x{i}": 1.0 for i in range(9)}
+    value, low, high = reach(lambda v: sum(v.values()), middle, dict.fromkeys(middle, 0.5))
+    assert (value, low, high) == pytest.approx((9.0, 4.5, 13.5))
+
+
+NUMBERS = {
+    "a": PrintedNumber("a", "Table", "a", "2.0"),
+    "b": PrintedNumber("b", "Table", "b", "3.0"),
+    "product": PrintedNumber("product", "Table", "product", "6.0"),
+}
+
+
+def verdict(printed, conventions=(), explanations=(), **more):
+    numbers = NUMBERS | {"product": PrintedNumber("product", "Table", "product", printed)}
+    product = Formula("a b", {"a": "a", "b": "b"}, lambda v: v["a"] * v["b"])
+    return Check("product", product, conventions, explanations, **more).row(numbers)
+
+
+def test_verdicts_at_their_edges():
+    # a b lies in [1.95 × 2.95, 2.05 × 3.05] = [5.7525, 6.2525].
+    assert verdict("6.0").verdict == "reproduced"
+    assert verdict("6.2").verdict == "within rounding"
+    assert verdict("6.3").verdict == "within rounding"  # 6.2525 rounds to it
+    assert verdict("6.4").verdict == "differs"
+    assert verdict("5.70").verdict == "differs"
+    row = verdict("6.2")
+    assert (row.low, row.recomputed, row.high) == pytest.approx((5.7525, 6.0, 6.2525))
+
+
+def test_conventions_are_tried_and_explanations_only_explain():
+    total = Formula("a + b", {"a": "a", "b": "b"}, lambda v: v["a"] + v["b"], "the sum")
+    assert verdict("5.0", conventions=(total,)).verdict == "reproduced"
+    row = verdict("5.0", explanations=(total,))
+    assert row.verdict == "differs"
+    assert "Probably the sum" in row.reason
+    # An explanation that does not give the printed number is not named.
+    assert "Probably" not in verdict("7.0", explanations=(total,)).reason
+    assert verdict("5.0", binding="it need not.").verdict == "not checkable"
+
+
+def test_one_digit_is_noticed():
+    assert "One digit differs." in verdict("6.9").reason
+    assert "One digit differs." not in verdict("7.1").reason
+
+
+def test_possible_ranges():
+    least = Formula("a", {"a": "a"}, lambda v: v["a"])
+    most = Formula("b", {"b": "b"}, lambda v: v["b"])
+
+    def at(text):
+        numbers = NUMBERS | {"product": PrintedNumber("product", "Table", "product", text)}
+        return Possible("product", least, most).row(numbers).verdict
+
+    assert at("2.5") == "not checkable"
+    assert at("1.9") == "not checkable"  # 1.95 rounds to it
+    assert at("1.80") == "differs"
+    assert at("3.2") == "differs"
+
+
+def test_whole_points():
+    # 1895/360 = 5.26389 for ten items and 36 people; 5.364 is no sum over twelve.
+    assert attainable(number("5.264"), Fraction(360)) == pytest.approx(1895 / 360)
+    assert math.isnan(attainable(number("5.364"), Fraction(432)))
+    every = {f"{k / 432:.3f}" for k in range(432, 3025)}
+    assert "5.364" not in every
+    assert "5.364" in {f"{k / 360:.3f}" for k in range(360, 2521)}
+    assert simplest_ratio(number("42.86")) == Fraction(3, 7)
+    assert simplest_ratio(number("68.75")) == Fraction(11, 16)
+    assert simplest_ratio(number("99.99")) is None
+
+
+def test_items_that_fit():
+    numbers = printed_numbers()
+    rows = {row.id: row for row in rows_of(sample_checks(numbers), numbers)}
+    for study in ("uav.trust", "uav.satisfaction"):
+        means = [float(x.printed) for id, x in numbers.items() if id.startswith(f"{study}/mean.")]
+        fits = [
+            items
+            for items in range(1, 41)
+            if all(abs(round(m * 36 * items) / (36 * items) - m) <= 0.0005 for m in means)
+        ]
+        assert rows[f"{study}/items"].recomputed == fits[0] == 10
+
+
+def test_extreme_chi2_of_epsilon_by_brute_force():
+    # Random eigenvalues of p = 4 contrasts: no χ² below the least at its ε, and the least is reached.
+    rng = np.random.default_rng(2)
+    values = rng.dirichlet(np.ones(4) * 2.0, 20000)
+    epsilon = 1.0 / (4.0 * (values**2).sum(axis=1))
+    n, p = 36, 4
+    rho = 1.0 - (2 * p * p + p + 2) / (6.0 * p * (n - 1))
+    chi2 = -(n - 1) * rho * np.log(values.prod(axis=1) * 4.0**4)
+    low = chi2_of_epsilon(epsilon, np.array(36.0), 5, False)
+    high = chi2_of_epsilon(epsilon, np.array(36.0), 5, True)
+    assert (chi2 >= low - 1e-9).all()
+    assert (chi2 <= high + 1e-9).all()
+    assert np.min(chi2 - low) < 0.05
+    one = np.array([1.0 + 0.9, *[1.0 - 0.3] * 3])
+    at = -(n - 1) * rho * np.log(one.prod())
+    assert chi2_of_epsilon(4.0 / (one**2).sum(), 36.0, 5, False) == pytest.approx(at)
+
+
+def test_second_order_p_is_what_was_printed():
+    # Printed p of six studies; the first-order p rounds to another third decimal in two of them.
+    numbers = printed_numbers()
+    missed = 0
+    for id in [id for id in numbers if id.endswith("mauchly.p")]:
+        study, printed = id.split("/")[0], numbers[id]
+        k = 5 if study.startswith("uav") else 4
+        chi2, n = numbers[f"{study}/mauchly.chi2"].value, numbers[f"{study}/n"].value
+        assert round(float(mauchly_p_value(chi2, n, k)), printed.decimals) == printed.value
+        missed += round(stats.chi2.sf(chi2, k * (k - 1) / 2 - 1), printed.decimals) != printed.value
+    assert missed == 2

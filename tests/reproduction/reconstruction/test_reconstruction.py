@@ -1,0 +1,257 @@
+"""
+Reconstructed data have every printed statistic.
+
+The oracle is an analysis written here from the textbook definitions (sums of squares, contrast covariance, paired t by
+SciPy), and `tl.repeated_measures`; printed numbers are compared as strings, after rounding.
+"""
+
+import json
+from decimal import Decimal
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import trustlab as tl
+from trustlab.reproduction import reconstruct_study
+from trustlab.reproduction.reconstruction.sampling import sample_with_moments
+
+STUDIES = tl.published_studies()
+SLIPS = {"teleop.tracking_error": {"anova.df1"}}
+
+
+def rounds_to(value, text):
+    text = text.strip()
+    if text.startswith("<"):
+        return value < float(text[1:])
+    places = max(-Decimal(text).as_tuple().exponent, 0)
+    return f"{value:.{places}f}" == f"{Decimal(text):.{places}f}"
+
+
+def textbook(frame, conditions, corrected):
+    x = frame.pivot_table(index="subject", columns="condition", values="value")[list(conditions)].to_numpy()
+    n, k = x.shape
+    contrasts = np.linalg.qr(np.column_stack([np.ones(k), np.eye(k)[:, 1:]]))[0][:, 1:]
+    a = contrasts.T @ np.cov(x.T).reshape(k, k) @ contrasts
+    total = ((x - x.mean()) ** 2).sum()
+    between = k * ((x.mean(axis=1) - x.mean()) ** 2).sum()
+    effect = n * ((x.mean(axis=0) - x.mean()) ** 2).sum()
+    error = total - between - effect
+    epsilon = np.trace(a) ** 2 / ((k - 1) * np.trace(a @ a))
+    factor = epsilon if corrected else 1.0
+    out = {"F": (effect / (k - 1)) / (error / ((k - 1) * (n - 1))), "eta2": effect / (effect + error)}
+    out |= {"df1": factor * (k - 1), "df2": factor * (k - 1) * (n - 1), "epsilon": epsilon}
+    out["p"] = stats.f.sf(out["F"], out["df1"], out["df2"])
+    if k > 2:
+        w = np.linalg.det(a) / (np.trace(a) / (k - 1)) ** (k - 1)
+        d = 1 - (2 * (k - 1) ** 2 + (k - 1) + 2) / (6 * (k - 1) * (n - 1))
+        out["chi2"] = -(n - 1) * d * np.log(w)
+        q, f = k - 1, k * (k - 1) / 2 - 1
+        weight = (
+            (q + 2) * (q - 1) * (q - 2) * (2 * q**3 + 6 * q**2 + 3 * k + 2) / (288 * ((n - 1) * q * d) ** 2)
+        )
+        first, second = stats.chi2.sf(out["chi2"], f), stats.chi2.sf(out["chi2"], f + 4)
+        out["mauchly_p"] = first + weight * (second - first)
+    m = k * (k - 1) // 2
+    out["pairs"] = {
+        frozenset((conditions[i], conditions[j])): min(m * stats.ttest_rel(x[:, i], x[:, j]).pvalue, 1.0)
+        for i in range(k)
+        for j in range(i)
+    }
+    out["t"] = stats.ttest_rel(x[:, 0], x[:, 1])
+    return x, out
+
+
+def differences(study, frame):
+    """Names of printed statistics that the data do not have, pairs not listed included."""
+    x, found = textbook(frame, study.conditions, study.corrected)
+    bad = [
+        f"mean.{c}" for c, t in study.mean.items() if not rounds_to(x[:, study.conditions.index(c)].mean(), t)
+    ]
+    bad += [
+        f"sd.{c}"
+        for c, t in study.sd.items()
+        if not rounds_to(x[:, study.conditions.index(c)].std(ddof=1), t)
+    ]
+    bad += [f"anova.{q}" for q, t in study.anova.items() if not rounds_to(found[q], t)]
+    bad += ["epsilon"] if study.epsilon and not rounds_to(found["epsilon"], study.epsilon) else []
+    for q, value in (("chi2", "chi2"), ("p", "mauchly_p")):
+        if q in study.mauchly and not rounds_to(found[value], study.mauchly[q]):
+            bad.append(f"mauchly.{q}")
+    if study.corrected and not study.mauchly and found["mauchly_p"] >= 0.05:
+        bad.append("mauchly.violated")
+    if study.t_test:
+        bad += [] if rounds_to(found["t"].statistic, study.t_test["t"]) else ["t_test.t"]
+        bad += [] if rounds_to(found["t"].pvalue, study.t_test["p"]) else ["t_test.p"]
+        return set(bad)
+    printed = {frozenset(name.split("-")): text for name, text in study.pairs.items()}
+    significant = {frozenset(name.split("-")) for name in study.significant_without_p}
+    for pair, p in found["pairs"].items():
+        if pair in printed:
+            good = rounds_to(p, printed[pair])
+        else:
+            good = p < 0.05 if pair in significant else p > 0.05
+        bad += [] if good else ["pairs." + "-".join(sorted(pair))]
+    return set(bad)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", STUDIES)
+def test_twenty_seeds_have_all_printed_statistics(name):
+    study, seen = STUDIES[name], set()
+    for seed in range(20):
+        frame = tl.reconstruct(study, seed=seed)
+        assert differences(study, frame) == SLIPS.get(name, set())
+        assert frame.attrs["p_adjust"] == "bonferroni"
+        assert set(frame.attrs["left_out"]) == SLIPS.get(name, set())
+        assert frame["value"].between(*study.scale).all()
+        seen.add(round(frame["value"].iloc[0], 9))
+    assert len(seen) == 20
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_one_seed_has_all_printed_statistics(name):
+    study = STUDIES[name]
+    frame = tl.reconstruct(study, seed=101)
+    assert list(frame.columns) == ["subject", "condition", "value"]
+    assert len(frame) == study.n * study.k
+    assert not frame.isna().any().any()
+    assert differences(study, frame) == SLIPS.get(name, set())
+
+
+@pytest.mark.parametrize("name", [name for name in STUDIES if name != "uav.followed"])
+def test_repeated_measures_finds_the_printed_statistics(name):
+    study = STUDIES[name]
+    result = tl.repeated_measures(tl.reconstruct(study, 3), dv="value", within="condition", subject="subject")
+    assert rounds_to(result.F, study.anova["F"])
+    assert rounds_to(result.eta2_partial, study.anova["eta2"])
+    assert rounds_to(result.p_gg if study.corrected else result.p, study.anova["p"])
+    for field, text in study.mauchly.items():
+        assert rounds_to(getattr(result, f"mauchly_{field}"), text)
+    if study.epsilon:
+        assert rounds_to(result.epsilon_gg, study.epsilon)
+    pairs = {frozenset((r.a, r.b)): r.p_bonferroni for r in result.pairs().itertuples()}
+    for pair, text in study.pairs.items():
+        assert rounds_to(pairs[frozenset(pair.split("-"))], text)
+
+
+def test_the_comparison_sees_a_change():
+    study = STUDIES["uav.tlx"]
+    frame = tl.reconstruct(study, 0)
+    frame.loc[frame["condition"] == "C3", "value"] += 0.5
+    assert {"mean.C3", "anova.F", "pairs.C2-C3"} <= differences(study, frame)
+
+
+def test_the_same_seed_gives_the_same_data():
+    study = STUDIES["teleop.trust"]
+    first, again, other = (tl.reconstruct(study, seed) for seed in (5, 5, 6))
+    assert first.equals(again)
+    assert not first.equals(other)
+
+
+def test_data_say_that_they_are_reconstructed():
+    result = reconstruct_study(STUDIES["teleop.tracking_error"], 0)
+    assert result.frame.attrs["reconstructed"] is True
+    assert "no measurements" in result.frame.attrs["note"]
+    assert "no measurements" in result._repr_html_()
+    assert result.table().attrs["reconstructed"] is True
+    assert "2.425" in result.left_out["anova.df1"]
+    assert json.loads(json.dumps(result.frame.attrs)) == result.frame.attrs
+    table = result.table()
+    assert list(table.columns) == ["printed", "low", "high", "reconstructed", "agrees", "left_out"]
+    assert list(table.index[~table["agrees"]]) == ["anova.df1"]
+
+
+def test_statistics_can_be_left_out():
+    study = STUDIES["teleop.tlx"]
+    result = reconstruct_study(study, 0, without=("mauchly", "pairs"))
+    assert result.left_out["mauchly.chi2"] == "left out on request"
+    assert not differences(study, result.frame) & {"anova.F", "mean.M", "sd.M", "anova.eta2"}
+    without_sd = reconstruct_study(study, 0, without=("sd.M", "mean.OMI"))
+    assert differences(study, without_sd.frame) <= {"sd.M", "mean.OMI"}
+
+
+@pytest.mark.slow
+def test_a_conflict_is_left_out_and_named():
+    result = reconstruct_study(STUDIES["teleop.trust"], 0, p_adjust="holm")
+    assert result.p_adjust == "holm"
+    (name,) = result.left_out
+    assert name.startswith(("pairs.", "mean."))
+    assert "cannot hold together" in result.left_out[name]
+    table = result.table()
+    assert set(table.index[~table["agrees"]]) == {name}
+
+
+def test_missing_cells_are_inferred_with_their_range():
+    values = {
+        "n": 24,
+        "mean": {"A": "5.00", "B": "4.20"},
+        "sd": {"A": "1.00", "B": "1.10"},
+        "conditions": ("A", "B", "C"),
+        "anova": {"F": "6.20", "df1": "2", "df2": "46"},
+        "pairs": {"A-B": "0.020"},
+        "scale": (1, 7),
+    }
+    result = reconstruct_study(tl.PublishedStudy.from_dict(values, "small"), 0)
+    ranges = result.ranges()
+    assert list(ranges.columns) == ["low", "high", "proved_low", "proved_high", "reconstructed"]
+    assert list(ranges.index) == ["mean.C", "sd.C", *(f"correlation.{p}" for p in ("A-B", "A-C", "B-C"))]
+    assert ranges["reconstructed"].between(ranges["low"] - 1e-9, ranges["high"] + 1e-9).all()
+    c = ranges.loc["mean.C"]
+    assert 1.0 <= c["proved_low"] <= c["low"] <= c["high"] <= c["proved_high"] <= 7.0
+    assert ranges["proved_low"].isna().sum() == 4
+    assert 1.0 < ranges.loc["mean.C", "low"] < 4.2 < 5.0 < ranges.loc["mean.C", "high"] < 7.0
+    # Means, SDs and p of A and B are printed: the correlation is pinned down by var(a − b) = n (m_a − m_b)²/t².
+    t = stats.t.ppf(0.020 / 3 / 2, 23)
+    variance = 24 * 0.8**2 / t**2
+    exact = (1.0**2 + 1.1**2 - variance) / (2 * 1.0 * 1.1)
+    pinned = ranges.loc["correlation.A-B"]
+    assert pinned["low"] < exact < pinned["high"]
+    assert pinned["high"] - pinned["low"] < 0.1
+
+
+def test_samples_have_exact_moments_within_the_scale():
+    rng = np.random.default_rng(0)
+    covariance = 0.06**2 * (0.5 + 0.5 * np.eye(3))
+    mean = np.array([0.95, 0.93, 0.85])
+    x = sample_with_moments(mean, np.linalg.cholesky(covariance), 20, (0.0, 1.0), rng)
+    assert x.min() >= 0.0
+    assert x.max() <= 1.0
+    np.testing.assert_allclose(x.mean(axis=0), mean, rtol=1e-12)
+    np.testing.assert_allclose(np.cov(x.T), covariance, rtol=1e-11)
+    assert sample_with_moments(mean, 10 * np.linalg.cholesky(covariance), 20, (0.0, 1.0), rng, 50) is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("uav.tlx",), r"study must be of class PublishedStudy, got str.*published_studies\(\)\['uav.tlx'\]"),
+        (("teleop.trusts",), r"published_studies\(\)\['teleop.trust'\]"),
+        (({"n": 3},), "from_dict"),
+        ((STUDIES["uav.tlx"], -1), "seed"),
+        ((STUDIES["uav.tlx"], 1.5), "seed"),
+        ((STUDIES["uav.tlx"], True), "seed"),
+        ((STUDIES["uav.tlx"], 0, "tukey"), "p_adjust must be one of"),
+        ((STUDIES["uav.tlx"], 0, None, ("mauchley",)), "'mauchley' is none of"),
+        ((STUDIES["uav.tlx"], 0, None, "pairs"), "without must be a list"),
+        ((STUDIES["uav.tlx"], 0, None, ("mean", "sd", "anova", "epsilon", "mauchly", "pairs")), "is left"),
+    ],
+)
+def test_bad_input_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        tl.reconstruct(*arguments)
+
+
+def test_what_contradicts_is_left_out_of_a_small_study():
+    study = tl.PublishedStudy.from_dict(
+        {
+            "n": 10,
+            "mean": {"A": "5.00", "B": "6.00"},
+            "sd": {"A": "0.10", "B": "2.00"},
+            "t_test": {"t": "30.0"},
+            "pairs": {"A-B": "0.9"},
+        }
+    )
+    result = reconstruct_study(study, 0)
+    assert result.left_out
+    assert set(result.table().query("not agrees").index) <= set(result.left_out)

@@ -1,0 +1,131 @@
+"""Every printed number under an id of its own, from data/published/."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import pandas as pd
+
+from trustlab.models.checks import did_you_mean, shown
+from trustlab.reproduction.printed_number import PrintedNumber
+from trustlab.reproduction.published import PILOT, published_folder, published_table
+
+__all__ = ["PARTICIPANTS", "conditions_of", "printed_numbers", "study_names"]
+
+PARTICIPANTS = ("1", "2", "3", "4", "5")
+TABLES = ("2.1", "2.2", "2.3", "2.4", "2.5", "2.6", "3.1")
+BY_PARTICIPANT = ("2.1", "2.2", "2.3", "2.6")
+CONDITIONS = {"uav": ("C1", "C2", "C3", "C4", "C5"), "teleop": ("M", "OMI", "MMI", "TMIG")}
+
+
+def study_names(numbers: Mapping[str, PrintedNumber]) -> list[str]:
+    """Return the names of the printed studies, for example "uav.tlx"."""
+    return [id.removesuffix("/n") for id in numbers if id.endswith("/n")]
+
+
+def conditions_of(study: str) -> tuple[str, ...]:
+    """Return all conditions of a study of Section 2.4.2 or 3.9, also where a mean is not printed."""
+    return CONDITIONS[study.split(".")[0]]
+
+
+def _is_count(text: str) -> bool:
+    return bool(re.fullmatch(r"\d+", text.strip()))
+
+
+def _slug(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "_", text.lower().replace("[%]", "")).strip("_")
+
+
+def _tables() -> Iterator[PrintedNumber]:
+    for number in TABLES:
+        for row, cells in published_table(number).iterrows():
+            name = ".".join(row) if isinstance(row, tuple) else str(row)
+            for column, text in cells.items():
+                where, quantity = f"Table {number}, {name}", str(column)
+                if number in BY_PARTICIPANT and column.isdigit():
+                    where, quantity = f"Table {number}, participant {column}", name
+                yield PrintedNumber(f"table_{number}/{name}/{column}", where, quantity, text)
+
+
+def _pilot() -> Iterator[PrintedNumber]:
+    for key, text in PILOT.items():
+        where = "Section 2.2.2" if key.startswith(("a_p", "b_p", "P_r")) else "Section 2.2.3"
+        yield PrintedNumber(f"pilot/{key}", where, f"{key} of the pilot operator", text)
+
+
+def _studies() -> Iterator[PrintedNumber]:
+    chapters = tomllib.loads((published_folder() / "studies.toml").read_text(encoding="utf-8"))
+    for chapter, studies in chapters.items():
+        for key, study in studies.items():
+            yield from _study(f"{chapter}.{key}", study)
+
+
+def _study(name: str, study: Mapping) -> Iterator[PrintedNumber]:
+    where, title = study["where"].split(" (")[0], study["title"]
+    yield PrintedNumber(f"{name}/n", where, "n", str(study["n"]), exact=True)
+    for field in ("mean", "sd", "mauchly", "anova", "pairs", "t_test"):
+        for entry, text in study.get(field, {}).items():
+            exact = field in ("mauchly", "anova") and _is_count(text)  # degrees of freedom
+            yield PrintedNumber(f"{name}/{field}.{entry}", where, f"{title}: {field} {entry}", text, exact)
+    for pair in study.get("significant_without_p", []):
+        yield PrintedNumber(f"{name}/significant.{pair}", where, f"{title}: {pair}", "significantly")
+    if "epsilon" in study:
+        yield PrintedNumber(f"{name}/epsilon", where, f"{title}: epsilon", study["epsilon"])
+
+
+def _claims() -> Iterator[PrintedNumber]:
+    table = pd.read_csv(published_folder() / "claims.csv", dtype=str)
+    for where, claim, printed in table[["where", "claim", "printed"]].itertuples(index=False):
+        start, _, against = claim.partition(" over ")
+        texts = [text.strip() for text in printed.split("/")]
+        names = [claim]
+        if len(texts) > 1:  # one claim against several conditions: "C4 over C1 / C2 / C3 [%]"
+            names = [f"{start} over {other} [%]" for other in re.findall(r"C\d", against)]
+        for name, text in zip(names, texts, strict=True):
+            yield PrintedNumber(f"claim/{_slug(where)}/{_slug(name)}", where, name, text)
+
+
+def _statements() -> Iterator[PrintedNumber]:
+    table = pd.read_csv(published_folder() / "statements.csv", dtype=str)
+    for id, where, statement, printed in table.itertuples(index=False):
+        yield PrintedNumber(id, where, statement, printed, _is_count(printed))
+
+
+def printed_numbers(changes: Mapping[str, str] | None = None) -> dict[str, PrintedNumber]:
+    """
+    Return every printed number by id: Tables 2.1-2.6 and 3.1, the studies, the claims and the statements.
+
+    `changes` puts other values in place of printed ones, by id.
+    """
+    numbers: dict[str, PrintedNumber] = {}
+    for number in (*_tables(), *_pilot(), *_studies(), *_claims(), *_statements()):
+        if number.id in numbers:
+            raise ValueError(f"the id {number.id!r} stands for two printed numbers in data/published")
+        numbers[number.id] = number
+    if changes is not None and not isinstance(changes, Mapping):
+        raise ValueError(
+            f"changes must map ids to texts of numbers, for example {{'table_2.1/a_r/1': '0.9992'}}, got {shown(changes)}; "
+            'to select rows of the audit: verdicts[verdicts["verdict"] == "differs"]'
+        )
+    for id, text in (changes or {}).items():
+        numbers[id] = _changed(numbers, id, text)
+    return numbers
+
+
+def _changed(numbers: Mapping[str, PrintedNumber], id: str, text: str) -> PrintedNumber:
+    """Return a printed number with another text."""
+    if id not in numbers:
+        meant = did_you_mean(id, numbers) if isinstance(id, str) else ""
+        raise ValueError(f"no printed number has the id {shown(id)}{meant} (audit() lists all ids)")
+    if not isinstance(text, str) or not text.strip():
+        raise ValueError(
+            f"the change of {id!r} must be a text as it would be printed, for example '0.390', got {shown(text)}"
+        )
+    changed = replace(numbers[id], printed=text.strip())
+    if math.isfinite(numbers[id].value) and not math.isfinite(changed.value):
+        raise ValueError(f"the change of {id!r} must be a number as printed, got {shown(text)}")
+    return changed

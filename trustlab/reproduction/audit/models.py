@@ -1,0 +1,323 @@
+"""The audit of Tables 2.1-2.3 and the pilot operator: rates, limits, bounds and thresholds of the TSC model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from trustlab.allocation.limits import limits_as_printed
+from trustlab.allocation.steady_state import performance_as_printed, utilization_as_printed
+from trustlab.models.robot import gain_of_human_performance
+from trustlab.models.tsc import TscConstants, performance_weights
+from trustlab.reproduction.audit.catalogue import PARTICIPANTS
+from trustlab.reproduction.audit.verdict import Check, Formula, Numbers, Possible, Remark
+
+__all__ = ["PERFORMANCE", "bounds", "limits", "model_checks", "upper_limit_check"]
+
+PERFORMANCE = ("P_r_min", "P_r_max", "P_h_min", "P_h_max")
+HOLDS = (1e-12, np.inf)
+"""The target of a strict inequality, as a difference that must be positive."""
+
+
+def robot_gain(v: dict) -> np.ndarray:
+    """Return b_pr of (2.3) from a_pr, P_r_min, P_r_max and P_h_max."""
+    return gain_of_human_performance(v["a_pr"], v["P_r_min"], v["P_r_max"], v["P_h_max"])
+
+
+def constants(v: dict) -> TscConstants:
+    """Return the constants of the model at arrays of printed parameters; b_pr of (2.3) where it is not among them."""
+    a_T, b_T = performance_weights(*(v[name] for name in PERFORMANCE))
+    return TscConstants(
+        a_r=v.get("a_r", np.nan),
+        beta=np.nan,  # no limit and no bound depends on it
+        p_h_min=v["P_h_min"],
+        p_h_max=v["P_h_max"],
+        a_pr=v["a_pr"],
+        b_pr=v.get("b_pr", robot_gain(v)),
+        p_r_min=v["P_r_min"],
+        p_r_max=v["P_r_max"],
+        a_T=a_T,
+        b_T=b_T,
+    )
+
+
+def largest_step(v: dict, sign: float = 1.0) -> np.ndarray:
+    """Return a_T δ_Pr + b_T δ_Ph (Remark 3); with sign −1 the magnitude of their difference."""
+    a_T, b_T = performance_weights(*(v[name] for name in PERFORMANCE))
+    return np.abs(a_T * v["delta_P_r"] + sign * b_T * v["delta_P_h"])
+
+
+def limits(v: dict) -> dict[str, np.ndarray]:
+    """Return TSC_lb and TSC_ub, (2.9)-(2.10), and b_pr of (2.3)."""
+    lower, upper = limits_as_printed(constants(v), v["delta_P_h"])
+    return {"TSC_lb": lower, "TSC_ub": upper, "b_pr": robot_gain(v)}
+
+
+def bounds(v: dict) -> dict[str, np.ndarray]:
+    """
+    Return P_rl, P_ru (2.15) and r_l, r_u (2.33).
+
+    With b_pr among the parameters, c of (2.20) is b_pr P_h/(1 − a_pr); P_rl and P_ru need neither a_pr nor a_r.
+    """
+    v = {"a_pr": np.nan, "a_r": np.nan} | v
+    rise = v["b_pr"] * v["P_h_max"] / (1.0 - v["a_pr"]) if "b_pr" in v else None
+    p = performance_as_printed(constants(v), v["TSC_l"], v["TSC_u"], v["delta_TSC"], rise)
+    r = utilization_as_printed(v["a_r"], p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous)
+    r_low, r_high = (np.where(p.p_low < p.p_high, x, np.nan) for x in r)
+    return {"P_rl": p.p_low, "P_ru": p.p_high, "r_l": r_low, "r_u": r_high}
+
+
+def _ids(names: Iterable[str], column: str) -> dict[str, str]:
+    """Return symbol to id for a participant or the pilot."""
+    if column == "pilot":
+        return {name: f"pilot/{name}" for name in names}
+    table = {name: "2.2" if name in ("TSC_l", "TSC_u") else "2.1" for name in names}
+    return {name: f"table_{table[name]}/{name}/{column}" for name in names}
+
+
+def column_formulas(column: str) -> dict[str, Formula]:
+    """Return the formulas of Table 2.1 for one participant, or for the pilot operator."""
+    used = _ids((*PERFORMANCE, "a_pr", "delta_P_h"), column)
+    gain = _ids(("a_pr", "P_r_min", "P_r_max", "P_h_max"), column)
+    steps = _ids((*PERFORMANCE, "delta_P_r", "delta_P_h"), column)
+    return {
+        "b_r": Formula("1 − a_r", _ids(("a_r",), column), lambda v: 1.0 - v["a_r"]),
+        "b_pr": Formula("(1 − a_pr)(P_r_max − P_r_min)/P_h_max", gain, robot_gain),
+        "delta_TSC": Formula("a_T δ_Pr + b_T δ_Ph", steps, largest_step),
+        "TSC_lb": Formula("a_T b'_1 − b_T P_h_min (2.9)", used, lambda v: limits(v)["TSC_lb"]),
+        # b_pr is not varied within its rounding on its own: (2.3) ties it to the other parameters.
+        "TSC_ub": Formula(
+            "a'_3 P_h + b'_3 (2.10)",
+            used | _ids(("b_pr",), column),
+            lambda v: limits(v)["TSC_ub"],
+            "b_pr as printed",
+            as_printed=("b_pr",),
+        ),
+    }
+
+
+def bound_formulas(p: str) -> dict[str, Formula]:
+    """Return the formulas of Table 2.2 for one participant."""
+    range_inputs = _ids((*PERFORMANCE, "delta_TSC", "TSC_l", "TSC_u"), p)
+    inputs = _ids((*PERFORMANCE, "a_pr", "a_r", "delta_TSC", "TSC_l", "TSC_u"), p)
+    return {
+        "P_rl": Formula("P_rl of (2.15)", range_inputs, lambda v: bounds(v)["P_rl"]),
+        "P_ru": Formula("P_ru of (2.15)", range_inputs, lambda v: bounds(v)["P_ru"]),
+        "r_l": Formula("r_l of (2.33)", inputs, lambda v: bounds(v)["r_l"]),
+        "r_u": Formula("r_u of (2.33)", inputs, lambda v: bounds(v)["r_u"]),
+    }
+
+
+def upper_limit_check(p: str) -> Check:
+    """Return the check of TSC_ub (2.10), with b_pr as printed and as (2.3) gives it."""
+    ub = column_formulas(p)["TSC_ub"]
+    exact = replace(
+        ub,
+        inputs={symbol: id for symbol, id in ub.inputs.items() if symbol != "b_pr"},
+        label="b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb",
+        as_printed=(),
+    )
+    neighbours = tuple(
+        replace(
+            ub,
+            inputs={**ub.inputs, "b_pr": f"table_2.1/b_pr/{q}"},
+            label=f"the b_pr of participant {q} was used",
+        )
+        for q in PARTICIPANTS
+        if q != p
+    )
+    return Check(f"table_2.1/TSC_ub/{p}", ub, (exact,), neighbours)
+
+
+def _untied_gain(check: Check, tied: Formula, numbers: Numbers) -> str:
+    """Say so where only a b_pr that rounds as printed but does not obey (2.3) reaches the printed limit."""
+    printed, gain = numbers[check.number], numbers[check.formula.inputs["b_pr"]]
+    free = replace(check.formula, as_printed=())
+    if any(way.meets(printed, numbers) for way in (check.formula, *check.conventions)):
+        return ""
+    if not free.meets(printed, numbers):
+        return ""
+    by_equation, _, _ = tied.range(numbers)
+    return (
+        f"Only a b_pr that does not obey (2.3) and still rounds to {gain.printed}, from {gain.value - gain.half:.5f} to "
+        f"{gain.value + gain.half:.5f}, could reach {printed.printed}; the text chooses b_pr by (2.3), here "
+        f"{by_equation:.5f}."
+    )
+
+
+def _participant(p: str, numbers: Numbers) -> list[Check]:
+    """Return the checks of one participant's columns of Tables 2.1 and 2.2."""
+    one, two = column_formulas(p), bound_formulas(p)
+    limit, _, _ = one["TSC_ub"].range(numbers)
+    chosen, below = numbers[f"table_2.2/TSC_u/{p}"], ""
+    if limit < chosen.value:
+        below = f"With TSC_ub = {limit:.3f} as recomputed, the chosen TSC_u = {chosen.printed} of Table 2.2 lies above it."
+    upper = upper_limit_check(p)
+    minus = Formula(
+        "a_T δ_Pr − b_T δ_Ph",
+        one["delta_TSC"].inputs,
+        lambda v: largest_step(v, -1.0),
+        "|a_T δ_Pr − b_T δ_Ph| was taken as it stands in Remark 3, whose maximum is the sum",
+    )
+    printed_gain = {
+        name: replace(
+            two[name],
+            inputs={**two[name].inputs, "b_pr": f"table_2.1/b_pr/{p}"},
+            label="c of (2.20) as b_pr P_h/(1 − a_pr) with b_pr as printed",
+            as_printed=("b_pr",),
+        )
+        for name in ("r_l", "r_u")
+    }
+    return [
+        Check(f"table_2.1/b_r/{p}", one["b_r"]),
+        Check(f"table_2.1/b_pr/{p}", one["b_pr"]),
+        Check(f"table_2.1/delta_TSC/{p}", one["delta_TSC"], explanations=(minus,)),
+        Check(f"table_2.1/TSC_lb/{p}", one["TSC_lb"]),
+        replace(upper, note=f"{below} {_untied_gain(upper, one['b_pr'], numbers)}".strip()),
+        Check(f"table_2.2/P_rl/{p}", two["P_rl"]),
+        Check(f"table_2.2/P_ru/{p}", two["P_ru"]),
+        Check(f"table_2.2/r_l/{p}", two["r_l"], (printed_gain["r_l"],)),
+        Check(f"table_2.2/r_u/{p}", two["r_u"], (printed_gain["r_u"],)),
+        _encloses_beta(p),
+        _inside_limits(p, below),
+    ]
+
+
+def _encloses_beta(p: str) -> Check:
+    ids = {"β": f"table_2.1/beta/{p}", "r_l": f"table_2.2/r_l/{p}", "r_u": f"table_2.2/r_u/{p}"}
+    gap = Formula("min(β − r_l, r_u − β)", ids, lambda v: np.minimum(v["β"] - v["r_l"], v["r_u"] - v["β"]))
+    return Check(
+        "section_2_4_1_2/enclose_beta",
+        gap,
+        suffix=f"/{p}",
+        quantity=f"r_l ≤ β ≤ r_u, participant {p}",
+        target=(0.0, np.inf),
+    )
+
+
+def _inside_limits(p: str, note: str) -> Check:
+    names = ("TSC_lb", "TSC_l", "TSC_u", "TSC_ub")
+    gap = Formula(
+        "least gap in TSC_lb < TSC_l < TSC_u < TSC_ub",
+        _ids(names, p),
+        lambda v: np.diff(np.stack([v[name] for name in names]), axis=0).min(axis=0),
+    )
+    return Check(
+        "section_2_4_1_2/limits",
+        gap,
+        suffix=f"/{p}",
+        quantity=f"TSC_lb < TSC_l < TSC_u < TSC_ub, participant {p}",
+        note=note,
+        target=HOLDS,
+    )
+
+
+def _largest_robot_step(column: str, numbers: Numbers) -> Possible:
+    """Return the check that δ_Pr is at most what (2.3) can move P_r by in one step, at either end of its range."""
+    id = _ids(("delta_P_r",), column)["delta_P_r"]
+    most = Formula(
+        "(1 − a_pr)(P_r_max − P_r_min)",
+        _ids(("a_pr", "P_r_min", "P_r_max"), column),
+        lambda v: (1.0 - v["a_pr"]) * (v["P_r_max"] - v["P_r_min"]),
+    )
+    limit, _, _ = most.range(numbers)
+    least, _ = numbers[id].compatible
+    note = "Depends on the stretch of the fitted curve that was used, which is not printed."
+    if least > limit:
+        note = (
+            f"Suspicious: with the parameters as printed, (2.3) moves P_r by at most {limit:.2e} in one step."
+        )
+    return Possible(id, Formula("0", {}, lambda v: np.array(0.0)), most, note)
+
+
+def _captured(p: str, numbers: Numbers) -> list[Check | Remark]:
+    """Return the checks of one participant's thresholds in Table 2.3."""
+    ids = {f"{t}_{s}": f"table_2.3/TSC_{t}.{s}/{p}" for t in ("l", "u") for s in ("mean", "sd")}
+    apart = p != "3"
+    gap = Formula(
+        "(μ_u − σ_u) − (μ_l + σ_l)",
+        ids,
+        lambda v: v["u_mean"] - v["u_sd"] - v["l_mean"] - v["l_sd"],
+    )
+    checks: list[Check | Remark] = [
+        Check(
+            "section_2_4_1_3/follow" if apart else "section_2_4_1_3/not_distinguishable",
+            gap,
+            suffix=f"/{p}" if apart else "",
+            quantity=f"μ ± σ of TSC_l and TSC_u {'apart' if apart else 'overlap'}, participant {p}",
+            target=(0.0, np.inf) if apart else (-np.inf, 0.0),
+        )
+    ]
+    upper, limit = numbers[ids["u_mean"]], numbers[f"table_2.1/TSC_ub/{p}"]
+    for symbol, id in ids.items():
+        reason = "Captured from switches that are not printed."
+        if symbol == "u_mean" and upper.value > limit.value:
+            reason += (
+                f" It lies above TSC_ub = {limit.printed} of Table 2.1, so that Theorem 1 does not cover this participant's "
+                "own switching (its condition is sufficient, not necessary)."
+            )
+        checks.append(Remark(id, reason))
+    return checks
+
+
+def _spread_of_captured(numbers: Numbers) -> Check:
+    """Return the check that participant 3 has the greatest standard deviations in Table 2.3."""
+    sds = {f"{t}{p}": f"table_2.3/TSC_{t}.sd/{p}" for t in ("l", "u") for p in PARTICIPANTS}
+
+    def widest(t: str) -> str:
+        return max(PARTICIPANTS, key=lambda p: numbers[sds[f"{t}{p}"]].value)
+
+    def excess(v: dict) -> np.ndarray:
+        total = {p: v[f"l{p}"] + v[f"u{p}"] for p in PARTICIPANTS}
+        return total.pop("3") - np.maximum.reduce(list(total.values()))
+
+    alone = "; ".join(f"for TSC_{t} alone it is participant {widest(t)}" for t in ("l", "u"))
+    return Check(
+        "section_2_4_1_3/higher_sd",
+        Formula("σ_l + σ_u of participant 3 less the greatest of the others", sds, excess),
+        target=HOLDS,
+        note=f"Largest for both thresholds together; {alone}.",
+    )
+
+
+def _pilot(numbers: Numbers) -> list:
+    """Return the checks of the pilot operator, and of the thresholds that Section 2.5 chooses for them."""
+    f = column_formulas("pilot")
+    lower, _, _ = f["TSC_lb"].range(numbers)
+    upper, least, most = f["TSC_ub"].range(numbers)
+    found = (
+        f"The pilot's own numbers give TSC_ub = {upper:.3f} by (2.10), from {least:.3f} to {most:.3f} within rounding, "
+        f"and TSC_lb = {lower:.3f}."
+    )
+    over = "Suspicious: above the limit under which Theorem 1 guarantees switching. "
+    chosen = [f"section_2_5/{name}" for name in ("TSC_l_0", "TSC_u_0", "TSC_ld", "TSC_ud")]
+    return [
+        _largest_robot_step("pilot", numbers),
+        Check("pilot/b_r", f["b_r"]),
+        Check("pilot/b_pr", f["b_pr"]),
+        Check("claim/remark_3/delta_tsc_of_the_pilot_operator", f["delta_TSC"]),
+        *(
+            Remark(id, (over if numbers[id].value > most else "Chosen by the author. ") + found)
+            for id in chosen
+        ),
+    ]
+
+
+def model_checks(numbers: Numbers) -> list:
+    """Return the checks of Tables 2.1-2.3 and of the pilot operator."""
+    checks = []
+    for p in PARTICIPANTS:
+        checks += [*_participant(p, numbers), _largest_robot_step(p, numbers), *_captured(p, numbers)]
+        checks += [
+            Remark(f"table_2.1/{name}/{p}", "Identified from a session that is not printed.")
+            for name in (*PERFORMANCE, "a_r", "beta", "a_pr")
+        ]
+        stretch = "Depends on the stretch of the fitted curve that was used, which is not printed."
+        checks.append(Remark(f"table_2.1/delta_P_h/{p}", stretch))
+        checks += [
+            Remark(f"table_2.2/{name}/{p}", "Chosen by the author (Algorithm 1).")
+            for name in ("TSC_l", "TSC_u")
+        ]
+    return [*checks, _spread_of_captured(numbers), *_pilot(numbers)]

@@ -1,0 +1,252 @@
+"""The audit of printed means and SDs: what scales, sample sizes and whole points leave possible."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from fractions import Fraction
+
+import numpy as np
+
+from trustlab.reproduction.audit.catalogue import PARTICIPANTS, study_names
+from trustlab.reproduction.audit.verdict import Check, Formula, Numbers, Possible, Remark, Row, listing, show
+from trustlab.reproduction.printed_number import PrintedNumber
+
+__all__ = ["attainable", "sample_checks", "simplest_ratio"]
+
+LIKERT_1_5, SHARE, PERCENT = (1.0, 5.0), (0.0, 1.0), (0.0, 100.0)
+UNBOUNDED = (0.0, math.inf)
+SCALES = {
+    "table_2.4/tlx": PERCENT,
+    "table_2.4/satisfaction": LIKERT_1_5,
+    "table_2.5/r": SHARE,
+    "table_3.1/error": UNBOUNDED,
+    "table_3.1/preference": LIKERT_1_5,
+    "table_3.1/tlx": PERCENT,
+    "uav.robot_performance": SHARE,
+    "uav.utilization": SHARE,
+    "uav.tlx": PERCENT,
+    "uav.followed": PERCENT,
+    "teleop.tracking_error": UNBOUNDED,
+    "teleop.tlx": PERCENT,
+}
+"""Ends of the scales that the text gives or the measure has; those of the other questionnaires are not printed."""
+
+TLX_RULES = {
+    "raw, steps of 5": Fraction(6, 5),
+    "weighted, steps of 5": Fraction(3),
+    "raw, steps of 1": Fraction(6),
+    "weighted, steps of 1": Fraction(15),
+}
+"""Whole points per respondent of a task load index: six scales, or fifteen weights, in steps of 5 or 1."""
+
+MOST_ITEMS = 40
+
+
+def attainable(number: PrintedNumber, units: Fraction) -> float:
+    """
+    Return the mean nearest to a printed one that whole points can have, NaN if none rounds to it (the GRIM test).
+
+    `units` are whole points per unit of the scale: respondents × items for ratings in steps of 1.
+    """
+    least, most = number.compatible
+    points = round(number.value * units)
+    means = [Fraction(points + i) / units for i in (-1, 0, 1)]
+    nearest = float(min(means, key=lambda x: abs(float(x) - number.value)))
+    return nearest if least <= nearest <= most else math.nan
+
+
+def simplest_ratio(number: PrintedNumber, most: int = 60) -> Fraction | None:
+    """Return a percentage's simplest ratio of whole numbers with a denominator up to `most`, None if there is none."""
+    least, top = number.compatible
+    for denominator in range(1, most + 1):
+        below = math.floor(number.value * denominator / 100)
+        for ratio in (Fraction(below, denominator), Fraction(below + 1, denominator)):
+            if least <= 100 * ratio <= top:
+                return ratio
+    return None
+
+
+def _measures(numbers: Numbers) -> dict[str, dict[str, str]]:
+    """Return, per measure, condition to id of its mean."""
+    found: dict[str, dict[str, str]] = {}
+    for id in numbers:
+        table, _, rest = id.partition("/")
+        if table in ("table_2.4", "table_2.5", "table_3.1") and id.endswith("_mean"):
+            condition, column = rest.split("/")
+            found.setdefault(f"{table}/{column.removesuffix('_mean')}", {})[condition] = id
+    for name in study_names(numbers):
+        start = f"{name}/mean."
+        found[name] = {id.removeprefix(start): id for id in numbers if id.startswith(start)}
+    return found
+
+
+def _size(measure: str) -> str:
+    """Return the id of the number of respondents."""
+    tables = {"table_2": "section_2_4_1_1/participants", "table_3": "section_3_8_2_1/participants"}
+    return tables.get(measure.split(".")[0], f"{measure}/n")
+
+
+def _kind(measure: str) -> str:
+    """Return what is measured: "tlx" of "uav.tlx" and of "table_2.4/tlx"."""
+    return measure.replace("/", ".").split(".")[-1]
+
+
+def _sd(measure: str, mean: str) -> Possible | Remark:
+    """Return the range of an SD that the mean and the ends of the scale leave."""
+    sd = mean.replace("_mean", "_sd").replace("/mean.", "/sd.")
+    if measure not in SCALES:
+        return Remark(sd, "Depends on scores that are not printed, on a scale that is not printed.")
+    least, most = SCALES[measure]
+
+    def greatest(v: dict) -> np.ndarray:
+        if math.isinf(most):
+            return v["M"] * np.sqrt(v["n"])
+        return np.sqrt(np.maximum(v["n"] / (v["n"] - 1.0) * (v["M"] - least) * (most - v["M"]), 0.0))
+
+    text = f"√(n/(n − 1) (M − {least:g})({most:g} − M)), all scores at the ends of the scale"
+    if math.isinf(most):
+        text = "M √n, all but one score 0"
+    zero = Formula("0", {}, lambda v: np.array(0.0))
+    return Possible(sd, zero, Formula(text, {"M": mean, "n": _size(measure)}, greatest))
+
+
+def _units(measure: str, condition: str, numbers: Numbers, per_person: Fraction) -> Fraction:
+    """Return whole points per unit of the scale; Table 2.4 may rest on two sets of tests under C1."""
+    twice = measure.startswith("table_2.4") and condition == "C1"
+    sets = numbers["section_2_4_1_3/sets"].value if twice else 1
+    return Fraction(int(numbers[_size(measure)].value * sets)) * per_person
+
+
+def _expected_items(measure: str) -> tuple[str, str] | None:
+    """Return how many items a questionnaire should have, and who says so; None where nothing is known."""
+    if _kind(measure) == "trust":
+        return "12 items", "the checklist of [50] has as many"
+    if measure == "table_2.4/satisfaction":
+        return "3 items", "the text names three aspects"
+    return None
+
+
+def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Remark | Row]:
+    """Return, for a questionnaire, a remark per mean and one row on the number of items or rule of scoring."""
+    rules = TLX_RULES
+    if _kind(measure) != "tlx":
+        rules = {f"{items} items": Fraction(items) for items in range(1, MOST_ITEMS + 1)}
+
+    def nearest(condition: str, rule: str) -> float:
+        units = _units(measure, condition, numbers, rules[rule])
+        return attainable(numbers[ids[condition]], units)
+
+    fitting = [rule for rule in rules if not any(math.isnan(nearest(c, rule)) for c in ids)]
+    expected = _expected_items(measure)
+    remarks = []
+    for condition, id in ids.items():
+        reason = "Follows from answers that are not printed."
+        if fitting:
+            mean = nearest(condition, fitting[0])
+            reason += f" Whole points ({fitting[0]}) can give {show(mean, numbers[id], 2)}."
+        if expected and math.isnan(nearest(condition, expected[0])):
+            reason += f" With {expected[0]} no whole points round to it."
+        remarks.append(Remark(id, reason))
+    return [*remarks, _items(measure, ids, fitting, numbers)]
+
+
+def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Numbers) -> Row:
+    """Return which numbers of items, or rules of scoring, all means fit; not checkable, as neither is printed."""
+    kind, size = _kind(measure), _size(measure)
+    items = kind != "tlx"
+    reason = "The number of items is not printed." if items else "The rule of scoring is not printed."
+    if not fitting:
+        tried = f"up to {MOST_ITEMS} items" if items else "any of: " + "; ".join(TLX_RULES)
+        reason += f" Not all means are whole points for {tried}."
+    elif items:
+        counts = [rule.removesuffix(" items") for rule in fitting[:4]]
+        reason += f" All means are whole points for {', '.join(counts)} items."
+    else:
+        reason += f" All means are whole points for: {'; '.join(fitting[:4])}."
+    expected = _expected_items(measure)
+    if expected and expected[0] not in fitting:
+        reason = f"Suspicious: not {expected[0]} ({expected[1]}). {reason}"
+    fewest = float(fitting[0].removesuffix(" items")) if items and fitting else math.nan
+    word, first = "items" if items else "scoring", next(iter(ids.values()))
+    return Row(
+        f"{measure}/{word}",
+        numbers[first].where,
+        f"{kind}: {word} that all means fit",
+        ", ".join(numbers[id].printed for id in ids.values()),
+        fewest,
+        math.nan,
+        math.nan,
+        "not checkable",
+        reason,
+        "mean × respondents × items is a whole number",
+        listing({**ids, "n": size}, numbers),
+    )
+
+
+def _performance(measure: str, condition: str, id: str, numbers: Numbers) -> Possible | Remark:
+    """Return the range of a mean of Table 2.5 that the participants' own ranges leave."""
+    name, forced = _kind(measure), ""
+    if condition == "C3" and name in ("P_r", "r"):
+        symbol = "r_" if name == "r" else "P_r"
+        low, high = (
+            np.mean([numbers[f"table_2.2/{symbol}{end}/{p}"].value for p in PARTICIPANTS]) for end in "lu"
+        )
+        forced = (
+            f"The bounds of Table 2.2, which hold in steady state, are {low:.4f} and {high:.4f} on average."
+        )
+    if name == "r":
+        return Remark(id, f"Measured; a share between 0 and 1. {forced}")
+
+    def mean_of(end: str) -> Formula:
+        ids = {f"{name}_{end},{p}": f"table_2.1/{name}_{end}/{p}" for p in PARTICIPANTS}
+        return Formula(f"mean of {name}_{end} of Table 2.1", ids, _mean)
+
+    top, _, _ = mean_of("max").range(numbers)
+    if numbers[id].value >= top:
+        forced = (
+            f"Suspicious: it reaches the mean of the greatest values, {top:.4f}, as if every participant had been at their "
+            "best throughout."
+        )
+    return Possible(id, mean_of("min"), mean_of("max"), forced)
+
+
+def _mean(v: dict) -> np.ndarray:
+    return np.mean(list(v.values()), axis=0)
+
+
+def _followed(condition: str, numbers: Numbers) -> list[Check | Remark]:
+    """Return the checks of a row of Table 2.6: mean and SD of the five participants, and their counts."""
+    ids = {f"x_{p}": f"table_2.6/{condition}/{p}" for p in PARTICIPANTS}
+    sample, population = (
+        Formula(
+            "SD of the five",
+            ids,
+            lambda v, ddof=ddof: np.std(list(v.values()), axis=0, ddof=ddof),
+            f"divided by {divisor}",
+        )
+        for ddof, divisor in ((1, "n − 1"), (0, "n"))
+    )
+    checks: list[Check | Remark] = [
+        Check(f"table_2.6/{condition}/mean", Formula("mean of the five", ids, _mean)),
+        Check(f"table_2.6/{condition}/sd", sample, (population,)),
+    ]
+    for id in ids.values():
+        ratio = simplest_ratio(numbers[id])
+        simplest = f"; simplest is {ratio.numerator} of {ratio.denominator}" if ratio else ""
+        checks.append(Remark(id, f"Counts of suggestions are not printed{simplest}."))
+    return checks
+
+
+def sample_checks(numbers: Numbers) -> list:
+    """Return the checks of the means and SDs in Tables 2.4-2.6 and 3.1 and in the studies."""
+    checks = [*_followed("C2", numbers), *_followed("C4", numbers)]
+    for measure, ids in _measures(numbers).items():
+        checks += [_sd(measure, id) for id in ids.values()]
+        if measure.startswith("table_2.5"):
+            checks += [_performance(measure, c, id, numbers) for c, id in ids.items()]
+        elif _kind(measure) in ("tlx", "trust", "satisfaction", "preference"):
+            checks += _ratings(measure, ids, numbers)
+        else:
+            checks += [Remark(id, "Follows from recordings that are not printed.") for id in ids.values()]
+    return checks

@@ -1,0 +1,190 @@
+"""The audit of statements.csv: ranks, comparisons, counts, and numbers printed in two places."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from decimal import ROUND_HALF_UP, Decimal
+
+import numpy as np
+
+from trustlab.reproduction.audit.catalogue import study_names
+from trustlab.reproduction.audit.verdict import Check, Formula, Numbers, Remark, Row
+from trustlab.reproduction.printed_number import ROUNDINGS, last_unit
+
+__all__ = ["statement_checks"]
+
+SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
+HIGHER_IS_BETTER = {"error": False, "tlx": False, "trust": True, "preference": True}
+SQUARES = (
+    ("section_2_4_2_2/square", "section_2_4_2_2/participants", 10),
+    ("section_3_9_3/square", "section_3_9_2/participants", 4),
+)
+"""Latin squares balanced for order and carry-over: id, id of the participants, number of orders."""
+
+
+def _rank(number: str, numbers: Numbers) -> Check:
+    """Return the check of a rank in Table 3.1: 1 for the best, or for the worst where "worst" is printed."""
+    who, measure = number.split("/")[1].split("_", 1)
+    ids = {scheme: f"table_3.1/{scheme}/{measure}_mean" for scheme in SCHEMES}
+    highest = HIGHER_IS_BETTER[measure] != (numbers[number].printed == "worst")
+    sign = 1.0 if highest else -1.0
+
+    def rank(v: dict) -> np.ndarray:
+        return 1.0 + sum((sign * v[c] > sign * v[who]).astype(float) for c in ids if c != who)
+
+    order = sorted(ids, key=lambda c: numbers[ids[c]].value, reverse=highest)
+    return Check(
+        number,
+        Formula(f"rank of {who}, {'highest' if highest else 'lowest'} first", ids, rank),
+        note="In order: " + ", ".join(f"{c} {numbers[ids[c]].printed}" for c in order) + ".",
+    )
+
+
+def _comparison(statement: str, mean: str, rest: tuple[str, ...], sign: float) -> Check:
+    """Return the check that both conditions with TSC exceed all of the rest, or fall short of them at sign −1."""
+    tsc = ("C2", "C3")
+    gap = Formula(
+        f"least of {sign:+.0f} × ({', '.join(tsc)} − {', '.join(rest)})",
+        {c: mean.format(c) for c in tsc + rest},
+        lambda v: np.minimum.reduce([sign * (v[a] - v[b]) for a in tsc for b in rest]),
+    )
+    return Check(f"section_2_4_1_3/{statement}", gap, target=(1e-12, np.inf))
+
+
+def _comparisons() -> list[Check]:
+    others, manual = ("C1", "C4", "C5"), ("C1",)
+    return [
+        _comparison("trust", "table_2.4/{}/trust_mean", others, 1.0),
+        _comparison("satisfaction", "table_2.4/{}/satisfaction_mean", others, 1.0),
+        _comparison("workload", "table_2.4/{}/tlx_mean", others, -1.0),
+        _comparison("robot_performance", "table_2.5/{}/P_r_mean", manual, 1.0),
+        _comparison("human_performance", "table_2.5/{}/P_h_mean", manual, 1.0),
+        _comparison("utilization", "table_2.5/{}/r_mean", manual, -1.0),
+    ]
+
+
+def _combined(number: str, first: str, second: str, text: str, compute: Callable) -> Check:
+    return Check(number, Formula(text, {"a": first, "b": second}, compute))
+
+
+def _number_of(text: str, ids: Mapping[str, str]) -> Formula:
+    """Return a formula that counts its inputs."""
+    return Formula(text, ids, lambda v: np.array(float(len(v))))
+
+
+def _anovas(chapter: str, numbers: Numbers) -> Formula:
+    ids = {name: f"{name}/anova.df1" for name in study_names(numbers) if name.startswith(chapter)}
+    return _number_of("number of printed ANOVAs", {name: id for name, id in ids.items() if id in numbers})
+
+
+def _counts(numbers: Numbers) -> list:
+    """Return the checks of counts of laps, variables, analyses and levels."""
+    uav = [name for name in study_names(numbers) if name.startswith("uav")]
+    tested = [name for name in uav if f"{name}/t_test.t" in numbers]
+    same = "number of printed measures of the UAV study, which has the same variables"
+    rows = {scheme: f"table_3.1/{scheme}/error_mean" for scheme in SCHEMES}
+    levels = Formula("df1 + 1", {"df1": "teleop.tlx/anova.df1"}, lambda v: v["df1"] + 1.0)
+    return [
+        _combined(
+            "section_2_4_1_3/laps_in_all",
+            "section_2_4_1_3/sets",
+            "section_2_4_1_3/laps",
+            "sets × laps",
+            lambda v: v["a"] * v["b"],
+        ),
+        _combined(
+            "section_3_8_2/variables",
+            "section_3_8_2/objective",
+            "section_3_8_2/subjective",
+            "objective + subjective",
+            lambda v: v["a"] + v["b"],
+        ),
+        Check(
+            "section_2_4_2_4/anovas",
+            _anovas("uav", numbers),
+            note=f"The seventh, {', '.join(tested)}, has two conditions and was compared by a t-test.",
+        ),
+        Check("section_3_9_4/anovas", _anovas("teleop", numbers)),
+        Check("section_2_4_1_2/variables", _number_of(same, {name: f"{name}/n" for name in uav})),
+        Check("section_3_8_2/levels", _number_of("rows of Table 3.1", rows)),
+        Check("section_3_9_1/levels", levels),
+    ]
+
+
+def _participants() -> list:
+    """Return the checks of numbers of participants, by sex and in Latin squares."""
+    checks: list[Check | Remark] = []
+    for section in ("section_2_4_2_2", "section_3_8_2_1", "section_3_9_2"):
+        female, male = f"{section}/female", f"{section}/male"
+        people = f"{section}/participants"
+        checks.append(_combined(people, female, male, "female + male", lambda v: v["a"] + v["b"]))
+        checks += [Remark(id, "A part of the participants.") for id in (female, male)]
+    for number, people, orders in SQUARES:
+        left = Formula(
+            f"participants modulo {orders}",
+            {"participants": people},
+            lambda v, orders=orders: v["participants"] % orders,
+        )
+        note = f"A square balanced for order and carry-over has {orders} orders; those dropped break the balance."
+        checks.append(Check(number, left, target=(0.0, 0.0), note=note))
+    return checks
+
+
+def _restated(id: str, first: str, where: str, numbers: Numbers) -> Row:
+    """Return whether a number printed in a second place is the one of the first, or that one rounded."""
+    number, source = numbers[id], numbers[first]
+    here, there = Decimal(number.printed), Decimal(source.printed)
+    unit, rounded = last_unit(here), there
+    same = here == there
+    if unit >= last_unit(there):  # printed with fewer decimals here
+        same = same or here in (there.quantize(unit, rule) for rule in ROUNDINGS)
+        rounded = there.quantize(unit, ROUND_HALF_UP)
+    reason = f"{where} has {source.printed}"
+    if same:
+        reason += "."
+    else:
+        neither = "neither is the other one rounded"
+        why = f"{source.printed} rounds to {rounded}" if rounded != there else neither
+        reason += f", here {number.printed} is printed: one of the two is wrong, as {why}."
+    return Row.about(
+        number,
+        "reproduced" if same else "differs",
+        reason,
+        (float(there),) * 3,
+        "the same number in two places",
+        f"{source.printed} ({source.id})",
+    )
+
+
+def _captions_and_appendix(numbers: Numbers) -> list:
+    """Return the rows of numbers that are printed twice, and the remark on the rate of correction."""
+    found: list[Row | Remark] = [
+        _restated(f"figure_2_18/{name}", f"section_2_5/{name}", "The text of Section 2.5", numbers)
+        for name in ("TSC_ld", "TSC_ud")
+    ]
+    for id in [id for id in numbers if id.startswith("appendix_a/state/")]:
+        model = id.replace("/state/", "/model/")
+        found.append(_restated(id, model, "The transfer function", numbers))
+        found.append(Remark(model, "Identified from flights that are not printed."))
+    changes = [
+        abs(numbers[f"section_2_5/TSC_{end}d"].value - numbers[f"section_2_5/TSC_{end}_0"].value)
+        for end in "lu"
+    ]
+    minutes = 60.0 * max(changes) / numbers["section_2_5/c_b"].value
+    chosen = (
+        f"Chosen by the author. The printed change of thresholds takes at least {minutes:.1f} min at "
+        "this rate; the length of the tests is not printed."
+    )
+    return [*found, Remark("section_2_5/c_b", chosen)]
+
+
+def statement_checks(numbers: Numbers) -> list:
+    """Return the checks of statements.csv but those of the models and of sphericity."""
+    ranks = [_rank(id, numbers) for id in numbers if id.startswith("section_3_8_3/")]
+    return [
+        *ranks,
+        *_comparisons(),
+        *_counts(numbers),
+        *_participants(),
+        *_captions_and_appendix(numbers),
+    ]

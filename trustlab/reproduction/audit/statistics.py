@@ -1,0 +1,241 @@
+"""The audit of the eleven printed studies: degrees of freedom, p-values, effect sizes, sphericity and duplicates."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from scipy import stats
+
+from trustlab.reproduction.audit.catalogue import conditions_of, study_names
+from trustlab.reproduction.audit.pairwise import pair_checks
+from trustlab.reproduction.audit.verdict import Check, Formula, Numbers, Possible, Remark
+from trustlab.studies.analysis.sphericity import mauchly_factor, mauchly_p_value
+
+__all__ = ["chi2_of_epsilon", "study_checks"]
+
+
+def chi2_of_epsilon(epsilon: np.ndarray, n: np.ndarray, k: int, greatest: bool) -> np.ndarray:
+    """
+    Return the least or greatest χ² of Mauchly that an ε of Greenhouse and Geisser leaves.
+
+    W = ∏λ/(mean λ)^p and ε = (Σλ)²/(p Σλ²) of the same p = k − 1 eigenvalues; at given ε, W is extreme where all but one
+    eigenvalue are equal, or one is 0.
+    """
+    p = k - 1
+    # Eigenvalues of mean 1: one is 1 ± spread, the others share the rest, which gives Σλ² = p/ε.
+    spread = np.sqrt(np.maximum(p / np.minimum(epsilon, 1.0) - p, 0.0) * (p - 1.0) / p)
+    single = 1.0 - spread if greatest else 1.0 + spread
+    others = (p - single) / (p - 1.0)
+    with np.errstate(all="ignore"):
+        w = np.where((single > 0.0) & (others > 0.0), single * others ** (p - 1.0), 0.0)
+        return -mauchly_factor(n, k) * np.log(w)
+
+
+def _means_and_sds(name: str, conditions: tuple[str, ...]) -> dict[str, str]:
+    """Return symbol to id of the means and SDs of some conditions, and of n."""
+    means = {f"M_{c}": f"{name}/mean.{c}" for c in conditions}
+    return means | {f"SD_{c}": f"{name}/sd.{c}" for c in conditions} | {"n": f"{name}/n"}
+
+
+def _anova(name: str, k: int) -> list[Check]:
+    """Return the checks of p and partial η² of a study's F."""
+    at = {key: f"{name}/anova.{key}" for key in ("F", "df1", "df2")}
+    tail = Formula("P(F(df1, df2) > F)", at, lambda v: stats.f.sf(v["F"], v["df1"], v["df2"]))
+    from_n = Formula(
+        "F/(F + n − 1)",
+        {"F": at["F"], "n": f"{name}/n"},
+        lambda v: v["F"] / (v["F"] + v["n"] - 1.0),
+        "partial η²",
+    )
+    from_df = Formula(
+        "F df1/(F df1 + df2)",
+        at,
+        lambda v: v["F"] * v["df1"] / (v["F"] * v["df1"] + v["df2"]),
+        "partial η² with the printed df",
+    )
+    return [Check(f"{name}/anova.p", tail), Check(f"{name}/anova.eta2", from_n, (from_df,))]
+
+
+def _plain_degrees(name: str, k: int) -> list[Check]:
+    """Return the checks of degrees of freedom that are not corrected."""
+    df1 = Formula(f"k − 1, k = {k}", {}, lambda v: np.array(k - 1.0))
+    df2 = Formula(f"(k − 1)(n − 1), k = {k}", {"n": f"{name}/n"}, lambda v: (k - 1.0) * (v["n"] - 1.0))
+    return [Check(f"{name}/anova.df1", df1), Check(f"{name}/anova.df2", df2)]
+
+
+def _corrected_degrees(name: str, k: int) -> list[Check]:
+    """Return the checks of degrees of freedom multiplied by ε, and of ε, each by n and by the other."""
+    d = k - 1.0
+    n, epsilon = {"n": f"{name}/n"}, {"ε": f"{name}/epsilon"}
+    df1, df2 = {"df1": f"{name}/anova.df1"}, {"df2": f"{name}/anova.df2"}
+    return [
+        Check(
+            df1["df1"],
+            Formula("df2/(n − 1)", df2 | n, lambda v: v["df2"] / (v["n"] - 1.0)),
+            (Formula(f"{d:g} ε", epsilon, lambda v: d * v["ε"]),),
+        ),
+        Check(
+            df2["df2"],
+            Formula(f"{d:g} ε (n − 1)", epsilon | n, lambda v: d * v["ε"] * (v["n"] - 1.0)),
+            (Formula("df1 (n − 1)", df1 | n, lambda v: v["df1"] * (v["n"] - 1.0)),),
+        ),
+        Check(
+            epsilon["ε"],
+            Formula(f"df2/({d:g} (n − 1))", df2 | n, lambda v: v["df2"] / (d * (v["n"] - 1.0))),
+            (Formula(f"df1/{d:g}", df1, lambda v: v["df1"] / d),),
+        ),
+    ]
+
+
+def _f_ratio(name: str, numbers: Numbers) -> Possible | Remark:
+    """Return the range of F that means and SDs leave: correlations from −1/(k − 1) on average to 1."""
+    conditions = conditions_of(name)
+    k = len(conditions)
+    if any(f"{name}/mean.{c}" not in numbers for c in conditions):
+        return Remark(f"{name}/anova.F", "The mean and SD of one condition are not printed.")
+    inputs = _means_and_sds(name, conditions)
+
+    def f_ratio(v: dict, greatest: bool) -> np.ndarray:
+        means = np.stack([v[f"M_{c}"] for c in conditions])
+        sds = np.stack([v[f"SD_{c}"] for c in conditions])
+        variance = (sds**2).mean(axis=0)
+        covariance = (sds.sum(axis=0) ** 2 - (sds**2).sum(axis=0)) / (k * (k - 1.0))
+        error = variance - covariance if greatest else variance * k / (k - 1.0)
+        return v["n"] * means.var(axis=0, ddof=1) / error
+
+    least = Formula(
+        "F at the least average correlation, −1/(k − 1)", inputs, lambda v: f_ratio(v, greatest=False)
+    )
+    most = Formula("F at correlations of 1", inputs, lambda v: f_ratio(v, greatest=True))
+    return Possible(f"{name}/anova.F", least, most)
+
+
+def _mauchly(name: str, numbers: Numbers, k: int) -> list:
+    """Return the checks of Mauchly's test, and of what the text concludes from it."""
+    at = {key: f"{name}/mauchly.{key}" for key in ("chi2", "df", "p")}
+    n, epsilon, sphericity = {"n": f"{name}/n"}, f"{name}/epsilon", f"{name}/sphericity"
+    least, most = (
+        Formula(
+            f"{'greatest' if top else 'least'} χ² at this ε",
+            {"ε": epsilon} | n,
+            lambda v, top=top: chi2_of_epsilon(v["ε"], v["n"], k, top),
+        )
+        for top in (False, True)
+    )
+    if at["chi2"] not in numbers:
+        (_, low, _), (_, _, high) = least.range(numbers), most.range(numbers)
+        p_low, p_high = (float(mauchly_p_value(x, numbers[f"{name}/n"].value, k)) for x in (high, low))
+        reason = (
+            f"χ² is not printed; ε = {numbers[epsilon].printed} leaves χ² from {low:.1f} to {high:.1f}, that is p from "
+            f"{p_low:.2g} to {p_high:.2g}."
+        )
+        return [Remark(sphericity, reason)]
+    df = Formula(f"k(k − 1)/2 − 1, k = {k}", {}, lambda v: np.array(k * (k - 1) / 2 - 1.0))
+    first_order = Formula(
+        "P(χ²(df) > χ²)",
+        {"χ2": at["chi2"], "df": at["df"]},
+        lambda v: stats.chi2.sf(v["χ2"], v["df"]),
+        "first-order approximation",
+    )
+    second_order = Formula(
+        "P(χ²(df) > χ²) + ω [P(χ²(df + 4) > χ²) − P(χ²(df) > χ²)]",
+        {"χ2": at["chi2"]} | n,
+        lambda v: mauchly_p_value(v["χ2"], v["n"], k),
+        "second-order approximation, as statistical packages give it",
+    )
+    chi2 = Remark(at["chi2"], "Depends on correlations, which are not printed.")
+    met = numbers[sphericity].printed == "met"
+    return [
+        Check(at["df"], df),
+        Check(at["p"], second_order, (first_order,)),
+        Check(
+            sphericity,
+            Formula("p", {"p": at["p"]}, lambda v: v["p"]),
+            target=(0.05, 1.0) if met else (0.0, 0.05),
+            note="Sphericity is rejected below 0.05.",
+        ),
+        Possible(at["chi2"], least, most) if epsilon in numbers else chi2,
+    ]
+
+
+def _t_test(name: str, numbers: Numbers) -> list[Check | Possible]:
+    """Return the checks of a paired t and its p."""
+    a, b = (id.split(".")[-1] for id in numbers if id.startswith(f"{name}/mean."))
+    inputs = _means_and_sds(name, (a, b))
+
+    def t_value(v: dict, sign: float) -> np.ndarray:
+        sd = np.abs(v[f"SD_{a}"] + sign * v[f"SD_{b}"])
+        return np.abs(v[f"M_{a}"] - v[f"M_{b}"]) * np.sqrt(v["n"]) / sd
+
+    tail = Formula(
+        "2 P(t(n − 1) > t)",
+        {"t": f"{name}/t_test.t", "n": f"{name}/n"},
+        lambda v: 2.0 * stats.t.sf(v["t"], v["n"] - 1.0),
+    )
+    return [
+        Check(f"{name}/t_test.p", tail),
+        Possible(
+            f"{name}/t_test.t",
+            Formula("t at a correlation of −1", inputs, lambda v: t_value(v, 1.0)),
+            Formula("t at a correlation of 1", inputs, lambda v: t_value(v, -1.0)),
+        ),
+    ]
+
+
+def _sample_size(name: str) -> Check:
+    """Return the check of n: participants less those dropped, times trials in the UAV study."""
+    uav = name.startswith("uav.")
+    section = "section_2_4_2_2" if uav else "section_3_9_2"
+    inputs = {"participants": f"{section}/participants", "dropped": f"{section}/dropped"}
+    if not uav:
+        kept = Formula("participants − dropped", inputs, lambda v: v["participants"] - v["dropped"])
+        return Check(f"{name}/n", kept)
+    trials = Formula(
+        "trials (participants − dropped)",
+        inputs | {"trials": f"{section}/trials"},
+        lambda v: v["trials"] * (v["participants"] - v["dropped"]),
+    )
+    note = "Trials of one person are counted as if they were of different people."
+    return Check(f"{name}/n", trials, note=note)
+
+
+def _duplicates(first: str, second: str, numbers: Numbers) -> list[Remark]:
+    """Return remarks on statistics that two studies share to the last digit."""
+
+    def same(key: str) -> bool:
+        pair = [numbers[id].printed for id in (f"{first}/{key}", f"{second}/{key}") if id in numbers]
+        return len(pair) == 2 and len(set(pair)) == 1
+
+    remarks = []
+    if same("mauchly.chi2") and same("mauchly.p"):
+        chi2, df = numbers[f"{second}/mauchly.chi2"], numbers[f"{second}/mauchly.df"]
+        chance = float(np.diff(stats.chi2.cdf(chi2.compatible, df.value))[0])
+        reason = (
+            f"Suspicious: χ² = {chi2.printed} and p = {numbers[f'{second}/mauchly.p'].printed} are printed for "
+            f"{first} as well; under sphericity two measures agree so closely with a chance of about 1 in "
+            f"{1.0 / chance:.0f}. Probably one was copied from the other."
+        )
+        quantity = f"{chi2.quantity}, against {first}"
+        remarks.append(Remark(chi2.id, reason, suffix="/duplicate", quantity=quantity))
+    if same("anova.F"):
+        reason = f"Suspicious: the same F is printed for {first}."
+        remarks.append(Remark(f"{second}/anova.F", reason, suffix="/duplicate"))
+    return remarks
+
+
+def study_checks(numbers: Numbers) -> list:
+    """Return the checks of every printed study but those of its means and SDs."""
+    checks, names = [], study_names(numbers)
+    for name in names:
+        k = len(conditions_of(name))
+        checks.append(_sample_size(name))
+        if f"{name}/t_test.t" in numbers:
+            checks += _t_test(name, numbers)
+            continue
+        checks += [*_anova(name, k), _f_ratio(name, numbers), *_mauchly(name, numbers, k)]
+        checks += _corrected_degrees(name, k) if f"{name}/epsilon" in numbers else _plain_degrees(name, k)
+        checks += pair_checks(name, numbers)
+    for first, second in combinations(names, 2):
+        checks += _duplicates(first, second, numbers)
+    return checks

@@ -1,0 +1,299 @@
+"""How a verdict is made: a formula of printed numbers, its range within their rounding, and what is printed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+
+from trustlab.reproduction.printed_number import PrintedNumber
+
+__all__ = [
+    "VERDICTS",
+    "Check",
+    "Formula",
+    "Numbers",
+    "Possible",
+    "Remark",
+    "Row",
+    "listing",
+    "reach",
+    "rows_of",
+    "show",
+]
+
+VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
+
+Numbers = Mapping[str, PrintedNumber]
+Compute = Callable[[dict[str, np.ndarray]], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Row:
+    """
+    One row of the audit; the fields are the columns of its table.
+
+    `recomputed`, `low` and `high` are what follows from other printed numbers and its range within their rounding, NaN
+    where nothing does; `reason` begins with "Suspicious" where a slip is likely but not certain.
+    """
+
+    id: str
+    where: str
+    quantity: str
+    printed: str
+    recomputed: float
+    low: float
+    high: float
+    verdict: str
+    reason: str
+    formula: str = ""
+    inputs: str = ""
+
+    @classmethod
+    def about(
+        cls,
+        number: PrintedNumber,
+        verdict: str,
+        reason: str,
+        span: tuple[float, float, float] = (np.nan, np.nan, np.nan),
+        formula: str = "",
+        inputs: str = "",
+        *,
+        suffix: str = "",
+        quantity: str = "",
+        printed: str = "",
+    ) -> Row:
+        """Return the row of a printed number; `span` is the recomputed value, its least and its greatest."""
+        return cls(
+            number.id + suffix,
+            number.where,
+            quantity or number.quantity,
+            printed or number.printed,
+            *span,
+            verdict,
+            reason.strip(),
+            formula,
+            inputs,
+        )
+
+
+def listing(inputs: Mapping[str, str], numbers: Numbers) -> str:
+    """Return inputs as "symbol = printed (id)"."""
+    return "; ".join(f"{symbol} = {numbers[id].printed} ({id})" for symbol, id in inputs.items())
+
+
+@dataclass(frozen=True)
+class Formula:
+    """
+    A way to compute one printed number from others.
+
+    `text` is the formula as one reads it; `inputs` maps symbols to ids of printed numbers; `compute` takes the symbols as
+    arrays and returns an array; `label` names the convention, or says what an explanation assumes. `changed` has symbols put
+    in place of printed values, without rounding (the change that an explanation tries); `as_printed` names symbols that
+    are used with the printed digits as they stand.
+    """
+
+    text: str
+    inputs: Mapping[str, str]
+    compute: Compute
+    label: str = ""
+    changed: Mapping[str, float] = field(default_factory=dict)
+    as_printed: tuple[str, ...] = ()
+
+    def range(self, numbers: Numbers) -> tuple[float, float, float]:
+        """Return the value, and its least and greatest when every input varies within its rounding."""
+        middle = {symbol: numbers[id].value for symbol, id in self.inputs.items()} | dict(self.changed)
+        fixed = {*self.changed, *self.as_printed}
+        half = {symbol: numbers[id].half for symbol, id in self.inputs.items() if symbol not in fixed}
+        return reach(self.compute, middle, half)
+
+    def meets(self, number: PrintedNumber, numbers: Numbers) -> bool:
+        """Return whether the range of the formula takes in values that round to a printed number."""
+        _, low, high = self.range(numbers)
+        least, most = number.compatible
+        return low <= most and high >= least
+
+
+def reach(
+    compute: Compute, middle: Mapping[str, float], half: Mapping[str, float]
+) -> tuple[float, float, float]:
+    """
+    Return a function's value at the middle of a box, and its least and greatest over the box.
+
+    Exact for functions that are monotone in each input, as nearly all here are; NaN (an impossible input) is passed over.
+    """
+    names = [name for name in middle if half.get(name, 0.0) > 0.0]
+    if len(names) <= 6:
+        # All corners, and the middles of edges and faces, where a function that is not monotone may turn.
+        points = np.array(list(product((0.0, -1.0, 1.0), repeat=len(names)))).reshape(3 ** len(names), -1)
+    else:
+        # Too many middles: random points, the same at every call, take their place.
+        corners = np.array(list(product((-1.0, 1.0), repeat=len(names))))
+        inside = np.random.default_rng(0).uniform(-1.0, 1.0, (3000, len(names)))
+        points = np.concatenate([np.zeros((1, len(names))), corners, inside])
+    values = {name: np.full(len(points), float(value)) for name, value in middle.items()}
+    for i, name in enumerate(names):
+        values[name] = middle[name] + half[name] * points[:, i]
+    with np.errstate(all="ignore"):
+        found = np.broadcast_to(np.asarray(compute(values), dtype=float), (len(points),))
+    known = found[~np.isnan(found)]
+    if known.size == 0:
+        return np.nan, np.nan, np.nan
+    return float(found[0]), float(known.min()), float(known.max())
+
+
+def show(value: float, like: PrintedNumber | None = None, more: int = 0) -> str:
+    """Return a number with as many decimals as a printed one, and `more`; with four significant digits without one."""
+    if not np.isfinite(value):
+        return str(value)
+    if like is None or np.isnan(like.half) or like.half == 0.0:
+        return f"{value:.4g}"
+    if "e" in like.printed.lower() or abs(value) < 0.5 * 10.0 ** -(like.decimals + more):
+        return f"{value:.{2 + more}e}"
+    return f"{value:.{like.decimals + more}f}"
+
+
+@dataclass(frozen=True)
+class Check:
+    """
+    Whether a printed number follows from others.
+
+    `formula` is how `number` is defined; `conventions` are other readings of the definition, tried in turn; `explanations`
+    are mistakes that could have led to the printed number, named only if they give it. `suffix` is appended to the id where
+    a number is checked more than once; `target` is what counts as the printed value where a word is printed. Where
+    `binding` is given, it says why the formula need not hold exactly, and "not checkable" replaces "differs".
+    """
+
+    number: str
+    formula: Formula
+    conventions: tuple[Formula, ...] = ()
+    explanations: tuple[Formula, ...] = ()
+    note: str = ""
+    suffix: str = ""
+    quantity: str = ""
+    binding: str = ""
+    target: tuple[float, float] | None = None
+
+    def row(self, numbers: Numbers) -> Row:
+        """Return the verdict."""
+        number = numbers[self.number]
+        least, most = self.target or number.compatible
+        ways = [(way, way.range(numbers)) for way in (self.formula, *self.conventions)]
+        hit = next((w for w in ways if least <= w[1][0] <= most), None)
+        near = next((w for w in ways if w[1][1] <= most and w[1][2] >= least), None)
+        way, span = hit or near or ways[0]
+        value, low, high = span
+        result = f"{way.text} = {show(value, number, 2)}{_named(way)}"
+        if hit:
+            verdict, reason = "reproduced", f"{result}."
+        elif near:
+            verdict = "within rounding"
+            reason = (
+                f"{result}; from {show(low, number, 2)} to {show(high, number, 2)} as the printed inputs "
+                f"vary within their rounding, which takes in the printed {number.printed}."
+            )
+            if found := self._explained(numbers, least, most):
+                reason = f"Suspicious: {reason} {found}"
+        else:
+            verdict = "not checkable" if self.binding else "differs"
+            reason = f"{self._missed(number, ways)} {self._explained(numbers, least, most)}".strip()
+        reason = f"{reason} {self.note}"
+        return Row.about(
+            number,
+            verdict,
+            reason,
+            span,
+            way.text,
+            listing(way.inputs, numbers),
+            suffix=self.suffix,
+            quantity=self.quantity,
+        )
+
+    def _missed(self, number: PrintedNumber, ways: list) -> str:
+        """Return the reason where no convention reaches the printed number."""
+        tried = []
+        for way, (value, low, high) in ways:
+            span = f", from {show(low, number, 2)} to {show(high, number, 2)} within rounding"
+            tried.append(f"{way.text} = {show(value, number, 2)}{_named(way)}{span if high > low else ''}")
+        word = f"“{number.printed}”, that is {number.value:g}" if number.is_word else number.printed
+        reason = f"{'; '.join(tried)}. Printed is {word}."
+        if self.binding:
+            return f"Suspicious: {reason} But {self.binding}"
+        if self.target is not None:
+            return f"{reason} It does not hold."
+        _, (value, _, _) = ways[0]
+        should = show(value, number)
+        reason += f" It should be {should}."
+        if len(should) == len(number.printed):
+            changed = sum(a != b for a, b in zip(should, number.printed, strict=True))
+            reason += " One digit differs." if changed == 1 else ""
+        return reason
+
+    def _explained(self, numbers: Numbers, least: float, most: float) -> str:
+        """Name the first explanation that gives the printed number."""
+        for way in self.explanations:
+            value, _, _ = way.range(numbers)
+            if least <= value <= most:
+                return f"Probably {way.label}: {way.text} = {show(value, numbers[self.number], 2)}."
+        return ""
+
+
+def _named(way: Formula) -> str:
+    return f" ({way.label})" if way.label else ""
+
+
+@dataclass(frozen=True)
+class Possible:
+    """Whether a printed number lies in the range that others leave it, from `least` to `most`; the rest as for `Check`."""
+
+    number: str
+    least: Formula
+    most: Formula
+    note: str = ""
+
+    def row(self, numbers: Numbers) -> Row:
+        """Return the verdict: "not checkable" inside the range, "differs" outside."""
+        number, verdict = numbers[self.number], "not checkable"
+        _, low, _ = self.least.range(numbers)
+        _, _, high = self.most.range(numbers)
+        least, most = number.compatible
+        span = f"from {show(low)} to {show(high)}"
+        if most < low or least > high:
+            verdict = "differs"
+            reason = f"Impossible: other printed numbers allow it {span} only, whatever their rounding."
+        elif np.isnan(low) or np.isnan(high):
+            reason = "Other printed numbers leave it open."
+        else:
+            reason = f"Not determined by other printed numbers, which allow it {span}."
+        first = self.note.startswith("Suspicious")
+        return Row.about(
+            number,
+            verdict,
+            f"{self.note} {reason}" if first else f"{reason} {self.note}",
+            (np.nan, low, high),
+            f"{self.least.text} … {self.most.text}",
+            listing(self.most.inputs or self.least.inputs, numbers),
+        )
+
+
+@dataclass(frozen=True)
+class Remark:
+    """A printed number that no other determines: why it cannot be checked, or what is odd about it."""
+
+    number: str
+    reason: str
+    suffix: str = ""
+    quantity: str = ""
+
+    def row(self, numbers: Numbers) -> Row:
+        """Return the verdict "not checkable" with the reason."""
+        return Row.about(
+            numbers[self.number], "not checkable", self.reason, suffix=self.suffix, quantity=self.quantity
+        )
+
+
+def rows_of(checks: Iterable[Check | Possible | Remark | Row], numbers: Numbers) -> list[Row]:
+    """Return the rows of checks; what is a row already stays as it is."""
+    return [check if isinstance(check, Row) else check.row(numbers) for check in checks]

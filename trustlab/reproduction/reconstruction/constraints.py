@@ -1,0 +1,209 @@
+"""
+What a printed study says about its data: one interval per printed number, on a statistic of means and covariance.
+
+A pair's p may be printed unadjusted or adjusted for the m = k(k − 1)/2 comparisons: Bonferroni m p, Šidák
+1 − (1 − p)^m, Holm the running maximum of (m − l + 1) p_(l). Each printed p is an interval, "<.0005" a half-line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+
+from scipy import optimize, special
+
+from trustlab.models.checks import of_class, one_of
+from trustlab.reproduction.printed_number import printed_interval
+from trustlab.reproduction.published_study import PublishedStudy, published_studies
+from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
+from trustlab.studies.analysis.sphericity import mauchly_p_value
+
+__all__ = ["ADJUSTMENTS", "ALPHA", "Constraint", "constraints", "select", "sharpened"]
+
+ADJUSTMENTS = ("bonferroni", "holm", "sidak", "none")
+"""Adjustments of pairwise p-values for the number of comparisons."""
+
+ALPHA = 0.05
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """
+    One printed number as an interval: `low` to `high` of the statistic `kind` of means and covariance.
+
+    `kind` is a statistic of `MomentStatistics`, or "log_adjusted_p" or "spread" of `MomentProblem`; `index` says which
+    condition or pair, where there are several; `name` is for example "anova.F" or "pairs.C1-C3", `text` what is printed.
+    """
+
+    name: str
+    kind: str
+    index: int
+    low: float
+    high: float
+    text: str
+
+
+def log_interval(text: str) -> Interval:
+    """Return the interval of the logarithm of a printed p; infinite where p can be 0 or 1."""
+    low, high = printed_interval(text)
+    return (math.log(low) if low > 0.0 else -math.inf), (math.log(high) if high < 1.0 else math.inf)
+
+
+def _chi2_interval(text: str, n: int, k: int, second_order: bool) -> Interval:
+    """Return the chi-squares whose p, with or without Mauchly's second-order term, rounds to the printed one."""
+    low, high = printed_interval(text)
+    df = k * (k - 1) // 2 - 1
+
+    def p_value(chi2: float) -> float:
+        return mauchly_p_value(chi2, n, k) if second_order else special.chdtrc(df, chi2)
+
+    def quantile(p: float) -> float:
+        if p_value(0.0) <= p:
+            return 0.0
+        above = special.chdtri(df, p * 0.5) + 10.0
+        return optimize.brentq(lambda x: p_value(x) - p, 0.0, 2.0 * above)
+
+    return quantile(high) if high < 1.0 else 0.0, quantile(low) if low > 0.0 else math.inf
+
+
+def _either_chi2_interval(text: str, n: int, k: int) -> Interval:
+    """Return the chi-squares whose p rounds to the printed one by either approximation."""
+    lows, highs = zip(*(_chi2_interval(text, n, k, second) for second in (False, True)), strict=True)
+    return min(lows), max(highs)
+
+
+def sharpened(found: Iterable[Constraint], study: PublishedStudy) -> list[Constraint]:
+    """Return constraints in which Mauchly's p has its second-order term, as R, SPSS and pingouin print it."""
+    sharp = []
+    for s in found:
+        if s.name in ("mauchly.p", "mauchly.violated"):
+            text = s.text if s.name == "mauchly.p" else f"<{ALPHA}"
+            low, high = _chi2_interval(text, study.n, study.k, second_order=True)
+            s = replace(s, low=low, high=high)
+        sharp.append(s)
+    return sharp
+
+
+def _omnibus(study: PublishedStudy) -> list[Constraint]:
+    """Return the constraints of F and what follows from it, of epsilon and of sphericity."""
+    n, k, found = study.n, study.k, []
+
+    def add(name: str, kind: str, interval: Interval, text: str) -> None:
+        found.append(Constraint(name, kind, 0, *interval, text))
+
+    for name, text in study.anova.items():
+        low, high = printed_interval(text)
+        if name == "F":
+            add("anova.F", "f_ratio", (low, high), text)
+        elif name == "eta2":  # η² = F/(F + n − 1)
+            ends = [(n - 1) * max(e, 0.0) / (1.0 - e) if e < 1.0 else math.inf for e in (low, high)]
+            add("anova.eta2", "f_ratio", tuple(ends), text)
+        elif name == "p":
+            add("anova.p", "log_anova_p", log_interval(text), text)
+        elif study.corrected:
+            plain = (k - 1) if name == "df1" else (k - 1) * (n - 1)
+            add(f"anova.{name}", "epsilon", (low / plain, high / plain), text)
+    if study.epsilon:
+        add("epsilon", "epsilon", printed_interval(study.epsilon), study.epsilon)
+    chi2, p = study.mauchly.get("chi2"), study.mauchly.get("p")
+    if chi2:
+        add("mauchly.chi2", "chi2", printed_interval(chi2), chi2)
+    if p:
+        add("mauchly.p", "chi2", _either_chi2_interval(p, n, k), p)
+    elif study.corrected and not chi2:
+        least, _ = _either_chi2_interval(f"<{ALPHA}", n, k)
+        add("mauchly.violated", "chi2", (least, math.inf), "sphericity violated, p < 0.05")
+    return found
+
+
+def _t_test(study: PublishedStudy) -> list[Constraint]:
+    """Return the constraints of a paired t and its p."""
+    found = []
+    for name, text in study.t_test.items():
+        if name == "t":
+            ends = [math.log(2.0 * special.stdtr(study.n - 1, -t)) for t in reversed(size_interval(text))]
+            found.append(Constraint("t_test.t", "log_p", 0, *ends, text))
+        elif name == "p":
+            found.append(Constraint("t_test.p", "log_p", 0, *log_interval(text), text))
+    return found
+
+
+def size_interval(text: str) -> Interval:
+    """Return the interval of the magnitude of a printed number; which condition comes first is not printed."""
+    low, high = printed_interval(text)
+    return (0.0 if low < 0.0 < high else min(abs(low), abs(high))), max(abs(low), abs(high))
+
+
+def _pairwise(study: PublishedStudy, p_adjust: str) -> list[Constraint]:
+    """Return the constraints of pairwise comparisons; pairs that are not listed were not significant."""
+    named = {study.pair(name): (name, *log_interval(text), text) for name, text in study.pairs.items()}
+    for name in study.significant_without_p:
+        named[study.pair(name)] = (name, -math.inf, math.log(ALPHA), "significant")
+    silent = study.listed_only or not named
+    pairs = list(zip(*(index.tolist() for index in pair_indices(study.k)), strict=True))
+    found = []
+    for q, (i, j) in enumerate(pairs):
+        if (i, j) in named:
+            name, low, high, text = named[i, j]
+        elif silent:
+            continue
+        else:
+            name = f"{study.conditions[i]}-{study.conditions[j]}"
+            low, high, text = math.log(ALPHA), math.inf, "not significant"
+        kind = "log_adjusted_p"
+        if p_adjust != "holm":  # the others invert pair by pair
+            kind = "log_p"
+            low, high = (_unadjusted(x, p_adjust, len(pairs)) for x in (low, high))
+        found.append(Constraint(f"pairs.{name}", kind, q, low, high, text))
+    return found
+
+
+def _unadjusted(log_p: float, p_adjust: str, m: int) -> float:
+    """Return the logarithm of p before its adjustment for m comparisons."""
+    if math.isinf(log_p) or p_adjust == "none":
+        return log_p
+    if p_adjust == "bonferroni":
+        return log_p - math.log(m)
+    return math.log(-math.expm1(math.log1p(-math.exp(log_p)) / m))
+
+
+def _named_study(name: str) -> str:
+    """Return how to get the printed study that a name is nearest to."""
+    known = published_studies()
+    near = name if name in known else next(iter(get_close_matches(name, known, n=1)), "uav.tlx")
+    return f"a printed one is published_studies()[{near!r}]"
+
+
+def constraints(study: PublishedStudy, p_adjust: str = "bonferroni") -> list[Constraint]:
+    """
+    Return what a study says, number by number: means, standard deviations, F and what goes with it, sphericity, pairs.
+
+    A pair without a p-value was reported as not significant, p > 0.05, unless the study's `listed_only` is set; a printed
+    epsilon without a test of sphericity says that the test was significant.
+    """
+    of_class("study", study, PublishedStudy, _named_study(study) if isinstance(study, str) else "")
+    one_of("p_adjust", p_adjust, ADJUSTMENTS)
+    found = []
+    for q, condition in enumerate(study.conditions):
+        for kind, printed in (("mean", study.mean), ("sd", study.sd)):
+            if condition in printed:
+                text = printed[condition]
+                found.append(Constraint(f"{kind}.{condition}", kind, q, *printed_interval(text), text))
+    return [*found, *_omnibus(study), *_t_test(study), *_pairwise(study, p_adjust)]
+
+
+def select(found: Iterable[Constraint], without: Iterable[str]) -> list[Constraint]:
+    """Return the constraints that are not left out, by name ("anova.F", "mean.C2") or group ("mauchly", "pairs")."""
+    if isinstance(without, str):
+        raise ValueError(f'without must be a list of names, such as ("mauchly", "pairs"), got {without!r}')
+    found, without = list(found), tuple(without)
+    known = {s.name for s in found} | {s.name.split(".")[0] for s in found}
+    for name in without:
+        if name not in known:
+            raise ValueError(
+                f"without: {name!r} is none of the study's statistics; there are {', '.join(sorted(known))}"
+            )
+    return [s for s in found if s.name not in without and s.name.split(".")[0] not in without]

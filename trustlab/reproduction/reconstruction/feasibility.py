@@ -1,0 +1,292 @@
+"""Whether the numbers printed for a study can belong to one data set, and if not, which of them conflict."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import whole_number
+from trustlab.reproduction.published_study import PublishedStudy
+from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, Constraint, constraints, select
+from trustlab.reproduction.reconstruction.contradictions import arithmetic_conflicts
+from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
+from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
+
+__all__ = [
+    "MARGINS",
+    "Feasibility",
+    "Verdict",
+    "compare_adjustments",
+    "decide",
+    "feasibility",
+    "generator",
+    "moment_problem",
+    "prepared",
+]
+
+MARGINS = (0.3, 0.1, 0.02)
+"""How far inside the printed intervals solutions are sought, as shares of their half-widths, one after the other."""
+
+LEAST_MISSED = ("sd", "anova.eta2", "anova.df2", "anova.df1", "anova.p", "epsilon", "mauchly.p", "mauchly")
+"""What a conflict is sought without first: numbers that follow from others, or that seldom matter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """
+    What is known about a set of constraints.
+
+    `status` is "solved" (a solution was found), "proved" (there is none) or "not found" (neither); `moments` are the
+    solutions, or the candidates that come closest, least violated first; `starts` is how many starts were tried.
+    """
+
+    status: str
+    moments: Moments
+    starts: int
+
+
+def moment_problem(study: PublishedStudy, found: Sequence[Constraint], p_adjust: str) -> MomentProblem:
+    """Return constraints of a study as a system of inequalities."""
+    return MomentProblem(found, study.n, study.k, p_adjust, study.corrected, study.scale)
+
+
+def decide(
+    problem: MomentProblem, rng: np.random.Generator, starts: int = 512, branches: int = 80, enough: int = 2
+) -> Verdict:
+    """
+    Look for solutions, `enough` of them, and where none turns up at once, for a proof that there is none.
+
+    `branches` is the most relaxations to solve for a proof, 0 for none: one is tried after the first starts, as it is
+    cheap, and all after 256.
+    """
+    tried, best, count = 0, None, 32
+    efforts = {count: min(1, branches), 8 * count: branches}
+    while tried < starts:
+        margin = MARGINS[(tried // 64) % len(MARGINS)]
+        moments = problem.search(*problem.starts(count, rng), margin, enough=enough)
+        tried += count
+        if 0.0 < moments.violation[0] < 1.0:  # nearly there: go on from the nearest
+            again = problem.search(moments.mean[:8], moments.factor[:8], margin, (0.0, 0.0, 0.0), enough)
+            moments = again if again.violation[0] < moments.violation[0] else moments
+        if moments.solved[0]:
+            return Verdict("solved", moments.select(moments.solved), tried)
+        if best is None or moments.violation[0] < best.violation[0]:
+            best = moments
+        if efforts.get(tried, 0) and proves_infeasible(problem, efforts[tried]):
+            return Verdict("proved", best, tried)
+    return Verdict("not found", best, tried)
+
+
+@dataclass(frozen=True, eq=False)
+class Feasibility:
+    """
+    Whether printed numbers can belong to one data set.
+
+    Parameters
+    ----------
+    study : PublishedStudy
+        The study.
+    p_adjust : str
+        How the printed pairwise p-values were taken to be adjusted.
+    feasible : bool
+        Whether one data set can have them all.
+    status : {"solved", "proved", "not found"}
+        A solution was found; it is proved that there is none; or none was found from many starts.
+    conflict : tuple of str
+        Statistics that cannot hold together, the fewest found: where this is proved (`conflict_proved`), without any one of
+        them it is not proved; otherwise, without any one of them a solution was found. Empty when feasible.
+    conflict_proved : bool
+        Whether it is proved that those cannot hold together.
+    remedies : tuple of str
+        Single statistics without which all others can hold.
+    left_out : mapping of str to str
+        Reasons for statistics left out beforehand, by name: those asked for, and those that contradict others by arithmetic.
+    violation : float
+        Largest violation of the closest candidate, in half-widths of printed intervals; 0 when feasible.
+    verdict : Verdict
+        The solutions, or the closest candidates.
+    """
+
+    study: PublishedStudy
+    p_adjust: str
+    feasible: bool
+    status: str
+    conflict: tuple[str, ...]
+    conflict_proved: bool
+    remedies: tuple[str, ...]
+    left_out: Mapping[str, str]
+    violation: float
+    verdict: Verdict = field(repr=False)
+
+    def __bool__(self) -> bool:
+        return self.feasible
+
+    def table(self) -> pd.DataFrame:
+        """Return what is printed: index statistic; columns printed, low, high (of the statistic itself), in_conflict, remedy."""
+        rows = []
+        for s in constraints(self.study, self.p_adjust):
+            if s.name in self.left_out:
+                continue
+            low, high = s.low, s.high
+            if s.kind.startswith("log"):
+                low, high = float(np.exp(low)), float(np.exp(min(high, 0.0)))
+            rows.append((s.name, s.text, low, high, s.name in self.conflict, s.name in self.remedies))
+        columns = ["statistic", "printed", "low", "high", "in_conflict", "remedy"]
+        return pd.DataFrame(rows, columns=columns).set_index("statistic")
+
+
+def feasibility(
+    study: PublishedStudy,
+    p_adjust: str = "bonferroni",
+    without: Iterable[str] = (),
+    seed: int = 0,
+    explain: bool = True,
+) -> Feasibility:
+    """
+    Say whether the numbers printed for a study can belong to one data set, and if not, which of them conflict.
+
+    Feasible is shown by means and a covariance matrix that have all statistics within rounding; infeasible is proved by a
+    linear relaxation wherever that suffices (`status`). The conflict is an irreducible infeasible subset, by a deletion
+    filter (Chinneck & Dravnieks 1991) in several orders, the smallest found.
+
+    Parameters
+    ----------
+    study : PublishedStudy
+        The study.
+    p_adjust : {"bonferroni", "holm", "sidak", "none"}
+        How the printed pairwise p-values were adjusted for the number of comparisons.
+    without : iterable of str
+        Statistics to leave out, by name ("anova.F", "pairs.C1-C3") or group ("mauchly", "pairs").
+    seed : int
+        Seed of the search.
+    explain : bool
+        Whether to look for the conflict.
+
+    Returns
+    -------
+    Feasibility
+
+    Raises
+    ------
+    ValueError
+        If an argument is wrong or nothing is left.
+    """
+    found, left_out = prepared(study, p_adjust, without)
+    rng = generator(seed)
+    verdict = decide(moment_problem(study, found, p_adjust), rng)
+    feasible = verdict.status == "solved"
+    conflict, proved, remedies = (), False, ()
+    if not feasible and explain:
+        proved = verdict.status == "proved"
+        conflict = _smallest_conflict(study, found, p_adjust, proved, rng)
+        remedies = tuple(name for name in conflict if _holds(study, _less(found, name), p_adjust, rng))
+    return Feasibility(
+        study=study,
+        p_adjust=p_adjust,
+        feasible=feasible,
+        status=verdict.status,
+        conflict=conflict,
+        conflict_proved=proved,
+        remedies=remedies,
+        left_out=left_out,
+        violation=0.0 if feasible else float(verdict.moments.violation[0]),
+        verdict=verdict,
+    )
+
+
+def prepared(
+    study: PublishedStudy, p_adjust: str, without: Iterable[str]
+) -> tuple[list[Constraint], dict[str, str]]:
+    """Return the constraints that are to hold, and the reasons for those that are left out."""
+    found = constraints(study, p_adjust)
+    kept = select(found, without)
+    reasons = {s.name: "left out on request" for s in found if s not in kept}
+    reasons |= {name: why for name, why in arithmetic_conflicts(study).items() if name not in reasons}
+    kept = [s for s in kept if s.name not in reasons]
+    if not kept:
+        raise ValueError(f"without: nothing of {study.name} is left")
+    return kept, reasons
+
+
+def generator(seed: int) -> np.random.Generator:
+    """Return the generator of a seed."""
+    return np.random.default_rng(np.random.SeedSequence(whole_number("seed", seed, least=0)))
+
+
+def _less(found: Sequence[Constraint], name: str) -> list[Constraint]:
+    return [s for s in found if s.name != name]
+
+
+def _refuted(study: PublishedStudy, found: Sequence[Constraint], p_adjust: str, branches: int) -> bool:
+    return proves_infeasible(moment_problem(study, found, p_adjust), branches)
+
+
+def _holds(study: PublishedStudy, found: list[Constraint], p_adjust: str, rng: np.random.Generator) -> bool:
+    """Return whether a solution is found; refuted first where that is quick."""
+    if _refuted(study, found, p_adjust, branches=1):
+        return False
+    return decide(moment_problem(study, found, p_adjust), rng, starts=64, branches=0).status == "solved"
+
+
+def _smallest_conflict(
+    study: PublishedStudy, found: list[Constraint], p_adjust: str, proved: bool, rng: np.random.Generator
+) -> tuple[str, ...]:
+    """
+    Delete what is not needed for a conflict, in several orders, and return the smallest conflict.
+
+    Where the conflict is proved, what remains is proved to conflict at every deletion; otherwise no solution is found.
+    """
+
+    def rank(s: Constraint) -> int:
+        hits = [q for q, key in enumerate(LEAST_MISSED) if key in (s.name, s.name.split(".")[0])]
+        return hits[0] if hits else len(LEAST_MISSED) + (s.text != "not significant") + (s.kind == "mean")
+
+    branches = 1 if _refuted(study, found, p_adjust, branches=1) else 16
+
+    def conflicting(fewer: list[Constraint]) -> bool:
+        if proved:
+            return _refuted(study, fewer, p_adjust, branches)
+        return not _holds(study, fewer, p_adjust, rng)
+
+    order, best = sorted(found, key=rank), found
+    orders = [order, order[::-1], *([order[q] for q in rng.permutation(len(order))] for _ in range(2))]
+    for order in orders[
+        : len(orders) if proved and branches == 1 else 1
+    ]:  # one order is all that is quick otherwise
+        kept = list(found)
+        for s in order:
+            fewer = _less(kept, s.name)
+            if fewer and conflicting(fewer):
+                kept = fewer
+        best = kept if len(kept) < len(best) else best
+    return tuple(s.name for s in best)
+
+
+def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) -> pd.DataFrame:
+    """
+    Say under which adjustments of pairwise p-values each study's printed numbers can belong to one data set.
+
+    Parameters
+    ----------
+    studies : mapping of str to PublishedStudy
+        Studies by name, such as `published_studies()`.
+    seed : int
+        Seed of the search.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Index study, p_adjust; columns feasible, status (solved, proved, not found), violation (of the closest candidate, in
+        half-widths of printed intervals), left_out.
+    """
+    rows = []
+    for name, study in studies.items():
+        for p_adjust in ADJUSTMENTS:
+            result = feasibility(study, p_adjust, seed=seed, explain=False)
+            left_out = ", ".join(result.left_out)
+            rows.append((name, p_adjust, result.feasible, result.status, result.violation, left_out))
+    columns = ["study", "p_adjust", "feasible", "status", "violation", "left_out"]
+    return pd.DataFrame(rows, columns=columns).set_index(["study", "p_adjust"])

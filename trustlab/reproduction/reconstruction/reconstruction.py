@@ -1,0 +1,286 @@
+"""
+Data that have all statistics printed for a study.
+
+All statistics of a one-way within-subject study that are printed are functions of the means and the covariance matrix, so
+that a reconstruction finds these first (`moment_search`), each within the rounding of what is printed, and then draws n
+subjects with exactly these moments inside the scale of the measure (`sampling`). The values are continuous: they are
+not held to the steps of a questionnaire. They are no measurements, and everything made from them says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from trustlab.reproduction.published_study import PublishedStudy
+from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, Constraint, constraints, sharpened
+from trustlab.reproduction.reconstruction.feasibility import (
+    Verdict,
+    decide,
+    feasibility,
+    generator,
+    moment_problem,
+    prepared,
+)
+from trustlab.reproduction.reconstruction.feasible_ranges import feasible_ranges
+from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
+from trustlab.reproduction.reconstruction.reanalysis import agrees, printed_ends, reanalyse
+from trustlab.reproduction.reconstruction.sampling import sample_with_moments
+
+__all__ = ["NOTE", "Reconstruction", "ReconstructionError", "reconstruct", "reconstruct_study"]
+
+NOTE = "Reconstructed data: no measurements, but values that have the printed statistics."
+
+
+class ReconstructionError(ValueError):
+    """No data with the printed statistics were found; the message says what to try."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """
+    Data that have the statistics printed for a study.
+
+    Parameters
+    ----------
+    study : PublishedStudy
+        The study.
+    p_adjust : str
+        How its printed pairwise p-values are adjusted in these data.
+    seed : int
+        Seed.
+    values : numpy.ndarray, shape (n, k)
+        The data, one row per subject.
+    left_out : mapping of str to str
+        Printed statistics that these data need not have, with the reason.
+    verdict : Verdict
+        All solutions found with this seed; the data have the moments of the first that fits the scale.
+    problem : MomentProblem
+        What the moments had to satisfy.
+    """
+
+    study: PublishedStudy
+    p_adjust: str
+    seed: int
+    values: np.ndarray
+    left_out: Mapping[str, str]
+    verdict: Verdict = field(repr=False)
+    problem: MomentProblem = field(repr=False)
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """The data in long form: columns subject (1 … n), condition, value; `attrs` says that they are reconstructed."""
+        n, k = self.values.shape
+        frame = pd.DataFrame(
+            {
+                "subject": np.repeat(np.arange(1, n + 1), k),
+                "condition": np.tile(np.array(self.study.conditions, dtype=object), n),
+                "value": self.values.ravel(),
+            }
+        )
+        frame.attrs = {
+            "reconstructed": True,
+            "note": NOTE,
+            "study": self.study.name,
+            "p_adjust": self.p_adjust,
+            "seed": self.seed,
+            "left_out": dict(self.left_out),
+        }
+        return frame
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return every printed statistic beside that of these data.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index statistic; columns printed, low, high (what agrees with it), reconstructed (recomputed from the data), agrees,
+            left_out (the reason; empty where it was to hold). Pairwise p-values are adjusted ones.
+        """
+        ours = reanalyse(self.values, self.study, self.p_adjust)
+        rows = [
+            (
+                s.name,
+                s.text,
+                *printed_ends(s),
+                ours[s.name],
+                agrees(s, ours[s.name]),
+                self.left_out.get(s.name, ""),
+            )
+            for s in constraints(self.study, self.p_adjust)
+        ]
+        columns = ["statistic", "printed", "low", "high", "reconstructed", "agrees", "left_out"]
+        table = pd.DataFrame(rows, columns=columns).set_index("statistic")
+        table.attrs = {"reconstructed": True, "note": NOTE}
+        return table
+
+    def ranges(self) -> pd.DataFrame:
+        """
+        Return how far what is not printed can range while all that is printed holds.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index quantity: means and standard deviations that are not printed, and all correlations; columns low, high (both
+            attained by solutions; the true range is at least as wide), proved_low, proved_high (of means: beyond these it is
+            proved that no data have what is printed; NaN otherwise), reconstructed.
+        """
+        names = self.study.conditions
+        ranges = feasible_ranges(self.problem, generator(self.seed), names)
+        ours = {}
+        for i, name in enumerate(names):
+            ours |= {f"mean.{name}": self.values[:, i].mean(), f"sd.{name}": self.values[:, i].std(ddof=1)}
+            for j, other in enumerate(names):
+                ours[f"correlation.{name}-{other}"] = np.corrcoef(self.values[:, [i, j]].T)[0, 1]
+        ranges["reconstructed"] = [float(ours[name]) for name in ranges.index]
+        ranges.attrs = {"reconstructed": True, "note": NOTE}
+        return ranges
+
+    def _repr_html_(self) -> str:
+        return f"<p>{NOTE}</p>" + self.table().to_html()
+
+
+def reconstruct(
+    study: PublishedStudy, seed: int = 0, p_adjust: str | None = None, without: Iterable[str] = ()
+) -> pd.DataFrame:
+    """
+    Return data that have the statistics printed for a study.
+
+    Parameters
+    ----------
+    study : PublishedStudy
+        The study, for example `published_studies()["uav.tlx"]`.
+    seed : int
+        Seed; each draws its own means and covariance within the printed rounding, and its own subjects.
+    p_adjust : {"bonferroni", "holm", "sidak", "none"}, optional
+        How the printed pairwise p-values were adjusted; the first of these under which all can hold, unless given.
+    without : iterable of str
+        Statistics that need not hold, by name ("anova.F", "pairs.C1-C3") or group ("mauchly", "pairs").
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns subject, condition, value; `attrs` says that the data are reconstructed, and what was left out and why.
+
+    Raises
+    ------
+    ValueError
+        If an argument is wrong.
+    ReconstructionError
+        If no data were found.
+    """
+    return reconstruct_study(study, seed, p_adjust, without).frame
+
+
+def reconstruct_study(
+    study: PublishedStudy, seed: int = 0, p_adjust: str | None = None, without: Iterable[str] = ()
+) -> Reconstruction:
+    """
+    Return data that have the statistics printed for a study, with the checks on them.
+
+    Statistics that contradict others by arithmetic are left out. Where the rest cannot hold together, what is left out is the
+    first remedy that `feasibility` finds. The result names both in `left_out`.
+
+    Parameters
+    ----------
+    study : PublishedStudy
+        The study.
+    seed : int
+        Seed.
+    p_adjust : {"bonferroni", "holm", "sidak", "none"}, optional
+        As for `reconstruct`.
+    without : iterable of str
+        As for `reconstruct`.
+
+    Returns
+    -------
+    Reconstruction
+
+    Raises
+    ------
+    ValueError
+        If an argument is wrong.
+    ReconstructionError
+        If no data were found.
+    """
+    without = tuple(without) if not isinstance(without, str) else without
+    for candidate in ADJUSTMENTS if p_adjust is None else (p_adjust,):
+        found, left_out = prepared(study, candidate, without)
+        problem, verdict = _solved(study, found, candidate, seed)
+        if verdict.status == "solved":
+            break
+    else:
+        candidate = p_adjust or ADJUSTMENTS[0]
+        problem, verdict, left_out = _remedied(study, candidate, without, seed)
+    draws = generator(seed).spawn(1)[0]
+    values = _draw(problem, verdict.moments, draws)
+    for _ in range(5):  # no values within the scale have these moments: try others
+        if values is not None:
+            break
+        verdict = decide(problem, draws, branches=0, enough=8)
+        values = _draw(problem, verdict.moments, draws) if verdict.status == "solved" else None
+    if values is None:
+        raise ReconstructionError(
+            f"{study.name}: no {study.n} values within the scale {study.scale} were found that have the means and covariances"
+            " found; try another seed, or leave out a standard deviation"
+        )
+    result = Reconstruction(study, candidate, int(seed), values, left_out, verdict, problem)
+    table = result.table()
+    wrong = table.index[~table["agrees"] & (table["left_out"] == "")]
+    if len(wrong):
+        raise ReconstructionError(
+            f"{study.name}: the data found do not have {', '.join(wrong)}; try another seed"
+        )
+    return result
+
+
+def _solved(
+    study: PublishedStudy, found: list[Constraint], p_adjust: str, seed: int
+) -> tuple[MomentProblem, Verdict]:
+    """Look for solutions with Mauchly's p as packages print it, then by either approximation."""
+    for read_as in (sharpened(found, study), found):
+        problem = moment_problem(study, read_as, p_adjust)
+        verdict = decide(problem, generator(seed))
+        if verdict.status == "solved":
+            break
+    return problem, verdict
+
+
+def _draw(problem: MomentProblem, moments: Moments, rng: np.random.Generator) -> np.ndarray | None:
+    """Return values that have the first moments for which there are any within the scale."""
+    for mean, factor in zip(moments.mean, moments.factor, strict=True):
+        values = sample_with_moments(mean, factor, problem.n, problem.scale, rng)
+        if values is not None:
+            return values
+    return None
+
+
+def _remedied(
+    study: PublishedStudy, p_adjust: str, without: tuple[str, ...], seed: int
+) -> tuple[MomentProblem, Verdict, dict[str, str]]:
+    """Leave out what stands in the way, one statistic at a time."""
+    names, reasons = list(without), {}
+    for _ in range(4):
+        result = feasibility(study, p_adjust, names, seed)
+        if result.feasible:
+            found, left_out = prepared(study, p_adjust, names)
+            problem, verdict = _solved(study, found, p_adjust, seed)
+            return problem, verdict, left_out | reasons
+        name = next((x for x in (*reversed(result.remedies), *reversed(result.conflict))), None)
+        if name is None:
+            break
+        others = ", ".join(x for x in result.conflict if x != name)
+        reasons[name] = (
+            f"cannot hold together with {others}"
+            if result.conflict_proved
+            else f"no data were found that have it together with {others} (not proved impossible)"
+        )
+        names.append(name)
+    raise ReconstructionError(
+        f"{study.name}: the printed numbers cannot hold together under p_adjust={p_adjust!r}, nor when"
+        f" {', '.join(reasons)} are left out; feasibility() says which conflict, `without` leaves statistics out"
+    )
