@@ -24,9 +24,9 @@ from benchmarks.peers.correction_problem import Turns
 from benchmarks.peers.opti_ipopt import OptiShooting
 from benchmarks.timing import Row, Spread
 from benchmarks.workers import PeerMissingError, Worker
-from trustlab.allocation.correction_casadi import CasadiEngine
-from trustlab.allocation.correction_dynamics import simulate_correction
-from trustlab.allocation.correction_exact import ExactEngine
+from trustlab.allocation.correction.casadi_engine import CasadiEngine
+from trustlab.allocation.correction.dynamics import simulate_correction
+from trustlab.allocation.correction.exact import ExactEngine
 
 TITLE = "Correction of thresholds"
 TARGET, C_B, HORIZON, STEPS, SEED = (0.15, 0.56), 1e-5, 200, 300, 20_190

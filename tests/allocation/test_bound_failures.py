@@ -3,23 +3,45 @@
 import numpy as np
 import pytest
 
+import trustlab as tl
 from trustlab.allocation import bound_failures, simulate_allocation, steady_state_bounds, threshold_limits
 from trustlab.allocation.bound_failures import RECORDED, SETTLING, TOLERANCE, random_set, steady_extremes
-from trustlab.allocation.phases import pack
 
 
 def test_extremes_are_those_of_the_simulation():
-    out = np.empty(9)
     for seed in range(20):
         rng = np.random.default_rng(seed)
         model, lower, upper = random_set(rng)
-        steady_extremes(0.3, model.robot.p_min, lower, upper, pack(model), 4000, 3000, out)
+        seen = steady_extremes(0.3, model.robot.p_min, lower, upper, model.constants(), 4000, 0, 3000)
         run = simulate_allocation(model, lower, upper, 7000, 0.3)
         tail, change = run.iloc[4000:], run.diff().iloc[4000:].abs().max()
-        expected = [f(tail[name]) for name in ("r", "p_r", "tsc") for f in (min, max)]
-        np.testing.assert_allclose(out[:6], expected, atol=1e-12)
-        np.testing.assert_allclose(out[6:8], change[["p_r", "p_h"]], atol=1e-12)
-        assert out[8] == run["mode"].diff().iloc[4000:].abs().sum()
+        for name in ("r", "p_r", "tsc"):
+            assert getattr(seen, f"{name}_low") == pytest.approx(tail[name].min(), abs=1e-12)
+            assert getattr(seen, f"{name}_high") == pytest.approx(tail[name].max(), abs=1e-12)
+        assert seen.delta_p_r == pytest.approx(change["p_r"], abs=1e-12)
+        assert seen.delta_p_h == pytest.approx(change["p_h"], abs=1e-12)
+        assert seen.switches == run["mode"].diff().iloc[4000:].abs().sum()
+
+
+def test_invariant_bounds_are_tested_from_the_return_to_manual_control_on_from_which_they_hold():
+    """Child 306 of seed 5: its bounds hold from the 44th return on, and 12 time constants have 28. Oracle: the whole simulation."""
+    child = np.random.SeedSequence(5).spawn(307)[306]
+    rng = np.random.default_rng(child)
+    model, lower, upper = random_set(rng)
+    r0, longest = rng.random(), 1.0 / (1.0 - max(model.human.a, model.robot.a))
+    settling, recorded = int(SETTLING * longest), int(RECORDED * longest)
+    bounds = tl.invariant_bounds(model, lower, upper, cells=16)
+    run = simulate_allocation(model, lower, upper, 60_000, r0)
+    returns = np.flatnonzero(np.diff(run["mode"]) == 1.0) + 1
+    assert (returns < settling).sum() < bounds.cycles
+    early = run["r"].iloc[settling : settling + recorded]
+    assert early.max() > bounds.r_high + TOLERANCE
+    later = run["r"].iloc[returns[bounds.cycles - 1] :]
+    assert bounds.r_low <= later.min() < later.max() <= bounds.r_high
+    start = r0, model.robot.p_min, lower, upper, model.constants()
+    seen = steady_extremes(*start, settling, bounds.cycles, recorded)
+    part = later.iloc[:recorded]
+    assert (seen.r_low, seen.r_high) == pytest.approx((part.min(), part.max()), abs=1e-12)
 
 
 def test_counts_are_those_of_the_same_sets_one_by_one():

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import trustlab as tl
 from trustlab.allocation import CorrectionStatus, TargetWarning, incentive_box, simulate_correction
-from trustlab.allocation.correction_exact import ExactEngine
+from trustlab.allocation.correction.exact import ExactEngine
 from trustlab.models.published import published_models
 
 PILOT = published_models()["pilot"]
@@ -286,9 +286,14 @@ def test_incentive_bounds_at_the_corners():
     np.testing.assert_allclose(low, [0.0, -1e-5, -0.5e-5, -0.5e-5], atol=1e-20)
     np.testing.assert_allclose(high, [1e-5, 0.0, 0.5e-5, 0.5e-5], atol=1e-20)
     assert tl.incentive_bounds(0.5, 0.315, 2.0, PILOT.robot) == pytest.approx((-1.0, 1.0))
-    assert tl.incentive_bounds(0.5, 0.3, 1e-5) == tl.incentive_bounds(0.5, 0.3, 1e-5, PILOT)
+    assert tl.incentive_bounds(0.5, 0.3, 1e-5, PILOT.robot) == tl.incentive_bounds(0.5, 0.3, 1e-5, PILOT)
     with pytest.raises(ValueError, match=r"range \[0.24, 0.39\]"):
-        tl.incentive_bounds(0.5, 0.4, 1e-5)
+        tl.incentive_bounds(0.5, 0.4, 1e-5, PILOT)
+
+
+def test_incentive_bounds_without_a_model_say_whose_range_they_take():
+    with pytest.warns(UserWarning, match=r"pilot operator's range of robot performance, 0\.24 to 0\.39 m/s"):
+        assert tl.incentive_bounds(0.5, 0.3, 1e-5) == tl.incentive_bounds(0.5, 0.3, 1e-5, PILOT)
 
 
 @LIGHT
@@ -350,7 +355,7 @@ def test_targets_outside_the_limits():
         ({"target": (0.1, 0.2, 0.3)}, "two numbers"),
         ({"target": (0.1, float("nan"))}, "finite"),
         ({"target": ("a", 0.2)}, "number"),
-        ({"target": 10**400}, "a very long number"),
+        ({"target": 10**400}, "two numbers, lower and upper, got 1000"),
         ({"c_b": 0.0}, "positive"),
         ({"c_b": -1e-5}, "positive"),
         ({"c_b": float("inf")}, "finite"),

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.allocation.correction_casadi import CasadiEngine
-from trustlab.allocation.correction_dynamics import simulate_correction
-from trustlab.allocation.correction_exact import ExactEngine
-from trustlab.allocation.correction_plan import CorrectionStatus
-from trustlab.allocation.correction_program import SOLVERS
-from trustlab.allocation.incentive import incentive_bounds, incentive_box
+from trustlab.allocation.correction.casadi_engine import CasadiEngine
+from trustlab.allocation.correction.casadi_problem import SOLVERS
+from trustlab.allocation.correction.dynamics import simulate_correction
+from trustlab.allocation.correction.exact import ExactEngine
+from trustlab.allocation.correction.incentive import incentive_bounds, incentive_box
+from trustlab.allocation.correction.plan import CorrectionStatus
 
 ROBOT = tl.RobotModel(a=0.996, p_min=0.24, p_max=0.39, p_h_max=0.4602)
 PILOT = tl.TscModel(ROBOT, tl.HumanModel(a=0.9991, beta=0.74, p_min=0.391, p_max=0.4602))

@@ -11,8 +11,8 @@ import casadi
 import numpy as np
 import pytest
 
-from trustlab.allocation.correction_dynamics import simulate_correction
-from trustlab.allocation.correction_exact import ExactEngine
+from trustlab.allocation.correction.dynamics import simulate_correction
+from trustlab.allocation.correction.exact import ExactEngine
 from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel

@@ -13,8 +13,7 @@ from trustlab.allocation import (
     steady_state_bounds,
     threshold_limits,
 )
-from trustlab.allocation.intervals import overshoot
-from trustlab.allocation.phases import pack
+from trustlab.allocation.cycle.propagation import overshoot
 
 
 def runs_of(mode):
@@ -177,7 +176,7 @@ def test_overshoot_grows_with_the_range_it_is_taken_over():
     rng = np.random.default_rng(0)
     for _ in range(300):
         model, lower, _ = extreme(rng)
-        c = pack(model)
+        c = model.constants()
         inner = np.sort(rng.random(2))
         outer = (inner[0] * rng.random(), inner[1] + (1.0 - inner[1]) * rng.choice([rng.random(), 1.0]))
         for manual in (True, False):

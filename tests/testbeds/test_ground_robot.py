@@ -14,7 +14,8 @@ import pytest
 
 import trustlab as tl
 from trustlab.allocation import followed_suggestions
-from trustlab.allocation.kernels import performance_suggestion, threshold_mode
+from trustlab.allocation.rules import performance_suggestion
+from trustlab.models.tsc import threshold_mode
 from trustlab.operators import operator
 from trustlab.testbeds import Course, Pioneer, drive_modes, identification_session, run_condition
 from trustlab.testbeds.driving import SETTLING

@@ -1,4 +1,4 @@
-"""Limits within which thresholds keep switching, (2.9)-(2.10) and Theorem 1."""
+"""Limits within which thresholds keep switching, (2.9)-(2.10) and Theorem 1, and the largest one-step changes in them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,79 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.allocation.step_bounds import step_bounds
-from trustlab.models.checks import finite_number, of_class
+from trustlab.models.checks import between, finite_number, not_negative, of_class
 from trustlab.models.tsc import TscConstants, TscModel
 
-__all__ = ["ThresholdLimits", "check_thresholds", "limits_as_printed", "threshold_limits"]
+__all__ = [
+    "StepBounds",
+    "ThresholdLimits",
+    "check_order",
+    "check_thresholds",
+    "limits_as_printed",
+    "step_bounds",
+    "threshold_limits",
+]
+
+
+@dataclass(frozen=True)
+class StepBounds:
+    """
+    Largest one-step changes.
+
+    Parameters
+    ----------
+    delta_p_h, delta_p_r : float
+        δ_Ph and δ_Pr, of human and robot performance.
+    delta_tsc : float
+        δ_TSC = a_T δ_Pr + b_T δ_Ph (Remark 3).
+    """
+
+    delta_p_h: float
+    delta_p_r: float
+    delta_tsc: float
+
+
+def step_bounds(tsc: TscModel, r_low: float = 0.05, r_high: float = 0.95) -> StepBounds:
+    """
+    Return the largest one-step changes that (2.3), (2.5) and (2.6) allow.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model.
+    r_low, r_high : float
+        Range of utilization that is considered. (2.6) is infinitely steep at rest and at full load, so that δ_Ph over
+        all of [0, 1] is of no use; the dissertation takes δ from the fitted curves of an experiment, which keeps
+        away from both ends.
+
+    Returns
+    -------
+    StepBounds
+        Suprema over both modes, over r in [r_low, r_high] and P_r in [p_min, p_max].
+
+    Raises
+    ------
+    ValueError
+        If `tsc` is not a `TscModel`, or the range is not within [0, 1].
+    """
+    of_class("tsc", tsc, TscModel)
+    low, high = between("r_low", r_low, 0.0, 1.0), between("r_high", r_high, 0.0, 1.0)
+    if not low < high:
+        raise ValueError(f"r_low must be below r_high, got {low} and {high}")
+    human, robot = tsc.human, tsc.robot
+    grid = np.linspace(low, high, 4001)
+    best = 0.0
+    for mode in (0.0, 1.0):
+        for _ in range(6):
+            after = np.clip(human.a * grid + human.b * mode, 0.0, 1.0)
+            change = np.abs(human.performance(after) - human.performance(grid))
+            k = int(np.argmax(change))
+            best = max(best, float(change[k]))
+            grid = np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)], 401)
+        grid = np.linspace(low, high, 4001)
+    ceiling = robot.p_min + robot.b * human.p_max / (1.0 - robot.a)
+    delta_p_r = (1.0 - robot.a) * max(robot.p_max - robot.p_min, ceiling - robot.p_min)
+    return StepBounds(best, delta_p_r, tsc.delta(delta_p_r, best))
 
 
 @dataclass(frozen=True)
@@ -29,6 +97,8 @@ class ThresholdLimits:
     lower: float
     upper: float
     delta_p_h: float
+
+    how_to_get = "trustlab.threshold_limits(tsc) returns them"
 
     @property
     def feasible(self) -> bool:
@@ -106,41 +176,27 @@ def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> Threshold
     of_class("tsc", tsc, TscModel)
     if delta_p_h is None:
         delta_p_h = step_bounds(tsc).delta_p_h
-    delta_p_h = finite_number("delta_p_h", delta_p_h)
-    if delta_p_h < 0.0:
-        raise ValueError(f"delta_p_h is a largest change and cannot be negative, got {delta_p_h}")
-    lower, upper = limits_as_printed(tsc.constants(), delta_p_h)
-    return ThresholdLimits(float(lower), float(upper), delta_p_h)
+    lower, upper = limits_as_printed(tsc.constants(), not_negative("delta_p_h", delta_p_h))
+    return ThresholdLimits(float(lower), float(upper), float(delta_p_h))
+
+
+def check_order(lower: float, upper: float) -> tuple[float, float]:
+    """Return two thresholds as floats if they are finite and in order."""
+    lower, upper = finite_number("lower", lower), finite_number("upper", upper)
+    if not lower < upper:
+        raise ValueError(f"the lower threshold must be below the upper one, got {lower} and {upper}")
+    return lower, upper
 
 
 def check_thresholds(
     tsc: TscModel, lower: float, upper: float, limits: ThresholdLimits | None = None
 ) -> tuple[float, float]:
-    """
-    Return thresholds as floats, or say what is wrong with them.
-
-    Parameters
-    ----------
-    tsc : TscModel
-        The model.
-    lower, upper : float
-        TSC_l and TSC_u.
-    limits : ThresholdLimits, optional
-        Limits they must keep; only their order is checked when not given.
-
-    Raises
-    ------
-    ValueError
-        If they are not finite, in the wrong order, or outside the limits, which are quoted.
-    """
+    """Return two thresholds as floats if they are finite, in order, and, where limits are given, strictly between them."""
     of_class("tsc", tsc, TscModel)
-    if limits is not None:
-        of_class("limits", limits, ThresholdLimits, "threshold_limits(tsc) makes them")
-    lower, upper = finite_number("lower", lower), finite_number("upper", upper)
-    if not lower < upper:
-        raise ValueError(f"the lower threshold must be below the upper one, got {lower} and {upper}")
+    lower, upper = check_order(lower, upper)
     if limits is None:
         return lower, upper
+    of_class("limits", limits, ThresholdLimits)
     if not limits.feasible:
         raise ValueError(
             f"no thresholds keep switching: at δ_Ph = {limits.delta_p_h:.3g} TSC_ub = {limits.upper:.4f} does not exceed "

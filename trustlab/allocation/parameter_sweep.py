@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.limit_cycle import limit_cycle
+from trustlab.allocation.cycle.limit_cycle import limit_cycle
 from trustlab.campaign.parameters import ParameterGrid
 from trustlab.campaign.run import run_campaign
 from trustlab.campaign.sensitivity import SobolIndices, sobol_indices

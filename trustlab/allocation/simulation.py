@@ -8,9 +8,8 @@ import numba
 import numpy as np
 
 from trustlab.allocation.limits import check_thresholds
-from trustlab.allocation.phases import human_at, pack
-from trustlab.models.checks import finite_number, whole_number
-from trustlab.models.tsc import TscModel
+from trustlab.models.checks import between, finite_number, whole_number
+from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc_at
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,18 +21,16 @@ MOST_STEPS = 100_000_000
 
 
 @numba.njit(cache=True)
-def switched(r, p_r, mode, lower, upper, c, out):
-    """Fill rows r, p_r, p_h, tsc, mode of `out`: the mode follows from TSC of the same sample (2.8)."""
-    for k in range(out.shape[1]):
-        p_h = human_at(r, c)
-        tsc = c[7] * p_r - c[8] * p_h
-        if tsc >= upper:
-            mode = 0.0
-        elif tsc <= lower:
-            mode = 1.0
-        out[0, k], out[1, k], out[2, k], out[3, k], out[4, k] = r, p_r, p_h, tsc, mode
-        p_r = c[4] * p_r + (1.0 - c[4]) * c[6] + mode * c[5] * p_h
-        r = c[0] * r + (1.0 - c[0]) * mode
+def simulate_rule(start_r, start_p_r, mode, lower, upper, c, r, p_r, p_h, tsc, modes):
+    """Fill five columns with the model under rule (2.8); the mode follows from TSC of the same sample."""
+    now_r, now_p_r = start_r, start_p_r
+    for k in range(r.size):
+        r[k], p_r[k] = now_r, now_p_r
+        p_h[k] = human_at(now_r, c)
+        tsc[k] = tsc_at(now_p_r, p_h[k], c)
+        mode = threshold_mode(tsc[k], lower, upper, mode)
+        modes[k] = mode
+        now_r, now_p_r = advance(now_r, now_p_r, p_h[k], mode, c)
 
 
 def simulate_allocation(
@@ -78,11 +75,9 @@ def simulate_allocation(
 
     lower, upper = check_thresholds(tsc, lower, upper)
     steps = whole_number("steps", steps, most=MOST_STEPS)
-    r0 = finite_number("r0", r0)
-    if not 0.0 <= r0 <= 1.0:
-        raise ValueError(f"r0 must lie in [0, 1], got {r0}")
+    r0 = between("r0", r0, 0.0, 1.0)
     mode = whole_number("mode", mode, least=0, most=1)
     start = tsc.robot.p_min if p_r0 is None else finite_number("p_r0", p_r0)
-    out = np.empty((5, steps))
-    switched(r0, start, float(mode), lower, upper, pack(tsc), out)
-    return pd.DataFrame(dict(zip(("r", "p_r", "p_h", "tsc", "mode"), out, strict=True)), copy=False)
+    columns = dict(zip(("r", "p_r", "p_h", "tsc", "mode"), np.empty((5, steps)), strict=True))
+    simulate_rule(r0, start, float(mode), lower, upper, tsc.constants(), *columns.values())
+    return pd.DataFrame(columns, copy=False)

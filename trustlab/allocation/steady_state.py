@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.allocation.limit_cycle import limit_cycle
-from trustlab.allocation.limits import check_thresholds, threshold_limits
-from trustlab.allocation.step_bounds import step_bounds
-from trustlab.models.checks import finite_number, open_unit
+from trustlab.allocation.cycle.limit_cycle import limit_cycle
+from trustlab.allocation.limits import check_thresholds, step_bounds, threshold_limits
+from trustlab.models.checks import between
 from trustlab.models.tsc import TscConstants, TscModel
 
 __all__ = [
@@ -19,7 +18,6 @@ __all__ = [
     "performance_as_printed",
     "steady_state_bounds",
     "utilization_as_printed",
-    "utilization_bounds",
 ]
 
 
@@ -140,44 +138,6 @@ def utilization_as_printed(a, dwell_manual_low, dwell_manual_high, dwell_autonom
     return r_low, r_high
 
 
-def utilization_bounds(a: float, dwell_manual_low: float, dwell_manual_high: float, dwell_autonomous: float):
-    """
-    Return r_l and r_u of (2.33), with their limits where a dwell time is infinite.
-
-    r_l = (1 − a^τ_dml) a^τ_da/(1 − a^(τ_dml + τ_da)), r_u = (1 − a^τ_dmu)/(1 − a^(τ_dmu + τ_da)).
-
-    Parameters
-    ----------
-    a : float
-        a_r of (2.5).
-    dwell_manual_low, dwell_manual_high, dwell_autonomous : float
-        τ_dml, τ_dmu and τ_da, in samples; may be infinite.
-
-    Returns
-    -------
-    r_low, r_high : float
-        NaN where both dwell times are 0.
-
-    Raises
-    ------
-    ValueError
-        If a is outside (0, 1), or a dwell time is negative or not a number.
-    """
-    a = open_unit("a", a)
-    dwells = []
-    for name, dwell in (
-        ("dwell_manual_low", dwell_manual_low),
-        ("dwell_manual_high", dwell_manual_high),
-        ("dwell_autonomous", dwell_autonomous),
-    ):
-        endless = isinstance(dwell, float) and dwell == math.inf
-        dwells.append(math.inf if endless else finite_number(name, dwell))
-        if dwells[-1] < 0.0:
-            raise ValueError(f"{name} is a number of samples and cannot be negative, got {dwell}")
-    r_low, r_high = utilization_as_printed(a, *dwells)
-    return float(r_low), float(r_high)
-
-
 def steady_state_bounds(
     tsc: TscModel, lower: float, upper: float, delta_tsc: float | None = None
 ) -> SteadyStateBounds:
@@ -214,11 +174,7 @@ def steady_state_bounds(
         delta_tsc = (
             step_bounds(tsc, cycle.r_low, cycle.r_high) if cycle.exists else step_bounds(tsc)
         ).delta_tsc
-    delta_tsc = finite_number("delta_tsc", delta_tsc)
-    if delta_tsc < 0.0:
-        raise ValueError(f"delta_tsc is a largest change and cannot be negative, got {delta_tsc}")
-    if delta_tsc > 2.0:
-        raise ValueError(f"delta_tsc cannot exceed 2, as TSC lies in [-1, 1]; got {delta_tsc:g}")
+    delta_tsc = between("delta_tsc", delta_tsc, 0.0, 2.0)  # TSC lies in [−1, 1]
     robot = tsc.robot
     found = performance_as_printed(tsc.constants(), lower, upper, delta_tsc)
     p_low, p_high, *dwells = (float(x) for x in found)
@@ -228,7 +184,7 @@ def steady_state_bounds(
             f"and P_ru = {p_high:.4g} within [{robot.p_min}, {robot.p_max}]; move them towards each other's middle"
         )
     autonomous, manual_low, manual_high = dwells
-    r_low, r_high = utilization_bounds(tsc.human.a, manual_low, manual_high, autonomous)
+    r_low, r_high = utilization_as_printed(tsc.human.a, manual_low, manual_high, autonomous)
     return SteadyStateBounds(
         tsc_low=lower - delta_tsc,
         tsc_high=upper + delta_tsc,
@@ -237,7 +193,7 @@ def steady_state_bounds(
         dwell_autonomous=autonomous,
         dwell_manual_low=manual_low,
         dwell_manual_high=manual_high,
-        r_low=r_low,
-        r_high=r_high,
+        r_low=float(r_low),
+        r_high=float(r_high),
         delta_tsc=delta_tsc,
     )

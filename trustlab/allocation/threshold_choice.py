@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.invariant_bounds import InvariantBounds, invariant_bounds
-from trustlab.allocation.limit_cycle import LimitCycle, limit_cycle
+from trustlab.allocation.cycle.invariant_bounds import InvariantBounds, invariant_bounds
+from trustlab.allocation.cycle.limit_cycle import LimitCycle, limit_cycle
 from trustlab.allocation.limits import ThresholdLimits, check_thresholds, threshold_limits
 from trustlab.models.checks import finite_number, of_class, whole_number
 from trustlab.models.tsc import TscModel

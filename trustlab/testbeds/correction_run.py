@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.correction import ThresholdCorrector, pair_of
-from trustlab.allocation.correction_guide import guide
-from trustlab.allocation.correction_pattern import CorrectionRun
+from trustlab.allocation.correction.corrector import ThresholdCorrector, threshold_pair
+from trustlab.allocation.correction.in_loop import loop_correction
+from trustlab.allocation.correction.tests_in_a_row import CorrectionRun
 from trustlab.models.checks import finite_number, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
@@ -117,7 +117,7 @@ def run_correction(
     corrector = ThresholdCorrector(model, target, c_b, horizon)
     if start is None and printed is None:
         raise ValueError("an Operator needs start=(TSC_l, TSC_u), the thresholds to begin with")
-    start = pair_of("start", printed if start is None else start)
+    start = threshold_pair("start", printed if start is None else start)
     tests, laps = whole_number("tests", tests, most=100), whole_number("laps", laps, most=MOST_LAPS)
     lag = finite_number("lag", lag)
     if lag < 0.0:
@@ -135,7 +135,7 @@ def run_correction(
         if adopted:
             limits = (limits[0] + now[0] - start[0], limits[1] + now[1] - start[1])
         task = _task(scheme, forced=forced, laps=laps, lower=limits[0], upper=limits[1], model=model, r0=r0)
-        plan = guide(model, now, corrector.target, corrector.c_b, corrector.horizon, most, adopted)
+        plan = loop_correction(model, now, corrector.target, corrector.c_b, corrector.horizon, most, adopted)
         data, lap_times = _drive(task, np.ones(1, np.int64), most, robot, course, operator, child, plan)
         if lap_times.size < laps:
             raise ValueError(
@@ -144,25 +144,23 @@ def run_correction(
             )
         facts = {"laps": laps, "habit": habit, "test": test, "TSC_ld": target[0], "TSC_ud": target[1]}
         sessions.append(_session(data, operator, f"correction, {habit}", child, **facts))
-        parts.append(_rows(test, data, plan.trace[: len(data)], plan.start))
-        now = (float(plan.start[0]), float(plan.start[1]))
+        parts.append(_rows(test, data, plan.log[: len(data)], plan.thresholds))
+        now = tuple(plan.thresholds.tolist())
     frame = pd.concat(parts, ignore_index=True)
     source = "simulated stand-in for the Stage testbed (synthetic)"
     return CorrectionRun(frame, start, corrector.target, habit, source, tuple(sessions))
 
 
-def _rows(test, data, trace, end) -> pd.DataFrame:
-    """Return one test's samples in the columns of `CorrectionRun.data`."""
+def _rows(test, data, log, end) -> pd.DataFrame:
     frame = data[["r", "p_r", "p_h", "tsc", "mode"]].reset_index()
     suggested = data["suggested_mode"].to_numpy()
     frame["suggestion"] = np.where(np.isfinite(suggested), suggested, -1.0).astype(int)
-    frame["lower"], frame["upper"] = trace[:, 0], trace[:, 1]
-    frame["c_l"], frame["c_u"] = np.diff(np.r_[trace[:, 0], end[0]]), np.diff(np.r_[trace[:, 1], end[1]])
-    cost, bound = trace[:, 2], trace[:, 3]
+    frame["lower"], frame["upper"] = log["lower"], log["upper"]
+    for name, side, last in zip(("c_l", "c_u"), ("lower", "upper"), end, strict=True):
+        frame[name] = np.diff(np.r_[log[side], last])
+    cost, bound = log["cost"], log["bound"]
     frame["cost"], frame["cost_lower_bound"] = cost, bound
-    names = np.where(
-        trace[:, 4] == 1.0, "NEAREST", np.where(cost - bound > 1e-12 * cost, "BOUNDED", "OPTIMAL")
-    )
+    names = np.where(log["clipped"], "NEAREST", np.where(cost - bound > 1e-12 * cost, "BOUNDED", "OPTIMAL"))
     frame["status"] = np.where(np.isnan(cost), "SETTLING", names)
     frame["latency"] = np.nan
     frame.insert(0, "test", test)

@@ -7,9 +7,11 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from trustlab.allocation.correction_guide import guided
-from trustlab.allocation.kernels import performance_suggestion, threshold_mode
+from trustlab.allocation.correction.in_loop import correct_thresholds
+from trustlab.allocation.correction.plan import LOWER, UPPER
+from trustlab.allocation.rules import performance_suggestion
 from trustlab.models.human import yerkes_dodson
+from trustlab.models.tsc import threshold_mode
 from trustlab.operators.ground_robot import driving_style, joystick
 from trustlab.testbeds.course import nearest_point, path_point
 from trustlab.testbeds.pioneer import scan, wrapped
@@ -79,8 +81,8 @@ def limited(command, now, largest, step):
 
 
 @numba.njit(cache=True)
-def drive(task, schedule, path, posts, robot, person, sensing, hand, mind, log, lap_times, guide):
-    """Fill the rows of `log` (COLUMNS), the times at which laps end and a guide's trace; return rows and laps done."""
+def drive(task, schedule, path, posts, robot, person, sensing, hand, mind, log, lap_times, correction):
+    """Fill the rows of `log` (COLUMNS), the times at which laps end and the correction's log; return rows and laps done."""
     dt, lap_length = task.sample_time, path[-1, 2]
     delay = round(person.delay / dt)
     x, y, tx, ty = path_point(0.0, path)
@@ -141,18 +143,18 @@ def drive(task, schedule, path, posts, robot, person, sensing, hand, mind, log, 
         tsc = task.a_T * p_r - task.b_T * p_h
 
         # Suggestions by thresholds that are being corrected (2.40); own ones may move along.
-        if guide.active:
+        if correction.active:
+            corrected_l, corrected_u = correction.thresholds[LOWER], correction.thresholds[UPPER]
             if task.scheme == TSC:
-                lower, upper = guide.start[0], guide.start[1]
+                lower, upper = corrected_l, corrected_u
             else:
-                suggested = threshold_mode(
-                    tsc, guide.start[0], guide.start[1], mode if suggested < 0 else suggested
-                )
+                standing = mode if suggested < 0 else suggested
+                suggested = threshold_mode(tsc, corrected_l, corrected_u, standing)
             if t < SETTLING:
-                guide.trace[k, 0], guide.trace[k, 1] = guide.start[0], guide.start[1]
+                correction.log[k].lower, correction.log[k].upper = corrected_l, corrected_u
             else:
-                c_l, c_u = guided(guide, k, r, p_r, mode)
-                if guide.adopted:
+                c_l, c_u = correct_thresholds(correction, k, r, p_r, mode)
+                if correction.adopted:
                     lower, upper, shift_l, shift_u = lower + c_l, upper + c_u, shift_l + c_l, shift_u + c_u
 
         # Who drives.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.correction_guide import no_guide
+from trustlab.allocation.correction.in_loop import no_correction
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.models.checks import finite_array, finite_number, of_class, whole_number
 from trustlab.models.tsc import TscModel
@@ -331,7 +331,7 @@ def _streams(seed) -> list[np.random.SeedSequence]:
 
 
 def _drive(
-    task, schedule, most, robot, course, operator, seed, guide=None
+    task, schedule, most, robot, course, operator, seed, correction=None
 ) -> tuple[pd.DataFrame, np.ndarray]:
     log, lap_times = np.empty((most, len(COLUMNS))), np.empty(task.laps)
     streams = [np.random.default_rng(child) for child in _streams(seed)[:3]]
@@ -345,7 +345,7 @@ def _drive(
         *streams,
         log,
         lap_times,
-        guide or no_guide(),
+        correction or no_correction(),
     )
     t = pd.Index(np.round(np.arange(rows) * task.sample_time, 6), name="t")
     return pd.DataFrame(log[:rows], index=t, columns=COLUMNS), lap_times[:done]

@@ -5,41 +5,14 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from trustlab.allocation.kernels import threshold_mode
-from trustlab.allocation.phases import human_at, pack
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc_at
 
-__all__ = ["correction_constants", "follow_actions", "simulate_correction", "suggestion_now"]
-
-
-def correction_constants(tsc: TscModel, c_b: float) -> np.ndarray:
-    """
-    Return constants as compiled loops take them: those of `pack`, then P_r,max and c_b.
-
-    Parameters
-    ----------
-    tsc : TscModel
-        The model.
-    c_b : float
-        Largest correction per step.
-    """
-    return np.append(pack(tsc), [tsc.robot.p_max, c_b])
+__all__ = ["simulate_correction", "suggestion_now"]
 
 
 def suggestion_now(tsc: float, lower: float, upper: float) -> int:
-    """
-    Return what Algorithm 3 suggests: 0 autonomous where TSC ≥ TSC_u, 1 manual where TSC ≤ TSC_l, else −1, nothing.
-
-    Parameters
-    ----------
-    tsc : float
-        TSC now.
-    lower, upper : float
-        TSC_l and TSC_u now.
-    """
-    if tsc >= upper:
-        return 0
-    return 1 if tsc <= lower else -1
+    """Return what Algorithm 3 suggests: 0 autonomous where TSC ≥ TSC_u, 1 manual where TSC ≤ TSC_l, else −1, nothing."""
+    return threshold_mode.py_func(tsc, lower, upper, -1)
 
 
 @numba.njit(cache=True)
@@ -52,10 +25,9 @@ def follow_actions(c, target_lower, target_upper, actions_l, actions_u, r, p_r, 
     cost = 0.0
     for k in range(actions_l.size):
         p_h = human_at(r[k], c)
-        before = threshold_mode(c[7] * p_r[k] - c[8] * p_h, lower[k], upper[k], before)
+        before = threshold_mode(tsc_at(p_r[k], p_h, c), lower[k], upper[k], before)
         mode[k] = before
-        r[k + 1] = c[0] * r[k] + (1.0 - c[0]) * before
-        p_r[k + 1] = c[4] * p_r[k] + (1.0 - c[4]) * c[6] + before * c[5] * p_h
+        r[k + 1], p_r[k + 1] = advance(r[k], p_r[k], p_h, before, c)
         lower[k + 1] = lower[k] + actions_l[k]
         upper[k + 1] = upper[k] + actions_u[k]
         cost += (upper[k + 1] - target_upper) ** 2 + (lower[k + 1] - target_lower) ** 2
@@ -103,7 +75,7 @@ def simulate_correction(
         out[name][0] = start
     modes = np.empty(actions_l.size)
     cost = follow_actions(
-        correction_constants(tsc, 1.0),
+        tsc.constants(),
         *map(float, target),
         actions_l,
         actions_u,

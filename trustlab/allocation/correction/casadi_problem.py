@@ -1,4 +1,4 @@
-"""One step of the correction (2.43)-(2.44) as CasADi expressions, with what a user adds, and the hard rule (2.8) over the horizon."""
+"""The correction (2.43)-(2.44) in CasADi: one step with what a user adds, the hard rule (2.8), and the nonlinear program."""
 
 from __future__ import annotations
 
@@ -7,13 +7,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.allocation.incentive import incentive_box
+from trustlab.allocation.correction.incentive import incentive_box
 from trustlab.models.tsc import TscModel
 
-__all__ = ["Extras", "Rolled", "Shooting"]
+__all__ = ["SOLVERS", "CorrectionModel", "CorrectionProgram", "Extras", "HardRun"]
 
 TINY = 1e-100
 """Utilization below which (2.6) is at P_h,min; its second derivative is still finite there."""
+
+SOLVERS = ("piqp", "hpipm", "fatrop", "ipopt")
+"""Solvers by name: sequential quadratic programming on PIQP or HPIPM, or the interior-point methods fatrop and IPOPT."""
+
+TOLERANCE = 1e-8
+QUIET = {"print_time": False, "error_on_fail": False}
+QUIET_SQP = {"print_header": False, "print_iteration": False, "print_status": False}
+
+SLACK = 1e-6
+"""How far, in units of c_b, thresholds may stray in the program from where they may go; the hard rule then cuts them there."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +61,7 @@ class Extras:
         return self.cost is not None or self.constraints is not None
 
 
-class Shooting:
+class CorrectionModel:
     """
     Expressions of one step, and the hard rule (2.8) run over the horizon.
 
@@ -229,13 +239,13 @@ class Shooting:
         )
         return ca.Function("rule", [state, given, k], [after, ca.vertcat(u, tsc, cost, worst, low, high)])
 
-    def steepness(self, run: Rolled) -> float:
+    def steepness(self, run: HardRun) -> float:
         """
         Return by how much the cost over c_b² changes with one correction at most, at least 1: the objective's scale.
 
         Parameters
         ----------
-        run : Rolled
+        run : HardRun
             Where the cost is looked at.
         """
         by_threshold = 2.0 * (run.states[2:, 1:] - self.zero[2:, None]) / self.c_b
@@ -261,7 +271,7 @@ class Shooting:
         low, high = self._bounds(np.stack([r, p_r, upper, lower]), self._steps)
         return np.asarray(low).ravel(), np.asarray(high).ravel()
 
-    def hull(self, upper: float, lower: float) -> np.ndarray:
+    def allowed(self, upper: float, lower: float) -> np.ndarray:
         """
         Return where TSC_u and TSC_l may go, between their values now and their targets: least, then greatest, at each step.
 
@@ -273,7 +283,7 @@ class Shooting:
         ends = np.array([[upper, lower], [self.target[1], self.target[0]]])
         return np.repeat(np.stack([ends.min(axis=0), ends.max(axis=0)])[:, :, None], self.horizon, axis=2)
 
-    def roll(self, state: np.ndarray, w: np.ndarray, hull: np.ndarray) -> Rolled:
+    def run(self, state: np.ndarray, w: np.ndarray, allowed: np.ndarray) -> HardRun:
         """
         Run the model under the hard rule (2.8), with the corrections that `w` means along the way.
 
@@ -283,17 +293,17 @@ class Shooting:
             r, P_r, TSC_u, TSC_l and the mode before.
         w : numpy.ndarray, shape (2, N)
             c_u and c_l as shares of what (2.41) allows.
-        hull : numpy.ndarray, shape (2, 2, N)
-            Where the thresholds may go, see `hull`.
+        allowed : numpy.ndarray, shape (2, 2, N)
+            Where the thresholds may go, see `allowed`.
         """
-        given = np.concatenate([w, hull[0], hull[1]])
+        given = np.concatenate([w, allowed[0], allowed[1]])
         states, seen = (np.asarray(value) for value in self._over_horizon(state, given, self._steps))
         error = (states[2:4] - self.zero[2:, None]) / self.c_b
         base = float(np.sum(error * error))
         low, high = seen[5], seen[6]
         width = high - low
         used = np.where(width > 0.0, (seen[:2] - low) / np.where(width > 0.0, width, 1.0), 0.0)
-        return Rolled(
+        return HardRun(
             states=np.hstack([state[:4, None], states[:4]]),
             mode=states[4],
             tsc=seen[2],
@@ -308,7 +318,7 @@ class Shooting:
 
 
 @dataclass(frozen=True, eq=False)
-class Rolled:
+class HardRun:
     """
     One run under the hard rule.
 
@@ -345,6 +355,173 @@ class Rolled:
         finite = np.isfinite(self.states).all() and np.isfinite(self.cost)
         apart = (self.states[3, 1:] < self.states[2, 1:]).all()
         return bool(finite and apart and (self.low <= 0.0).all() and (self.high >= 0.0).all())
+
+
+class CorrectionProgram:
+    """
+    Multiple shooting over the horizon: the states at every step are unknowns, the model (2.44) holds between them.
+
+    With `width` 0 the modes are given, one per step; r and P_r then follow from them whatever the corrections, and the
+    solution is exact for that sequence of modes. With a positive width the mode is a fifth state m in [0, 1], the memory
+    of (2.8): m(k) = (1 − σ((TSC − TSC_u)/width)) (d + (1 − d) m(k − 1)) with d = σ((TSC_l − TSC)/width) and
+    σ(y) = 1/(1 + exp(−y)). Several widths inside the thresholds both σ vanish and m stays as it was; four widths beyond one
+    of them, 98 % of the switch happen in one step. Where TSC turns back less than that beyond a threshold, m stays between 0
+    and 1: the smoothed program is a guess of the modes, and never what a plan is judged by.
+
+    Parameters
+    ----------
+    model : CorrectionModel
+        Model, target and what a user adds.
+    solver : str
+        One of SOLVERS.
+    width : float
+        Width of the switch, in units of TSC; 0 takes the modes as given.
+    """
+
+    def __init__(self, model: CorrectionModel, solver: str, width: float = 0.0):
+        import casadi as ca
+
+        self.model, self.solver, self.width = model, solver, width
+        self.plain = not model.extras.any and not width
+        self.size = size = 5 if width else 4
+        n, symbol, stage = model.horizon, model.symbol, self._stage()
+        start, modes, rho = symbol.sym("start", size), symbol.sym("modes", n), symbol.sym("rho")
+        now = symbol.sym("x_0", size)
+        unknowns, rows, equal, cost = [now], [], [], 0
+        begins = now - start
+        for k in range(n):
+            w, after = symbol.sym(f"w_{k}", 2), symbol.sym(f"x_{k + 1}", size)
+            to, price, held = stage(now, w, modes[k], k)
+            unknowns += [w, after]
+            rows.append(after - to)
+            equal += [True] * size
+            if k == 0:
+                rows.append(begins)
+                equal += [True] * size
+            rows.append(held)
+            equal += [False] * held.numel()
+            cost += rho * (price + after[2] ** 2 + after[3] ** 2)
+            now = after
+        program = {
+            "x": ca.vertcat(*unknowns),
+            "p": ca.vertcat(start, modes, rho),
+            "f": cost,
+            "g": ca.vertcat(*rows),
+        }
+        method = solver if solver in ("fatrop", "ipopt") else "sqpmethod"
+        self._solver = ca.nlpsol(
+            "correction", method, program, _options(solver, equal, self.plain, 60 if width else 100)
+        )
+        self._least_rows = np.where(equal, 0.0, -np.inf)
+        first = size + (size + 2) * np.arange(n)
+        self._at_w = first[None, :] + np.arange(2)[:, None]
+        states = first[None, :] + 2 + np.arange(size)[:, None]
+        self._at_x = np.hstack([np.arange(size)[:, None], states])
+        self._least, self._most = (
+            np.full(self._at_x.size + self._at_w.size, end) for end in (-np.inf, np.inf)
+        )
+        self._least[self._at_w], self._most[self._at_w] = 0.0, 1.0
+
+    def _stage(self):
+        """Return (scaled state, w, mode, k) → (scaled state after, added cost over c_b², constraints)."""
+        import casadi as ca
+
+        model, symbol = self.model, self.model.symbol
+        tsc, robot, human, c_b = model.tsc, model.tsc.robot, model.tsc.human, model.c_b
+        z, w = symbol.sym("z", self.size), symbol.sym("w", 2)
+        mode, k = symbol.sym("mode"), symbol.sym("k")
+        x = model.physical(z[:4])
+        p_h = model.performance(z[0])
+        manual = mode
+        if self.width:
+            level = tsc.a_T * x[1] - tsc.b_T * p_h
+            up, down = _sigmoid((level - x[2]) / self.width), _sigmoid((x[3] - level) / self.width)
+            manual = (1.0 - up) * (down + (1.0 - down) * z[4])
+        _, _, low, high = model.added(x, ca.DM.zeros(2), k)
+        u = low + w * (high - low)
+        cost, rows, _, _ = model.added(x, u, k)
+        thresholds = z[2:4] + u / c_b
+        if model.extras.any:  # thresholds do not cross; (2.43) alone never makes them
+            apart = (model.target[1] - model.target[0]) / c_b
+            rows = ca.vertcat(rows, (thresholds[1] - thresholds[0] - apart + 1e-3) / apart)
+        gain = robot.b / (robot.p_max - robot.p_min)
+        after = [human.a * z[0] + human.b * manual, robot.a * z[1] + manual * gain * p_h, thresholds]
+        after = ca.vertcat(*after, manual) if self.width else ca.vertcat(*after)
+        return ca.Function("stage", [z, w, mode, k], [after, cost, rows])
+
+    def solve(
+        self, guess: HardRun, mode: int, thresholds: np.ndarray | None = None
+    ) -> tuple[np.ndarray | None, str]:
+        """
+        Solve from a guess; return the corrections as shares of what (2.41) allows, or None and why there are none.
+
+        Parameters
+        ----------
+        guess : HardRun
+            Where to start from. Its modes are the ones given to the program.
+        mode : int
+            Mode before the first step.
+        thresholds : numpy.ndarray, shape (2, 2, N), optional
+            Least, then greatest TSC_u and TSC_l after each step; free when not given.
+
+        Returns
+        -------
+        w : numpy.ndarray, shape (2, N), or None
+        reason : str
+        """
+        model = self.model
+        start = np.empty(self._least.size)
+        start[self._at_x[:4]] = (guess.states - model.zero[:, None]) / model.units[:, None]
+        start[self._at_w] = guess.w
+        if self.width:
+            start[self._at_x[4]] = np.r_[float(mode), guess.mode]
+        least, most = self._least, self._most
+        if thresholds is not None:
+            least, most = least.copy(), most.copy()
+            z = (thresholds - model.zero[None, 2:, None]) / model.c_b
+            least[self._at_x[2:4, 1:]], most[self._at_x[2:4, 1:]] = z[0] - SLACK, z[1] + SLACK
+        given = np.concatenate([start[self._at_x[:, 0]], guess.mode, [1.0 / model.steepness(guess)]])
+        try:
+            # No multipliers to start from: sqpmethod does not look at complementarity, and would stop at a guess with old ones.
+            found = self._solver(x0=start, p=given, lbx=least, ubx=most, lbg=self._least_rows, ubg=0.0)
+            stats = self._solver.stats()
+        except RuntimeError as error:
+            reason = str(error).strip().splitlines()[-1][-200:]
+            if (
+                "basic_string" in reason
+            ):  # how CasADi passes on that a quadratic program ended without a status
+                reason = "a quadratic program within it has no solution"
+            return None, f"{self.solver}: {reason}"
+        x = np.asarray(found["x"]).ravel()
+        if not stats["success"]:
+            return None, f"{self.solver}: {stats.get('return_status', 'no success')}"
+        if not np.isfinite(x).all():
+            return None, f"{self.solver}: its solution is not finite"
+        return np.clip(x[self._at_w], 0.0, 1.0), ""
+
+
+def _sigmoid(y):
+    import casadi as ca
+
+    return 0.5 * (1.0 + ca.tanh(0.5 * y))
+
+
+def _options(solver: str, equal: list[bool], plain: bool, most: int) -> dict:
+    """Return a solver's options: silence, tolerance, and what the structure of the program allows."""
+    if solver == "fatrop":
+        options = {"print_level": 0, "tol": TOLERANCE, "max_iter": most}
+        return QUIET | {"structure_detection": "auto", "equality": equal, "fatrop": options}
+    if solver == "ipopt":
+        return QUIET | {
+            "ipopt": {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": most, "max_wall_time": 2.0}
+        }
+    inner = {"error_on_fail": False, "print_time": False}
+    inner |= (
+        {"hpipm.mode": "robust", "hpipm.iter_max": 60} if solver == "hpipm" else {"piqp": {"max_iter": 60}}
+    )
+    options = QUIET | QUIET_SQP | {"qpsol": solver, "qpsol_options": inner, "max_iter": 15}
+    # For given modes (2.43) is one convex quadratic program: full steps, where a line search would stall on rounding.
+    return options | ({"max_iter_ls": 0} if plain else {"convexify_strategy": "eigen-clip"})
 
 
 class _UntraceableError(Exception):

@@ -20,11 +20,11 @@ steps, stay at or below TSC(k) ("held") or get above it ("moved").
    in both utilization and performance, and both are least so.
 4. Both thresholds at once: that TSC_l stays below TSC_u couples them only when both rise or both fall, and the pointwise
    maximum still exists: TSC_u does not look at TSC_l when both rise, TSC_l not at TSC_u when both fall.
-5. Where a held threshold must stay strictly off TSC(k), the least cost is not attained: the plan stays off by a margin
-   of 1e-9 c_b, between 1e-15 and 1e-12, and the lower bound is that without the margin.
+5. Where a held threshold must stay strictly off TSC(k), the minimum is not attained: the plan stays off by a margin
+   of 1e-9 c_b, between 1e-15 and 1e-12, and the lower bound is the cost without the margin.
 6. If the budget of steps runs out, what is left is bounded by boxes: all that is reachable, in each mode, encloses r
    and P_r in one rectangle, cut by the thresholds' range at each switch; the rates in its best corner bound the cost.
-   Over many switches these boxes grow wide; there whole phases bound how far thresholds can move (`correction_cycles`).
+   Over many switches these boxes grow wide; there whole phases bound how far thresholds can move (`phase_bound`).
    Both let the thresholds that decide the modes lag behind those that are paid for: that is what is left of the gap.
 
 The lower bound holds up to rounding, about 1e-12 of the cost.
@@ -34,29 +34,99 @@ from __future__ import annotations
 
 import types
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from trustlab.allocation.correction_bounds import future_cost, remaining_cost
-from trustlab.allocation.correction_dynamics import correction_constants, suggestion_now
-from trustlab.allocation.correction_plan import CorrectionPlan, CorrectionStatus
-from trustlab.allocation.incentive import box, incentive_box
-from trustlab.allocation.phases import human_at
+from trustlab.allocation.correction.dynamics import suggestion_now
+from trustlab.allocation.correction.incentive import box, incentive_box
+from trustlab.allocation.correction.lower_bound import future_cost, remaining_cost
+from trustlab.allocation.correction.plan import LOWER, UPPER, CorrectionPlan, CorrectionStatus
 from trustlab.models.checks import whole_number
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import TscConstants, TscModel, advance, human_at, tsc_at
 
-__all__ = ["ExactEngine"]
+__all__ = ["ExactEngine", "Problem", "Solution", "Workspace", "search"]
+
+SEARCHED = 25
+"""How many times N steps are searched at most, unless told otherwise."""
+
+
+class Problem(NamedTuple):
+    """What is to be minimized: the model, c_b of (2.42), the targets, and how many times N steps may be searched."""
+
+    constants: TscConstants
+    c_b: float
+    goal: np.ndarray  # TSC_ld, TSC_ud
+    budget: int
+
+
+class Workspace(NamedTuple):
+    """
+    What the search keeps of the sequence of modes that it is following, at each step 0 … N.
+
+    Thresholds have two rows, LOWER and UPPER, and are as seen rising: the threshold where it rises, else its negative.
+    """
+
+    r: np.ndarray
+    p_r: np.ndarray
+    low: np.ndarray  # the box (2.42)
+    high: np.ndarray
+    tsc: np.ndarray
+    mode: np.ndarray
+    spent: np.ndarray  # least cost of the steps so far
+    least: np.ndarray  # how far each threshold must and can have come, given the modes so far
+    most: np.ndarray
+    hold: np.ndarray  # what each must not exceed for these modes
+    tight: np.ndarray
+    z: np.ndarray
+    trial: np.ndarray
+    waiting: np.ndarray  # steps that could have gone the other way, the last on top
+
+    @classmethod
+    def of(cls, horizon: int) -> Workspace:
+        """Return room for N steps."""
+        n = horizon + 1
+        steps, thresholds = (np.empty(n) for _ in range(7)), (np.empty((2, n)) for _ in range(6))
+        return cls(*steps, *thresholds, np.empty(n, np.int64))
+
+
+class Solution(NamedTuple):
+    """The best plan found: states at steps 0 … N, modes and corrections at steps 0 … N − 1."""
+
+    r: np.ndarray
+    p_r: np.ndarray
+    thresholds: np.ndarray
+    mode: np.ndarray
+    actions: np.ndarray
+
+    @classmethod
+    def of(cls, horizon: int) -> Solution:
+        """Return room for N steps."""
+        n = horizon + 1
+        return cls(np.empty(n), np.empty(n), np.empty((2, n)), np.empty(horizon), np.empty((2, horizon)))
+
+
+class Found(NamedTuple):
+    """What the search says of its solution; `valid` is False where incentives left [−c_b, 0] and [0, c_b]."""
+
+    cost: float
+    bound: float
+    sequences: int
+    complete: bool
+    tsc: float
+    valid: bool
 
 
 @numba.njit(cache=True)
 def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
     """
-    Fill z from z[0] with the path that is greatest at every step, given z(k) ≤ hold(k) and steps in [low, high].
+    Fill z from z[0] with the path that is greatest at every step, given z(k) ≤ hold(k) and steps in [low, high]; return its cost.
 
-    All is as seen rising: z = x where sign is 1, z = −x where it is −1. `hold` is tightened in place.
+    All is as seen rising. `hold` is tightened in place.
     """
     n = z.size - 1
+    # Backwards: to be at or below hold(k + 1), a path must be no further above it at k than it can come back in a step.
     for k in range(n - 1, 0, -1):
         back = -low[k] if sign > 0 else high[k]
         if hold[k + 1] + back < hold[k]:
@@ -69,9 +139,11 @@ def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
         if step > forth:
             step = forth
         else:
+            # z + step may round to just above the limit, where (2.8) would decide otherwise.
             while z[k] + step > limit:
                 step = np.nextafter(step, -np.inf)
             step = max(step, -back)
+            # Nor does a threshold leave the interval between its start and its target.
             if z[k] + step < z[0]:
                 step = z[0] - z[k]
                 while z[k] + step < z[0]:
@@ -83,67 +155,68 @@ def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
 
 
 @numba.njit(cache=True)
-def leaf(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions, strict):
+def best_paths(work, goal, sign, margin, strict):
     """Fill the best paths of both thresholds for one sequence of modes; return cost and whether (2.8) brings it about."""
-    n = mode.size
-    tight[:] = hold
-    first = 0 if sign[0] < 0 else 1
-    if sign[0] != sign[1]:
-        first = 0
+    z, tight, low, high, actions = work.z, work.tight, work.low, work.high, work.trial
+    n = z.shape[1] - 1
+    tight[:] = work.hold
+    # Where both rise, TSC_u goes first and limits TSC_l; where both fall, TSC_l limits TSC_u.
+    first = LOWER if sign[LOWER] < 0 or sign[LOWER] != sign[UPPER] else UPPER
     second = 1 - first
     cost = pointwise_best(z[first], tight[first], low, high, goal[first], sign[first], margin, actions[first])
-    if sign[0] == sign[1]:
-        # Both rise: TSC_l stays below TSC_u. Both fall: TSC_u stays above TSC_l, which is the same mirrored.
+    if sign[LOWER] == sign[UPPER]:
         for k in range(1, n + 1):
             tight[second, k] = min(tight[second, k], z[first, k])
     cost += pointwise_best(
         z[second], tight[second], low, high, goal[second], sign[second], margin, actions[second]
     )
-    if strict:
-        for k in range(1, n):
-            lower, upper = sign[0] * z[0, k], sign[1] * z[1, k]
-            if lower >= upper:
+    if not strict:
+        return cost, True
+    tsc, mode = work.tsc, work.mode
+    for k in range(1, n + 1):
+        lower, upper = sign[LOWER] * z[LOWER, k], sign[UPPER] * z[UPPER, k]
+        if lower >= upper:
+            return cost, False
+        if k == n:
+            break
+        if mode[k - 1] == 1.0:
+            if (tsc[k] >= upper) != (mode[k] == 0.0):
                 return cost, False
-            if mode[k - 1] == 1.0:
-                if (tsc[k] >= upper) != (mode[k] == 0.0):
-                    return cost, False
-            elif (tsc[k] <= lower) != (mode[k] == 1.0):
-                return cost, False
-        if sign[0] * z[0, n] >= sign[1] * z[1, n]:
+        elif (tsc[k] <= lower) != (mode[k] == 1.0):
             return cost, False
     return cost, True
 
 
 @numba.njit(cache=True)
-def search(c, start, goal_x, r0, p0, before, budget, standard, work, two, stack, best, actions):
+def search(problem, start, r0, p0, before, standard, work, best):
     """
-    Search the sequences of modes; fill `best` (r, P_r, TSC_l, TSC_u, M) and `actions`.
+    Search the sequences of modes from r0, p0, the thresholds `start` and the mode before; fill `best`.
 
-    Returns cost, lower bound, the number of sequences followed, whether the search was complete, TSC now, and whether
-    the incentives stayed within [−c_b, 0] and [0, c_b].
+    `standard` says that incentives are (2.42), which lower bounds of the cost make use of.
     """
-    n = work.shape[1] - 1
-    r, p, low, high, tsc, mode, spent = work
-    least, most, hold, z, tight, trial = two
-    c_b, margin = c[10], min(max(1e-9 * c[10], 1e-15), 1e-12)
-    sign, goal = np.empty(2), np.empty(2)
-    for j in range(2):
+    c, c_b, goal_x = problem.constants, problem.c_b, problem.goal
+    r, p, low, high, tsc, mode = work.r, work.p_r, work.low, work.high, work.tsc, work.mode
+    least, most, hold, spent = work.least, work.most, work.hold, work.spent
+    n = r.size - 1
+    margin = min(max(1e-9 * c_b, 1e-15), 1e-12)
+    sign, goal, at = np.empty(2), np.empty(2), np.empty(2)
+    for j in (LOWER, UPPER):
         sign[j] = 1.0 if goal_x[j] >= start[j] else -1.0
         goal[j] = sign[j] * goal_x[j]
-        least[j, 0] = most[j, 0] = z[j, 0] = sign[j] * start[j]
+        least[j, 0] = most[j, 0] = work.z[j, 0] = sign[j] * start[j]
         hold[j, :] = goal[j]
     r[0], p[0], spent[0] = r0, p0, 0.0
-    cost, bound, leaves, steps, height, k = np.inf, np.inf, 0, 0, 0, 0
+    cost, bound, sequences, steps, height, k = np.inf, np.inf, 0, 0, 0, 0
     complete, held, fresh = True, False, True
     while True:
+        # Forward from step k to the end: wherever both modes are possible, thresholds move, and the other mode waits.
+        # After a step back (not fresh) the state at k is known, and its threshold is held there instead.
         while k <= n:
             if k > 0 and fresh:
-                p_h = human_at(r[k - 1], c)
-                r[k] = c[0] * r[k - 1] + (1.0 - c[0]) * mode[k - 1]
-                p[k] = c[4] * p[k - 1] + (1.0 - c[4]) * c[6] + mode[k - 1] * c[5] * p_h
+                r[k], p[k] = advance(r[k - 1], p[k - 1], human_at(r[k - 1], c), mode[k - 1], c)
             if k > 0:
                 spent[k] = spent[k - 1]
-                for j in range(2):
+                for j in (LOWER, UPPER):
                     rising = sign[j] > 0
                     forth = high[k - 1] if rising else -low[k - 1]
                     back = low[k - 1] if rising else -high[k - 1]
@@ -151,23 +224,25 @@ def search(c, start, goal_x, r0, p0, before, budget, standard, work, two, stack,
                     least[j, k] = max(least[j, k - 1] + back, least[j, 0])
             if k < n:
                 if fresh:
-                    tsc[k] = c[7] * p[k] - c[8] * human_at(r[k], c)
-                    a, b = box(r[k], p[k], c_b, c[6], c[9])
+                    tsc[k] = tsc_at(p[k], human_at(r[k], c), c)
+                    a, b = box(r[k], p[k], c_b, c.p_r_min, c.p_r_max)
                     slack = 1e-9 * c_b
                     if not (standard or (-c_b - slack <= a <= slack and -slack <= b <= c_b + slack)):
-                        return np.inf, -np.inf, leaves, False, tsc[0], False
+                        return Found(np.inf, -np.inf, sequences, False, tsc[0], False)
                     low[k], high[k] = min(a, 0.0), max(b, 0.0)
                 if k == 0:
-                    if tsc[0] >= start[1]:
+                    if tsc[0] >= start[UPPER]:
                         mode[0] = 0.0
-                    elif tsc[0] <= start[0]:
+                    elif tsc[0] <= start[LOWER]:
                         mode[0] = 1.0
                     else:
                         mode[0] = before
                 else:
-                    j = 1 if mode[k - 1] == 1.0 else 0
+                    # (2.8) looks at threshold j. Rising, TSC_u reaches TSC(k) if it is above it (manual stays) and TSC_l if it
+                    # is at or above it (manual begins); falling, TSC_u is at or below it, TSC_l below. θ is TSC(k) as seen rising.
+                    j = UPPER if mode[k - 1] == 1.0 else LOWER
                     rising = sign[j] > 0
-                    closed = (j == 1) == rising
+                    closed = (j == UPPER) == rising
                     theta = sign[j] * tsc[k]
                     if held:
                         mode[k] = 0.0 if rising else 1.0
@@ -176,77 +251,79 @@ def search(c, start, goal_x, r0, p0, before, budget, standard, work, two, stack,
                     else:
                         can_hold = least[j, k] <= theta if closed else least[j, k] < theta
                         can_move = most[j, k] > theta if closed else most[j, k] >= theta
-                        hold[0, k], hold[1, k] = goal[0], goal[1]
+                        hold[LOWER, k], hold[UPPER, k] = goal[LOWER], goal[UPPER]
                         if can_move:
                             mode[k] = 1.0 if rising else 0.0
                             if can_hold:
                                 least[j, k] = max(least[j, k], theta)
-                                stack[height] = k
+                                work.waiting[height] = k
                                 height += 1
                         else:
                             mode[k] = 0.0 if rising else 1.0
             if k > 0:
-                for j in range(2):
+                for j in (LOWER, UPPER):
                     spent[k] += (goal[j] - most[j, k]) ** 2
             held, fresh = False, True
             steps += 1
             k += 1
         plain = True
-        for j in range(2):
+        for j in (LOWER, UPPER):
             for i in range(1, n):
                 plain = plain and hold[j, i] == goal[j]
-        leaves += 1
+        sequences += 1
         steps += n // 2
         # Without the margin: the least cost, attained or not. With it: a plan that (2.8) is sure to bring about.
         now, meets = np.inf, True
         for attempt in range(1 if plain else 2):
-            gap = margin if attempt == 1 else 0.0
-            now, meets = leaf(z, hold, tight, low, high, tsc, mode[:n], goal, sign, gap, trial, attempt == 1)
+            now, meets = best_paths(work, goal, sign, margin if attempt == 1 else 0.0, attempt == 1)
             if not plain and attempt == 0:
                 bound = min(bound, now)
         if meets and now < cost:
             cost = now
-            best[0], best[1], best[4] = r, p, mode
-            best[2], best[3] = sign[0] * z[0], sign[1] * z[1]
-            actions[:] = trial[:, :n]
-        # Back to the last step that could have gone the other way, unless it cannot be better.
+            best.r[:], best.p_r[:], best.mode[:] = r, p, mode[:n]
+            for j in (LOWER, UPPER):
+                best.thresholds[j] = sign[j] * work.z[j]
+            best.actions[:] = work.trial[:, :n]
+        # Back to the last step that could have gone the other way, unless that cannot be better.
         k = -1
         while height > 0:
-            if steps > budget * n:
+            if steps > problem.budget * n:
                 complete = False
                 break
             height -= 1
-            i = stack[height]
-            j = 1 if mode[i - 1] == 1.0 else 0
+            i = work.waiting[height]
+            j = UPPER if mode[i - 1] == 1.0 else LOWER
             other = 0.0 if sign[j] > 0 else 1.0
-            at = np.empty(2)
-            for s in range(2):
-                rising = sign[s] > 0
-                at[s] = min(most[s, i - 1] + (high[i - 1] if rising else -low[i - 1]), goal[s])
+            for s in (LOWER, UPPER):
+                at[s] = min(most[s, i - 1] + (high[i - 1] if sign[s] > 0 else -low[i - 1]), goal[s])
             at[j] = min(at[j], sign[j] * tsc[i])
+            enough = cost - spent[i - 1]
             ahead = future_cost(
-                i, n, r[i], p[i], low[i], high[i], other, at, goal, sign, c, standard, cost - spent[i - 1]
+                i, n, r[i], p[i], low[i], high[i], other, at, goal, sign, c, c_b, standard, enough
             )
             steps += 1 + (n - i) // 16
-            if spent[i - 1] + ahead < cost:
+            if ahead < enough:
                 k, held, fresh = i, True, False
                 break
         if k < 0:
             break
     if not complete:
-        i = stack[0]
+        # The first step that waits: before it all sequences agree, and what follows it is bounded as a whole.
+        i = work.waiting[0]
         guess = np.empty(2)
-        for j in range(2):
-            way = sign[j] * best[2 + j, n] - least[j, 0]
+        for j in (LOWER, UPPER):
+            way = sign[j] * best.thresholds[j, n] - least[j, 0]
             guess[j] = min(least[j, 0] + 1.3 * way + 50.0 * c_b, goal[j])
-        rest = remaining_cost(i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, standard, guess)
+        rest = remaining_cost(
+            i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, c_b, standard, guess
+        )
         bound = min(bound, max(spent[i - 1] + rest, 0.0))
-    return cost, min(bound, cost), leaves, complete, tsc[0], True
+    return Found(cost, min(bound, cost), sequences, complete, tsc[0], True)
 
 
 class ExactEngine:
     """
-    Branch and bound over the sequences of modes; how, and why it is exact, is at the head of this module.
+    Branch and bound over the sequences of modes; the head of this module says how, and why it is exact.
 
     Parameters
     ----------
@@ -260,7 +337,8 @@ class ExactEngine:
         N, steps.
     incentive : callable
         The bounds of correction, `incentive_box` or a function like it that Numba can compile, with values in
-        [−c_b, 0] and [0, c_b]. One of your own is compiled into the search here, which takes 5 to 20 s; over many switches its bound is one of boxes that widen to c_b, so gaps of long horizons are large.
+        [−c_b, 0] and [0, c_b]. Your own is compiled into the search here, which takes 5 to 20 s; for it, lower bounds over
+        many switches assume corrections of c_b, so that gaps of long horizons are large.
     budget : int
         How many times N steps to search at most; more can close a gap, less limits the time.
 
@@ -280,87 +358,49 @@ class ExactEngine:
         c_b: float,
         horizon: int,
         incentive: Callable = incentive_box,
-        budget: int = 25,
+        budget: int = SEARCHED,
     ):
         self.horizon, self.budget = horizon, whole_number("budget", budget, most=1_000_000)
-        self._constants = correction_constants(tsc, c_b)
-        self._goal = np.array([target_lower, target_upper])
-        self._start = np.empty(2)
+        goal = np.array([target_lower, target_upper])
+        self._problem = Problem(tsc.constants(), c_b, goal, self.budget)
         self._standard = incentive is incentive_box
         self._search = search if self._standard else _search_with(incentive, tsc, c_b)
         # Compiled now, by a plan of one step, so that the first plan of a run does not wait for it.
-        self._room(1)
+        self._work = Workspace.of(1)
         self._searched(0.5, tsc.robot.p_min, target_lower, target_upper, 1)
-        self._room(horizon)
+        self._work = Workspace.of(horizon)
 
-    def _room(self, horizon: int) -> None:
-        self._work, self._two = np.empty((7, horizon + 1)), np.empty((6, 2, horizon + 1))
-        self._stack = np.empty(horizon + 1, np.int64)
-
-    def _searched(self, r, p_r, lower, upper, mode):
-        """Return what `search` returns, and what it fills."""
-        self._start[0], self._start[1] = lower, upper
-        n = self._stack.size
-        best, actions = np.empty((5, n)), np.empty((2, n - 1))
-        found = self._search(
-            self._constants,
-            self._start,
-            self._goal,
-            r,
-            p_r,
-            float(mode),
-            self.budget,
-            self._standard,
-            self._work,
-            self._two,
-            self._stack,
-            best,
-            actions,
-        )
-        return found, best, actions
+    def _searched(self, r, p_r, lower, upper, mode) -> tuple[Found, Solution]:
+        best = Solution.of(self._work.r.size - 1)
+        start = np.array([lower, upper])
+        found = self._search(self._problem, start, r, p_r, float(mode), self._standard, self._work, best)
+        return Found(*found), best
 
     def solve(self, r: float, p_r: float, lower: float, upper: float, mode: int) -> CorrectionPlan:
-        """
-        Return the plan from this state.
-
-        Parameters
-        ----------
-        r, p_r : float
-            Utilization and robot performance now.
-        lower, upper : float
-            TSC_l and TSC_u now.
-        mode : int
-            Mode before now: 1 manual, 0 autonomous.
-
-        Raises
-        ------
-        ValueError
-            If the user's incentives leave [−c_b, 0] and [0, c_b].
-        """
-        found, best, actions = self._searched(r, p_r, lower, upper, mode)
-        cost, bound, leaves, complete, tsc, valid = found
-        if not valid:
+        """Return the plan from this state, `mode` being that before now."""
+        found, best = self._searched(r, p_r, lower, upper, mode)
+        if not found.valid:
             raise ValueError(
                 "the incentive function left [−c_b, 0] and [0, c_b] or gave NaN at a predicted state; as in (2.41), it "
-                "must bound corrections by c_b and let thresholds be held"
+                "must bound corrections by c_b and allow thresholds to be held"
             )
         return CorrectionPlan(
-            float(actions[0, 0]),
-            float(actions[1, 0]),
-            suggestion_now(tsc, lower, upper),
-            tsc,
-            actions[0],
-            actions[1],
-            best[0],
-            best[1],
-            best[2],
-            best[3],
-            best[4, :-1],
-            cost,
-            bound,
-            CorrectionStatus.OPTIMAL if complete else CorrectionStatus.BOUNDED,
-            "exact",
-            message=f"{leaves} sequences of modes followed",
+            c_l=float(best.actions[LOWER, 0]),
+            c_u=float(best.actions[UPPER, 0]),
+            suggestion=suggestion_now(found.tsc, lower, upper),
+            tsc=found.tsc,
+            actions_l=best.actions[LOWER],
+            actions_u=best.actions[UPPER],
+            r=best.r,
+            p_r=best.p_r,
+            lower=best.thresholds[LOWER],
+            upper=best.thresholds[UPPER],
+            mode=best.mode,
+            cost=found.cost,
+            cost_lower_bound=found.bound,
+            status=CorrectionStatus.OPTIMAL if found.complete else CorrectionStatus.BOUNDED,
+            engine=self.name,
+            message=f"{found.sequences} sequences of modes followed",
         )
 
 

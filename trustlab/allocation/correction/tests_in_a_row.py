@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trustlab.allocation.correction import ThresholdCorrector, pair_of
-from trustlab.allocation.correction_online import OnlineCorrection
-from trustlab.allocation.incentive import check_utilization, positive_rate, within_range
-from trustlab.allocation.kernels import threshold_mode
-from trustlab.models.checks import finite_number, whole_number
-from trustlab.models.human import yerkes_dodson
-from trustlab.models.tsc import TscModel
+from trustlab.allocation.correction.corrector import ThresholdCorrector, threshold_pair
+from trustlab.allocation.correction.incentive import within_range
+from trustlab.allocation.correction.online import OnlineCorrection
+from trustlab.models.checks import between, not_negative, one_of, positive, whole_number
+from trustlab.models.tsc import TscConstants, TscModel, advance, human_at, threshold_mode, tsc_at
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -231,59 +229,74 @@ def correct_pattern(
     import pandas as pd
 
     corrector = ThresholdCorrector(tsc, target, c_b, horizon, engine, incentive, **options)
-    start, tests = pair_of("start", start), whole_number("tests", tests, most=1000)
-    if operator not in HABITS:
-        raise ValueError(f"operator must be one of {', '.join(HABITS)}, got {operator!r:.60}")
-    step = positive_rate("sample_time", sample_time)
+    start, tests = threshold_pair("start", start), whole_number("tests", tests, most=1000)
+    one_of("operator", operator, HABITS)
+    step = positive("sample_time", sample_time)
     samples = whole_number(
         "the number of samples, duration/sample_time,",
-        round(min(positive_rate("duration", duration) / step, 1e15)),
+        round(min(positive("duration", duration) / step, 1e15)),
         most=10_000_000,
     )
-    lag, noise = finite_number("lag", lag), finite_number("noise", noise)
-    if lag < 0.0 or noise < 0.0:
-        raise ValueError(f"lag and noise cannot be negative, got {lag} and {noise}")
-    r0 = check_utilization(finite_number("r0", r0))
-    robot, human = tsc.robot, tsc.human
-    p_r0 = (
-        robot.p_min
-        if p_r0 is None
-        else within_range("p_r0", finite_number("p_r0", p_r0), robot.p_min, robot.p_max)
-    )
+    lag, noise, r0 = not_negative("lag", lag), not_negative("noise", noise), between("r0", r0, 0.0, 1.0)
+    robot = tsc.robot
+    p_r0 = robot.p_min if p_r0 is None else within_range("p_r0", p_r0, robot.p_min, robot.p_max)
     if not isinstance(seed, np.random.SeedSequence):
         seed = whole_number("seed", seed, least=0)
     disturbance = np.random.default_rng(seed).standard_normal((tests, samples)) * noise
     wait = round(min(lag / step, samples + 1))
-    now, parts, truth = start, [], np.empty((samples, 3))
+    thresholds, parts = start, []
     for test in range(tests):
-        online = OnlineCorrection(corrector, now, 1, r0, outside="nearest")
-        r, p_r, mode, wanted, stood = r0, p_r0, 1, -1, 0
-        for k in range(samples):
-            p_h = (human.p_max - human.p_min) * yerkes_dodson(r, human.beta) + human.p_min
-            if operator != "lagging":
-                own = start if operator == "ignoring" else (online.lower, online.upper)
-                mode = int(threshold_mode(tsc.a_T * p_r - tsc.b_T * p_h, *own, mode))
-            elif wanted >= 0 and stood >= wait:
-                mode, wanted = wanted, -1
-            suggestion = online.update(p_r, p_h, mode).suggestion
-            if suggestion == mode:
-                wanted, stood = -1, 0
-            elif suggestion < 0 or suggestion == wanted:
-                stood += 1
-            else:
-                wanted, stood = suggestion, 1
-            truth[k] = p_r, p_h, mode
-            p_r = robot.a * p_r + (1.0 - robot.a) * robot.p_min + mode * robot.b * p_h
-            r = min(max(human.a * r + (1.0 - human.a) * mode, 0.0), 1.0)
-            if noise:
-                p_r = min(max(p_r + disturbance[test, k], robot.p_min), robot.p_max)
-        now = (online.lower, online.upper)
-        frame = online.table().drop(columns="sample")
+        online = OnlineCorrection(corrector, thresholds, 1, r0, outside="nearest")
+        habit = Habit(operator, start, wait)
+        truth = _one_test(online, habit, tsc.constants(), r0, p_r0, disturbance[test])
+        thresholds = (online.lower, online.upper)
+        frame = online.table().drop(columns="sample").assign(**truth)
         frame.insert(0, "test", test + 1)
         frame.insert(1, "t", np.arange(samples) * step)
-        for name, column in zip(("p_r", "p_h", "mode"), truth.T, strict=True):
-            frame[name] = column
         parts.append(frame)
     columns = ["test", "t", "r", "p_r", "p_h", "tsc", "mode", "suggestion", "lower", "upper", "c_l", "c_u"]
     data = pd.concat(parts, ignore_index=True)[[*columns, "cost", "cost_lower_bound", "status", "latency"]]
     return CorrectionRun(data, start, corrector.target, operator, "simulated, model of (2.1)-(2.6)")
+
+
+class Habit:
+    """What an operator does about suggestions: follows them at once, after a lag of `wait` samples, or ignores them."""
+
+    def __init__(self, kind: str, own: tuple[float, float], wait: int):
+        self.kind, self.own, self.wait = kind, own, wait
+        self.mode, self._wanted, self._stood = 1, -1, 0
+
+    def decide(self, tsc: float, online: OnlineCorrection) -> int:
+        """Return the operator's mode at this sample."""
+        if self.kind != "lagging":
+            thresholds = self.own if self.kind == "ignoring" else (online.lower, online.upper)
+            self.mode = threshold_mode.py_func(tsc, *thresholds, self.mode)
+        elif self._wanted >= 0 and self._stood >= self.wait:
+            self.mode, self._wanted = self._wanted, -1
+        return self.mode
+
+    def hear(self, suggestion: int) -> None:
+        """Count for how long a suggestion has stood; one that agrees with the mode, or another one, begins anew."""
+        if suggestion == self.mode:
+            self._wanted, self._stood = -1, 0
+        elif suggestion < 0 or suggestion == self._wanted:
+            self._stood += 1
+        else:
+            self._wanted, self._stood = suggestion, 1
+
+
+def _one_test(
+    online: OnlineCorrection, habit: Habit, c: TscConstants, r: float, p_r: float, disturbance: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Simulate one test in closed loop and return p_r, p_h and mode, sample by sample."""
+    truth = {name: np.empty(disturbance.size) for name in ("p_r", "p_h", "mode")}
+    for k, push in enumerate(disturbance):
+        p_h = human_at(r, c)
+        mode = habit.decide(tsc_at(p_r, p_h, c), online)
+        habit.hear(online.update(p_r, p_h, mode).suggestion)
+        truth["p_r"][k], truth["p_h"][k], truth["mode"][k] = p_r, p_h, mode
+        r, p_r = advance(r, p_r, p_h, mode, c)
+        r = min(max(r, 0.0), 1.0)
+        if push:
+            p_r = min(max(p_r + push, c.p_r_min), c.p_r_max)
+    return truth

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from trustlab.allocation.correction_cycles import least_effort
-from trustlab.allocation.correction_dynamics import correction_constants
+from trustlab.allocation.correction.phase_bound import least_effort
 from trustlab.models.human import HumanModel
 from trustlab.models.published import published_models
 from trustlab.models.robot import RobotModel
@@ -71,7 +70,7 @@ def test_no_run_beats_the_bound(part):
     proved = close = 0
     for _ in range(20):
         model, r, p_r, mode, limits = drawn(rng)
-        c, steps = correction_constants(model, 1.0), int(rng.integers(200, 1500))
+        c, steps = model.constants(), int(rng.integers(200, 1500))
         for sign in (1.0, -1.0):
             lean = sign * rng.choice([0.0, 0.55, -0.5]) / (1 - model.human.a)
             rho, extra = least_effort(r, p_r, float(mode), steps, limits, sign, lean, c)
@@ -91,7 +90,7 @@ def test_no_run_beats_the_bound(part):
 
 def test_the_bound_is_close_for_the_pilot_operator():
     """Over an hour with thresholds that hardly move: within two parts in a thousand of what runs do."""
-    limits, c = np.array([[0.02, 0.021], [0.45, 0.451]]), correction_constants(PILOT, 1.0)
+    limits, c = np.array([[0.02, 0.021], [0.45, 0.451]]), PILOT.constants()
     sums, switches = effort(PILOT, 0.8, 0.36, 1, limits, 36_000, choices(None, limits, "low"))
     assert switches > 90
     for sign in (1.0, -1.0):
@@ -103,5 +102,5 @@ def test_the_bound_is_close_for_the_pilot_operator():
 
 def test_nothing_is_proved_where_the_work_would_be_too_much():
     """Thresholds anywhere and phases that never end: the bound says −∞, not a number that is too good."""
-    limits, c = np.array([[-1.0, 0.4], [0.4, 1.0]]), correction_constants(PILOT, 1.0)
+    limits, c = np.array([[-1.0, 0.4], [0.4, 1.0]]), PILOT.constants()
     assert least_effort(0.0, 0.24, 1.0, 1_000_000, limits, 1.0, 0.0, c)[1] == -np.inf

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from trustlab.allocation.correction import ThresholdCorrector, check_mode, pair_of
-from trustlab.allocation.correction_dynamics import suggestion_now
-from trustlab.allocation.correction_plan import CorrectionPlan, CorrectionStatus
-from trustlab.allocation.incentive import ROUNDING, check_utilization
-from trustlab.models.checks import finite_number, of_class
+from trustlab.allocation.correction.corrector import ThresholdCorrector, check_mode, threshold_pair
+from trustlab.allocation.correction.dynamics import suggestion_now
+from trustlab.allocation.correction.incentive import ROUNDING
+from trustlab.allocation.correction.plan import CorrectionPlan, CorrectionStatus
+from trustlab.models.checks import between, finite_number, of_class, one_of
+from trustlab.models.human import next_utilization
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,11 +102,9 @@ class OnlineCorrection:
         outside: str = "hold",
     ):
         self.corrector = of_class("corrector", corrector, ThresholdCorrector)
-        self.lower, self.upper = pair_of("start", start)
-        self.mode, self.r = check_mode(mode), check_utilization(finite_number("r", r))
-        if outside not in ("hold", "nearest"):
-            raise ValueError(f"outside must be 'hold' or 'nearest', got {outside!r:.60}")
-        self._nearest = outside == "nearest"
+        self.lower, self.upper = threshold_pair("start", start)
+        self.mode, self.r = check_mode(mode), between("r", r, 0.0, 1.0)
+        self._nearest = one_of("outside", outside, ("hold", "nearest")) == "nearest"
         tsc = corrector.tsc
         self._a, self._weights = tsc.human.a, (tsc.a_T, tsc.b_T)
         self._range = (tsc.robot.p_min, tsc.robot.p_max)
@@ -156,21 +155,9 @@ class OnlineCorrection:
         cost, bound = (plan.cost, plan.cost_lower_bound) if plan else (math.nan, math.nan)
         r = self.r
         self.lower, self.upper, self.mode = lower + c_l, upper + c_u, now
-        self.r = min(max(self._a * r + (1.0 - self._a) * now, 0.0), 1.0)
-        step = OnlineStep(
-            len(self._steps),
-            suggestion,
-            tsc,
-            lower,
-            upper,
-            c_l,
-            c_u,
-            r,
-            cost,
-            bound,
-            status,
-            perf_counter() - began,
-        )
+        self.r = min(max(next_utilization.py_func(r, now, self._a), 0.0), 1.0)
+        sample, latency = len(self._steps), perf_counter() - began
+        step = OnlineStep(sample, suggestion, tsc, lower, upper, c_l, c_u, r, cost, bound, status, latency)
         self._steps.append(step)
         return step
 
@@ -212,25 +199,7 @@ class OnlineCorrection:
 
 
 def plot_latency(latency, axes=None):
-    """
-    Plot a histogram of latencies, with median and 99th percentile.
-
-    Parameters
-    ----------
-    latency : array_like, shape (n,)
-        Times [s].
-    axes : matplotlib.axes.Axes, optional
-        Where to plot; a new figure when not given.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-    """
+    """Plot a histogram of latencies [s], with median and 99th percentile, and return its axes."""
     import matplotlib.pyplot as plt
     import numpy as np
 
@@ -249,21 +218,7 @@ def plot_latency(latency, axes=None):
 
 
 def measured(name: str, value: float | None) -> float:
-    """
-    Return a measurement as a float, NaN where it is missing.
-
-    Parameters
-    ----------
-    name : str
-        The argument's name, for the error.
-    value : float or None
-        The value measured.
-
-    Raises
-    ------
-    ValueError
-        If it is no number, or infinite.
-    """
+    """Return a measurement as a float, NaN where it is missing."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return math.nan
     return finite_number(name, value)

@@ -24,12 +24,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from trustlab.allocation.correction_dynamics import simulate_correction, suggestion_now
-from trustlab.allocation.correction_plan import CorrectionPlan, CorrectionStatus
-from trustlab.allocation.correction_program import SOLVERS, CorrectionProgram
-from trustlab.allocation.correction_shooting import Extras, Rolled, Shooting
-from trustlab.allocation.incentive import incentive_box
-from trustlab.models.checks import finite_number
+from trustlab.allocation.correction.casadi_problem import (
+    SOLVERS,
+    CorrectionModel,
+    CorrectionProgram,
+    Extras,
+    HardRun,
+)
+from trustlab.allocation.correction.dynamics import simulate_correction, suggestion_now
+from trustlab.allocation.correction.incentive import incentive_box
+from trustlab.allocation.correction.plan import CorrectionPlan, CorrectionStatus
+from trustlab.models.checks import not_negative, one_of
 from trustlab.models.tsc import TscModel
 
 __all__ = ["DEFAULT_WIDTH", "CasadiEngine"]
@@ -99,20 +104,16 @@ class CasadiEngine:
         extras = Extras(extra_cost, extra_constraints, incentive)
         width = DEFAULT_WIDTH if extras.any else 0.0
         if switch_width is not None:
-            width = finite_number("switch_width", switch_width)
-            if width < 0.0:
-                raise ValueError(f"switch_width must be 0 (no smoothed switch) or positive, got {width}")
-        solver = "piqp" if solver is None else solver
-        if solver not in SOLVERS:
-            raise ValueError(f"solver must be one of {', '.join(SOLVERS)}, got {solver!r:.60}")
+            width = not_negative("switch_width", switch_width)
+        solver = one_of("solver", "piqp" if solver is None else solver, SOLVERS)
         self.horizon = horizon
         self._tsc, self._target = tsc, (target_lower, target_upper)
-        self._shooting = shooting = Shooting(tsc, self._target, c_b, horizon, extras)
-        self._programs = [CorrectionProgram(shooting, solver)]
+        self._model = model = CorrectionModel(tsc, self._target, c_b, horizon, extras)
+        self._programs = [CorrectionProgram(model, solver)]
         if solver != "fatrop":
-            self._programs.append(CorrectionProgram(shooting, "fatrop"))
+            self._programs.append(CorrectionProgram(model, "fatrop"))
         smooth = "ipopt" if solver == "ipopt" else "fatrop"
-        self._smooth = CorrectionProgram(shooting, smooth, width) if width else None
+        self._smooth = CorrectionProgram(model, smooth, width) if width else None
         self._adds = extra_cost is not None
         self._last = None
 
@@ -137,7 +138,7 @@ class CasadiEngine:
         found, message = self._search(state)
         plan = None
         if found is not None:
-            total = found.cost * self._shooting.c_b**2 if self._adds else None
+            total = found.cost * self._model.c_b**2 if self._adds else None
             plan = self._plan(state, found.inputs, CorrectionStatus.CONVERGED, message, total)
             fault = self._fault(plan)
             if fault:
@@ -149,20 +150,21 @@ class CasadiEngine:
         self._last = np.hstack([found.w[:, 1:], found.w[:, -1:]])
         return plan
 
-    def _search(self, state: np.ndarray) -> tuple[Rolled | None, str]:
+    def _search(self, state: np.ndarray) -> tuple[HardRun | None, str]:
         """Return the best plan that a solver stands for, or None, and what there is to say."""
-        shooting, before = self._shooting, int(state[4])
-        hull = shooting.hull(state[2], state[3])
-        guess = self._first(state, hull)
+        model = self._model
+        *_, upper, lower, before = state
+        before, allowed = int(before), model.allowed(upper, lower)
+        guess = self._first(state, allowed)
         if not guess.sound:
             return None, (
                 "the model or the added functions give values that are not finite, or incentives that exclude 0, at a "
                 "predicted state"
             )
-        free = hull if shooting.extras.any else None
+        free = allowed if model.extras.any else None
         found, reasons, seen = [], [], guess
         for _ in range(ROUNDS):
-            after = self._solved(guess, before, free, state, hull, reasons)
+            after = self._solved(guess, before, free, state, allowed, reasons)
             if after is None:
                 if seen is guess and not self._sound(guess):
                     return None, "; ".join(reasons)
@@ -174,68 +176,68 @@ class CasadiEngine:
                 seen = min(seen, after, key=self._rank)
             guess = after
         if self._smooth is not None:
-            w, reason = self._smooth.solve(seen, before, hull)
+            w, reason = self._smooth.solve(seen, before, allowed)
             if w is None:
                 reasons.append(f"smoothed switch: {reason}")
             else:
-                self._settle(shooting.roll(state, w, hull), before, state, hull, found, reasons)
+                self._settle(model.run(state, w, allowed), before, state, allowed, found, reasons)
         if not found:
-            self._settle(seen, before, state, hull, found, reasons)
+            self._settle(seen, before, state, allowed, found, reasons)
         if not found:
             return None, "; ".join(dict.fromkeys(reasons)) or "no sequence of modes settled"
         best = min(found, key=self._rank)
-        best = self._with_switches_held(best, before, state, hull, reasons)
+        best = self._with_switches_held(best, before, state, allowed, reasons)
         return best, "; ".join(dict.fromkeys(reasons))
 
-    def _first(self, state, hull) -> Rolled:
+    def _first(self, state, allowed) -> HardRun:
         """Return the best of the last plan, the straight way to the target, and holding."""
         n = self.horizon
         straight = self._straight(state)
-        runs = [self._shooting.roll(state, straight, hull)]
+        runs = [self._model.run(state, straight, allowed)]
         if self._last is not None:
-            runs.append(self._shooting.roll(state, self._last, hull))
-        if self._shooting.extras.any:
+            runs.append(self._model.run(state, self._last, allowed))
+        if self._model.extras.any:
             held = np.repeat(np.stack([state[2:4], state[2:4]])[:, :, None], n, axis=2)
-            runs.append(self._shooting.roll(state, straight, held))
+            runs.append(self._model.run(state, straight, held))
         return min(runs, key=self._rank)
 
     def _straight(self, state) -> np.ndarray:
-        return np.repeat((self._shooting.zero[2:] > state[2:4]).astype(float)[:, None], self.horizon, axis=1)
+        return np.repeat((self._model.zero[2:] > state[2:4]).astype(float)[:, None], self.horizon, axis=1)
 
-    def _rank(self, run: Rolled) -> tuple[bool, float]:
+    def _rank(self, run: HardRun) -> tuple[bool, float]:
         return not self._sound(run), run.cost
 
-    def _sound(self, run: Rolled) -> bool:
+    def _sound(self, run: HardRun) -> bool:
         return run.sound and run.worst <= FEASIBLE
 
-    def _solved(self, guess, before, thresholds, state, hull, reasons) -> Rolled | None:
+    def _solved(self, guess, before, thresholds, state, allowed, reasons) -> HardRun | None:
         """Return the hard run of the solution for the modes of `guess`, from the first solver that succeeds."""
         for program in self._programs:
             w, reason = program.solve(guess, before, thresholds)
             if w is not None:
-                after = self._shooting.roll(state, w, hull)
+                after = self._model.run(state, w, allowed)
                 if not self._worse(after, guess):
                     return after
                 reason = f"{program.solver}: its solution costs more than the guess it started from"
             reasons.append(reason)
         return None
 
-    def _worse(self, after: Rolled, guess: Rolled) -> bool:
+    def _worse(self, after: HardRun, guess: HardRun) -> bool:
         """Return whether a solution is worse than a guess that was admissible and had the same modes."""
         same = self._sound(guess) and self._sound(after) and np.array_equal(after.mode, guess.mode)
         return same and after.cost > guess.cost + 1e-6 * max(1.0, guess.size)
 
-    def _settle(self, run, before, state, hull, found, reasons) -> None:
+    def _settle(self, run, before, state, allowed, found, reasons) -> None:
         """Add to `found` the best plan with the modes of `run`, which the thresholds are made to bring about."""
         if not run.sound:
             return
-        after = self._solved(run, before, self._cell(run, before, hull), state, hull, reasons)
+        after = self._solved(run, before, self._cell(run, before, allowed), state, allowed, reasons)
         if after is not None and self._sound(after) and np.array_equal(after.mode, run.mode):
             found.append(after)
 
-    def _cell(self, run: Rolled, before: int, hull: np.ndarray) -> np.ndarray:
+    def _cell(self, run: HardRun, before: int, allowed: np.ndarray) -> np.ndarray:
         """Return where thresholds may go so that (2.8) brings about the modes of `run`."""
-        cell, margin = hull.copy(), MARGIN * self._shooting.c_b
+        cell, margin = allowed.copy(), MARGIN * self._model.c_b
         mode, tsc = run.mode[1:], run.tsc[1:]
         was = run.mode[:-1]
         u, low = np.zeros(tsc.size, int), np.ones(tsc.size, int)
@@ -253,29 +255,29 @@ class CasadiEngine:
                 cell[1, row[k], k] = np.minimum(cell[1, row[k], k], tsc[k] - margin)
         return cell
 
-    def _with_switches_held(self, best, before, state, hull, reasons) -> Rolled:
+    def _with_switches_held(self, best, before, state, allowed, reasons) -> HardRun:
         """Return the best plan after trying to hold a threshold back where that changes a switch."""
-        shooting = self._shooting
+        model = self._model
         for _ in range(TRIALS):
             trial = best
             for k, row in self._moved_switches(best):
-                held, stay = hull.copy(), MARGIN * shooting.c_b
+                held, stay = allowed.copy(), MARGIN * model.c_b
                 # Up to step k the threshold stays on the side of TSC(k) on which it is now.
                 if state[2 + row] < best.tsc[k]:
                     held[1, row, :k] = np.minimum(held[1, row, :k], best.tsc[k] - stay)
                 else:
                     held[0, row, :k] = np.maximum(held[0, row, :k], best.tsc[k] + stay)
-                run = shooting.roll(state, best.w if shooting.extras.any else self._straight(state), held)
+                run = model.run(state, best.w if model.extras.any else self._straight(state), held)
                 trial = min(trial, run, key=self._rank)
             found = []
             if trial is not best:
-                self._settle(trial, before, state, hull, found, reasons)
+                self._settle(trial, before, state, allowed, found, reasons)
             if not found or found[0].cost >= best.cost:
                 return best
             best = found[0]
         return best
 
-    def _moved_switches(self, run: Rolled) -> list[tuple[int, int]]:
+    def _moved_switches(self, run: HardRun) -> list[tuple[int, int]]:
         """Return the steps at which (2.8) decides otherwise than it would for the threshold as it is now, and which one."""
         row = (run.mode[:-1] == 0.0).astype(
             int
@@ -319,8 +321,8 @@ class CasadiEngine:
             return "the plan is not finite"
         if not (plan.lower[1:] < plan.upper[1:]).all():
             return f"the thresholds cross at step {1 + int(np.argmin(plan.lower[1:] < plan.upper[1:]))}"
-        low, high = self._shooting.bounds(plan.r[:-1], plan.p_r[:-1], plan.upper[:-1], plan.lower[:-1])
-        slack = 1e-9 * self._shooting.c_b
+        low, high = self._model.bounds(plan.r[:-1], plan.p_r[:-1], plan.upper[:-1], plan.lower[:-1])
+        slack = 1e-9 * self._model.c_b
         for name, actions in (("c_u", plan.actions_u), ("c_l", plan.actions_l)):
             inside = (actions >= low - slack) & (actions <= high + slack)
             if not inside.all():

@@ -6,21 +6,20 @@ import importlib
 import inspect
 import warnings
 from collections.abc import Callable
-from numbers import Integral
 from time import perf_counter
 
-from trustlab.allocation.correction_plan import CorrectionPlan
-from trustlab.allocation.incentive import check_utilization, incentive_box, positive_rate, within_range
-from trustlab.allocation.limit_cycle import limit_cycle
-from trustlab.allocation.limits import check_thresholds, threshold_limits
-from trustlab.models.checks import finite_number, of_class, whole_number
+from trustlab.allocation.correction.incentive import incentive_box, within_range
+from trustlab.allocation.correction.plan import CorrectionPlan
+from trustlab.allocation.cycle.limit_cycle import limit_cycle
+from trustlab.allocation.limits import check_order, threshold_limits
+from trustlab.models.checks import between, of_class, one_of, positive, shown, whole_number
 from trustlab.models.tsc import TscModel
 
 __all__ = ["ENGINES", "TargetWarning", "ThresholdCorrector"]
 
 ENGINES = {
-    "exact": ("trustlab.allocation.correction_exact", "ExactEngine"),
-    "casadi": ("trustlab.allocation.correction_casadi", "CasadiEngine"),
+    "exact": ("trustlab.allocation.correction.exact", "ExactEngine"),
+    "casadi": ("trustlab.allocation.correction.casadi_engine", "CasadiEngine"),
 }
 """Module and class of each engine; imported when asked for."""
 
@@ -49,11 +48,11 @@ class ThresholdCorrector:
         N, how many steps to look ahead; from 1 to a million.
     engine : {"exact", "casadi"}
         "exact": branch and bound over the sequences of modes, with a proven lower bound of the cost. "casadi": multiple
-        shooting with a smoothed switch, for costs and constraints of your own.
+        shooting with a smoothed switch, for your own costs and constraints.
     incentive : callable, optional
         The bounds of correction in place of (2.42): takes r, p_r, c_b, p_min, p_max and returns the least and the greatest
-        correction, in [−c_b, 0] and [0, c_b]. `incentive_box` when not given. The exact engine compiles a function of
-        yours into its search, which takes 5 to 20 s for each corrector.
+        correction, in [−c_b, 0] and [0, c_b]. `incentive_box` when not given. The exact engine compiles your function
+        into its search, which takes 5 to 20 s for each corrector.
     **options : object
         Options of the engine, see `ExactEngine` and `CasadiEngine`.
 
@@ -89,14 +88,12 @@ class ThresholdCorrector:
     ):
         self.tsc = of_class("tsc", tsc, TscModel)
         self.target = check_target(tsc, target)
-        self.c_b, self.horizon = positive_rate("c_b", c_b), whole_number("horizon", horizon, most=1_000_000)
-        if not isinstance(engine, str) or engine not in ENGINES:
-            raise ValueError(f"engine must be one of {', '.join(map(repr, ENGINES))}, got {engine!r:.60}")
+        self.c_b, self.horizon = positive("c_b", c_b), whole_number("horizon", horizon, most=1_000_000)
         if incentive is not None and not callable(incentive):
             raise ValueError(
                 f"incentive must be a function of r, p_r, c_b, p_min, p_max, got {type(incentive).__name__}"
             )
-        module, name = ENGINES[engine]
+        module, name = ENGINES[one_of("engine", engine, ENGINES)]
         kind = getattr(importlib.import_module(module), name)
         known = list(inspect.signature(kind).parameters)[6:]
         unknown = sorted(set(options) - set(known))
@@ -134,11 +131,9 @@ class ThresholdCorrector:
             If an argument is not a number or out of range.
         """
         began = perf_counter()
-        r = check_utilization(r)
+        r = between("r", r, 0.0, 1.0)
         p_r = within_range("p_r", p_r, *self._range)
-        lower, upper = threshold("lower", lower), threshold("upper", upper)
-        if not lower < upper:
-            raise ValueError(f"the lower threshold must be below the upper one, got {lower} and {upper}")
+        lower, upper = check_order(threshold("lower", lower), threshold("upper", upper))
         plan = self.engine.solve(r, p_r, lower, upper, check_mode(mode))
         object.__setattr__(plan, "solve_time", perf_counter() - began)
         return plan
@@ -151,50 +146,13 @@ class ThresholdCorrector:
 
 
 def check_mode(mode: int) -> int:
-    """
-    Return a mode as an int.
-
-    Parameters
-    ----------
-    mode : int
-        1 manual, 0 autonomous.
-
-    Raises
-    ------
-    ValueError
-        If it is neither.
-    """
-    if isinstance(mode, Integral) and type(mode) is not bool and 0 <= mode <= 1:
-        return int(mode)
-    number = finite_number("mode", mode)
-    if number not in (0.0, 1.0):
-        raise ValueError(f"mode must be 1 (manual) or 0 (autonomous), got {mode!r}")
-    return int(number)
+    """Return a mode, 1 manual or 0 autonomous, as an int."""
+    return whole_number("mode", mode, least=0, most=1)
 
 
 def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, float]:
-    """
-    Return target thresholds as floats, if the rule keeps switching under them.
-
-    Parameters
-    ----------
-    tsc : TscModel
-        The model.
-    target : (float, float)
-        TSC_ld and TSC_ud.
-
-    Raises
-    ------
-    ValueError
-        If they are no pair of numbers in order, or lie outside the limits of Theorem 1 without a cycle of their own.
-
-    Warns
-    -----
-    TargetWarning
-        If they lie outside these limits with a cycle of their own.
-    """
-    lower, upper = pair_of("target", target)
-    lower, upper = check_thresholds(tsc, lower, upper)
+    """Return target thresholds as floats if the rule keeps switching under them; warn where Theorem 1 does not promise it."""
+    lower, upper = threshold_pair("target", target)
     limits = threshold_limits(tsc)
     if limits.contains(lower, upper):
         return lower, upper
@@ -209,8 +167,8 @@ def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, flo
             + (", or between the limits" if limits.feasible else "")
         )
     warnings.warn(
-        f"{where}, so the theorem does not promise that the rule keeps switching; its exact cycle does exist, from "
-        "every start that was followed (trustlab.limit_cycle)",
+        f"{where}, so the theorem does not promise that the rule keeps switching; its steady cycle does exist, from "
+        "every start that was simulated (trustlab.limit_cycle)",
         TargetWarning,
         stacklevel=3,
     )
@@ -218,64 +176,17 @@ def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, flo
 
 
 def threshold(name: str, value: float) -> float:
-    """
-    Return a threshold as a float.
-
-    Parameters
-    ----------
-    name : str
-        The argument's name, for the error.
-    value : float
-        The value given.
-
-    Raises
-    ------
-    ValueError
-        If it is not a number in [−1, 1], where TSC is by (2.2).
-    """
-    number = value if type(value) is float else finite_number(name, value)
-    if not -1.0 <= number <= 1.0:
-        number = finite_number(name, number)
-        raise ValueError(f"{name} is a threshold of TSC, which lies in [−1, 1] by (2.2), got {number}")
-    return number
+    """Return a threshold as a float; TSC lies in [−1, 1] by (2.2), and so do its thresholds."""
+    return between(f"{name}, a threshold of TSC,", value, -1.0, 1.0)
 
 
-def shown(value: object) -> str:
-    """
-    Return how a value reads in an error, cut short where it is long.
-
-    Parameters
-    ----------
-    value : object
-        The value.
-    """
-    text = repr(value) if not isinstance(value, int) or abs(value) < 10**60 else "a very long number"
-    return text if len(text) <= 60 else f"{text[:57]}…"
-
-
-def pair_of(name: str, pair: tuple[float, float]) -> tuple[float, float]:
-    """
-    Return two thresholds as floats.
-
-    Parameters
-    ----------
-    name : str
-        The argument's name, for the error.
-    pair : (float, float)
-        Lower and upper.
-
-    Raises
-    ------
-    ValueError
-        If they are not two numbers in [−1, 1], lower below upper.
-    """
+def threshold_pair(name: str, pair: tuple[float, float]) -> tuple[float, float]:
+    """Return two thresholds, lower and upper, as floats."""
     try:
-        first, second = pair
+        lower, upper = pair
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be two numbers, lower and upper, got {shown(pair)}") from None
-    first, second = threshold(f"the lower {name}", first), threshold(f"the upper {name}", second)
-    if not first < second:
-        raise ValueError(
-            f"{name} must have the lower threshold below the upper one, got {first} and {second}"
-        )
-    return first, second
+    lower, upper = threshold(f"the lower {name}", lower), threshold(f"the upper {name}", upper)
+    if not lower < upper:
+        raise ValueError(f"{name} must have the lower threshold below the upper one, got {lower} and {upper}")
+    return lower, upper

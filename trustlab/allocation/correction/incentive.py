@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numba
 import numpy as np
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import between, finite_number, positive
 from trustlab.models.published import published_models
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 
-__all__ = ["check_utilization", "incentive_bounds", "incentive_box", "positive_rate", "within_range"]
+__all__ = ["box", "incentive_bounds", "incentive_box", "within_range"]
 
 ROUNDING = 1e-9
 """By which share of its range robot performance may lie outside and still count as at its end."""
@@ -36,14 +38,6 @@ def incentive_box(r, p_r, c_b, p_min, p_max):
 box = numba.njit(cache=True)(incentive_box)
 
 
-@numba.njit(cache=True)
-def boxes(r, p_r, c_b, p_min, p_max, low, high):
-    """Fill `low` and `high` with (2.42), which always let the thresholds be held."""
-    for k in range(r.size):
-        least, most = box(r[k], p_r[k], c_b, p_min, p_max)
-        low[k], high[k] = min(least, 0.0), max(most, 0.0)
-
-
 def incentive_bounds(
     r: float | np.ndarray, p_r: float | np.ndarray, c_b: float, model: TscModel | RobotModel | None = None
 ) -> tuple[float | np.ndarray, float | np.ndarray]:
@@ -51,7 +45,7 @@ def incentive_bounds(
     Return the least and the greatest correction that an operator can be expected to accept, (2.42).
 
     c_max = ½[(1 − r) + (P_max − P_r)/(P_max − P_min)] c_b and c_min = −½[r + (P_r − P_min)/(P_max − P_min)] c_b: the
-    busier the operator and the better the robot, the less willing are they to raise their thresholds. The two are
+    busier the operator and the better the robot, the less willing the operator is to raise the thresholds. The two are
     always c_b apart.
 
     Parameters
@@ -63,8 +57,8 @@ def incentive_bounds(
     c_b : float
         Largest correction per step; positive.
     model : TscModel or RobotModel, optional
-        The model whose range of robot performance counts; the printed one of the pilot operator of Section 2.5, P_r from
-        0.24 to 0.39 m/s, when not given.
+        The model that gives the range of robot performance. Without one the printed range of the pilot operator of
+        Section 2.5 is used, P_r from 0.24 to 0.39 m/s, and a warning says so.
 
     Returns
     -------
@@ -75,15 +69,27 @@ def incentive_bounds(
     ------
     ValueError
         If r lies outside [0, 1], P_r outside its range by more than rounding, or c_b is not positive.
+
+    Warns
+    -----
+    UserWarning
+        If no model is given.
     """
-    model = published_models()["pilot"] if model is None else model
+    if model is None:
+        model = published_models()["pilot"]
+        warnings.warn(
+            f"incentive_bounds takes the pilot operator's range of robot performance, {model.robot.p_min} to "
+            f"{model.robot.p_max} m/s, as no model= was given; pass the TscModel of your operator and robot",
+            UserWarning,
+            stacklevel=2,
+        )
     robot = model.robot if isinstance(model, TscModel) else model
     if not isinstance(robot, RobotModel):
         raise ValueError(f"model must be a TscModel or a RobotModel, got {type(model).__name__}")
-    c_b = positive_rate("c_b", c_b)
+    c_b = positive("c_b", c_b)
     if not np.ndim(r) and not np.ndim(p_r):
         now = within_range("p_r", finite_number("p_r", p_r), robot.p_min, robot.p_max)
-        low, high = incentive_box(check_utilization(r), now, c_b, robot.p_min, robot.p_max)
+        low, high = incentive_box(between("r", r, 0.0, 1.0), now, c_b, robot.p_min, robot.p_max)
         return min(low, 0.0), max(high, 0.0)
     try:
         load, performance = np.broadcast_arrays(np.asarray(r, dtype=float), np.asarray(p_r, dtype=float))
@@ -102,58 +108,14 @@ def incentive_bounds(
             raise ValueError(
                 f"{name} must lie in [{least:g}, {most:g}], but sample {where} is {values[where]}"
             )
-    low, high = np.empty(load.size), np.empty(load.size)
     performance = np.clip(performance, robot.p_min, robot.p_max)
-    boxes(
-        np.ascontiguousarray(load).ravel(),
-        np.ascontiguousarray(performance).ravel(),
-        c_b,
-        robot.p_min,
-        robot.p_max,
-        low,
-        high,
-    )
-    return low.reshape(load.shape), high.reshape(load.shape)
-
-
-def check_utilization(r: float) -> float:
-    """
-    Return utilization as a float in [0, 1].
-
-    Parameters
-    ----------
-    r : float
-        Utilization.
-
-    Raises
-    ------
-    ValueError
-        If it is not a number in [0, 1].
-    """
-    number = r if type(r) is float else finite_number("r", r)
-    if not 0.0 <= number <= 1.0:
-        raise ValueError(f"utilization r must lie in [0, 1], got {number}")
-    return number
+    low, high = incentive_box(load, performance, c_b, robot.p_min, robot.p_max)
+    # Thresholds may always be held; rounding must not exclude that.
+    return np.minimum(low, 0.0), np.maximum(high, 0.0)
 
 
 def within_range(name: str, value: float, least: float, most: float) -> float:
-    """
-    Return a value within its range; where it lies outside by rounding only, the end of the range.
-
-    Parameters
-    ----------
-    name : str
-        The argument's name, for the error.
-    value : float
-        The value given.
-    least, most : float
-        The range.
-
-    Raises
-    ------
-    ValueError
-        If it lies outside by more than rounding.
-    """
+    """Return a value within its range; where it lies outside by rounding only, the end of the range."""
     number = value if type(value) is float else finite_number(name, value)
     if least <= number <= most:
         return number
@@ -164,25 +126,3 @@ def within_range(name: str, value: float, least: float, most: float) -> float:
             "model again from sessions of this operator"
         )
     return min(max(number, least), most)
-
-
-def positive_rate(name: str, value: float) -> float:
-    """
-    Return a positive number as a float.
-
-    Parameters
-    ----------
-    name : str
-        The argument's name, for the error.
-    value : float
-        The value given.
-
-    Raises
-    ------
-    ValueError
-        If it is not a finite number above 0.
-    """
-    number = finite_number(name, value)
-    if not number > 0.0:
-        raise ValueError(f"{name} must be positive, got {number}")
-    return number

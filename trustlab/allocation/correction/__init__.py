@@ -1,0 +1,1 @@
+"""Real-time correction of an operator's thresholds, (2.40)-(2.44): incentives, engines, and closed loops."""

@@ -1,0 +1,77 @@
+"""The correction inside a compiled loop: thresholds that move sample by sample while a testbed runs."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from trustlab.allocation.correction.exact import SEARCHED, Problem, Solution, Workspace, search
+from trustlab.allocation.correction.plan import LOWER, UPPER
+from trustlab.models.tsc import TscConstants, TscModel
+
+__all__ = ["CORRECTED", "LoopCorrection", "correct_thresholds", "loop_correction", "no_correction"]
+
+CORRECTED = np.dtype(
+    [
+        ("lower", float),
+        ("upper", float),
+        ("cost", float),
+        ("bound", float),
+        ("clipped", bool),  # performance was outside the model's range, and planned with as at its end
+    ]
+)
+"""What is logged of each sample; NaN where nothing was planned."""
+
+
+class LoopCorrection(NamedTuple):
+    """What the exact engine needs in a compiled loop; `thresholds` moves on with every correction."""
+
+    active: bool
+    adopted: bool  # whether the operator's own thresholds move along
+    problem: Problem
+    thresholds: np.ndarray
+    work: Workspace
+    best: Solution
+    log: np.ndarray  # rows of CORRECTED
+
+
+def loop_correction(
+    tsc: TscModel,
+    start: tuple[float, float],
+    target: tuple[float, float],
+    c_b: float,
+    horizon: int,
+    samples: int,
+    adopted: bool = False,
+    budget: int = SEARCHED,
+) -> LoopCorrection:
+    """Return what a loop of so many samples needs to correct thresholds from `start` towards `target` (both checked before)."""
+    problem = Problem(tsc.constants(), c_b, np.array(target, dtype=float), budget)
+    log = np.full(samples, (np.nan, np.nan, np.nan, np.nan, False), CORRECTED)
+    start = np.array(start, dtype=float)
+    return LoopCorrection(True, adopted, problem, start, Workspace.of(horizon), Solution.of(horizon), log)
+
+
+def no_correction() -> LoopCorrection:
+    """Return a correction that is not active, of the same type, for loops that always take one."""
+    problem = Problem(TscConstants._make([0.0] * len(TscConstants._fields)), 0.0, np.zeros(2), 1)
+    return LoopCorrection(
+        False, False, problem, np.zeros(2), Workspace.of(1), Solution.of(1), np.empty(1, CORRECTED)
+    )
+
+
+@numba.njit(cache=True)
+def correct_thresholds(correction, k, r, p_r, mode):
+    """Log sample k, plan, and move the thresholds on by one step; return c_l and c_u."""
+    c, thresholds, best = correction.problem.constants, correction.thresholds, correction.best
+    now = min(max(p_r, c.p_r_min), c.p_r_max)
+    found = search(correction.problem, thresholds, r, now, float(mode), True, correction.work, best)
+    row = correction.log[k]
+    row.lower, row.upper = thresholds[LOWER], thresholds[UPPER]
+    row.cost, row.bound, row.clipped = found.cost, found.bound, now != p_r
+    c_l, c_u = best.actions[LOWER, 0], best.actions[UPPER, 0]
+    thresholds[LOWER] += c_l
+    thresholds[UPPER] += c_u
+    return c_l, c_u

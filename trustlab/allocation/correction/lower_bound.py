@@ -1,0 +1,171 @@
+"""Lower bounds of the cost (2.43) from some step on, which no plan can beat: for the exact engine."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from trustlab.allocation.correction.phase_bound import least_effort
+from trustlab.allocation.correction.plan import LOWER, UPPER
+from trustlab.models.human import next_utilization
+from trustlab.models.robot import next_performance
+from trustlab.models.tsc import advance, human_at, human_range
+
+__all__ = ["future_cost", "remaining_cost"]
+
+LONG = 1000
+"""From how many steps on the bound over many switches is worth its time."""
+
+BOX = np.dtype([("r_low", float), ("r_high", float), ("p_low", float), ("p_high", float)])
+"""A rectangle of states."""
+
+
+@numba.njit(cache=True)
+def future_cost(first, n, r, p, low, high, mode, at, goal, sign, c, c_b, standard, enough):
+    """
+    Bound the cost from step `first` to n from below, thresholds being at most at `at` (as seen rising) there.
+
+    r, P_r and the box [low, high] are those of step `first`, where the mode is `mode`. Stops as soon as the bound reaches
+    `enough`.
+    """
+    # A threshold can rise by ½ c_b (2 − r − share) and fall by ½ c_b (r + share), share being that of P_r in its range. So it
+    # rises fastest where r and P_r are least, as in the autonomous mode for ever, and falls fastest where they are greatest, as
+    # in the manual mode with the operator at their best. Other incentives than (2.42) are bounded by c_b alone.
+    span = c.p_r_max - c.p_r_min
+    cost = (goal[LOWER] - at[LOWER]) ** 2 + (goal[UPPER] - at[UPPER]) ** 2
+    r, p = advance(r, p, human_at(r, c), mode, c)
+    r_least, r_most, p_least, p_most = r, r, p, p
+    # P_h that adds least and most to P_r: none, as in the autonomous mode, unless performance can be negative.
+    worst, finest = min(c.p_h_min, 0.0), max(c.p_h_max, 0.0)
+    z_lower, z_upper = at[LOWER], at[UPPER]
+    up, down = high, -low
+    for _ in range(first + 1, n + 1):
+        z_lower = min(z_lower + (up if sign[LOWER] > 0 else down), goal[LOWER])
+        z_upper = min(z_upper + (up if sign[UPPER] > 0 else down), goal[UPPER])
+        cost += (goal[LOWER] - z_lower) ** 2 + (goal[UPPER] - z_upper) ** 2
+        if cost >= enough:
+            return cost
+        if standard:
+            up = max(0.5 * c_b * (2.0 - r_least - (p_least - c.p_r_min) / span), 0.0)
+            down = max(0.5 * c_b * (r_most + (p_most - c.p_r_min) / span), 0.0)
+            r_least, r_most = next_utilization(r_least, 0.0, c.a_r), next_utilization(r_most, 1.0, c.a_r)
+            p_least = next_performance(p_least, worst, 1.0, c.a_pr, c.b_pr, c.p_r_min)
+            p_most = next_performance(p_most, finest, 1.0, c.a_pr, c.b_pr, c.p_r_min)
+        else:
+            up, down = c_b, c_b
+    return cost
+
+
+@numba.njit(cache=True)
+def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, path):
+    """
+    Fill `path` with how far thresholds can be from step `first` to n, whatever the modes, from boxes that enclose r and P_r.
+
+    One box per mode of the step before; at each step the part of it that (2.8) lets stay and the part that it lets
+    switch, for thresholds anywhere between their start and the farthest they can have moved, go on as one box each.
+    """
+    span = c.p_r_max - c.p_r_min
+    near = np.empty(2)
+    near[:] = most[:, first - 1]
+    up, down = high[first - 1], -low[first - 1]
+    boxes, nexts = np.empty(2, BOX), np.empty(2, BOX)  # by mode, as are those alive
+    alive, lives = np.zeros(2, np.bool_), np.zeros(2, np.bool_)
+    m = int(mode[first - 1])
+    alive[m] = True
+    boxes[m].r_low = boxes[m].r_high = r[first]
+    boxes[m].p_low = boxes[m].p_high = p[first]
+    for k in range(first, n + 1):
+        for j in (LOWER, UPPER):
+            near[j] = min(near[j] + (up if sign[j] > 0 else down), goal[j])
+            path[j, k] = near[j]
+        if k == n:
+            break
+        lives[:] = False
+        up, down = 0.0, 0.0
+        for m in range(2):
+            if not alive[m]:
+                continue
+            b = boxes[m]
+            h_low, h_high = human_range(b.r_low, b.r_high, c)
+            if standard:
+                up = max(up, 0.5 * c_b * (2.0 - b.r_low - (b.p_low - c.p_r_min) / span))
+                down = max(down, 0.5 * c_b * (b.r_high + (b.p_high - c.p_r_min) / span))
+            else:
+                up, down = c_b, c_b
+            # The threshold that counts, TSC_l in the autonomous mode and TSC_u in the manual one, is between these.
+            x_low, x_high = sign[m] * start[m], sign[m] * near[m]
+            if x_low > x_high:
+                x_low, x_high = x_high, x_low
+            for to in range(2):
+                p_low, p_high = b.p_low, b.p_high
+                # The autonomous mode comes with TSC above TSC_l, or just at TSC_u; the manual mode the other way round.
+                if to == 0:
+                    p_low = max(p_low, (x_low + c.b_T * h_low) / c.a_T)
+                else:
+                    p_high = min(p_high, (x_high + c.b_T * h_high) / c.a_T)
+                if p_low > p_high + 1e-12:
+                    continue
+                r_low, r_high = next_utilization(b.r_low, to, c.a_r), next_utilization(b.r_high, to, c.a_r)
+                p_low = next_performance(p_low, h_low, to, c.a_pr, c.b_pr, c.p_r_min)
+                p_high = next_performance(p_high, h_high, to, c.a_pr, c.b_pr, c.p_r_min)
+                own = nexts[to]
+                if lives[to]:
+                    r_low, r_high = min(own.r_low, r_low), max(own.r_high, r_high)
+                    p_low, p_high = min(own.p_low, p_low), max(own.p_high, p_high)
+                own.r_low, own.r_high, own.p_low, own.p_high = r_low, r_high, p_low, p_high
+                lives[to] = True
+        boxes[:] = nexts
+        alive[:] = lives
+
+
+@numba.njit(cache=True)
+def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
+    """Lower `path` to what whole phases allow, for thresholds up to `ends`; return whether it stays within them."""
+    before, limits = first - 1, np.empty((2, 2))
+    slopes, offsets = np.zeros(2), np.zeros(2)
+    for j in (LOWER, UPPER):
+        a, b = sign[j] * start[j], sign[j] * ends[j]
+        limits[j] = min(a, b), max(a, b)
+    # Any weight of r is allowed, see `phase_bound`; this one was found to give tight bounds.
+    weight = 0.55 / (1.0 - c.a_r)
+    for way in (1.0, -1.0):
+        if sign[LOWER] != way and sign[UPPER] != way:
+            continue
+        mean, extra = least_effort(
+            r[before], p[before], mode[before], n - before, limits, way, way * weight, c
+        )
+        if extra == -np.inf:
+            return False
+        for j in (LOWER, UPPER):
+            if sign[j] == way:
+                # (2.42): up by ½ c_b Σ (2 − f) at most, down by ½ c_b Σ f.
+                slopes[j] = 0.5 * c_b * ((2.0 if way > 0 else 0.0) - mean)
+                offsets[j] = most[j, before] - 0.5 * c_b * extra
+    for j in (LOWER, UPPER):
+        far = max(slopes[j] * (n - before), slopes[j]) + offsets[j]
+        if min(far, path[j, n]) > ends[j]:
+            return False
+    for j in (LOWER, UPPER):
+        for k in range(first, n + 1):
+            path[j, k] = min(path[j, k], slopes[j] * (k - before) + offsets[j])
+    return True
+
+
+@numba.njit(cache=True)
+def remaining_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, guess):
+    """
+    Bound the cost from step `first` to n from below: from boxes and, where that is long, from whole phases.
+
+    Whole phases need limits of the thresholds. `guess` has how far both may move at most, from a plan: what follows from
+    it is true if it stays within it, by induction over the steps. If it does not, the limits are those of the boxes.
+    """
+    path = np.empty((2, n + 1))
+    reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, path)
+    if standard and n - first + 1 > LONG:
+        ends = np.minimum(guess, path[:, n])
+        if not by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
+            by_phases(path[:, n].copy(), path, first, n, r, p, mode, most, start, sign, c, c_b)
+    cost = 0.0
+    for k in range(first, n + 1):
+        cost += (goal[LOWER] - path[LOWER, k]) ** 2 + (goal[UPPER] - path[UPPER, k]) ** 2
+    return cost

@@ -1,0 +1,184 @@
+"""Bounds on the switched system that hold for every trajectory: sets of states propagated round the cycle."""
+
+from __future__ import annotations
+
+import html
+import math
+from dataclasses import dataclass
+
+from trustlab.allocation.cycle.polygons import narrow
+from trustlab.allocation.cycle.propagation import ROUNDING, enclose, nest
+from trustlab.allocation.limits import check_thresholds
+from trustlab.models.checks import whole_number
+from trustlab.models.tsc import TscModel
+
+__all__ = ["InvariantBounds", "invariant_bounds"]
+
+EFFORT = 3_000_000
+"""Samples through which polygons may be propagated, or twenty of the longest phases if that is more."""
+
+
+@dataclass(frozen=True)
+class InvariantBounds:
+    """
+    Bounds for every trajectory under rule (2.8), whatever its initial state.
+
+    They hold from the `cycles`-th return to manual control on, overshoot of the thresholds included.
+
+    Parameters
+    ----------
+    guaranteed : bool
+        Whether every trajectory is shown to keep switching; where not, the bounds are the trivial ones.
+    reason : str
+        What was shown.
+    cycles : int
+        After how many returns to manual control the bounds hold.
+    r_low, r_high : float
+        Utilization.
+    p_r_low, p_r_high : float
+        Robot performance.
+    tsc_low, tsc_high : float
+        TSC; beyond the thresholds by the overshoot of one step.
+    dwell_manual_low, dwell_manual_high : float
+        Consecutive samples under manual control.
+    dwell_autonomous_low, dwell_autonomous_high : float
+        Consecutive samples under autonomous control.
+    """
+
+    guaranteed: bool
+    reason: str
+    cycles: int
+    r_low: float
+    r_high: float
+    p_r_low: float
+    p_r_high: float
+    tsc_low: float
+    tsc_high: float
+    dwell_manual_low: float
+    dwell_manual_high: float
+    dwell_autonomous_low: float
+    dwell_autonomous_high: float
+
+    def _repr_html_(self) -> str:
+        return f"<p>{html.escape(self.reason)}</p>{self.table().to_html(float_format='%.4g')}"
+
+    def __repr__(self) -> str:
+        return (
+            f"InvariantBounds(guaranteed={self.guaranteed}, r {self.r_low:.4g} to {self.r_high:.4g}, P_r {self.p_r_low:.4g} to "
+            f"{self.p_r_high:.4g}, TSC {self.tsc_low:.4g} to {self.tsc_high:.4g}, cycles={self.cycles})"
+        )
+
+    def table(self):
+        """
+        Return the bounds as a table.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index `quantity`; columns low, high.
+        """
+        import pandas as pd
+
+        rows = {
+            "r": (self.r_low, self.r_high),
+            "P_r": (self.p_r_low, self.p_r_high),
+            "TSC": (self.tsc_low, self.tsc_high),
+            "dwell time manual": (self.dwell_manual_low, self.dwell_manual_high),
+            "dwell time autonomous": (self.dwell_autonomous_low, self.dwell_autonomous_high),
+        }
+        return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high"]).rename_axis("quantity")
+
+
+def invariant_bounds(
+    tsc: TscModel, lower: float, upper: float, cells: int = 32, cycles: int = 200
+) -> InvariantBounds:
+    """
+    Bound utilization, robot performance and dwell times for every trajectory under rule (2.8).
+
+    At a switch TSC equals its threshold up to the overshoot of one step, so that the state lies in an interval of r with an
+    interval of TSC. Both are propagated through a manual and an autonomous phase in interval arithmetic; starting from
+    r in [0, 1] the intervals nest, and their limit encloses every trajectory after as many cycles. Once they
+    stop shrinking they are cut into polygons of r and P_r, which keep track of how the two move together.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model.
+    lower, upper : float
+        Thresholds TSC_l and TSC_u.
+    cells : int
+        Into how many parts an interval of r is cut; more give tighter bounds and take longer.
+    cycles : int
+        Most cycles to follow; fewer give valid but wider bounds that hold sooner.
+
+    Returns
+    -------
+    InvariantBounds
+
+    Raises
+    ------
+    ValueError
+        If the thresholds are not finite or in the wrong order, or `cells` or `cycles` is not a whole
+        number ≥ 1, or `tsc` is not a `TscModel`.
+    """
+    lower, upper = check_thresholds(tsc, lower, upper)
+    cells, cycles = whole_number("cells", cells), whole_number("cycles", cycles)
+    c = tsc.constants()
+    most = int(60.0 / (1.0 - max(c.a_r, c.a_pr))) + 100
+    # Coarse intervals first: polygons narrow them much faster than further cycles of intervals would.
+    found, more, settled = nest(lower, upper, c, cells, (cycles + 1) // 2, most, 0.05), 0, True
+    done = found.code
+    if 0 < done < cycles - 1:
+        tighter, more = _narrowed(found, lower, upper, c, cells, cycles - done - 1, most)
+        settled = more < cycles - done - 1
+    if more:
+        found, done = tighter, done + more + 1
+    elif done > 0:
+        found = nest(lower, upper, c, cells, cycles, most, 1e-3)
+        done = found.code
+        settled = done < cycles
+    if done < 0:
+        return _trivial(tsc, "a manual" if done == -1 else "an autonomous")
+    manual, autonomous = found.manual, found.autonomous
+    # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per sample is far more than that.
+    slack = max(manual.dwell_high, autonomous.dwell_high) * ROUNDING
+    return InvariantBounds(
+        guaranteed=True,
+        reason=f"every trajectory keeps switching; sets of states nested over {done} cycles"
+        + ("" if settled else ", the limit, and were still shrinking: more cycles give tighter bounds"),
+        cycles=done + 1,
+        # r falls in autonomous phases and rises in manual ones, so that its extremes are where these begin.
+        r_low=max(found.low - slack, 0.0),
+        r_high=min(found.autonomous_high + slack, 1.0),
+        p_r_low=min(manual.p_r_low, autonomous.p_r_low) - slack,
+        p_r_high=max(manual.p_r_high, autonomous.p_r_high) + slack,
+        tsc_low=min(manual.tsc_low, lower - autonomous.overshoot) - slack,
+        tsc_high=max(autonomous.tsc_high, upper + manual.overshoot) + slack,
+        dwell_manual_low=manual.dwell_low,
+        dwell_manual_high=manual.dwell_high,
+        dwell_autonomous_low=autonomous.dwell_low,
+        dwell_autonomous_high=autonomous.dwell_high,
+    )
+
+
+def _trivial(tsc: TscModel, phase: str) -> InvariantBounds:
+    """Return the bounds that hold where a phase may never end."""
+    ceiling = float(tsc.robot.steady_state(1.0, tsc.human.p_max))
+    anything, dwell = (-math.inf, math.inf), (1.0, math.inf)
+    reason = f"{phase} phase may never end from some utilization"
+    return InvariantBounds(False, reason, 0, 0.0, 1.0, tsc.robot.p_min, ceiling, *anything, *dwell, *dwell)
+
+
+def _narrowed(found, lower, upper, c, cells, cycles, most):
+    """Narrow an enclosure with polygons; return it, and by how many cycles (0 where nothing was gained)."""
+    # An autonomous phase follows a manual one of at least one sample, and has at most as many as the intervals leave room for.
+    low = max(found.low, (1.0 - c.a_r) * c.a_r**found.autonomous.dwell_high * (1.0 - 1e-9))
+    high = min(found.high, c.a_r + ROUNDING)
+    if low < 1e-100 or high >= 1.0 or high <= low:
+        return found, 0
+    budget = max(EFFORT, 20 * most)
+    low, high, over, more = narrow(
+        low, high, found.autonomous.overshoot, lower, upper, c, cells, cycles, most, budget
+    )
+    tighter = enclose(low, high, over, lower, upper, c, cells, most)
+    return (tighter, more) if more and tighter.code > 0 else (found, 0)

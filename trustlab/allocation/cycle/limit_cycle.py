@@ -1,0 +1,324 @@
+"""The exact steady cycle of the switched system, found from its return map."""
+
+from __future__ import annotations
+
+import html
+import math
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from trustlab.allocation.cycle.phases import CYCLE, Seen, longest_phase, record, return_map, settle
+from trustlab.allocation.limits import check_thresholds
+from trustlab.models.checks import whole_number
+from trustlab.models.tsc import TscConstants, TscModel
+
+__all__ = ["LimitCycle", "limit_cycle"]
+
+MOST_CYCLES = 2000
+"""Cycles that are recorded of a motion that does not repeat."""
+
+REPEATED = 1e-9
+"""How near, in r and P_r, a trajectory must come to a motion that repeats to count as drawn to it."""
+
+EVEN = (0.7548776662466927, 0.5698402909980532)
+"""Multiples of this point, modulo 1, fill the unit square evenly, however many there are (the plastic number's sequence)."""
+
+
+@dataclass(frozen=True)
+class LimitCycle:
+    """
+    The steady motion under rule (2.8).
+
+    With switching at whole samples TSC overshoots a threshold by a part of a step, so that the motion may repeat only
+    after several cycles or never exactly; extremes and dwell times are then those of all the cycles recorded.
+
+    Parameters
+    ----------
+    exists : bool
+        Whether the rule keeps switching, from some start at least.
+    always : bool
+        Whether it keeps switching from every start that was simulated: evidence, not proof. `InvariantBounds.guaranteed`
+        is the proof.
+    reason : str
+        What happens where it does not; else how the cycle was found.
+    r_low, r_high : float
+        Range of utilization; NaN without a cycle, as all below.
+    p_r_low, p_r_high : float
+        Range of robot performance.
+    tsc_low, tsc_high : float
+        Range of TSC, overshoot included.
+    dwell_manual, dwell_autonomous : tuple of int
+        Least and greatest number of samples in a row in each mode.
+    period : int or None
+        After how many cycles the motion repeats; None where it does not within the cycles followed, or where motions
+        of different period coexist.
+    motions : int
+        How many motions were found to coexist, told apart by the overshoot they lock to. There can be more, see `limit_cycle`.
+    unique : bool
+        Whether the return map of r has exactly one fixed point on a grid of [0, 1].
+    slope : float
+        Slope of the return map there; below 1 in size the cycle attracts.
+    mean_r, mean_p_r : float
+        Time averages of utilization and robot performance.
+    """
+
+    exists: bool
+    reason: str
+    r_low: float = math.nan
+    r_high: float = math.nan
+    p_r_low: float = math.nan
+    p_r_high: float = math.nan
+    tsc_low: float = math.nan
+    tsc_high: float = math.nan
+    dwell_manual: tuple[int, int] | None = None
+    dwell_autonomous: tuple[int, int] | None = None
+    period: int | None = None
+    motions: int = 0
+    unique: bool = False
+    slope: float = math.nan
+    mean_r: float = math.nan
+    mean_p_r: float = math.nan
+    always: bool = False
+
+    @property
+    def exhaustive(self) -> bool:
+        """False: all motions are no longer searched for, as that changed next to nothing; an old name."""
+        warnings.warn(
+            "LimitCycle.exhaustive is always False and goes with the next version: limit_cycle reports what the simulated "
+            "starts settle to; for bounds on every trajectory use trustlab.invariant_bounds",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return False
+
+    @property
+    def stable(self) -> bool:
+        """Whether the slope of the return map is below 1 in size."""
+        return abs(self.slope) < 1.0
+
+    def _repr_html_(self) -> str:
+        return f"<p>{html.escape(self.reason)}</p>{self.table().to_html(float_format='%.4g')}"
+
+    def __repr__(self) -> str:
+        if not self.exists:
+            return f"LimitCycle(exists=False, reason={self.reason!r})"
+        return (
+            f"LimitCycle(r {self.r_low:.4g} to {self.r_high:.4g}, P_r {self.p_r_low:.4g} to {self.p_r_high:.4g}, "
+            f"TSC {self.tsc_low:.4g} to {self.tsc_high:.4g}, always={self.always})"
+        )
+
+    def table(self):
+        """
+        Return ranges and means.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index `quantity`; columns low, high, mean.
+        """
+        import pandas as pd
+
+        manual, autonomous = (
+            pair or (math.nan, math.nan) for pair in (self.dwell_manual, self.dwell_autonomous)
+        )
+        rows = {
+            "r": (self.r_low, self.r_high, self.mean_r),
+            "P_r": (self.p_r_low, self.p_r_high, self.mean_p_r),
+            "TSC": (self.tsc_low, self.tsc_high, math.nan),
+            "dwell time manual": (*manual, math.nan),
+            "dwell time autonomous": (*autonomous, math.nan),
+        }
+        return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high", "mean"]).rename_axis(
+            "quantity"
+        )
+
+
+def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> LimitCycle:
+    """
+    Find the steady cycle of rule (2.8).
+
+    At a switch TSC equals its threshold up to one step, which fixes P_r, so that one cycle is a map of r alone. The system
+    is simulated from β, from rest, and from further starts until transients have decayed, then over many cycles; what
+    they settle to is told apart by the overshoot it locks to. The return map without overshoot tells whether there is one
+    cycle and whether it attracts.
+
+    Parameters
+    ----------
+    tsc : TscModel
+        The model.
+    lower, upper : float
+        Thresholds TSC_l and TSC_u.
+    starts : int
+        How many initial states to simulate from, besides rest. 1 is the quick setting: β and rest only.
+
+    Returns
+    -------
+    LimitCycle
+        With `exists` False where the rule stops switching from every start, and why; `always` False where it does from
+        some.
+
+    Raises
+    ------
+    ValueError
+        If `tsc` is not a TscModel, the thresholds are not finite or in the wrong order, or `starts` is not a whole
+        number ≥ 1.
+
+    Notes
+    -----
+    The result rests on the starts that were simulated. Which of several coexisting motions a trajectory settles to depends on
+    fractions of a step, so that one with a small basin can be missed. For every trajectory, whatever its start, there is
+    `invariant_bounds`, whose ranges hold for motions that are missed here as well.
+    """
+    lower, upper = check_thresholds(tsc, lower, upper)
+    starts = whole_number("starts", starts)
+    c = tsc.constants()
+    motions = Motions(c, lower, upper)
+    for r, p_r in _initial_states(tsc, lower, starts, motions):
+        motions.follow(r, p_r)
+    found, stopped = motions.found, motions.stopped
+    stays = ""
+    if stopped:
+        code, r, p_r = stopped[0]
+        mode, target, side = (
+            ("manual", upper, "rising to TSC_u") if code == -1 else ("autonomous", lower, "falling to TSC_l")
+        )
+        settled = tsc.value(p_r, tsc.human.performance(min(max(r, 0.0), 1.0)))
+        stays = f"stays {mode}: TSC settles at {settled:.4f} without {side} = {target:.4f}"
+    if not found:
+        return LimitCycle(False, stays)
+    rows = np.concatenate([motion.rows for motion in found])
+    seen = [motion.seen for motion in found]
+    periods = {motion.period for motion in found}
+    period = periods.pop() if len(periods) == 1 else None
+    slope, unique = _return_map(float(rows["r"].mean()), lower, upper, c, motions.most)
+    how = _how(found, rows, period)
+    if stopped:
+        how += f"; but from {len(stopped)} of {starts + 1} starts it {stays}"
+    return LimitCycle(
+        exists=True,
+        reason=how,
+        always=not stopped,
+        r_low=float(rows["r"].min()),
+        r_high=float(rows["r_switch"].max()),
+        p_r_low=min(one.p_r_low for one in seen),
+        p_r_high=max(one.p_r_high for one in seen),
+        tsc_low=min(one.tsc_low for one in seen),
+        tsc_high=max(one.tsc_high for one in seen),
+        dwell_manual=(int(rows["manual"].min()), int(rows["manual"].max())),
+        dwell_autonomous=(int(rows["autonomous"].min()), int(rows["autonomous"].max())),
+        period=period,
+        motions=len(found),
+        unique=unique,
+        slope=slope,
+        mean_r=float(np.mean([one.sum_r / one.samples for one in seen])),
+        mean_p_r=float(np.mean([one.sum_p_r / one.samples for one in seen])),
+    )
+
+
+def _initial_states(tsc: TscModel, lower: float, starts: int, motions: Motions):
+    """Yield r and P_r as manual phases begin: at β, at rest, spread over [0, 1], and then near the motions found by then."""
+    human, spread = tsc.human, starts // 8
+    step = tsc.a_T * (1.0 - tsc.robot.a) * (tsc.robot.p_max - tsc.robot.p_min)
+
+    def at(r, below):
+        return r, (lower - below + tsc.b_T * human.performance(r)) / tsc.a_T
+
+    yield at(human.beta, 0.0)
+    yield 0.0, tsc.robot.p_min
+    for j in range(2, starts + 1):
+        along_r, along_tsc = (j * part % 1.0 for part in EVEN)
+        if j <= spread or not motions.found or motions.stopped:
+            yield at(along_r, along_tsc * step)
+            continue
+        # Coexisting motions differ by a step or less in r and in overshoot, so that starts from all over [0, 1] hardly ever
+        # tell them apart: after a transient these are all at the same few states.
+        r = np.concatenate([motion.rows["r"] for motion in motions.found])
+        over = max(lower - min(motion.seen.tsc_low for motion in motions.found), 0.2 * step)
+        low, high = max(r.min() - human.b, 0.0), min(r.max() + human.b, 1.0)
+        yield at(low + along_r * (high - low), along_tsc * 1.2 * over)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One steady motion: rows of `CYCLE`, extremes and sums over its samples, and after how many cycles it repeats, if it does."""
+
+    rows: np.ndarray
+    seen: Seen
+    period: int | None
+
+    def same(self, other: Motion) -> bool:
+        """Return whether two motions that repeat are the same."""
+        if self.period is None or self.period != other.period:
+            return False
+        return abs(self.rows["r"].min() - other.rows["r"].min()) < 1e-8
+
+    def passes(self, r: float, p_r: float) -> bool:
+        """Return whether a motion that does not repeat comes near a state; in 2,000 cycles it does so near all of its own."""
+        return bool((np.maximum(abs(self.rows["r"] - r), abs(self.rows["p_r"] - p_r)) < 2e-5).any())
+
+
+class Motions:
+    """The steady motions under one pair of thresholds, and the starts from which a mode stays."""
+
+    def __init__(self, c: TscConstants, lower: float, upper: float):
+        self.found: list[Motion] = []
+        self.stopped: list[tuple[int, float, float]] = []
+        self.most = longest_phase(c)
+        self._system = lower, upper, c
+        self._repeating = np.empty(0, CYCLE)
+
+    def follow(self, r: float, p_r: float) -> None:
+        """Simulate until transients have decayed, and keep the motion if it is new."""
+        known = np.ascontiguousarray(self._repeating["r"]), np.ascontiguousarray(self._repeating["p_r"])
+        code, r, p_r = settle(r, p_r, *self._system, self.most, self.most, *known, REPEATED)
+        if code < 0:
+            self.stopped.append((code, r, p_r))
+        if code != 0 or any(motion.passes(r, p_r) for motion in self.found if motion.period is None):
+            return
+        rows, seen = record(r, p_r, *self._system, 24, self.most)
+        period = _period(rows)
+        if period is None:
+            rows, seen = record(r, p_r, *self._system, MOST_CYCLES, self.most)
+            period = _period(rows)
+        if period is not None:
+            rows, seen = record(r, p_r, *self._system, period, self.most)
+        motion = Motion(rows, seen, period)
+        if not any(own.same(motion) for own in self.found):
+            self.found.append(motion)
+            if period is not None:
+                self._repeating = np.concatenate([self._repeating, rows])
+
+
+def _period(rows: np.ndarray) -> int | None:
+    """Return after how many cycles the recorded motion repeats."""
+    r, dwell = rows["r"], rows[["manual", "autonomous"]]
+    for period in range(1, len(rows) // 3 + 1):
+        same = abs(r[period] - r[0]) < 1e-9 and (dwell[period:] == dwell[:-period]).all()
+        if same and np.abs(r[period:] - r[:-period]).max() < 1e-9:
+            return period
+    return None
+
+
+def _how(found: list[Motion], rows: np.ndarray, period: int | None) -> str:
+    """Return a sentence on what the starts settle to."""
+    if len(found) > 1:
+        listed = ", ".join("without" if motion.period is None else str(motion.period) for motion in found)
+        return f"{len(found)} motions coexist, one overshoot apart (periods {listed}); ranges enclose all of them"
+    return f"repeats after {period} cycle(s)" if period else f"does not repeat within {len(rows)} cycles"
+
+
+def _return_map(middle: float, lower: float, upper: float, c: TscConstants, most: int) -> tuple[float, bool]:
+    """Return the slope of the return map without overshoot about `middle`, and whether it has one fixed point."""
+    ends = np.geomspace(1e-15, 0.015, 16)
+    grid = np.r_[ends, np.linspace(0.0, 1.0, 65)[1:-1], 1.0 - ends[::-1]]
+    gap = np.array([return_map(x, lower, upper, c, most) for x in grid]) - grid
+    # From rest the map leads upwards or nowhere, and from full load downwards or nowhere.
+    signs = np.r_[1.0, np.sign(gap[np.isfinite(gap)]), -1.0]
+    signs = signs[signs != 0.0]
+    reach = max(1e-4 * min(middle, 1.0 - middle), 1e-12)
+    around = (max(middle - reach, 0.0), min(middle + reach, 1.0))
+    after = [return_map(x, lower, upper, c, most) for x in around]
+    slope = float((after[1] - after[0]) / (around[1] - around[0]))
+    return slope, bool(np.count_nonzero(np.diff(signs)) == 1)

@@ -1,0 +1,173 @@
+"""Rules that say who should drive, step by step: by thresholds of TSC (2.8), and by performance (Algorithm 2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+
+from trustlab.allocation.limits import check_order
+from trustlab.models.checks import finite_number, whole_number
+from trustlab.models.tsc import threshold_mode
+
+__all__ = ["PERFORMANCE_TOLERANCE", "PerformanceRule", "ThresholdRule", "performance_suggestion"]
+
+PERFORMANCE_TOLERANCE = 0.05
+"""How far below P_max, as a share of P_max − P_min, performance still counts as P_max in Algorithm 2. As printed it is 0,
+which a measured performance never meets exactly; 0.05 is half-way to 0.9 (P_max − P_min), where manual is suggested."""
+
+
+@numba.njit(cache=True)
+def performance_suggestion(p_r, p_min, p_max, tolerance=PERFORMANCE_TOLERANCE):
+    """Return what Algorithm 2 suggests: 0 near P_max, 1 up to P_min + 0.9(P_max − P_min), −1 (nothing) between."""
+    if p_r >= p_max - tolerance * (p_max - p_min):
+        return 0
+    if p_r <= p_min + 0.9 * (p_max - p_min):
+        return 1
+    return -1
+
+
+@dataclass
+class ThresholdRule:
+    """
+    Manual when TSC has fallen to TSC_l, autonomous when it has risen to TSC_u, unchanged between, equation (2.8).
+
+    Thresholds and mode may be assigned while the rule runs, with the same checks as at the beginning; `move` changes both
+    thresholds at once.
+
+    Parameters
+    ----------
+    lower, upper : float
+        TSC_l and TSC_u, lower < upper.
+    mode : int
+        The initial mode: 1 manual, 0 autonomous.
+
+    Raises
+    ------
+    ValueError
+        If the thresholds are not finite or in the wrong order, or the mode is not 0 or 1.
+
+    Examples
+    --------
+    >>> rule = ThresholdRule(lower=0.02, upper=0.45)
+    >>> [rule.step(tsc=value) for value in (0.3, 0.5, 0.3, 0.0)]
+    [1, 0, 0, 1]
+    """
+
+    lower: float
+    upper: float
+    mode: int = 1
+
+    def __setattr__(self, name, value):
+        if name in ("lower", "upper"):
+            value = finite_number(name, value)
+            pair = {"lower": self.__dict__.get("lower"), "upper": self.__dict__.get("upper")} | {name: value}
+            if None not in pair.values():
+                check_order(**pair)
+        elif name == "mode":
+            value = whole_number("mode", value, least=0, most=1)
+        else:
+            raise ValueError(f"a ThresholdRule has lower, upper and mode, but no {name!r}")
+        object.__setattr__(self, name, value)
+
+    def move(self, lower: float, upper: float) -> None:
+        """
+        Change both thresholds; the mode stays until the next step.
+
+        Parameters
+        ----------
+        lower, upper : float
+            TSC_l and TSC_u, lower < upper.
+
+        Raises
+        ------
+        ValueError
+            If they are not finite or in the wrong order; both stay what they were.
+        """
+        lower, upper = check_order(lower, upper)
+        self.__dict__.update(lower=lower, upper=upper)
+
+    def step(self, tsc: float, p_r: float | None = None) -> int:
+        """
+        Return the mode for this sample and remember it.
+
+        Parameters
+        ----------
+        tsc : float
+            TSC now.
+        p_r : float, optional
+            Robot performance. The rule does not use it; it is accepted so that both rules are called alike, and checked so
+            that a NaN in the calling loop does not go unnoticed.
+
+        Raises
+        ------
+        ValueError
+            If a value given is not a finite number; the mode stays what it was.
+        """
+        try:
+            tsc = finite_number("tsc, which rule (2.8) needs,", tsc)
+            if p_r is not None:
+                finite_number("p_r (unused by rule (2.8))", p_r)
+        except ValueError as error:
+            raise ValueError(f"{error}, so the mode stays {self.mode}") from None
+        mode = int(threshold_mode(tsc, self.lower, self.upper, self.mode))
+        self.__dict__["mode"] = mode
+        return mode
+
+
+@dataclass(frozen=True)
+class PerformanceRule:
+    """
+    Suggest autonomous at P_r = P_max, manual at P_r ≤ P_min + 0.9 (P_max − P_min), else nothing (Algorithm 2).
+
+    Parameters
+    ----------
+    p_min, p_max : float
+        Least and greatest robot performance.
+    tolerance : float
+        How far below P_max, as a share of P_max − P_min, counts as P_max; 0 is as printed, which a measured
+        performance never meets exactly.
+
+    Raises
+    ------
+    ValueError
+        If p_min is not below p_max, or the tolerance is outside [0, 0.1).
+    """
+
+    p_min: float
+    p_max: float
+    tolerance: float = PERFORMANCE_TOLERANCE
+
+    def __post_init__(self):
+        low, high = finite_number("p_min", self.p_min), finite_number("p_max", self.p_max)
+        if not low < high:
+            raise ValueError(f"p_min must be below p_max, got {low} and {high}")
+        tolerance = finite_number("tolerance", self.tolerance)
+        if not 0.0 <= tolerance < 0.1:
+            raise ValueError(
+                f"tolerance must lie in [0, 0.1), where manual is suggested from, got {tolerance}"
+            )
+        self.__dict__.update(p_min=low, p_max=high, tolerance=tolerance)
+
+    def step(self, p_r: float, tsc: float | None = None) -> int | None:
+        """
+        Return the mode suggested, 1 or 0, or None for no suggestion.
+
+        Parameters
+        ----------
+        p_r : float
+            Robot performance now.
+        tsc : float, optional
+            TSC. The rule does not use it; it is accepted so that both rules are called alike, and checked so that a NaN in
+            the calling loop does not go unnoticed.
+
+        Raises
+        ------
+        ValueError
+            If a value given is not a finite number.
+        """
+        p_r = finite_number("p_r, which Algorithm 2 needs,", p_r)
+        if tsc is not None:
+            finite_number("tsc (unused by Algorithm 2)", tsc)
+        found = int(performance_suggestion(p_r, self.p_min, self.p_max, self.tolerance))
+        return None if found < 0 else found
