@@ -8,7 +8,7 @@ import pytest
 
 import trustlab as tl
 from trustlab.allocation import simulate_allocation, steady_state_bounds, step_bounds, threshold_limits
-from trustlab.allocation.steady_state import utilization_bounds
+from trustlab.allocation.steady_state import utilization_as_printed
 from trustlab.reproduction import published_table, recompute
 from trustlab.reproduction.printed_number import half_unit
 
@@ -158,7 +158,7 @@ def test_signs_of_a3_and_infinite_dwell_times(operators):
     assert low.p_r_low == operators["1"].robot.p_min
     assert low.dwell_autonomous == math.inf
     assert low.r_low == 0.0
-    assert utilization_bounds(0.999, math.inf, math.inf, 0.0) == (1.0, 1.0)
+    assert utilization_as_printed(0.999, math.inf, math.inf, 0.0) == (1.0, 1.0)
 
 
 def test_remark_4_says_what_to_change():
@@ -218,7 +218,7 @@ def test_step_bounds_bound_every_step(random_model):
     ("arguments", "says"),
     [
         ((0.5, 0.1), "below"),
-        ((0.0, 0.4, -0.1), "cannot be negative"),
+        ((0.0, 0.4, -0.1), "delta_tsc must"),
         ((0.0, 0.4, float("nan")), "finite"),
         ((-3.0, 0.2, 0.001), r"strictly between TSC_lb = -0.4909 and TSC_ub = 0.4909"),
         ((0.0, 0.6, 0.001), "TSC_ub = 0.4909"),
@@ -227,5 +227,5 @@ def test_step_bounds_bound_every_step(random_model):
 def test_refuses(operators, arguments, says):
     with pytest.raises(ValueError, match=says):
         steady_state_bounds(operators["pilot"], *arguments)
-    with pytest.raises(ValueError, match="cannot be negative"):
+    with pytest.raises(ValueError, match="delta_p_h must not be negative"):
         threshold_limits(operators["pilot"], -1.0)

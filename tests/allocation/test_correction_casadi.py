@@ -234,14 +234,14 @@ def test_a_solver_that_returns_nonsense_is_not_believed(monkeypatch):
     assert "costs more than the guess" in plan.message
 
     ours = engine(12)
-    roll = ours._shooting.roll
+    hard_run = ours._model.run
 
-    def too_far(state, w, hull):
-        run = roll(state, w, hull)
+    def too_far(state, w, allowed):
+        run = hard_run(state, w, allowed)
         run.inputs[:] = 2.0 * C_B
         return run
 
-    monkeypatch.setattr(ours._shooting, "roll", too_far)
+    monkeypatch.setattr(ours._model, "run", too_far)
     plan = ours.solve(*FAR)
     assert plan.status is CorrectionStatus.FAILED
     assert "lies outside" in plan.message
@@ -275,7 +275,7 @@ def test_the_last_plan_is_only_where_the_next_one_starts():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"solver": "qrqp"}, "piqp, hpipm, fatrop, ipopt"),
+        ({"solver": "qrqp"}, "'piqp', 'hpipm', 'fatrop', 'ipopt'"),
         ({"solver": None, "switch_width": -1e-3}, "switch_width"),
         ({"switch_width": np.nan}, "finite"),
         ({"switch_width": "wide"}, "number"),

@@ -86,10 +86,10 @@ def test_odd_measurements_are_refused_and_change_nothing(corrector, bad):
 def test_bad_online_arguments(corrector):
     for more, words in (
         ({"start": (0.3, 0.1)}, "below"),
-        ({"start": (-1.5, 0.1)}, r"\[−1, 1\]"),
+        ({"start": (-1.5, 0.1)}, r"\[-1, 1\]"),
         ({"mode": 3}, "mode"),
         ({"r": 1.2}, r"\[0, 1\]"),
-        ({"outside": "clip"}, "'hold' or 'nearest'"),
+        ({"outside": "clip"}, "'hold', 'nearest'"),
     ):
         with pytest.raises(ValueError, match=words):
             tl.OnlineCorrection(corrector, **({"start": START} | more))
@@ -185,7 +185,7 @@ def test_noise_is_seeded():
         ({"duration": 0.0}, "positive"),
         ({"duration": 0.01}, "number of samples"),
         ({"duration": 1e308}, "number of samples"),
-        ({"operator": "asleep"}, "following, lagging, ignoring"),
+        ({"operator": "asleep"}, "'following', 'lagging', 'ignoring'"),
         ({"lag": -1.0}, "negative"),
         ({"noise": -1.0}, "negative"),
         ({"noise": math.nan}, "finite"),

@@ -49,7 +49,9 @@ def loop_correction(
 ) -> LoopCorrection:
     """Return what a loop of so many samples needs to correct thresholds from `start` towards `target` (both checked before)."""
     problem = Problem(tsc.constants(), c_b, np.array(target, dtype=float), budget)
-    log = np.full(samples, (np.nan, np.nan, np.nan, np.nan, False), CORRECTED)
+    log = np.zeros(samples, CORRECTED)
+    for name in ("lower", "upper", "cost", "bound"):
+        log[name] = np.nan
     start = np.array(start, dtype=float)
     return LoopCorrection(True, adopted, problem, start, Workspace.of(horizon), Solution.of(horizon), log)
 
