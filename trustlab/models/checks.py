@@ -10,8 +10,11 @@ import difflib
 import math
 from collections.abc import Iterable
 from numbers import Integral, Real
+from typing import Any, TypeVar
 
 import numpy as np
+
+Kind = TypeVar("Kind")
 
 __all__ = [
     "between",
@@ -41,12 +44,12 @@ def shown(value: object) -> str:
 
 def did_you_mean(name: object, known: Iterable[object]) -> str:
     """Return "; did you mean …?" for a misspelt name, or nothing when no known name is close."""
-    known = {str(word).lower(): str(word) for word in known}
-    close = difflib.get_close_matches(str(name)[:100].lower(), known, n=1, cutoff=0.6)
-    return f"; did you mean {known[close[0]]!r}?" if close else ""
+    words = {str(word).lower(): str(word) for word in known}
+    close = difflib.get_close_matches(str(name)[:100].lower(), list(words), n=1, cutoff=0.6)
+    return f"; did you mean {words[close[0]]!r}?" if close else ""
 
 
-def finite_number(name: str, value: float) -> float:
+def finite_number(name: str, value: Any) -> float:
     """Return one finite real number as a float; text, booleans and arrays are refused."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
@@ -61,7 +64,7 @@ def finite_number(name: str, value: float) -> float:
     return number
 
 
-def positive(name: str, value: float) -> float:
+def positive(name: str, value: Any) -> float:
     """Return a number above 0 as a float."""
     number = finite_number(name, value)
     if not number > 0.0:
@@ -69,7 +72,7 @@ def positive(name: str, value: float) -> float:
     return number
 
 
-def not_negative(name: str, value: float) -> float:
+def not_negative(name: str, value: Any) -> float:
     """Return a number of 0 or more as a float."""
     number = finite_number(name, value)
     if number < 0.0:
@@ -77,7 +80,7 @@ def not_negative(name: str, value: float) -> float:
     return number
 
 
-def between(name: str, value: float, low: float, high: float) -> float:
+def between(name: str, value: Any, low: float, high: float) -> float:
     """Return a number in the closed interval [low, high] as a float."""
     number = finite_number(name, value)
     if not low <= number <= high:
@@ -85,7 +88,7 @@ def between(name: str, value: float, low: float, high: float) -> float:
     return number
 
 
-def open_unit(name: str, value: float) -> float:
+def open_unit(name: str, value: Any) -> float:
     """Return a number strictly between 0 and 1 as a float."""
     number = finite_number(name, value)
     if not 0.0 < number < 1.0:
@@ -93,14 +96,14 @@ def open_unit(name: str, value: float) -> float:
     return number
 
 
-def whole_number(name: str, value: int, least: int = 1, most: int | None = None) -> int:
+def whole_number(name: str, value: Any, least: int = 1, most: int | None = None) -> int:
     """Return a whole number from `least` to `most` as an int; a float counts where it is whole and below 2⁵³."""
     allowed = f"{least} or more" if most is None else f"from {least} to {most}"
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     whole = not isinstance(value, bool | np.bool_) and (
         isinstance(value, Integral)
-        or (isinstance(value, Real) and math.isfinite(value) and abs(value) < 2.0**53 and value == int(value))
+        or (isinstance(value, Real) and abs(float(value)) < 2.0**53 and float(value).is_integer())
     )
     if not whole:
         raise ValueError(f"{name} must be a whole number, {allowed}, got {shown(value)}")
@@ -110,7 +113,7 @@ def whole_number(name: str, value: int, least: int = 1, most: int | None = None)
     return number
 
 
-def one_of(name: str, value: str, allowed: Iterable[str], also: str = "") -> str:
+def one_of(name: str, value: Any, allowed: Iterable[str], also: str = "") -> str:
     """Return a word that is among those allowed; `also` says what else an argument may be, for the error only."""
     allowed = list(allowed)
     if isinstance(value, str) and value in allowed:
@@ -120,7 +123,7 @@ def one_of(name: str, value: str, allowed: Iterable[str], also: str = "") -> str
     raise ValueError(f"{name} must be one of {words}, got {shown(value)}{hint}")
 
 
-def of_class(name: str, value: object, kind: type, remedy: str = "") -> object:
+def of_class(name: str, value: object, kind: type[Kind], remedy: str = "") -> Kind:
     """
     Return a value that is an instance of `kind`.
 
@@ -146,7 +149,7 @@ def spawned(seed: int | np.random.SeedSequence, count: int) -> list[np.random.Se
     return own.spawn(count)
 
 
-def finite_array(name: str, values: np.ndarray, *, length: int | None = None) -> np.ndarray:
+def finite_array(name: str, values: Any, *, length: int | None = None) -> np.ndarray:
     """Return a one-dimensional float array without gaps, of `length` samples where that is given."""
     try:
         given = np.asarray(values)
@@ -171,7 +174,7 @@ def _objects(array: np.ndarray) -> list:
     return array.ravel().tolist() if array.dtype.kind == "O" else []
 
 
-def mode_array(mode: np.ndarray) -> np.ndarray:
+def mode_array(mode: Any) -> np.ndarray:
     """Return a float array of manual shares in [0, 1]: 1 manual, 0 autonomous, or a share between them."""
     array = finite_array("mode", mode)
     outside = (array < 0.0) | (array > 1.0)

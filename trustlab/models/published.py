@@ -93,7 +93,10 @@ def published_models() -> dict[str, TscModel]:
         Keys "pilot", "1" … "5" (or 1 … 5). b_pr follows from (2.3); the printed one is this, rounded to four decimals.
     """
     table = published_table("2.1")
-    columns = {"pilot": PILOT, **{str(name): table[name].to_dict() for name in table.columns}}
+    columns: dict[str, dict] = {
+        "pilot": PILOT,
+        **{str(name): table[name].to_dict() for name in table.columns},
+    }
     models = ByName()
     for name, printed in columns.items():
         value = {key: float(printed[key]) for key in PILOT}

@@ -6,11 +6,11 @@ import sys
 import time
 
 from trustlab.publishing.inputs import Checkout
-from trustlab.publishing.notebooks import publish
+from trustlab.publishing.notebooks import Built, publish
 from trustlab.publishing.provenance import duration
 
 
-def _arguments(words):
+def _arguments(words: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m trustlab.publishing",
         description="Run notebooks/NN_*.ipynb and write one self-contained HTML report each, and reports/index.html. "
@@ -28,12 +28,12 @@ def _arguments(words):
     return parser.parse_args(words)
 
 
-def _jobs(text):
+def _jobs(text: str) -> int | str:
     return text if text == "auto" else int(text)
 
 
-def _complain(built):
-    failure = built.failure
+def _complain(built: Built) -> None:
+    failure = built.failure or {}
     where = f", cell {failure['cell']}" if failure["cell"] is not None else ""
     lines = [f"\n── {built.name}{where} ──"]
     if failure["source"]:
@@ -41,11 +41,11 @@ def _complain(built):
     print("\n".join([*lines, failure["traceback"], ""]), file=sys.stderr, flush=True)
 
 
-def _interrupt(number, frame):
+def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
-def main(words=None):
+def main(words: list[str] | None = None) -> int:
     """Publish as the command line says; return 0, 1 if a notebook failed, 2 for a wrong command, 130 if interrupted."""
     options = _arguments(words)
     signal.signal(signal.SIGTERM, _interrupt)

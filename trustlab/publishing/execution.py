@@ -7,18 +7,20 @@ import signal
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from trustlab.models.extras import extra
+from trustlab.publishing.inputs import Checkout
 
 with extra("reports"):
     import nbformat
     import papermill
     from jupyter_client.manager import AsyncKernelManager
     from nbconvert.filters import strip_ansi
+    from nbformat import NotebookNode
     from papermill.exceptions import PapermillExecutionError
-    from papermill.utils import find_first_tagged_cell_index
 
-__all__ = ["Kernels", "anonymous", "execute", "failure_in"]
+__all__ = ["CellError", "Kernels", "anonymous", "execute"]
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Libraries told to sum in one thread: with more, the last digits differ from machine to machine."""
@@ -27,8 +29,9 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VEC
 class Kernels:
     """The kernels of one command: started in one folder and environment, and ended together when it is interrupted."""
 
-    def __init__(self, checkout, threads):
-        self.running, self.ended = [], False
+    def __init__(self, checkout: Checkout, threads: int):
+        self.running: list[AsyncKernelManager] = []
+        self.ended = False
         self.folder = checkout.notebooks
         defaults = dict.fromkeys(ONE_THREAD, "1") | {"NUMBA_NUM_THREADS": str(threads)}
         self.environment = defaults | os.environ  # what the user has set stays
@@ -37,18 +40,18 @@ class Kernels:
         if "TRUSTLAB_DATA" in os.environ or checkout.external.is_dir():
             self.environment["TRUSTLAB_DATA"] = str(checkout.external)
 
-    def manager(self, scratch):
+    def manager(self, scratch: str) -> type[AsyncKernelManager]:
         """Return the class that starts a kernel of this command; its sockets lie in the folder `scratch`."""
         kernels = self
 
         class Manager(AsyncKernelManager):
-            def __init__(self, **options):
+            def __init__(self, **options: Any):
                 super().__init__(**options)
                 self.connection_file = str(Path(scratch, "kernel.json"))
                 # Sockets in a folder: kernels that start at the same time now and then take the same ports.
                 self.transport, self.ip = "ipc", str(Path(scratch, "kernel"))
 
-            async def start_kernel(self, **options):
+            async def start_kernel(self, **options: Any) -> None:  # type: ignore[override]  # theirs is an alias
                 own = {"IPYTHONDIR": str(Path(scratch, "ipython"))}  # nobody's own start-up files
                 options |= {"cwd": str(kernels.folder), "env": kernels.environment | own}
                 kernels.running.append(self)
@@ -58,7 +61,7 @@ class Kernels:
 
         return Manager
 
-    def end(self):
+    def end(self) -> None:
         """End every kernel at once, with the processes that it started."""
         self.ended = True
         for manager in self.running:
@@ -68,15 +71,23 @@ class Kernels:
                     os.killpg(group, signal.SIGKILL)
 
 
-def execute(path, parameters, kernels):
-    """Run a notebook; return it with its outputs, and None or its failure: cell, source, error, traceback."""
-    notebook = nbformat.read(path, as_version=4)
-    reached = [None]
+class CellError(ValueError):
+    """A notebook that failed: what happened, the index of its cell, that cell's source, and the traceback."""
+
+    def __init__(self, words: str, cell: int | None = None, source: str = "", traceback: str = ""):
+        super().__init__(strip_ansi(words).strip())
+        self.cell, self.source = cell, source
+        self.traceback = strip_ansi(traceback or words).strip()
+
+
+def execute(path: Path, parameters: dict, kernels: Kernels) -> NotebookNode:
+    """Run a notebook and return it with its outputs."""
+    reached: list[tuple[int | None, str]] = [(None, "")]
     # A socket's path has some 100 characters at most; macOS's own folder for temporary files is long.
     with tempfile.TemporaryDirectory(prefix="tl-", dir="/tmp") as scratch:
         try:
-            run = papermill.execute_notebook(
-                notebook,
+            return papermill.execute_notebook(
+                nbformat.read(path, as_version=4),
                 None,
                 parameters=parameters,
                 kernel_name="python3",
@@ -85,32 +96,17 @@ def execute(path, parameters, kernels):
                 kernel_manager_class=kernels.manager(scratch),
                 on_cell_execute=lambda cell, cell_index: reached.append((cell_index, cell.source)),
             )
-            return run, None
         except PapermillExecutionError as error:
-            index, source, words = error.cell_index, error.source, f"{error.ename}: {error.evalue}"
-            traceback = "\n".join(error.traceback) or words
+            words, traceback = f"{error.ename}: {error.evalue}", "\n".join(error.traceback)
+            raise CellError(words, error.cell_index, error.source, traceback) from error
         except Exception as error:  # the kernel died, or never came up
-            index, source = reached[-1] or (None, "")
             words = f"{type(error).__name__}: {error}"
-            traceback = f"{words}\nThe kernel ended before the cell did (out of memory?)."
-    return notebook, failure_in(notebook, index, words, traceback, source, parameters)
+            raise CellError(
+                words, *reached[-1], f"{words}\nThe kernel ended before the cell did (out of memory?)."
+            ) from error
 
 
-def failure_in(notebook, index, words, traceback, source="", parameters=None):
-    """Return a failure as plain values; `index` is that of the cell as run, the result numbers cells as written, from 1."""
-    number = None if index is None else index + 1
-    # papermill puts the given parameters into a cell behind the one that declares them
-    if number is not None and parameters and index > find_first_tagged_cell_index(notebook, "parameters"):
-        number -= 1
-    return {
-        "cell": number,
-        "source": source,
-        "error": strip_ansi(words).strip(),
-        "traceback": strip_ansi(traceback).strip(),
-    }
-
-
-def anonymous(text, checkout):
+def anonymous(text: str, checkout: Checkout) -> str:
     """Return a page or an error message with the paths of this machine replaced."""
     places = {
         checkout.external: "TRUSTLAB_DATA",
@@ -127,7 +123,7 @@ def anonymous(text, checkout):
     # embedded pictures come first and stay as they are: base64 may spell anything
     pattern = "|".join([r"data:image/[^\"]*", r"(?P<cell>[\w.@+~/-]*ipykernel_\d+/\d+\.py)", *longest_first])
 
-    def named(found):
+    def named(found: re.Match[str]) -> str:
         return "this notebook" if found["cell"] else words.get(found[0], found[0])
 
     return re.sub(pattern, named, text)

@@ -1,7 +1,15 @@
 """The house style of figures: readable, distinguishable without colour vision, honest about synthetic data."""
 
+from __future__ import annotations
+
 import textwrap
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.text import Text
 
 __all__ = ["PALETTE", "caption", "label_synthetic", "use_house_style"]
 
@@ -13,7 +21,7 @@ MARK_ID = "trustlab-synthetic"
 SYNTHETIC = "Synthetic data"
 
 
-def use_house_style(inline="svg"):
+def use_house_style(inline: str = "svg") -> None:
     """Set Matplotlib's defaults to the house style, and how a notebook embeds its figures.
 
     Parameters
@@ -44,11 +52,11 @@ def use_house_style(inline="svg"):
         set_matplotlib_formats(inline, **({"dpi": 150} if inline == "png" else {}))
 
 
-def _figure(where):
+def _figure(where: Figure | Axes) -> Figure:
     return where.figure.figure  # axes -> (sub)figure -> figure; a figure is its own
 
 
-def caption(where, text, synthetic=False):
+def caption(where: Figure | Axes, text: str, synthetic: bool | str = False) -> Text:
     """Write a caption below a figure; it becomes the alternative text of the figure in a report.
 
     Parameters
@@ -76,11 +84,11 @@ def caption(where, text, synthetic=False):
     return figure.text(0.01, -0.02, words, ha="left", va="top", fontsize=9, color="#555555", gid=CAPTION_ID)
 
 
-def _label(synthetic):
+def _label(synthetic: bool | str) -> str:
     return SYNTHETIC if synthetic is True else f"{SYNTHETIC}: {synthetic}"
 
 
-def label_synthetic(where, synthetic=True):
+def label_synthetic(where: Figure | Axes, synthetic: bool | str = True) -> Text:
     """Mark a figure as made from synthetic or reconstructed data, in its upper right corner.
 
     Parameters
@@ -97,7 +105,7 @@ def label_synthetic(where, synthetic=True):
     """
     for old in [artist for artist in where.texts if artist.get_gid() == MARK_ID]:
         old.remove()
-    style = {"fontsize": 8, "color": "#8a5a00", "ha": "right", "va": "bottom", "gid": MARK_ID}
+    style: dict[str, Any] = {"fontsize": 8, "color": "#8a5a00", "ha": "right", "va": "bottom", "gid": MARK_ID}
     if hasattr(where, "transAxes"):
         return where.text(1.0, 1.01, _label(synthetic), transform=where.transAxes, **style)
     return where.text(0.995, 1.0, _label(synthetic), **style)

@@ -4,9 +4,10 @@ import html
 import json
 import os
 import re
+from pathlib import Path
 
 from trustlab.models.extras import extra
-from trustlab.publishing.inputs import input_digest
+from trustlab.publishing.inputs import Checkout, input_digest
 from trustlab.publishing.provenance import duration
 from trustlab.publishing.report_page import TEMPLATES, check_page, stylesheet
 
@@ -16,12 +17,12 @@ with extra("reports"):
 __all__ = ["read_record", "record_path", "replace_file", "write_index"]
 
 
-def record_path(checkout, name):
+def record_path(checkout: Checkout, name: str) -> Path:
     """Return where the record of a report is kept: digests of its inputs, title, sentence, thumbnail, or its failure."""
     return checkout.reports / ".build" / f"{name}.json"
 
 
-def read_record(checkout, name):
+def read_record(checkout: Checkout, name: str) -> dict:
     """Return the record of a report; empty where there is none, or none that can be read."""
     try:
         found = json.loads(record_path(checkout, name).read_text(encoding="utf-8"))
@@ -30,14 +31,14 @@ def read_record(checkout, name):
     return found if isinstance(found, dict) else {}
 
 
-def replace_file(path, text):
+def replace_file(path: Path, text: str) -> None:
     """Write a file at once: whoever reads it meanwhile sees the old one or the new one."""
     written = path.with_name(f"{path.name}-{os.getpid()}")
     written.write_text(text, encoding="utf-8")
     os.replace(written, path)
 
 
-def _card(checkout, notebook, shared):
+def _card(checkout: Checkout, notebook: Path, shared: str) -> dict:
     """Return what the index shows of one notebook."""
     name = notebook.stem
     record = read_record(checkout, name)
@@ -59,7 +60,7 @@ def _card(checkout, notebook, shared):
     }
 
 
-def _others(checkout, names):
+def _others(checkout: Checkout, names: set[str]) -> list[tuple[str, str]]:
     """Return link and title of every other page among the reports."""
     found = []
     for page in sorted(checkout.reports.glob("*.html")):
@@ -70,7 +71,7 @@ def _others(checkout, names):
     return found
 
 
-def write_index(checkout, notebooks, shared):
+def write_index(checkout: Checkout, notebooks: list[Path], shared: str) -> None:
     """Write ``index.html`` with a card for every notebook; `shared` is the `shared_digest` of the checkout."""
     cards = [_card(checkout, notebook, shared) for notebook in notebooks]
     failed = sum("failure" in card for card in cards)

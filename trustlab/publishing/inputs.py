@@ -1,14 +1,18 @@
 """What a report is made from, and digests of it: a report is built again only when one of them changed."""
 
+from __future__ import annotations
+
 import hashlib
 import json
 import os
 import platform
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 __all__ = ["Checkout", "file_digest", "folder_digest", "input_digest", "list_files"]
 
+Place = str | os.PathLike[str]
 EXTERNAL_VARIABLE = "TRUSTLAB_DATA"
 SKIPPED = ("__pycache__", ".ipynb_checkpoints")
 
@@ -44,7 +48,9 @@ class Checkout:
     external: Path
 
     @classmethod
-    def find(cls, root=None, notebooks=None, reports=None):
+    def find(
+        cls, root: Place | None = None, notebooks: Place | None = None, reports: Place | None = None
+    ) -> Checkout:
         """Return the checkout around a folder.
 
         Parameters
@@ -91,7 +97,7 @@ class Checkout:
         )
 
 
-def list_files(folder, without=()):
+def list_files(folder: Place, without: Iterable[Place] = ()) -> list[Path]:
     """Return every file below a folder in order of path; caches, hidden files and the folders `without` are left out."""
     without = {Path(place) for place in without}
     found = []
@@ -106,7 +112,7 @@ def list_files(folder, without=()):
     return sorted(found)
 
 
-def file_digest(path):
+def file_digest(path: Place) -> str:
     """Return the SHA-256 of a file's content, or "absent"."""
     try:
         with open(path, "rb") as file:
@@ -115,7 +121,7 @@ def file_digest(path):
         return "absent"
 
 
-def folder_digest(folder, times=False):
+def folder_digest(folder: Place, times: bool = False) -> str:
     """Return a digest of names and sizes of a folder's files, and of their times of last change; or "absent"."""
     if not Path(folder).is_dir():
         return "absent"
@@ -127,7 +133,7 @@ def folder_digest(folder, times=False):
     return digest.hexdigest()
 
 
-def shared_digest(checkout):
+def shared_digest(checkout: Checkout) -> str:
     """Return the digest of what every report depends on: package, committed data, lock, Python, external data."""
     digest = hashlib.sha256(f"{platform.python_version()} {platform.machine()}".encode())
     for folder in (checkout.package, checkout.data):
@@ -138,7 +144,9 @@ def shared_digest(checkout):
     return digest.hexdigest()
 
 
-def input_digest(checkout, notebook, parameters=None, shared=None):
+def input_digest(
+    checkout: Checkout, notebook: Place, parameters: dict | None = None, shared: str | None = None
+) -> str:
     """Return the digest of all that one report depends on; `shared` is the `shared_digest` where it is at hand."""
     shared = shared_digest(checkout) if shared is None else shared
     line = [shared, file_digest(notebook), sorted((parameters or {}).items())]

@@ -2,7 +2,8 @@
 
 import html
 import re
-from xml.etree.ElementTree import tostring
+from collections.abc import Iterator
+from xml.etree.ElementTree import Element, tostring
 
 from trustlab.models.extras import extra
 
@@ -19,7 +20,7 @@ class MathError(ValueError):
     """A formula that cannot be shown: the message quotes it and says what to change."""
 
 
-def to_mathml(latex, display=False):
+def to_mathml(latex: str, display: bool = False) -> str:
     r"""Return a formula as a ``<math>`` element.
 
     Parameters
@@ -69,11 +70,11 @@ def to_mathml(latex, display=False):
     return tostring(math, encoding="unicode")
 
 
-def _refused(latex, faults):
+def _refused(latex: str, faults: list[str]) -> MathError:
     return MathError(f"the formula “{latex.strip()}” cannot be shown: {'; '.join(dict.fromkeys(faults))}")
 
 
-def _faults(element):
+def _faults(element: Element) -> Iterator[str]:
     """Yield what the converter passed through without converting it."""
     name, text = element.tag, element.text or ""
     if name != "mtext" and "\\" in text:

@@ -1,18 +1,25 @@
 """Every notebook to a report, in parallel, built again only when its inputs changed."""
 
+from __future__ import annotations
+
 import ast
 import json
 import re
 import time
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from trustlab.models.checks import did_you_mean, shown, whole_number
 from trustlab.models.extras import extra
 from trustlab.publishing.inputs import Checkout, input_digest, shared_digest
 from trustlab.publishing.provenance import duration, provenance
+
+if TYPE_CHECKING:
+    from trustlab.publishing.execution import Kernels
 
 __all__ = ["Built", "declared_parameters", "find_notebooks", "parameters_for", "parse_value", "publish"]
 
@@ -41,7 +48,7 @@ class Built:
     failure: dict | None = None
 
 
-def find_notebooks(checkout, names=()):
+def find_notebooks(checkout: Checkout, names: Iterable[str] = ()) -> list[Path]:
     """Return the files ``NN_*.ipynb`` in order; those that `names` name, in full or by their beginning, or all."""
     found = sorted(path for path in checkout.notebooks.glob("*.ipynb") if NAMED.fullmatch(path.name))
     if not found:
@@ -59,18 +66,28 @@ def find_notebooks(checkout, names=()):
     return [path for path in found if path.stem in chosen]
 
 
-def declared_parameters(path):
-    """Return the parameters that a notebook declares in its cell tagged ``parameters``, and their defaults."""
+def _parameters_cell(path: Path) -> tuple[int, str]:
+    """Return index and source of the cell tagged ``parameters``; behind the last cell and empty where there is none."""
     with extra("reports"):
         import nbformat
-        from papermill.translators import PythonTranslator
 
     cells = nbformat.read(path, as_version=4).cells
-    tagged = (cell for cell in cells if "parameters" in cell.metadata.get("tags", []))
-    return {one.name: _literal(one.default) for one in PythonTranslator.inspect(next(tagged, {"source": ""}))}
+    tagged = (
+        (i, cell.source) for i, cell in enumerate(cells) if "parameters" in cell.metadata.get("tags", [])
+    )
+    return next(tagged, (len(cells), ""))
 
 
-def _literal(source):
+def declared_parameters(path: Path) -> dict[str, Any]:
+    """Return the parameters that a notebook declares in its cell tagged ``parameters``, and their defaults."""
+    with extra("reports"):
+        from papermill.translators import PythonTranslator
+
+    declared = PythonTranslator.inspect({"source": _parameters_cell(path)[1]})
+    return {one.name: _literal(one.default) for one in declared}
+
+
+def _literal(source: str) -> Any:
     """Return the value of a Python literal, or else its source."""
     try:
         return ast.literal_eval(source)
@@ -78,7 +95,7 @@ def _literal(source):
         return source
 
 
-def parse_value(text):
+def parse_value(text: str) -> bool | int | float | str | None:
     """Return a parameter's value as papermill's command line reads it: True, False, None, a number, or else the text."""
     words = {"True": True, "False": False, "None": None}
     if text in words:
@@ -91,7 +108,7 @@ def parse_value(text):
     return text
 
 
-def parameters_for(notebooks, given):
+def parameters_for(notebooks: list[Path], given: dict[str, Any]) -> dict[Path, dict[str, Any]]:
     """Return the parameters each notebook gets: those of the given ones that it declares, of the kind of their default."""
     if not given:
         return {path: {} for path in notebooks}
@@ -110,7 +127,7 @@ def parameters_for(notebooks, given):
     }
 
 
-def _fitting(name, given, default, notebook):
+def _fitting(name: str, given: Any, default: Any, notebook: Path) -> Any:
     """Return a value of the kind the notebook declares; text is read as papermill reads it."""
     if isinstance(given, str) and isinstance(default, str):
         return given
@@ -123,26 +140,34 @@ def _fitting(name, given, default, notebook):
     return value
 
 
-def _run(checkout, path, parameters, kernels):
+def _run(checkout: Checkout, path: Path, parameters: dict[str, Any], kernels: Kernels) -> dict[str, Any]:
     """Run one notebook and lay out its page; return what is known of it afterwards."""
-    from trustlab.publishing.execution import anonymous, execute, failure_in
-    from trustlab.publishing.report_page import ReportError, report_html
+    from trustlab.publishing.execution import CellError, anonymous, execute
+    from trustlab.publishing.report_page import report_html
 
-    clock, started = time.monotonic(), datetime.now(UTC).isoformat(timespec="seconds")
+    clock = time.monotonic()
+    result: dict[str, Any] = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
     used = declared_parameters(path) | parameters
-    origin = provenance(checkout, path, used, started)  # before the run: what it starts from
-    run, failure = execute(path, parameters, kernels)
-    result = {"started": started, "seconds": time.monotonic() - clock}
-    if failure is None:
-        try:
-            page, card = report_html(run, path.stem, origin | result, parameters, checkout.notebooks)
-            return result | card | {"page": anonymous(page, checkout)}
-        except ReportError as error:
-            failure = failure_in(run, error.cell, str(error), str(error), parameters=parameters)
-    return result | {"failure": failure | {"shown": anonymous(failure["error"], checkout)}}
+    origin = provenance(checkout, path, used, **result)  # before the run: what it starts from
+    try:
+        run = execute(path, parameters, kernels)
+        origin["seconds"] = time.monotonic() - clock
+        page, card = report_html(run, path.stem, origin, parameters, checkout.notebooks)
+        result |= card | {"page": anonymous(page, checkout)}
+    except CellError as error:
+        # Papermill puts given parameters into a cell of its own, behind the one that declares them.
+        given = parameters and error.cell is not None and error.cell > _parameters_cell(path)[0]
+        result["failure"] = {
+            "cell": None if error.cell is None else error.cell + (0 if given else 1),
+            "source": error.source,
+            "error": str(error),
+            "traceback": error.traceback,
+            "shown": anonymous(str(error), checkout),
+        }
+    return result | {"seconds": time.monotonic() - clock}
 
 
-def _keep(checkout, name, result, record):
+def _keep(checkout: Checkout, name: str, result: dict[str, Any], record: dict[str, Any]) -> Built:
     """Put a finished report in place, or take away the one that is no longer true."""
     from trustlab.publishing.index_page import record_path, replace_file
 
@@ -158,7 +183,7 @@ def _keep(checkout, name, result, record):
     return Built(name, "failed" if failure else "built", result["seconds"], failure)
 
 
-def _told(built):
+def _told(built: Built) -> str:
     """Return the line of progress of one finished notebook."""
     if built.failure is None:
         return f"{built.name} … built in {duration(built.seconds)}"
@@ -167,8 +192,15 @@ def _told(built):
 
 
 def publish(
-    names=(), *, checkout=None, parameters=None, jobs="auto", force=False, report=None, on_failure=None
-):
+    names: Iterable[str] = (),
+    *,
+    checkout: Checkout | None = None,
+    parameters: dict[str, Any] | None = None,
+    jobs: int | str = "auto",
+    force: bool = False,
+    report: Callable[[str], object] | None = None,
+    on_failure: Callable[[Built], object] | None = None,
+) -> list[Built]:
     """Run notebooks and write one self-contained HTML report each, and the index of all.
 
     A notebook that fails leaves no report, an earlier one of it is removed, and the others are built all the same.
@@ -250,7 +282,7 @@ def publish(
     return [done[path] for path in chosen]
 
 
-def _remove_orphans(checkout, say):
+def _remove_orphans(checkout: Checkout, say: Callable[[str], object]) -> None:
     """Remove reports whose notebook is gone."""
     for record in sorted((checkout.reports / ".build").glob("*.json")):
         if not (checkout.notebooks / f"{record.stem}.ipynb").is_file():

@@ -4,8 +4,9 @@ import importlib.metadata
 import platform
 import subprocess
 from pathlib import Path
+from typing import Any
 
-from trustlab.publishing.inputs import file_digest, folder_digest, list_files
+from trustlab.publishing.inputs import Checkout, file_digest, folder_digest, list_files
 
 __all__ = ["commit", "duration", "provenance", "versions"]
 
@@ -24,10 +25,10 @@ SHORT = 12
 """Digits of a digest that a reader sees."""
 
 
-def commit(root):
+def commit(root: str | Path) -> str:
     """Return the commit a repository is at, marked where files are changed, or that it is no git checkout."""
 
-    def git(*words):
+    def git(*words: str) -> str:
         command = ["git", "-C", str(root), *words]
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout.strip()
 
@@ -40,7 +41,7 @@ def commit(root):
         return "not a git checkout"
 
 
-def versions():
+def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages that results depend on, by name."""
     found = {"python": platform.python_version()}
     for name in PACKAGES:
@@ -51,7 +52,13 @@ def versions():
     return found
 
 
-def provenance(checkout, notebook, parameters=None, started="", seconds=float("nan")):
+def provenance(
+    checkout: Checkout,
+    notebook: str | Path,
+    parameters: dict[str, Any] | None = None,
+    started: str = "",
+    seconds: float = float("nan"),
+) -> dict[str, Any]:
     """Return where a report comes from, as plain values without paths, user or host names of this machine.
 
     Parameters
@@ -96,7 +103,7 @@ def provenance(checkout, notebook, parameters=None, started="", seconds=float("n
     }
 
 
-def duration(seconds):
+def duration(seconds: float) -> str:
     """Return a time taken as people write it: "0.8 s", "12.3 s", "3 min 07 s"."""
     if round(seconds, 1) < 60:
         return f"{seconds:.1f} s"

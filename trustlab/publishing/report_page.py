@@ -1,25 +1,31 @@
 """An executed notebook to one HTML page by nbconvert: no script, nothing fetched, formulas as MathML."""
 
+from __future__ import annotations
+
 import base64
 import html
 import re
 from pathlib import Path
+from typing import Any
 
 from trustlab.models.extras import extra
+from trustlab.publishing.execution import CellError
 from trustlab.publishing.figures import CAPTION_ID
 from trustlab.publishing.mathml import MathError, to_mathml
 from trustlab.publishing.provenance import duration
 
 with extra("reports"):
-    from bs4 import BeautifulSoup
+    from bs4 import BeautifulSoup, Tag
     from nbconvert import HTMLExporter
     from nbconvert.filters import strip_ansi
     from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath, MathInlineParser
+    from nbformat import NotebookNode
     from pygments.formatters import HtmlFormatter
     from traitlets.config import Config
 
 __all__ = ["ReportError", "markdown_html", "page_faults", "report_html", "stylesheet"]
 
+Heading = tuple[int, str, str]  # level, anchor, HTML
 TEMPLATES = Path(__file__).parent / "templates"
 CONTENTS_FROM = 5
 """Number of headings from which a page has a list of contents."""
@@ -42,12 +48,8 @@ NUMBER = re.compile(
 )
 
 
-class ReportError(ValueError):
+class ReportError(CellError):
     """A notebook that ran but cannot be published: what is wrong, and the index of its cell where it is one cell's."""
-
-    def __init__(self, words, cell=None):
-        super().__init__(words)
-        self.cell = cell
 
 
 class _Inline(MathInlineParser):
@@ -57,20 +59,20 @@ class _Inline(MathInlineParser):
 class _Renderer(IPythonRenderer):
     """nbconvert's Markdown, with MathML in place of formulas for a script, and anchors that are noted."""
 
-    def __init__(self, headings, attachments, folder):
+    def __init__(self, headings: list[Heading], attachments: dict, folder: str | Path):
         super().__init__(escape=False, embed_images=True, attachments=attachments, path=str(folder))
         self.headings = headings
 
-    def inline_math(self, body):
+    def inline_math(self, body: str) -> str:
         return to_mathml(body)
 
-    def block_math(self, body):
+    def block_math(self, body: str) -> str:
         return f'<span class="equation">{to_mathml(body, display=True)}</span>'
 
-    def latex_environment(self, name, body):
+    def latex_environment(self, name: str, body: str) -> str:
         return self.block_math(f"\\begin{{{name}}}{body}\\end{{{name}}}")
 
-    def heading(self, text, level, **_):
+    def heading(self, text: str, level: int, **_: Any) -> str:
         slug = re.sub(r"\W+", "-", plain(text).lower()).strip("-") or "section"
         taken = [anchor for _, anchor, _ in self.headings]
         repeated = sum(re.fullmatch(re.escape(slug) + r"(-\d+)?", anchor) is not None for anchor in taken)
@@ -80,19 +82,24 @@ class _Renderer(IPythonRenderer):
         return f'<h{level} id="{anchor}">{text}{link}</h{level}>\n'
 
 
-def markdown_html(source, headings=None, attachments=None, folder=""):
+def markdown_html(
+    source: str,
+    headings: list[Heading] | None = None,
+    attachments: dict | None = None,
+    folder: str | Path = "",
+) -> str:
     """Return Markdown as HTML with formulas and pictures embedded; `headings` gets (level, anchor, HTML) of each."""
     renderer = _Renderer([] if headings is None else headings, attachments or {}, folder)
-    return MarkdownWithMath(renderer, inline=_Inline())(source)
+    return MarkdownWithMath(renderer, inline=_Inline()).render(source)
 
 
-def plain(markup):
+def plain(markup: str) -> str:
     """Return the text of markup, each formula as its LaTeX."""
     markup = re.sub(r'<math[^>]*alttext="([^"]*)".*?</math>', r"\1", markup, flags=re.DOTALL)
     return " ".join(html.unescape(re.sub(r"<[^>]+>", "", markup)).split())
 
 
-def output_html(markup):
+def output_html(markup: str) -> str:
     """Return an HTML output with its formulas as MathML and its tables in the style of the page."""
     soup = BeautifulSoup(markup, "html.parser")
     for style in soup.select("style[scoped]"):  # pandas sends it along with every table
@@ -110,21 +117,22 @@ def output_html(markup):
     return str(soup)
 
 
-def _style_table(table):
+def _style_table(table: Tag) -> None:
     """Mark the columns of numbers, heads included, which the style sheet aligns."""
-    for cell in table.find_all("td"):
-        if NUMBER.fullmatch(cell.get_text(strip=True)):
-            cell["class"] = [*cell.get("class", []), "number"]
     rows = [row.find_all(["th", "td"]) for row in table.find_all("tr") if not row.select("[colspan]")]
     heads = [row for row in rows if all(cell.name == "th" for cell in row)]
-    first = next((row for row in rows if row not in heads), [])
-    for head in heads:
-        for name, below in zip(head, first, strict=False):
-            if "number" in below.get("class", []):
-                name["class"] = [*name.get("class", []), "number"]
+    below = next((row for row in rows if row not in heads), rows[:0])
+    numeric = [cell for cell in table.find_all("td") if _is_number(cell)]
+    numeric += [name for head in heads for name, cell in zip(head, below, strict=False) if _is_number(cell)]
+    for cell in numeric:
+        cell["class"] = " ".join([*cell.get_attribute_list("class"), "number"])
 
 
-def image_uri(output):
+def _is_number(cell: Any) -> bool:
+    return cell.name == "td" and NUMBER.fullmatch(cell.get_text(strip=True)) is not None
+
+
+def image_uri(output: NotebookNode) -> str:
     """Return an output's picture as a data URI, or an empty string."""
     data = output.get("data", {})
     kind = next((kind for kind in IMAGES if kind in data), None)
@@ -134,7 +142,7 @@ def image_uri(output):
     return f"data:{kind};base64,{text}"
 
 
-def result(text):
+def result(text: str) -> str:
     """Return the text of a cell's last value, or nothing where it is an object of Matplotlib."""
     return "" if LEFT_OVER.match(text) else strip_ansi(text)
 
@@ -142,23 +150,25 @@ def result(text):
 class Page:
     """What the template asks for while nbconvert lays out a notebook, cell by cell."""
 
-    def __init__(self, notebook, folder):
+    def __init__(self, notebook: NotebookNode, folder: str | Path):
         self.notebook, self.folder = notebook, folder
-        self.headings, self.index, self.attachments = [], None, None
+        self.headings: list[Heading] = []
+        self.index: int | None = None
+        self.attachments = None
 
-    def __deepcopy__(self, memo):  # nbconvert copies what it passes on to the template
+    def __deepcopy__(self, memo: dict) -> Page:  # nbconvert copies what it passes on to the template
         return self
 
-    def enter(self, index):
+    def enter(self, index: int) -> str:
         """Note which cell is laid out, for errors."""
         self.index = index
         self.attachments = self.notebook.cells[index].get("attachments")
         return ""
 
-    def markdown(self, source):
+    def markdown(self, source: str) -> str:
         return markdown_html(source, self.headings, self.attachments, self.folder)
 
-    def alt(self, output):
+    def alt(self, output: NotebookNode) -> str:
         """Return what a figure shows: by its metadata, its caption, or else the heading above it."""
         given = [output.metadata, *(output.metadata.get(kind, {}) for kind in IMAGES)]
         words = next((entry["alt"] for entry in given if entry.get("alt")), "")
@@ -169,16 +179,16 @@ class Page:
         above = plain(self.headings[-1][2]) if self.headings else "result"
         return " ".join((words or f"Figure: {above}").split())
 
-    def refuse_script(self):
+    def refuse_script(self) -> None:
         raise MathError("it shows JavaScript, which a report cannot hold; show a figure or a table instead")
 
     @property
-    def title(self):
+    def title(self) -> str:
         titles = sorted(self.headings, key=lambda heading: heading[0] != 1)
         return plain(titles[0][2]) if titles else ""
 
     @property
-    def contents(self):
+    def contents(self) -> list[Heading]:
         found = [
             (level, anchor, re.sub(r"</?a\b[^>]*>", "", text))
             for level, anchor, text in self.headings
@@ -187,14 +197,14 @@ class Page:
         return found if len(self.headings) >= CONTENTS_FROM else []
 
     @property
-    def thumbnail(self):
+    def thumbnail(self) -> str:
         """The picture of the cell tagged ``thumbnail``, else the first there is, as a data URI."""
         cells = [cell for cell in self.notebook.cells if cell.cell_type == "code"]
         cells.sort(key=lambda cell: "thumbnail" not in cell.metadata.get("tags", []))
         return next((uri for cell in cells for output in cell.outputs if (uri := image_uri(output))), "")
 
     @property
-    def sentence(self):
+    def sentence(self) -> str:
         """The first sentence below the title as HTML, or the one in the notebook's metadata."""
         first = next((cell.source for cell in self.notebook.cells if cell.cell_type == "markdown"), "")
         paragraphs = re.split(r"\n\s*\n", re.sub(r"(?m)^#.*$", "\n", first).strip())
@@ -203,7 +213,9 @@ class Page:
         return re.sub(r"</?(p|a)\b[^>]*>", "", markdown_html(words, folder=self.folder)).strip()
 
 
-def report_html(notebook, name, origin, given=None, folder=""):
+def report_html(
+    notebook: NotebookNode, name: str, origin: dict, given: dict | None = None, folder: str | Path = ""
+) -> tuple[str, dict[str, str]]:
     """Return an executed notebook as one self-contained page, and its title, sentence and thumbnail for the index."""
     page = Page(notebook, folder)
     exporter = HTMLExporter(
@@ -221,13 +233,13 @@ def report_html(notebook, name, origin, given=None, folder=""):
     return text, {"title": page.title or name, "sentence": page.sentence, "thumbnail": page.thumbnail}
 
 
-def stylesheet():
+def stylesheet() -> str:
     """Return the style sheet of reports and index, with the colours of code."""
     own = (TEMPLATES / "report.css").read_text(encoding="utf-8")
     return own + HtmlFormatter(style="friendly", nobackground=True).get_style_defs(".highlight")
 
 
-def page_faults(page):
+def page_faults(page: str) -> list[str]:
     """Return what a page would run or fetch, one phrase each; nothing for a page that is complete in itself."""
     faults = []
     # Without its embedded pictures the page is small.
@@ -244,12 +256,12 @@ def page_faults(page):
                 faults.append(f"its <{tag.name}> has a script in {name}")
             if name == "http-equiv" and value.lower() == "refresh":
                 faults.append("it loads another page by itself")
-        if ELSEWHERE.search(tag.get("style", "") + (str(tag.string) if tag.name == "style" else "")):
+        if ELSEWHERE.search(f"{tag.get('style', '')} {tag.string if tag.name == 'style' else ''}"):
             faults.append(f"a style of its <{tag.name}> would fetch something")
     return list(dict.fromkeys(faults))
 
 
-def check_page(page, what):
+def check_page(page: str, what: str) -> None:
     """Refuse a page that would run or fetch anything."""
     faults = page_faults(page)
     if faults:
