@@ -294,6 +294,14 @@ def test_topics_that_cannot_be_used(tmp_path, name):
         read_session(path)
 
 
+def test_columns_of_which_none_comes_from_a_topic(tmp_path):
+    recipe = Recipe.from_toml(ERROR + "beta = { value = 0.5 }\n")
+    path = errors(tmp_path / "a.mcap", [0.0, 1.0, 2.0]).write()
+    assert read_session(path, recipe=recipe, columns=["beta", "path_error"]).columns == ["beta", "path_error"]
+    with pytest.raises(SessionError, match="none of the columns to read comes from a topic"):
+        read_session(path, recipe=recipe, columns=["beta"])
+
+
 def test_a_topic_without_messages(tmp_path):
     path = tmp_path / "empty"
     store = get_typestore(Stores.ROS2_HUMBLE)

@@ -89,7 +89,7 @@ def test_what_cannot_be_written(session, tmp_path):
         write_session(session.with_metadata(when=(1, 2)), tmp_path / "a.csv")
     with pytest.raises(SessionError, match=r"cannot tell the format.*did you mean '.csv'"):
         write_session(session, tmp_path / "a.cvs")
-    with pytest.raises(ValueError, match="format must be one of .*did you mean 'parquet'"):
+    with pytest.raises(ValueError, match=r"format must be one of .*did you mean 'parquet'"):
         write_session(session, tmp_path / "a.parquet", format="parket")
     with pytest.raises(SessionError, match=r"call it a\.csv"):
         write_session(session, tmp_path / "a.txt", format="csv")
@@ -215,6 +215,28 @@ def test_places(tmp_path):
         read_session(tmp_path / "run.csv", recipe="autonomy_cl")
     with pytest.raises(RecipeError, match="reads a bag"):
         read_session(write(tmp_path, HEAD, "p_run1.csv"), recipe="ros_ground_robot")
+
+
+def test_an_argument_that_does_not_apply_is_refused_by_name(tmp_path, session):
+    paths = [write_session(session, tmp_path / name) for name in FORMATS]
+    for path in paths[1:]:
+        for name, value in (("delimiter", ";"), ("decimal", ",")):
+            with pytest.raises(ValueError, match=rf"{name} applies to \.csv files, not to .*leave it out"):
+                read_session(path, **{name: value})
+    with pytest.raises(RecipeError, match="delimiter must be one of"):
+        read_session(paths[0], delimiter=";;")
+    with pytest.raises(RecipeError, match=r"decimal and delimiter must differ"):
+        read_session(paths[0], decimal=",")
+    with pytest.raises(RecipeError, match=r"delimiter is given, but the recipe states it"):
+        read_session(paths[0], recipe="autonomy_cl_trust", delimiter=";")
+    # In a folder the argument applies to the CSV files, and is refused where there is none.
+    write(tmp_path, "t;p_r\n0;0,5\n1;0,25\n")
+    with_comma = read_sessions(tmp_path, delimiter=";", decimal=",", columns=["p_r"])
+    assert len(with_comma) == len(FORMATS)
+    np.testing.assert_array_equal(with_comma[-1]["p_r"], [0.5, 0.25])
+    paths[0].unlink()
+    with pytest.raises(ValueError, match=r"delimiter applies to \.csv files"):
+        read_sessions(tmp_path, delimiter=";")
 
 
 def test_resampling_only_when_asked(tmp_path):
@@ -343,6 +365,18 @@ def test_no_warnings_and_no_shadowed_names(tmp_path, session):
         read_session(write_session(session, tmp_path / "a.csv"))
     assert callable(tl.sessions.list_recipes)
     assert tl.sessions.recipe.__doc__.startswith("\nRecipes:")
+
+
+def test_old_names_work_and_say_the_new_one():
+    with pytest.warns(DeprecationWarning, match=r"sessions\.recipes is now trustlab\.sessions\.recipe;"):
+        assert tl.sessions.__getattr__("recipes") is tl.sessions.recipe
+    with pytest.warns(DeprecationWarning, match=r"is now trustlab\.sessions\.recipe\.Recipe"):
+        from trustlab.sessions.recipes import Recipe
+    assert Recipe is tl.sessions.Recipe
+
+
+def test_what_is_written_says_what_it_is(tmp_path, session):
+    write_session(session, tmp_path / "a.csv")
     assert (
         json.loads((tmp_path / "a.csv").read_text().splitlines()[0].removeprefix("# trustlab "))[
             "participant"

@@ -27,6 +27,22 @@ def test_a_session_knows_its_time():
     assert "p_r" not in session
 
 
+def test_names_work_as_those_of_a_data_frame():
+    session = tl.Session(frame(11, p_r=0.5))
+    assert "t" in session
+    assert "p_h" not in session
+    assert 0 not in session
+    assert list(session) == session.keys() == ["t", "mode", "p_r"]
+    assert all(name in session for name in session)
+    assert {name: len(values) for name, values in dict(session).items()} == {"t": 11, "mode": 11, "p_r": 11}
+    session.require("t", "mode")
+    with pytest.raises(tl.SessionError, match=r"indexed by a column's name, got 0"):
+        session[0]
+    axes = session.plot(["t", "p_r"])
+    assert axes[0].get_ylabel() == "t [s]"
+    plt.close("all")
+
+
 def test_time_may_be_a_column():
     table = frame(5).reset_index()
     assert tl.Session(table) == tl.Session(frame(5))

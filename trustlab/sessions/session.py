@@ -41,6 +41,8 @@ class Session:
     0.1
     """
 
+    how_to_get = "read one with trustlab.read_session(path) or make one with trustlab.Session(frame)"
+
     data: pd.DataFrame
     metadata: Metadata = field(default_factory=Metadata)
 

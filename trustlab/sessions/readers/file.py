@@ -68,7 +68,7 @@ def read_session(
         If another argument is not valid, or does not apply to the file's format.
     """
     reader = FileReader(recipe, columns, resample, sample_time, delimiter, decimal)
-    reader.check_layout([path])
+    reader.set_layout([path])
     return reader.read(path)
 
 
@@ -82,19 +82,19 @@ class FileReader:
         if resample is None and self.recipe is not None:
             self.method, self.sample_time = self.recipe.method, self.recipe.sample_time
         layout = {"delimiter": delimiter, "decimal": decimal}
-        self.layout = {name: value for name, value in layout.items() if value is not None}
-        self.table = parse(TableRule, self.layout, "arguments")
-        if self.layout and self.recipe is not None:
-            given = next(iter(self.layout))
-            raise RecipeError(f"{given} is given, but the recipe states it, in [table]", self.recipe.source)
+        self.given = {name: value for name, value in layout.items() if value is not None}
+        if self.given and self.recipe is not None:
+            name = next(iter(self.given))
+            raise RecipeError(f"{name} is given, but the recipe states it, in [table]", self.recipe.source)
         self.index = SessionIndex(self.recipe) if self.recipe and self.recipe.header else None
 
-    def check_layout(self, paths: Sequence[str | os.PathLike]) -> None:
-        """Refuse a delimiter or decimal mark that is given where none of the files is a CSV file."""
-        if self.layout and not any(str(path).lower().endswith(".csv") for path in paths):
-            name = next(iter(self.layout))
-            kind = Path(paths[0]).suffix.lower() or "folders"
+    def set_layout(self, paths: Sequence[str | os.PathLike]) -> None:
+        """Set how CSV files are written; refuse a delimiter or decimal mark where none of the files is one."""
+        if self.given and not any(str(path).lower().endswith(".csv") for path in paths):
+            name = next(iter(self.given))
+            kind = os.path.splitext(str(paths[0]))[1].lower() or "folders"
             raise ValueError(f"{name} applies to .csv files, not to {kind}: leave it out (file: {paths[0]})")
+        self.layout = self.recipe.table if self.recipe else parse(TableRule, self.given, "arguments")
 
     def read(self, path: str | os.PathLike) -> Session:
         """Return the session of one file, or of one rosbag2 folder."""
@@ -130,7 +130,7 @@ class FileReader:
         if suffix == ".csv":
             from trustlab.sessions.readers.csv_files import read_csv
 
-            return read_csv(path, self.recipe, needed, self.recipe.table if self.recipe else self.table)
+            return read_csv(path, self.recipe, needed, self.layout)
         from trustlab.sessions.readers.parquet_files import read_parquet
 
         return read_parquet(path, self.recipe, needed)

@@ -78,7 +78,7 @@ def read_sessions(
         raise SessionError(f"there is no such folder{hint}", source)
     has_pattern = reader.recipe is not None and reader.recipe.pattern is not None
     paths = _matching(source, reader.recipe, reader.index) if has_pattern else _logs_in(source)
-    reader.check_layout(paths)
+    reader.set_layout(paths)
     sessions = []
     for done, path in enumerate(paths, start=1):
         sessions.append(reader.read(path))
