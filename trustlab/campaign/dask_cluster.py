@@ -11,6 +11,7 @@ import numpy as np
 
 from trustlab.campaign.errors import CampaignError
 from trustlab.campaign.executors import Workers
+from trustlab.models.extras import extra
 
 __all__ = ["DaskWorkers"]
 
@@ -87,12 +88,8 @@ class DaskWorkers(Workers):
 
 def _client(cluster: object) -> tuple[object, bool]:
     """Return a client of a cluster, and whether it was made here."""
-    try:
+    with extra("cluster"):
         from distributed import Client
-    except ImportError as error:
-        raise CampaignError(
-            f"`cluster` needs Dask, which cannot be imported ({error}); install trustlab with its extra: trustlab[cluster]"
-        ) from error
     if isinstance(cluster, Client):
         if cluster.asynchronous:
             raise CampaignError(

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from trustlab.models.checks import of_class, one_of
+from trustlab.models.extras import extra
 from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.metadata import metadata_to_json
 from trustlab.sessions.readers.bags import PREFIX, check_sqlite_path
@@ -108,8 +109,9 @@ def _write_parquet(session: Session, place: Path, format: str) -> Path:
 
 
 def _write_bag(session: Session, place: Path, format: str) -> Path:
-    from rosbags import rosbag1, rosbag2
-    from rosbags.typesys import Stores, get_typestore
+    with extra("ros"):
+        from rosbags import rosbag1, rosbag2
+        from rosbags.typesys import Stores, get_typestore
 
     ros1 = format == "bag"
     typestore = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from trustlab.models.extras import extra
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, damage_named, listed
 from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.patterns import FieldPath
@@ -85,8 +86,9 @@ class _Bag:
 
 @contextmanager
 def _open(path: Path) -> Iterator[_Bag]:
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
+    with extra("ros"):
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
 
     for database in [path] if path.suffix == ".db3" else sorted(path.glob("*.db3")):
         check_sqlite_path(path)

@@ -1,0 +1,58 @@
+"""A feature whose extra is not installed says which one to install, and changes nothing."""
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+USES = {
+    "read a bag": ("ros", "rosbags.highlevel", "tl.read_session('run.bag')"),
+    "write a bag": ("ros", "rosbags", "tl.write_session(session, 'new.mcap')"),
+    "run on a cluster": (
+        "cluster",
+        "distributed",
+        "tl.run_campaign(lambda x, seed: {'y': x}, [{'x': 1}], cluster='tcp://127.0.0.1:1', seed=0)",
+    ),
+    "publish": ("reports", "papermill", "tl.publishing.publish()"),
+    "convert a formula": ("reports", "latex2mathml.converter", "tl.publishing.to_mathml('a')"),
+}
+
+
+@pytest.mark.parametrize("use", USES)
+def test_missing_extra_is_named(use, tmp_path):
+    extra, package, call = USES[use]
+    (tmp_path / "run.bag").write_bytes(b"#ROSBAG V2.0\n")
+    (tmp_path / "notebooks").mkdir()
+    code = (
+        f"import sys; sys.modules[{package!r}] = None\n"
+        "import numpy as np, pandas as pd, trustlab as tl\n"
+        "frame = pd.DataFrame({'mode': [1.0, 0.0]}, index=pd.Index([0.0, 0.1], name='t'))\n"
+        f"session = tl.Session(frame)\n{call}\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert f'pip install "trustlab[{extra}]"' in done.stderr.splitlines()[-1]
+    assert package.partition(".")[0] in done.stderr.splitlines()[-1]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["notebooks", "run.bag"]
+
+
+def test_extras_are_declared_and_all_has_them():
+    extras = PROJECT["optional-dependencies"]
+    assert {extra for extra, _, _ in USES.values()} <= set(extras)
+    named = extras["all"][0].partition("[")[2].rstrip("]").split(",")
+    assert set(named) == set(extras) - {"all"}
+
+
+def test_the_lock_has_every_dependency_and_names_no_registry():
+    lock = (ROOT / "environment.lock").read_text()
+    locked = {line.partition("==")[0] for line in lock.splitlines() if line[:1].isalpha()}
+    needed = [PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()]
+    names = {
+        line.partition(">")[0].replace("_", "-") for group in needed for line in group if "[" not in line
+    }
+    assert names - locked == set()
+    assert "://" not in lock
