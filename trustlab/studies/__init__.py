@@ -5,6 +5,8 @@ import lazy_loader as lazy
 __getattr__, __dir__, __all__ = lazy.attach(
     __name__,
     submod_attrs={
+        "analysis.apa": ["apa_number", "apa_p", "apa_table"],
+        "analysis.pairwise": ["bonferroni", "holm"],
         "analysis.batch": ["RepeatedMeasuresBatch", "repeated_measures_batch"],
         "planning.closed_form_power": ["clopper_pearson", "noncentral_f_power", "noncentrality"],
         "planning.covariances": ["Conditions", "graded_covariance"],

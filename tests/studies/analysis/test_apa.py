@@ -65,3 +65,29 @@ def test_a_mean_of_whole_points_is_exact(seed):
     for scheme, mean in zip("ABCD", answers.sum(axis=0), strict=True):
         on_paper = int((100 * mean + 12) // 24)  # hundredths, halves up
         assert f"{scheme} (M = {on_paper // 100}.{on_paper % 100:02d}, SD = " in result.apa()
+
+
+def test_a_table_for_reading():
+    frame = pd.DataFrame(
+        {
+            "a": [0.0, 0.2],
+            "n": [7, 8],
+            "F": [6.875, np.nan],
+            "p": [0.0004, 0.0495],
+            "p_holm": [np.nan, 0.9999],
+            "mauchly_p": [0.5, 0.25],
+            "points": [1.25, 2.0],
+        }
+    )
+    before = frame.copy()
+    found = tl.studies.apa_table(frame, digits=1)
+    assert found.to_dict("list") == {
+        "a": [0.0, 0.2],  # a label stays
+        "n": [7, 8],
+        "F": ["6.9", ""],
+        "p": ["< .001", ".050"],
+        "p_holm": ["", "> .999"],
+        "mauchly_p": [".500", ".250"],
+        "points": ["1.3", "2.0"],
+    }
+    pd.testing.assert_frame_equal(frame, before)

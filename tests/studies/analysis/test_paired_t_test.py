@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import trustlab as tl
 from trustlab.studies.analysis.paired_t_test import paired_t_test
 
 mpl.use("Agg")
@@ -193,3 +194,17 @@ def test_bad_input_is_refused(frame, words):
 def test_bad_confidence_is_refused(confidence):
     with pytest.raises(ValueError, match="confidence"):
         run(GOOD, confidence=confidence)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_it_is_repeated_measures_of_two_conditions(seed):
+    """Theorem: with two conditions F = t², and the only pair is the t-test."""
+    frame = frame_of(*np.random.default_rng(seed).normal(size=(2, 11)))
+    ours, anova = run(frame), tl.repeated_measures(frame, dv="score", within="which", subject="who")
+    assert pytest.approx(ours.t**2, rel=1e-12) == anova.F
+    assert anova.p == pytest.approx(ours.p, rel=1e-12)
+    (pair,) = anova.pairs().to_dict("records")
+    for name in ("a", "b", "mean_difference", "t", "df", "p", "d_z", "d_av"):
+        assert pair[name] == getattr(ours, name)
+    assert [pair["ci_low"], pair["ci_high"]] == pytest.approx([ours.ci_low, ours.ci_high], rel=1e-14)
+    pd.testing.assert_frame_equal(anova.descriptives(), ours.descriptives())

@@ -495,3 +495,21 @@ def test_real_measures(measure):
     np.testing.assert_allclose(ours, REAL[measure], rtol=1e-9)
     assert (result.n, result.k) == (24, 5 if "all" in file else 4)
     np.testing.assert_allclose(result.mixed_model().F, result.F, rtol=1e-6)
+
+
+def test_assumptions_are_those_of_the_single_tests():
+    """Oracle: SciPy's Shapiro–Wilk and Friedman tests, and pingouin's Holm adjustment."""
+    import pingouin
+
+    result = analysed(table(seed=4).assign(score=lambda f: np.exp(2.0 * f["score"])))
+    (found,) = result.assumptions().to_dict("records")
+    values = result.scores.values
+    p = [
+        stats.shapiro(values[:, a] - values[:, b]).pvalue
+        for a, b in zip(result.batch.pairwise.a, result.batch.pairwise.b, strict=True)
+    ]
+    assert found["p_shapiro_least"] == pytest.approx(min(p))
+    assert found["pairs_not_normal"] == pingouin.multicomp(p, method="holm")[0].sum() > 0
+    assert found["p_friedman"] == pytest.approx(stats.friedmanchisquare(*values.T).pvalue)
+    assert found["p_anova"] == result.p_corrected
+    assert found["mixed_F"] == pytest.approx(result.F, rel=1e-6)

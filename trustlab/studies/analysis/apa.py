@@ -11,7 +11,7 @@ import pandas as pd
 from trustlab.models.checks import one_of
 from trustlab.studies.analysis.score_table import ScoreTable, same_for_all
 
-__all__ = ["apa_decimals", "apa_number", "apa_p", "apa_pair", "apa_report"]
+__all__ = ["apa_decimals", "apa_number", "apa_p", "apa_pair", "apa_report", "apa_table"]
 
 _ADJUSTMENTS = {
     "holm": ("p_holm", "Holm-adjusted p"),
@@ -59,6 +59,28 @@ def apa_p(p: float) -> str:
     if p < 0.001:
         return "p < .001"
     return "p > .999" if p > 0.9995 else f"p = {apa_number(p, 3, below_one=True)}"
+
+
+def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
+    """
+    Return a table for reading: numbers rounded, p-values as a paper prints them, NaN as empty text.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        Results; columns p, p_… and mauchly_p… hold p-values, columns a, b and condition hold labels and stay.
+    digits : int
+        Decimals of all other numbers.
+    """
+    frame = frame.copy()
+    for name in frame.select_dtypes("float").columns.difference(["a", "b", "condition"], sort=False):
+        p_value = name == "p" or name.startswith(("p_", "mauchly_p"))
+        texts = [
+            apa_p(v).removeprefix("p ").removeprefix("= ") if p_value else apa_number(v, digits)
+            for v in frame[name]
+        ]
+        frame[name] = np.where(frame[name].isna(), "", texts)
+    return frame
 
 
 def _df(value: float) -> str:

@@ -39,13 +39,27 @@ class PairwiseBatch:
 
 
 def bonferroni(p: np.ndarray) -> np.ndarray:
-    """Return p-values times their number along the last axis, at most 1; NaN do not count, as in R's p.adjust."""
+    """
+    Return p-values times their number, at most 1.
+
+    Parameters
+    ----------
+    p : numpy.ndarray, shape (..., tests)
+        Unadjusted p-values of one family along the last axis; NaN stay NaN and do not count, as in R's p.adjust.
+    """
     count = (~np.isnan(p)).sum(axis=-1, keepdims=True)
     return np.minimum(count * p, 1.0)
 
 
 def holm(p: np.ndarray) -> np.ndarray:
-    """Return p-values adjusted step by step along the last axis (Holm, 1979); NaN do not count, as in R's p.adjust."""
+    """
+    Return p-values adjusted step by step (Holm, 1979).
+
+    Parameters
+    ----------
+    p : numpy.ndarray, shape (..., tests)
+        Unadjusted p-values of one family along the last axis; NaN stay NaN and do not count, as in R's p.adjust.
+    """
     count = (~np.isnan(p)).sum(axis=-1, keepdims=True)
     order = np.argsort(p, axis=-1, kind="stable")  # NaN last
     steps = np.maximum(count - np.arange(p.shape[-1]), 1)

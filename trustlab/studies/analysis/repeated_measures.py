@@ -13,6 +13,7 @@ from trustlab.studies.analysis.batch import RepeatedMeasuresBatch, analyse_table
 from trustlab.studies.analysis.descriptives import describe
 from trustlab.studies.analysis.effect_sizes import partial_eta_interval
 from trustlab.studies.analysis.mixed_model import MixedModel, fit_mixed_model
+from trustlab.studies.analysis.pairwise import holm
 from trustlab.studies.analysis.rank_tests import Friedman, friedman, normality_of_differences
 from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, read_scores, same_for_all
 from trustlab.studies.analysis.sphericity import CORRECTIONS, decide_correction, why_no_mauchly
@@ -216,6 +217,30 @@ class RepeatedMeasures:
     def friedman(self) -> Friedman:
         """Return Friedman's rank test with Kendall's W."""
         return friedman(self.scores.values)
+
+    def assumptions(self) -> pd.DataFrame:
+        """
+        Return in one row what speaks for or against the ANOVA, so that tables of several measures can be concatenated.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns p_shapiro_least (of all pairs' differences), pairs_not_normal (p below alpha after Holm's adjustment),
+            p_anova (corrected), friedman_chi2, p_friedman, kendall_w, mixed_n, mixed_F, p_mixed.
+        """
+        normality, ranks, mixed = self.normality()["p"], self.friedman(), self.mixed_model()
+        row = {
+            "p_shapiro_least": normality.min(),
+            "pairs_not_normal": int((holm(normality.to_numpy()) < self.alpha).sum()),
+            "p_anova": self.p_corrected,
+            "friedman_chi2": ranks.chi2,
+            "p_friedman": ranks.p,
+            "kendall_w": ranks.kendall_w,
+            "mixed_n": mixed.n,
+            "mixed_F": mixed.F,
+            "p_mixed": mixed.p,
+        }
+        return self._labelled(pd.DataFrame([row]))
 
     def mixed_model(self) -> MixedModel:
         """Return the mixed model of all cells that are there, those of excluded subjects too."""
