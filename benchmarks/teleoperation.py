@@ -14,8 +14,8 @@ import trustlab as tl
 from benchmarks.peers.plain_loop import PlainLoop
 from benchmarks.timing import Row, here, in_turns
 from benchmarks.workers import PeerMissingError, Worker
-from trustlab.teleoperation.loop import STUDIES
-from trustlab.teleoperation.loop_kernel import run_loop
+from trustlab.teleoperation.loop.settings import STUDIES
+from trustlab.teleoperation.loop.kernel import run_loop
 from trustlab.testbeds import uav_tracking
 
 TITLE = "Teleoperation"

@@ -43,7 +43,7 @@ def test_an_operator_has_a_stream_of_its_own():
 def test_numbers_are_the_operators_own():
     numbers = Teleoperator(reaction=0.3, lag=0.2, patience=2.0).numbers(0.01, 0.1)
     assert numbers.delay == 40
-    assert numbers.keep == pytest.approx(np.exp(-0.05))
+    assert numbers.decay == pytest.approx(np.exp(-0.05))
     assert numbers.patience == 200
 
 
@@ -77,7 +77,7 @@ def made(error, force, alpha, p_h, p_r, condition="TMIG"):
         "f_h_x": force,
         "f_h_y": 0.0,
         "f_h_z": 0.0,
-        "mode": alpha,
+        "alpha": alpha,
         "p_h": p_h,
         "p_r": p_r,
     }

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trustlab.teleoperation.channel import EnergyLedger, channel_run
+from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.delays import (
     Delay,
     constant_delay,
@@ -15,7 +15,8 @@ from trustlab.teleoperation.delays import (
     random_walk_delay,
     recorded_delay,
 )
-from trustlab.teleoperation.scattering import Scattering
+from trustlab.teleoperation.ports.ledger import EnergyLedger
+from trustlab.teleoperation.ports.waves import Scattering
 
 T, N = 0.01, 1500
 INTERPOLATION = 0.011
@@ -229,7 +230,7 @@ ONE = np.ones((50, 1))
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: Scattering(0.0), "b is an impedance and must be positive"),
+        (lambda: Scattering(0.0), "b must be positive"),
         (lambda: Scattering(-1.0), "must be positive"),
         (lambda: Scattering(1.0, alpha_min=0.0), "alpha_min must be positive"),
         (lambda: Scattering(1.0, beta_min=0.0), "beta_min must be positive"),

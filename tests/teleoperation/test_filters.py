@@ -13,7 +13,7 @@ from trustlab.teleoperation.filters import (
     printed_filter,
     sinusoid_energy,
 )
-from trustlab.teleoperation.haptic_device import PassivityError
+from trustlab.teleoperation.ports.device import PassivityError
 
 T = 1e-3
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trustlab.teleoperation.haptic_device import HapticDevice, PassivityError
+from trustlab.teleoperation.ports.device import HapticDevice, PassivityError
 
 PRELIMINARY = {"damping": 0.55, "stiffness": 100.0, "weight": 60.0}
 MAIN = {"damping": 5.5, "stiffness": 20.0, "weight": 10.0}
@@ -114,7 +114,7 @@ def test_largest_mass_is_the_edge(seed, share):
         ({"damping": "stiff"}, "damping must be a number"),
         ({"force_scaling": 0.0}, "force_scaling must be positive"),
         ({"dimensions": 0}, "dimensions must be"),
-        ({"port_damping": -0.1}, "port_damping cannot be negative"),
+        ({"port_damping": -0.1}, "port_damping must not be negative"),
     ],
 )
 def test_bad_gains_are_refused(change, words):

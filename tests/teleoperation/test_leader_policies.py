@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trustlab.teleoperation.leader_policies import (
+from trustlab.teleoperation.team.leader_policies import (
     POLICIES,
     GivenSequence,
     MostTrusted,

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from trustlab.teleoperation.passivity import PassivityController, activation
+from trustlab.teleoperation.ports.passivity import PassivityController, activation
 
 T = 0.01
 SETTINGS = settings(max_examples=80, deadline=None, derandomize=True)
@@ -84,7 +84,7 @@ def test_damping_of_a_yielding_port_takes_the_power_demanded(power, square, comp
     [
         (lambda: PassivityController(0.0), "sample_time must be positive"),
         (lambda: PassivityController(T, "guess"), "method must be"),
-        (lambda: PassivityController(T, cap=-1.0), "cannot be negative"),
+        (lambda: PassivityController(T, cap=-1.0), "cap must not be negative"),
         (lambda: PassivityController(T).step([1.0], [np.nan]), "must be finite"),
         (lambda: PassivityController(T).step([1.0], [1.0, 2.0]), "one shape"),
         (lambda: PassivityController(T).run([[1.0], [1.0]], [[1.0], [np.inf]]), "sample 1"),

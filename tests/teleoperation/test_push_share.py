@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trustlab.teleoperation.team_kernel import push_share
+from trustlab.teleoperation.team.kernel import push_share
 
 
 @given(st.integers(0, 100_000))

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from trustlab.teleoperation.channel import switched_channel_run
 from trustlab.teleoperation.delays import random_walk_delay
-from trustlab.teleoperation.scattering import Scattering
-from trustlab.teleoperation.switched_channel import switched_channel_run
+from trustlab.teleoperation.ports.waves import Scattering
 
 T, K = 0.01, 1500
 
@@ -140,7 +140,7 @@ def test_refusals():
         ({"ends": []}, "ends"),
         ({"leaders": leaders + 50}, "names robot"),
         ({"leaders": leaders.astype(float)}, "whole numbers"),
-        ({"r_m": signals[0][:-1]}, "one shape"),
+        ({"r_m": signals[0][:-1]}, "same shape"),
         ({"r_m": np.full((K, 3), np.nan)}, "finite"),
         ({"beta": beta[:-1]}, "beta"),
         ({"delay": 0.0}, "at least one sample"),

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trustlab.teleoperation.channel import channel_run
-from trustlab.teleoperation.scattering import Scattering
+from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.teleoperation.transparency import (
     dominance,
     gains,

@@ -31,7 +31,7 @@ def test_measures_are_those_of_the_log():
     assert row["hand_force"] == pytest.approx(
         np.linalg.norm(data[[f"f_h_{a}" for a in "xyz"]], axis=1).mean()
     )
-    assert row["alpha_rate"] == pytest.approx(np.abs(np.diff(data["mode"])).sum() / (0.01 * (len(data) - 1)))
+    assert row["alpha_rate"] == pytest.approx(np.abs(np.diff(data["alpha"])).sum() / (0.01 * (len(data) - 1)))
     assert row["energy_operator"] == data["energy_operator"].iloc[-1]
     assert row["guarded"] == pytest.approx((data["port_share"] < 1).mean())
     assert row["port_share"] == pytest.approx(data["port_share"].mean(), rel=1e-12)
@@ -43,11 +43,11 @@ def test_figures_show_what_was_logged():
     x, y, z = axes.lines[1].get_data_3d()
     np.testing.assert_array_equal(np.column_stack([x, y, z]), RUNS[0].data[[f"robot_{a}" for a in "xyz"]])
     panels = plot_signals(RUNS[0])
-    np.testing.assert_array_equal(panels[2].lines[0].get_ydata(), RUNS[0]["mode"])
+    np.testing.assert_array_equal(panels[2].lines[0].get_ydata(), RUNS[0]["alpha"])
     panels = plot_energies(RUNS[0])
     np.testing.assert_array_equal(panels[1].lines[1].get_ydata(), RUNS[0]["energy_robot"])
     panels = plot_alpha(RUNS)
-    np.testing.assert_array_equal(panels[1].lines[0].get_ydata(), RUNS[1]["mode"])
+    np.testing.assert_array_equal(panels[1].lines[0].get_ydata(), RUNS[1]["alpha"])
     assert "synthetic" in panels[1].get_title()
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from trustlab.teleoperation.delays import Delay
-from trustlab.teleoperation.loop import STUDIES
-from trustlab.teleoperation.scattering import Scattering
+from trustlab.teleoperation.loop.settings import STUDIES
+from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
 SCHEMES = ("M", "MMI", "TMIG", "TMIS", "OMI")
@@ -22,7 +22,7 @@ def waves(data, ends):
     """u_l, v_l, u_r, v_r by (3.13) from what was logged at the two ports."""
     b = ends.b
     back, out = vector(data, "f_m") / data["beta"].to_numpy()[:, None], vector(data, "r_m")
-    force, said = vector(data, "f_s"), vector(data, "r_s") / data["mode"].to_numpy()[:, None]
+    force, said = vector(data, "f_s"), vector(data, "r_s") / data["alpha"].to_numpy()[:, None]
     return (
         np.sqrt(ends.beta_min / (2 * b)) * (back + b * out),
         np.sqrt(ends.beta_max / (2 * b)) * (back - b * out),
@@ -46,7 +46,7 @@ def test_waves_arrive_as_they_were_sent_and_carry_the_power_of_the_ports(scheme,
         v_r[13:], u_l[:-13], atol=1e-11 * scale
     )  # constant delay: unit gain (Remark 10)
     np.testing.assert_allclose(v_l[21:], u_r[:-21], atol=1e-11 * scale)
-    alpha, beta = data["mode"].to_numpy(), data["beta"].to_numpy()
+    alpha, beta = data["alpha"].to_numpy(), data["beta"].to_numpy()
     carried = 0.5 * beta * (squares(u_l) / ends.beta_min - squares(v_l) / ends.beta_max)
     carried -= 0.5 * alpha * (squares(v_r) / ends.alpha_max - squares(u_r) / ends.alpha_min)
     logged = np.diff(data["energy_channel"], prepend=0.0) / T

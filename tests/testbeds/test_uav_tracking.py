@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from trustlab.allocation.blending import OptimalBlending
 from trustlab.models.uav import TransferFunction
 from trustlab.operators import Teleoperator
-from trustlab.teleoperation.haptic_device import PassivityError
-from trustlab.teleoperation.loop import STUDIES, DivergenceError, LoopSettings, vehicle_matrices
-from trustlab.teleoperation.scattering import Scattering
+from trustlab.teleoperation.loop.settings import STUDIES, DivergenceError, LoopSettings, vehicle_matrices
+from trustlab.teleoperation.ports.device import PassivityError
+from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.testbeds.uav_tracking import TASKS, TrackingTask, simulate_teleoperation, tracking_vehicle
 
 SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS", "OMI")
@@ -220,7 +220,7 @@ def test_scales_follow_trust_as_3_5_and_3_6_say():
     for scheme, kind in (("TMIG", "logistic"), ("TMIS", "step")):
         data = simulate_teleoperation(scheme, seed=1, duration=60.0).data
         alpha, beta = STUDIES["main"].scalings(kind)
-        np.testing.assert_allclose(data["mode"], alpha.value(data["trust_hr"].to_numpy()), atol=1e-12)
+        np.testing.assert_allclose(data["alpha"], alpha.value(data["trust_hr"].to_numpy()), atol=1e-12)
         np.testing.assert_allclose(data["beta"], beta.value(data["trust_rh"].to_numpy()), atol=1e-12)
     for scheme in ("M", "MMI"):
         assert (simulate_teleoperation(scheme, duration=5.0).data["beta"] == 0.5).all()
@@ -239,7 +239,7 @@ def test_performance_is_the_window_mean_of_3_27():
     e = sum((data[f"reference_{a}"] - data[f"robot_{a}"]).abs() for a in "xyz")
     gap = sum((data[f"u_a_{a}"] - data[f"u_i_{a}"]).abs() for a in "xyz")
     now = (1 - gap / settings.command_range).clip(lower=0) * (
-        1 - (1 - data["mode"]) * e / settings.error_range
+        1 - (1 - data["alpha"]) * e / settings.error_range
     ).clip(lower=0)
     np.testing.assert_allclose(data["p_r"], now.rolling(1000, min_periods=1).mean(), atol=1e-9)
 
@@ -257,8 +257,8 @@ def test_the_hand_is_passive_for_a_fixed_wish():
 
 def flown(data, matrices):
     """Position, velocity and acceleration of the vehicle, run again from the logged commands."""
-    phi, gamma = matrices
-    command = np.stack([data[f"r_s_{a}"] + (1 - data["mode"]) * data[f"u_a_{a}"] for a in "xyz"], axis=1)
+    phi, gamma = matrices["phi"][0], matrices["gamma"][0]
+    command = np.stack([data[f"r_s_{a}"] + (1 - data["alpha"]) * data[f"u_a_{a}"] for a in "xyz"], axis=1)
     state, rows = np.zeros((3, 3)), []
     state[:, 0] = data[[f"robot_{a}" for a in "xyz"]].iloc[0]
     for u in command:
@@ -284,8 +284,8 @@ def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
         now = blending.step(
             said, u_a[k], reference[k] - states[k, :, 0], moving[k] - states[k, :, 1], -states[k, :, 2]
         )
-        assert data["mode"].iloc[k] == pytest.approx(now.alpha, abs=1e-6)
-    assert data["mode"].nunique() > 10
+        assert data["alpha"].iloc[k] == pytest.approx(now.alpha, abs=1e-6)
+    assert data["alpha"].nunique() > 10
 
 
 @pytest.mark.parametrize(
@@ -323,7 +323,7 @@ def test_bad_input_is_refused_before_the_run(arguments, error, words):
     ("change", "error", "words"),
     [
         ({"mass": 1.0, "weight": 60.0}, PassivityError, "not r-passive"),
-        ({"k_ffa": -1.0}, ValueError, "k_ffa cannot be negative"),
+        ({"k_ffa": -1.0}, ValueError, "k_ffa must not be negative"),
         ({"window": 0.0}, ValueError, "window must be positive"),
         ({"scattering": 1.0}, ValueError, "must be of class Scattering"),
         ({"steepness": 1.0}, ValueError, "at least 10"),

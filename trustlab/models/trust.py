@@ -8,18 +8,31 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number
+from trustlab.models.checks import between, finite_array, finite_number, positive
+from trustlab.models.deprecation import warn_renamed
 
 __all__ = ["LogisticScaling", "StepScaling", "TrustModel"]
 
 
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def trust_step(trust, share, decay, gain):
+    """Return trust one sample later, (3.2) or (3.3), all as shares of their ranges; exact for a held performance."""
+    return decay * trust + gain * (1.0 - decay) * share
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def logistic_scale(low, high, steepness, midpoint, trust):
+    """Return the scale of (3.5) at a trust; tanh, unlike exp, does not overflow far from the midpoint."""
+    return low + (high - low) * (0.5 * (1.0 - np.tanh(0.5 * steepness * (trust - midpoint))))
+
+
 @numba.njit(cache=True)
-def trust_run(share, keep, gain, start):
+def trust_run(share, decay, gain, start):
     """Run trust, as a share of its range, over performance shares that are each held for one sample."""
     out = np.empty(share.size + 1)
     out[0] = start
     for k in range(share.size):
-        out[k + 1] = keep * out[k] + gain * (1.0 - keep) * share[k]
+        out[k + 1] = trust_step(out[k], share[k], decay, gain)
     return out
 
 
@@ -35,10 +48,10 @@ def _range(low_name: str, low: float, high_name: str, high: float) -> tuple[floa
 @dataclass(frozen=True)
 class TrustModel:
     """
-    Trust that grows with performance and fades with its own level, equations (3.2) and (3.3).
+    Trust that grows with performance and decays in proportion to its own level, equations (3.2) and (3.3).
 
     dT/dt = −a (T − T_min)/(T_max − T_min) + b (P − P_min)/(P_max − P_min). With b ≤ a trust stays between its bounds
-    (3.4) for any performance between its own; with b > a it settles above T_max at full performance.
+    (3.4) for any performance within its range; with b > a it settles above T_max at full performance.
 
     Parameters
     ----------
@@ -94,16 +107,12 @@ class TrustModel:
             )
 
     def _share(self, performance: float) -> float:
-        value = finite_number("performance", performance)
-        if not self.p_min <= value <= self.p_max:
-            raise ValueError(
-                f"performance must lie in [{self.p_min}, {self.p_max}] (p_min, p_max), got {value}"
-            )
+        value = between("performance", performance, self.p_min, self.p_max)
         return (value - self.p_min) / (self.p_max - self.p_min)
 
-    def keep(self, sample_time: float) -> float:
+    def decay(self, sample_time: float) -> float:
         """
-        Return the share of trust that is kept over one sample, exp(−a T/(T_max − T_min)).
+        Return the factor by which trust decays over one sample without performance, exp(−a T/(T_max − T_min)).
 
         Parameters
         ----------
@@ -115,14 +124,23 @@ class TrustModel:
         ValueError
             If `sample_time` is not positive.
         """
-        sample_time = finite_number("sample_time", sample_time)
-        if not sample_time > 0.0:
-            raise ValueError(f"sample_time must be positive, got {sample_time}")
-        return math.exp(-self.a * sample_time / (self.t_max - self.t_min))
+        return math.exp(-self.a * positive("sample_time", sample_time) / (self.t_max - self.t_min))
+
+    def keep(self, sample_time: float) -> float:
+        """
+        Return `decay(sample_time)`; the old name.
+
+        Parameters
+        ----------
+        sample_time : float
+            T [s], positive.
+        """
+        warn_renamed("TrustModel.keep", "TrustModel.decay")
+        return self.decay(sample_time)
 
     def steady_state(self, performance: float) -> float:
         """
-        Return the trust that a performance held for ever leads to.
+        Return the steady-state trust for a constant performance.
 
         Parameters
         ----------
@@ -149,8 +167,8 @@ class TrustModel:
         ValueError
             If an argument is not finite or out of range.
         """
-        trust, keep = finite_number("trust", trust), self.keep(sample_time)
-        return keep * trust + (1.0 - keep) * self.steady_state(performance)
+        trust, decay = finite_number("trust", trust), self.decay(sample_time)
+        return decay * trust + (1.0 - decay) * self.steady_state(performance)
 
     def simulate(
         self, performance: np.ndarray, sample_time: float, trust0: float | None = None
@@ -187,7 +205,7 @@ class TrustModel:
         span = self.t_max - self.t_min
         start = self.t_min if trust0 is None else finite_number("trust0", trust0)
         share = (values[:-1] - self.p_min) / (self.p_max - self.p_min)
-        run = trust_run(share, self.keep(sample_time), self.b / self.a, (start - self.t_min) / span)
+        run = trust_run(share, self.decay(sample_time), self.b / self.a, (start - self.t_min) / span)
         return self.t_min + span * run
 
 
@@ -251,9 +269,8 @@ class LogisticScaling:
         float or numpy.ndarray, shape (N,)
             The scale, between low and high.
         """
-        x = self.steepness * (_finite("trust", trust) - self.midpoint) / (self.t_max - self.t_min)
-        share = 0.5 * (1.0 - np.tanh(0.5 * x))
-        return _plain(self.low + (self.high - self.low) * share)
+        trust, steepness = _finite("trust", trust), self.steepness / (self.t_max - self.t_min)
+        return _plain(logistic_scale.py_func(self.low, self.high, steepness, self.midpoint, trust))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 
 from trustlab.models.checks import of_class, whole_number
 from trustlab.sessions.session import Session
-from trustlab.teleoperation.loop import LoopSettings, study_named
+from trustlab.teleoperation.loop.settings import LoopSettings, study_named
 
 __all__ = ["experience", "simulated_answers"]
 
@@ -40,11 +40,11 @@ def experience(session: Session, study: str | LoopSettings = "main") -> dict[str
     """
     of_class("session", session, Session)
     settings = study_named(study)
-    session.require("path_error", "f_h_x", "f_h_y", "f_h_z", "mode", "p_r", "p_h")
+    session.require("path_error", "f_h_x", "f_h_y", "f_h_z", "alpha", "p_r", "p_h")
     ends = settings.scattering
     force = np.sqrt(sum(session[f"f_h_{axis}"] ** 2 for axis in "xyz")).mean()
     holding = settings.stiffness / settings.weight + ends.beta_max * ends.b
-    share = (session["mode"] - ends.alpha_min) / max(ends.alpha_max - ends.alpha_min, 1e-12)
+    share = (session["alpha"] - ends.alpha_min) / max(ends.alpha_max - ends.alpha_min, 1e-12)
     total = session["p_h"] + session["p_r"]
     own = np.divide(session["p_h"], total, out=np.full(len(session), 0.5), where=total > 0.0)
     return {

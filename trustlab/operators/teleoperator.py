@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from trustlab.models.checks import finite_number, whole_number
-from trustlab.teleoperation.loop_kernel import HandNumbers
+from trustlab.teleoperation.loop.kernel import HandNumbers
 
 __all__ = ["RANGES", "REACH", "Teleoperator", "graded_teleoperators"]
 
@@ -113,7 +114,7 @@ class Teleoperator:
             self.proportional,
             self.derivative,
             max(round((self.reaction + camera_delay) / sample_time), 1),
-            2.718281828459045 ** (-sample_time / self.lag),
+            math.exp(-sample_time / self.lag),
             self.reach,
             self.stiffness,
             self.damping,

@@ -254,7 +254,8 @@ def with_performance(
     else:
         u_h, u_i, u_a = vector("u_h"), vector("u_i"), vector("u_a")
         error = vector("reference") - vector("robot")
-        p_r, p_h = mixed_initiative(u_h, u_a, u_i, error, session["mode"], u_max, e_max)
+        share = session["alpha" if "alpha" in session else "mode"]
+        p_r, p_h = mixed_initiative(u_h, u_a, u_i, error, share, u_max, e_max)
         equations = "(3.26), (3.27)"
     p_r, p_h = (window_mean(values, session.sample_time, window) for values in (p_r, p_h))
     return session.with_columns(p_r=p_r, p_h=p_h).with_metadata(

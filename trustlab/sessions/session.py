@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pandas as pd
 
+from trustlab.models.deprecation import warn_renamed
 from trustlab.sessions.checks import check_column, check_time
 from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.metadata import Metadata
@@ -84,6 +85,9 @@ class Session:
             raise SessionError(f"a session is indexed by a column's name, got {name!r}; its table is .data")
         if name == "t":
             return self.t
+        if name == "mode" and "mode" not in self.data and "alpha" in self.data:
+            warn_renamed('the column "mode" of a teleoperation run', '"alpha"')
+            name = "alpha"
         self.require(name)
         return self.data[name].to_numpy()
 

@@ -5,7 +5,7 @@ import lazy_loader as lazy
 __getattr__, __dir__, __all__ = lazy.attach(
     __name__,
     submod_attrs={
-        "channel": ["ChannelRun", "EnergyLedger", "channel_run"],
+        "channel": ["ChannelRun", "channel_run", "switched_channel_run"],
         "delays": ["Delay", "constant_delay", "random_walk_delay", "recorded_delay"],
         "filters": [
             "FilterRun",
@@ -17,14 +17,20 @@ __getattr__, __dir__, __all__ = lazy.attach(
             "printed_filter",
             "sinusoid_energy",
         ],
-        "haptic_device": ["HapticDevice", "PassivityError"],
-        "leader_policies": ["GivenSequence", "LeaderPolicy", "MostTrusted", "RandomLeaders"],
-        "loop": ["STUDIES", "DivergenceError", "LoopSettings"],
-        "passivity": ["PassivityController"],
-        "scattering": ["Scattering"],
-        "schemes": ["SCHEMES", "Scheme"],
-        "switched_channel": ["switched_channel_run"],
-        "team": ["GraphError", "TeamOperator", "TeamSettings", "algebraic_connectivity", "team_graph"],
+        "loop.schemes": ["SCHEMES", "Scheme"],
+        "loop.settings": ["STUDIES", "DivergenceError", "LoopSettings"],
+        "ports.device": ["HapticDevice", "PassivityError"],
+        "ports.ledger": ["EnergyLedger"],
+        "ports.passivity": ["PassivityController"],
+        "ports.waves": ["Scattering"],
+        "team.leader_policies": ["GivenSequence", "LeaderPolicy", "MostTrusted", "RandomLeaders"],
+        "team.settings": [
+            "GraphError",
+            "TeamOperator",
+            "TeamSettings",
+            "algebraic_connectivity",
+            "team_graph",
+        ],
         "transparency": [
             "Tuning",
             "dominance",

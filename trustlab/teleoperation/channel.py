@@ -1,172 +1,29 @@
-"""The communication channel: waves delayed, read so that no energy appears, scaled at both ends (Theorem 3)."""
+"""The communication channel by itself, any signals at its ports: with scales (Theorem 3), and switched between leaders (4.7)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from trustlab.models.checks import finite_number
-from trustlab.teleoperation.delays import delay_from
-from trustlab.teleoperation.scattering import Scattering
+from trustlab.models.checks import finite_array, of_class, one_of, positive
+from trustlab.teleoperation.delays import delays_in_samples
+from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts, read_wave
+from trustlab.teleoperation.ports.waves import (
+    Scattering,
+    operator_end,
+    operator_force,
+    operator_wave,
+    robot_end,
+    robot_velocity,
+    robot_wave,
+)
 
-__all__ = [
-    "HOLD",
-    "INTERPOLATED",
-    "LEDGER",
-    "READ_OUTS",
-    "ChannelRun",
-    "EnergyLedger",
-    "channel_run",
-    "read_wave",
-]
-
-HOLD, INTERPOLATED, LEDGER = 0, 1, 2
-READ_OUTS = {"hold": HOLD, "interpolated": INTERPOLATED, "ledger": LEDGER}
-
-
-@numba.njit(cache=True, error_model="numpy")
-def read_wave(sent, got, k, delay, gain, read_out, sample_time, account, out):
-    """
-    Read the wave that arrives in sample k, sent `delay` samples before, into `out`.
-
-    sent, shape (N, n): waves by the sample they were sent in. got, shape (N,): whether they arrive at all. account =
-    [first sample not yet booked, energy booked and not yet given out, latest sample read], changed by the "ledger"
-    read-out alone; it begins as zeros with −1 for the last.
-    """
-    n = sent.shape[1]
-    where = k - delay
-    first = int(np.floor(where))
-    part = where - first
-    if read_out != LEDGER:
-        for i in range(n):
-            if first < 0 or not got[first]:
-                value = 0.0
-            elif read_out == HOLD:
-                value = sent[first, i]
-            else:
-                later = sent[first + 1, i] if part > 0.0 and got[first + 1] else 0.0
-                value = (1.0 - part) * sent[first, i] + part * later
-            out[i] = gain * value
-        if read_out == INTERPOLATED and first == -1 and part > 0.0:
-            for i in range(n):
-                out[i] = gain * part * sent[0, i] * (1.0 if got[0] else 0.0)
-        return
-    while account[0] <= first:  # what has arrived by now is booked once
-        j = int(account[0])
-        if got[j]:
-            for i in range(n):
-                account[1] += sample_time * sent[j, i] ** 2
-        account[0] += 1.0
-    advance = min(max(where - account[2], 0.0), 1.0)
-    account[2] = max(account[2], where)
-    last = first
-    while last >= 0 and not got[last]:
-        last -= 1
-    energy = 0.0
-    for i in range(n):  # the newest wave, at the gain √(1 − dT/dt) of the moment
-        out[i] = np.sqrt(advance) * sent[last, i] if last >= 0 else 0.0
-        energy += sample_time * out[i] ** 2
-    if energy > account[1]:
-        share = np.sqrt(account[1] / energy)
-        energy = 0.0
-        for i in range(n):
-            out[i] *= share
-            energy += sample_time * out[i] ** 2
-    account[1] = max(account[1] - energy, 0.0)
-
-
-class EnergyLedger:
-    """
-    Read packets of waves so that never more energy leaves than came in, whatever their jitter, loss and order.
-
-    Every packet is booked once, with the energy it carries, when it arrives. A read gives the newest wave, made smaller
-    where the book does not hold its energy.
-
-    Parameters
-    ----------
-    sample_time : float
-        T [s]: a packet carries T‖u‖² [J].
-
-    Raises
-    ------
-    ValueError
-        If the sample time is not positive.
-
-    Examples
-    --------
-    >>> ledger = EnergyLedger(sample_time=0.01)
-    >>> ledger.receive(0, [2.0])
-    True
-    >>> ledger.read().tolist(), ledger.read().tolist()
-    ([2.0], [0.0])
-    """
-
-    def __init__(self, sample_time: float):
-        self.sample_time = finite_number("sample_time", sample_time)
-        if not self.sample_time > 0.0:
-            raise ValueError(f"sample_time must be positive, got {sample_time}")
-        self.received = self.given = 0.0
-        self._seen: set[int] = set()
-        self._newest, self._wave = -1, None
-
-    @property
-    def balance(self) -> float:
-        """Energy that came in and has not gone out [J]; never negative."""
-        return max(self.received - self.given, 0.0)
-
-    def receive(self, number: int, wave: np.ndarray) -> bool:
-        """
-        Book a packet; a packet that came twice is booked once.
-
-        Parameters
-        ----------
-        number : int
-            The packet's number at its sender, 0 or more.
-        wave : array_like, shape (n,)
-            The wave it carries [√W].
-
-        Returns
-        -------
-        bool
-            Whether it was booked.
-
-        Raises
-        ------
-        ValueError
-            If the number is not a whole number, or the wave is not finite or has another length.
-        """
-        if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < 0:
-            raise ValueError(f"number must be a whole number, 0 or more, got {number!r}")
-        values = np.atleast_1d(np.asarray(wave, dtype=float))
-        if values.ndim != 1 or not np.isfinite(values).all():
-            raise ValueError(
-                f"packet {number}: wave must be finite numbers, shape (n,), got {values.tolist()}"
-            )
-        if self._wave is not None and values.shape != self._wave.shape:
-            raise ValueError(
-                f"packet {number}: wave has shape {values.shape}, those before {self._wave.shape}"
-            )
-        if number in self._seen:
-            return False
-        self._seen.add(int(number))
-        self.received += self.sample_time * float(values @ values)
-        if number > self._newest:
-            self._newest, self._wave = int(number), values
-        elif self._wave is None:
-            self._wave = values
-        return True
-
-    def read(self) -> np.ndarray:
-        """Return the wave to use in this sample, shape (n,); an empty array before the first packet."""
-        if self._wave is None:
-            return np.zeros(0)
-        energy = self.sample_time * float(self._wave @ self._wave)
-        out = self._wave * (1.0 if energy <= self.balance else np.sqrt(self.balance / energy))
-        self.given += self.sample_time * float(out @ out)
-        return out
+__all__ = ["ChannelRun", "channel_run", "lost_waves", "switched_channel_run"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,24 +101,65 @@ class ChannelRun:
         return ax
 
 
+class Waves(NamedTuple):
+    """The waves of a channel, shape (N, n) each: sent and arriving at the operator's end (l) and at the robot's (r)."""
+
+    u_l: np.ndarray
+    v_l: np.ndarray
+    u_r: np.ndarray
+    v_r: np.ndarray
+
+
 @numba.njit(cache=True)
-def _channel(r_m, f_s, alpha, beta, delays, got, c, read_out, sample_time, f_m, r_s, waves):
-    b, a_low, a_high, b_low, b_high, gain = c
+def _send(
+    r_m, f_s, near, far, alpha, beta, bounds, delays, arrives, gain, read_out, period, books, waves, f_m, r_s
+):
+    """
+    Fill `waves`, f_m and r_s, sample by sample.
+
+    near, far, shape (N,): which row of `bounds` holds for the operator's end and for the robot's. bounds, shape (robots,
+    5): b, α_min, α_max, β_min, β_max, a record each.
+    """
     count, n = r_m.shape
-    u_l, v_l, u_r, v_r = waves[0], waves[1], waves[2], waves[3]
-    accounts = np.zeros((2, 3))
-    accounts[:, 2] = -1.0
     for k in range(count):
-        read_wave(u_l, got[0], k, delays[0, k], gain, read_out, sample_time, accounts[0], v_r[k])
-        read_wave(u_r, got[1], k, delays[1, k], gain, read_out, sample_time, accounts[1], v_l[k])
+        read_wave(waves.u_l, arrives[0], k, delays[0, k], gain, read_out, period, books[0], waves.v_r[k])
+        read_wave(waves.u_r, arrives[1], k, delays[1, k], gain, read_out, period, books[1], waves.v_l[k])
+        here, there = bounds[near[k]], bounds[far[k]]
+        operator = operator_end(here.b, here.beta_min, here.beta_max)
+        robot = robot_end(there.b, there.alpha_min, there.alpha_max)
         for i in range(n):
-            u_l[k, i] = np.sqrt(2.0 * b * b_low) * r_m[k, i] + np.sqrt(b_low / b_high) * v_l[k, i]
-            u_r[k, i] = np.sqrt(2.0 * a_low / b) * f_s[k, i] - np.sqrt(a_low / a_high) * v_r[k, i]
-            f_m[k, i] = beta[k] * (b * r_m[k, i] + np.sqrt(2.0 * b / b_high) * v_l[k, i])
-            r_s[k, i] = alpha[k] * (np.sqrt(2.0 * b / a_high) * v_r[k, i] - f_s[k, i]) / b
+            waves.u_l[k, i] = operator_wave(operator, r_m[k, i], waves.v_l[k, i])
+            f_m[k, i] = beta[k] * operator_force(operator, r_m[k, i], waves.v_l[k, i])
+            waves.u_r[k, i] = robot_wave(robot, f_s[k, i], waves.v_r[k, i])
+            r_s[k, i] = alpha[k] * robot_velocity(robot, f_s[k, i], waves.v_r[k, i])
+
+
+BOUNDS = np.dtype([(name, float) for name in ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")])
+
+
+def _run(r_m, f_s, ends, near, far, alpha, beta, delays, arrives, read_out, period) -> ChannelRun:
+    """Send signals through a channel whose ends are set for given robots in every sample."""
+    bounds = np.array([tuple(getattr(end, name) for name in BOUNDS.names) for end in ends], BOUNDS)
+    gain = min(end.gain for end in ends)
+    f_m, r_s = np.empty_like(r_m), np.empty_like(r_m)
+    waves = Waves(*np.zeros((4, *r_m.shape)))
+    _send(
+        r_m, f_s, near, far, alpha, beta, bounds, delays, arrives, gain, READ_OUTS[read_out], period, accounts(),
+        waves, f_m, r_s,
+    )  # fmt: skip
+    return ChannelRun(period * np.arange(len(r_m)), r_m, f_m, r_s, f_s, *waves, period)
+
+
+def _signals(r_m, f_s) -> tuple[np.ndarray, np.ndarray]:
+    """Return both signals as arrays of shape (N, n)."""
+    r_m, f_s = _samples("r_m", r_m), _samples("f_s", f_s)
+    if r_m.shape != f_s.shape:
+        raise ValueError(f"r_m and f_s must have the same shape, got {r_m.shape} and {f_s.shape}")
+    return r_m, f_s
 
 
 def _samples(name: str, values) -> np.ndarray:
+    """Return a signal as a finite array of shape (N, n)."""
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError):
@@ -274,6 +172,18 @@ def _samples(name: str, values) -> np.ndarray:
         k, i = np.argwhere(~np.isfinite(array))[0]
         raise ValueError(f"{name} must be finite, but sample {k}, axis {i} is {array[k, i]}")
     return np.ascontiguousarray(array)
+
+
+def lost_waves(lost, count: int) -> np.ndarray:
+    """Return which waves arrive, shape (2, count), from those that a user says are lost; all when none are named."""
+    if lost is None:
+        return np.ones((2, count), bool)
+    missing = np.asarray(lost)
+    if missing.shape != (2, count) or missing.dtype != bool:
+        raise ValueError(
+            f"lost must be True or False, shape (2, {count}), got {missing.dtype} {missing.shape}"
+        )
+    return ~missing
 
 
 def channel_run(
@@ -323,17 +233,10 @@ def channel_run(
     ValueError
         If shapes differ, a value is not finite, a scale is out of its bounds, or a delay is not allowed.
     """
-    r_m, f_s = _samples("r_m", r_m), _samples("f_s", f_s)
-    if r_m.shape != f_s.shape:
-        raise ValueError(f"r_m and f_s must have the same shape, got {r_m.shape} and {f_s.shape}")
-    if not isinstance(scattering, Scattering):
-        raise ValueError(f"scattering must be of class Scattering, got {type(scattering).__name__}")
-    if read_out not in READ_OUTS:
-        raise ValueError(f"read_out must be one of {', '.join(READ_OUTS)}, got {read_out!r}")
-    sample_time = finite_number("sample_time", sample_time)
-    if not sample_time > 0.0:
-        raise ValueError(f"sample_time must be positive, got {sample_time}")
-    count = r_m.shape[0]
+    r_m, f_s = _signals(r_m, f_s)
+    of_class("scattering", scattering, Scattering)
+    one_of("read_out", read_out, READ_OUTS)
+    sample_time, count = positive("sample_time", sample_time), r_m.shape[0]
     scales = []
     for name, given, default in (("alpha", alpha, scattering.alpha_max), ("beta", beta, scattering.beta_max)):
         values = np.asarray(default if given is None else given, dtype=float)
@@ -341,27 +244,94 @@ def channel_run(
             raise ValueError(f"{name} must be a number or have shape ({count},), got {values.shape}")
         scales.append(np.ascontiguousarray(np.broadcast_to(values, (count,))))
     scattering.check_scales(*scales)
-    delays = np.empty((2, count))
-    for i, (name, given) in enumerate((("delay_1", delay_1), ("delay_2", delay_2))):
-        delay = delay_from(name, given, scattering.max_delay_rate)
-        if read_out == "interpolated" and delay.max_rate > scattering.max_delay_rate + 1e-9:
-            raise ValueError(
-                f"{name} grows at up to {delay.max_rate:g} s/s but scattering has max_delay_rate = "
-                f"{scattering.max_delay_rate:g}; raise it, or read out by ledger"
-            )
-        delays[i] = delay.samples(count, sample_time) / sample_time
-        if not delays[i].all():
-            raise ValueError(f"{name} must be at least one sample, {sample_time:g} s, here")
-    got = np.ones((2, count), bool)
-    if lost is not None:
-        missing = np.asarray(lost)
-        if missing.shape != got.shape or missing.dtype != bool:
-            raise ValueError(
-                f"lost must be True or False, shape (2, {count}), got {missing.dtype} {missing.shape}"
-            )
-        got = ~missing
-    f_m, r_s, waves = np.empty_like(r_m), np.empty_like(r_m), np.zeros((4, *r_m.shape))
-    _channel(
-        r_m, f_s, *scales, delays, got, scattering.numbers, READ_OUTS[read_out], sample_time, f_m, r_s, waves
+    delays = delays_in_samples(
+        {"delay_1": delay_1, "delay_2": delay_2}, scattering.max_delay_rate, read_out, count, sample_time
     )
-    return ChannelRun(sample_time * np.arange(count), r_m, f_m, r_s, f_s, *waves, sample_time)
+    always = np.zeros(count, np.int64)
+    return _run(
+        r_m, f_s, (scattering,), always, always, *scales, delays, lost_waves(lost, count), read_out, sample_time
+    )  # fmt: skip
+
+
+def switched_channel_run(
+    r_m: np.ndarray,
+    f_s: np.ndarray,
+    ends: Sequence[Scattering],
+    leaders: np.ndarray,
+    sample_time: float,
+    beta: np.ndarray,
+    delay=0.1,
+    delay_back=None,
+    read_out: str = "ledger",
+    operator_leaders: np.ndarray | None = None,
+) -> ChannelRun:
+    """
+    Send given signals through the channel while the leader, and with it b and the bounds of β, is switched.
+
+    Waves carry their energy in watts, whatever b they were made with. The energy of each sample therefore balances at
+    either end separately, and (4.13)-(4.15) hold for any switching times, also with waves under way at a switch and
+    τ_min < T. The two ends need not switch at the same time as long as β stays within the bounds for which the operator's
+    end is set.
+
+    Parameters
+    ----------
+    r_m : array_like, shape (K, n)
+        Velocity at the operator's port [m/s].
+    f_s : array_like, shape (K, n)
+        Force at the robots' port [N].
+    ends : sequence of Scattering
+        b and the bounds of β of every robot; α is 1.
+    leaders : array_like of int, shape (K,)
+        Which robot leads in each sample.
+    sample_time : float
+        T [s].
+    beta : array_like, shape (K,)
+        β_ik(t); bounds are not checked here, so that a run can break them.
+    delay, delay_back : float or Delay
+        Delays [s], at least one sample; the same both ways when `delay_back` is not given.
+    read_out : {"ledger", "interpolated", "hold"}
+        As in `channel_run`.
+    operator_leaders : array_like of int, shape (K,), optional
+        For which robot the operator's end is set, where that differs.
+
+    Returns
+    -------
+    ChannelRun
+        With `.energy`, which is V_ch of (4.15), and `.wave_energy`.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, a value is not finite, or a leader does not exist.
+    """
+    ends = tuple(ends)
+    if not ends:
+        raise ValueError("ends must hold one Scattering per robot, got none")
+    for place, end in enumerate(ends):
+        of_class(f"ends[{place}]", end, Scattering)
+    r_m, f_s = _signals(r_m, f_s)
+    count, sample_time = len(r_m), positive("sample_time", sample_time)
+    one_of("read_out", read_out, READ_OUTS)
+    far = _robots("leaders", leaders, count, len(ends))
+    near = (
+        far if operator_leaders is None else _robots("operator_leaders", operator_leaders, count, len(ends))
+    )
+    beta = finite_array("beta", beta, length=count)
+    back = delay if delay_back is None else delay_back
+    rate = max(end.max_delay_rate for end in ends)
+    delays = delays_in_samples({"delay": delay, "delay_back": back}, rate, read_out, count, sample_time)
+    return _run(
+        r_m, f_s, ends, near, far, np.ones(count), beta, delays, lost_waves(None, count), read_out, sample_time
+    )  # fmt: skip
+
+
+def _robots(name: str, values, count: int, robots: int) -> np.ndarray:
+    """Return numbers of robots, one per sample."""
+    array = np.asarray(values)
+    if array.shape != (count,) or array.dtype.kind not in "iu":
+        raise ValueError(f"{name} must be {count} whole numbers, got {array.dtype} {array.shape}")
+    if array.min() < 0 or array.max() >= robots:
+        raise ValueError(
+            f"{name} names robot {int(array[(array < 0) | (array >= robots)][0])}, but there are {robots}"
+        )
+    return array.astype(np.int64)

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number
+from trustlab.models.checks import finite_array, finite_number, not_negative
 
-__all__ = ["Delay", "constant_delay", "delay_from", "random_walk_delay", "recorded_delay"]
+__all__ = [
+    "Delay",
+    "constant_delay",
+    "delay_from",
+    "delays_in_samples",
+    "random_walk_delay",
+    "recorded_delay",
+]
 
 SLACK = 1e-9
 
@@ -113,9 +120,7 @@ def constant_delay(seconds: float) -> Delay:
     ValueError
         If it is negative or not finite.
     """
-    value = finite_number("seconds", seconds)
-    if value < 0.0:
-        raise ValueError(f"a delay cannot be negative, got {value} s")
+    value = not_negative("seconds", seconds)
     return Delay(lambda t: np.full(np.shape(t), value), 0.0, f"a constant delay of {value:g} s")
 
 
@@ -149,11 +154,10 @@ def random_walk_delay(
         raise ValueError(
             f"0 < low < high and hold > 0 are needed, got low = {low}, high = {high}, hold = {hold}"
         )
-    entropy = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-    fresh = np.random.SeedSequence(entropy.entropy, spawn_key=entropy.spawn_key)
+    own = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
 
     def walk(t: np.ndarray) -> np.ndarray:
-        rng = np.random.default_rng(fresh)
+        rng = np.random.default_rng(own)  # drawn anew at each call: the same walk every time
         knots = max(int(np.ceil(t[-1] / hold)) + 1, 2)
         values = np.empty(knots)
         values[0] = rng.uniform(low, high)
@@ -209,23 +213,7 @@ def recorded_delay(t: np.ndarray, delay: np.ndarray, max_rate: float | None = No
 
 
 def delay_from(name: str, delay, max_rate: float | None = None) -> Delay:
-    """
-    Return what a user gave as a delay: a number, a function of time, or a `Delay`.
-
-    Parameters
-    ----------
-    name : str
-        The argument's name, for errors.
-    delay : float, callable or Delay
-        Seconds; a function takes times [s] as an array.
-    max_rate : float, optional
-        Ṫ_max of a function, in [0, 1].
-
-    Raises
-    ------
-    ValueError
-        If it is none of these, or a function comes without `max_rate`.
-    """
+    """Return what a user gave as a delay: a number, a function of time (with `max_rate`), or a `Delay`."""
     if isinstance(delay, Delay):
         return delay
     if callable(delay):
@@ -236,3 +224,35 @@ def delay_from(name: str, delay, max_rate: float | None = None) -> Delay:
         return constant_delay(delay)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
+
+
+def delays_in_samples(
+    given: Mapping[str, object],
+    max_rate: float,
+    read_out: str,
+    count: int,
+    sample_time: float,
+    zero: bool = False,
+) -> np.ndarray:
+    """
+    Return the delays both ways in samples, shape (2, count), from arguments by name; `zero` allows both to be zero.
+
+    Delays within 1e-6 of a whole number of samples are made whole, so that rounding does not mix two samples.
+    """
+    delays = np.empty((2, count))
+    for i, (name, value) in enumerate(given.items()):
+        delay = delay_from(name, value, max_rate)
+        if read_out != "ledger" and delay.max_rate > max_rate + SLACK:
+            raise ValueError(
+                f"{name} grows at up to {delay.max_rate:g} s/s, but f_i is set for max_delay_rate = {max_rate:g}; raise "
+                "max_delay_rate of the scattering, or use read_out='ledger'"
+            )
+        delays[i] = delay.samples(count, sample_time) / sample_time
+        if not zero and not delays[i].all():
+            raise ValueError(f"{name} must be at least one sample, {sample_time:g} s, got 0")
+    if delays.any() and not delays.all():
+        raise ValueError(
+            f"{' and '.join(given)} must both be zero (no channel in between) or both at least one sample"
+        )
+    whole = np.round(delays)
+    return np.where(np.abs(delays - whole) < 1e-6, whole, delays)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number
-from trustlab.teleoperation.haptic_device import PassivityError
+from trustlab.teleoperation.ports.device import PassivityError
 
 __all__ = [
     "FilterRun",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number
-from trustlab.teleoperation.scattering import Scattering
+from trustlab.teleoperation.ports.waves import Scattering
 
 __all__ = ["Tuning", "dominance", "gains", "ideal_distances", "rendered_impedance", "tune_transparency"]
 

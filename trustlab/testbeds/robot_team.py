@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_array, finite_number, whole_number
+from trustlab.models.checks import (
+    between,
+    finite_array,
+    finite_number,
+    of_class,
+    one_of,
+    positive,
+    spawned,
+)
 from trustlab.models.trust import trust_run
-from trustlab.teleoperation.channel import READ_OUTS
-from trustlab.teleoperation.delays import Delay, delay_from
+from trustlab.teleoperation.delays import Delay, delays_in_samples
 from trustlab.teleoperation.filters import (
     TwoPortFilter,
     WaveFilter,
@@ -16,18 +25,23 @@ from trustlab.teleoperation.filters import (
     passivity_margin,
     printed_filter,
 )
-from trustlab.teleoperation.leader_policies import LeaderPolicy, policy_named
-from trustlab.teleoperation.loop import DivergenceError
-from trustlab.teleoperation.team import TeamOperator, TeamSettings, team_graph
-from trustlab.teleoperation.team_kernel import (
+from trustlab.teleoperation.loop.settings import DivergenceError
+from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
+from trustlab.teleoperation.records import log_of
+from trustlab.teleoperation.team.kernel import (
     BLOCKS,
     COLUMNS,
+    LOG,
     NO_FILTER,
+    ROBOT,
+    STATE,
     TWO_PORT,
     WAVES,
     TeamNumbers,
     run_team,
 )
+from trustlab.teleoperation.team.leader_policies import LeaderPolicy, policy_named
+from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, team_graph
 from trustlab.testbeds.team_run import TeamRun
 
 __all__ = ["simulate_team"]
@@ -124,86 +138,57 @@ def simulate_team(
         If the run grows without bound; time and block are named.
     """
     names, adjacency = team_graph(graph, _flag("require_connected", require_connected))
-    size = len(names)
     policy = policy_named(policy)
-    settings = _of("settings", settings, TeamSettings)
-    operator = _of("operator", operator, TeamOperator)
-    goal = finite_array("goal", goal, length=3)
-    duration, T = finite_number("duration", duration), finite_number("sample_time", sample_time)
-    if not 0.0 < T <= 0.1:
-        raise ValueError(f"sample_time must lie in (0, 0.1] s, got {T}")
-    if not 10.0 * T <= duration <= 1e5:
-        raise ValueError(f"duration must be at least ten samples and at most 1e5 s, got {duration}")
-    tolerance = _positive("tolerance", tolerance)
-    if read_out not in READ_OUTS:
-        raise ValueError(f"read_out must be one of {', '.join(READ_OUTS)}, got {read_out!r}")
-    streams = _streams(seed)
-    count = round(duration / T)
-    record = max(T, 0.01) if record_every is None else _positive("record_every", record_every)
-    every = round(record / T)
-    if every < 1 or abs(every * T - record) > 1e-6 * record:
-        raise ValueError(f"record_every must be a multiple of sample_time = {T:g} s, got {record:g}")
-    rows = -(-count // every)
-    if max(rows * (3 * size + len(COLUMNS)), 16 * count) > LARGEST:
-        raise ValueError(
-            f"{count} samples and {rows} rows for {size} robots are too many; shorten duration, or raise sample_time or "
-            "record_every"
-        )
-    ends = settings.per_robot("scattering", size)
+    settings = TeamSettings() if settings is None else of_class("settings", settings, TeamSettings)
+    operator = TeamOperator() if operator is None else of_class("operator", operator, TeamOperator)
+    one_of("read_out", read_out, READ_OUTS)
+    goal, tolerance = finite_array("goal", goal, length=3), positive("tolerance", tolerance)
+    count, every, T = _samples(duration, sample_time, record_every, len(names))
+    ends = settings.per_robot("scattering", len(names))
     rate = max(end.max_delay_rate for end in ends)
-    delays, greatest = _delays((delay, delay if delay_back is None else delay_back), rate, read_out, count, T)
+    both = {"delay": delay, "delay_back": delay if delay_back is None else delay_back}
+    delays = delays_in_samples(both, rate, read_out, count, T)
+    greatest = float(delays.max() * T)
     vision = greatest if vision_delay is None else finite_number("vision_delay", vision_delay)
     if not T * (1.0 - 1e-9) <= vision <= 1e4:
         raise ValueError(f"vision_delay must be at least one sample, {T:g} s, got {vision}")
-    dwell = max(5.0 * greatest, 5.0) if min_dwell is None else finite_number("min_dwell", min_dwell)
-    if not dwell > greatest:
-        raise ValueError(
-            f"min_dwell = {dwell:g} s must be greater than the delay, {greatest:g} s: waves of one leader would arrive at the "
-            "one after the next (Section 4.2 asks for τ_min ≫ T)"
-        )
-    q0 = _start("start", start, size, lambda: streams[0].uniform(-5.0, 5.0, (size, 3)))
-    zeta0 = _start("inner", inner, size, lambda: np.zeros((size, 3)))
+    dwell = _dwell(min_dwell, greatest)
+    streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
+    q0 = _rows("start", start, len(names), streams[0].uniform(-5.0, 5.0, (len(names), 3)))
+    zeta0 = _rows("inner", inner, len(names), np.zeros((len(names), 3)))
     decision = max(DECISION, T)
-    trust = _trust(settings, size, int(np.ceil(duration / decision)) + 1, decision, streams[1])
+    trust = _trust(settings, len(names), int(np.ceil(duration / decision)) + 1, decision, streams[1])
     chosen = _chosen(policy, trust, names, decision, dwell, streams[2])
     leads = chosen[np.minimum((np.arange(count) * T / decision + 1e-9).astype(np.int64), len(chosen) - 1)]
     heads = leads if _flag("switch_scattering", switch_scattering) else np.full(count, leads[0])
     values, vectors = np.linalg.eigh(np.diag(adjacency.sum(axis=1)) - adjacency)
-    w = np.ascontiguousarray((q0 - goal).T @ vectors)
-    z = np.ascontiguousarray(zeta0.T @ vectors)
+    w, z = (np.ascontiguousarray(array.T @ vectors) for array in (q0 - goal, zeta0))
     budget = operator.budget * (1.0 + 0.5 * float(np.sum(w**2) + np.sum(z**2)))
     far = max(float(np.linalg.norm(q0 - goal, axis=1).max()), tolerance)
-    kind, cutoff, k12, k21, title = _filters(filters, float(np.mean([end.b for end in ends])))
-    pushed = np.zeros((count, 3)) if push is None else _pushed(push, count)
-    device = settings.device()
-    numbers = TeamNumbers(
-        T, device.mass[0, 0], device.damping[0, 0], device.stiffness[0, 0], device.weight[0, 0],
-        float(np.sqrt(1.0 - rate)), READ_OUTS[read_out], kind, cutoff, k12, k21, operator.stiffness(vision),
-        operator.reach, operator.drag, budget, operator.reserve * budget, bool(operator.guarded),
-        round(vision / T), far, settings.steepness,
-    )  # fmt: skip
-    table = np.array([(end.b, end.beta_min, end.beta_max) for end in ends])
-    models = settings.per_robot("robot_to_human", size)
-    trusts = np.array([(0.5 * (m.t_min + m.t_max), m.keep(T), m.b / m.a, m.t_min, m.t_max) for m in models])
-    log, modes = np.empty((rows, len(COLUMNS))), np.empty((rows, 3, size))
+    filtering = _filters(filters, float(np.mean([end.b for end in ends])))
+    numbers = _numbers(settings, operator, filtering, T, rate, read_out, vision, budget, far)
+    rows = -(-count // every)
+    table, log = log_of(LOG, rows + 1)  # the last row is the kernel's scratch
+    modes = np.empty((rows, 3, len(names)))
     done, block = run_team(
-        numbers, np.maximum(values, 0.0), np.ascontiguousarray(vectors), leads, heads, table, trusts, delays,
-        np.ones((2, count), bool), w, z, np.zeros(3), np.zeros(3), pushed, every, log, modes,
+        numbers, np.maximum(values, 0.0), np.ascontiguousarray(vectors), leads, heads, _robots(settings, ends, T),
+        delays, np.ones((2, count), bool), accounts(), w, z, _rows("push", push, count, np.zeros((count, 3))), every,
+        np.zeros(1, STATE), log, modes,
     )  # fmt: skip
     if block >= 0:
         raise DivergenceError(
             f"the team diverged at t = {(done - 1) * T:g} s in the {BLOCKS[block]}; push less, switch the scattering with the "
             "leader, or use a filter that is passive"
         )
-    log[:, :3] += goal
+    log["leader"] += goal
     t = np.round(T * every * np.arange(rows), 9)
-    data = pd.DataFrame(log, index=pd.Index(t, name="t"), columns=list(COLUMNS))
+    data = pd.DataFrame(table[:rows], index=pd.Index(t, name="t"), columns=list(COLUMNS))
     positions = (modes @ vectors.T).transpose(0, 2, 1) + goal
     facts = {
         "policy": policy.title,
-        "filter": title,
-        "k12": k12,
-        "k21": k21,
+        "filter": filtering.title,
+        "k12": filtering.k12,
+        "k21": filtering.k21,
         "seed": str(seed),
         "read_out": read_out,
         "delay": greatest,
@@ -217,75 +202,96 @@ def simulate_team(
     return TeamRun(names, adjacency, goal, data, positions, trust[steps], budget, tolerance, facts)
 
 
+def _samples(duration, sample_time, record_every, robots: int) -> tuple[int, int, float]:
+    """Return the number of samples, how many of them a recorded row stands for, and the sample time, checked."""
+    T = between("sample_time", positive("sample_time", sample_time), 0.0, 0.1)
+    duration = between("duration", duration, 10.0 * T, 1e5)
+    count = round(duration / T)
+    record = max(T, 0.01) if record_every is None else positive("record_every", record_every)
+    every = round(record / T)
+    if every < 1 or abs(every * T - record) > 1e-6 * record:
+        raise ValueError(f"record_every must be a multiple of sample_time = {T:g} s, got {record:g}")
+    rows = -(-count // every)
+    if max(rows * (3 * robots + len(COLUMNS)), 16 * count) > LARGEST:
+        raise ValueError(
+            f"{count} samples and {rows} rows for {robots} robots are too many; shorten duration, or raise sample_time or "
+            "record_every"
+        )
+    return count, every, T
+
+
+def _dwell(min_dwell, delay: float) -> float:
+    """Return τ_min [s], which must be greater than the delay."""
+    dwell = max(5.0 * delay, 5.0) if min_dwell is None else finite_number("min_dwell", min_dwell)
+    if not dwell > delay:
+        raise ValueError(
+            f"min_dwell = {dwell:g} s must be greater than the delay, {delay:g} s: waves of one leader would arrive at the one "
+            "after the next (Section 4.2 asks for τ_min ≫ T)"
+        )
+    return dwell
+
+
+def _numbers(settings, operator, filtering, T, rate, read_out, vision, budget, far) -> TeamNumbers:
+    """Return device, filters and operator as the compiled loop takes them."""
+    device = settings.device()
+    return TeamNumbers(
+        sample_time=T,
+        mass=device.mass[0, 0],
+        damping=device.damping[0, 0],
+        stiffness=device.stiffness[0, 0],
+        weight=device.weight[0, 0],
+        gain=float(np.sqrt(1.0 - rate)),
+        read_out=READ_OUTS[read_out],
+        filtering=filtering.kind,
+        cutoff=filtering.cutoff,
+        k12=filtering.k12,
+        k21=filtering.k21,
+        push=operator.stiffness(vision),
+        reach=operator.reach,
+        drag=operator.drag,
+        budget=budget,
+        reserve=operator.reserve * budget,
+        guarded=operator.guarded,
+        vision=round(vision / T),
+        error_range=far,
+        steepness=settings.steepness,
+    )
+
+
+def _robots(settings, ends, T: float) -> np.ndarray:
+    """Return every robot's end of the channel and its trust in the operator, records of ROBOT."""
+    models = settings.per_robot("robot_to_human", len(ends))
+    rows = [
+        (end.b, end.beta_min, end.beta_max, model.decay(T), model.b / model.a, model.t_min, model.t_max)
+        for end, model in zip(ends, models, strict=True)
+    ]
+    return np.array(rows, ROBOT)
+
+
 def _flag(name: str, value) -> bool:
+    """Return True or False; nothing else counts as either."""
     if not isinstance(value, bool | np.bool_):
         raise ValueError(f"{name} must be True or False, got {value!r}")
     return bool(value)
 
 
-def _positive(name: str, value) -> float:
-    number = finite_number(name, value)
-    if not number > 0.0:
-        raise ValueError(f"{name} must be positive, got {number}")
-    return number
-
-
-def _of(name: str, value, kind):
-    if value is None:
-        return kind()
-    if not isinstance(value, kind):
-        raise ValueError(f"{name} must be of class {kind.__name__}, got {type(value).__name__}")
-    return value
-
-
-def _streams(seed) -> list[np.random.Generator]:
-    """Return three streams of the seed, the same at every call."""
-    if isinstance(seed, np.random.SeedSequence):
-        own = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
-    else:
-        own = np.random.SeedSequence(whole_number("seed", seed, least=0))
-    return [np.random.default_rng(child) for child in own.spawn(3)]
-
-
-def _delays(given, rate: float, read_out: str, count: int, T: float) -> tuple[np.ndarray, float]:
-    """Return delays both ways in samples, and the greatest in seconds."""
-    delays = np.empty((2, count))
-    for i, (name, value) in enumerate(zip(("delay", "delay_back"), given, strict=True)):
-        delay = delay_from(name, value, rate)
-        if read_out != "ledger" and delay.max_rate > rate + 1e-9:
-            raise ValueError(
-                f"{name} grows at up to {delay.max_rate:g} s/s, but f_i is set for {rate:g} (max_delay_rate of the scattering); "
-                "raise it, or read out by ledger"
-            )
-        seconds = delay.samples(count, T)
-        if not seconds.all():
-            raise ValueError(f"{name} must be at least one sample, {T:g} s, got 0")
-        delays[i] = seconds / T
-    near = np.round(delays)
-    delays = np.where(np.abs(delays - near) < 1e-6, near, delays)
-    return delays, float(delays.max() * T)
-
-
-def _start(name: str, given, size: int, draw) -> np.ndarray:
+def _rows(name: str, given, count: int, default: np.ndarray) -> np.ndarray:
+    """Return an array of three numbers a row that a user may give, one row per robot or sample."""
     if given is None:
-        return draw()
+        return default
     try:
         array = np.asarray(given)
         if array.dtype.kind not in "iuf":
             raise TypeError
-        array = array.astype(float)
+        array = np.ascontiguousarray(array, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be an array of numbers, got {type(given).__name__}") from None
-    if array.shape != (size, 3):
-        raise ValueError(f"{name} must have shape ({size}, 3), one row per robot, got {array.shape}")
+    if array.shape != (count, 3):
+        raise ValueError(f"{name} must have shape ({count}, 3), one row per robot, got {array.shape}")
     if not np.isfinite(array).all():
         i, j = np.argwhere(~np.isfinite(array))[0]
-        raise ValueError(f"{name} must be finite, but robot {i}, axis {j} is {array[i, j]}")
+        raise ValueError(f"{name} must be finite, but row {i}, axis {j} is {array[i, j]}")
     return array
-
-
-def _pushed(push, count: int) -> np.ndarray:
-    return np.ascontiguousarray(_start("push", push, count, None))
 
 
 def _trust(settings: TeamSettings, size: int, count: int, step: float, rng) -> np.ndarray:
@@ -297,7 +303,7 @@ def _trust(settings: TeamSettings, size: int, count: int, step: float, rng) -> n
         drawn = stream.random(count + 1)
         performance = drawn[np.cumsum(anew)]
         start = stream.random()
-        share = trust_run(performance[:-1], model.keep(step), model.b / model.a, start)
+        share = trust_run(performance[:-1], model.decay(step), model.b / model.a, start)
         trust[:, i] = model.t_min + (model.t_max - model.t_min) * share
     return trust
 
@@ -324,22 +330,28 @@ def _chosen(policy, trust: np.ndarray, names: tuple, step: float, dwell: float, 
     return chosen.astype(np.int64)
 
 
-def _filters(filters, impedance: float) -> tuple[int, float, float, float, str]:
+class Filtering(NamedTuple):
+    """F1 and F2 of Fig. 4.1 as numbers, and what they are."""
+
+    kind: int
+    cutoff: float
+    k12: float
+    k21: float
+    title: str
+
+
+def _filters(filters, impedance: float) -> Filtering:
+    """Return the filters that a user names or gives."""
     if isinstance(filters, str) and filters in FILTERS:
         if filters == "none":
-            return NO_FILTER, 1.0, 0.0, 0.0, "no filter"
-        if filters == "waves":
-            filters = WaveFilter(CUTOFF)
-        else:
-            filters = printed_filter(CUTOFF) if filters == "printed" else corrected_filter(CUTOFF, impedance)
+            return Filtering(NO_FILTER, 1.0, 0.0, 0.0, "no filter")
+        named = {"waves": WaveFilter(CUTOFF), "printed": printed_filter(CUTOFF)}
+        filters = named.get(filters) or corrected_filter(CUTOFF, impedance)
     if isinstance(filters, WaveFilter):
-        return WAVES, filters.cutoff, 0.0, 0.0, f"waves, {filters.cutoff:g} rad/s"
-    if isinstance(filters, TwoPortFilter):
-        passive = passivity_margin(
-            [filters.cutoff], [1.0, filters.cutoff], filters.k12, filters.k21
-        ).is_passive
-        kind = "two-port" if passive else "two-port that is not passive"
-        return TWO_PORT, filters.cutoff, filters.k12, filters.k21, f"{kind}, {filters.cutoff:g} rad/s"
-    raise ValueError(
-        f"filters must be one of {', '.join(map(repr, FILTERS))}, a TwoPortFilter or a WaveFilter, got {filters!r}"
-    )
+        return Filtering(WAVES, filters.cutoff, 0.0, 0.0, f"waves, {filters.cutoff:g} rad/s")
+    if not isinstance(filters, TwoPortFilter):
+        one_of("filters", filters, FILTERS, also="a TwoPortFilter or a WaveFilter")
+    margin = passivity_margin([filters.cutoff], [1.0, filters.cutoff], filters.k12, filters.k21)
+    kind = "two-port" if margin.is_passive else "two-port that is not passive"
+    title = f"{kind}, {filters.cutoff:g} rad/s"
+    return Filtering(TWO_PORT, filters.cutoff, filters.k12, filters.k21, title)

@@ -64,7 +64,7 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
     for number, run in enumerate(runs):
         if not isinstance(run, Session):
             raise ValueError(f"sessions[{number}] must be a Session, got {type(run).__name__}")
-        names = ("path_error", "p_r", "p_h", "mode", "beta", "port_share", "f_h_x", "f_h_y", "f_h_z")
+        names = ("path_error", "p_r", "p_h", "alpha", "beta", "port_share", "f_h_x", "f_h_y", "f_h_z")
         energies = ("energy_operator", "energy_dissipated", "energy_channel", "energy_robot")
         run.require(*names, *energies)
         force = np.sqrt(sum(run[f"f_h_{axis}"] ** 2 for axis in AXES))
@@ -75,8 +75,8 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
             run["path_error"].max(),
             run["p_r"].mean(),
             run["p_h"].mean(),
-            run["mode"].mean(),
-            np.abs(np.diff(run["mode"])).mean() / run.sample_time,
+            run["alpha"].mean(),
+            np.abs(np.diff(run["alpha"])).mean() / run.sample_time,
             run["beta"].mean(),
             force.mean(),
             run["energy_operator"][-1],

@@ -12,7 +12,7 @@ __all__ = ["plot_alpha", "plot_energies", "plot_signals", "plot_trajectory"]
 SIGNALS = (
     ("performance", {"p_r": "robot $P_r$", "p_h": "operator $P_h$"}),
     ("trust", {"trust_hr": "human-to-robot $T_{hr}$", "trust_rh": "robot-to-human $T_{rh}$"}),
-    ("scale", {"mode": "share of the operator $α$", "beta": "force feedback $β$"}),
+    ("scale", {"alpha": "share of the operator $α$", "beta": "force feedback $β$"}),
 )
 ENERGIES = {
     "energy_operator": "supplied by the operator",
@@ -165,7 +165,7 @@ def plot_alpha(sessions: Iterable[Session], axes=None):
         raise ValueError("sessions is empty: give at least one run")
     for number, run in enumerate(runs):
         of_class(f"sessions[{number}]", run, Session)
-        run.require("mode")
+        run.require("alpha")
     if axes is None:
         axes = plt.subplots(
             len(runs),
@@ -179,7 +179,7 @@ def plot_alpha(sessions: Iterable[Session], axes=None):
     if axes.size != len(runs):
         raise ValueError(f"there are {len(runs)} runs and {axes.size} axes; give one per run")
     for panel, run in zip(axes, runs, strict=True):
-        panel.plot(run.t, run["mode"], lw=1.0, color=BLUE)
+        panel.plot(run.t, run["alpha"], lw=1.0, color=BLUE)
         panel.set_ylim(-0.05, 1.05)
         panel.set_ylabel("$α$")
         panel.set_title(run.label, fontsize="medium")

@@ -9,16 +9,35 @@ import numpy as np
 import pandas as pd
 
 from trustlab.allocation.blending import OptimalBlending
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import (
+    between,
+    finite_number,
+    not_negative,
+    of_class,
+    one_of,
+    positive,
+    spawned,
+)
 from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session
-from trustlab.teleoperation.channel import READ_OUTS
-from trustlab.teleoperation.delays import Delay, delay_from, random_walk_delay
-from trustlab.teleoperation.loop import DivergenceError, LoopSettings, study_named, vehicle_matrices
-from trustlab.teleoperation.loop_kernel import BLOCKS, COLUMNS, AutonomyNumbers, run_loop
-from trustlab.teleoperation.passivity import METHODS
-from trustlab.teleoperation.schemes import OPTIMAL, scheme_named
+from trustlab.teleoperation.channel import lost_waves
+from trustlab.teleoperation.delays import Delay, delays_in_samples, random_walk_delay
+from trustlab.teleoperation.loop.kernel import (
+    BLOCKS,
+    COLUMNS,
+    INPUT,
+    LOG,
+    STATE,
+    AutonomyNumbers,
+    Setup,
+    run_loop,
+)
+from trustlab.teleoperation.loop.schemes import OPTIMAL, Scheme, scheme_named
+from trustlab.teleoperation.loop.settings import DivergenceError, LoopSettings, study_named, vehicle_matrices
+from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
+from trustlab.teleoperation.ports.passivity import METHODS
+from trustlab.teleoperation.records import log_of
 
 __all__ = ["TrackingTask", "simulate_teleoperation", "tracking_vehicle"]
 
@@ -42,9 +61,7 @@ def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
     ValueError
         If `bandwidth` is not positive, or above 1000.
     """
-    omega = finite_number("bandwidth", bandwidth)
-    if not 0.0 < omega <= 1e3:
-        raise ValueError(f"bandwidth must be positive and at most 1000, got {omega}")
+    omega = between("bandwidth", positive("bandwidth", bandwidth), 0.0, 1e3)
     return tuple(
         TransferFunction(omega, (omega,))
         if model.order == 1
@@ -91,13 +108,25 @@ class TrackingTask:
     reach: float = 1.5
 
     def __post_init__(self):
+        may_be_zero = ("speed", "camera_delay", "proportional", "integral", "derivative")
         for name in self.__dataclass_fields__:
-            value = finite_number(name, getattr(self, name))
-            if value < 0.0 or (
-                name in ("size_x", "size_y", "failure_every", "failure_length", "reach") and not value
-            ):
-                raise ValueError(f"{name} must be positive, got {value}")
-            object.__setattr__(self, name, value)
+            check = not_negative if name in may_be_zero else positive
+            object.__setattr__(self, name, check(name, getattr(self, name)))
+
+    def controller(self, sample_time: float) -> AutonomyNumbers:
+        """
+        Return the autonomous controller as the compiled loop takes it.
+
+        Parameters
+        ----------
+        sample_time : float
+            T [s].
+        """
+        late = max(round(self.camera_delay / sample_time), 1)
+        ideal = 1.0  # gain of the ideal controller u_i = reference velocity + error
+        return AutonomyNumbers(
+            self.proportional, self.integral, self.derivative, late, self.reach, ideal
+        )  # fmt: skip
 
     def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -162,7 +191,8 @@ def simulate_teleoperation(
     operator : Teleoperator, optional
         Who holds the device; an average one when not given.
     study : {"preliminary", "main"} or LoopSettings
-        Printed settings, or own ones.
+        Printed settings, or own ones. Task, delays and reach of the operator are those of the study that
+        `LoopSettings.study` names, where they are not given.
     seed : int or numpy.random.SeedSequence
         Streams for the path's start, losses of the target, motor noise and delays are spawned from it.
     duration : float
@@ -190,7 +220,8 @@ def simulate_teleoperation(
     Returns
     -------
     Session
-        Every signal and every port's energy; `mode` is α. Labelled synthetic.
+        Every signal and every port's energy; column `alpha` is α, `trust_hr` and `trust_rh` are in units of their trust
+        models. Labelled synthetic.
 
     Raises
     ------
@@ -209,70 +240,44 @@ def simulate_teleoperation(
     session, and `guarded` and `port_share` of `teleoperation_measures` show how much the controller did.
     """
     chosen, settings = scheme_named(scheme), study_named(study)
-    name = study if isinstance(study, str) else "main"
-    operator = Teleoperator(reach=REACH[name]) if operator is None else operator
-    task = TASKS[name] if task is None else task
-    for word, value, kind in (("operator", operator, Teleoperator), ("task", task, TrackingTask)):
-        if not isinstance(value, kind):
-            raise ValueError(f"{word} must be of class {kind.__name__}, got {type(value).__name__}")
-    duration, sample_time = finite_number("duration", duration), finite_number("sample_time", sample_time)
-    if not 1e-5 <= sample_time <= 0.1:
-        raise ValueError(f"sample_time must lie in [1e-5, 0.1] s, got {sample_time}")
-    if not 10.0 * sample_time <= duration <= min(1e5, 5e6 * sample_time):
-        raise ValueError(
-            f"duration must be ten to five million samples of {sample_time:g} s and at most 1e5 s, got {duration}"
-        )
-    for word, value, known in (("read_out", read_out, READ_OUTS), ("guard", guard, METHODS)):
-        if not isinstance(value, str) or value not in known:
-            raise ValueError(f"{word} must be one of {', '.join(known)}, got {value!r}")
-    streams = [np.random.default_rng(child) for child in _spawn(seed, 5)]
-    count = round(duration / sample_time)
-    t = sample_time * np.arange(count)
-    reference, velocity = task.path(t, settings.height, streams[0].uniform(0.0, 2.0 * np.pi))
-    detected = _losses(task, count, sample_time, streams[1])
-    motor = _coloured(count, operator.noise_time, sample_time, streams[2])
-    delays, direct = _delays(name, settings, (delay_1, delay_2), read_out, count, sample_time, streams[3:])
-    shares = _given("alpha", alpha, (count,), np.nan)
-    known = shares[np.isfinite(shares)]
-    settings.scattering.check_scales(known, settings.scattering.beta_max)
-    pushed = _given("push", push, (count, 3), 0.0)
-    if not np.isfinite(pushed).all():
-        k, i = np.argwhere(~np.isfinite(pushed))[0]
-        raise ValueError(f"push must be finite, but sample {k}, axis {i} is {pushed[k, i]}")
-    got = np.ones((2, count), bool)
-    if lost is not None:
-        missing = np.asarray(lost)
-        if missing.shape != got.shape or missing.dtype != bool:
-            raise ValueError(
-                f"lost must be True or False, shape {got.shape}, got {missing.dtype} {missing.shape}"
-            )
-        got = ~missing
+    operator = Teleoperator(reach=REACH[settings.study]) if operator is None else operator
+    task = TASKS[settings.study] if task is None else task
+    of_class("operator", operator, Teleoperator)
+    of_class("task", task, TrackingTask)
+    one_of("read_out", read_out, READ_OUTS)
+    one_of("guard", guard, METHODS)
+    count, sample_time = _samples(duration, sample_time)
     vehicle = tracking_vehicle() if vehicle is None else three_axes(vehicle)
-    phi, gamma = vehicle_matrices(vehicle, sample_time)
-    blend = np.zeros((3, 1, 5, 5))
-    if chosen.allocation == OPTIMAL:
-        gains, ends = ((task.proportional, task.derivative),) * 3, settings.scattering
-        blend = _blending(vehicle, gains, ends.alpha_min, ends.alpha_max)
-    auto = AutonomyNumbers(
-        task.proportional,
-        task.integral,
-        task.derivative,
-        max(round(task.camera_delay / sample_time), 1),
-        task.reach,
-        1.0,
-    )
-    log = np.empty((count, len(COLUMNS)))
-    done, block, energy = run_loop(
-        chosen.allocation, chosen.bilateral, direct, READ_OUTS[read_out], METHODS[guard],
-        settings.numbers(sample_time), operator.numbers(sample_time, task.camera_delay), auto, phi, gamma,
-        reference, velocity, detected, delays, got, motor, pushed, shares, blend, log,
+    seeds = spawned(seed, 5)
+    delays = _delays(settings, (delay_1, delay_2), read_out, count, sample_time, seeds[3:])
+    arrives = lost_waves(lost, count)
+    inputs = _inputs(settings, task, operator, count, sample_time, seeds, alpha, push)
+    setup = Setup(
+        chosen.allocation, chosen.bilateral, not delays.any(), READ_OUTS[read_out], METHODS[guard]
     )  # fmt: skip
+    table, log = log_of(LOG, count)
+    done, block = run_loop(
+        setup,
+        settings.numbers(sample_time),
+        operator.numbers(sample_time, task.camera_delay),
+        task.controller(sample_time),
+        vehicle_matrices(vehicle, sample_time),
+        _blending(chosen, vehicle, task, settings),
+        inputs,
+        delays,
+        arrives,
+        accounts(),
+        np.zeros(1, STATE),
+        log,
+    )
+    t = sample_time * np.arange(count)
+    data = pd.DataFrame(table, index=pd.Index(np.round(t, 9), name="t"), columns=COLUMNS)
     if block >= 0:
+        energy = data[["energy_device", "energy_channel", "energy_robot"]].iloc[done - 1, block]
         raise DivergenceError(
             f"scheme {scheme} diverged at t = {(done - 1) * sample_time:g} s in the {BLOCKS[block]} (its energy: "
             f"{energy:.3g} J); lower k_ffa, the hand's gains or the sample time, or see which guard is off"
         )
-    data = pd.DataFrame(log, index=pd.Index(np.round(t, 9), name="t"), columns=COLUMNS)
     facts = {
         "study": settings.title,
         "scheme": chosen.title,
@@ -286,21 +291,48 @@ def simulate_teleoperation(
     )
 
 
-def _spawn(seed, count: int) -> list[np.random.SeedSequence]:
-    """Return children of the seed, the same at every call."""
-    if isinstance(seed, np.random.SeedSequence):
-        own = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
-    elif isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and seed >= 0:
-        own = np.random.SeedSequence(int(seed))
-    else:
-        raise ValueError(f"seed must be a whole number, 0 or more, or a numpy SeedSequence, got {seed!r}")
-    return own.spawn(count)
+def _samples(duration: float, sample_time: float) -> tuple[int, float]:
+    """Return the number of samples and the sample time of a run, checked."""
+    sample_time, duration = (
+        between("sample_time", sample_time, 1e-5, 0.1),
+        finite_number("duration", duration),
+    )
+    if not 10.0 * sample_time <= duration <= min(1e5, 5e6 * sample_time):
+        raise ValueError(
+            f"duration must be ten to five million samples of {sample_time:g} s and at most 1e5 s, got {duration}"
+        )
+    return round(duration / sample_time), sample_time
+
+
+def _inputs(settings, task, operator, count, sample_time, seeds, alpha, push) -> np.ndarray:
+    """Return what comes from outside, records of INPUT: drawn from the seeds where random, checked where a user gave it."""
+    start, losses, noise = (np.random.default_rng(child) for child in seeds[:3])
+    t, inputs = sample_time * np.arange(count), np.empty(count, INPUT)
+    position, velocity = task.path(t, settings.height, start.uniform(0.0, 2.0 * np.pi))
+    inputs["reference"], inputs["reference_velocity"] = position, velocity
+    inputs["detected"] = _losses(task, count, sample_time, losses)
+    inputs["motor"] = _coloured(count, operator.noise_time, sample_time, noise)
+    inputs["alpha"] = shares = _given("alpha", alpha, (count,), np.nan)
+    settings.scattering.check_scales(shares[np.isfinite(shares)], settings.scattering.beta_max)
+    inputs["pushed"] = pushed = _given("push", push, (count, 3), 0.0)
+    if not np.isfinite(pushed).all():
+        k, i = np.argwhere(~np.isfinite(pushed))[0]
+        raise ValueError(f"push must be finite, but sample {k}, axis {i} is {pushed[k, i]}")
+    return inputs
+
+
+def _blending(scheme: Scheme, vehicle, task: TrackingTask, settings: LoopSettings) -> np.ndarray:
+    """Return the cost of Appendix A that sets α in scheme OMI; an empty one in every other scheme."""
+    if scheme.allocation != OPTIMAL:
+        return np.zeros((3, 1, 5, 5))
+    ends = settings.scattering
+    return _cost(vehicle, (task.proportional, task.derivative), ends.alpha_min, ends.alpha_max)
 
 
 @lru_cache(maxsize=64)
-def _blending(vehicle, gains, low: float, high: float) -> np.ndarray:
-    """Return the cost of Appendix A for this vehicle and its controller, as the loop takes it."""
-    return OptimalBlending(vehicle, gains, low, high).weights
+def _cost(vehicle, gains, low: float, high: float) -> np.ndarray:
+    """Return the cost of Appendix A for this vehicle and its controller, the same on three axes."""
+    return OptimalBlending(vehicle, (gains,) * 3, low, high).weights
 
 
 def _losses(task: TrackingTask, count: int, sample_time: float, rng) -> np.ndarray:
@@ -324,30 +356,20 @@ def _coloured(count: int, time: float, sample_time: float, rng) -> np.ndarray:
     return np.ascontiguousarray(lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, axis=0))
 
 
-def _delays(name, settings, given, read_out, count, sample_time, streams) -> tuple[np.ndarray, bool]:
-    rate = settings.scattering.max_delay_rate
-    delays = np.empty((2, count))
-    for i, delay in enumerate(given):
+def _delays(settings: LoopSettings, given, read_out, count, sample_time, seeds) -> np.ndarray:
+    """Return the delays both ways in samples; random walks of the study where none is given."""
+    rate, (low, high) = settings.scattering.max_delay_rate, DELAYS[settings.study]
+    chosen = {}
+    for name, delay, child in zip(("delay_1", "delay_2"), given, seeds, strict=True):
         if delay is None:
-            low, high = DELAYS[name]
-            children = np.random.SeedSequence(int(streams[i].integers(1 << 62)))
-            delay = random_walk_delay(max(low, sample_time), high, rate, children)
-        delay = delay_from(f"delay_{i + 1}", delay, rate)
-        if read_out != "ledger" and delay.max_rate > rate + 1e-9:
-            raise ValueError(
-                f"delay_{i + 1} grows at up to {delay.max_rate:g} s/s, but f_i is set for {rate:g} (max_delay_rate of the "
-                "scattering); raise it, or read out by ledger"
-            )
-        delays[i] = delay.samples(count, sample_time) / sample_time
-    direct = not delays.any()
-    if not direct and not delays.all():
-        raise ValueError(
-            "delay_1 and delay_2 must both be zero (no channel in between) or both at least one sample"
-        )
-    return delays, direct
+            own = np.random.SeedSequence(int(np.random.default_rng(child).integers(1 << 62)))
+            delay = random_walk_delay(max(low, sample_time), high, rate, own)
+        chosen[name] = delay
+    return delays_in_samples(chosen, rate, read_out, count, sample_time, zero=True)
 
 
 def _given(name: str, values, shape: tuple[int, ...], default: float) -> np.ndarray:
+    """Return an array that a user may give, one row per sample; the default throughout when not given."""
     if values is None:
         return np.full(shape, default)
     try:

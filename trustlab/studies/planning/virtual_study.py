@@ -13,7 +13,7 @@ from trustlab.studies.planning.populations import GroundRobotPopulation, Teleope
 from trustlab.studies.planning.virtual_folder import Folder
 from trustlab.studies.planning.virtual_participant import run_participant
 from trustlab.studies.planning.virtual_report import KEYS, ORIGIN, WORDS, VirtualStudy
-from trustlab.teleoperation.schemes import SCHEMES
+from trustlab.teleoperation.loop.schemes import SCHEMES
 from trustlab.testbeds.ground_robot import CONDITIONS, MOST_LAPS
 
 __all__ = ["virtual_study"]

@@ -48,19 +48,7 @@ SCHEMES = {
 
 
 def scheme_named(name: str) -> Scheme:
-    """
-    Return the scheme of this name.
-
-    Parameters
-    ----------
-    name : str
-        M, MI, MMI, TMIG, TMIS or OMI.
-
-    Raises
-    ------
-    ValueError
-        If there is none; the nearest is suggested.
-    """
+    """Return the scheme of this name; an unknown one is refused with the nearest."""
     if isinstance(name, str) and name in SCHEMES:
         return SCHEMES[name]
     likeness = {known: _likeness(str(name).upper(), known) for known in SCHEMES}

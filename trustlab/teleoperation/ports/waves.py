@@ -4,12 +4,76 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import numba
 import numpy as np
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import finite_number, positive
 
-__all__ = ["Scattering"]
+__all__ = ["OperatorEnd", "RobotEnd", "Scattering"]
+
+
+class OperatorEnd(NamedTuple):
+    """Coefficients of (3.22) at the operator's end: f'_m = b r_m + arriving v_l, u_l = sent r_m + reflected v_l."""
+
+    b: float
+    arriving: float
+    sent: float
+    reflected: float
+
+
+class RobotEnd(NamedTuple):
+    """Coefficients of (3.22) at the robot's end: r'_s = (arriving v_r − f_s)/b, u_r = sent f_s − reflected v_r."""
+
+    b: float
+    arriving: float
+    sent: float
+    reflected: float
+
+
+# These six functions are the only place where the wave equations stand. Kernels call them compiled; `Scattering` calls
+# their Python originals (`.py_func`) on whole arrays.
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def operator_end(b, beta_min, beta_max):
+    """Return the coefficients at the operator's end for an impedance and the bounds of β."""
+    return OperatorEnd(
+        b, np.sqrt(2.0 * b / beta_max), np.sqrt(2.0 * b * beta_min), np.sqrt(beta_min / beta_max)
+    )
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def robot_end(b, alpha_min, alpha_max):
+    """Return the coefficients at the robot's end for an impedance and the bounds of α."""
+    return RobotEnd(
+        b, np.sqrt(2.0 * b / alpha_max), np.sqrt(2.0 * alpha_min / b), np.sqrt(alpha_min / alpha_max)
+    )
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def operator_force(end, r_m, v_l):
+    """Return the force f'_m at the operator's end, before its scaling by β."""
+    return end.b * r_m + end.arriving * v_l
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def operator_wave(end, r_m, v_l):
+    """Return the wave u_l that leaves the operator's end."""
+    return end.sent * r_m + end.reflected * v_l
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def robot_velocity(end, f_s, v_r):
+    """Return the velocity r'_s at the robot's end, before its scaling by α."""
+    return end.arriving * v_r / end.b - f_s / end.b
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def robot_wave(end, f_s, v_r):
+    """Return the wave u_r that leaves the robot's end."""
+    return end.sent * f_s - end.reflected * v_r
 
 
 @dataclass(frozen=True)
@@ -19,7 +83,8 @@ class Scattering:
 
     f'_m = b r_m + √(2b/β_max) v_l, u_l = √(2bβ_min) r_m + √(β_min/β_max) v_l,
     r'_s = (√(2b/α_max) v_r − f_s)/b, u_r = √(2α_min/b) f_s − √(α_min/α_max) v_r, and r_s = α r'_s, f_m = β f'_m.
-    Waves go out with the least scale and come in with the greatest, so that no scale within its bounds gives energy away.
+    Waves leave with the lower bound of the scale and arrive with the upper one, so that no scale within its bounds
+    generates energy.
 
     Parameters
     ----------
@@ -55,10 +120,9 @@ class Scattering:
     max_delay_rate: float = 0.0
 
     def __post_init__(self):
-        for name in ("b", "alpha_min", "alpha_max", "beta_min", "beta_max", "max_delay_rate"):
+        object.__setattr__(self, "b", positive("b", self.b))
+        for name in ("alpha_min", "alpha_max", "beta_min", "beta_max", "max_delay_rate"):
             object.__setattr__(self, name, finite_number(name, getattr(self, name)))
-        if not self.b > 0.0:
-            raise ValueError(f"b is an impedance and must be positive, got {self.b}")
         for name in ("alpha", "beta"):
             low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
             if not low > 0.0:
@@ -81,9 +145,14 @@ class Scattering:
         return math.sqrt(1.0 - self.max_delay_rate)
 
     @property
-    def numbers(self) -> np.ndarray:
-        """b, α_min, α_max, β_min, β_max, f_i as compiled loops take them."""
-        return np.array([self.b, self.alpha_min, self.alpha_max, self.beta_min, self.beta_max, self.gain])
+    def at_operator(self) -> OperatorEnd:
+        """Coefficients of the wave equations at the operator's end."""
+        return operator_end.py_func(self.b, self.beta_min, self.beta_max)
+
+    @property
+    def at_robot(self) -> RobotEnd:
+        """Coefficients of the wave equations at the robot's end."""
+        return robot_end.py_func(self.b, self.alpha_min, self.alpha_max)
 
     def master(self, r_m: np.ndarray, v_l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -97,11 +166,8 @@ class Scattering:
             Wave that arrives from the robot [√W], of the same shape.
         """
         r_m, v_l = np.asarray(r_m, dtype=float), np.asarray(v_l, dtype=float)
-        b, low, high = self.b, self.beta_min, self.beta_max
-        return (
-            b * r_m + math.sqrt(2.0 * b / high) * v_l,
-            math.sqrt(2.0 * b * low) * r_m + math.sqrt(low / high) * v_l,
-        )
+        end = self.at_operator
+        return operator_force.py_func(end, r_m, v_l), operator_wave.py_func(end, r_m, v_l)
 
     def slave(self, f_s: np.ndarray, v_r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -115,11 +181,8 @@ class Scattering:
             Wave that arrives from the operator [√W], of the same shape.
         """
         f_s, v_r = np.asarray(f_s, dtype=float), np.asarray(v_r, dtype=float)
-        b, low, high = self.b, self.alpha_min, self.alpha_max
-        return (
-            (math.sqrt(2.0 * b / high) * v_r - f_s) / b,
-            math.sqrt(2.0 * low / b) * f_s - math.sqrt(low / high) * v_r,
-        )
+        end = self.at_robot
+        return robot_velocity.py_func(end, f_s, v_r), robot_wave.py_func(end, f_s, v_r)
 
     def check_scales(self, alpha: np.ndarray, beta: np.ndarray) -> None:
         """

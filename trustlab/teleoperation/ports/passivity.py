@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import not_negative, one_of, positive
 
 __all__ = ["CANCEL", "METHODS", "OFF", "REPAY", "Controlled", "PassivityController", "activation", "demanded"]
 
@@ -15,7 +15,7 @@ OFF, CANCEL, REPAY = 0, 1, 2
 METHODS = {"off": OFF, "cancel": CANCEL, "repay": REPAY}
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
 def demanded(method, energy, power, sample_time):
     """Return the power [W] that the port must take in this sample, or NaN where the controller rests."""
     if method == CANCEL and energy <= 0.0 and power < 0.0:
@@ -25,7 +25,7 @@ def demanded(method, energy, power, sample_time):
     return np.nan
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
 def activation(power, square, compliance, demand):
     """
     Return w ≥ 0 of the damping that makes a port take the power `demand`, and whether it can.
@@ -107,16 +107,10 @@ class PassivityController:
     def __init__(
         self, sample_time: float, method: str = "cancel", cap: float = np.inf, velocity_floor: float = 0.0
     ):
-        self.sample_time = finite_number("sample_time", sample_time)
-        if not self.sample_time > 0.0:
-            raise ValueError(f"sample_time must be positive, got {sample_time}")
-        if method not in ("cancel", "repay"):
-            raise ValueError(f"method must be 'cancel' or 'repay', got {method!r}")
-        self.method = method
-        self.cap = np.inf if cap == np.inf else finite_number("cap", cap)
-        self.velocity_floor = finite_number("velocity_floor", velocity_floor)
-        if self.cap < 0.0 or self.velocity_floor < 0.0:
-            raise ValueError(f"cap and velocity_floor cannot be negative, got {cap} and {velocity_floor}")
+        self.sample_time = positive("sample_time", sample_time)
+        self.method = one_of("method", method, ("cancel", "repay"))
+        self.cap = np.inf if cap == np.inf else not_negative("cap", cap)
+        self.velocity_floor = not_negative("velocity_floor", velocity_floor)
         self.energy = 0.0
 
     @property

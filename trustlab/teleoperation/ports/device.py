@@ -3,21 +3,75 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import numba
 import numpy as np
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import not_negative, positive, whole_number
 
-__all__ = ["HapticDevice", "PassivityError"]
+__all__ = ["Device", "HapticDevice", "PassivityError"]
 
 ROUNDING = 1e-12
 
 
+class Device(NamedTuple):
+    """One axis of the device, and what the implicit midpoint rule makes of it together with the hand that holds it."""
+
+    sample_time: float
+    mass: float
+    damping: float
+    stiffness: float
+    weight: float
+    held_stiffness: float  # of device and hand
+    inertia: float  # 2M/T + B + KT/2, device and hand: force per velocity at the midpoint
+    lever: float  # r_m per velocity at the midpoint, 1 + ΛT/2
+    spare: float  # K + ΛB − ΛMΛ of (3.9)
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def held_device(mass, damping, stiffness, weight, hand_stiffness, hand_damping, sample_time):
+    """Return one axis of a device in a hand that is a spring and a damper."""
+    held_stiffness, held_damping = stiffness + hand_stiffness, damping + hand_damping
+    inertia = 2.0 * mass / sample_time + held_damping + 0.5 * sample_time * held_stiffness
+    lever = 1.0 + 0.5 * sample_time * weight
+    spare = stiffness + weight * damping - weight * mass * weight
+    return Device(sample_time, mass, damping, stiffness, weight, held_stiffness, inertia, lever, spare)
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def midpoint_velocity(device, x, v, force, feedback):
+    """Return the velocity at the middle of the sample under the hand's force and the scaled feedback."""
+    pull = 2.0 * device.mass * v / device.sample_time - device.held_stiffness * x + force - feedback
+    return pull / device.inertia
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def free_output(device, x, v, force):
+    """Return the output r_m that the device would have without feedback; the channel's end is solved with it."""
+    pull = 2.0 * device.mass * v / device.sample_time - device.held_stiffness * x + force
+    return device.lever * pull / device.inertia + device.weight * x
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def device_storage(device, x, v):
+    """Return the storage of one axis, (3.9), before static scaling [J]."""
+    r = v + device.weight * x
+    return 0.5 * (device.mass * r * r + device.spare * x * x)
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def device_loss(device, x_middle, v_middle):
+    """Return the power dissipated on one axis at the midpoint, (3.10), before static scaling [W]."""
+    damped = (device.damping - device.mass * device.weight) * v_middle**2
+    return damped + device.weight * device.stiffness * x_middle**2
+
+
 class PassivityError(ValueError):
-    """A block would give out more energy than it was given."""
+    """A block would generate energy."""
 
 
-def _matrix(name: str, value, n: int | None = None) -> np.ndarray:
+def _matrix(name: str, value, n: int) -> np.ndarray:
     """Return a scalar, a diagonal or a matrix as a symmetric matrix."""
     try:
         array = np.array(value, dtype=float)
@@ -28,13 +82,12 @@ def _matrix(name: str, value, n: int | None = None) -> np.ndarray:
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {value!r}")
     if array.ndim == 0:
-        array = np.eye(n or 1) * array
+        array = np.eye(n) * array
     elif array.ndim == 1:
         array = np.diag(array)
-    if array.ndim != 2 or array.shape[0] != array.shape[1] or (n is not None and array.shape[0] != n):
-        wanted = f"{n} × {n}" if n else "square"
+    if array.shape != (n, n):
         raise ValueError(
-            f"{name} must be a number, a diagonal or a {wanted} matrix, got shape {np.shape(value)}"
+            f"{name} must be a number, a diagonal or a {n} × {n} matrix, got shape {np.shape(value)}"
         )
     if np.abs(array - array.T).max() > ROUNDING * np.abs(array).max():
         raise ValueError(f"{name} must be symmetric")
@@ -93,17 +146,10 @@ class HapticDevice:
     require_passive: bool = True
 
     def __post_init__(self):
-        n = next(
-            (
-                np.shape(value)[0]
-                for value in (self.mass, self.damping, self.stiffness, self.weight)
-                if np.ndim(value)
-            ),
-            self.dimensions,
-        )
-        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 1:
-            raise ValueError(f"dimensions must be a whole number, at least 1, got {n!r}")
-        object.__setattr__(self, "dimensions", int(n))
+        given = (self.mass, self.damping, self.stiffness, self.weight)
+        sizes = [np.shape(value)[0] for value in given if np.ndim(value)]
+        n = whole_number("dimensions", sizes[0] if sizes else self.dimensions)
+        object.__setattr__(self, "dimensions", n)
         mass = _matrix("mass", self.mass, n)
         if np.linalg.eigvalsh(mass).min() <= 0.0:
             raise ValueError("mass must be positive definite")
@@ -116,14 +162,8 @@ class HapticDevice:
             if (diagonal < 0.0).any() or (least == "positive" and (diagonal == 0.0).any()):
                 raise ValueError(f"{name} must be {least} on its diagonal, got {diagonal.tolist()}")
             object.__setattr__(self, name, matrix)
-        scaling = finite_number("force_scaling", self.force_scaling)
-        if not scaling > 0.0:
-            raise ValueError(f"force_scaling must be positive, got {scaling}")
-        object.__setattr__(self, "force_scaling", scaling)
-        port = finite_number("port_damping", self.port_damping)
-        if port < 0.0:
-            raise ValueError(f"port_damping cannot be negative, got {port}")
-        object.__setattr__(self, "port_damping", port)
+        object.__setattr__(self, "force_scaling", positive("force_scaling", self.force_scaling))
+        object.__setattr__(self, "port_damping", not_negative("port_damping", self.port_damping))
         if self.require_passive and not self.is_passive:
             most = self.largest_mass()
             raise PassivityError(
@@ -132,11 +172,15 @@ class HapticDevice:
                 "pass require_passive=False to see it fail"
             )
 
-    def _spare(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the matrices of (3.10) and (3.9) that must not be negative."""
+    def _at_port(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return damping and stiffness with what the channel adds at the port, and ½(MΛ + ΛM)."""
         damping = self.damping + self.force_scaling * self.port_damping * np.eye(self.dimensions)
         stiffness = self.stiffness + self.force_scaling * self.port_damping * self.weight
-        cross = 0.5 * (self.mass @ self.weight + self.weight @ self.mass)
+        return damping, stiffness, 0.5 * (self.mass @ self.weight + self.weight @ self.mass)
+
+    def _spare(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the matrices of (3.10) and (3.9) that must not be negative."""
+        damping, stiffness, cross = self._at_port()
         return damping - cross, stiffness + self.weight @ damping - self.weight @ self.mass @ self.weight
 
     @property
@@ -151,9 +195,7 @@ class HapticDevice:
         """Return the largest mass [kg] (largest diagonal entry, M scaled as a whole) that is r-passive with these gains."""
         from scipy.linalg import eigh
 
-        damping = self.damping + self.force_scaling * self.port_damping * np.eye(self.dimensions)
-        stiffness = self.stiffness + self.force_scaling * self.port_damping * self.weight
-        cross = 0.5 * (self.mass @ self.weight + self.weight @ self.mass)
+        damping, stiffness, cross = self._at_port()
         squared = self.weight @ self.mass @ self.weight
         most = min(
             1.0 / eigh(cross, damping, eigvals_only=True).max(),
@@ -162,7 +204,8 @@ class HapticDevice:
         return float(most * np.diag(self.mass).max())
 
     def _least_damping(self) -> float:
-        cross = 0.5 * (self.mass @ self.weight + self.weight @ self.mass)
+        """Return the least damping [N s/m], the same on all axes, with which the device is r-passive."""
+        cross = self._at_port()[2]
         return float(np.linalg.eigvalsh(cross).max() - self.force_scaling * self.port_damping)
 
     def output(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -236,9 +279,7 @@ class HapticDevice:
             If an argument is not finite or has the wrong shape, or `sample_time` is not positive.
         """
         x, v, f_h, f_m = self._vectors(x=x, v=v, f_h=f_h, f_m=f_m)
-        sample_time = finite_number("sample_time", sample_time)
-        if not sample_time > 0.0:
-            raise ValueError(f"sample_time must be positive, got {sample_time}")
+        sample_time = positive("sample_time", sample_time)
         half = 0.5 * sample_time
         left = self.mass + half * self.damping + half**2 * self.stiffness
         force = f_h - self.force_scaling * f_m
@@ -256,6 +297,7 @@ class HapticDevice:
         return a, np.vstack([np.zeros((n, n)), inverse]), np.hstack([self.weight, one])
 
     def _vectors(self, **given) -> list[np.ndarray]:
+        """Return the arguments as finite vectors of the device's dimension."""
         out = []
         for name, value in given.items():
             try:

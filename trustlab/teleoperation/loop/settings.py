@@ -6,14 +6,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import finite_number, of_class, one_of, positive
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
 from trustlab.models.uav import three_axes
-from trustlab.teleoperation.haptic_device import HapticDevice
-from trustlab.teleoperation.loop_kernel import LoopNumbers
-from trustlab.teleoperation.scattering import Scattering
+from trustlab.teleoperation.loop.kernel import VEHICLE, LoopNumbers, ScaleNumbers, TrustNumbers
+from trustlab.teleoperation.ports.device import HapticDevice
+from trustlab.teleoperation.ports.waves import Scattering
 
 __all__ = ["STUDIES", "DivergenceError", "LoopSettings", "study_named", "vehicle_matrices"]
+
+
+STUDY_NAMES = ("preliminary", "main")
 
 
 class DivergenceError(ArithmeticError):
@@ -75,26 +78,22 @@ class LoopSettings:
     printed_sign: bool = False
     require_passive: bool = True
     title: str = "own settings"
+    study: str = "main"
 
     def __post_init__(self):
-        for name in ("mass", "damping", "stiffness", "weight"):
+        for name in ("mass", "damping", "stiffness", "weight", "height"):
             object.__setattr__(self, name, finite_number(name, getattr(self, name)))
-        if not isinstance(self.scattering, Scattering):
-            raise ValueError(f"scattering must be of class Scattering, got {type(self.scattering).__name__}")
-        for name in ("human_to_robot", "robot_to_human"):
-            if not isinstance(getattr(self, name), TrustModel):
-                raise ValueError(
-                    f"{name} must be of class TrustModel, got {type(getattr(self, name)).__name__}"
-                )
-        for name in ("k_ffa", "height", "window", "command_range", "error_range"):
-            object.__setattr__(self, name, finite_number(name, getattr(self, name)))
+        for name in ("window", "command_range", "error_range"):
+            object.__setattr__(self, name, positive(name, getattr(self, name)))
+        of_class("scattering", self.scattering, Scattering)
+        of_class("human_to_robot", self.human_to_robot, TrustModel)
+        of_class("robot_to_human", self.robot_to_human, TrustModel)
+        one_of("study", self.study, STUDY_NAMES)
+        object.__setattr__(self, "k_ffa", finite_number("k_ffa", self.k_ffa))
         if self.k_ffa < 0.0:
             raise ValueError(
-                f"k_ffa cannot be negative, got {self.k_ffa}; printed_sign=True gives the printed direction"
+                f"k_ffa must not be negative, got {self.k_ffa}; printed_sign=True gives the printed direction"
             )
-        for name in ("window", "command_range", "error_range"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
         self.scalings("logistic")
         self.device()
 
@@ -132,41 +131,44 @@ class LoopSettings:
 
     def numbers(self, sample_time: float) -> LoopNumbers:
         """
-        Return the settings as compiled loops take them.
+        Return the settings as the compiled loop takes them.
 
         Parameters
         ----------
         sample_time : float
             T [s].
         """
-        device, ends, (alpha, beta) = self.device(), self.scattering, self.scalings()
-        trusts = (self.human_to_robot, self.robot_to_human)
-        middle = [
-            (scaling.midpoint - trust.t_min) / (trust.t_max - trust.t_min)
-            for scaling, trust in zip((alpha, beta), trusts, strict=True)
-        ]
-        rates = [number for trust in trusts for number in (trust.keep(sample_time), trust.b / trust.a)]
+        device, alpha, beta = self.device(), *self.scalings()
         return LoopNumbers(
-            sample_time,
-            device.mass[0, 0],
-            device.damping[0, 0],
-            device.stiffness[0, 0],
-            device.weight[0, 0],
-            device.force_scaling,
-            *ends.numbers.tolist(),
-            -self.k_ffa if self.printed_sign else self.k_ffa,
-            self.steepness,
-            self.steepness,
-            *middle,
-            *rates,
-            0.5,
-            0.5,
-            max(round(self.window / sample_time), 1),
-            self.command_range,
-            self.error_range,
-            trusts[0].p_min,
-            trusts[0].p_max,
+            sample_time=sample_time,
+            mass=device.mass[0, 0],
+            damping=device.damping[0, 0],
+            stiffness=device.stiffness[0, 0],
+            weight=device.weight[0, 0],
+            force_scaling=device.force_scaling,
+            b=self.scattering.b,
+            gain=self.scattering.gain,
+            guidance=-self.k_ffa if self.printed_sign else self.k_ffa,
+            alpha=_scale_numbers(alpha, self.steepness),
+            beta=_scale_numbers(beta, self.steepness),
+            trust_hr=_trust_numbers(self.human_to_robot, sample_time),
+            trust_rh=_trust_numbers(self.robot_to_human, sample_time),
+            window=max(round(self.window / sample_time), 1),
+            command_range=self.command_range,
+            error_range=self.error_range,
         )
+
+
+def _scale_numbers(scaling: LogisticScaling, steepness: float) -> ScaleNumbers:
+    """Return a scaling with its midpoint as a share of the range of trust."""
+    midpoint = (scaling.midpoint - scaling.t_min) / (scaling.t_max - scaling.t_min)
+    return ScaleNumbers(scaling.low, scaling.high, steepness, midpoint)
+
+
+def _trust_numbers(trust: TrustModel, sample_time: float) -> TrustNumbers:
+    """Return a trust model for one sample time; trust starts in the middle of its range."""
+    ranges = (trust.p_min, trust.p_max, trust.t_min, trust.t_max)
+    return TrustNumbers(trust.decay(sample_time), trust.b / trust.a, 0.5, *ranges)
 
 
 STUDIES = {
@@ -181,6 +183,7 @@ STUDIES = {
         command_range=6.0,
         error_range=12.0,
         title="preliminary study (Section 3.8.1)",
+        study="preliminary",
     ),
     "main": LoopSettings(
         mass=0.5,
@@ -193,6 +196,7 @@ STUDIES = {
         command_range=2.0,
         error_range=3.0,
         title="main study (Section 3.9)",
+        study="main",
     ),
 }
 """Printed settings. The device's mass, the rates of trust and y_max are not printed: the first is near the
@@ -200,61 +204,29 @@ heaviest that is r-passive with the printed gains of each study (9.2 g and 0.55 
 
 
 def study_named(study: str | LoopSettings) -> LoopSettings:
-    """
-    Return the settings of a study.
-
-    Parameters
-    ----------
-    study : {"preliminary", "main"} or LoopSettings
-        Printed settings by name, or own ones.
-
-    Raises
-    ------
-    ValueError
-        If there is no study of that name.
-    """
+    """Return the printed settings of a study by name, or own ones as they are."""
     if isinstance(study, LoopSettings):
         return study
-    if isinstance(study, str) and study in STUDIES:
-        return STUDIES[study]
-    raise ValueError(f"study must be one of {', '.join(map(repr, STUDIES))}, or LoopSettings, got {study!r}")
+    return STUDIES[one_of("study", study, STUDY_NAMES, also="LoopSettings")]
 
 
-def vehicle_matrices(axes, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
+def vehicle_matrices(axes, sample_time: float) -> np.ndarray:
     """
     Return exact one-sample matrices of (position, velocity, acceleration) for a command held over the sample.
 
-    Parameters
-    ----------
-    axes : sequence of three TransferFunction
-        Command to velocity on x, y and z; order 1 leaves the acceleration at zero.
-    sample_time : float
-        T [s].
-
-    Returns
-    -------
-    phi : numpy.ndarray, shape (3, 3, 3)
-        State transition per axis.
-    gamma : numpy.ndarray, shape (3, 3)
-        Effect of the command per axis.
-
-    Raises
-    ------
-    ValueError
-        If there are not three transfer functions, or the sample time is not positive.
+    A record of VEHICLE, shape (1,): `phi` is the state transition per axis, `gamma` the effect of the command. An axis of
+    order 1 leaves its acceleration at zero.
     """
     from scipy.linalg import expm
 
-    sample_time = finite_number("sample_time", sample_time)
-    if not sample_time > 0.0:
-        raise ValueError(f"sample_time must be positive, got {sample_time}")
-    axes = three_axes(axes)
-    phi, gamma = np.zeros((3, 3, 3)), np.zeros((3, 3))
+    sample_time, axes = positive("sample_time", sample_time), three_axes(axes)
+    matrices = np.zeros(1, VEHICLE)
     for i, axis in enumerate(axes):
         n = axis.order + 1
         a, b = axis.matrices()
+        # exp of the block matrix [[A, B], [0, 0]] holds both the transition and the integral of the held command
         block = np.zeros((n + 1, n + 1))
         block[0, 1], block[1:n, 1:n], block[1:n, n] = 1.0, a, b
         whole = expm(block * sample_time)
-        phi[i, :n, :n], gamma[i, :n] = whole[:n, :n], whole[:n, n]
-    return phi, gamma
+        matrices["phi"][0, i, :n, :n], matrices["gamma"][0, i, :n] = whole[:n, :n], whole[:n, n]
+    return matrices

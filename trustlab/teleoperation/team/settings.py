@@ -8,8 +8,8 @@ import numpy as np
 
 from trustlab.models.checks import finite_number
 from trustlab.models.trust import TrustModel
-from trustlab.teleoperation.haptic_device import HapticDevice
-from trustlab.teleoperation.scattering import Scattering
+from trustlab.teleoperation.ports.device import HapticDevice
+from trustlab.teleoperation.ports.waves import Scattering
 
 __all__ = ["GraphError", "TeamOperator", "TeamSettings", "algebraic_connectivity", "team_graph"]
 

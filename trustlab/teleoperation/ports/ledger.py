@@ -1,0 +1,178 @@
+"""Reading of delayed waves: an energy ledger that never gives out more than arrived, and the two gains of (3.13)."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from trustlab.models.checks import positive, whole_number
+
+__all__ = ["READ_OUTS", "EnergyLedger", "accounts", "read_wave"]
+
+HOLD, INTERPOLATED, LEDGER = 0, 1, 2
+READ_OUTS = {"hold": HOLD, "interpolated": INTERPOLATED, "ledger": LEDGER}
+
+ACCOUNT = np.dtype([("unbooked", np.int64), ("balance", float), ("latest", float)])
+"""The ledger of one direction: first sample not yet booked, energy in hand [J], latest sample that was read."""
+
+WINDOW = 65_536
+"""How many of the newest packets an `EnergyLedger` remembers: 65 s at 1 kHz."""
+
+
+def accounts() -> np.ndarray:
+    """Return two empty accounts, to the robot and back."""
+    both = np.zeros(2, ACCOUNT)
+    both["latest"] = -1.0
+    return both
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def amplitude(energy, balance, pace):
+    """
+    Return the amplitude in [0, 1] at which the newest wave, of this energy per sample, is read.
+
+    `pace` is the share of a sample by which the reading moves on, 1 − dT/dt: while a delay grows, waves are read at
+    √pace, which spends their energy as evenly as it arrives. What the balance holds beyond one more packet is left from
+    samples that jitter or loss made the reading skip; it is spent at once. Without this the energy would stay in the
+    ledger for ever, and a steady wave would arrive too small.
+    """
+    if energy <= 0.0:
+        return 1.0
+    share = min(max(pace, (balance - energy) / energy), 1.0)
+    return np.sqrt(min(share, balance / energy))
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def read_wave(sent, arrives, k, delay, gain, read_out, sample_time, account, out):
+    """
+    Read the wave that arrives in sample k, sent `delay` samples before, into `out`.
+
+    sent, shape (N, n): waves by the sample they were sent in. arrives, shape (N,): whether they arrive at all. account:
+    a record of ACCOUNT, used by the "ledger" read-out alone.
+    """
+    n = sent.shape[1]
+    where = k - delay
+    first = int(np.floor(where))
+    part = where - first
+    if read_out != LEDGER:
+        for i in range(n):
+            if first < 0 or not arrives[first]:
+                value = 0.0
+            elif read_out == HOLD:
+                value = sent[first, i]
+            else:
+                later = sent[first + 1, i] if part > 0.0 and arrives[first + 1] else 0.0
+                value = (1.0 - part) * sent[first, i] + part * later
+            out[i] = gain * value
+        if read_out == INTERPOLATED and first == -1 and part > 0.0:
+            for i in range(n):
+                out[i] = gain * part * sent[0, i] * (1.0 if arrives[0] else 0.0)
+        return
+    while account.unbooked <= first:  # each packet is booked once, when it has arrived
+        if arrives[account.unbooked]:
+            for i in range(n):
+                account.balance += sample_time * sent[account.unbooked, i] ** 2
+        account.unbooked += 1
+    pace = min(max(where - account.latest, 0.0), 1.0)
+    account.latest = max(account.latest, where)
+    newest = first
+    while newest >= 0 and not arrives[newest]:
+        newest -= 1
+    energy = spent = 0.0
+    for i in range(n):
+        out[i] = sent[newest, i] if newest >= 0 else 0.0
+        energy += sample_time * out[i] ** 2
+    share = amplitude(energy, account.balance, pace)
+    for i in range(n):
+        out[i] *= share
+        spent += sample_time * out[i] ** 2
+    account.balance = max(account.balance - spent, 0.0)  # rounding may leave −1e-17 J
+
+
+class EnergyLedger:
+    """
+    Read packets of waves so that never more energy leaves than came in, whatever their jitter, loss and order.
+
+    Every packet is booked once, with the energy it carries, when it arrives. A read returns the newest wave, scaled down
+    where the balance does not hold its energy. A packet that arrives more than 65,536 numbers after a newer one is
+    refused: it could not be told from a duplicate.
+
+    Parameters
+    ----------
+    sample_time : float
+        T [s]: a packet carries T‖u‖² [J].
+
+    Raises
+    ------
+    ValueError
+        If the sample time is not positive.
+
+    Examples
+    --------
+    >>> ledger = EnergyLedger(sample_time=0.01)
+    >>> ledger.receive(0, [2.0])
+    True
+    >>> ledger.read().tolist(), ledger.read().tolist()
+    ([2.0], [0.0])
+    """
+
+    def __init__(self, sample_time: float):
+        self.sample_time = positive("sample_time", sample_time)
+        self.received = self.given = 0.0
+        # A ring by number modulo its length: a duplicate is recognised in constant memory, however long the run.
+        self._seen = [-1] * WINDOW
+        self._newest, self._wave = -1, None
+
+    @property
+    def balance(self) -> float:
+        """Energy that came in and has not gone out [J]; never negative."""
+        return max(self.received - self.given, 0.0)
+
+    def receive(self, number: int, wave: np.ndarray) -> bool:
+        """
+        Book a packet; a packet that came twice is booked once.
+
+        Parameters
+        ----------
+        number : int
+            The packet's number at its sender, 0 or more.
+        wave : array_like, shape (n,)
+            The wave it carries [√W].
+
+        Returns
+        -------
+        bool
+            Whether it was booked.
+
+        Raises
+        ------
+        ValueError
+            If the number is not a whole number, or the wave is not finite or has another length.
+        """
+        number = whole_number("number", number, least=0)
+        values = np.atleast_1d(np.asarray(wave, dtype=float))
+        if values.ndim != 1 or not np.isfinite(values).all():
+            raise ValueError(
+                f"packet {number}: wave must be finite numbers, shape (n,), got {values.tolist()}"
+            )
+        if self._wave is not None and values.shape != self._wave.shape:
+            raise ValueError(
+                f"packet {number}: wave has shape {values.shape}, those before {self._wave.shape}"
+            )
+        if number <= self._newest - WINDOW or self._seen[number % WINDOW] == number:
+            return False
+        self._seen[number % WINDOW] = number
+        self.received += self.sample_time * float(values @ values)
+        if number > self._newest:
+            self._newest, self._wave = number, values
+        return True
+
+    def read(self) -> np.ndarray:
+        """Return the wave to use in this sample, shape (n,); an empty array before the first packet."""
+        if self._wave is None:
+            return np.zeros(0)
+        energy = self.sample_time * float(self._wave @ self._wave)
+        # Packets carry no time, so that nothing is known of the delay's rate: they are read at full pace.
+        out = self._wave * amplitude.py_func(energy, self.balance, 1.0)
+        self.given += self.sample_time * float(out @ out)
+        return out

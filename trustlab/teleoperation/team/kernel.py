@@ -1,0 +1,335 @@
+"""
+The teleoperated team (Fig. 4.1), compiled: O(N) per step in the Laplacian's eigenbasis.
+
+`run_team` holds what needs arrays: the team's modes, and whatever is looked up in the past. The operator's end and the robots'
+end of the channel are one compiled function each, between records of STATE and LOG.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from trustlab.models.trust import logistic_scale, trust_step
+from trustlab.teleoperation.ports import device as haptic
+from trustlab.teleoperation.ports import waves
+from trustlab.teleoperation.ports.ledger import read_wave
+from trustlab.teleoperation.records import columns_of, record
+
+__all__ = ["BLOCKS", "COLUMNS", "LOG", "ROBOT", "STATE", "TeamNumbers", "push_share", "run_team"]
+
+NO_FILTER, TWO_PORT, WAVES = 0, 1, 2
+BLOCKS = ("haptic device", "channel", "team")
+
+LOG = record(
+    vectors="leader device r_m f_h f_m r_s f_s",
+    numbers=(
+        "number beta trust_rh push v_h v_hd v_ch v_fs v_e v_e_delayed v_filter v_t supply_team supply_error supply_hand "
+        "supply_device supply_filter lost_device lost_team lost_error lost_error_delayed"
+    ),
+)
+"""A row of the log: storages before the sample and the signals of the sample."""
+
+COLUMNS = columns_of(LOG)
+
+# The state proper: the device, and what the filters F1 (near) and F2 (far), or the filters of waves, hold.
+KEPT = "device device_velocity near_velocity near_force far_velocity far_force filtered_l filtered_r"
+# Looked up or worked out before each end is solved: error as the operator sees it, added force, waves, force at rest.
+ARRIVED = "error pushed v_l v_r open_force"
+# The operator's end, affine in what is still unknown: r_m = yielded + mobility · push, f_m = held + resistance · r_m.
+SIGNALS = "u_l u_r yielded mobility held resistance channel_force wanted"
+STATE = record(
+    vectors=f"{KEPT} {ARRIVED} {SIGNALS}",
+    numbers="seen_power near_power far_power hand_power device_power device_loss",
+)
+"""What both ends read and leave."""
+
+ROBOT = record(numbers="b beta_min beta_max decay gain t_min t_max")
+"""One robot: its end of the channel, and its trust in the operator."""
+
+
+class TeamNumbers(NamedTuple):
+    """Device, filters, operator and how delays are read, as plain numbers; see `TeamSettings` and `TeamOperator`."""
+
+    sample_time: float
+    mass: float
+    damping: float
+    stiffness: float
+    weight: float
+    gain: float
+    read_out: int
+    filtering: int
+    cutoff: float
+    k12: float
+    k21: float
+    push: float
+    reach: float
+    drag: float
+    budget: float
+    reserve: float
+    guarded: bool
+    vision: int
+    error_range: float
+    steepness: float
+
+
+class FilterStep(NamedTuple):
+    """The filters under the midpoint rule: midpoint = decay · state + gate · input; without filters the input itself."""
+
+    decay: float
+    gate: float
+    k12: float
+    k21: float
+    pole: float  # ω_c T/2
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def push_share(budget, power, pull, stir, square, drag):
+    """
+    Return the greatest share σ ≤ 1 of a push whose power does not exceed `power`.
+
+    The device yields by r = a + y σ p to the push p, drag d at the hand: the hand gives r (σ p − d r) =
+    −d a² + σ p a (1 − 2 d y) + σ² y p² (1 − d y), with the sums pull = Σ p a (1 − 2 d y), stir = Σ y p² (1 − d y) and
+    square = Σ a². Nothing is pushed while the budget is spent.
+    """
+    if budget <= 0.0 or power <= 0.0:
+        return 0.0
+    free = power + drag * square
+    if stir + pull <= free:
+        return 1.0
+    # the root of stir σ² + pull σ = free, in the form that does not cancel
+    return min(2.0 * free / (pull + np.sqrt(pull * pull + 4.0 * stir * free)), 1.0)
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def operator_side(n, device, filters, end, beta, spendable, state, row):
+    """
+    Solve the operator's end of the channel with filter, device and hand, in closed form, and step the device.
+
+    `spendable` is what V_h leaves above the reserve [J].
+    """
+    distance = np.sqrt(state.error[0] ** 2 + state.error[1] ** 2 + state.error[2] ** 2)
+    wanted = n.push * distance
+    stiffness = n.push * min(1.0, n.reach / wanted) if wanted > 0.0 else 0.0
+    admittance = device.lever / device.inertia
+    loaded = 1.0 + beta * end.b * filters.k12
+    pull = stir = square = 0.0
+    for i in range(3):
+        # the channel's force at its port, given what the filter holds of the velocity: force = held + resistance r_m
+        velocity = filters.decay * state.near_velocity[i]
+        state.channel_force[i] = beta * (end.b * velocity + end.arriving * state.v_l[i]) / loaded
+        state.held[i] = filters.decay * state.near_force[i] + filters.gate * state.channel_force[i]
+        state.resistance[i] = filters.k21 + filters.gate * (beta * end.b * filters.gate / loaded)
+        under = 1.0 + admittance * (state.resistance[i] + n.drag)
+        state.wanted[i] = stiffness * state.error[i]
+        state.mobility[i] = admittance / under
+        free = haptic.free_output(device, state.device[i], state.device_velocity[i], 0.0)
+        state.yielded[i] = (free - admittance * state.held[i] + admittance * state.pushed[i]) / under
+        pull += state.wanted[i] * state.yielded[i] * (1.0 - 2.0 * n.drag * state.mobility[i])
+        stir += state.mobility[i] * state.wanted[i] ** 2 * (1.0 - n.drag * state.mobility[i])
+        square += state.yielded[i] ** 2
+    row.push = 1.0
+    if n.guarded:
+        most = spendable / n.sample_time + state.seen_power
+        row.push = push_share(spendable, most, pull, stir, square, n.drag)
+    state.hand_power = state.device_power = state.device_loss = state.near_power = 0.0
+    for i in range(3):
+        row.device[i] = state.device[i]
+        row.r_m[i] = state.yielded[i] + state.mobility[i] * row.push * state.wanted[i]
+        row.f_m[i] = state.held[i] + state.resistance[i] * row.r_m[i]
+        row.f_h[i] = row.push * state.wanted[i] - n.drag * row.r_m[i] + state.pushed[i]
+        force = state.channel_force[i] + beta * end.b * filters.gate / loaded * row.r_m[i]
+        velocity = filters.decay * state.near_velocity[i] + filters.gate * row.r_m[i] - filters.k12 * force
+        state.u_l[i] = waves.operator_wave(end, velocity, state.v_l[i])
+        x, v = state.device[i], state.device_velocity[i]
+        v_middle = haptic.midpoint_velocity(device, x, v, row.f_h[i], row.f_m[i])
+        state.hand_power += row.r_m[i] * row.f_h[i]
+        state.device_power += row.r_m[i] * (row.f_h[i] - row.f_m[i])
+        state.device_loss += haptic.device_loss(device, x + 0.5 * n.sample_time * v_middle, v_middle)
+        state.near_power += velocity * force
+        state.device[i] = x + n.sample_time * v_middle
+        state.device_velocity[i] = 2.0 * v_middle - v
+        state.near_velocity[i] += passed(filters, row.r_m[i], state.near_velocity[i])
+        state.near_force[i] += passed(filters, force, state.near_force[i])
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def passed(filters, u, held):
+    """Return by how much a low-pass filter's state changes over a sample."""
+    return 2.0 * filters.pole * (u - held) / (1.0 + filters.pole)
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def robot_side(filters, end, stiffness, state, row):
+    """
+    Solve the robots' end of the channel with filter and leader: f_s = open_force + stiffness · r_s.
+
+    Each of the two relations is affine in the velocity at the channel's port, which the wave equation then fixes.
+    """
+    state.far_power = 0.0
+    under = 1.0 + filters.k12 * stiffness
+    for i in range(3):
+        held = (filters.decay * state.far_velocity[i] - filters.k12 * state.open_force[i]) / under
+        share = filters.gate / under
+        force = filters.decay * state.far_force[i] + filters.gate * (state.open_force[i] + stiffness * held)
+        resistance = filters.k21 + filters.gate * stiffness * share
+        free = end.arriving * state.v_r[i] / end.b
+        velocity = (free - force / end.b) / (1.0 + resistance / end.b)
+        force += resistance * velocity
+        row.r_s[i] = held + share * velocity
+        row.f_s[i] = state.open_force[i] + stiffness * row.r_s[i]
+        state.u_r[i] = waves.robot_wave(end, force, state.v_r[i])
+        state.far_power += velocity * force
+        state.far_velocity[i] += passed(filters, velocity, state.far_velocity[i])
+        state.far_force[i] += passed(filters, row.f_s[i], state.far_force[i])
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def filter_wave(filters, wave, held):
+    """Filter a wave in place; `held` is the filter's state."""
+    for i in range(3):
+        middle = filters.decay * held[i] + filters.gate * wave[i]
+        held[i], wave[i] = 2.0 * middle - held[i], middle
+
+
+@numba.njit(cache=True, error_model="numpy")
+def run_team(
+    n, values, vectors, leads, heads, robots, delays, arrives, accounts, w, z, pushed, every, states, log, modes
+):  # fmt: skip
+    """
+    Run the team and fill a record of `log` and a row of `modes` every `every` samples; the log's last record is scratch.
+
+    values, shape (N,), vectors, shape (N, N): eigenvalues and eigenvectors (columns) of the Laplacian. leads, heads, shape
+    (K,): the robot that leads in each sample, and the one for which the operator's end of the channel is set (the same,
+    unless that end fails to switch). robots, shape (N,): records of ROBOT. delays, arrives, shape (2, K): in samples, and
+    whether waves arrive. accounts: `ledger.accounts()`. w, z, shape (3, N): modes of the robots' distance to the goal and of
+    ζ, changed in place. pushed, shape (K, 3): force added to the hand's. states, shape (1,): a record of STATE. Returns
+    the samples done and the block that diverged (−1: none).
+    """
+    count, size, T = leads.size, values.size, n.sample_time
+    h = 0.5 * T
+    u_l, u_r = np.zeros((count, 3)), np.zeros((count, 3))
+    sent, seen, lost, held = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count), np.zeros(count + 1)
+    at, trust = np.zeros(3), np.full(size, 0.5)
+    state, spare = states[0], log[log.size - 1]
+    # (I + hL + h²L²) of the midpoint rule is diagonal in the modes; `stiffness` is what the team does to each leader's push
+    solve, stiffness = 1.0 / (1.0 + h * values + h * h * values**2), np.zeros(size)
+    for i in range(size):
+        for j in range(size):
+            stiffness[i] += h * vectors[i, j] ** 2 * values[j] * solve[j]
+    device = haptic.held_device(n.mass, n.damping, n.stiffness, n.weight, 0.0, 0.0, T)
+    pole = h * n.cutoff
+    low_pass = FilterStep(1.0 / (1.0 + pole), pole / (1.0 + pole), n.k12, n.k21, pole)
+    port = n.filtering == TWO_PORT
+    filters = low_pass if port else FilterStep(0.0, 1.0, 0.0, 0.0, 0.0)
+    v_h = v_ch = v_hd0 = supply_team = supply_error = supply_hand = supply_device = supply_filter = 0.0
+    lost_device = lost_team = lost_error = lost_late = 0.0
+    for k in range(count):
+        lead, recorded = leads[k], k % every == 0
+        row = log[k // every] if recorded else spare
+        # storage at the start of this sample
+        v_hd = v_fs = v_e = v_filter = 0.0
+        for i in range(3):
+            v_hd += haptic.device_storage(device, state.device[i], state.device_velocity[i])
+            for j in range(size):
+                square = w[i, j] ** 2 + z[i, j] ** 2
+                v_fs += 0.5 * values[j] * square
+                v_e += 0.5 * square
+            if port:
+                velocities = state.near_velocity[i] ** 2 + state.far_velocity[i] ** 2
+                forces = state.near_force[i] ** 2 + state.far_force[i] ** 2
+                v_filter += (n.k21 * velocities + n.k12 * forces) / n.cutoff
+        if k == 0:
+            v_hd0 = v_hd
+        held[k] = v_e
+        # what the operator sees: the leader of `vision` samples ago, and what it was told to do
+        late = k - n.vision
+        state.seen_power = square = 0.0
+        for i in range(3):
+            state.error[i] = -seen[late, i] if late >= 0 else 0.0
+            state.pushed[i] = pushed[k, i]
+            square += state.error[i] ** 2
+            if late >= 0:
+                state.seen_power += sent[late, i] * state.error[i]
+        good = max(1.0 - np.sqrt(square) / n.error_range, 0.0) if late >= 0 and n.push > 0.0 else 0.0
+        # the leader's trust in the operator sets β; the trust of all follows how near the goal the leader is
+        leader, told = robots[lead], trust[lead]
+        share = min(max(told, 0.0), 1.0)
+        beta = logistic_scale(leader.beta_min, leader.beta_max, n.steepness, 0.5, share)
+        for i in range(size):
+            trust[i] = trust_step(trust[i], good, robots[i].decay, robots[i].gain)
+        read_wave(u_l, arrives[0], k, delays[0, k], n.gain, n.read_out, T, accounts[0], state.v_r)
+        read_wave(u_r, arrives[1], k, delays[1, k], n.gain, n.read_out, T, accounts[1], state.v_l)
+        if n.filtering == WAVES:
+            filter_wave(low_pass, state.v_r, state.filtered_r)
+            filter_wave(low_pass, state.v_l, state.filtered_l)
+        head = robots[heads[k]]
+        near_end = waves.operator_end(head.b, head.beta_min, head.beta_max)
+        operator_side(n, device, filters, near_end, beta, v_h + n.budget - n.reserve, state, row)
+        for i in range(3):
+            state.open_force[i] = 0.0
+            for j in range(size):
+                state.open_force[i] += (
+                    vectors[lead, j] * values[j] * solve[j] * (w[i, j] + h * values[j] * z[i, j])
+                )
+        robot_side(filters, waves.robot_end(leader.b, 1.0, 1.0), stiffness[lead], state, row)
+        team = away = filtered = team_loss = error_loss = 0.0
+        for i in range(3):
+            at[i] = 0.0
+            if recorded:
+                for j in range(size):
+                    modes[k // every, i, j] = w[i, j]
+            for j in range(size):
+                q = solve[j] * (w[i, j] + h * (values[j] * z[i, j] + vectors[lead, j] * row.r_s[i]))
+                w[i, j] = 2.0 * q - w[i, j]
+                z[i, j] -= T * values[j] * q
+                at[i] += vectors[lead, j] * q
+                team_loss += (values[j] * q) ** 2
+                error_loss += values[j] * q * q
+            team += row.r_s[i] * row.f_s[i]
+            away += row.r_s[i] * at[i]
+            filtered += row.r_m[i] * row.f_m[i] - row.r_s[i] * row.f_s[i]
+            u_l[k, i], u_r[k, i] = state.u_l[i], state.u_r[i]
+            sent[k, i], seen[k, i] = row.r_s[i], at[i]
+        lost[k] = error_loss
+        if recorded:
+            for i in range(3):
+                row.leader[i] = at[i]
+            row.number, row.beta = lead, beta
+            row.trust_rh = leader.t_min + (leader.t_max - leader.t_min) * told
+            row.v_h, row.v_hd, row.v_ch, row.v_fs, row.v_e, row.v_filter = (
+                v_h,
+                v_hd,
+                v_ch,
+                v_fs,
+                v_e,
+                v_filter,
+            )
+            row.v_e_delayed = held[late] if late >= 0 else held[0]
+            row.v_t = v_h + n.budget + v_hd + v_hd0 + v_ch + v_fs + row.v_e_delayed + v_filter
+            row.supply_team, row.supply_error, row.supply_hand = supply_team, supply_error, supply_hand
+            row.supply_device, row.supply_filter = supply_device, supply_filter
+            row.lost_device, row.lost_team = lost_device, lost_team
+            row.lost_error, row.lost_error_delayed = lost_error, lost_late
+        v_h += T * (state.seen_power - state.hand_power)
+        v_ch += T * (state.near_power - state.far_power)
+        supply_team += T * team
+        supply_error += T * away
+        supply_hand += T * state.hand_power
+        supply_device += T * state.device_power
+        supply_filter += T * (filtered - state.near_power + state.far_power)
+        lost_device += T * state.device_loss
+        lost_team += T * team_loss
+        lost_error += T * error_loss
+        if late >= 0:
+            lost_late += T * lost[late]
+        # written as "not <", so that NaN counts as diverged
+        if not v_hd < 1e12:
+            return k + 1, 0
+        if not abs(v_ch) < 1e12:
+            return k + 1, 1
+        if not v_e < 1e12:
+            return k + 1, 2
+    return count, -1
