@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from trustlab.campaign.executors import Workers
 
-__all__ = ["run_campaign"]
+__all__ = ["jobs", "run_campaign"]
 
 
 def run_campaign(
@@ -201,6 +201,13 @@ def _check_where(n_jobs: object, cluster: object, executor: object) -> None:
             "executor must be a concurrent.futures.Executor or a function that makes one, got "
             f"{type(executor).__name__}"
         )
+
+
+def jobs(n_jobs: int | None, cluster: object, executor: object) -> int:
+    """Return `n_jobs` for a function that runs in this process unless told otherwise."""
+    if n_jobs is not None:
+        return n_jobs
+    return 1 if cluster is None and executor is None else -1
 
 
 def _workers(

@@ -1,5 +1,7 @@
 """Power: closed forms beside scipy and statsmodels, simulation beside closed forms and brute force, refusals."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -233,9 +235,9 @@ def test_a_grid_has_a_row_per_cell_and_test_and_draws_itself():
     assert axes.get_xlabel() == "participants n"
     assert len(axes.get_legend().get_texts()) == 4
     assert "simulated studies" in found._repr_html_()
-    with pytest.raises(ValueError, match="against must be one of n, effect_size"):
+    with pytest.raises(ValueError, match="against must be one of 'n', 'effect_size'"):
         found.plot("m")
-    with pytest.raises(ValueError, match="test must be one of none"):
+    with pytest.raises(ValueError, match="test must be one of 'none'"):
         found.plot(test="wilks")
 
 
@@ -285,6 +287,24 @@ def test_the_smallest_n_of_a_pair():
 
 def test_a_huge_effect_needs_three_subjects():
     assert tl.smallest_n(0.8, [0, 50.0, 100.0], graded_covariance(3), replicates=100).n == 3
+
+
+# --- where studies are simulated ------------------------------------------------------------------------------------
+
+
+def test_results_do_not_depend_on_where_studies_are_simulated():
+    """Workers simulate sizes ahead of the search, of which the answer must not show a trace."""
+    grid = {"n": [5, 9], "effect_size": [0.1, 0.3], "replicates": 200, "seed": 3, "claims": [(1, 5)]}
+    search = {"effect_size": 0.2, "replicates": 300, "seed": 9}
+    matrix = graded_covariance(5, 0.5, 0.4)
+    here, n_here = tl.power_analysis(MEANS, matrix, **grid), tl.smallest_n(0.9, MEANS, matrix, **search)
+    with ThreadPoolExecutor(2) as executor:
+        there = tl.power_analysis(MEANS, matrix, **grid, executor=executor)
+        n_there = tl.smallest_n(0.9, MEANS, matrix, **search, executor=executor)
+    for name in ("table", "pairs", "claims"):
+        pd.testing.assert_frame_equal(getattr(here, name)(), getattr(there, name)(), check_exact=True)
+    pd.testing.assert_frame_equal(n_here.evaluations, n_there.evaluations, check_exact=True)
+    pd.testing.assert_frame_equal(n_here.table(), n_there.table(), check_exact=True)
 
 
 # --- refusals -------------------------------------------------------------------------------------------------------
@@ -380,7 +400,7 @@ def test_smallest_n_refuses(arguments, message):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: noncentral_f_power(36, 5, -1.0), "noncentrality cannot be negative"),
+        (lambda: noncentral_f_power(36, 5, -1.0), "noncentrality must not be negative"),
         (lambda: noncentral_f_power(36, 5, 1.0, epsilon=0.2), r"epsilon must lie in \[1/\(k − 1\), 1\]"),
         (lambda: noncentral_f_power(1, 5, 1.0), "n must be a whole number, 2 or more"),
         (lambda: noncentrality(1.0, 36, 5), r"eta2_partial must lie in \[0, 1\)"),

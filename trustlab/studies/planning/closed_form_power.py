@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-from trustlab.models.checks import finite_number, open_unit, whole_number
+from trustlab.models.checks import finite_number, not_negative, open_unit, whole_number
 
 __all__ = ["clopper_pearson", "noncentral_f_power", "noncentrality"]
 
@@ -67,10 +67,8 @@ def noncentral_f_power(
     G. E. P. Box, Annals of Mathematical Statistics 25 (1954) 290-302 and 484-498.
     """
     n, k = whole_number("n", n, least=2), whole_number("k", k, least=2)
-    value = finite_number("noncentrality", noncentrality)
+    value = not_negative("noncentrality", noncentrality)
     alpha, epsilon = open_unit("alpha", alpha), finite_number("epsilon", epsilon)
-    if value < 0.0:
-        raise ValueError(f"noncentrality cannot be negative, got {value}")
     if not 1.0 / (k - 1) - 1e-12 <= epsilon <= 1.0 + 1e-12:
         raise ValueError(f"epsilon must lie in [1/(k − 1), 1] = [{1.0 / (k - 1):.4g}, 1], got {epsilon}")
     df1, df2 = epsilon * (k - 1), epsilon * (k - 1) * (n - 1)
@@ -105,9 +103,7 @@ def clopper_pearson(count: np.ndarray, total: int, level: float = 0.95) -> tuple
     found = np.asarray(count)
     if found.dtype.kind not in "iu" or ((found < 0) | (found > total)).any():
         raise ValueError(f"count must hold whole numbers from 0 to {total}, got {count!r:.60}")
-    tail = 0.5 * (1.0 - level)
-    low = np.where(found == 0, 0.0, special.betaincinv(np.maximum(found, 1), total - found + 1.0, tail))
-    high = np.where(
-        found == total, 1.0, special.betaincinv(found + 1.0, np.maximum(total - found, 1), 1.0 - tail)
-    )
-    return low, high
+    from statsmodels.stats.proportion import proportion_confint
+
+    low, high = proportion_confint(found, total, alpha=1.0 - level, method="beta")
+    return np.asarray(low), np.asarray(high)

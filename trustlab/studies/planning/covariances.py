@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from trustlab.models.checks import finite_array, finite_number, whole_number
+from trustlab.models.checks import finite_array, finite_number, positive, whole_number
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
 
 __all__ = ["Conditions", "checked_covariance", "conditions_from", "graded_covariance"]
@@ -18,34 +18,15 @@ _LEAST = 1e-12
 
 
 def checked_covariance(name: str, values: np.ndarray, size: int | None = None) -> np.ndarray:
-    """
-    Return a covariance matrix that is square, symmetric and positive definite.
-
-    Parameters
-    ----------
-    name : str
-        The argument's name, for the error.
-    values : array_like, shape (k, k)
-        The matrix.
-    size : int, optional
-        k wanted.
-
-    Raises
-    ------
-    ValueError
-        If it is not; the eigenvalue that is too small is named.
-    """
+    """Return a matrix that is square, symmetric and positive definite; the error names the eigenvalue that is not."""
     try:
         given = np.asarray(values)
-    except ValueError:
+    except ValueError:  # rows of different lengths
         given = np.empty(0, dtype=object)
-    if (
-        given.dtype.kind not in "fiu"
-        or given.ndim != 2
-        or given.shape[0] != given.shape[1]
-        or given.size == 0
-    ):
-        raise ValueError(f"{name} must be a square matrix of numbers, got {_shape(given, values)}")
+    numbers = given.dtype.kind in "fiu"
+    if not numbers or given.ndim != 2 or given.shape[0] != given.shape[1] or given.size == 0:
+        found = f"shape {given.shape}" if numbers else type(values).__name__
+        raise ValueError(f"{name} must be a square matrix of numbers, got {found}")
     matrix = given.astype(float)
     if size is not None and len(matrix) != size:
         raise ValueError(
@@ -66,14 +47,10 @@ def checked_covariance(name: str, values: np.ndarray, size: int | None = None) -
     if not eigenvalues[0] > _LEAST * eigenvalues[-1]:
         raise ValueError(
             f"{name} is not positive definite: its least eigenvalue is {eigenvalues[0]:.6g} (greatest "
-            f"{eigenvalues[-1]:.6g}). A negative one belongs to no scores at all, one of zero to conditions of which one follows "
-            "from the others; check its variances and correlations"
+            f"{eigenvalues[-1]:.6g}). No scores have a negative eigenvalue; zero means that one condition is a "
+            "linear function of the others. Check its variances and correlations"
         )
     return matrix
-
-
-def _shape(given: np.ndarray, values: object) -> str:
-    return f"shape {given.shape}" if given.dtype.kind in "fiu" else type(values).__name__
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +126,7 @@ class Conditions:
 
     def with_effect(self, eta2_partial: float) -> Conditions:
         """
-        Return the population with means drawn together or apart about their mean, to a partial η².
+        Return the population with its means scaled about their mean, to a given partial η².
 
         Parameters
         ----------
@@ -159,7 +136,7 @@ class Conditions:
         Raises
         ------
         ValueError
-            If it is out of range, or all means are the same and none of them can be told from another.
+            If it is out of range, or all means are the same, so that no factor separates them.
         """
         eta2 = finite_number("effect_size", eta2_partial)
         if not 0.0 <= eta2 < 1.0:
@@ -224,16 +201,11 @@ def graded_covariance(k: int, correlation: float = 0.5, epsilon: float = 1.0, sd
         If an argument is out of range.
     """
     k = whole_number("k", k, least=2, most=1000)
-    rho, eps, sd = (
-        finite_number("correlation", correlation),
-        finite_number("epsilon", epsilon),
-        finite_number("sd", sd),
-    )
+    rho, eps = finite_number("correlation", correlation), finite_number("epsilon", epsilon)
+    sd = positive("sd", sd)
     d = k - 1
     if not -1.0 / d < rho < 1.0:
         raise ValueError(f"correlation must lie between −1/(k − 1) = {-1.0 / d:.4g} and 1, got {rho}")
-    if not sd > 0.0:
-        raise ValueError(f"sd must be positive, got {sd}")
     if not (1.0 / d < eps <= 1.0 + 1e-12 or (d == 1 and abs(eps - 1.0) < 1e-12)):
         raise ValueError(f"epsilon must lie above 1/(k − 1) = {1.0 / d:.4g} and be at most 1, got {eps}")
 
@@ -245,11 +217,11 @@ def graded_covariance(k: int, correlation: float = 0.5, epsilon: float = 1.0, sd
     if d > 1 and eps < 1.0 - 1e-12:
         ratio = brentq(lambda x: 1.0 / (d * (shares(x) ** 2).sum()) - eps, -60.0, 0.0, xtol=1e-14, rtol=1e-14)
     variances = d * sd**2 * (1.0 - rho) * shares(ratio)
-    points = (
-        np.vander(np.linspace(-1.0, 1.0, k), k, increasing=True)
-        if k <= 12
-        else np.cos(np.pi * np.outer(np.arange(k) + 0.5, np.arange(k)) / k)
-    )
+    # Powers are nearly dependent beyond a dozen conditions; cosines are orthogonal, and as smooth.
+    if k <= 12:
+        points = np.vander(np.linspace(-1.0, 1.0, k), k, increasing=True)
+    else:
+        points = np.cos(np.pi * np.outer(np.arange(k) + 0.5, np.arange(k)) / k)
     basis = np.linalg.qr(points)[0]
     together = sd**2 * (1.0 + d * rho)
     return basis @ np.diag(np.r_[together, variances]) @ basis.T

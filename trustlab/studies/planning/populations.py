@@ -9,7 +9,7 @@ import pandas as pd
 from scipy import special
 
 from trustlab.allocation.limits import threshold_limits
-from trustlab.models.checks import finite_array, finite_number, whole_number
+from trustlab.models.checks import finite_array, finite_number, one_of, positive, whole_number
 from trustlab.models.human import HumanModel
 from trustlab.models.published import published_models, published_table
 from trustlab.models.robot import RobotModel
@@ -34,8 +34,8 @@ COORDINATES = (
     "logit place of TSC_l",
     "logit place of TSC_u",
 )
-"""What is normally distributed. τ = 1/(1 − a) in samples; places: of TSC_l between the limits (2.9)-(2.10) at δ_Ph = 0, and of TSC_u
-between TSC_l and the upper limit."""
+"""What is normally distributed. τ = 1/(1 − a) in samples. A place is a share of a range: for TSC_l, of the limits (2.9)-(2.10) at
+δ_Ph = 0; for TSC_u, of what lies between TSC_l and the upper limit."""
 
 PEOPLE = 0x70656F70
 """Mixed into the seed, so that people and their runs have different streams."""
@@ -44,9 +44,9 @@ MOST_TRIES = 1000
 
 
 def _stream(seed: int, who: int) -> np.random.Generator:
-    return np.random.default_rng(
-        np.random.SeedSequence([whole_number("seed", seed, least=0), PEOPLE], spawn_key=(who,))
-    )
+    """Return the random numbers of one person, so that a smaller sample is the beginning of a larger one."""
+    root = [whole_number("seed", seed, least=0), PEOPLE]
+    return np.random.default_rng(np.random.SeedSequence(root, spawn_key=(who,)))
 
 
 def _model(values: dict[str, float]) -> TscModel:
@@ -83,12 +83,12 @@ def _coordinates(label: str) -> np.ndarray:
 @dataclass(frozen=True, eq=False)
 class GroundRobotPopulation:
     """
-    Operators of the ground robot: a normal distribution of `COORDINATES`, truncated to valid models.
+    Operators of the ground robot: a normal distribution of twelve coordinates, truncated to valid models.
 
-    Coordinates are logarithms of positive numbers and logits of shares, so that nearly every draw is a model; what is none (utilization
-    or performance out of range, thresholds outside the limits of Theorem 1) is drawn again. Shares of suggestions followed have beta
-    distributions with the printed means and standard deviations, independent of all else. Everyone's least robot performance is the same.
-    Thresholds of TSC come from the operator's own model: identification without error.
+    The coordinates (`COORDINATES` in the module) are logarithms of positive numbers and logits of shares, so that nearly every draw is a valid
+    model; draws with utilization or performance out of range, or thresholds outside the limits of Theorem 1, are repeated. Shares of
+    suggestions followed have beta distributions with the printed means and standard deviations, independent of all else. The least robot
+    performance is the same for all. Thresholds of TSC come from the operator's own model: identification without error.
 
     Parameters
     ----------
@@ -123,10 +123,9 @@ class GroundRobotPopulation:
     testbed: str = field(default="ground_robot", init=False)
 
     def __post_init__(self):
-        object.__setattr__(self, "mean", finite_array("mean", self.mean, length=len(COORDINATES)))
-        object.__setattr__(
-            self, "covariance", checked_covariance("covariance", self.covariance, len(COORDINATES))
-        )
+        size = len(COORDINATES)
+        object.__setattr__(self, "mean", finite_array("mean", self.mean, length=size))
+        object.__setattr__(self, "covariance", checked_covariance("covariance", self.covariance, size))
         object.__setattr__(self, "p_r_min", finite_number("p_r_min", self.p_r_min))
         try:
             pairs = tuple((finite_number("follow", a), finite_number("follow", b)) for a, b in self.follow)
@@ -162,13 +161,11 @@ class GroundRobotPopulation:
         ValueError
             If a number is out of range.
         """
-        shrinkage, spread = finite_number("shrinkage", shrinkage), finite_number("spread", spread)
+        shrinkage, spread = finite_number("shrinkage", shrinkage), positive("spread", spread)
         if not 0.0 < shrinkage <= 1.0:
             raise ValueError(
                 f"shrinkage must lie in (0, 1], got {shrinkage}: at 0 the covariance of five participants is singular"
             )
-        if not spread > 0.0:
-            raise ValueError(f"spread must be positive, got {spread}")
         rows = np.array([_coordinates(label) for label in ("1", "2", "3", "4", "5")])
         sample = np.cov(rows.T)
         matrix = spread**2 * ((1.0 - shrinkage) * sample + shrinkage * np.diag(np.diag(sample)))
@@ -232,8 +229,8 @@ class GroundRobotPopulation:
                     continue
                 return values
         raise ValueError(
-            f"none of {MOST_TRIES} draws for participant {who} is a valid model: this population is mostly outside of what models "
-            "allow; check its means and spreads"
+            f"none of {MOST_TRIES} draws for participant {who} is a valid model: most of this population lies outside the "
+            "range of valid models; check its means and spreads"
         )
 
     def _values(self, z: np.ndarray) -> dict[str, float] | None:
@@ -318,8 +315,7 @@ class TeleoperatorPopulation:
     testbed: str = field(default="uav", init=False)
 
     def __post_init__(self):
-        if not isinstance(self.study, str) or self.study not in REACH:
-            raise ValueError(f"study must be one of {', '.join(map(repr, REACH))}, got {self.study!r:.60}")
+        one_of("study", self.study, REACH)
 
     @property
     def origin(self) -> str:

@@ -9,15 +9,21 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import open_unit, whole_number
+from trustlab.campaign.run import jobs
+from trustlab.models.checks import one_of, open_unit, spawned, whole_number
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
-from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, claims_mask, count_findings
+from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, claims_mask, simulated_counts
 
 __all__ = ["LEAST_REPLICATES", "MOST_N", "PowerAnalysis", "power_analysis"]
 
-AXES = ("n", "effect_size", "correlation", "epsilon")
-"""What power is computed against; effect_size is a population partial η²."""
+AXES = {
+    "n": "participants n",
+    "effect_size": "population partial η²",
+    "correlation": "correlation of conditions",
+    "epsilon": "ε of the population",
+}
+"""What power is computed against, and how a figure labels it."""
 
 MOST_CELLS, MOST_N, LEAST_REPLICATES = 10_000, 100_000, 100
 
@@ -104,7 +110,7 @@ class PowerAnalysis:
 
     def plot(self, against: str | None = None, test: str = "auto", axes=None):
         """
-        Plot the power of the omnibus F with its Monte-Carlo intervals.
+        Plot the power of the omnibus F with its Monte-Carlo intervals; crosses mark the closed form.
 
         Parameters
         ----------
@@ -124,9 +130,38 @@ class PowerAnalysis:
         ValueError
             If an argument is none of those.
         """
-        from trustlab.studies.planning.power_plots import plot_power
+        import matplotlib.pyplot as plt
 
-        return plot_power(self, against, test, axes)
+        one_of("test", test, TESTS)
+        against = against or (self.varied[0] if self.varied else "n")
+        one_of("against", against, AXES)
+        table = self.omnibus[self.omnibus["test"] == test]
+        if axes is None:
+            _, axes = plt.subplots(figsize=(6.0, 3.8), layout="constrained")
+        others = [name for name in self.varied if name != against]
+        groups = [((), table)]
+        if others:
+            # Values as computed differ in the last bits between cells of one line.
+            groups = table.groupby(table[others].round(9).apply(tuple, axis=1), sort=False)
+        for values, part in groups:
+            part = part.sort_values(against)
+            label = ", ".join(
+                f"{AXES[name]} {value + 0.0:.3g}" for name, value in zip(others, values, strict=True)
+            )
+            x, power = part[against].to_numpy(), part["power"].to_numpy()
+            bars = np.maximum([power - part["ci_low"], part["ci_high"] - power], 0.0)
+            drawn = axes.errorbar(x, power, bars, fmt="o-", ms=4, lw=1.3, capsize=3, label=label or None)
+            if part["closed_form"].notna().any():
+                axes.plot(x, part["closed_form"], "x", ms=8, color=drawn[0].get_color())
+        axes.axhline(self.alpha, color="0.6", lw=0.8, ls=":")
+        axes.set(xlabel=AXES[against], ylabel="power", ylim=(-0.02, 1.02))
+        axes.set_title(
+            f"{self.origin}: F, correction “{test}”, level {self.alpha:g}, {100 * self.level:g} % Monte-Carlo intervals",
+            fontsize="small",
+        )
+        if others:
+            axes.legend(fontsize="x-small")
+        return axes
 
     def __repr__(self) -> str:
         cells = len(self.omnibus) // len(TESTS)
@@ -188,6 +223,9 @@ def power_analysis(
     replicates: int = 10_000,
     level: float = 0.95,
     seed: int = 0,
+    n_jobs: int | None = None,
+    cluster: object = None,
+    executor: object = None,
 ) -> PowerAnalysis:
     """
     Simulate studies drawn from a normal population and count how many find its effects.
@@ -226,6 +264,8 @@ def power_analysis(
         Coverage of the Monte-Carlo intervals.
     seed : int
         One child is spawned from it per cell of the grid n × effect_size × correlation × epsilon.
+    n_jobs, cluster, executor : int, object, Executor, optional
+        Where cells are simulated, as in `run_campaign`; by default in this process. They have no effect on results.
 
     Returns
     -------
@@ -266,9 +306,17 @@ def power_analysis(
         raise ValueError(
             f"{len(cells)} cells are too many for one call, at most {MOST_CELLS}; split the grid"
         )
+    children = spawned(seed, len(cells))
+    where = {"n_jobs": jobs(n_jobs, cluster, executor), "cluster": cluster, "executor": executor}
+    counted = simulated_counts(
+        [(cell, size, child) for (size, cell), child in zip(cells, children, strict=True)],
+        replicates,
+        alpha,
+        mask,
+        where,
+    )
     omnibus, pairs, together = [], [], []
-    for (size, cell), child in zip(cells, np.random.SeedSequence(seed).spawn(len(cells)), strict=True):
-        counts = count_findings(cell, size, replicates, alpha, child, mask)
+    for (size, cell), counts in zip(cells, counted, strict=True):
         rows = _rows(cell, size, counts, replicates, alpha, level, mask)
         for table, more in zip((omnibus, pairs, together), rows, strict=True):
             table.extend(more)
@@ -286,46 +334,38 @@ def power_analysis(
     )
 
 
-def _rows(cell: Conditions, n: int, counts, replicates, alpha, level, mask) -> tuple[list, list, list]:
+def _rows(
+    cell: Conditions,
+    n: int,
+    counts: dict,
+    replicates: int,
+    alpha: float,
+    level: float,
+    mask: np.ndarray | None,
+) -> tuple[list, list, list]:
+    """Return the rows of the three tables for one cell, from the counts of its simulated studies."""
     k = len(cell.mean)
-    epsilon, d_z = cell.epsilon, cell.d_z
-    axes = (n, cell.eta2_partial, cell.correlation, epsilon)
+    axes = (n, cell.eta2_partial, cell.correlation, cell.epsilon)
     strength = noncentrality(cell.eta2_partial, n, k)
-    exact = noncentral_f_power(n, k, strength, alpha) if epsilon > 1.0 - 1e-9 else np.nan
+    exact = noncentral_f_power(n, k, strength, alpha) if cell.epsilon > 1.0 - 1e-9 else np.nan
 
-    def shares(count) -> tuple[float, float, float, int]:
-        low, high = clopper_pearson(count, replicates, level)
-        return count / replicates, float(low), float(high), replicates
+    def power(key: str) -> tuple[float, float, float, int]:
+        low, high = clopper_pearson(counts[key], replicates, level)
+        return counts[key] / replicates, float(low), float(high), replicates
 
     omnibus = [
-        (*axes, strength, test, *shares(counts.omnibus[test]), exact if test == "none" else np.nan)
-        for test in TESTS
+        (*axes, strength, test, *power(f"F {test}"), exact if test == "none" else np.nan) for test in TESTS
     ]
-    a, b = np.triu_indices(k, 1)
-    levels = {"none": alpha, "bonferroni": alpha / a.size}
-    pairs = [
-        (
-            *axes,
-            cell.labels[a[i]],
-            cell.labels[b[i]],
-            d_z[i],
-            name,
-            *shares(int(counts.pairs[name][i])),
-            noncentral_f_power(n, 2, n * d_z[i] ** 2, levels[name]) if name in levels else np.nan,
-        )
-        for i in range(a.size)
-        for name in ADJUSTMENTS
-    ]
-    together = []
-    if mask is not None:
-        together = [
-            (
-                *axes,
-                name,
-                int(mask.sum()),
-                *shares(counts.claims[name]),
-                counts.claims_found[name] / replicates,
+    pairs, together = [], []
+    levels = {"none": alpha, "bonferroni": alpha / len(cell.d_z)}  # Holm's has no closed form
+    for i, (a, b, d_z) in enumerate(zip(*np.triu_indices(k, 1), cell.d_z, strict=True)):
+        for name in ADJUSTMENTS:
+            closed = noncentral_f_power(n, 2, n * d_z**2, levels[name]) if name in levels else np.nan
+            pairs.append(
+                (*axes, cell.labels[a], cell.labels[b], d_z, name, *power(f"pair {i} {name}"), closed)
             )
-            for name in ADJUSTMENTS
-        ]
+    if mask is not None:
+        for name in ADJUSTMENTS:
+            found = counts[f"claimed {name}"] / replicates
+            together.append((*axes, name, int(mask.sum()), *power(f"claims {name}"), found))
     return omnibus, pairs, together

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from trustlab.studies.analysis.batch import repeated_measures_batch
 from trustlab.studies.analysis.sphericity import CORRECTIONS
 from trustlab.studies.planning.covariances import Conditions
 
-__all__ = ["ADJUSTMENTS", "TESTS", "Counts", "claims_mask", "count_findings"]
+__all__ = ["ADJUSTMENTS", "TESTS", "claims_mask", "count_findings", "simulated_counts"]
 
 TESTS = (*CORRECTIONS, "auto")
 """Corrections of the omnibus F; "auto" is that of `repeated_measures`: Greenhouse–Geisser where Mauchly's test rejects."""
@@ -23,68 +23,54 @@ _CHUNK = 1 << 20
 """Scores drawn at a time, so that memory does not grow with the number of replicates."""
 
 
-@dataclass(frozen=True, eq=False)
-class Counts:
-    """
-    How many of the simulated studies were significant.
+def simulated_counts(
+    cells: Sequence[tuple[Conditions, int, np.random.SeedSequence]],
+    replicates: int,
+    alpha: float,
+    claims: np.ndarray | None = None,
+    where: Mapping | None = None,
+) -> list[dict]:
+    """Return `count_findings` of each cell (population, subjects, seed); `where` is passed on to `run_campaign`."""
+    from trustlab.campaign import CampaignError, run_campaign
 
-    Parameters
-    ----------
-    omnibus : dict of str to int
-        By correction, those of `TESTS`.
-    pairs : dict of str to numpy.ndarray of int, shape (pairs,)
-        By adjustment, pairs a < b in order.
-    claims : dict of str to int
-        By adjustment: F under "auto" and every claimed pair, in the claimed direction.
-    claims_found : dict of str to int
-        By adjustment: claimed pairs found, summed over studies.
-    """
-
-    omnibus: dict[str, int]
-    pairs: dict[str, np.ndarray]
-    claims: dict[str, int]
-    claims_found: dict[str, int]
+    fixed = {"replicates": replicates, "alpha": alpha, "claims": claims}
+    parameters = [{"population": p, "n": n, "draws": draws} | fixed for p, n, draws in cells]
+    done = run_campaign(count_findings, parameters, **(where or {"n_jobs": 1}))
+    if done["failed"].any():
+        raise CampaignError(f"studies could not be simulated: {done.loc[done['failed'], 'error'].iloc[0]}")
+    return done.to_dict("records")
 
 
 def count_findings(
-    conditions: Conditions,
+    population: Conditions,
     n: int,
+    draws: np.random.SeedSequence,
     replicates: int,
     alpha: float,
+    claims: np.ndarray | None,
     seed: np.random.SeedSequence,
-    claims: np.ndarray | None = None,
-) -> Counts:
+) -> dict[str, int]:
     """
-    Draw studies from a normal population, analyse each, and count.
+    Draw studies from a normal population, analyse each, and count those that are significant: a task of `run_campaign`.
 
-    Parameters
-    ----------
-    conditions : Conditions
-        The population.
-    n : int
-        Subjects of each study.
-    replicates : int
-        Studies.
-    alpha : float
-        Level of every test, Mauchly's too.
-    seed : numpy.random.SeedSequence
-        Of the draws.
-    claims : numpy.ndarray of bool, shape (pairs,), optional
-        Pairs that must be found together.
+    Keys: "F test" by `TESTS`; "pair i adjustment", pairs a < b in order; and where `claims` says which pairs are claimed,
+    "claims adjustment" (F under "auto" and every claimed pair in the claimed direction) and "claimed adjustment" (claimed
+    pairs found, summed over studies). `draws` is the seed: which one belongs to which study size is the caller's choice.
     """
-    rng = np.random.default_rng(seed)
-    k = len(conditions.mean)
-    root = np.linalg.cholesky(conditions.covariance).T
+    rng = np.random.default_rng(draws)
+    k = len(population.mean)
+    root = np.linalg.cholesky(population.covariance).T
     a, b = np.triu_indices(k, 1)
-    expected = np.sign(conditions.mean[a] - conditions.mean[b])
+    expected = np.sign(population.mean[a] - population.mean[b])
     omnibus = dict.fromkeys(TESTS, 0)
     pairs = {name: np.zeros(a.size, dtype=np.int64) for name in ADJUSTMENTS}
-    together, found = dict.fromkeys(ADJUSTMENTS, 0), dict.fromkeys(ADJUSTMENTS, 0)
+    together, claimed = dict.fromkeys(ADJUSTMENTS, 0), dict.fromkeys(ADJUSTMENTS, 0)
     step = max(1, _CHUNK // (n * k))
     for first in range(0, replicates, step):
         studies = min(step, replicates - first)
-        scores = rng.standard_normal((studies, n, k)) @ root + conditions.mean
+        scores = rng.standard_normal((studies, n, k)) @ root + population.mean
         batch = repeated_measures_batch(scores)
+        # An undefined p of Mauchly's test (n ≤ k − 1) counts as a rejection, as in `repeated_measures`.
         rejected = ~(batch.mauchly_p >= alpha) if k > 2 else np.zeros(studies, dtype=bool)
         p_values = (batch.p, batch.p_gg, batch.p_hf, np.where(rejected, batch.p_gg, batch.p))
         for name, p in zip(TESTS, p_values, strict=True):
@@ -96,26 +82,18 @@ def count_findings(
             if claims is not None:
                 right = hits & (np.sign(batch.pairwise.mean_difference) == expected)
                 together[name] += int((right[:, claims].all(axis=1) & significant).sum())
-                found[name] += int(right[:, claims].sum())
-    return Counts(omnibus, pairs, together, found)
+                claimed[name] += int(right[:, claims].sum())
+    counts = {f"F {test}": count for test, count in omnibus.items()}
+    for name, found in pairs.items():
+        counts |= {f"pair {i} {name}": int(count) for i, count in enumerate(found)}
+    if claims is not None:
+        counts |= {f"claims {name}": count for name, count in together.items()}
+        counts |= {f"claimed {name}": count for name, count in claimed.items()}
+    return counts
 
 
-def claims_mask(claims, conditions: Conditions) -> np.ndarray | None:
-    """
-    Return which pairs are claimed, over all pairs a < b.
-
-    Parameters
-    ----------
-    claims : sequence of (a, b) or None
-        Pairs of labels.
-    conditions : Conditions
-        Whose labels.
-
-    Raises
-    ------
-    ValueError
-        If a pair is no pair, its labels are unknown, or it is there twice.
-    """
+def claims_mask(claims: Sequence[tuple] | None, conditions: Conditions) -> np.ndarray | None:
+    """Return which pairs are claimed, over all pairs a < b; None without claims."""
     if claims is None:
         return None
     labels = list(conditions.labels)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, open_unit, whole_number
+from trustlab.campaign.run import jobs
+from trustlab.models.checks import one_of, open_unit, whole_number
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
 from trustlab.studies.planning.power import LEAST_REPLICATES, MOST_N
-from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, claims_mask, count_findings
+from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, claims_mask, simulated_counts
 
 __all__ = ["SmallestN", "smallest_n"]
+
+AHEAD = 4
+"""How many n are simulated at the same time where there are workers for it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +86,9 @@ def smallest_n(
     level: float = 0.95,
     seed: int = 0,
     most: int = 2000,
+    n_jobs: int | None = None,
+    cluster: object = None,
+    executor: object = None,
 ) -> SmallestN:
     """
     Return the smallest n whose simulated power reaches `power` while that of n − 1 does not.
@@ -113,6 +120,9 @@ def smallest_n(
         Of the draws.
     most : int
         The largest n to try.
+    n_jobs, cluster, executor : int, object, Executor, optional
+        Where studies are simulated, as in `run_campaign`; by default in this process. Several n are then simulated at the
+        same time; the answer is the same.
 
     Returns
     -------
@@ -129,34 +139,42 @@ def smallest_n(
     wanted, alpha, level = open_unit("power", power), open_unit("alpha", alpha), open_unit("level", level)
     replicates = whole_number("replicates", replicates, least=LEAST_REPLICATES, most=10_000_000)
     seed, most = whole_number("seed", seed, least=0), whole_number("most", most, least=3, most=MOST_N)
-    for name, value, known in (("test", test, TESTS), ("adjust", adjust, ADJUSTMENTS)):
-        if not isinstance(value, str) or value not in known:
-            raise ValueError(
-                f"{name} must be one of {', '.join(known)}, got {value!r:.60}{did_you_mean(value, known)}"
-            )
+    one_of("test", test, TESTS)
+    one_of("adjust", adjust, ADJUSTMENTS)
     if wanted <= alpha:
         raise ValueError(
             f"power = {wanted:g} must exceed alpha = {alpha:g}, which no effect at all reaches already"
         )
     which = None if pair is None else int(np.flatnonzero(claims_mask([pair], population))[0])
+    key = f"F {test}" if which is None else f"pair {which} {adjust}"
+    expected = _closed_form(population, which, wanted, alpha, adjust)
+    start = _bisect(expected, 3, most) or most
+    n_jobs = jobs(n_jobs, cluster, executor)
+    where = {"n_jobs": n_jobs, "cluster": cluster, "executor": executor}
     found: dict[int, int] = {}
 
     def enough(n: int) -> bool:
-        if n not in found:
-            child = np.random.SeedSequence(seed, spawn_key=(n,))
-            counts = count_findings(population, n, replicates, alpha, child)
-            found[n] = counts.omnibus[test] if which is None else int(counts.pairs[adjust][which])
-        return found[n] >= wanted * replicates
+        return found[n] >= wanted * replicates if n in found else expected(n)
 
-    n = _bisect(enough, min(_closed_form(population, which, wanted, alpha, adjust, most), most), most)
+    # The search needs one n after the other. Workers simulate the next ones too, along the path on which the closed form
+    # leads the search; where the simulation leads elsewhere, some were simulated for nothing.
+    ahead = 1 if n_jobs == 1 else AHEAD
+    while True:
+        n, asked = _searched(enough, start, most)
+        sizes = [size for size in asked if size not in found][:ahead]
+        if not sizes:
+            break
+        cells = [(population, size, np.random.SeedSequence(seed, spawn_key=(size,))) for size in sizes]
+        counted = simulated_counts(cells, replicates, alpha, None, where)
+        found |= {size: counts[key] for size, counts in zip(sizes, counted, strict=True)}
     if n is None:
         share = found[most] / replicates
         raise ValueError(
             f"{most} subjects reach a power of {share:.3g} only, {wanted:g} was wanted: the effect is too small for the design; "
             "raise most=, or change the design"
         )
-    sizes = sorted(found)
-    low, high = clopper_pearson(np.array([found[size] for size in sizes]), replicates, level)
+    sizes = sorted(asked)
+    low, high = clopper_pearson([found[size] for size in sizes], replicates, level)
     rows = pd.DataFrame(
         {"n": sizes, "power": [found[s] / replicates for s in sizes], "ci_low": low, "ci_high": high}
     )
@@ -189,19 +207,29 @@ def _bisect(enough, start: int, most: int) -> int | None:
     return high
 
 
-def _closed_form(population: Conditions, which, wanted, alpha, adjust, most) -> int:
-    """Return about how many subjects are needed, by noncentral F with Box's ε, or noncentral t."""
+def _searched(enough: Callable[[int], bool], start: int, most: int) -> tuple[int | None, list[int]]:
+    """Return what `_bisect` returns, and every n that it asked for."""
+    asked: dict[int, None] = {}
+
+    def recorded(n: int) -> bool:
+        asked[n] = None
+        return enough(n)
+
+    return _bisect(recorded, start, most), list(asked)
+
+
+def _closed_form(
+    population: Conditions, which: int | None, wanted: float, alpha: float, adjust: str
+) -> Callable[[int], bool]:
+    """Return whether n subjects are enough by noncentral F with Box's ε, or by noncentral t for a pair."""
     k, epsilon = len(population.mean), population.epsilon
     if which is not None:
         d_z, k, epsilon = population.d_z[which], 2, 1.0
+        # Holm's first step is Bonferroni's; its later steps have no closed form.
         alpha = alpha if adjust == "none" else alpha / len(population.d_z)
 
-    def short(n: int) -> bool:
+    def expected(n: int) -> bool:
         strength = n * d_z**2 if which is not None else noncentrality(population.eta2_partial, n, k)
-        return noncentral_f_power(n, k, strength, alpha, epsilon) < wanted
+        return noncentral_f_power(n, k, strength, alpha, epsilon) >= wanted
 
-    low, high = 2, most
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if short(middle) else (low, middle)
-    return high
+    return expected

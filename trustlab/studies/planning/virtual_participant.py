@@ -24,16 +24,7 @@ def _course() -> Course:
 
 
 def session_file(participant: int, position: int, condition: str) -> str:
-    """
-    Return the name of the file that holds one session.
-
-    Parameters
-    ----------
-    participant, position : int
-        Who, and which of their sessions, from 1.
-    condition : str
-        The condition.
-    """
+    """Return the name of the file that holds one session; participants and positions count from 1."""
     return f"participant_{participant:05d}_trial_{position}_{condition}.parquet"
 
 
@@ -50,37 +41,13 @@ def run_participant(
     **operator: float,
 ) -> dict[str, float]:
     """
-    Run all conditions for one simulated operator: a task of `run_campaign`.
+    Run all conditions for one simulated operator, and return measures as "condition/measure": a task of `run_campaign`.
 
-    Parameters
-    ----------
-    testbed : {"ground_robot", "uav"}
-        Which.
-    participant : int
-        Who.
-    order : str
-        Conditions in the order in which they come, separated by blanks.
-    study : str
-        Study of the UAV testbed, "preliminary" or "main".
-    laps : int
-        Laps of each run of the ground robot.
-    length : float
-        Length of each run of the UAV [s].
-    rest : float or None
-        Pause between sessions [s], in which utilization decays by (2.5) from what it was; None: every session begins rested.
-    folder : str or None
-        Where sessions are written.
-    seed : numpy.random.SeedSequence
-        One child is spawned from it per condition, by its place in the alphabet, not in the order.
-    **operator : float
-        A row of the population's draw.
-
-    Returns
-    -------
-    dict of str to float
-        "condition/measure": value.
+    `order` holds the conditions in their order, separated by blanks; `length` is that of a run of the UAV [s]; `rest` the pause
+    between sessions [s], or None where each begins with r = 0; `operator` a row of the population's draw.
     """
     conditions = order.split()
+    # Each condition has a seed by its place in the alphabet, so that the order has no effect on its noise.
     streams = dict(zip(sorted(conditions), seed.spawn(len(conditions)), strict=True))
     values, r0, found = operator | {"participant": participant}, 0.0, {}
     for position, condition in enumerate(conditions, start=1):

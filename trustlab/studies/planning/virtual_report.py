@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean
+from trustlab.models.checks import one_of
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.designs import LatinSquareDesign
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
@@ -107,17 +107,10 @@ class VirtualStudy:
         ValueError
             If the measure or a condition is unknown, or the measure has missing values or no variance.
         """
-        if dv not in self.names:
-            raise ValueError(
-                f"dv: no measure {dv!r:.60}{did_you_mean(dv, self.names)} (there are {', '.join(self.names)})"
-            )
+        one_of("dv", dv, self.names)
         wanted = self.conditions if conditions is None else tuple(conditions)
         for condition in wanted:
-            if condition not in self.conditions:
-                raise ValueError(
-                    f"unknown condition {condition!r:.60}{did_you_mean(condition, self.conditions)} (the study has "
-                    f"{', '.join(self.conditions)})"
-                )
+            one_of("condition", condition, self.conditions)
         rows = self.measures[self.measures["condition"].isin(wanted)]
         return repeated_measures(rows, dv, "condition", "participant", order=wanted, **options)
 

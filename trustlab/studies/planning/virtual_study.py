@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from trustlab.models.checks import finite_number, whole_number
+from trustlab.campaign.run import jobs, run_campaign
+from trustlab.models.checks import finite_number, not_negative, of_class, one_of, whole_number
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
 from trustlab.studies.planning.virtual_folder import Folder
@@ -33,15 +34,17 @@ def virtual_study(
     laps: int | None = None,
     duration: float | None = None,
     rest: float | None = None,
-    n_jobs: int = 1,
+    n_jobs: int | None = None,
+    cluster: object = None,
+    executor: object = None,
     out: str | os.PathLike | None = None,
     progress: bool | None = None,
 ) -> VirtualStudy:
     """
     Simulate a within-subject study from its design to its statistics.
 
-    Operators are drawn from a population, come in the orders of a Latin square, run every condition, are measured, and the
-    measures are analysed. Sessions are independent given the operator: orders and carry-over have no effect unless `rest` is given.
+    Operators are drawn from a population and run every condition in the orders of a Latin square; their measures are
+    analysed. Given the operator, sessions are independent: orders have no effect unless `rest` is given.
 
     Parameters
     ----------
@@ -54,18 +57,19 @@ def virtual_study(
         C1 to C5 on the ground-robot testbed, or M, MI, MMI, TMIG, TMIS, OMI on the UAV testbed; all of the former, or the latter's
         M, OMI, MMI and TMIG for a `TeleoperatorPopulation`.
     population : GroundRobotPopulation or TeleoperatorPopulation, optional
-        Whom operators are drawn from; `GroundRobotPopulation.published()` or `TeleoperatorPopulation()` by default.
+        From whom operators are drawn; `GroundRobotPopulation.published()` or `TeleoperatorPopulation()` by default.
     seed : int
-        Of the design, of the people and of all runs. With the same seed the people of a smaller study are the first of a larger.
+        Of the design, of the people and of all runs. With the same seed, the people of a smaller study are the first of a
+        larger one.
     laps : int, optional
         Laps of each run of the ground robot; 8, as printed.
     duration : float, optional
         Length of each run of the UAV [s]; 120.
     rest : float, optional
-        Ground robot only: pause between sessions [s], in which utilization decays by (2.5) from where the session before it ended. When not
-        given every session begins with r = 0.
-    n_jobs : int
-        Processes, as for `run_campaign`.
+        Ground robot only: pause between sessions [s], in which utilization decays by (2.5) from its value at the end of the
+        session before. When it is left out, every session begins with r = 0.
+    n_jobs, cluster, executor : int, object, Executor, optional
+        Where participants are simulated, as in `run_campaign`; by default in this process. They have no effect on results.
     out : path-like, optional
         A folder for sessions/ (Parquet, one file per session, for `read_sessions`), participants.csv, orders.csv, measures.csv, about.txt
         and campaign/; a call with the same arguments goes on where a killed one stopped. Eight laps are about 1 MB.
@@ -94,7 +98,7 @@ def virtual_study(
     design = _designed(design, n, conditions, seed, testbed)
     settings = _settings(testbed, laps, duration, rest)
     people = population.draw(len(design.participants), seed)
-    folder = None if out is None else Folder(out)
+    folder = None if out is None else Folder(out, design)
     plan = design.table()
     fixed = {
         "testbed": testbed,
@@ -104,35 +108,30 @@ def virtual_study(
         "rest": settings.get("rest"),
         "folder": None if folder is None else str(folder.sessions),
     }
-    parameters = [
-        fixed | {"order": " ".join(plan.loc[person["participant"]])} | person
-        for person in people.to_dict("records")
-    ]
-    from trustlab.campaign import run_campaign
-
-    if folder is not None:
-        folder.prepare(design)
     done = run_campaign(
         run_participant,
-        parameters,
+        [
+            fixed | {"order": " ".join(plan.loc[person["participant"]])} | person
+            for person in people.to_dict("records")
+        ],
         seed=seed,
-        n_jobs=n_jobs,
+        n_jobs=jobs(n_jobs, cluster, executor),
+        cluster=cluster,
+        executor=executor,
         out=None if folder is None else folder.campaign,
         progress=progress,
     )
     failed = done["failed"].to_numpy(dtype=bool)
     if failed.all():
         raise ValueError(f"every participant's run failed; the first: {done['error'].iloc[0]}")
-    measures = _tidy(done[~failed], design, conditions)
-    failures = done.loc[failed, ["participant", "error"]].reset_index(drop=True)
     study = VirtualStudy(
         testbed,
         conditions,
         design,
         population,
         people,
-        measures,
-        failures,
+        _tidy(done[~failed], design, conditions),
+        done.loc[failed, ["participant", "error"]].reset_index(drop=True),
         {"seed": seed} | settings,
         None if folder is None else folder.path,
     )
@@ -141,7 +140,7 @@ def virtual_study(
     return study
 
 
-def _named(conditions, design, population) -> tuple[str, ...]:
+def _named(conditions: object, design: object, population: object) -> tuple[str, ...]:
     """Return the conditions, all of one testbed."""
     if conditions is not None and not isinstance(conditions, list | tuple | pd.Index | pd.Series):
         raise ValueError(f"conditions must be a list of names, got {conditions!r:.60}")
@@ -151,50 +150,32 @@ def _named(conditions, design, population) -> tuple[str, ...]:
                 f"design has the conditions {design.conditions}, but conditions= says {tuple(conditions)}"
             )
         conditions = design.conditions
-    elif not isinstance(design, str) or design != "latin_square":
-        raise ValueError(f"design must be 'latin_square' or a LatinSquareDesign, got {design!r:.60}")
+    else:
+        one_of("design", design, ["latin_square"], "a LatinSquareDesign")
     if conditions is None:
         return MAIN_SCHEMES if isinstance(population, TeleoperatorPopulation) else TESTBEDS["ground_robot"]
-    from difflib import get_close_matches
-
-    names = tuple(conditions)
     known = [name for group in TESTBEDS.values() for name in group]
-    for name in names:
-        if not isinstance(name, str) or name not in known:
-            near = get_close_matches(str(name).upper(), known, n=1, cutoff=0.4)
-            meant = f"; did you mean {near[0]!r}?" if near else ""
-            there = "; ".join(
-                f"{WORDS[testbed]} has {', '.join(group)}" for testbed, group in TESTBEDS.items()
-            )
-            raise ValueError(f"unknown condition {name!r:.60}{meant} ({there})")
+    names = tuple(one_of("condition", name, known) for name in conditions)
     if len(names) < 2 or len(set(names)) < len(names):
         raise ValueError(f"conditions must be two or more, each once, got {', '.join(names) or 'none'}")
-    beds = {testbed: [c for c in names if c in group] for testbed, group in TESTBEDS.items()}
-    if all(beds.values()):
-        mixed = " and ".join(f"{', '.join(own)} of {WORDS[testbed]}" for testbed, own in beds.items())
+    own = {testbed: [name for name in names if name in group] for testbed, group in TESTBEDS.items()}
+    if all(own.values()):
+        mixed = " and ".join(f"{', '.join(group)} of {WORDS[testbed]}" for testbed, group in own.items())
         raise ValueError(f"a study runs on one testbed, but conditions are {mixed}; make two studies")
     return names
 
 
-def _fitting(population, testbed: str):
+def _fitting(population: object, testbed: str) -> GroundRobotPopulation | TeleoperatorPopulation:
+    """Return a population of operators of the testbed."""
     if population is None:
         return GroundRobotPopulation.published() if testbed == "ground_robot" else TeleoperatorPopulation()
-    if not isinstance(population, GroundRobotPopulation | TeleoperatorPopulation):
-        raise ValueError(
-            "population must be a GroundRobotPopulation or a TeleoperatorPopulation, got "
-            f"{type(population).__name__}; trustlab.studies.GroundRobotPopulation.published() is one"
-        )
-    if population.testbed != testbed:
-        raise ValueError(
-            f"population {type(population).__name__} is of {WORDS[population.testbed]}, but the conditions are of {WORDS[testbed]}"
-        )
-    return population
+    wanted = {"ground_robot": GroundRobotPopulation, "uav": TeleoperatorPopulation}[testbed]
+    return of_class("population", population, wanted, f"the conditions are of {WORDS[testbed]}")
 
 
-def _designed(design, n, conditions, seed, testbed) -> LatinSquareDesign:
-    k = len(conditions)
-    if n is not None:
-        n = whole_number("n", n)
+def _designed(design: object, n: int | None, conditions: tuple, seed: int, testbed: str) -> LatinSquareDesign:
+    """Return a design whose participants are numbered and enough for repeated measures."""
+    n = None if n is None else whole_number("n", n)
     if isinstance(design, LatinSquareDesign):
         count = len(design.participants)
         if n is not None and n != count:
@@ -208,32 +189,27 @@ def _designed(design, n, conditions, seed, testbed) -> LatinSquareDesign:
                 f"{count} participants are too few for the design: repeated measures need at least 3"
             )
         return design
+    least = participants_needed(len(conditions), 3)
     if n is None:
-        n = participants_needed(k, PRINTED_N[testbed])
-    if n < max(3, participants_needed(k)):
+        n = participants_needed(len(conditions), PRINTED_N[testbed])
+    if n < max(3, participants_needed(len(conditions))):
         raise ValueError(
-            f"n = {n} is too small for the design: a balanced Latin square of {k} conditions needs "
-            f"{participants_needed(k, 3)} participants"
+            f"n = {n} is too small for the design: a balanced Latin square of {len(conditions)} conditions needs {least} "
+            "participants"
         )
     return latin_square_design(conditions, n, seed=seed)
 
 
-def _settings(testbed: str, laps, duration, rest) -> dict:
+def _settings(testbed: str, laps: int | None, duration: float | None, rest: float | None) -> dict:
+    """Return the settings of all runs; raise where one would have no effect."""
+    idle = {"laps": laps, "rest": rest} if testbed == "uav" else {"duration": duration}
+    for name, value in idle.items():
+        if value is not None:
+            raise ValueError(f"{name} has no effect on {WORDS[testbed]}; leave it out")
     if testbed == "uav":
-        for name, value in (("laps", laps), ("rest", rest)):
-            if value is not None:
-                raise ValueError(f"{name} has no effect on {WORDS[testbed]}; leave it out")
         return {"duration": 120.0 if duration is None else finite_number("duration", duration)}
-    if duration is not None:
-        raise ValueError(
-            f"duration has no effect on {WORDS[testbed]}, where runs last laps= laps; leave it out"
-        )
     laps = 8 if laps is None else whole_number("laps", laps, most=MOST_LAPS)
-    if rest is not None:
-        rest = finite_number("rest", rest)
-        if rest < 0.0:
-            raise ValueError(f"rest cannot be negative, got {rest}")
-    return {"laps": laps, "rest": rest}
+    return {"laps": laps, "rest": None if rest is None else not_negative("rest", rest)}
 
 
 def _tidy(done: pd.DataFrame, design: LatinSquareDesign, conditions: tuple[str, ...]) -> pd.DataFrame:
@@ -243,11 +219,8 @@ def _tidy(done: pd.DataFrame, design: LatinSquareDesign, conditions: tuple[str, 
     parts = []
     for condition in conditions:
         part = done[[f"{condition}/{name}" for name in names]].set_axis(names, axis=1).astype(float)
-        part.insert(0, "participant", done["participant"].astype(int))
-        part.insert(1, "condition", condition)
-        parts.append(part)
-    orders = design.orders()
-    frame = orders.merge(
+        parts.append(part.assign(participant=done["participant"].astype(int), condition=condition))
+    frame = design.orders().merge(
         pd.concat(parts), on=["participant", "condition"], how="inner", validate="one_to_one"
     )
     frame["condition"] = pd.Categorical(frame["condition"], categories=list(conditions), ordered=False)
