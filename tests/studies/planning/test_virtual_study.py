@@ -427,9 +427,9 @@ def test_other_refusals_of_populations(kept):
         TeleoperatorPopulation("pilot")
     with pytest.raises(ValueError, match="n must be a whole number"):
         PUBLISHED.draw(0)
-    with pytest.raises(ValueError, match="dv must be one of .*, got 'p_t'; did you mean"):
+    with pytest.raises(ValueError, match=r"dv must be one of .*, got 'p_t'; did you mean"):
         kept.analysis("p_t")
-    with pytest.raises(ValueError, match="condition must be one of .*, got 'C9'"):
+    with pytest.raises(ValueError, match=r"condition must be one of .*, got 'C9'"):
         kept.analysis("p_r", ["C1", "C9"])
     with pytest.raises(ValueError, match="missing cells in 'followed_percent'"):
         kept.analysis("followed_percent")
