@@ -162,6 +162,33 @@ def test_plots_and_pages_say_synthetic():
     assert "synthetic" in repr(session)
 
 
+def test_paths_of_several_sessions():
+    def moving(synthetic):
+        t = np.linspace(0, 1, 30)
+        columns = {f"{who}_{axis}": t for who in ("human", "robot", "reference") for axis in "yz"}
+        return tl.Session(frame(30, **columns), tl.Metadata(participant=1, synthetic=synthetic))
+
+    axes = tl.sessions.plot_paths([moving(False), moving(True)], plane="yz")
+    assert [axis.get_title() for axis in axes] == ["participant 1", "participant 1, synthetic"]
+    assert [line.get_label() for line in axes[0].lines] == ["operator", "robot", "reference"]
+    assert axes[0].figure.get_suptitle() == "synthetic data"
+    assert tl.sessions.plot_paths([moving(False)], "yz", titles=["one"])[0].figure.get_suptitle() == ""
+    with pytest.raises(tl.SessionError, match="no column 'human_x'"):
+        tl.sessions.plot_paths([moving(False)])
+    plt.close("all")
+
+
+def test_a_measure_by_participant():
+    """Oracle: means by hand."""
+    rows = [(1, 0.0, 1.0), (1, 0.0, 3.0), (1, 0.5, 4.0), (2, 0.0, 6.0), (2, 0.5, 8.0)]
+    table = pd.DataFrame(rows, columns=["participant", "autonomy", "error"])
+    axis = tl.sessions.plot_by_participant(table, "error")
+    np.testing.assert_array_equal(axis.lines[-1].get_ydata(), [4.0, 6.0])
+    assert axis.lines[-1].get_label() == "mean of 2 participants"
+    assert tl.sessions.plot_by_participant(table, "error", axis=axis) is axis
+    plt.close("all")
+
+
 def test_external_data_are_where_the_variable_says(tmp_path, monkeypatch):
     monkeypatch.setenv("TRUSTLAB_DATA", str(tmp_path))
     assert tl.sessions.external_data("lab") is None

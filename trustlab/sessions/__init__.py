@@ -12,6 +12,7 @@ _lazy_getattr, __dir__, __all__ = lazy.attach(
         "external": ["external_data"],
         "metadata": ["Metadata"],
         "metrics": ["tracking_error"],
+        "plots": ["plot_by_participant", "plot_paths"],
         "readers": ["read_session", "read_sessions"],
         "recipe": ["Recipe", "list_recipes", "load_recipe"],
         "session": ["Session"],

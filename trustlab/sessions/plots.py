@@ -1,27 +1,18 @@
-"""A session to look at."""
+"""Sessions, and measures of many sessions, to look at."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from trustlab.sessions.vocabulary import VOCABULARY
 
-__all__ = ["plot_session", "shade_manual"]
+__all__ = ["plot_by_participant", "plot_paths", "plot_session", "shade_manual"]
 
 
 def shade_manual(axes, t: np.ndarray, mode: np.ndarray) -> None:
-    """
-    Shade the manual phases of one panel.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        The panel.
-    t : numpy.ndarray, shape (N,)
-        Time [s].
-    mode : numpy.ndarray, shape (N,)
-        Manual share; shaded in proportion where it is constant, above one half otherwise.
-    """
+    """Shade the manual phases of one panel: in proportion to the manual share, above one half where it varies much."""
     edges = np.flatnonzero(np.diff(mode)) + 1
     if edges.size > 200:
         axes.fill_between(
@@ -34,20 +25,7 @@ def shade_manual(axes, t: np.ndarray, mode: np.ndarray) -> None:
 
 
 def plot_session(session, columns: str | list[str] | None = None):
-    """
-    Plot columns of a session against time, one panel each.
-
-    Parameters
-    ----------
-    session : Session
-        What to plot.
-    columns : str or list of str, optional
-        Which columns; p_r, p_h and r where there, else all, when not given.
-
-    Returns
-    -------
-    numpy.ndarray of matplotlib.axes.Axes
-    """
+    """Plot columns of a session against time, one panel each; p_r, p_h and r (or all) when none are named."""
     import matplotlib.pyplot as plt
 
     if isinstance(columns, str):
@@ -55,13 +33,9 @@ def plot_session(session, columns: str | list[str] | None = None):
     if columns is None:
         columns = [name for name in ("p_r", "p_h", "r") if name in session] or session.columns
     session.require(*columns)
+    size = (8, 1.2 + 1.5 * len(columns))
     figure, axes = plt.subplots(
-        len(columns),
-        1,
-        sharex=True,
-        squeeze=False,
-        figsize=(8, 1.2 + 1.5 * len(columns)),
-        layout="constrained",
+        len(columns), 1, sharex=True, squeeze=False, figsize=size, layout="constrained"
     )
     for panel, name in zip(axes[:, 0], columns, strict=True):
         panel.plot(session.t, session[name], lw=1)
@@ -70,7 +44,75 @@ def plot_session(session, columns: str | list[str] | None = None):
         if "mode" in session and name != "mode":
             shade_manual(panel, session.t, session["mode"])
     axes[-1, 0].set_xlabel("time [s]")
-    figure.suptitle(
-        session.label + (" (manual phases shaded)" if "mode" in session else ""), fontsize="medium"
-    )
+    shaded = " (manual phases shaded)" if "mode" in session else ""
+    figure.suptitle(session.label + shaded, fontsize="medium")
     return axes[:, 0]
+
+
+def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | None = None):
+    """
+    Plot where the operator led, where the robot went and where it should have gone, one panel per session.
+
+    Parameters
+    ----------
+    sessions : sequence of Session
+        With positions human, robot and reference in the plane [m].
+    plane : str
+        The two axes to plot, for example "yz".
+    titles : sequence of str, optional
+        The panels' titles; the sessions' labels when not given. That data are synthetic is said in any case.
+
+    Returns
+    -------
+    numpy.ndarray of matplotlib.axes.Axes
+    """
+    import matplotlib.pyplot as plt
+
+    sessions, (across, up) = list(sessions), plane
+    size = (2.4 * len(sessions), 2.8)
+    figure, axes = plt.subplots(
+        1, len(sessions), sharex=True, sharey=True, squeeze=False, figsize=size, layout="constrained"
+    )
+    titles = [session.label for session in sessions] if titles is None else titles
+    for axis, session, title in zip(axes[0], sessions, titles, strict=True):
+        for who, label, style in (
+            ("human", "operator", {"lw": 0.8, "color": "C1"}),
+            ("robot", "robot", {"lw": 1.4, "color": "C0"}),
+            ("reference", "reference", {"lw": 1.2, "color": "k", "ls": ":"}),
+        ):
+            axis.plot(session[f"{who}_{across}"], session[f"{who}_{up}"], label=label, **style)
+        axis.set(title=title, xlabel=f"{across} [m]")
+    axes[0, 0].set_ylabel(f"{up} [m]")
+    axes[0, 0].legend(fontsize="x-small")
+    if any(session.metadata.synthetic for session in sessions):
+        figure.suptitle("synthetic data", fontsize="small")
+    return axes[0]
+
+
+def plot_by_participant(table, value: str, by: str = "autonomy", axis=None):
+    """
+    Plot a measure against a factor: a grey line per participant, and their mean.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Columns participant, `by` and `value`; rows of the same participant and level are averaged.
+    value : str
+        The column of the measure.
+    by : str
+        The column of the factor.
+    axis : matplotlib.axes.Axes, optional
+        Where to draw; a new figure when not given.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+    """
+    import matplotlib.pyplot as plt
+
+    wide = table.pivot_table(index="participant", columns=by, values=value)
+    axis = plt.subplots(figsize=(6, 3.4), layout="constrained")[1] if axis is None else axis
+    axis.plot(wide.columns, wide.T, "o-", lw=0.8, ms=3, color="0.7")
+    axis.plot(wide.columns, wide.mean(), "o-", lw=2.2, color="C0", label=f"mean of {len(wide)} participants")
+    axis.set(xlabel=by, ylabel=value)
+    return axis
