@@ -17,28 +17,6 @@ from trustlab.reproduction.published import ByName, published_folder
 
 __all__ = ["PublishedStudy", "PublishedStudyError", "published_studies"]
 
-CONDITIONS = {
-    "uav.satisfaction": ("C1", "C2", "C3", "C4", "C5"),
-    "uav.trust": ("C1", "C2", "C3", "C4", "C5"),
-}
-"""All conditions of the two studies whose printed table lacks one."""
-
-SCALES = {
-    "uav.robot_performance": (0.0, 1.0),
-    "uav.utilization": (0.0, 1.0),
-    "uav.human_performance": (0.0, 1.0),
-    "uav.tlx": (0.0, 100.0),
-    "uav.satisfaction": (1.0, 7.0),
-    "uav.trust": (1.0, 7.0),
-    "uav.followed": (0.0, 100.0),
-    "teleop.tracking_error": (0.0, float("inf")),
-    "teleop.tlx": (0.0, 100.0),
-    "teleop.satisfaction": (1.0, 7.0),
-    "teleop.trust": (1.0, 7.0),
-}
-"""Ranges of the measures. The pilot studies name a 1-5 scale for satisfaction; means above 5 need the 1-7 one."""
-
-
 STATISTICS = {
     "mauchly": ("chi2", "df", "p"),
     "anova": ("F", "df1", "df2", "p", "eta2"),
@@ -377,13 +355,4 @@ def published_studies() -> dict[str, PublishedStudy]:
     dict of str to PublishedStudy
         By chapter and measure, for example "uav.tlx" and "teleop.trust". The scales are those of the instruments.
     """
-    with (published_folder() / "studies.toml").open("rb") as file:
-        groups = tomllib.load(file)
-    studies = ByName()
-    for group, tables in groups.items():
-        for measure, values in tables.items():
-            name = f"{group}.{measure}"
-            extra = {"scale": SCALES[name]} if name in SCALES else {}
-            extra |= {"conditions": CONDITIONS[name]} if name in CONDITIONS else {}
-            studies[name] = PublishedStudy.from_dict({**extra, **values}, name)
-    return studies
+    return ByName(PublishedStudy.from_toml(published_folder() / "studies.toml"))

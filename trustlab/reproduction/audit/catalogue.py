@@ -14,7 +14,7 @@ from trustlab.models.checks import did_you_mean, shown
 from trustlab.reproduction.printed_number import PrintedNumber
 from trustlab.reproduction.published import PILOT, published_folder, published_table
 
-__all__ = ["PARTICIPANTS", "conditions_of", "printed_numbers", "study_names"]
+__all__ = ["PARTICIPANTS", "claims", "conditions_of", "printed_numbers", "study_names"]
 
 PARTICIPANTS = ("1", "2", "3", "4", "5")
 TABLES = ("2.1", "2.2", "2.3", "2.4", "2.5", "2.6", "3.1")
@@ -77,16 +77,23 @@ def _study(name: str, study: Mapping) -> Iterator[PrintedNumber]:
         yield PrintedNumber(f"{name}/epsilon", where, f"{title}: epsilon", study["epsilon"])
 
 
-def _claims() -> Iterator[PrintedNumber]:
-    table = pd.read_csv(published_folder() / "claims.csv", dtype=str)
-    for where, claim, printed in table[["where", "claim", "printed"]].itertuples(index=False):
+def claims() -> Iterator[tuple[PrintedNumber, str, str, str]]:
+    """
+    Return the rows of claims.csv: each claim, how it is read, and the ids of the means after and before.
+
+    Readings: "relative", a change in % of the mean before; "points", a difference on a scale from 0 to 100; "share", one of
+    shares between 0 and 1; "range", a difference in % of the range of robot performance, (2.39); or none of these.
+    """
+    table = pd.read_csv(published_folder() / "claims.csv", dtype=str, keep_default_na=False)
+    for where, claim, printed, reading, after, before in table.itertuples(index=False):
         start, _, against = claim.partition(" over ")
-        texts = [text.strip() for text in printed.split("/")]
+        texts, others = printed.split(" / "), before.split(" / ")
         names = [claim]
         if len(texts) > 1:  # one claim against several conditions: "C4 over C1 / C2 / C3 [%]"
             names = [f"{start} over {other} [%]" for other in re.findall(r"C\d", against)]
-        for name, text in zip(names, texts, strict=True):
-            yield PrintedNumber(f"claim/{_slug(where)}/{_slug(name)}", where, name, text)
+        for name, text, other in zip(names, texts, others, strict=True):
+            id = f"claim/{_slug(where)}/{_slug(name)}"
+            yield PrintedNumber(id, where, name, text), reading, after, other
 
 
 def _statements() -> Iterator[PrintedNumber]:
@@ -102,7 +109,7 @@ def printed_numbers(changes: Mapping[str, str] | None = None) -> dict[str, Print
     `changes` puts other values in place of printed ones, by id.
     """
     numbers: dict[str, PrintedNumber] = {}
-    for number in (*_tables(), *_pilot(), *_studies(), *_claims(), *_statements()):
+    for number in (*_tables(), *_pilot(), *_studies(), *(number for number, *_ in claims()), *_statements()):
         if number.id in numbers:
             raise ValueError(f"the id {number.id!r} stands for two printed numbers in data/published")
         numbers[number.id] = number

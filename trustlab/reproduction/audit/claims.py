@@ -6,73 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from trustlab.reproduction.audit.catalogue import claims
 from trustlab.reproduction.audit.verdict import Check, Formula, Numbers, Remark
 
 __all__ = ["claim_checks"]
-
-CASE_TWO, MAIN_STUDY = "claim/section_2_4_2_4/", "claim/section_3_9_5/"
-
-
-def _table_2_5(condition: str, measure: str) -> str:
-    return f"table_2.5/{condition}/{measure}_mean"
-
-
-def _table_3_1(scheme: str, measure: str) -> str:
-    return f"table_3.1/{scheme}/{measure}_mean"
-
-
-def _uav(condition: str, measure: str) -> str:
-    return f"uav.{measure}/mean.{condition}"
-
-
-def _teleop(scheme: str, measure: str) -> str:
-    return f"teleop.{measure}/mean.{scheme}"
-
-
-BY_RANGE = (
-    ("claim/remark_7/c2_robot_performance_over_c1_by_2_39", _table_2_5("C2", "P_r"), _table_2_5("C1", "P_r")),
-    ("claim/remark_7/c3_robot_performance_over_c1_by_2_39", _table_2_5("C3", "P_r"), _table_2_5("C1", "P_r")),
-    ("claim/remark_7/c5_robot_performance_over_c3_by_2_39", _table_2_5("C5", "P_r"), _table_2_5("C3", "P_r")),
-)
-"""Claims in % of the range of robot performance, (2.39): id, mean after, mean before."""
-
-SHARES = (
-    ("claim/remark_7/c2_utilization_below_c1", _table_2_5("C2", "r"), _table_2_5("C1", "r")),
-    ("claim/remark_7/c3_utilization_below_c1", _table_2_5("C3", "r"), _table_2_5("C1", "r")),
-    ("claim/remark_7/c5_utilization_above_c3", _table_2_5("C5", "r"), _table_2_5("C3", "r")),
-    *(
-        (
-            f"{CASE_TWO}uav_utilization_{after.lower()}_over_{before.lower()}",
-            _uav(after, "utilization"),
-            _uav(before, "utilization"),
-        )
-        for after in ("C4", "C5")
-        for before in ("C1", "C2", "C3")
-    ),
-)
-"""Claims about shares between 0 and 1, printed with a % sign."""
-
-POINTS = (
-    (
-        "claim/section_2_4_1_3/c2_suggestions_followed_more_than_c4_by",
-        "table_2.6/C2/mean",
-        "table_2.6/C4/mean",
-    ),
-    ("claim/section_2_1/c3_lowers_perceived_workload_against_c1_by", _uav("C3", "tlx"), _uav("C1", "tlx")),
-    (
-        f"{CASE_TWO}c2_suggestions_are_more_likely_followed_than_c4_by",
-        _uav("C2", "followed"),
-        _uav("C4", "followed"),
-    ),
-    (
-        "claim/section_3_8_3/tmig_lowers_workload_against_m_by",
-        _table_3_1("TMIG", "tlx"),
-        _table_3_1("M", "tlx"),
-    ),
-    (f"{MAIN_STUDY}tmig_lowers_task_load_against_mmi_by", _teleop("TMIG", "tlx"), _teleop("MMI", "tlx")),
-    ("section_3_1/workload", _teleop("TMIG", "tlx"), _teleop("MMI", "tlx")),
-)
-"""Claims about measures from 0 to 100, printed with a % sign."""
 
 
 def _relative(after: str, before: str) -> Formula:
@@ -118,50 +55,45 @@ def _in_points(number: str, after: str, before: str, scale: float, numbers: Numb
     return Check(number, points, (relative,), note=note)
 
 
-def _robot_performance_of_case_two(numbers: Numbers) -> list[Check]:
-    """Return the checks of the UAV's robot performance against C1, with finer means as explanations."""
-    before = _uav("C1", "robot_performance")
-    checks = []
-    for c in ("C2", "C4", "C5"):
-        after = _uav(c, "robot_performance")
-        relative, mean = _relative(after, before), numbers[after]
-        finer = [mean.value + k / 1000 for k in (-1, 1, -2, 2, -3, 3, -4, 4) if mean.decimals == 2]
-        explanations = tuple(
-            replace(
-                relative,
-                label=f"the mean of {c} was {value:.3f}, printed as {mean.printed}",
-                changed={"after": value},
-            )
-            for value in finer
+def _as_change(number: str, after: str, before: str, numbers: Numbers) -> Check:
+    """Return the check of a relative change; a mean of two decimals may have been used with three."""
+    relative, mean = _relative(after, before), numbers[after]
+    finer = [mean.value + k / 1000 for k in (-1, 1, -2, 2, -3, 3, -4, 4) if mean.decimals == 2]
+    condition = after.partition("/")[2].removeprefix("mean.")
+    explanations = tuple(
+        replace(
+            relative,
+            label=f"the mean of {condition} was {value:.3f}, printed as {mean.printed}",
+            changed={"after": value},
         )
-        number = f"{CASE_TWO}uav_robot_performance_{c.lower()}_over_c1"
-        checks.append(Check(number, relative, explanations=explanations))
-    c1_to_c3 = "claim/section_2_1/c3_raises_uav_robot_performance_over_c1_by"
-    return [*checks, Check(c1_to_c3, _relative(_uav("C3", "robot_performance"), before))]
+        for value in finer
+    )
+    return Check(number, relative, explanations=explanations)
+
+
+def _claim(number: str, reading: str, after: str, before: str, numbers: Numbers) -> Check:
+    """Return the check of a claim by its reading."""
+    if reading == "range":
+        return _by_range(number, after, before)
+    if reading == "relative":
+        return _as_change(number, after, before, numbers)
+    return _in_points(number, after, before, 100.0 if reading == "share" else 1.0, numbers)
 
 
 def _teleoperation(numbers: Numbers) -> list:
-    """Return the checks of the tracking errors of Chapter 3, and of the filter's gain under a growing delay."""
-    both = f"{MAIN_STUDY}tmig_and_omi_lower_tracking_error_against_mmi_by"
-    before = _teleop("MMI", "tracking_error")
-    omi = numbers[_teleop("OMI", "tracking_error")]
-    tmig = _relative(_teleop("TMIG", "tracking_error"), before)
+    """Return the checks of the claims of Chapter 3 that are made twice, and of the filter's gain under a growing delay."""
+    both = "claim/section_3_9_5/tmig_and_omi_lower_tracking_error_against_mmi_by"
+    mean = "teleop.{}/mean.{}".format
+    omi, before = numbers[mean("tracking_error", "OMI")], mean("tracking_error", "MMI")
+    tmig = _relative(mean("tracking_error", "TMIG"), before)
     used = (replace(tmig, label=f"the value of OMI, {omi.printed}, was used", changed={"after": omi.value}),)
+    quantity = "{} lowers tracking error against MMI by [%]".format
     gain = Formula("√(1 − Ṫ_max)", {"T": "section_3_8_1/T_max"}, lambda v: np.sqrt(1.0 - v["T"]))
     return [
-        Check(
-            "claim/section_3_8_3/tmig_lowers_error_against_m_by",
-            _relative(_table_3_1("TMIG", "error"), _table_3_1("M", "error")),
-        ),
-        Check(both, _relative(omi.id, before), quantity="OMI lowers tracking error against MMI by [%]"),
-        Check(
-            both,
-            tmig,
-            explanations=used,
-            suffix="/TMIG",
-            quantity="TMIG lowers tracking error against MMI by [%]",
-        ),
+        Check(both, _relative(omi.id, before), quantity=quantity("OMI")),
+        Check(both, tmig, explanations=used, suffix="/TMIG", quantity=quantity("TMIG")),
         Check("section_3_1/error", tmig, explanations=used),
+        _in_points("section_3_1/workload", mean("tlx", "TMIG"), mean("tlx", "MMI"), 1.0, numbers),
         Check("claim/section_3_8_1/f_i_for_a_delay_growing_at_most_0_5_s_s", gain),
         Remark("section_3_8_1/T_max", "Chosen by the author."),
     ]
@@ -181,10 +113,7 @@ def _remark_seven(end: str) -> Check:
 def claim_checks(numbers: Numbers) -> list:
     """Return the checks of the printed percentages and differences, and of Remark 7."""
     return [
-        *(_by_range(*claim) for claim in BY_RANGE),
-        *(_in_points(*claim, 100.0, numbers) for claim in SHARES),
-        *(_in_points(*claim, 1.0, numbers) for claim in POINTS),
-        *_robot_performance_of_case_two(numbers),
+        *(_claim(claim.id, *read, numbers) for claim, *read in claims() if any(read)),
         *_teleoperation(numbers),
         *(_remark_seven(end) for end in ("min", "max")),
     ]
