@@ -9,15 +9,7 @@ from decimal import ROUND_HALF_EVEN, ROUND_HALF_UP, Decimal, InvalidOperation
 
 from trustlab.models.checks import shown
 
-__all__ = [
-    "ROUNDINGS",
-    "PrintedNumber",
-    "half_unit",
-    "last_unit",
-    "printed_decimal",
-    "printed_interval",
-    "rounds_to",
-]
+__all__ = ["PrintedNumber", "half_unit", "printed_decimal", "printed_interval", "rounds_to"]
 
 ROUNDINGS = (ROUND_HALF_EVEN, ROUND_HALF_UP)
 """Both conventions for a 5 that is rounded off; which one a printed number followed is not known."""

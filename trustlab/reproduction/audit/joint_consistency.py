@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS
 from trustlab.reproduction.audit.models import PERFORMANCE, bounds, limits, upper_limit_check
-from trustlab.reproduction.audit.verdict import Numbers, Row, listing
+from trustlab.reproduction.audit.verdict import Numbers, Row, listing, row_about
 
 __all__ = ["joint_rows"]
 
@@ -99,16 +99,12 @@ class JointCheck:
     def described(self, verdict: str, reason: str) -> Row:
         """Return a row with this verdict under the id of the second output."""
         _, anchor, *_ = self.outputs.values()
-        return Row.about(
-            self.numbers[anchor],
-            verdict,
-            reason,
-            formula=f"{', '.join(self.outputs)} from one set of parameters",
-            inputs=listing(self.inputs, self.numbers),
-            suffix="/column",
-            quantity=f"{', '.join(self.outputs)} at once",
-            printed=", ".join(self.numbers[id].printed for id in self.outputs.values()),
-        )
+        names = ", ".join(self.outputs)
+        inputs = listing(self.inputs, self.numbers)
+        formula = f"{names} from one set of parameters"
+        row = row_about(self.numbers[anchor], verdict, reason, formula=formula, inputs=inputs)
+        printed = ", ".join(self.numbers[id].printed for id in self.outputs.values())
+        return replace(row, id=f"{anchor}/column", quantity=f"{names} at once", printed=printed)
 
 
 def _limit_row(numbers: Numbers, p: str) -> Row:

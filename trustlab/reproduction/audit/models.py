@@ -237,9 +237,7 @@ def _captured(p: str, numbers: Numbers) -> list[Check | Remark]:
     ids = {f"{t}_{s}": f"table_2.3/TSC_{t}.{s}/{p}" for t in ("l", "u") for s in ("mean", "sd")}
     apart = p != "3"
     gap = Formula(
-        "(μ_u − σ_u) − (μ_l + σ_l)",
-        ids,
-        lambda v: v["u_mean"] - v["u_sd"] - v["l_mean"] - v["l_sd"],
+        "(μ_u − σ_u) − (μ_l + σ_l)", ids, lambda v: v["u_mean"] - v["u_sd"] - v["l_mean"] - v["l_sd"]
     )
     checks: list[Check | Remark] = [
         Check(

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from trustlab.reproduction.audit.catalogue import conditions_of
-from trustlab.reproduction.audit.verdict import Formula, Numbers, Possible, Remark, Row, listing
+from trustlab.reproduction.audit.verdict import Formula, Numbers, Possible, Remark, Row, listing, row_about
 from trustlab.reproduction.printed_number import PrintedNumber
 
 __all__ = ["pair_checks"]
@@ -79,16 +79,11 @@ def _adjustment(name: str, numbers: Numbers) -> Row:
         reason += f"The adjustment is not printed; of the two only {fits[0]} is possible."
     else:
         reason = f"Suspicious: {reason}Neither is possible."
-    row = Row.about(
-        number,
-        "not checkable",
-        reason,
-        (value, low, high),
-        formula.text,
-        listing(inputs, numbers),
-        quantity=f"{number.quantity}, against the pairwise p-values",
+    row = row_about(
+        number, "not checkable", reason, (value, low, high), formula.text, listing(inputs, numbers)
     )
-    return replace(row, id=f"{name}/pairs/adjustment")
+    quantity = f"{number.quantity}, against the pairwise p-values"
+    return replace(row, id=f"{name}/pairs/adjustment", quantity=quantity)
 
 
 def _printed_p(name: str, pair: tuple[str, str], numbers: Numbers) -> tuple[float, float]:

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, study_names
-from trustlab.reproduction.audit.verdict import Check, Formula, Numbers, Possible, Remark, Row, listing, show
+from trustlab.reproduction.audit.verdict import (
+    Check,
+    Formula,
+    Numbers,
+    Possible,
+    Remark,
+    Row,
+    listing,
+    row_about,
+    show,
+)
 from trustlab.reproduction.printed_number import PrintedNumber
 
 __all__ = ["attainable", "sample_checks", "simplest_ratio"]
@@ -169,18 +180,12 @@ def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Nu
         reason = f"Suspicious: not {expected[0]} ({expected[1]}). {reason}"
     fewest = float(fitting[0].removesuffix(" items")) if items and fitting else math.nan
     word, first = "items" if items else "scoring", next(iter(ids.values()))
-    return Row(
-        f"{measure}/{word}",
-        numbers[first].where,
-        f"{kind}: {word} that all means fit",
-        ", ".join(numbers[id].printed for id in ids.values()),
-        fewest,
-        math.nan,
-        math.nan,
-        "not checkable",
-        reason,
-        "mean × respondents × items is a whole number",
-        listing({**ids, "n": size}, numbers),
+    formula = "mean × respondents × items is a whole number"
+    inputs = listing({**ids, "n": size}, numbers)
+    row = row_about(numbers[first], "not checkable", reason, (fewest, math.nan, math.nan), formula, inputs)
+    printed = ", ".join(numbers[id].printed for id in ids.values())
+    return replace(
+        row, id=f"{measure}/{word}", quantity=f"{kind}: {word} that all means fit", printed=printed
     )
 
 

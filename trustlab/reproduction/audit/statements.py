@@ -8,7 +8,7 @@ from decimal import ROUND_HALF_UP, Decimal
 import numpy as np
 
 from trustlab.reproduction.audit.catalogue import study_names
-from trustlab.reproduction.audit.verdict import Check, Formula, Numbers, Remark, Row
+from trustlab.reproduction.audit.verdict import Check, Formula, Numbers, Remark, Row, row_about
 from trustlab.reproduction.printed_number import ROUNDINGS, last_unit
 
 __all__ = ["statement_checks"]
@@ -146,14 +146,9 @@ def _restated(id: str, first: str, where: str, numbers: Numbers) -> Row:
         neither = "neither is the other one rounded"
         why = f"{source.printed} rounds to {rounded}" if rounded != there else neither
         reason += f", here {number.printed} is printed: one of the two is wrong, as {why}."
-    return Row.about(
-        number,
-        "reproduced" if same else "differs",
-        reason,
-        (float(there),) * 3,
-        "the same number in two places",
-        f"{source.printed} ({source.id})",
-    )
+    verdict, value = "reproduced" if same else "differs", float(there)
+    source_text = f"{source.printed} ({source.id})"
+    return row_about(number, verdict, reason, (value,) * 3, "the same number in two places", source_text)
 
 
 def _captions_and_appendix(numbers: Numbers) -> list:
@@ -181,10 +176,4 @@ def _captions_and_appendix(numbers: Numbers) -> list:
 def statement_checks(numbers: Numbers) -> list:
     """Return the checks of statements.csv but those of the models and of sphericity."""
     ranks = [_rank(id, numbers) for id in numbers if id.startswith("section_3_8_3/")]
-    return [
-        *ranks,
-        *_comparisons(),
-        *_counts(numbers),
-        *_participants(),
-        *_captions_and_appendix(numbers),
-    ]
+    return [*ranks, *_comparisons(), *_counts(numbers), *_participants(), *_captions_and_appendix(numbers)]

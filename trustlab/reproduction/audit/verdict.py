@@ -3,31 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
 
 from trustlab.reproduction.printed_number import PrintedNumber
 
-__all__ = [
-    "VERDICTS",
-    "Check",
-    "Formula",
-    "Numbers",
-    "Possible",
-    "Remark",
-    "Row",
-    "listing",
-    "reach",
-    "rows_of",
-    "show",
-]
+__all__ = ["VERDICTS", "Check", "Formula", "Possible", "Remark", "Row", "row_about", "rows_of"]
 
 VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
 
 Numbers = Mapping[str, PrintedNumber]
 Compute = Callable[[dict[str, np.ndarray]], np.ndarray]
+Span = tuple[float, float, float]
+NOTHING = (np.nan, np.nan, np.nan)
 
 
 @dataclass(frozen=True)
@@ -51,32 +41,18 @@ class Row:
     formula: str = ""
     inputs: str = ""
 
-    @classmethod
-    def about(
-        cls,
-        number: PrintedNumber,
-        verdict: str,
-        reason: str,
-        span: tuple[float, float, float] = (np.nan, np.nan, np.nan),
-        formula: str = "",
-        inputs: str = "",
-        *,
-        suffix: str = "",
-        quantity: str = "",
-        printed: str = "",
-    ) -> Row:
-        """Return the row of a printed number; `span` is the recomputed value, its least and its greatest."""
-        return cls(
-            number.id + suffix,
-            number.where,
-            quantity or number.quantity,
-            printed or number.printed,
-            *span,
-            verdict,
-            reason.strip(),
-            formula,
-            inputs,
-        )
+
+def row_about(
+    number: PrintedNumber,
+    verdict: str,
+    reason: str,
+    span: Span = NOTHING,
+    formula: str = "",
+    inputs: str = "",
+) -> Row:
+    """Return the row of a printed number; `span` is the recomputed value, its least and its greatest."""
+    about = number.id, number.where, number.quantity, number.printed
+    return Row(*about, *span, verdict, reason.strip(), formula, inputs)
 
 
 def listing(inputs: Mapping[str, str], numbers: Numbers) -> str:
@@ -102,7 +78,7 @@ class Formula:
     changed: Mapping[str, float] = field(default_factory=dict)
     as_printed: tuple[str, ...] = ()
 
-    def range(self, numbers: Numbers) -> tuple[float, float, float]:
+    def range(self, numbers: Numbers) -> Span:
         """Return the value, and its least and greatest when every input varies within its rounding."""
         middle = {symbol: numbers[id].value for symbol, id in self.inputs.items()} | dict(self.changed)
         fixed = {*self.changed, *self.as_printed}
@@ -116,9 +92,7 @@ class Formula:
         return low <= most and high >= least
 
 
-def reach(
-    compute: Compute, middle: Mapping[str, float], half: Mapping[str, float]
-) -> tuple[float, float, float]:
+def reach(compute: Compute, middle: Mapping[str, float], half: Mapping[str, float]) -> Span:
     """
     Return a function's value at the middle of a box, and its least and greatest over the box.
 
@@ -200,16 +174,8 @@ class Check:
             verdict = "not checkable" if self.binding else "differs"
             reason = f"{self._missed(number, ways)} {self._explained(numbers, least, most)}".strip()
         reason = f"{reason} {self.note}"
-        return Row.about(
-            number,
-            verdict,
-            reason,
-            span,
-            way.text,
-            listing(way.inputs, numbers),
-            suffix=self.suffix,
-            quantity=self.quantity,
-        )
+        row = row_about(number, verdict, reason, span, way.text, listing(way.inputs, numbers))
+        return replace(row, id=row.id + self.suffix, quantity=self.quantity or row.quantity)
 
     def _missed(self, number: PrintedNumber, ways: list) -> str:
         """Return the reason where no convention reaches the printed number."""
@@ -259,23 +225,19 @@ class Possible:
         _, low, _ = self.least.range(numbers)
         _, _, high = self.most.range(numbers)
         least, most = number.compatible
-        span = f"from {show(low)} to {show(high)}"
+        between = f"from {show(low)} to {show(high)}"
         if most < low or least > high:
             verdict = "differs"
-            reason = f"Impossible: other printed numbers allow it {span} only, whatever their rounding."
+            reason = f"Impossible: other printed numbers allow it {between} only, whatever their rounding."
         elif np.isnan(low) or np.isnan(high):
             reason = "Other printed numbers leave it open."
         else:
-            reason = f"Not determined by other printed numbers, which allow it {span}."
+            reason = f"Not determined by other printed numbers, which allow it {between}."
         first = self.note.startswith("Suspicious")
-        return Row.about(
-            number,
-            verdict,
-            f"{self.note} {reason}" if first else f"{reason} {self.note}",
-            (np.nan, low, high),
-            f"{self.least.text} … {self.most.text}",
-            listing(self.most.inputs or self.least.inputs, numbers),
-        )
+        reason = f"{self.note} {reason}" if first else f"{reason} {self.note}"
+        inputs = listing(self.most.inputs or self.least.inputs, numbers)
+        span = (np.nan, low, high)
+        return row_about(number, verdict, reason, span, f"{self.least.text} … {self.most.text}", inputs)
 
 
 @dataclass(frozen=True)
@@ -289,9 +251,8 @@ class Remark:
 
     def row(self, numbers: Numbers) -> Row:
         """Return the verdict "not checkable" with the reason."""
-        return Row.about(
-            numbers[self.number], "not checkable", self.reason, suffix=self.suffix, quantity=self.quantity
-        )
+        row = row_about(numbers[self.number], "not checkable", self.reason)
+        return replace(row, id=row.id + self.suffix, quantity=self.quantity or row.quantity)
 
 
 def rows_of(checks: Iterable[Check | Possible | Remark | Row], numbers: Numbers) -> list[Row]:

@@ -15,17 +15,7 @@ from trustlab.reproduction.reconstruction.contradictions import arithmetic_confl
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
 from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
 
-__all__ = [
-    "MARGINS",
-    "Feasibility",
-    "Verdict",
-    "compare_adjustments",
-    "decide",
-    "feasibility",
-    "generator",
-    "moment_problem",
-    "prepared",
-]
+__all__ = ["Feasibility", "Verdict", "compare_adjustments", "decide", "feasibility", "prepared"]
 
 MARGINS = (0.3, 0.1, 0.02)
 """How far inside the printed intervals solutions are sought, as shares of their half-widths, one after the other."""
@@ -183,18 +173,9 @@ def feasibility(
         proved = verdict.status == "proved"
         conflict = _smallest_conflict(study, found, p_adjust, proved, rng)
         remedies = tuple(name for name in conflict if _holds(study, _less(found, name), p_adjust, rng))
-    return Feasibility(
-        study=study,
-        p_adjust=p_adjust,
-        feasible=feasible,
-        status=verdict.status,
-        conflict=conflict,
-        conflict_proved=proved,
-        remedies=remedies,
-        left_out=left_out,
-        violation=0.0 if feasible else float(verdict.moments.violation[0]),
-        verdict=verdict,
-    )
+    violation = 0.0 if feasible else float(verdict.moments.violation[0])
+    found = feasible, verdict.status, conflict, proved, remedies
+    return Feasibility(study, p_adjust, *found, left_out, violation, verdict)
 
 
 def prepared(
