@@ -174,8 +174,8 @@ def feasibility(
         conflict = _smallest_conflict(study, found, p_adjust, proved, rng)
         remedies = tuple(name for name in conflict if _holds(study, _less(found, name), p_adjust, rng))
     violation = 0.0 if feasible else float(verdict.moments.violation[0])
-    found = feasible, verdict.status, conflict, proved, remedies
-    return Feasibility(study, p_adjust, *found, left_out, violation, verdict)
+    outcome = feasible, verdict.status, conflict, proved, remedies
+    return Feasibility(study, p_adjust, *outcome, left_out, violation, verdict)
 
 
 def prepared(
