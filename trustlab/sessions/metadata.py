@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -94,7 +95,7 @@ def metadata_from_json(text: str) -> tuple[Metadata, dict]:
         raise SessionError(
             f"the trustlab metadata are no JSON object but {shown(content)}; write the file again"
         )
-    given = {}
+    given: dict[str, Any] = {}
     for name, types in _TYPES.items():
         value = content.pop(name, {"synthetic": False, "more": {}}.get(name))
         if not isinstance(value, types):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from trustlab.models.checks import one_of, shown
 
@@ -45,6 +45,9 @@ class PathPattern:
     """
 
     text: str
+    fields: Mapping[str, type] = field(init=False, compare=False, repr=False)
+    depth: int = field(init=False, compare=False, repr=False)
+    _regex: re.Pattern = field(init=False, compare=False, repr=False)
 
     def __post_init__(self):
         if not isinstance(self.text, str) or not self.text.strip("/ "):
@@ -92,6 +95,8 @@ class FieldPath:
     """Where a number stands in a message: ``twist.twist.linear.x``, ``axes[1]``, ``yaw(pose.pose.orientation)``."""
 
     text: str
+    steps: tuple[str | int, ...] = field(init=False, compare=False, repr=False)
+    yaw: bool = field(init=False, compare=False, repr=False)
 
     def __post_init__(self):
         path, yaw = self.text, False

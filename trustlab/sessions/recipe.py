@@ -70,20 +70,23 @@ import dataclasses
 import os
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from trustlab.models.checks import did_you_mean, finite_number, one_of, positive, shown, whole_number
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
 from trustlab.sessions.patterns import FieldPath, PathPattern
 from trustlab.sessions.resampling import METHODS
 from trustlab.sessions.vocabulary import VOCABULARY, to_si
+
+Rule = TypeVar("Rule")
 
 __all__ = ["Recipe", "list_recipes", "load_recipe"]
 
@@ -98,12 +101,12 @@ NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 # and msgspec's errors have neither the entry's name nor the value found nor the values allowed.
 
 
-def key(check: Callable, default: object = MISSING, spelt: str = "", hint: str = "") -> dataclasses.Field:
+def key(check: Callable, default: Any = MISSING, spelt: str = "", hint: str = "") -> Any:
     """Declare a key: `check(name, value)` returns the value to keep or raises ValueError; `hint` is said when it is missing."""
     return field(default=default, metadata={"check": check, "spelt": spelt, "hint": hint})
 
 
-def parse(rule: type, table: object, where: str, **given: object):
+def parse(rule: type[Rule], table: object, where: str, **given: object) -> Rule:
     """Return the rule that one table of the recipe states; refuse by name a key that is unknown, missing or wrong."""
     keys = _keys(rule)
     table = _known_keys(table, keys, where)
@@ -123,7 +126,7 @@ def _keys(rule: type) -> dict[str, dataclasses.Field]:
     return {each.metadata["spelt"] or each.name: each for each in dataclasses.fields(rule) if each.metadata}
 
 
-def _known_keys(table: object, known: Sequence[str], where: str) -> Mapping[str, object]:
+def _known_keys(table: object, known: Iterable[str], where: str) -> Mapping[str, object]:
     if not isinstance(table, Mapping):
         raise RecipeError(f"{where} must be a table, got {shown(table)}")
     for name in table:
@@ -153,7 +156,7 @@ path_pattern = lambda _, value: PathPattern(value)  # noqa: E731
 field_path = lambda _, value: FieldPath(value)  # noqa: E731
 
 
-def plain(name: str, value: object) -> str | float | bool:
+def plain(name: str, value: Any) -> str | float | bool:
     """Return a text, a finite number, true or false."""
     if not isinstance(value, str | bool):
         finite_number(name, value)
@@ -176,7 +179,7 @@ def plain_key(value: object) -> str:
     return written
 
 
-def mapped(entries: Mapping[str, object], value: object, where: str, row: int | None = None) -> object:
+def mapped(entries: Mapping[str, Any], value: object, where: str, row: int | None = None) -> Any:
     """Return what a map of the recipe makes of a value that stands at `where` in a log."""
     own = plain_key(value)
     if own not in entries:
@@ -225,7 +228,11 @@ class ColumnRule:
     """Where one column of the session, called `name`, comes from; `needs` are the columns it is computed from."""
 
     name: str
-    needs: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """The session columns that this one is computed from."""
+        return ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,7 +245,7 @@ class _WithUnit(ColumnRule):
             raise ValueError(f"needs its unit (the session holds {wanted})")
         to_si(self.unit or "1", wanted)
 
-    def convert(self, values: np.ndarray) -> np.ndarray:
+    def convert(self, values: ArrayLike) -> np.ndarray:
         """Return raw numbers in the session's unit."""
         factor = to_si(self.unit or "1", VOCABULARY[self.name].unit)
         values = np.asarray(values, dtype=float)
@@ -259,7 +266,7 @@ class _Scaled(_WithUnit):
     offset: float = key(finite_number, 0.0)
     map: Mapping[str, float] | None = key(partial(value_map, check=finite_number), None)
 
-    def convert(self, values: np.ndarray) -> np.ndarray:
+    def convert(self, values: ArrayLike) -> np.ndarray:
         """Return (scale · raw + offset) in the session's unit."""
         values = np.asarray(values, dtype=float)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -280,7 +287,7 @@ class _Logged(_Scaled):
     absolute: bool = key(switch, False)
     resample: str | None = key(resampling_method, None)
 
-    def convert(self, values: np.ndarray) -> np.ndarray:
+    def convert(self, values: ArrayLike) -> np.ndarray:
         """Return (scale · raw + offset) in the session's unit, or its absolute value."""
         values = super().convert(values)
         return np.abs(values) if self.absolute else values
@@ -312,6 +319,7 @@ class TopicField(_Logged):
 @dataclass(frozen=True, kw_only=True)
 class _FromPositions(ColumnRule):
     axes: tuple[str, ...] = key(axis_names, hint='the axes that count, some of ["x", "y", "z"]')
+    stems: tuple[str, ...]
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -484,7 +492,7 @@ class _Document:
     description: str = key(text, "")
     files: _Files | None = key(_nested(_Files), None)
     table: TableRule | None = key(_nested(TableRule), None)
-    time: Mapping | None = key(any_table, None)
+    time: Any = key(any_table, None)
     resampling: _Resampling | None = key(_nested(_Resampling), None)
     columns: Mapping[str, ColumnRule] = key(
         partial(_each, rule=_column_rule), hint="a table with at least one column of the session"
@@ -543,7 +551,7 @@ class Recipe:
     description: str = ""
     pattern: PathPattern | None = None
     table: TableRule = field(default_factory=TableRule)
-    time: TableTime | BagTime = field(default_factory=lambda: TableTime(unit="s"))
+    time: Any = field(default_factory=lambda: TableTime(unit="s"))  # a TableTime or a BagTime, as `kind` says
     method: str | None = None
     sample_time: float | None = None
     metadata: Mapping[str, MetadataRule] = field(default_factory=dict)
@@ -581,15 +589,15 @@ class Recipe:
                 kind=top.kind,
                 columns=top.columns,
                 description=top.description,
-                pattern=top.files and top.files.pattern,
+                pattern=top.files.pattern if top.files else None,
                 table=top.table or TableRule(),
                 time=top.time,
-                method=top.resampling and top.resampling.method,
-                sample_time=top.resampling and top.resampling.sample_time,
+                method=top.resampling.method if top.resampling else None,
+                sample_time=top.resampling.sample_time if top.resampling else None,
                 metadata=top.metadata or {},
                 header=top.header,
                 superseded=top.supersedes.pairs if top.supersedes else {},
-                superseded_field=top.supersedes and top.supersedes.field,
+                superseded_field=top.supersedes.field if top.supersedes else None,
                 source=source,
             )
             recipe._check_columns()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -62,7 +63,7 @@ class Session:
         mine.pop("source"), theirs.pop("source")
         return mine == theirs and self.data.sort_index(axis=1).equals(other.data.sort_index(axis=1))
 
-    __hash__ = None
+    __hash__ = None  # type: ignore[assignment]  # Python's own way to forbid hashing
 
     # As for a DataFrame, `in`, iteration and keys() are about the names of the columns, and len() about the samples.
 
@@ -163,7 +164,7 @@ class Session:
                 raise SessionError(what, self.metadata.source)
         return Session(self.data.assign(**columns), self.metadata)
 
-    def with_metadata(self, **changes: object) -> Session:
+    def with_metadata(self, **changes: Any) -> Session:
         """
         Return a session with metadata added or replaced.
 
@@ -201,7 +202,7 @@ class Session:
         return Session(part, self.metadata)
 
     def with_performance(
-        self, window: float = 100.0, measure: str = "ground_robot", **scales: float
+        self, window: float = 100.0, measure: str = "ground_robot", **scales: Any
     ) -> Session:
         """
         Return the session with measured performance, columns p_r and p_h, as means over a moving window.

@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -140,7 +141,7 @@ def _stamps(t: np.ndarray, latest: int) -> list[int]:
     return [k * 1_000_000 for k in range(t.size)]
 
 
-def _messages(session: Session, typestore) -> Iterator[tuple[str, int, object]]:
+def _messages(session: Session, typestore) -> Iterator[tuple[str, int, Any]]:
     """Yield topic, number of the sample and message."""
     text, number = typestore.types["std_msgs/msg/String"], typestore.types["std_msgs/msg/Float64"]
     yield f"{PREFIX}metadata", 0, text(metadata_to_json(session.metadata, samples=len(session)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -63,7 +64,7 @@ def assemble_session(
     sample_time: float | None,
 ) -> Session:
     """Return the session that a raw log makes: `values` come from `recipe_values`, `wanted` are the columns to keep."""
-    rules = recipe.columns if recipe else {}
+    rules: Mapping[str, Any] = recipe.columns if recipe else {}
     with source_named(log.source):
         if method is None:
             require_common_times(log)
@@ -97,7 +98,7 @@ def _constant(rule: MetadataColumn, values: Mapping[str, object]) -> float:
     return float(rule.convert(value))
 
 
-def _metadata(log: RawLog, recipe: Recipe | None, values: Mapping[str, object]) -> Metadata:
+def _metadata(log: RawLog, recipe: Recipe | None, values: Mapping[str, Any]) -> Metadata:
     metadata = log.metadata or Metadata()
     own = {name: values[name] for name in (recipe.metadata if recipe else ())}
     known = {name: own.pop(name) for name in ("participant", "condition", "synthetic") if name in own}

@@ -61,7 +61,8 @@ class _Bag:
     def messages(self, topics: Sequence[str]) -> Iterator[tuple[str, int, object]]:
         """Yield topic, time of receipt [ns] and message, in order of time; check that none is missing."""
         chosen = [connection for connection in self.reader.connections if connection.topic in topics]
-        expected, found = Counter(), Counter()
+        expected: Counter[str] = Counter()
+        found: Counter[str] = Counter()
         for connection in chosen:
             expected[connection.topic] += connection.msgcount
         if expected.total() > MAX_SAMPLES:
@@ -126,7 +127,7 @@ def _read_own(bag: _Bag, wanted: Sequence[str] | None, source: str) -> RawLog:
     for name in wanted or ():
         if name not in names:
             raise SessionError(f"column {name!r} is missing{alternatives(name, names, 'the bag has')}")
-    topics = {PREFIX + name: [] for name in ["metadata", "t", *(wanted or names)]}
+    topics: dict[str, list] = {PREFIX + name: [] for name in ["metadata", "t", *(wanted or names)]}
     for topic, _, message in bag.messages(list(topics)):
         value = getattr(message, "data", None)
         if not isinstance(value, str if topic == f"{PREFIX}metadata" else float):

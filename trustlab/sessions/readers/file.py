@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
@@ -163,7 +163,7 @@ class FileReader:
                 f"the path does not fit the recipe's pattern {recipe.pattern.text!r}; rename the file or its folder, or "
                 "remove what comes from the path from the recipe's [metadata] and [columns]"
             )
-        row = {}
+        row: Mapping[str, object] = {}
         if self.index is not None and any(str(origin).startswith("header.") for origin in origins):
             row = self.index.row(match, str(path))
         return recipe_values(recipe, match, row)

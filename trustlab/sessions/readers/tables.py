@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -37,10 +38,10 @@ def select_columns(
     names: Sequence[str], recipe: Recipe | None, wanted: Sequence[str] | None, where: str
 ) -> list[SourceColumn]:
     """Return the columns to read from a file whose columns have these names, empty ones if it has no header."""
-    rules = {}
+    rules: dict[str, TableColumn] = {}
     if recipe is not None:
-        rules = {name: recipe.columns[name] for name in wanted}
-        rules = {name: rule for name, rule in rules.items() if isinstance(rule, TableColumn)}
+        chosen = {name: recipe.columns[name] for name in wanted}
+        rules = {name: rule for name, rule in chosen.items() if isinstance(rule, TableColumn)}
         keys = {"t": recipe.time.column} | {name: rule.column for name, rule in rules.items()}
     else:
         if wanted is None:
@@ -78,8 +79,8 @@ def _check_names(names: Sequence[str], where: str) -> None:
     if all(NUMBER.fullmatch(name.strip()) for name in names):
         remedy = "add a line of names, or read the file with a recipe that says [table] header = false"
         raise SessionError(f"{where}: numbers stand where the column names should; {remedy}")
-    seen: set[str] = set()
-    twice = [name for name in names if name in seen or seen.add(name)]
+    counts = Counter(names)
+    twice = [name for name in names if counts[name] > 1]
     if twice and twice[0]:
         raise SessionError(f"{where}: column {twice[0]!r} is there twice; rename or remove one")
     for k, name in enumerate(names):
@@ -106,7 +107,8 @@ def table_log(
     columns = {
         each.name: each.rule.convert(raw[each.name]) if each.rule else raw[each.name] for each in selected
     }
-    t, notes = columns.pop("t"), {}
+    t = columns.pop("t")
+    notes: dict[str, object] = {}
     factor = to_si(time.unit, "s")
     with np.errstate(over="ignore", invalid="ignore"):
         if time.from_zero and t.size and np.isfinite(t[0]):
