@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 
@@ -14,7 +13,7 @@ from trustlab.allocation.cycle.limit_cycle import limit_cycle
 from trustlab.campaign.parameters import ParameterGrid
 from trustlab.campaign.run import run_campaign
 from trustlab.campaign.sensitivity import SobolIndices, sobol_indices
-from trustlab.models.checks import finite_array, finite_number, of_class, whole_number
+from trustlab.models.checks import finite_array, finite_number, of_class, one_of, whole_number
 from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
@@ -95,8 +94,7 @@ class Sweep:
         """
         import matplotlib.pyplot as plt
 
-        if quantity not in QUANTITIES:
-            raise ValueError(f"quantity must be one of {', '.join(QUANTITIES)}, got {quantity!r}")
+        one_of("quantity", quantity, QUANTITIES)
         names = list(self.axes)
         x = names[0] if x is None else x
         y = next((name for name in names if name != x), None) if y is None else y
@@ -170,45 +168,24 @@ def varied_model(tsc: TscModel, values: Mapping[str, float]) -> TscModel:
 def cycle_at(
     tsc: TscModel, lower: float | None, upper: float | None, starts: int, seed: object, **values: float
 ) -> dict:
-    """
-    Return the measures of one steady cycle: the task of a campaign.
-
-    Parameters
-    ----------
-    tsc : TscModel
-        The model.
-    lower, upper : float or None
-        Thresholds where `values` does not hold them.
-    starts : int
-        As in `limit_cycle`.
-    seed : object
-        Not used: the cycle is exact.
-    **values : float
-        Thresholds and parameters by name.
-    """
+    """Return the measures of one steady cycle, the task of a campaign; it needs no seed, as the cycle is exact."""
     lower, upper = values.pop("lower", lower), values.pop("upper", upper)
     try:
         cycle = limit_cycle(varied_model(tsc, values), lower, upper, starts)
     except ValueError as error:
         nothing = dict.fromkeys(QUANTITIES, float("nan"))
         return {"exists": False, **nothing, "reason": f"not defined: {error}"}
-    manual, autonomous = (
-        pair or (float("nan"),) * 2 for pair in (cycle.dwell_manual, cycle.dwell_autonomous)
-    )
-    return {
-        "exists": cycle.exists,
-        "mean_p_r": cycle.mean_p_r,
-        "p_r_low": cycle.p_r_low,
-        "p_r_high": cycle.p_r_high,
-        "mean_r": cycle.mean_r,
-        "r_low": cycle.r_low,
-        "r_high": cycle.r_high,
-        "dwell_manual_low": float(manual[0]),
-        "dwell_manual_high": float(manual[1]),
-        "dwell_autonomous_low": float(autonomous[0]),
-        "dwell_autonomous_high": float(autonomous[1]),
-        "reason": cycle.reason,
-    }
+    table = cycle.table()
+    measures = {"exists": cycle.exists, "mean_p_r": cycle.mean_p_r, "mean_r": cycle.mean_r}
+    for name, row in (
+        ("p_r", "P_r"),
+        ("r", "r"),
+        ("dwell_manual", "dwell time manual"),
+        ("dwell_autonomous", "dwell time autonomous"),
+    ):
+        for side in ("low", "high"):
+            measures[f"{name}_{side}"] = float(table.loc[row, side])
+    return measures | {"reason": cycle.reason}
 
 
 def sweep(
@@ -218,11 +195,7 @@ def sweep(
     lower: float | None = None,
     upper: float | None = None,
     starts: int = 1,
-    n_jobs: int = -1,
-    out: str | os.PathLike | None = None,
-    cluster: object = None,
-    progress: bool | None = None,
-    fresh: bool = False,
+    **campaign: object,
 ) -> Sweep:
     """
     Map performance, utilization and dwell times of the steady cycle over thresholds and model parameters.
@@ -238,8 +211,8 @@ def sweep(
         Thresholds, where they are not varied.
     starts : int
         As in `limit_cycle`: 1 is the quick setting, one motion per point.
-    n_jobs, out, cluster, progress, fresh : int, path, object, bool, bool
-        As in `run_campaign`.
+    **campaign : object
+        n_jobs, out, cluster, executor, progress and fresh, as in `run_campaign`.
 
     Returns
     -------
@@ -259,15 +232,7 @@ def sweep(
     task = functools.partial(
         cycle_at, tsc=tsc, lower=lower, upper=upper, starts=whole_number("starts", starts)
     )
-    table = run_campaign(
-        task,
-        ParameterGrid(values),
-        n_jobs=n_jobs,
-        out=out,
-        cluster=cluster,
-        progress=progress,
-        fresh=fresh,
-    )
+    table = run_campaign(task, ParameterGrid(values), **campaign)
     if table["failed"].any():
         bad = table[table["failed"]].iloc[0]
         raise ValueError(f"the point {bad[names].to_dict()} failed: {bad['error']}")
@@ -287,14 +252,7 @@ def cycle_sensitivity(
     lower: float | None = None,
     upper: float | None = None,
     quantities: tuple[str, ...] = ("mean_p_r", "mean_r", "dwell_manual_high", "dwell_autonomous_high"),
-    seed: int = 0,
-    level: float = 0.95,
-    resamples: int = 400,
-    n_jobs: int = -1,
-    out: str | os.PathLike | None = None,
-    cluster: object = None,
-    progress: bool | None = None,
-    fresh: bool = False,
+    **options: object,
 ) -> SobolIndices:
     """
     Return Sobol' indices of the steady cycle: which thresholds and parameters it depends on most.
@@ -311,14 +269,9 @@ def cycle_sensitivity(
         Thresholds, where they are not varied.
     quantities : tuple of str
         Keys of `QUANTITIES`.
-    seed : int
-        Seed of the points and of the bootstrap.
-    level : float
-        Level of the intervals, in (0, 1).
-    resamples : int
-        Resamples of the bootstrap.
-    n_jobs, out, cluster, progress, fresh : int, path, object, bool, bool
-        As in `run_campaign`.
+    **options : object
+        seed, level and resamples, as in `sobol_indices`; n_jobs, out, cluster, executor, progress and fresh, as in
+        `run_campaign`.
 
     Returns
     -------
@@ -336,20 +289,7 @@ def cycle_sensitivity(
     if unknown or not quantities or isinstance(quantities, str):
         raise ValueError(f"quantities must be among {', '.join(QUANTITIES)}, got {quantities!r}")
     task = functools.partial(cycle_at, tsc=tsc, lower=lower, upper=upper, starts=1)
-    return sobol_indices(
-        task,
-        ranges,
-        n,
-        results=list(quantities),
-        seed=seed,
-        level=level,
-        resamples=resamples,
-        n_jobs=n_jobs,
-        out=out,
-        cluster=cluster,
-        progress=progress,
-        fresh=fresh,
-    )
+    return sobol_indices(task, ranges, n, results=list(quantities), **options)
 
 
 def _checked(tsc: object, axes: object, lower: object, upper: object) -> list[str]:

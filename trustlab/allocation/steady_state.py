@@ -9,7 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.allocation.cycle.limit_cycle import limit_cycle
+from trustlab.allocation.cycle.phases import longest_phase
 from trustlab.allocation.limits import check_thresholds, step_bounds, threshold_limits
+from trustlab.allocation.simulation import simulate_allocation
 from trustlab.models.checks import between
 from trustlab.models.tsc import TscConstants, TscModel
 
@@ -44,6 +46,10 @@ class SteadyStateBounds:
         r_l and r_u (2.33).
     delta_tsc : float
         δ_TSC that was used.
+    model : TscModel
+        The model.
+    lower, upper : float
+        Thresholds TSC_l and TSC_u.
     """
 
     tsc_low: float
@@ -56,6 +62,9 @@ class SteadyStateBounds:
     r_low: float
     r_high: float
     delta_tsc: float
+    model: TscModel | None = None
+    lower: float = math.nan
+    upper: float = math.nan
 
     def _repr_html_(self) -> str:
         return f"<p>Bounds as printed, δ_TSC = {self.delta_tsc:.3g}</p>{self.table().to_html(float_format='%.4g')}"
@@ -85,6 +94,52 @@ class SteadyStateBounds:
             "dwell time autonomous": (math.nan, self.dwell_autonomous),
         }
         return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high"]).rename_axis("quantity")
+
+    def plot(self, sample_time: float = 0.1):
+        """
+        Plot what the dwell times are derived from, and utilization in steady state, as in Figs. 2.5, 2.6 and 2.7.
+
+        Parameters
+        ----------
+        sample_time : float
+            Time between samples [s].
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes, shape (3,)
+        """
+        import matplotlib.pyplot as plt
+
+        robot, human = self.model.robot, self.model.human
+        dwells = (self.dwell_autonomous, self.dwell_manual_low, self.dwell_manual_high)
+        steps = np.arange(2 * max((d for d in dwells if math.isfinite(d)), default=500.0))
+        _, axes = plt.subplots(1, 3, figsize=(12, 3.4), layout="constrained")
+
+        def approach(axis, start, goal, dwell, color, label):
+            axis.plot(steps * sample_time, goal + (start - goal) * robot.a**steps, color=color, label=label)
+            if math.isfinite(dwell):
+                axis.axvline(dwell * sample_time, color=color, ls="--")
+
+        approach(axes[0], self.p_r_high, robot.p_min, self.dwell_autonomous, "C0", r"$\tau_{da}$ dashed")
+        best, least = robot.steady_state(1.0, human.p_max), robot.steady_state(1.0, human.p_min)
+        approach(axes[1], self.p_r_low, best, self.dwell_manual_low, "C0", r"greatest $P_h$, $\tau_{dml}$")
+        approach(axes[1], self.p_r_low, least, self.dwell_manual_high, "C1", r"least $P_h$, $\tau_{dmu}$")
+        for axis, title in zip(axes, ("autonomous, from $P_{ru}$", "manual, from $P_{rl}$"), strict=False):
+            for bound in (self.p_r_low, self.p_r_high):
+                axis.axhline(bound, color="0.5", lw=0.8)
+            axis.set(xlabel="dwell time [s]", ylabel="$P_r$", title=title)
+        settled = longest_phase(self.model.constants())
+        run = simulate_allocation(self.model, self.lower, self.upper, settled + 4000, r0=0.1)["r"].iloc[
+            settled:
+        ]
+        axes[2].plot(np.arange(run.size) * sample_time, run, label="r under (2.8)")
+        for bound, label in ((self.r_low, "$r_l$, $r_u$ (2.33)"), (self.r_high, None)):
+            axes[2].axhline(bound, color="C1", ls="--", label=label)
+        axes[2].axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
+        axes[2].set(xlabel="time [s]", ylabel="r", title="utilization in steady state")
+        for axis in axes:
+            axis.legend(fontsize="small")
+        return axes
 
 
 class PerformanceRange(NamedTuple):
@@ -196,4 +251,7 @@ def steady_state_bounds(
         r_low=float(r_low),
         r_high=float(r_high),
         delta_tsc=delta_tsc,
+        model=tsc,
+        lower=lower,
+        upper=upper,
     )

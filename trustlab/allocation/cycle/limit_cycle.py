@@ -62,6 +62,10 @@ class LimitCycle:
         Slope of the return map there; below 1 in size the cycle attracts.
     mean_r, mean_p_r : float
         Time averages of utilization and robot performance.
+    model : TscModel
+        The model.
+    lower, upper : float
+        Thresholds TSC_l and TSC_u.
     """
 
     exists: bool
@@ -81,6 +85,9 @@ class LimitCycle:
     mean_r: float = math.nan
     mean_p_r: float = math.nan
     always: bool = False
+    model: TscModel | None = None
+    lower: float = math.nan
+    upper: float = math.nan
 
     @property
     def exhaustive(self) -> bool:
@@ -133,6 +140,44 @@ class LimitCycle:
         return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high", "mean"]).rename_axis(
             "quantity"
         )
+
+    def plot(self, axes=None):
+        """
+        Plot rule (2.8) on the plane of utilization and robot performance, with a run from near rest, as in Fig. 2.4.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            Where to plot; a new figure when not given.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        import matplotlib.pyplot as plt
+
+        from trustlab.allocation.simulation import simulate_allocation
+
+        model, robot = self.model, self.model.robot
+        if axes is None:
+            _, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
+        margin = 0.2 * (robot.p_max - robot.p_min)
+        r, p_r = np.linspace(0, 1, 300), np.linspace(robot.p_min - margin, robot.p_max + margin, 200)
+        p_h = model.human.performance(r)
+        levels = axes.contourf(r, p_r, model.value(p_r[:, None], p_h[None, :]), 12, cmap="Greys", alpha=0.5)
+        axes.figure.colorbar(levels, ax=axes, label="TSC")
+        for value, label in ((self.lower, "$TSC_l$"), (self.upper, "$TSC_u$")):
+            line = (value + model.b_T * p_h) / model.a_T
+            axes.plot(r, line, "--", lw=1.5, label=f"{label} = {value:g}")
+        settled = longest_phase(model.constants())
+        run = simulate_allocation(model, self.lower, self.upper, 2 * settled, r0=0.1)
+        first, last = run.iloc[: settled // 2], run.iloc[settled:]
+        axes.plot(first["r"], first["p_r"], lw=0.6, color="C2", label="from near rest")
+        if self.exists:
+            axes.plot(last["r"], last["p_r"], lw=2, color="C3", label="steady cycle")
+        axes.set(xlabel="utilization r", ylabel="robot performance $P_r$", ylim=(p_r[0], p_r[-1]))
+        axes.legend(fontsize="small")
+        return axes
 
 
 def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> LimitCycle:
@@ -187,7 +232,7 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
         settled = tsc.value(p_r, tsc.human.performance(min(max(r, 0.0), 1.0)))
         stays = f"stays {mode}: TSC settles at {settled:.4f} without {side} = {target:.4f}"
     if not found:
-        return LimitCycle(False, stays)
+        return LimitCycle(False, stays, model=tsc, lower=lower, upper=upper)
     rows = np.concatenate([motion.rows for motion in found])
     seen = [motion.seen for motion in found]
     periods = {motion.period for motion in found}
@@ -214,6 +259,9 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
         slope=slope,
         mean_r=float(np.mean([one.sum_r / one.samples for one in seen])),
         mean_p_r=float(np.mean([one.sum_p_r / one.samples for one in seen])),
+        model=tsc,
+        lower=lower,
+        upper=upper,
     )
 
 
