@@ -90,11 +90,11 @@ def test_the_better_command_gets_the_authority():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"alpha_min": 1.0}, "alpha_min < alpha_max"),
-        ({"alpha_max": 1.2}, "alpha_min < alpha_max"),
+        ({"alpha_min": 1.0}, "alpha_min must be below alpha_max"),
+        ({"alpha_max": 1.2}, "alpha_max must lie in"),
         ({"alpha_min": np.nan}, "alpha_min must be finite"),
-        ({"horizon": 0.0}, "horizon must lie"),
-        ({"error_weight": -1.0}, "cannot be negative"),
+        ({"horizon": 0.0}, "horizon must be positive"),
+        ({"error_weight": -1.0}, "error_weight must lie in"),
         ({"intervals": 0}, "intervals must be"),
         ({"intervals": True}, "intervals must be"),
         ({"gains": (1.0, 2.0, 3.0)}, "three pairs"),

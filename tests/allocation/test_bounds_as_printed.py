@@ -229,3 +229,17 @@ def test_refuses(operators, arguments, says):
         steady_state_bounds(operators["pilot"], *arguments)
     with pytest.raises(ValueError, match="delta_p_h must not be negative"):
         threshold_limits(operators["pilot"], -1.0)
+
+
+def test_the_plot_shows_what_dwell_times_are_derived_from(operators):
+    import matplotlib.pyplot as plt
+
+    bounds = steady_state_bounds(operators["2"], 0.0, 0.35, delta_tsc=0.005)
+    alone, manual, utilization = bounds.plot(sample_time=0.1)
+    curve = alone.lines[0]
+    # (2.16): after τ_da samples, rounded down, P_r has fallen from P_ru to P_rl but for the part of a sample.
+    at = np.interp([0.1 * bounds.dwell_autonomous, 0.1 * bounds.dwell_autonomous + 0.1], *curve.get_data())
+    assert at[0] >= bounds.p_r_low >= at[1]
+    assert [line.get_label() for line in utilization.lines][:2] == ["r under (2.8)", "$r_l$, $r_u$ (2.33)"]
+    assert len(manual.lines) == 6 - math.isinf(bounds.dwell_manual_high)
+    plt.close("all")

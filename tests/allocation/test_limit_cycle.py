@@ -143,3 +143,16 @@ def test_utilization_that_saturates_has_a_cycle_too():
     assert cycle.always
     assert cycle.unique
     assert (cycle.r_low, cycle.r_high) == pytest.approx((0.0, 1.0), abs=1e-12)
+
+
+def test_the_plot_shows_rule_run_and_cycle(operators):
+    import matplotlib.pyplot as plt
+
+    axes = limit_cycle(operators["2"], 0.0, 0.35).plot()
+    labels = [line.get_label() for line in axes.lines]
+    assert labels == ["$TSC_l$ = 0", "$TSC_u$ = 0.35", "from near rest", "steady cycle"]
+    lower, upper, _, cycle = axes.lines
+    low, high = (np.interp(cycle.get_xdata(), *line.get_data()) for line in (lower, upper))
+    assert ((cycle.get_ydata() > low - 1e-3) & (cycle.get_ydata() < high + 1e-3)).all()
+    assert len(limit_cycle(operators["1"], 0.15, 0.9).plot().lines) == 3
+    plt.close("all")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import between, finite_number, positive, whole_number
 from trustlab.models.uav import TransferFunction, three_axes
 
 __all__ = ["APPENDIX_A", "BlendingStep", "OptimalBlending", "best_share"]
@@ -166,28 +166,14 @@ class OptimalBlending:
             raise ValueError(f"gains must be three pairs (proportional, derivative), got {gains!r}") from None
         if len(self.gains) != 3:
             raise ValueError(f"gains must be three pairs (proportional, derivative), got {len(self.gains)}")
-        self.alpha_min, self.alpha_max = (
-            finite_number("alpha_min", alpha_min),
-            finite_number("alpha_max", alpha_max),
-        )
-        if not 0.0 <= self.alpha_min < self.alpha_max <= 1.0:
-            raise ValueError(f"0 ≤ alpha_min < alpha_max ≤ 1 is needed, got {alpha_min} and {alpha_max}")
-        self.horizon = finite_number("horizon", horizon)
-        if not 0.0 < self.horizon <= 2.0:
-            raise ValueError(f"horizon must lie in (0, 2] s, got {horizon}")
-        self.error_weight = finite_number("error_weight", error_weight)
-        self.deviation_weight = finite_number("deviation_weight", deviation_weight)
-        if min(self.error_weight, self.deviation_weight) < 0.0:
-            raise ValueError(f"weights cannot be negative, got {error_weight} and {deviation_weight}")
-        if max(self.error_weight, self.deviation_weight) > 1e12:
-            raise ValueError(f"weights must be at most 1e12, got {error_weight} and {deviation_weight}")
-        if (
-            isinstance(intervals, bool)
-            or not isinstance(intervals, (int, np.integer))
-            or not 1 <= intervals <= 50
-        ):
-            raise ValueError(f"intervals must be a whole number from 1 to 50, got {intervals!r}")
-        self.intervals = int(intervals)
+        self.alpha_min = between("alpha_min", alpha_min, 0.0, 1.0)
+        self.alpha_max = between("alpha_max", alpha_max, 0.0, 1.0)
+        if not self.alpha_min < self.alpha_max:
+            raise ValueError(f"alpha_min must be below alpha_max, got {alpha_min} and {alpha_max}")
+        self.horizon = between("horizon", positive("horizon", horizon), 0.0, 2.0)
+        self.error_weight = between("error_weight", error_weight, 0.0, 1e12)
+        self.deviation_weight = between("deviation_weight", deviation_weight, 0.0, 1e12)
+        self.intervals = whole_number("intervals", intervals, most=50)
         self.weights = self._series()
         self._program = None
 
@@ -259,9 +245,7 @@ class OptimalBlending:
         e, rate, acceleration : array_like, shape (3,)
             Tracking error [m] and its derivatives.
         """
-        alpha = finite_number("alpha", alpha)
-        if not 0.0 <= alpha <= 1.0:
-            raise ValueError(f"alpha must lie in [0, 1], got {alpha}")
+        alpha = between("alpha", alpha, 0.0, 1.0)
         states = self._states(u_h, u_a, e, rate, acceleration)
         series = np.einsum("ai,amij,aj->m", states, self.weights, states)
         return float(np.polynomial.chebyshev.chebval(2.0 * alpha - 1.0, series))

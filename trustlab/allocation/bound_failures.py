@@ -26,14 +26,14 @@ TOLERANCE = 1e-5
 
 
 class Extremes(NamedTuple):
-    """What is seen of a trajectory: extremes of r, P_r and TSC, largest one-step changes, and the number of switches."""
+    """What is seen of a trajectory: extremes of TSC, P_r and r, largest one-step changes, and the number of switches."""
 
-    r_low: float
-    r_high: float
-    p_r_low: float
-    p_r_high: float
     tsc_low: float
     tsc_high: float
+    p_r_low: float
+    p_r_high: float
+    r_low: float
+    r_high: float
     delta_p_r: float
     delta_p_h: float
     switches: int
@@ -59,12 +59,12 @@ def steady_extremes(r, p_r, lower, upper, c, settling, returns, recorded):
         if k >= settling and returned >= returns:
             left -= 1
             seen = Extremes(
-                min(seen.r_low, r),
-                max(seen.r_high, r),
-                min(seen.p_r_low, p_r),
-                max(seen.p_r_high, p_r),
                 min(seen.tsc_low, tsc),
                 max(seen.tsc_high, tsc),
+                min(seen.p_r_low, p_r),
+                max(seen.p_r_high, p_r),
+                min(seen.r_low, r),
+                max(seen.r_high, r),
                 max(seen.delta_p_r, abs(p_r - before)),
                 max(seen.delta_p_h, abs(p_h - before_h)),
                 seen.switches + (mode != was),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numba
 
 from trustlab.allocation.limits import check_order
-from trustlab.models.checks import finite_number, whole_number
+from trustlab.models.checks import finite_number, not_negative, whole_number
 from trustlab.models.tsc import threshold_mode
 
 __all__ = ["PERFORMANCE_TOLERANCE", "PerformanceRule", "ThresholdRule", "performance_suggestion"]
@@ -142,11 +142,9 @@ class PerformanceRule:
         low, high = finite_number("p_min", self.p_min), finite_number("p_max", self.p_max)
         if not low < high:
             raise ValueError(f"p_min must be below p_max, got {low} and {high}")
-        tolerance = finite_number("tolerance", self.tolerance)
-        if not 0.0 <= tolerance < 0.1:
-            raise ValueError(
-                f"tolerance must lie in [0, 0.1), where manual is suggested from, got {tolerance}"
-            )
+        tolerance = not_negative("tolerance", self.tolerance)
+        if not tolerance < 0.1:
+            raise ValueError(f"tolerance must be below 0.1, where manual is suggested, got {tolerance}")
         self.__dict__.update(p_min=low, p_max=high, tolerance=tolerance)
 
     def step(self, p_r: float, tsc: float | None = None) -> int | None:

@@ -15,12 +15,7 @@ from trustlab.allocation.simulation import simulate_allocation
 from trustlab.models.checks import between
 from trustlab.models.tsc import TscConstants, TscModel
 
-__all__ = [
-    "SteadyStateBounds",
-    "performance_as_printed",
-    "steady_state_bounds",
-    "utilization_as_printed",
-]
+__all__ = ["SteadyStateBounds", "performance_as_printed", "steady_state_bounds", "utilization_as_printed"]
 
 
 @dataclass(frozen=True)

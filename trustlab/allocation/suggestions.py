@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_number, of_class
+from trustlab.models.checks import of_class, positive
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
 
@@ -41,8 +41,7 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
         If `session` is not a `Session`, or the deadline is not positive.
     """
     of_class("session", session, Session, "trustlab.read_session(path) reads one")
-    if not finite_number("deadline", deadline) > 0.0:
-        raise ValueError(f"deadline must be positive, got {deadline}")
+    deadline = positive("deadline", deadline)
     session.require("mode", "suggested_mode")
     for name, allowed in (("mode", (0.0, 1.0)), ("suggested_mode", (-1.0, 0.0, 1.0))):
         odd = ~np.isin(session[name], allowed)

@@ -167,27 +167,12 @@ def choose_thresholds(
         check_thresholds(tsc, 0.0, 1.0, limits)
     span = limits.upper - limits.lower
     grid = np.linspace(limits.lower + margin * span, limits.upper - margin * span, points)
-    rows, cycles = [], []
-    for i, lower in enumerate(grid):
-        for upper in grid[i + 1 :]:
-            cycle = limit_cycle(tsc, lower, upper, starts=1)
-            if cycle.exists:
-                inside = cycle.r_low <= tsc.human.beta <= cycle.r_high
-                rows.append(
-                    (
-                        lower,
-                        upper,
-                        cycle.r_low,
-                        cycle.r_high,
-                        cycle.mean_r,
-                        cycle.p_r_high,
-                        cycle.mean_p_r,
-                        inside,
-                    )
-                )
-                cycles.append(cycle)
-    names = ["lower", "upper", "r_low", "r_high", "mean_r", "p_r_high", "mean_p_r", "encloses_beta"]
+    pairs = [(lower, upper) for i, lower in enumerate(grid) for upper in grid[i + 1 :]]
+    cycles = [limit_cycle(tsc, *pair, starts=1) for pair in pairs]
+    names = ["lower", "upper", "r_low", "r_high", "mean_r", "p_r_high", "mean_p_r"]
+    rows = [[getattr(cycle, name) for name in names] for cycle in cycles if cycle.exists]
     table = pd.DataFrame(rows, columns=names)
+    table["encloses_beta"] = (table["r_low"] <= tsc.human.beta) & (tsc.human.beta <= table["r_high"])
     table["on_front"] = _front(table["mean_r"].to_numpy(), table["mean_p_r"].to_numpy())
     inside = table[table["encloses_beta"]]
     encloses = not inside.empty

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_array, finite_number, of_class, whole_number
+from trustlab.models.checks import finite_array, finite_number, not_negative, of_class, positive, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
@@ -119,8 +119,7 @@ def estimate_thresholds(
     says nothing about it: `run_condition` bars switches for its first 100 s (`settling` in the session's metadata), and
     after=110.0 leaves out what was merely waiting for that.
     """
-    if not finite_number("within", within) > 0.0:
-        raise ValueError(f"within must be positive, got {within}")
+    within = positive("within", within)
     if model is not None:
         of_class("model", model, TscModel)
     resamples = whole_number("resamples", resamples, least=100, most=10**5)
@@ -172,10 +171,8 @@ def separation(lower_mean: float, lower_sd: float, upper_mean: float, upper_sd: 
         If a number is not finite, an SD is negative, or both are 0.
     """
     low, high = finite_number("lower_mean", lower_mean), finite_number("upper_mean", upper_mean)
-    low_sd, high_sd = finite_number("lower_sd", lower_sd), finite_number("upper_sd", upper_sd)
-    if low_sd < 0.0 or high_sd < 0.0 or not low_sd + high_sd > 0.0:
-        raise ValueError(f"standard deviations cannot be negative, nor both 0; got {low_sd} and {high_sd}")
-    return (high - low) / (low_sd + high_sd)
+    spread = not_negative("lower_sd", lower_sd) + not_negative("upper_sd", upper_sd)
+    return (high - low) / positive("lower_sd + upper_sd", spread)
 
 
 def _apart(groups: dict[str, np.ndarray], draws: int, rng: np.random.Generator) -> tuple[float, ...]:

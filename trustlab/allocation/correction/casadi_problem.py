@@ -220,7 +220,7 @@ class CorrectionModel:
 
         symbol, robot, human = self.symbol, self.tsc.robot, self.tsc.human
         state, given, k = symbol.sym("state", 5), symbol.sym("given", 6), symbol.sym("k")
-        x, before = state[:4], state[4]
+        x, before = state[:-1], state[-1]
         p_h = self.performance(x[0])
         tsc = self.tsc.a_T * x[1] - self.tsc.b_T * p_h
         mode = ca.if_else(tsc >= x[2], 0.0, ca.if_else(tsc <= x[3], 1.0, before))

@@ -75,12 +75,6 @@ def simulate_correction(
         out[name][0] = start
     modes = np.empty(actions_l.size)
     cost = follow_actions(
-        tsc.constants(),
-        *map(float, target),
-        actions_l,
-        actions_u,
-        *out.values(),
-        modes,
-        float(mode),
+        tsc.constants(), *map(float, target), actions_l, actions_u, *out.values(), modes, float(mode)
     )
     return out | {"mode": modes, "cost": cost}

@@ -351,14 +351,7 @@ class ExactEngine:
     name = "exact"
 
     def __init__(
-        self,
-        tsc: TscModel,
-        target_lower: float,
-        target_upper: float,
-        c_b: float,
-        horizon: int,
-        incentive: Callable = incentive_box,
-        budget: int = SEARCHED,
+        self, tsc, target_lower, target_upper, c_b, horizon, incentive=incentive_box, budget=SEARCHED
     ):
         self.horizon, self.budget = horizon, whole_number("budget", budget, most=1_000_000)
         goal = np.array([target_lower, target_upper])

@@ -130,15 +130,7 @@ def propagate(manual, low, high, tsc_low, tsc_high, target, c, most):
             if (manual and t_low >= target) or (not manual and t_high <= target):
                 over = overshoot(manual, before_low, before_high, target, c)
                 image = PhaseImage(
-                    end_low,
-                    end_high,
-                    over,
-                    float(first),
-                    float(n),
-                    least_p,
-                    most_p,
-                    least_tsc,
-                    most_tsc,
+                    end_low, end_high, over, float(first), float(n), least_p, most_p, least_tsc, most_tsc
                 )
                 return True, image
         last_low, last_high = low, high
@@ -199,12 +191,5 @@ def nest(lower, upper, c, cells, cycles, most, shrink):
     if found.code < 0:
         return found
     return Enclosure(
-        j + 1,
-        low,
-        high,
-        over,
-        found.manual,
-        found.autonomous_low,
-        found.autonomous_high,
-        found.autonomous,
+        j + 1, low, high, over, found.manual, found.autonomous_low, found.autonomous_high, found.autonomous
     )
