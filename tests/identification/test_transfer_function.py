@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from trustlab.identification.errors import IdentificationError
+from trustlab.identification.structure import IdentificationError
 from trustlab.identification.transfer_function import fit_transfer_function
 from trustlab.models.uav import PRINTED_UAV
 
@@ -69,7 +69,7 @@ def test_first_order_does_not_fit_a_second_order_axis():
 @pytest.mark.parametrize(
     ("change", "error", "words"),
     [
-        ({"order": 3}, ValueError, "order must be 1 or 2"),
+        ({"order": 3}, ValueError, "order must be a whole number, from 1 to 2"),
         ({"order": True}, ValueError, "order must be"),
         ({"sample_time": 0.0}, ValueError, "sample_time must be positive"),
         ({"velocity": np.ones(10)}, ValueError, "must have 200 samples"),

@@ -1,7 +1,8 @@
-"""What a fit hands back: the model, how sure it is, and how well it explains the data."""
+"""What a fit returns: the model, its uncertainty, and how well it explains the data, in tables and plots."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,42 +10,42 @@ import pandas as pd
 from scipy import special
 
 from trustlab.identification.residuals import ljung_box, pooled_autocorrelation, pooled_cross_correlation
-from trustlab.models.checks import open_unit
+from trustlab.identification.runs import Run
+from trustlab.identification.structure import Structure
+from trustlab.models.checks import one_of, open_unit, whole_number
+from trustlab.sessions.plots import shade_manual
 
-__all__ = ["FitResult", "RunFit"]
+__all__ = ["FitResult", "RunFit", "gradient", "parameter_table", "run_fits", "with_intervals"]
+
+LABELS = {"p_r": "robot performance $P_r$", "p_h": "human performance $P_h$"}
 
 
-def _check_lags(lags: int, residuals: list[np.ndarray]) -> None:
-    shortest = min(run.size for run in residuals)
-    if int(lags) != lags or not 1 <= lags < shortest:
-        raise ValueError(
-            f"lags must be a whole number from 1 to below the shortest run, {shortest}, got {lags}"
-        )
+def with_intervals(table: pd.DataFrame, level: float, degrees_of_freedom: float) -> pd.DataFrame:
+    """Add columns ci_low and ci_high to a table with columns value and stderr: t intervals."""
+    level = open_unit("level", level)
+    half = special.stdtrit(degrees_of_freedom, 0.5 + level / 2.0) * table["stderr"]
+    return table.assign(ci_low=table["value"] - half, ci_high=table["value"] + half)
 
 
 @dataclass(frozen=True, eq=False)
 class RunFit:
-    """
-    One run, measured and fitted.
-
-    Parameters
-    ----------
-    label : str
-        The run in a few words.
-    synthetic : bool
-        Whether the run was simulated.
-    t, mode : numpy.ndarray, shape (N,)
-        Time [s] and manual share.
-    measured, fitted : dict of numpy.ndarray
-        Outputs by name.
-    """
+    """One run, measured and fitted: time [s], inputs and outputs by name, shape (N,) each."""
 
     label: str
     synthetic: bool
     t: np.ndarray
-    mode: np.ndarray
+    inputs: dict[str, np.ndarray]
     measured: dict[str, np.ndarray]
     fitted: dict[str, np.ndarray]
+
+    @property
+    def mode(self) -> np.ndarray:
+        """Manual share."""
+        return self.inputs["mode"]
+
+    def residual(self, output: str) -> np.ndarray:
+        """Return measured minus fitted."""
+        return self.measured[output] - self.fitted[output]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +55,9 @@ class FitResult:
 
     Parameters
     ----------
-    model : RobotModel, HumanModel or TscModel
+    model : RobotModel, HumanModel, TscModel or what the structure makes
         The identified model.
-    method : {"output_error", "arx"}
+    method : {"output_error", "arx", "regression"}
         How it was identified.
     parameters : pandas.DataFrame
         Index `parameter`; columns value, stderr, status (estimated, weak, fixed, given, derived, at bound).
@@ -75,7 +76,7 @@ class FitResult:
     success : bool
         Whether the search converged and every parameter is determined by the data.
     message : str
-        What a reader should know before using the numbers.
+        What to know before using the numbers.
     degrees_of_freedom : float
         For the t intervals.
     """
@@ -95,7 +96,7 @@ class FitResult:
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """The columns the model explains."""
+        """The columns that the model explains."""
         return tuple(self.runs[0].measured)
 
     @property
@@ -123,12 +124,8 @@ class FitResult:
         ValueError
             If `level` is outside (0, 1).
         """
-        level = open_unit("level", level)
-        half = special.stdtrit(self.degrees_of_freedom, 0.5 + level / 2.0) * self.parameters["stderr"]
-        value = self.parameters["value"]
-        return self.parameters.assign(ci_low=value - half, ci_high=value + half)[
-            ["value", "stderr", "ci_low", "ci_high", "status"]
-        ]
+        table = with_intervals(self.parameters, level, self.degrees_of_freedom)
+        return table[["value", "stderr", "ci_low", "ci_high", "status"]]
 
     def correlations(self) -> pd.DataFrame:
         """Return the correlations of the estimated parameters."""
@@ -141,7 +138,7 @@ class FitResult:
         percent = {}
         for name in self.outputs:
             y = np.concatenate([run.measured[name] for run in self.runs])
-            error = np.concatenate([run.measured[name] - run.fitted[name] for run in self.runs])
+            error = np.concatenate(self.residuals(name))
             spread = np.linalg.norm(y - y.mean())
             percent[name] = 100.0 * (1.0 - np.linalg.norm(error) / spread) if spread > 0.0 else np.nan
         return float(percent[name]) if len(percent) == 1 else pd.Series(percent, name="fit_percent")
@@ -155,10 +152,16 @@ class FitResult:
         output : str, optional
             Which output; the first when not given.
         """
-        name = self.outputs[0] if output is None else output
-        if name not in self.outputs:
-            raise ValueError(f"output must be one of {', '.join(self.outputs)}, got {output!r}")
-        return [run.measured[name] - run.fitted[name] for run in self.runs]
+        name = self.outputs[0] if output is None else one_of("output", output, self.outputs)
+        return [run.residual(name) for run in self.runs]
+
+    def _residuals_for(self, lags: int, output: str | None) -> list[np.ndarray]:
+        """Return the residuals of an output whose runs are all longer than `lags`."""
+        residuals = self.residuals(output)
+        whole_number(
+            "lags (below the length of the shortest run)", lags, 1, min(r.size for r in residuals) - 1
+        )
+        return residuals
 
     def residual_correlations(self, lags: int = 25, output: str | None = None) -> pd.DataFrame:
         """
@@ -175,12 +178,13 @@ class FitResult:
         -------
         pandas.DataFrame
             Index `lag` from −lags to lags; columns autocorrelation (with itself), cross_correlation (of e(k) with
-            mode(k − lag)) and band: ± 2.58/√n for white residuals.
+            the first input at k − lag: mode for the models of the dissertation) and band: ± 2.58/√n for white
+            residuals.
         """
-        residuals = self.residuals(output)
-        _check_lags(lags, residuals)
+        residuals = self._residuals_for(lags, output)
         auto = pooled_autocorrelation(residuals, lags)
-        cross = pooled_cross_correlation(residuals, [run.mode for run in self.runs], lags)
+        inputs = [next(iter(run.inputs.values())) for run in self.runs]
+        cross = pooled_cross_correlation(residuals, inputs, lags)
         band = special.ndtri(0.995) / np.sqrt(sum(run.size for run in residuals))
         columns = {"autocorrelation": np.r_[auto[:0:-1], auto], "cross_correlation": cross, "band": band}
         return pd.DataFrame(columns, index=pd.RangeIndex(-lags, lags + 1, name="lag"))
@@ -201,14 +205,11 @@ class FitResult:
         """
         rows = {}
         for name in self.outputs:
-            residuals = self.residuals(name)
-            _check_lags(lags, residuals)
-            rows[name] = ljung_box(
-                pooled_autocorrelation(residuals, lags), sum(run.size for run in residuals)
-            )
-        return pd.DataFrame.from_dict(rows, orient="index", columns=["statistic", "df", "p"]).rename_axis(
-            "output"
-        )
+            residuals = self._residuals_for(lags, name)
+            samples = sum(run.size for run in residuals)
+            rows[name] = ljung_box(pooled_autocorrelation(residuals, lags), samples)
+        table = pd.DataFrame.from_dict(rows, orient="index", columns=["statistic", "df", "p"])
+        return table.rename_axis("output")
 
     def plot(self, most: int = 6):
         """
@@ -223,9 +224,35 @@ class FitResult:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (outputs, runs shown)
         """
-        from trustlab.identification.plots import plot_fit
+        import matplotlib.pyplot as plt
 
-        return plot_fit(self, most)
+        shown = self.runs[: max(1, most)]
+        figure, axes = plt.subplots(
+            len(self.outputs),
+            len(shown),
+            squeeze=False,
+            sharey="row",
+            sharex="col",
+            figsize=(max(6.5, 3.0 * len(shown)), 0.8 + 2.4 * len(self.outputs)),
+            layout="constrained",
+        )
+        notes = [f"{len(shown)} of {len(self.runs)} runs"] if len(shown) < len(self.runs) else []
+        for row, name in zip(axes, self.outputs, strict=True):
+            row[0].set_ylabel(LABELS.get(name, name))
+            for panel, run in zip(row, shown, strict=True):
+                panel.plot(run.t, run.measured[name], lw=0.8, color="0.55", label="measured")
+                panel.plot(run.t, run.fitted[name], lw=1.6, ls="--", color="C1", label="fitted")
+                if "mode" in run.inputs:
+                    shade_manual(panel, run.t, run.mode)
+        if "mode" in shown[0].inputs:
+            notes.append("manual phases shaded")
+        for panel, run in zip(axes[0], shown, strict=True):
+            panel.set_title(run.label, fontsize="small")
+        for panel in axes[-1]:
+            panel.set_xlabel("time [s]")
+        axes[0, 0].legend(fontsize="small", loc="best")
+        figure.suptitle(", ".join(notes), fontsize="small")
+        return axes
 
     def plot_residuals(self, lags: int = 25):
         """
@@ -240,9 +267,29 @@ class FitResult:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (outputs, 2)
         """
-        from trustlab.identification.plots import plot_residuals
+        import matplotlib.pyplot as plt
 
-        return plot_residuals(self, lags)
+        rows = len(self.outputs)
+        figure, axes = plt.subplots(
+            rows, 2, squeeze=False, figsize=(8, 0.6 + 2.2 * rows), layout="constrained"
+        )
+        for row, name in zip(axes, self.outputs, strict=True):
+            frame = self.residual_correlations(lags, name)
+            band = frame["band"].iloc[0]
+            pairs = [("autocorrelation", frame[frame.index > 0]), ("cross_correlation", frame)]
+            for panel, (column, part) in zip(row, pairs, strict=True):
+                panel.axhspan(-band, band, color="C0", alpha=0.15, lw=0, label="99 % band")
+                panel.vlines(part.index, 0.0, part[column], lw=1.2)
+                panel.plot(part.index, part[column], "o", ms=3)
+                panel.axhline(0.0, color="0.4", lw=0.6)
+                panel.set_xlabel("lag [samples]")
+            row[0].set_ylabel(f"{name} residual")
+            row[0].set_title("autocorrelation", fontsize="small")
+            row[1].set_title(f"with {next(iter(self.runs[0].inputs))}", fontsize="small")
+        axes[0, 0].legend(fontsize="small")
+        title = "residual correlations" + (", synthetic data" if self.synthetic else "")
+        figure.suptitle(title, fontsize="small")
+        return np.asarray(axes)
 
     def __repr__(self) -> str:
         return f"FitResult({self.model!r}, method={self.method!r}, success={self.success}: {self.message})"
@@ -256,3 +303,52 @@ class FitResult:
             f"<p><b>{type(self.model).__name__}</b> by {self.method}: {len(self.runs)} run(s), {samples} samples, "
             f"fit {percent}.{origin} {self.message}</p>{self.table().to_html(float_format='%.6g')}"
         )
+
+
+def gradient(function: Callable, names: Iterable[str], values: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return a function of a dictionary of values, and its gradient by complex steps, exact to rounding."""
+    at = dict(zip(names, values.tolist(), strict=True))
+    # f(x + ih) = f(x) + ih f'(x) + O(h²) involves no difference of like numbers, so h may be as small as one likes.
+    step = 1e-100
+    slope = [complex(function(at | {name: value + 1j * step})).imag / step for name, value in at.items()]
+    return float(function(at)), np.array(slope)
+
+
+def parameter_table(
+    names: Iterable[str],
+    values: np.ndarray,
+    covariance: np.ndarray,
+    status: Iterable[str],
+    derived: Mapping[str, Callable],
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return a table of parameters, derived rows included, and the covariance of the estimated ones."""
+    names, status = list(names), list(status)
+    kept = np.flatnonzero(np.array(status) == "estimated")
+    stderr = np.full(values.size, np.nan)
+    stderr[kept] = np.sqrt(np.diag(covariance)[kept])
+    rows = [*zip(values.tolist(), stderr.tolist(), status, strict=True)]
+    known = np.nan_to_num(covariance)
+    for function in derived.values():
+        value, slope = gradient(function, names, values)
+        # NaN where nothing that the row depends on was estimated.
+        error = float(np.sqrt(slope @ known @ slope)) if slope[kept].any() else np.nan
+        rows.append((value, error, "derived"))
+    index = pd.Index([*names, *derived], name="parameter")
+    table = pd.DataFrame(rows, index=index, columns=["value", "stderr", "status"])
+    labels = index[kept]
+    return table, pd.DataFrame(known[np.ix_(kept, kept)], index=labels, columns=labels.rename(None))
+
+
+def run_fits(structure: Structure, runs: list[Run], fitted: list[list[np.ndarray]]) -> list[RunFit]:
+    """Put runs beside their fitted outputs, which come by output, then by run."""
+    return [
+        RunFit(
+            run.label,
+            run.synthetic,
+            run.t,
+            {name: run[name] for name in structure.inputs},
+            {name: run[name] for name in structure.outputs},
+            {name: fitted[j][i] for j, name in enumerate(structure.outputs)},
+        )
+        for i, run in enumerate(runs)
+    ]

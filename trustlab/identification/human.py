@@ -1,26 +1,47 @@
-"""Identification of human utilization and performance, (2.5)-(2.6)."""
+"""Identification of human utilization and performance, (2.5)-(2.6): structure, sensitivities, initial guess, `fit_human`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
+import numba
 import numpy as np
-import pandas as pd
 
-from trustlab.identification.arx import regression
-from trustlab.identification.bounds import check_method, limits_of
-from trustlab.identification.errors import IdentificationError
-from trustlab.identification.fit_result import FitResult, RunFit
-from trustlab.identification.greybox import HUMAN, Problem
-from trustlab.identification.identifiability import check_output_moves
-from trustlab.identification.output_error import Estimate, estimate
-from trustlab.identification.starting_values import human_start
-from trustlab.identification.summary import parameter_table, result
-from trustlab.identification.traces import Trace, traces
+from trustlab.identification.fit_result import FitResult
+from trustlab.identification.fitting import fit, refuse_options
+from trustlab.identification.output_error import Problem
+from trustlab.identification.regression import regression, simulated_result
+from trustlab.identification.runs import Run, block_means, joined, read_runs
+from trustlab.identification.structure import (
+    UNIT_MARGIN,
+    Coordinate,
+    IdentificationError,
+    Parameter,
+    Structure,
+)
+from trustlab.models.checks import one_of
+from trustlab.models.deprecation import warn_renamed
 from trustlab.models.human import HumanModel, performance_curve
 from trustlab.sessions.session import Session
 
-__all__ = ["build_human", "estimate_human", "fit_human", "with_derived_b"]
+__all__ = [
+    "HUMAN",
+    "build_human",
+    "decay_rates",
+    "fit_human",
+    "human_guess",
+    "human_parameters",
+    "initial_utilization",
+    "performance_slopes",
+    "solve_pair",
+    "undo_blocks",
+]
+
+EDGE = 1e-9
+"""(2.6) has an infinite slope at r = 0 and r = 1; its slope is taken this far inside."""
+
+GRID_R0 = np.array([0.03, 0.3, 0.6, 0.9, 0.999])
+GRID_BETA = np.linspace(0.15, 0.95, 9)
 
 
 def fit_human(
@@ -37,9 +58,10 @@ def fit_human(
     ----------
     sessions : Session or iterable of Session
         Runs with columns mode and p_h; parameters are shared, initial utilizations are not.
-    method : {"output_error", "arx"}
+    method : {"output_error", "regression"}
         "output_error" minimises Σ (p_h − P_h(k))² of the simulated model (what the dissertation calls PEM).
-        "arx" takes a from the logged column r by least squares on (2.5) and the rest from p_h against r.
+        "regression" needs the logged utilization, column r: a by linear regression on (2.5), the rest by
+        least squares of p_h on (2.6) at the logged r.
     fixed : mapping, optional
         Values to hold, by name: a, beta, p_min, p_max, r0.
     bounds : mapping, optional
@@ -62,69 +84,110 @@ def fit_human(
     ValueError
         If an argument is not understood.
     """
-    fixed, bounds = {} if fixed is None else fixed, {} if bounds is None else bounds
-    check_method(method, fixed, bounds, noise)
     if method == "arx":
-        return _least_squares(sessions)
-    runs, _ = traces(sessions, "p_h")
-    problem, found = estimate_human(runs, limits_of(HUMAN, fixed, bounds), noise)
-    table, covariance = parameter_table(problem, found)
-    model = build_human(*found.theta[:4])
-    return result(problem, found, model, with_derived_b(table), covariance)
+        warn_renamed('fit_human(method="arx")', 'fit_human(method="regression")')
+        method = "regression"
+    one_of("method", method, ("output_error", "regression"))
+    if method == "regression":
+        refuse_options(method, fixed, bounds, noise)
+        return _fit_at_logged_utilization(sessions)
+    return fit(HUMAN, sessions, fixed=fixed, bounds=bounds, noise=noise)
 
 
-def with_derived_b(table: pd.DataFrame, prefix: str = "") -> pd.DataFrame:
-    """
-    Add the row of b_r = 1 − a_r, equation (2.5).
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        Parameters with columns value, stderr, status.
-    prefix : str
-        What stands before the parameters' names.
-    """
-    a = table.index.get_loc(f"{prefix}a")
-    return with_row(table, f"{prefix}b", 1.0 - table["value"].iloc[a], table["stderr"].iloc[a], "derived")
+# --- the structure -------------------------------------------------------------------------------------------------
 
 
-def with_row(table: pd.DataFrame, name: str, value: float, stderr: float, status: str) -> pd.DataFrame:
-    """
-    Return a table of parameters with one row more; much quicker than `table.loc[name] = …`.
+@numba.njit(cache=True, inline="always")
+def performance_slopes(r, beta):
+    """Return the Yerkes–Dodson shape of (2.6) and its derivatives by r and β."""
+    if r <= 0.0 or r >= 1.0:
+        shape, by_beta = 0.0, 0.0
+    else:
+        log_r, log_q = np.log(r / beta), np.log((1.0 - r) / (1.0 - beta))
+        shape = np.exp(beta * log_r + (1.0 - beta) * log_q)
+        by_beta = shape * (log_r - log_q)
+        if EDGE < r < 1.0 - EDGE:
+            return shape, shape * (beta / r - (1.0 - beta) / (1.0 - r)), by_beta
+    inside = min(max(r, EDGE), 1.0 - EDGE)
+    steep = np.exp(beta * np.log(inside / beta) + (1.0 - beta) * np.log((1.0 - inside) / (1.0 - beta)))
+    return shape, steep * (beta / inside - (1.0 - beta) / (1.0 - inside)), by_beta
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        Index `parameter`; columns value, stderr, status.
-    name : str
-        The new parameter.
-    value, stderr : float
-        What is known of it.
-    status : str
-        Where it comes from.
-    """
-    columns = {
-        "value": np.append(table["value"].to_numpy(), value),
-        "stderr": np.append(table["stderr"].to_numpy(), stderr),
-        "status": [*table["status"], status],
-    }
-    return pd.DataFrame(columns, index=pd.Index([*table.index, name], name="parameter"))
+
+SLOPES = np.dtype([(name, float) for name in ("a", "beta", "p_min", "p_max", "r0")])
+
+
+@numba.njit(cache=True)
+def _simulate_with_slopes(mode, a, beta, p_min, p_max, r0, p_h, by):
+    """Run (2.5)-(2.6) and their derivatives by every parameter, into `p_h` and the records `by`."""
+    r, r_a, r_0 = r0, 0.0, 1.0  # utilization, and its derivatives by a and r0
+    span = p_max - p_min
+    for k in range(mode.size):
+        shape, slope, by_beta = performance_slopes(r, beta)
+        p_h[k] = p_min + span * shape
+        row = by[k]
+        row.a = span * slope * r_a
+        row.beta = span * by_beta
+        row.p_min = 1.0 - shape
+        row.p_max = shape
+        row.r0 = span * slope * r_0
+        # (2.5) differentiated by a: ∂r(k+1) = a ∂r(k) + r(k) − M(k); by r0: the homogeneous part alone.
+        r_a = a * r_a + r - mode[k]
+        r_0 = a * r_0
+        r = a * r + (1.0 - a) * mode[k]
+
+
+def _sensitivities(run: Run, a, beta, p_min, p_max, r0):
+    """Return P_h and its derivatives, shape (N, 5)."""
+    p_h, by = np.empty(run.size), np.empty(run.size, SLOPES)
+    _simulate_with_slopes(run["mode"], a, beta, p_min, p_max, r0, p_h, by)
+    return [p_h], [by.view(float).reshape(run.size, -1)]
+
+
+def human_parameters(prefix: str = "") -> tuple[Parameter, ...]:
+    """Return a, beta, p_min and p_max of (2.5)-(2.6)."""
+    span = (f"{prefix}p_min", f"{prefix}p_max")
+    return (
+        Parameter(
+            f"{prefix}a", search="rate", hint="record a rise or a decay long enough to show its curvature"
+        ),
+        Parameter(
+            f"{prefix}beta",
+            search="logit",
+            hint="record phases that take utilization to both sides of the best one",
+        ),
+        Parameter(
+            f"{prefix}p_min", span=span, hint="record a phase long enough to settle at the least performance"
+        ),
+        Parameter(
+            f"{prefix}p_max",
+            span=span,
+            hint="record a phase long enough to come near the greatest performance",
+        ),
+    )
+
+
+def initial_utilization(beta: str = "beta") -> Parameter:
+    """Return r0; `beta` is the name of the parameter β of the same operator."""
+
+    def coordinate(guess: Mapping) -> Coordinate:
+        # Close to rest (2.6) grows as r^β, with infinite slope: in x = r0^β the likelihood is smooth there.
+        power = guess[beta]
+        return Coordinate(
+            lambda r: r**power,
+            lambda x: x ** (1.0 / power),
+            lambda x: max(x, EDGE**power) ** (1.0 / power - 1.0) / power,
+            0.0,
+            1.0,
+            lambda r: np.inf,
+        )
+
+    return Parameter(
+        "r0", 0.0, 1.0, search=coordinate, ends={0.0: "a rested operator", 1.0: "an operator at full load"}
+    )
 
 
 def build_human(a: float, beta: float, p_min: float, p_max: float) -> HumanModel:
-    """
-    Return the model, or say what about the data contradicts (2.6).
-
-    Parameters
-    ----------
-    a, beta, p_min, p_max : float
-        Estimates.
-
-    Raises
-    ------
-    IdentificationError
-        If p_max is not above p_min.
-    """
+    """Return the model, or say what about the data contradicts (2.6)."""
     if not p_max > p_min:
         raise IdentificationError(
             f"human performance is not greatest between rest and full load in these data (the fit has p_max = "
@@ -134,96 +197,182 @@ def build_human(a: float, beta: float, p_min: float, p_max: float) -> HumanModel
     return HumanModel(float(a), float(beta), float(p_min), float(p_max))
 
 
-def estimate_human(runs: list[Trace], limits: dict, noise: str = "auto") -> tuple[Problem, Estimate]:
-    """
-    Run the output-error method on (2.5)-(2.6).
-
-    Parameters
-    ----------
-    runs : list of Trace
-        Runs with mode and p_h.
-    limits : dict
-        From `limits_of`.
-    noise : str
-        As in `fit_human`.
-    """
-    check_output_moves(runs, "p_h", ("beta", "p_min", "p_max"))
-    start = human_start(runs, limits)
-    problem = Problem(HUMAN, runs, power=start["beta"])
-    theta = np.r_[[start[name] for name in HUMAN.shared], np.full(len(runs), start["r0"])]
-    return problem, estimate(problem, theta, limits, noise)
+# --- the initial guess ---------------------------------------------------------------------------------------------
 
 
-def _least_squares(sessions) -> FitResult:
+@numba.njit(cache=True)
+def solve_pair(s11, s12, s22, t1, t2):
+    """Solve normal equations of two unknowns; NaN where they are singular."""
+    determinant = s11 * s22 - s12 * s12
+    if determinant <= 1e-12 * s11 * s22:
+        return np.nan, np.nan
+    return (s22 * t1 - s12 * t2) / determinant, (s11 * t2 - s12 * t1) / determinant
+
+
+GRID_POINT = np.dtype([(name, float) for name in ("squares", "a", "beta", "p_min", "p_max", "r0")])
+
+
+@numba.njit(cache=True)
+def _search_grid(mode, p_h, starts, rates, betas, rests, out):
+    """Fill Σ e² and parameters at every grid point with p_max > p_min; `starts` are where runs begin and the end."""
+    total = np.sum(p_h**2)
+    log_r, log_q = np.empty(p_h.size), np.empty(p_h.size)  # of (2.6), shared by all beta
+    number = 0
+    for a in rates:
+        for rest in rests:
+            for i in range(starts.size - 1):
+                r = rest
+                for k in range(starts[i], starts[i + 1]):
+                    middle = r + 0.5 * (1.0 - a) * (mode[k] - r)
+                    inside = 0.0 < middle < 1.0
+                    log_r[k] = np.log(middle) if inside else -np.inf
+                    log_q[k] = np.log(1.0 - middle) if inside else -np.inf
+                    r += (1.0 - a) * (mode[k] - r)
+            for beta in betas:
+                # P_h = p_min (1 − shape) + p_max shape is linear in p_min and p_max: they are solved for.
+                s11 = s12 = s22 = t1 = t2 = 0.0
+                top = beta * np.log(beta) + (1.0 - beta) * np.log(1.0 - beta)
+                for k in range(starts[0], starts[-1]):
+                    high = np.exp(beta * log_r[k] + (1.0 - beta) * log_q[k] - top)
+                    low = 1.0 - high
+                    s11 += low * low
+                    s12 += low * high
+                    s22 += high * high
+                    t1 += low * p_h[k]
+                    t2 += high * p_h[k]
+                p_min, p_max = solve_pair(s11, s12, s22, t1, t2)
+                if p_max > p_min:
+                    point = out[number]
+                    point.squares = total - p_min * t1 - p_max * t2
+                    point.a = a
+                    point.beta = beta
+                    point.p_min = p_min
+                    point.p_max = p_max
+                    point.r0 = rest
+                number += 1
+
+
+def decay_rates(longest: int, length: int, limits: tuple[float, float]) -> np.ndarray:
+    """Return shares kept over a block of `length` samples, for time constants from a few samples to many runs."""
+    time_constants = np.geomspace(min(20.0, 0.2 * longest), 4.0 * longest, 18)
+    return np.unique(np.clip(1.0 - 1.0 / time_constants, *limits)) ** length
+
+
+def undo_blocks(rate: float, length: int) -> float:
+    """Return the share kept over one sample, of that kept over a block."""
+    return min(max(rate ** (1.0 / length), UNIT_MARGIN), 1.0 - UNIT_MARGIN)
+
+
+def human_guess(runs: list[Run], limits: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+    """Return starting values of a, beta, p_min, p_max and r0 from a coarse search on block means."""
+    means, length = block_means(runs)
+    starts = np.cumsum([0, *(run.size for run in means)])
+    betas = np.unique(np.clip(GRID_BETA, *limits["beta"]))
+    rests = np.unique(np.clip(GRID_R0, *limits["r0"]))
+    rates = decay_rates(max(run.size for run in runs), length, limits["a"])
+    p_h = joined(means, "p_h")
+    grid = np.full(rates.size * rests.size * betas.size, np.inf, GRID_POINT)
+    _search_grid(joined(means, "mode"), p_h, starts, rates, betas, rests, grid)
+    if not np.isfinite(grid["squares"]).any():
+        high = p_h.max() + (1e-3 * max(abs(p_h.max()), 1.0) if np.ptp(p_h) == 0.0 else 0.0)
+        middle = (0.0, rates[rates.size // 2], betas[betas.size // 2], p_h.min(), high, rests[0])
+        grid = np.array([middle], GRID_POINT)
+    # The likelihood of (2.6) has several valleys (a slow operator beyond the best utilization looks like a quick one
+    # below it): the best points of different rates and initial utilizations are refined before the best is taken.
+    refined = [_refined(means, point, limits, length) for point in _best_apart(grid, rates)]
+    _, a, beta, p_min, p_max, r0 = min(refined, key=lambda values: values[0])
+    return {"a": undo_blocks(a, length), "beta": beta, "p_min": p_min, "p_max": p_max, "r0": r0}
+
+
+def _best_apart(grid: np.ndarray, rates: np.ndarray, most: int = 6) -> list[np.void]:
+    """Return the best grid points, one for each initial utilization and third of the rates."""
+    thirds = np.searchsorted(rates, grid["a"]) * 3 // max(rates.size, 1)
+    best: dict[tuple, np.void] = {}
+    for point, third in zip(grid, thirds, strict=True):
+        key = (third, point["r0"])
+        if np.isfinite(point["squares"]) and (key not in best or point["squares"] < best[key]["squares"]):
+            best[key] = point
+    return sorted(best.values(), key=lambda point: point["squares"])[:most]
+
+
+def _refined(means: list[Run], point: np.void, limits: Mapping, length: int) -> tuple[float, ...]:
+    """Search from one grid point on block means; p_min and p_max stay free even where the user fixed them."""
+    guess = {name: float(point[name]) for name in HUMAN.names}
+    problem = Problem(HUMAN, means, guess)
+    rate = [min(max(bound**length, UNIT_MARGIN), 1.0 - UNIT_MARGIN) for bound in limits["a"]]
+    wide = {**limits, "a": rate, "p_min": (-np.inf, np.inf), "p_max": (-np.inf, np.inf)}
+    low, high = (problem.vector({name: wide[name][side] for name in HUMAN.names}) for side in (0, 1))
+    start = np.clip(problem.vector(guess), low, high)
+    found = problem.search(start, low, high, tolerance=1e-2, max_iterations=25)
+    a, beta, p_min, p_max, *states = problem.from_search(found.x)
+    if not p_max > p_min:
+        return tuple(point)
+    return (found.normal.squares.sum(), a, beta, p_min, p_max, np.median(states))
+
+
+HUMAN = Structure(
+    "human model (2.5)-(2.6)",
+    parameters=human_parameters(),
+    initial=(initial_utilization(),),
+    outputs=("p_h",),
+    sensitivities=_sensitivities,
+    guess=human_guess,
+    model=build_human,
+    derived={"b": lambda at: 1.0 - at["a"]},
+)
+
+
+# --- least squares at the logged utilization -----------------------------------------------------------------------
+
+
+def _fit_at_logged_utilization(sessions) -> FitResult:
     """Fit (2.5) to the logged utilization and (2.6) to performance against it."""
     from scipy import optimize
 
     try:
-        runs, _ = traces(sessions, "p_h", "r")
+        runs = read_runs(sessions, "mode", "p_h", "r")
     except ValueError as error:
         raise IdentificationError(
-            f'method "arx" needs the logged utilization, column r, because (2.6) is not linear in its parameters: {error}; '
-            'without it use method="output_error", as the dissertation does',
+            'method "regression" needs the logged utilization, column r, because (2.6) is not linear in its '
+            f'parameters: {error}; without it use method="output_error", as the dissertation does',
             ("a", "beta"),
         ) from error
-    design = np.concatenate([run.r[:-1] - run.mode[:-1] for run in runs])[None, :]
-    target = np.concatenate([run.r[1:] - run.mode[:-1] for run in runs])
-    (a,), variance, _ = regression(design, target, ("a",))
-    r, p_h = np.concatenate([run.r for run in runs]), np.concatenate([run.p_h for run in runs])
+    # (2.5) as a regression without constant: r(k+1) − M(k) = a (r(k) − M(k)).
+    design = np.concatenate([run["r"][:-1] - run["mode"][:-1] for run in runs])[None, :]
+    target = np.concatenate([run["r"][1:] - run["mode"][:-1] for run in runs])
+    (a,), a_variance, _ = regression(design, target, ("a",))
 
-    def linear(beta):
+    # (2.6) is linear in p_min and p_max: a search over beta alone, the other two by regression at each.
+    r, p_h = joined(runs, "r"), joined(runs, "p_h")
+
+    def at_beta(beta):
         shape = performance_curve(r, beta, 0.0, 1.0)
-        return regression(np.stack([1.0 - shape, shape]), p_h, ("p_min", "p_max"))
+        (p_min, p_max), _, residuals = regression(np.stack([1.0 - shape, shape]), p_h, ("p_min", "p_max"))
+        return shape, p_min, p_max, residuals
 
     search = optimize.minimize_scalar(
-        lambda beta: linear(beta)[2] @ linear(beta)[2],
+        lambda beta: at_beta(beta)[-1] @ at_beta(beta)[-1],
         bounds=(1e-4, 1.0 - 1e-4),
         method="bounded",
         options={"xatol": 1e-10},
     )
     beta = float(search.x)
-    (p_min, p_max), _, residuals = linear(beta)
+    shape, p_min, p_max, residuals = at_beta(beta)
+    # Regressing the residuals on the derivatives by all three moves nothing, but yields their joint covariance.
     step = 1e-6 * min(beta, 1.0 - beta)
-    by_beta = (
-        performance_curve(r, beta + step, p_min, p_max) - performance_curve(r, beta - step, p_min, p_max)
-    ) / (2.0 * step)
-    shape = performance_curve(r, beta, 0.0, 1.0)
-    _, gram_inverse, _ = regression(
-        np.stack([by_beta, 1.0 - shape, shape]), residuals, ("beta", "p_min", "p_max")
-    )
-    model = build_human(a, beta, p_min, p_max)
-    names = ["a", "beta", "p_min", "p_max"]
+    above, below = (performance_curve(r, beta + sign * step, p_min, p_max) for sign in (1.0, -1.0))
+    slopes = np.stack([(above - below) / (2.0 * step), 1.0 - shape, shape])
+    _, curve_covariance, _ = regression(slopes, residuals, ("beta", "p_min", "p_max"))
     covariance = np.zeros((4, 4))
-    covariance[0, 0], covariance[1:, 1:] = variance[0, 0], gram_inverse
-    table = pd.DataFrame(
-        {"value": [a, beta, p_min, p_max], "stderr": np.sqrt(np.diag(covariance)), "status": "estimated"},
-        index=pd.Index(names, name="parameter"),
-    )
-    fits = []
-    for run in runs:
-        simulated = model.simulate(run.mode, float(run.r[0]))[1]
-        fits.append(RunFit(run.label, run.synthetic, run.t, run.mode, {"p_h": run.p_h}, {"p_h": simulated}))
-    errors = np.concatenate([fit.measured["p_h"] - fit.fitted["p_h"] for fit in fits])
-    worthless = errors @ errors >= np.sum((p_h - p_h.mean()) ** 2)
-    return FitResult(
-        model=model,
-        method="arx",
-        parameters=with_derived_b(table),
-        covariance=pd.DataFrame(covariance, index=pd.Index(names, name="parameter"), columns=names),
-        initial_states=pd.DataFrame(
-            {"r0": [run.r[0] for run in runs], "r0_stderr": np.nan},
-            index=pd.Index([f.label for f in fits], name="run"),
-        ),
-        runs=fits,
-        noise="white",
-        sigma={"p_h": float(np.sqrt(residuals @ residuals / max(p_h.size - 3, 1)))},
-        cost=0.5 * float(errors @ errors),
-        success=not worthless,
-        message="Least squares on the logged utilization: noise in column r biases a and beta."
-        + (
-            " The simulated model explains less than the mean does; do not use the numbers."
-            if worthless
-            else ""
-        ),
-        degrees_of_freedom=float(p_h.size - 3),
+    covariance[0, 0], covariance[1:, 1:] = a_variance[0, 0], curve_covariance
+    return simulated_result(
+        HUMAN,
+        runs,
+        np.array([a, beta, p_min, p_max]),
+        covariance,
+        [(float(run["r"][0]),) for run in runs],
+        residuals,
+        p_h.size - 3,
+        "regression",
+        "Least squares at the logged utilization: noise in column r biases a and beta.",
     )

@@ -1,149 +1,200 @@
-"""The output-error (prediction-error) method: search and covariance."""
+"""The output-error (prediction-error) method for any structure: likelihood, search, covariance."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trustlab.identification.errors import IdentificationError
-from trustlab.identification.greybox import Problem
-from trustlab.identification.least_squares import minimise
-from trustlab.identification.residuals import hac_lags, hac_matrix, ljung_box, pooled_autocorrelation
+from trustlab.identification.least_squares import NormalEquations, minimise
+from trustlab.identification.residuals import hac_lags, hac_matrix, sandwich, whiteness_p
+from trustlab.identification.runs import Run, joined
+from trustlab.identification.structure import IdentificationError, Structure
 
-__all__ = ["Estimate", "estimate"]
+__all__ = ["NOISES", "Estimate", "Problem", "estimate"]
+
+NOISES = ("auto", "white", "hac")
 
 SINGULAR = 1e-10
 """Smallest eigenvalue of the information matrix, scaled to unit diagonal, that still counts as information."""
 
 
+class Problem:
+    """A structure with the runs that it is to explain; the full vector holds the parameters, then each run's initial states."""
+
+    def __init__(self, structure: Structure, runs: list[Run], guess: Mapping):
+        self.structure, self.runs = structure, runs
+        self.shared, self.own = len(structure.parameters), len(structure.initial)
+        one_run = [one.coordinate(guess) for one in (*structure.parameters, *structure.initial)]
+        self.coordinates = one_run[: self.shared] + one_run[self.shared :] * len(runs)
+        self.where = [self.columns(i) for i in range(len(runs))]
+        self.moved = [structure.columns_of(name) for name in structure.outputs]
+        measured = [joined(runs, name) for name in structure.outputs]
+        self.counts = np.array([values.size for values in measured], dtype=float)
+        # The likelihood of data that are reproduced exactly is infinite: Σ e² has a floor at a billionth of the scale.
+        scale = [max(float(np.sqrt(np.mean(values**2))), 1e-300) for values in measured]
+        self.floors = self.counts * (1e-9 * np.array(scale)) ** 2
+        self.latest: list = [None] * len(runs)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all coordinates; initial states carry the number of their run."""
+        shared, initial = self.structure.names[: self.shared], self.structure.names[self.shared :]
+        if len(self.runs) == 1:
+            return [*shared, *initial]
+        return [*shared, *(f"{name}[{i}]" for i in range(len(self.runs)) for name in initial)]
+
+    def columns(self, run: int) -> np.ndarray:
+        """Return where the parameters and one run's initial states stand in the full vector."""
+        first = self.shared + run * self.own
+        return np.r_[0 : self.shared, first : first + self.own]
+
+    def vector(self, values: Mapping) -> np.ndarray:
+        """Return the full vector of values by name; an initial state may have one value per run."""
+        shared = [values[name] for name in self.structure.names[: self.shared]]
+        states = [
+            np.broadcast_to(values[name], (len(self.runs),)) for name in self.structure.names[self.shared :]
+        ]
+        return np.r_[shared, np.column_stack(states).ravel() if states else []].astype(float)
+
+    def predict(self, run: int, theta: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Simulate one run; return its outputs and their derivatives."""
+        values = dict(zip(self.structure.names, theta[self.where[run]], strict=True))
+        self.latest[run] = self.structure.predict(self.runs[run], values)
+        return self.latest[run]
+
+    def normal(self, theta: np.ndarray) -> NormalEquations:
+        """Accumulate the likelihood's gradient and Gauss–Newton matrix over all runs."""
+        p, outputs = theta.size, len(self.structure.outputs)
+        squares, gradients, matrices = np.zeros(outputs), np.zeros((outputs, p)), np.zeros((outputs, p, p))
+        for i, run in enumerate(self.runs):
+            simulated, jacobians = self.predict(i, theta)
+            for j, name in enumerate(self.structure.outputs):
+                error = run[name] - simulated[j]
+                squares[j] += error @ error
+                where = self.where[i][self.moved[j]]
+                gradients[j, where] += error @ jacobians[j]
+                matrices[j][where[:, None], where] += jacobians[j].T @ jacobians[j]
+        # With the variance of each output estimated as Σ e²/n, the likelihood is Σ n ln(Σ e²) but for a constant, and
+        # its derivatives weight each output by n/Σ e²: no output needs a weight from the user.
+        weights = self.counts / (squares + self.floors)
+        value = float(self.counts @ np.log(squares + self.floors))
+        exact = bool((squares <= 1e-6 * self.floors).all())
+        return NormalEquations(
+            value, weights @ gradients, np.einsum("i,ijk", weights, matrices), squares, exact
+        )
+
+    def search_normal(self, x: np.ndarray) -> NormalEquations:
+        """Return `normal` in the coordinates of the search."""
+        at = self.normal(self.from_search(x))
+        slope = np.array([one.slope(value) for one, value in zip(self.coordinates, x, strict=True)])
+        return replace(at, gradient=at.gradient * slope, matrix=at.matrix * np.outer(slope, slope))
+
+    def to_search(self, theta: np.ndarray) -> np.ndarray:
+        """Return search coordinates of parameters."""
+        return np.array([one.to(value) for one, value in zip(self.coordinates, theta, strict=True)])
+
+    def from_search(self, x: np.ndarray) -> np.ndarray:
+        """Return parameters of search coordinates."""
+        return np.array([one.back(value) for one, value in zip(self.coordinates, x, strict=True)])
+
+    def search(self, start: np.ndarray, low: np.ndarray, high: np.ndarray, **options):
+        """Minimise from a start within bounds, all given as parameters; the result is in search coordinates."""
+        to = self.to_search
+        return minimise(self.search_normal, to(start), to(low), to(high), **options)
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """
-    A search's result in the parameters' own coordinates.
+    A search's result as parameters.
 
-    Parameters
-    ----------
-    theta : numpy.ndarray, shape (p,)
-        Shared parameters, then every run's initial states.
-    covariance : numpy.ndarray, shape (p, p)
-        Zero in rows of fixed parameters, NaN in rows of parameters that a bound holds.
-    fixed, at_bound : numpy.ndarray of bool, shape (p,)
-        Which were fixed, and which a bound holds.
-    inverse : numpy.ndarray, shape (free, free)
-        (Σ w JᵀJ)⁻¹ of the free parameters, w = n/Σ e²; for propagating further noise.
-    free : numpy.ndarray of int
-        Numbers of the free parameters.
-    residuals : list of list of numpy.ndarray
-        Measured minus fitted, per output and run.
-    fitted : list of list of numpy.ndarray
-        Fitted values, per output and run.
-    cost : float
-        ½ Σ e² over all outputs.
-    sigma : numpy.ndarray, shape (outputs,)
-        Standard deviation of the residuals, √(Σ e²/(n − p)).
-    whiteness_p : float
-        p of the Ljung–Box test, the smallest over outputs.
-    noise : str
-        "white" or "hac": how the covariance was computed.
-    converged : bool
-        Whether the search ended at a minimum.
-    iterations : int
-        Evaluations used.
+    `covariance` is 0 in rows of fixed parameters and NaN in rows of those at a bound; `information` is Σ w JᵀJ
+    with w = n/Σ e², `inverse` its inverse for the `free` ones. `residuals` and `fitted` are lists by output, then by run.
     """
 
+    names: list[str]
     theta: np.ndarray
     covariance: np.ndarray
     fixed: np.ndarray
     at_bound: np.ndarray
+    information: np.ndarray
     inverse: np.ndarray
     free: np.ndarray
     residuals: list
     fitted: list
-    cost: float
+    squares: np.ndarray
     sigma: np.ndarray
     whiteness_p: float
     noise: str
     converged: bool
     iterations: int
 
+    @property
+    def status(self) -> list[str]:
+        """Whether each value was estimated, is fixed, or is held by a bound."""
+        return np.where(self.fixed, "fixed", np.where(self.at_bound, "at bound", "estimated")).tolist()
 
-def estimate(
-    problem: Problem, start: np.ndarray, limits: dict[str, tuple[float, float]], noise: str = "auto"
-) -> Estimate:
-    """
-    Search from `start`, then give covariance and diagnostics.
+    def value(self, name: str) -> float:
+        """Return one estimate."""
+        return float(self.theta[self.names.index(name)])
 
-    Parameters
-    ----------
-    problem : Problem
-        Structure and data.
-    start : numpy.ndarray, shape (p,)
-        Shared parameters, then every run's initial states.
-    limits : dict
-        From `limits_of`.
-    noise : {"auto", "white", "hac"}
-        Which covariance: for white residuals, or robust to autocorrelated ones (Newey–West); "auto" takes the
-        robust one when the Ljung–Box test rejects whiteness at 0.001.
+    def variance(self, name: str) -> float:
+        """Return the variance of one estimate."""
+        return float(self.covariance[self.names.index(name), self.names.index(name)])
 
-    Raises
-    ------
-    IdentificationError
-        If the data leave a parameter undetermined.
-    """
-    if noise not in ("auto", "white", "hac"):
-        raise ValueError(f'noise must be "auto", "white" or "hac", got {noise!r}')
+
+def estimate(problem: Problem, start: np.ndarray, limits: Mapping, noise: str = "auto") -> Estimate:
+    """Search from `start` within the limits of every name, then give covariance and diagnostics."""
     structure, runs = problem.structure, len(problem.runs)
-    order = [*structure.shared, *structure.initial * runs]
+    order = [*structure.names[: problem.shared], *structure.names[problem.shared :] * runs]
     low, high = (np.array([limits[name][side] for name in order]) for side in (0, 1))
     fixed = low == high
-    minimum = minimise(
-        problem.search_normal, problem.to_search(start), problem.to_search(low), problem.to_search(high)
-    )
+    minimum = problem.search(start, low, high)
     theta = problem.from_search(minimum.x)
+    # The way to the search coordinate and back rounds: what is fixed or at a bound gets its exact value.
     theta[fixed] = low[fixed]
     theta[minimum.at_bound] = np.clip(theta, low, high)[minimum.at_bound]
     normal = problem.normal(theta)
+    if not np.isfinite(normal.value):
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(problem.names, theta, strict=True))
+        raise ValueError(
+            f"structure {structure.name!r} simulates values that are not finite at {values}; start elsewhere with "
+            "guess={...} or narrow the bounds"
+        )
     free = np.flatnonzero(~fixed & ~minimum.at_bound)
     inverse = _inverse(normal.matrix, free, problem)
 
-    fitted, residuals = [[] for _ in structure.outputs], [[] for _ in structure.outputs]
-    for i, run in enumerate(problem.runs):
-        predicted = problem.latest(i)  # what `normal` has just simulated
-        for j, name in enumerate(structure.outputs):
-            fitted[j].append(predicted.outputs[j].copy())
-            residuals[j].append(getattr(run, name) - predicted.outputs[j])
-    exact = normal.squares <= 1e-4 * problem.floors
-    correlation = [pooled_autocorrelation(own, 25) for own in residuals]
-    # Residuals of an exact fit are rounding: there is no noise to call white or not.
-    whiteness = [
-        1.0 if exact[j] else ljung_box(rho, int(problem.counts[j]))[2] for j, rho in enumerate(correlation)
+    fitted = [[outputs[j] for outputs, _ in problem.latest] for j in range(len(structure.outputs))]
+    residuals = [
+        [run[name] - simulated for run, simulated in zip(problem.runs, fitted[j], strict=True)]
+        for j, name in enumerate(structure.outputs)
     ]
-    whiteness_p = float(min(whiteness))
-    robust = noise == "hac" or (noise == "auto" and whiteness_p < 1e-3)
-    if robust:
-        meat = _meat(problem, theta, residuals, normal.squares, free)
-        core = inverse @ meat @ inverse
-    else:
-        core = inverse
-    total = problem.counts.sum()
-    core = core * (total / max(total - free.size, 1.0))
+    # Residuals of an exact fit are rounding: there is no noise to call white or not.
+    exact = normal.squares <= 1e-4 * problem.floors
+    p_value = min(1.0 if exact[j] else whiteness_p(own) for j, own in enumerate(residuals))
+    robust = noise == "hac" or (noise == "auto" and p_value < 1e-3)
+    # The inverse information matrix is the covariance for white residuals; else it is the bread of a sandwich.
+    meat = _meat(problem, residuals, normal.squares)[np.ix_(free, free)] if robust else None
     covariance = np.zeros((theta.size, theta.size))
     covariance[minimum.at_bound, :] = covariance[:, minimum.at_bound] = np.nan
-    covariance[np.ix_(free, free)] = core
+    covariance[np.ix_(free, free)] = sandwich(inverse, meat, problem.counts.sum())
     dof = np.maximum(problem.counts - free.size / len(structure.outputs), 1.0)
     return Estimate(
+        names=problem.names,
         theta=theta,
         covariance=covariance,
         fixed=fixed,
         at_bound=minimum.at_bound,
+        information=normal.matrix,
         inverse=inverse,
         free=free,
         residuals=residuals,
         fitted=fitted,
-        cost=0.5 * float(normal.squares.sum()),
+        squares=normal.squares,
         sigma=np.sqrt(normal.squares / dof),
-        whiteness_p=whiteness_p,
+        whiteness_p=float(p_value),
         noise="hac" if robust else "white",
         converged=minimum.converged,
         iterations=minimum.iterations,
@@ -152,50 +203,48 @@ def estimate(
 
 def _inverse(matrix: np.ndarray, free: np.ndarray, problem: Problem) -> np.ndarray:
     """Invert the free part of the information matrix, or name what it says nothing about."""
-    names = problem.names
     part = matrix[np.ix_(free, free)]
-    diagonal = np.diag(part).copy()
     if free.size == 0:
         return part
-    dead = diagonal <= 1e-30 * diagonal.max(initial=1e-300)
-    if not dead.any():
+    diagonal = np.diag(part).copy()
+    lost = diagonal <= 1e-30 * diagonal.max(initial=1e-300)
+    if not lost.any():
+        # Scaled to unit diagonal, so that the units of the parameters do not decide what is singular.
         scale = np.sqrt(diagonal)
         values, vectors = np.linalg.eigh(part / np.outer(scale, scale))
         if values[0] > SINGULAR:
             return (vectors / values) @ vectors.T / np.outer(scale, scale)
-        dead = np.abs(vectors[:, 0]) > 0.25
-    lost = tuple(names[free[j]] for j in np.flatnonzero(dead))
+        # Parameters with a share in the direction that the data say nothing about.
+        lost = np.abs(vectors[:, 0]) > 0.25
+    names = tuple(problem.names[free[j]] for j in np.flatnonzero(lost))
     raise IdentificationError(
-        f"these data do not determine {' and '.join(lost)} ({_why(problem)}); record phases that move the model more, "
-        f"or fix a parameter, for example fixed={{{lost[-1].split('[')[0]!r}: ...}}",
-        lost,
+        f"these data do not determine {' and '.join(names)} ({_why(problem)}); record phases that move the model more, "
+        f"or fix a parameter, for example fixed={{{names[-1].split('[')[0]!r}: ...}}",
+        names,
     )
 
 
 def _why(problem: Problem) -> str:
     """Say what about the data makes parameters indistinguishable."""
-    modes = np.unique(np.concatenate([np.unique(run.mode) for run in problem.runs]))
-    if modes.size == 1:
-        return f"mode never changes: it is {modes[0]:g} throughout"
-    moves = []
-    for name in problem.structure.outputs:
-        spread = np.ptp(np.concatenate([getattr(run, name) for run in problem.runs]))
-        moves.append(f"{name} moves by {spread:.3g}")
-    return "several values explain them equally well; " + " and ".join(moves)
+    structure = problem.structure
+    if "mode" in structure.inputs:
+        modes = joined(problem.runs, "mode")
+        if np.ptp(modes) == 0.0:
+            return f"mode never changes: it is {modes[0]:g} throughout"
+    ranges = [f"{name} moves by {np.ptp(joined(problem.runs, name)):.3g}" for name in structure.outputs]
+    return "several values explain them equally well; " + " and ".join(ranges)
 
 
-def _meat(
-    problem: Problem, theta: np.ndarray, residuals: list, squares: np.ndarray, free: np.ndarray
-) -> np.ndarray:
-    """Return the long-run covariance of the likelihood's scores, over runs."""
+def _meat(problem: Problem, residuals: list, squares: np.ndarray) -> np.ndarray:
+    """Return the long-run covariance of the likelihood's scores, summed over runs."""
     weights = problem.counts / (squares + problem.floors)
-    meat = np.zeros((theta.size, theta.size))
+    size = len(problem.names)
+    meat = np.zeros((size, size))
     lags = max(hac_lags(own) for own in residuals)
-    for i in range(len(problem.runs)):
-        where = problem.columns(i)
-        jacobians = problem.predict(i, theta).jacobians
-        scores = np.zeros((problem.runs[i].mode.size, where.size))
-        for j, moved in enumerate(problem.structure.moves):
-            scores[:, list(moved)] += weights[j] * jacobians[j] * residuals[j][i][:, None]
+    for i, run in enumerate(problem.runs):
+        where = problem.where[i]
+        scores = np.zeros((run.size, where.size))
+        for j, jacobian in enumerate(problem.latest[i][1]):
+            scores[:, problem.moved[j]] += weights[j] * jacobian * residuals[j][i][:, None]
         meat[np.ix_(where, where)] += hac_matrix(scores, lags)
-    return meat[np.ix_(free, free)]
+    return meat

@@ -1,28 +1,29 @@
-"""What is left over: correlations, whiteness, and covariances that allow for autocorrelated noise."""
+"""What a model leaves unexplained: correlations, whiteness, and covariances that allow for autocorrelated noise."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy import special
 
-__all__ = ["hac_lags", "hac_matrix", "ljung_box", "pooled_autocorrelation", "pooled_cross_correlation"]
+__all__ = [
+    "hac_lags",
+    "hac_matrix",
+    "ljung_box",
+    "pooled_autocorrelation",
+    "pooled_cross_correlation",
+    "sandwich",
+    "whiteness_p",
+]
+
+LAGS = 25
+"""Lags of the Ljung–Box test that chooses between white and robust standard errors."""
 
 
 def pooled_autocorrelation(residuals: list[np.ndarray], lags: int) -> np.ndarray:
     """
-    Return the autocorrelation of residuals, pooled over runs; no product crosses from one run to the next.
+    Return the autocorrelation ρ(0) = 1, ρ(1), … of residuals, pooled over runs.
 
-    Parameters
-    ----------
-    residuals : list of numpy.ndarray
-        Residuals per run.
-    lags : int
-        Largest lag.
-
-    Returns
-    -------
-    numpy.ndarray, shape (lags + 1,)
-        ρ(0) = 1, ρ(1), …; about the mean over all runs, as in statsmodels.
+    No product crosses from one run to the next; the mean is that of all runs, as in statsmodels.
     """
     mean = np.concatenate(residuals).mean()
     sums = np.zeros(lags + 1)
@@ -33,21 +34,7 @@ def pooled_autocorrelation(residuals: list[np.ndarray], lags: int) -> np.ndarray
 
 
 def pooled_cross_correlation(residuals: list[np.ndarray], inputs: list[np.ndarray], lags: int) -> np.ndarray:
-    """
-    Return the correlation of e(k) with u(k − lag), pooled over runs.
-
-    Parameters
-    ----------
-    residuals, inputs : list of numpy.ndarray
-        e and u per run.
-    lags : int
-        Largest lag to either side.
-
-    Returns
-    -------
-    numpy.ndarray, shape (2 lags + 1,)
-        From −lags to lags; zero where an input never moves.
-    """
+    """Return the correlation of e(k) with u(k − lag) for −lags … lags, pooled over runs; 0 where no input moves."""
     e_mean, u_mean = np.concatenate(residuals).mean(), np.concatenate(inputs).mean()
     sums, e_power, u_power = np.zeros(2 * lags + 1), 0.0, 0.0
     for e, u in zip(residuals, inputs, strict=True):
@@ -62,42 +49,27 @@ def pooled_cross_correlation(residuals: list[np.ndarray], inputs: list[np.ndarra
 
 
 def ljung_box(correlation: np.ndarray, samples: int) -> tuple[float, int, float]:
-    """
-    Return Q = n(n + 2) Σ ρ²(l)/(n − l), its degrees of freedom and its p value.
-
-    Parameters
-    ----------
-    correlation : numpy.ndarray, shape (lags + 1,)
-        ρ(0) … ρ(lags).
-    samples : int
-        n.
-    """
+    """Return Q = n(n + 2) Σ ρ²(l)/(n − l) of ρ(0) … ρ(lags), its degrees of freedom and its p value."""
     lags = min(correlation.size - 1, samples - 1)
-    q = (
-        samples
-        * (samples + 2.0)
-        * np.sum(correlation[1 : lags + 1] ** 2 / (samples - np.arange(1, lags + 1)))
-    )
+    terms = correlation[1 : lags + 1] ** 2 / (samples - np.arange(1, lags + 1))
+    q = samples * (samples + 2.0) * np.sum(terms)
     return float(q), lags, float(special.chdtrc(lags, q))
+
+
+def whiteness_p(residuals: list[np.ndarray]) -> float:
+    """Return the p value of the Ljung–Box test."""
+    return ljung_box(pooled_autocorrelation(residuals, LAGS), sum(run.size for run in residuals))[2]
 
 
 def hac_lags(residuals: list[np.ndarray]) -> int:
     """
-    Return the bandwidth of the Bartlett window for residuals, Andrews' rule for an AR(1).
+    Return the bandwidth of the Bartlett window for residuals, by Andrews' rule for an AR(1).
 
-    The rule is applied to the residuals and to their means over blocks of 2, 4, 8 … samples, and the widest result
-    taken: white noise on top hides slow noise from the first autocorrelation, but averages out in blocks.
-
-    Parameters
-    ----------
-    residuals : list of numpy.ndarray
-        Residuals per run.
-
-    Notes
-    -----
-    1.1447 (α n)^(1/3) with α = 4ρ²/((1 − ρ)²(1 + ρ)²); at most a quarter of the shortest run. Andrews (1991),
-    *Econometrica* 59, 817-858, equations (6.2) and (6.4).
+    The rule, 1.1447 (α n)^(1/3) with α = 4ρ²/((1 − ρ)²(1 + ρ)²), is equations (6.2) and (6.4) of Andrews (1991),
+    *Econometrica* 59, 817-858; here at most a quarter of the shortest run.
     """
+    # White noise on top hides slow noise from the first autocorrelation, but averages out in blocks: the rule is applied
+    # to the means over 1, 2, 4, 8 … samples too, and the widest result taken.
     shortest, widest, length = min(run.size for run in residuals), 0.0, 1
     while length == 1 or shortest // length >= 50:
         means = [run[: run.size // length * length].reshape(-1, length).mean(axis=1) for run in residuals]
@@ -111,16 +83,21 @@ def hac_lags(residuals: list[np.ndarray]) -> int:
 
 
 def hac_matrix(scores: np.ndarray, lags: int) -> np.ndarray:
-    """
-    Return Σ over lags of Bartlett-weighted score products (Newey–West), statsmodels' own computation.
-
-    Parameters
-    ----------
-    scores : numpy.ndarray, shape (n, p)
-        Scores of one run.
-    lags : int
-        Bandwidth.
-    """
+    """Return the Bartlett-weighted sum of products of scores, shape (n, p), over lags (Newey–West; by statsmodels)."""
     from statsmodels.stats.sandwich_covariance import S_hac_simple
 
     return S_hac_simple(scores, nlags=lags)
+
+
+def sandwich(bread: np.ndarray, meat: np.ndarray | None, samples: float) -> np.ndarray:
+    """
+    Return n/(n − p) · bread · meat · bread, or n/(n − p) · bread for white residuals.
+
+    `bread` is the inverse of the information matrix Σ w JᵀJ with w = n/Σ e², `meat` the long-run covariance of the
+    scores w Jᵀe.
+    """
+    # Residuals of a fit with p parameters are too small by (n − p)/n on average. The factor makes the white form
+    # s² (JᵀJ)⁻¹ with s² = Σ e²/(n − p); the robust form takes the same one (the small-sample form of MacKinnon & White
+    # 1985, HC1, and Stata's newey), so that both agree where residuals are white.
+    factor = samples / max(samples - len(bread), 1.0)
+    return factor * (bread if meat is None else bread @ meat @ bread)

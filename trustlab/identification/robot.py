@@ -1,30 +1,40 @@
-"""Identification of robot performance, (2.3)."""
+"""Identification of robot performance, (2.3): structure, sensitivities, initial guess, `fit_robot` and its errors."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.arx import arx
-from trustlab.identification.bounds import check_method, limits_of
-from trustlab.identification.errors import IdentificationError
-from trustlab.identification.fit_result import FitResult, RunFit
-from trustlab.identification.greybox import HUMAN, ROBOT, Problem
-from trustlab.identification.human import estimate_human
-from trustlab.identification.identifiability import check_mode_moves, check_output_moves, undetermined
-from trustlab.identification.output_error import Estimate, estimate
-from trustlab.identification.sensitivities import input_influence
-from trustlab.identification.starting_values import robot_start
-from trustlab.identification.summary import parameter_table, result
-from trustlab.identification.traces import Trace, traces
-from trustlab.models.checks import finite_number
+from trustlab.identification.fit_result import FitResult, parameter_table
+from trustlab.identification.fitting import (
+    check_data,
+    estimate_runs,
+    found_table,
+    refuse_options,
+    result,
+    weak_parameters,
+)
+from trustlab.identification.human import HUMAN, decay_rates, solve_pair, undo_blocks
+from trustlab.identification.output_error import Estimate, Problem
+from trustlab.identification.regression import equations, regress
+from trustlab.identification.runs import Run, block_means, joined, read_runs
+from trustlab.identification.structure import IdentificationError, LinearForm, Parameter, Structure
+from trustlab.models.checks import one_of, positive
 from trustlab.models.robot import RobotModel
 from trustlab.sessions.session import Session
 
-__all__ = ["build_robot", "fit_robot"]
+__all__ = [
+    "build_robot",
+    "check_excitation",
+    "fit_robot",
+    "robot_guess",
+    "robot_parameters",
+    "robot_structure",
+]
 
 
 def fit_robot(
@@ -71,237 +81,341 @@ def fit_robot(
     ValueError
         If an argument is not understood.
     """
-    fixed, bounds = {} if fixed is None else fixed, {} if bounds is None else bounds
-    check_method(method, fixed, bounds, noise)
-    limits = limits_of(ROBOT, fixed, bounds)
-    runs, _ = traces(sessions, "p_h", "p_r")
-    check_mode_moves(runs, limits, "p_min", "p_max")
-    check_output_moves(runs, "p_r", ("a", "p_min", "p_max"))
-    if p_h_max is not None and not finite_number("p_h_max", p_h_max) > 0.0:
-        raise ValueError(f"p_h_max must be positive, got {p_h_max}")
-    middle = float(np.median(np.concatenate([run.p_h for run in runs])))
-    if p_h_max is not None and p_h_max < middle:
-        raise ValueError(
-            f"p_h_max = {p_h_max} lies below the median of the measured p_h, {middle:.4g}; it is the greatest"
-        )
-    human = None if p_h_max is not None else _best_operator(runs)
-    best = float(p_h_max) if human is None else float(human[1].theta[3])
-    if not best > 0.0:
-        raise IdentificationError(
-            f"column p_h: the operator's greatest performance comes out as {best:.4g}, but (2.3) divides by it; use a measure "
-            "of performance that is positive",
-            ("p_max",),
-        )
+    if one_of("method", method, ("output_error", "arx")) == "arx":
+        refuse_options(method, fixed, bounds, noise)
+    for given in (fixed, bounds):
+        if isinstance(given, Mapping) and "p_h_max" in given:
+            raise ValueError(
+                "p_h_max is not a parameter of the search; give it as fit_robot(..., p_h_max=...)"
+            )
+    limits = robot_structure(1.0).limits(fixed, bounds)
+    runs = read_runs(sessions, "mode", "p_h", "p_r")
+    check_data(robot_structure(1.0), runs, limits)
+    operator, best = _best_performance(runs, p_h_max)
+    structure = robot_structure(best)
     if method == "arx":
-        fit = _least_squares(runs, best, np.nan if human is None else _p_max_variance(human[1]))
-        return fit if human is None else _doubt_operator(fit, *human)
-    start = robot_start(runs, None, best, limits)
-    problem = Problem(ROBOT, runs, p_h_max=best)
-    theta = np.r_[[start[name] for name in ROBOT.shared], start["p_r0"]]
-    found = estimate(problem, theta, limits, noise)
-    model = build_robot(*found.theta[:3], best)
-    table, covariance = parameter_table(problem, found)
-    table, covariance = _with_input_noise(table, covariance, problem, found, human)
-    fit = result(problem, found, model, table, covariance)
-    return fit if human is None else _doubt_operator(fit, *human)
+        plain = regress(structure, runs, method)
+        values, status = plain.parameters["value"].to_numpy()[:3], ["estimated"] * 3
+        covariance, covariance_with_best = plain.covariance.to_numpy(), np.zeros(3)
+        by_best = np.array([0.0, 0.0, (values[2] - values[1]) / best])
+    else:
+        problem, found = estimate_runs(structure, runs, limits, noise)
+        values, status = found.theta[:3], found.status[:3]
+        covariance, covariance_with_best = _with_input_noise(problem, found, best, operator)
+        by_best = _shift_by_best(found, best)
+    table, covariance = _table_with_best(
+        values, status, covariance, covariance_with_best, by_best, best, operator
+    )
+    if method == "arx":
+        fit = replace(plain, parameters=table, covariance=covariance)
+    else:
+        fit = result(problem, found, table, covariance)
+    return fit if operator is None else _flag_weak_operator(fit, *operator)
+
+
+# --- the structure -------------------------------------------------------------------------------------------------
+
+SLOPES = np.dtype([(name, float) for name in ("a", "p_min", "p_max", "p_r0")])
+
+
+@numba.njit(cache=True)
+def _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by):
+    """Run (2.3) under a given P_h, and its derivatives by every parameter, into `p_r` and the records `by`."""
+    now, by_a, by_min, by_max, by_0 = p_r0, 0.0, 0.0, 0.0, 1.0
+    gain = (p_max - p_min) / p_h_max
+    rest = 1.0 - a
+    for k in range(mode.size):
+        p_r[k] = now
+        row = by[k]
+        row.a = by_a
+        row.p_min = by_min
+        row.p_max = by_max
+        row.p_r0 = by_0
+        # (2.3) as P_r(k+1) = a P_r(k) + (1 − a)(p_min + gain M(k) P_h(k)), differentiated by each parameter in turn.
+        drive = mode[k] * p_h[k]
+        share = drive / p_h_max
+        by_a = a * by_a + now - p_min - gain * drive
+        by_min = a * by_min + rest * (1.0 - share)
+        by_max = a * by_max + rest * share
+        by_0 = a * by_0
+        now = a * now + rest * (p_min + gain * drive)
+
+
+@numba.njit(cache=True)
+def _input_influence(mode, a, b, jacobian):
+    """Return LᵀJ, shape (N, p), where L maps a change of P_h to the change of simulated P_r (2.3)."""
+    # L[k, i] = b M(i) a^(k−1−i) for i < k: one backward recursion per column instead of an N × N matrix.
+    n, p = jacobian.shape
+    out = np.zeros((n, p))
+    tail = np.zeros(p)
+    for k in range(n - 2, -1, -1):
+        for j in range(p):
+            tail[j] = jacobian[k + 1, j] + a * tail[j]
+            out[k, j] = b * mode[k] * tail[j]
+    return out
+
+
+def robot_parameters(prefix: str = "") -> tuple[Parameter, ...]:
+    """Return a, p_min and p_max of (2.3)."""
+    span = (f"{prefix}p_min", f"{prefix}p_max")
+    return (
+        Parameter(
+            f"{prefix}a", search="rate", hint="record a rise or a decay long enough to show its curvature"
+        ),
+        Parameter(
+            f"{prefix}p_min", span=span, hint="record a phase long enough to settle at the least performance"
+        ),
+        Parameter(
+            f"{prefix}p_max",
+            span=span,
+            hint="record a phase long enough to come near the greatest performance",
+        ),
+    )
+
+
+def robot_structure(p_h_max: float) -> Structure:
+    """Return the structure of (2.3), driven by the measured P_h, for a known greatest human performance."""
+
+    def sensitivities(run, a, p_min, p_max, p_r0):
+        p_r, by = np.empty(run.size), np.empty(run.size, SLOPES)
+        _simulate_with_slopes(run["mode"], run["p_h"], a, p_min, p_max, p_h_max, p_r0, p_r, by)
+        return [p_r], [by.view(float).reshape(run.size, -1)]
+
+    def from_coefficients(a1, b, c):
+        a = -a1
+        p_min = c / (1.0 - a)
+        return a, p_min, p_min + b / (1.0 - a) * p_h_max
+
+    linear = LinearForm(
+        coefficients=("a1", "b1", "c"),
+        equations=lambda run: equations(run["p_r"], (run["mode"] * run["p_h"])[:, None], 1, (1,), (1,), True),
+        parameters=from_coefficients,
+        initial=lambda run: (float(run["p_r"][0]),),
+        caution=(
+            "Least squares on one-step predictions: measurement noise on p_r biases a towards 0, and these standard "
+            "errors do not show it; compare output_error."
+        ),
+    )
+    return Structure(
+        "robot model (2.3)",
+        parameters=robot_parameters(),
+        initial=(Parameter("p_r0"),),
+        inputs=("mode", "p_h"),
+        outputs=("p_r",),
+        sensitivities=sensitivities,
+        guess=lambda runs, limits: robot_guess(runs, limits, p_h_max),
+        model=lambda **values: build_robot(**values, p_h_max=p_h_max),
+        check=check_excitation,
+        linear=linear,
+    )
 
 
 def build_robot(a: float, p_min: float, p_max: float, p_h_max: float) -> RobotModel:
-    """
-    Return the model, or say what about the data contradicts (2.3).
-
-    Parameters
-    ----------
-    a, p_min, p_max, p_h_max : float
-        Estimates.
-
-    Raises
-    ------
-    IdentificationError
-        If p_max is not above p_min or a is outside (0, 1).
-    """
+    """Return the model, or say what about the data contradicts (2.3)."""
     if not p_max > p_min:
         raise IdentificationError(
             "robot performance does not rise under manual control in these data (the fit has p_max = "
             f"{p_max:.4g}, not above p_min = {p_min:.4g}), so (2.3) does not describe them",
             ("p_min", "p_max"),
         )
-    if not 0.0 < a < 1.0:
-        raise IdentificationError(
-            f"the fit has a = {a:.6g}, outside (0, 1): performance neither settles nor decays", ("a",)
-        )
     return RobotModel(float(a), float(p_min), float(p_max), float(p_h_max))
 
 
-def _best_operator(runs: list[Trace]) -> tuple[Problem, Estimate]:
+def check_excitation(runs: list[Run], limits: Mapping, low: str = "p_min", high: str = "p_max") -> None:
+    """Refuse data in which nothing separates the least from the greatest robot performance."""
+    modes = joined(runs, "mode")
+    held = {name for name in (low, high) if limits[name][0] == limits[name][1]}
+    # A mode that never changes leaves one steady state: under manual control either limit fixes the other, but an
+    # autonomous robot says nothing of p_max.
+    if np.ptp(modes) > 0.0 or (held and (modes[0] > 0.0 or high in held)):
+        return
+    lost = (high,) if modes[0] == 0.0 else (low, high)
+    raise IdentificationError(
+        f"these data do not determine {' and '.join(lost)}: mode never changes (it is {modes[0]:g} throughout); log at "
+        "least one switch between manual and autonomous control, or fix a parameter, for example "
+        f"fixed={{{lost[0]!r}: ...}}",
+        lost,
+    )
+
+
+# --- the initial guess ---------------------------------------------------------------------------------------------
+
+
+@numba.njit(cache=True)
+def _best_rate(mode, p_h, p_r, starts, rates, p_h_max):
+    """Return the best of some rates, with p_min and p_max; NaN where no rate determines them."""
+    least, best_a, best_min, best_max = np.inf, np.nan, np.nan, np.nan
+    for a in rates:
+        # P_r = p_min low + p_max high + what is left of the first sample is linear in p_min and p_max: solved for.
+        s11 = s12 = s22 = t1 = t2 = total = 0.0
+        for i in range(starts.size - 1):
+            low, high, left = 0.0, 0.0, p_r[starts[i]]
+            for k in range(starts[i], starts[i + 1]):
+                y = p_r[k] - left
+                s11 += low * low
+                s12 += low * high
+                s22 += high * high
+                t1 += low * y
+                t2 += high * y
+                total += y * y
+                share = mode[k] * p_h[k] / p_h_max
+                low += (1.0 - a) * (1.0 - share - low)
+                high += (1.0 - a) * (share - high)
+                left *= a
+        p_min, p_max = solve_pair(s11, s12, s22, t1, t2)
+        squares = total - p_min * t1 - p_max * t2
+        if np.isfinite(p_min) and squares < least:
+            least, best_a, best_min, best_max = squares, a, p_min, p_max
+    return best_a, best_min, best_max
+
+
+def robot_guess(runs: list[Run], limits: Mapping, p_h_max: float) -> dict[str, float | np.ndarray]:
+    """Return starting values of a, p_min, p_max and, for every run, p_r0, from a coarse search on block means."""
+    means, length = block_means(runs)
+    starts = np.cumsum([0, *(run.size for run in means)])
+    rates = decay_rates(max(run.size for run in runs), length, limits["a"])
+    mode, p_h, p_r = (joined(means, name) for name in ("mode", "p_h", "p_r"))
+    a, p_min, p_max = _best_rate(mode, p_h, p_r, starts, rates, p_h_max)
+    if not np.isfinite(a):
+        a, p_min, p_max = rates[rates.size // 2], p_r.min(), p_r.max()
+    first = np.array([run["p_r"][0] for run in means])
+    return {"a": undo_blocks(a, length), "p_min": p_min, "p_max": p_max, "p_r0": first}
+
+
+# --- the operator's greatest performance, and the errors that come of it -------------------------------------------
+
+
+def _best_performance(
+    runs: list[Run], p_h_max: float | None
+) -> tuple[tuple[Problem, Estimate] | None, float]:
+    """Return the operator's fit, None where p_h_max is given, and the greatest human performance."""
+    if p_h_max is not None:
+        best = positive("p_h_max", p_h_max)
+        middle = float(np.median(joined(runs, "p_h")))
+        if best < middle:
+            raise ValueError(
+                f"p_h_max = {p_h_max} lies below the median of the measured p_h, {middle:.4g}; it is the greatest"
+            )
+        return None, best
+    limits = HUMAN.limits()
     try:
-        return estimate_human(runs, limits_of(HUMAN, {}, {}))
+        check_data(HUMAN, runs, limits)
+        operator = estimate_runs(HUMAN, runs, limits)
     except IdentificationError as error:
         raise IdentificationError(
             f"p_max refers to the operator's best performance, which could not be identified ({error}); "
             "give it as p_h_max=...",
             ("p_max", *error.parameters),
         ) from error
+    best = operator[1].value("p_max")
+    if not best > 0.0:
+        raise IdentificationError(
+            f"column p_h: the operator's greatest performance comes out as {best:.4g}, but (2.3) divides by it; use a "
+            "measure of performance that is positive",
+            ("p_max",),
+        )
+    return operator, best
 
 
-def _doubt_operator(fit: FitResult, problem: Problem, found: Estimate) -> FitResult:
-    """Mark p_max as weak where the operator's model, which p_h_max comes from, is not determined itself."""
-    names = undetermined(problem, parameter_table(problem, found)[0])
+def _with_input_noise(
+    problem: Problem, found: Estimate, best: float, operator: tuple[Problem, Estimate] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the covariance of a, p_min, p_max with the noise of the measured P_h, and their covariance with p̂_h,max.
+
+    The simulation is driven by the measured P_h, whose noise e_h reaches the estimates: to first order
+    θ̂ − θ = (JᵀJ)⁻¹ Jᵀ(e_r − L e_h), with L the response of simulated P_r to P_h. So e_h, white with variance σ²,
+    adds σ² (JᵀJ)⁻¹ JᵀL LᵀJ (JᵀJ)⁻¹ to the covariance. p̂_h,max = p_h,max + gᵀe_h comes from the same samples of P_h, so
+    that its covariance with θ̂ is −σ² (JᵀJ)⁻¹ JᵀL g.
+    """
+    covariance, free = np.nan_to_num(found.covariance), found.free
+    with_best = np.zeros(found.theta.size)
+    # Robust errors see the noise of P_h already: filtered by L, it is part of the residuals' autocorrelation.
+    if found.noise != "white" or not free.size:
+        return covariance[:3, :3], with_best[:3]
+    # The first difference of a signal that moves slowly under white noise has variance 2σ².
+    variance = 0.5 * float(np.mean(np.concatenate([np.diff(run["p_h"]) for run in problem.runs]) ** 2))
+    if operator is not None:
+        variance = min(variance, float(operator[1].sigma[0]) ** 2)
+    weights = _input_weights(operator, problem)
+    a, p_min, p_max = found.theta[:3]
+    b = (1.0 - a) * (p_max - p_min) / best
+    spread = np.zeros_like(covariance)  # JᵀL LᵀJ
+    mixed = np.zeros(found.theta.size)  # JᵀL g
+    for i, run in enumerate(problem.runs):
+        where = problem.where[i]
+        influence = _input_influence(run["mode"], a, b, problem.latest[i][1][0])
+        spread[np.ix_(where, where)] += influence.T @ influence
+        mixed[where] += influence.T @ weights[i]
+    # `inverse` is (Σ w JᵀJ)⁻¹ with w = n/Σ e²: times w it is (JᵀJ)⁻¹.
+    solve = found.inverse * (problem.counts[0] / (found.squares[0] + problem.floors[0]))
+    covariance[np.ix_(free, free)] += variance * solve @ spread[np.ix_(free, free)] @ solve.T
+    with_best[free] = -variance * solve @ mixed[free]
+    return covariance[:3, :3], with_best[:3]
+
+
+def _input_weights(operator: tuple[Problem, Estimate] | None, problem: Problem) -> list[np.ndarray]:
+    """Return g per run: the derivative of p̂_h,max by every sample of the measured P_h; 0 where it is not known."""
+    none = [np.zeros(run.size) for run in problem.runs]
+    if operator is None:
+        return none
+    its_problem, its = operator
+    row = its.names.index("p_max")
+    if row not in its.free or its.noise != "white":
+        return none
+    # p̂_h,max is one row of (JᵀJ)⁻¹ Jᵀ P_h, with the operator's own J.
+    weight = its_problem.counts[0] / (its.squares[0] + its_problem.floors[0])
+    solve = np.zeros(its.theta.size)
+    solve[its.free] = its.inverse[list(its.free).index(row)] * weight
+    return [
+        jacobians[0] @ solve[where]
+        for (_, jacobians), where in zip(its_problem.latest, its_problem.where, strict=True)
+    ]
+
+
+def _shift_by_best(found: Estimate, best: float) -> np.ndarray:
+    """Return the derivative of the estimates of a, p_min and p_max by the p_h,max that they are made with."""
+    # P_r depends on p_h,max through (p_max − p_min)/p_h,max alone, so ∂P_r/∂p_h,max = −gain ∂P_r/∂p_max, and least squares
+    # answers with gain (JᵀJ)⁻¹ Jᵀ ∂P_r/∂p_max: p_max alone follows where it is free, the others give way where it is not.
+    gain = (found.value("p_max") - found.value("p_min")) / best
+    shift = np.zeros(found.theta.size)
+    shift[found.free] = gain * found.inverse @ found.information[found.free, found.names.index("p_max")]
+    return shift[:3]
+
+
+def _table_with_best(
+    values: np.ndarray,
+    status: list[str],
+    covariance: np.ndarray,
+    covariance_with_best: np.ndarray,
+    by_best: np.ndarray,
+    best: float,
+    operator: tuple[Problem, Estimate] | None,
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return table and covariance of a, p_min, p_max and p_h_max, and the row of b."""
+    variance = 0.0 if operator is None else operator[1].variance("p_max")
+    total = np.zeros((4, 4))
+    total[:3, :3], total[3, 3] = covariance, variance
+    total[:3, 3] = total[3, :3] = covariance_with_best
+    # The estimates were made with p̂_h,max in place of p_h,max: its error is added to each as far as it shifts them.
+    through = np.eye(4)
+    through[:3, 3] = by_best
+    return parameter_table(
+        ("a", "p_min", "p_max", "p_h_max"),
+        np.r_[values, best],
+        through @ total @ through.T,
+        [*status, "given" if operator is None else "estimated"],
+        {"b": lambda at: (1.0 - at["a"]) * (at["p_max"] - at["p_min"]) / at["p_h_max"]},
+    )
+
+
+def _flag_weak_operator(fit: FitResult, problem: Problem, found: Estimate) -> FitResult:
+    """Mark p_max as weak where the operator's model, which p_h_max comes from, is weakly determined itself."""
+    names = weak_parameters(problem, found_table(problem, found)[0])
     if found.converged and not names:
         return fit
     parameters = fit.parameters.copy()
     parameters.loc[["p_max", "p_h_max"], "status"] = "weak"
     reason = f"{' and '.join(names)} of the operator's model" if names else "the operator's model"
-    sentence = f"p_h_max, and p_max with it, is not to be trusted: these data do not determine {reason}; give p_h_max=..."
+    sentence = f"Do not rely on p_h_max, nor on p_max, which refers to it: these data do not determine {reason}; give p_h_max=..."
     return replace(fit, parameters=parameters, success=False, message=f"{fit.message} {sentence}.")
-
-
-def _p_max_variance(found: Estimate) -> float:
-    variance = found.covariance[3, 3]
-    return float(variance) if np.isfinite(variance) else np.inf
-
-
-def _with_input_noise(table, covariance, problem: Problem, found: Estimate, human):
-    """Add what noise in p_h contributes, directly and through p_h_max, and the rows of p_h_max and b."""
-    a, p_min, p_max = found.theta[:3]
-    best, gain = problem.p_h_max, (p_max - p_min) / problem.p_h_max
-    full = np.nan_to_num(found.covariance)
-    cross = np.zeros(full.shape[0])
-    if found.noise == "white" and found.free.size:
-        direct, cross = _input_terms(problem, found, human)
-        full = full + direct
-    names = list(ROBOT.shared)
-    total = np.zeros((4, 4))
-    total[:3, :3], total[:3, 3], total[3, :3] = full[:3, :3], cross[:3], cross[:3]
-    total[3, 3] = 0.0 if human is None else _p_max_variance(human[1])
-    # What a change of p_h_max does: p_max follows it where it is free, else the other parameters have to give way.
-    through, absorbed = np.eye(4), 2 in found.free
-    if absorbed:
-        through[2, 3] = gain
-    elif found.free.size:
-        moved = gain * found.inverse @ problem.normal(found.theta).matrix[found.free, 2]
-        for j, k in enumerate(found.free):
-            if k < 3:
-                through[k, 3] = moved[j]
-    slope = np.array([-gain, -(1.0 - a) / best, (1.0 - a) / best, -(1.0 - a) * gain / best])
-    total = through @ total @ through.T
-    b_variance = slope @ total @ slope
-    for j, name in enumerate(names):
-        if table.loc[name, "status"] == "estimated":
-            table.loc[name, "stderr"] = np.sqrt(total[j, j])
-    given = human is None
-    table.loc["p_h_max"] = [
-        best,
-        np.nan if given else np.sqrt(total[3, 3]),
-        "given" if given else "estimated",
-    ]
-    table.loc["b"] = [(1.0 - a) * gain, np.sqrt(b_variance), "derived"]
-    kept = [*covariance.index, *([] if given else ["p_h_max"])]
-    where = [[*names, "p_h_max"].index(name) for name in kept]
-    return table, pd.DataFrame(
-        total[np.ix_(where, where)], index=pd.Index(kept, name="parameter"), columns=kept
-    )
-
-
-def _input_terms(problem: Problem, found: Estimate, human) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return the covariance that white noise of p_h adds, and its covariance with the identified p_h_max.
-
-    To first order θ̂ − θ = (JᵀJ)⁻¹Jᵀ(e_r − L e_h), with L the response of simulated P_r to P_h, and
-    p̂_h,max − p_h,max = gᵀe_h; e_h is white with half the mean square of the first differences of p_h (or the
-    residual variance of the operator's fit, where that is less).
-    """
-    size, free = found.theta.size, found.free
-    steps = np.concatenate([np.diff(run.p_h) for run in problem.runs])
-    variance = 0.5 * float(np.mean(steps**2))
-    a, b = found.theta[0], (1.0 - found.theta[0]) * (found.theta[2] - found.theta[1]) / problem.p_h_max
-    spread, mixed = np.zeros((size, size)), np.zeros(size)
-    squares = sum(float(e @ e) for e in found.residuals[0])
-    if human is not None:
-        variance = min(variance, float(human[1].sigma[0]) ** 2)
-    solve = found.inverse * (problem.counts[0] / (squares + problem.floors[0]))
-    known = human is not None and 3 in human[1].free and human[1].noise == "white"
-    if known:
-        other, its = human
-        weight = other.counts[0] / (sum(float(e @ e) for e in its.residuals[0]) + other.floors[0])
-        row = its.inverse[list(its.free).index(3)] * weight
-    for i, run in enumerate(problem.runs):
-        where = problem.columns(i)
-        influence = input_influence(run.mode, a, b, problem.predict(i, found.theta).jacobians[0])
-        spread[np.ix_(where, where)] += influence.T @ influence
-        if known:
-            columns = other.columns(i)
-            inside = [j for j, column in enumerate(columns) if column in its.free]
-            weights = np.array([row[list(its.free).index(columns[j])] for j in inside])
-            mixed[where] += influence.T @ (other.predict(i, its.theta).jacobians[0][:, inside] @ weights)
-    direct, cross = np.zeros((size, size)), np.zeros(size)
-    direct[np.ix_(free, free)] = variance * solve @ spread[np.ix_(free, free)] @ solve.T
-    cross[free] = -variance * solve @ mixed[free]
-    return direct, cross
-
-
-def _least_squares(runs: list[Trace], best: float, best_variance: float) -> FitResult:
-    """Fit P_r(k + 1) = a P_r(k) + b M(k) P_h(k) + c and turn it into (2.3)."""
-    drives = [(run.mode * run.p_h)[:, None] for run in runs]
-    fit = arx([run.p_r for run in runs], drives, na=1, nb=1, nk=1, intercept=True)
-    a, b, c = -fit.coefficients[0], fit.coefficients[1], fit.coefficients[2]
-    if not 0.0 < a < 1.0:
-        raise IdentificationError(f"least squares has a = {a:.6g}, outside (0, 1); use output_error", ("a",))
-    rest = 1.0 - a
-    p_min, gain = c / rest, b / rest
-    p_max = p_min + gain * best
-    model = build_robot(a, p_min, p_max, best)
-    known = np.isfinite(best_variance)
-    # Rows: a, p_min, p_max, p_h_max, b; columns: a1 = −a, b, c, p_h_max.
-    slope = np.array(
-        [
-            [-1.0, 0.0, 0.0, 0.0],
-            [-p_min / rest, 0.0, 1.0 / rest, 0.0],
-            [-p_max / rest, best / rest, 1.0 / rest, gain],
-            [0.0, 0.0, 0.0, 1.0],
-            [0.0, 1.0, 0.0, 0.0],
-        ]
-    )
-    inner = np.zeros((4, 4))
-    inner[:3, :3], inner[3, 3] = fit.covariance, best_variance if known else 0.0
-    total = slope @ inner @ slope.T
-    names = ["a", "p_min", "p_max", "p_h_max", "b"]
-    stderr = np.sqrt(np.diag(total))
-    stderr[3] = stderr[3] if known else np.nan
-    status = ["estimated"] * 3 + ["estimated" if known else "given", "derived"]
-    index = pd.Index(names, name="parameter")
-    kept = names[: 4 if known else 3]
-    fits = []
-    for run in runs:
-        simulated = model.simulate(run.mode, run.p_h, float(run.p_r[0]))
-        fits.append(RunFit(run.label, run.synthetic, run.t, run.mode, {"p_r": run.p_r}, {"p_r": simulated}))
-    errors = np.concatenate([run.measured["p_r"] - run.fitted["p_r"] for run in fits])
-    measured = np.concatenate([run.measured["p_r"] for run in fits])
-    worthless = errors @ errors >= np.sum((measured - measured.mean()) ** 2)
-    return FitResult(
-        model=model,
-        method="arx",
-        parameters=pd.DataFrame(
-            {"value": [a, p_min, p_max, best, b], "stderr": stderr, "status": status}, index=index
-        ),
-        covariance=pd.DataFrame(total, index=index, columns=names).loc[kept, kept],
-        initial_states=pd.DataFrame(
-            {"p_r0": [run.p_r[0] for run in runs], "p_r0_stderr": np.nan},
-            index=pd.Index([run.label for run in runs], name="run"),
-        ),
-        runs=fits,
-        noise="white",
-        sigma={"p_r": fit.sigma},
-        cost=0.5 * float(errors @ errors),
-        success=not worthless,
-        message=(
-            "Least squares on one-step predictions: measurement noise on p_r biases a towards 0, and these standard "
-            "errors do not show it; compare output_error."
-            + (
-                " The simulated model explains less than the mean does; do not use the numbers."
-                if worthless
-                else ""
-            )
-        ),
-        degrees_of_freedom=float(fit.degrees_of_freedom),
-    )

@@ -3,179 +3,57 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 
 import numpy as np
-import pandas as pd
-from scipy import linalg, optimize, signal, special
+from scipy import linalg, optimize, signal
 
-from trustlab.identification.errors import IdentificationError
-from trustlab.identification.residuals import hac_lags, hac_matrix, ljung_box, pooled_autocorrelation
-from trustlab.models.checks import finite_array, finite_number, open_unit
+from trustlab.identification.fit_result import FitResult
+from trustlab.identification.fitting import check_data, estimate_runs, found_table, result
+from trustlab.identification.runs import Run
+from trustlab.identification.structure import IdentificationError, Parameter, Structure
+from trustlab.models.checks import finite_array, positive, whole_number
 from trustlab.models.uav import TransferFunction
 
-__all__ = ["TransferFunctionFit", "fit_transfer_function"]
+__all__ = ["TransferFunctionFit", "fit_transfer_function", "transfer_structure"]
 
-LAGS = 25
-RANK = 1e-9
+COMPLEX_STEP = 1e-30
+"""Relative step of complex-step derivatives: no digits cancel, so it may be as small as one likes."""
 
 
 @dataclass(frozen=True, eq=False)
-class TransferFunctionFit:
-    """
-    An identified transfer function with its uncertainty.
+class TransferFunctionFit(FitResult):
+    """A `FitResult` with a `TransferFunction`; `sigma` is one number, as there is one output."""
 
-    Parameters
-    ----------
-    model : TransferFunction
-        gain/(s + d_0) or gain/(s² + d_1 s + d_0).
-    parameters : pandas.DataFrame
-        Index `parameter` (gain, d_1, d_0); columns value, stderr.
-    covariance : pandas.DataFrame
-        Covariance of the parameters.
-    measured, fitted : list of numpy.ndarray
-        Velocity as logged and as simulated, per run.
-    sample_time : float
-        T [s].
-    sigma : float
-        Standard deviation of the residuals.
-    noise : {"white", "hac"}
-        What the standard errors allow for.
-    degrees_of_freedom : int
-        For the t intervals.
-    """
-
-    model: TransferFunction
-    parameters: pd.DataFrame
-    covariance: pd.DataFrame
-    measured: list[np.ndarray]
-    fitted: list[np.ndarray]
-    sample_time: float
-    sigma: float
-    noise: str
-    degrees_of_freedom: int
+    sigma: float  # type: ignore[assignment]
 
     @property
-    def fit_percent(self) -> float:
-        """100 (1 − ‖v − v̂‖/‖v − mean v‖)."""
-        error = np.concatenate([a - b for a, b in zip(self.measured, self.fitted, strict=True)])
-        spread = np.concatenate([a - a.mean() for a in self.measured])
-        return float(100.0 * (1.0 - np.linalg.norm(error) / np.linalg.norm(spread)))
+    def measured(self) -> list[np.ndarray]:
+        """Velocity as logged, per run."""
+        return [run.measured["velocity"] for run in self.runs]
 
-    def table(self, level: float = 0.95) -> pd.DataFrame:
-        """
-        Return parameters, standard errors and t intervals.
+    @property
+    def fitted(self) -> list[np.ndarray]:
+        """Velocity as simulated, per run."""
+        return [run.fitted["velocity"] for run in self.runs]
 
-        Parameters
-        ----------
-        level : float
-            Level of the intervals, in (0, 1).
+    @property
+    def sample_time(self) -> float:
+        """T [s]."""
+        return float(self.runs[0].t[1])
 
-        Returns
-        -------
-        pandas.DataFrame
-            Index `parameter`; columns value, stderr, ci_low, ci_high.
-        """
-        half = special.stdtrit(self.degrees_of_freedom, 0.5 + open_unit("level", level) / 2.0)
-        value, error = self.parameters["value"], self.parameters["stderr"]
-        return self.parameters.assign(ci_low=value - half * error, ci_high=value + half * error)
-
-    def plot(self, ax=None):
-        """
-        Plot the first run, measured and simulated.
-
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes, optional
-            Where; a new figure when not given.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-            The axes.
-        """
+    def plot(self, ax=None):  # type: ignore[override]
+        """Plot the first run, measured and simulated, on given axes or new ones; return the axes."""
         if ax is None:
             import matplotlib.pyplot as plt
 
             ax = plt.subplots()[1]
-        t = self.sample_time * np.arange(self.measured[0].size)
-        ax.plot(t, self.measured[0], color="0.6", label="measured")
-        ax.plot(t, self.fitted[0], label=f"fitted, {self.fit_percent:.1f} %")
+        ax.plot(self.runs[0].t, self.measured[0], color="0.6", label="measured")
+        ax.plot(self.runs[0].t, self.fitted[0], label=f"fitted, {self.fit_percent:.1f} %")
         ax.set(xlabel="t [s]", ylabel="velocity [m/s]")
         ax.legend()
         return ax
-
-    def _repr_html_(self) -> str:
-        return self.table()._repr_html_()
-
-
-def _responses(denominator, u: np.ndarray, sample_time: float) -> np.ndarray:
-    """Return velocity per unit gain and per unit of each initial state, shape (N, 1 + n), for a held command."""
-    n, dtype = len(denominator), np.result_type(np.asarray(denominator), float)
-    a, b = np.zeros((n, n), dtype), np.zeros(n, dtype)
-    a[:-1, 1:], a[-1], b[-1] = np.eye(n - 1), -np.asarray(denominator)[::-1], 1.0
-    block = np.zeros((n + 1, n + 1), dtype)
-    block[:n, :n], block[:n, n] = a, b
-    whole = linalg.expm(block * sample_time)
-    phi, gamma = whole[:n, :n], whole[:n, n]
-    pulse = np.zeros(u.size)
-    pulse[0] = 1.0
-    if n == 1:
-        poles = np.array([1.0, -phi[0, 0]])
-        forced = signal.lfilter(np.array([0.0, gamma[0]]), poles, u)
-        return np.column_stack([forced, signal.lfilter(np.array([1.0, 0.0]), poles, pulse)])
-    trace, determinant = phi[0, 0] + phi[1, 1], phi[0, 0] * phi[1, 1] - phi[0, 1] * phi[1, 0]
-    poles = np.array([1.0, -trace, determinant])
-    forced = np.array([0.0, gamma[0], phi[0, 1] * gamma[1] - phi[1, 1] * gamma[0]])
-    from_v = np.array([1.0, -phi[1, 1], 0.0])
-    from_a = np.array([0.0, phi[0, 1], 0.0])
-    columns = [signal.lfilter(top, poles, x) for top, x in ((forced, u), (from_v, pulse), (from_a, pulse))]
-    return np.column_stack(columns)
-
-
-def _design(denominator, inputs, sample_time) -> np.ndarray:
-    """Return all runs' responses: one shared gain, own initial states for each run."""
-    n, total = len(denominator), sum(u.size for u in inputs)
-    design = np.zeros((total, 1 + n * len(inputs)), np.result_type(np.asarray(denominator), float))
-    row = 0
-    for j, u in enumerate(inputs):
-        part = _responses(denominator, u, sample_time)
-        design[row : row + u.size, 0] = part[:, 0]
-        design[row : row + u.size, 1 + n * j : 1 + n * (j + 1)] = part[:, 1:]
-        row += u.size
-    return design
-
-
-def _start(order: int, inputs, outputs, sample_time: float) -> list[np.ndarray]:
-    """Return denominators to start from: instrumental variables on a discrete model, and a coarse set of time constants."""
-    rows, targets, instruments = [], [], []
-    for u, v in zip(inputs, outputs, strict=True):
-        columns = [v[order - 1 - i : v.size - 1 - i] for i in range(order)]
-        columns += [u[order - 1 - i : u.size - 1 - i] for i in range(order)]
-        rows.append(np.column_stack(columns))
-        targets.append(v[order:])
-        lagged = np.column_stack([np.r_[np.zeros(2 * order + i), u][: u.size] for i in range(2 * order)])
-        instruments.append(lagged[order:])
-    starts = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        for weight in (np.vstack(instruments), np.vstack(rows)):
-            try:
-                found = np.linalg.lstsq(
-                    weight.T @ np.vstack(rows), weight.T @ np.concatenate(targets), rcond=None
-                )[0]
-                poles = np.log(np.roots(np.r_[1.0, -found[:order]]).astype(complex)) / sample_time
-            except np.linalg.LinAlgError:
-                continue
-            if np.isfinite(poles).all():
-                starts.append(np.real(np.poly(poles))[1:])
-    length = sample_time * max(u.size for u in inputs)
-    for constant in np.geomspace(5.0 * sample_time, length / 2.0, 5):
-        rate = 1.0 / constant
-        starts += (
-            [np.array([rate])] if order == 1 else [np.array([2.0 * z * rate, rate**2]) for z in (0.2, 1.0)]
-        )
-    return starts
 
 
 def fit_transfer_function(
@@ -183,9 +61,6 @@ def fit_transfer_function(
 ) -> TransferFunctionFit:
     """
     Identify gain/(s + d_0) or gain/(s² + d_1 s + d_0) by output error, the command being held over each sample.
-
-    Gain and initial states enter linearly and are solved for exactly; the search is over the denominator alone, from
-    instrumental variables and several time constants. Derivatives are exact (complex steps).
 
     Parameters
     ----------
@@ -202,7 +77,7 @@ def fit_transfer_function(
     Returns
     -------
     TransferFunctionFit
-        With `.model`, `.table()`, `.fit_percent`, `.plot()`.
+        A `FitResult` with the TransferFunction as `.model`.
 
     Raises
     ------
@@ -211,97 +86,164 @@ def fit_transfer_function(
     ValueError
         If arguments are not understood, lengths differ or samples are not finite.
     """
-    inputs, outputs = _runs(command, velocity)
-    sample_time = finite_number("sample_time", sample_time)
-    if not sample_time > 0.0:
-        raise ValueError(f"sample_time must be positive, got {sample_time}")
-    if isinstance(order, bool) or order not in (1, 2):
-        raise ValueError(f"order must be 1 or 2, got {order!r}")
-    if noise not in ("auto", "white", "hac"):
-        raise ValueError(f'noise must be "auto", "white" or "hac", got {noise!r}')
-    if max(np.ptp(u) for u in inputs) == 0.0:
-        raise IdentificationError("the command never changes: nothing can be identified from it")
-    names = ["gain", "d_0"] if order == 1 else ["gain", "d_1", "d_0"]
-    linear = 1 + order * len(inputs)
-    target = np.concatenate(outputs)
-    if target.size < 2 * (order + linear):
+    sample_time, order = positive("sample_time", sample_time), whole_number("order", order, 1, 2)
+    runs = _runs(command, velocity, sample_time)
+    structure = transfer_structure(order, sample_time)
+    unknowns, samples = 1 + order + order * len(runs), sum(run.size for run in runs)
+    if samples < 2 * unknowns:
         raise IdentificationError(
-            f"{target.size} samples are too few for {order + linear} unknowns; record longer runs"
+            f"{samples} samples are too few for {unknowns} unknowns; record longer runs"
         )
+    limits = structure.limits()
+    check_data(structure, runs, limits)
+    problem, found = estimate_runs(structure, runs, limits, noise)
+    fit = result(problem, found, *found_table(problem, found))
+    values = {field.name: getattr(fit, field.name) for field in fields(fit)}
+    return TransferFunctionFit(**values | {"sigma": fit.sigma["velocity"]})
 
-    def parts(denominator):
-        design = _design(denominator, inputs, sample_time)
+
+def transfer_structure(order: int, sample_time: float) -> Structure:
+    """Return the structure: gain and denominator shared, velocity (and acceleration) at the start of each run its own."""
+    denominator = ("d_0",) if order == 1 else ("d_1", "d_0")
+    states = ("velocity_0", "acceleration_0")[:order]
+
+    def sensitivities(run, gain, **values):
+        d = np.array([values[name] for name in denominator])
+        weights = np.array([gain, *(values[name] for name in states)])
+        responses = _responses(d, run["command"], sample_time)
+        # The output is linear in gain and initial states; the denominator's derivatives are complex steps.
+        by_d = np.empty((run.size, order))
+        for i in range(order):
+            step = COMPLEX_STEP * max(1.0, abs(d[i]))
+            moved = d.astype(complex)
+            moved[i] += 1j * step
+            by_d[:, i] = (_responses(moved, run["command"], sample_time) @ weights).imag / step
+        return [responses @ weights], [np.column_stack([responses[:, :1], by_d, responses[:, 1:]])]
+
+    def guess(runs, limits):
+        return _guess(runs, denominator, states, sample_time)
+
+    def check(runs, limits):
+        if max(np.ptp(run["command"]) for run in runs) == 0.0:
+            raise IdentificationError(
+                "the command never changes: nothing can be identified from it", ("gain", *denominator)
+            )
+
+    return Structure(
+        "transfer function",
+        parameters=[Parameter(name) for name in ("gain", *denominator)],
+        initial=[Parameter(name) for name in states],
+        inputs="command",
+        outputs="velocity",
+        sensitivities=sensitivities,
+        guess=guess,
+        check=check,
+        model=lambda gain, **values: TransferFunction(gain, tuple(values[name] for name in denominator)),
+    )
+
+
+def _responses(denominator: np.ndarray, u: np.ndarray, sample_time: float) -> np.ndarray:
+    """Return velocity per unit gain and per unit of each initial state, shape (N, 1 + n), for a held command."""
+    n, dtype = len(denominator), np.result_type(denominator, float)
+    # The companion form, with the command as a further, constant state: its exponential holds Φ and Γ of one sample.
+    block = np.zeros((n + 1, n + 1), dtype)
+    block[: n - 1, 1:n] = np.eye(n - 1)
+    block[n - 1, :n], block[n - 1, n] = -denominator[::-1], 1.0
+    whole = linalg.expm(block * sample_time)
+    phi, gamma = whole[:n, :n], whole[:n, n]
+    # As difference equations: v is the first state, so (zI − Φ)⁻¹ is written out for n = 1 and 2.
+    pulse = np.zeros(u.size)
+    pulse[0] = 1.0
+    if n == 1:
+        poles = np.array([1.0, -phi[0, 0]])
+        filters = [(np.array([0.0, gamma[0]]), u), (np.array([1.0, 0.0]), pulse)]
+    else:
+        determinant = phi[0, 0] * phi[1, 1] - phi[0, 1] * phi[1, 0]
+        poles = np.array([1.0, -(phi[0, 0] + phi[1, 1]), determinant])
+        forced = np.array([0.0, gamma[0], phi[0, 1] * gamma[1] - phi[1, 1] * gamma[0]])
+        from_velocity = np.array([1.0, -phi[1, 1], 0.0])
+        from_acceleration = np.array([0.0, phi[0, 1], 0.0])
+        filters = [(forced, u), (from_velocity, pulse), (from_acceleration, pulse)]
+    return np.column_stack([signal.lfilter(top, poles, x) for top, x in filters])
+
+
+def _guess(
+    runs: list[Run], denominator: tuple[str, ...], states: tuple[str, ...], sample_time: float
+) -> Mapping:
+    """Return starting values by variable projection: a search over the denominator, the rest by linear least squares."""
+    order, target = len(denominator), np.concatenate([run["velocity"] for run in runs])
+
+    def project(d):
+        design = np.zeros((target.size, 1 + order * len(runs)))
+        row = 0
+        for j, run in enumerate(runs):
+            part = _responses(d, run["command"], sample_time)
+            design[row : row + run.size, 0] = part[:, 0]
+            design[row : row + run.size, 1 + order * j : 1 + order * (j + 1)] = part[:, 1:]
+            row += run.size
         if not np.isfinite(design).all():
-            return None
-        return design, np.linalg.lstsq(design, target, rcond=None)[0]
+            return np.zeros(design.shape[1]), np.full(target.size, 1e6)
+        weights = np.linalg.lstsq(design, target, rcond=None)[0]
+        return weights, design @ weights - target
 
-    def left_over(denominator):
+    def residuals(d):
         with np.errstate(all="ignore"):
-            found = parts(denominator)
-        return np.full(target.size, 1e6) if found is None else found[0] @ found[1] - target
+            return project(d)[1]
 
-    best = None
-    starts = _start(order, inputs, outputs, sample_time)
-    for start in sorted(starts, key=lambda d: float(np.sum(left_over(d) ** 2)))[:2]:
-        done = optimize.least_squares(
-            left_over, start, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14, max_nfev=200
-        )
-        if best is None or done.cost < best.cost * (1.0 - 1e-9):
-            best = done
-    design, weights = parts(best.x)
-    error = target - design @ weights
-    jacobian = np.empty((target.size, order + linear))
-    jacobian[:, 0], jacobian[:, 1 + order :] = design[:, 0], design[:, 1:]
-    for i in range(order):
-        size = 1e-30 * max(1.0, abs(best.x[i]))
-        moved = best.x.astype(complex)
-        moved[i] += 1j * size
-        jacobian[:, 1 + i] = (_design(moved, inputs, sample_time) @ weights).imag / size
-    scale = np.linalg.norm(jacobian, axis=0)
-    if (scale[: 1 + order] == 0.0).any() or np.linalg.svd(
-        jacobian / np.where(scale, scale, 1.0), compute_uv=False
-    )[-1] < RANK:
-        raise IdentificationError(
-            "the data do not determine the transfer function; command more, with steps of different lengths"
-        )
-    free = target.size - order - linear
-    sigma2 = float(error @ error) / free
-    bread = np.linalg.inv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)
-    ends = np.cumsum([u.size for u in inputs])[:-1]
-    residuals = np.split(error, ends)
-    exact = np.sqrt(sigma2) < 1e-10 * np.abs(target).max()
-    whiteness = 1.0 if exact else ljung_box(pooled_autocorrelation(residuals, LAGS), target.size)[2]
-    robust = noise == "hac" or (noise == "auto" and whiteness < 1e-3)
-    covariance = sigma2 * bread
-    if robust:
-        lags = hac_lags(residuals)
-        meat = sum(hac_matrix(scores, lags) for scores in np.split(jacobian * error[:, None], ends))
-        covariance = bread @ meat @ bread
-    covariance = covariance[: 1 + order, : 1 + order]
-    values = np.r_[weights[0], best.x]
-    parameters = pd.DataFrame(
-        {"value": values, "stderr": np.sqrt(np.diag(covariance))}, index=pd.Index(names, name="parameter")
-    )
-    return TransferFunctionFit(
-        TransferFunction(values[0], tuple(values[1:])),
-        parameters,
-        pd.DataFrame(covariance, index=names, columns=names),
-        outputs,
-        np.split(design @ weights, ends),
-        sample_time,
-        float(np.sqrt(sigma2)),
-        "hac" if robust else "white",
-        free,
-    )
+    starts = sorted(_denominators(order, runs, sample_time), key=lambda d: float(np.sum(residuals(d) ** 2)))
+    tight = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14, "max_nfev": 200}
+    found = [optimize.least_squares(residuals, start, x_scale="jac", **tight) for start in starts[:2]]
+    best = min(found, key=lambda done: done.cost).x
+    weights = project(best)[0]
+    own = weights[1:].reshape(len(runs), order)
+    return {
+        "gain": weights[0],
+        **dict(zip(denominator, best, strict=True)),
+        **dict(zip(states, own.T, strict=True)),
+    }
 
 
-def _runs(command, velocity) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    lists = [
-        value if isinstance(value, list | tuple) and np.ndim(value[0] if value else 0) else [value]
+def _denominators(order: int, runs: list[Run], sample_time: float) -> list[np.ndarray]:
+    """Return denominators to start from: instrumental variables on a discrete model, and a coarse set of time constants."""
+    rows, targets, instruments = [], [], []
+    for run in runs:
+        u, v = run["command"], run["velocity"]
+        columns = [v[order - 1 - i : v.size - 1 - i] for i in range(order)]
+        columns += [u[order - 1 - i : u.size - 1 - i] for i in range(order)]
+        rows.append(np.column_stack(columns))
+        targets.append(v[order:])
+        # Delayed commands are correlated with the regressors but not with the noise on them.
+        lagged = np.column_stack([np.r_[np.zeros(2 * order + i), u][: u.size] for i in range(2 * order)])
+        instruments.append(lagged[order:])
+    design, target, starts = np.vstack(rows), np.concatenate(targets), []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for weight in (np.vstack(instruments), design):
+            try:
+                found = np.linalg.lstsq(weight.T @ design, weight.T @ target, rcond=None)[0]
+                poles = np.log(np.roots(np.r_[1.0, -found[:order]]).astype(complex)) / sample_time
+            except np.linalg.LinAlgError:
+                continue
+            if np.isfinite(poles).all():
+                starts.append(np.real(np.poly(poles))[1:])
+    longest = sample_time * max(run.size for run in runs)
+    for rate in 1.0 / np.geomspace(5.0 * sample_time, longest / 2.0, 5):
+        damped = [np.array([2.0 * damping * rate, rate**2]) for damping in (0.2, 1.0)]
+        starts += [np.array([rate])] if order == 1 else damped
+    return starts
+
+
+def _runs(command, velocity, sample_time: float) -> list[Run]:
+    """Check both signals and pair them by run."""
+    commands, velocities = (
+        list(value) if isinstance(value, list | tuple) and np.ndim(value[0] if value else 0) else [value]
         for value in (command, velocity)
-    ]
-    if len(lists[0]) != len(lists[1]):
-        raise ValueError(f"there are {len(lists[0])} runs of command but {len(lists[1])} of velocity")
-    inputs = [finite_array(f"command of run {j}", u) for j, u in enumerate(lists[0])]
-    outputs = [finite_array(f"velocity of run {j}", v, length=inputs[j].size) for j, v in enumerate(lists[1])]
-    return inputs, outputs
+    )
+    if len(commands) != len(velocities):
+        raise ValueError(f"there are {len(commands)} runs of command but {len(velocities)} of velocity")
+    runs = []
+    for j, (u, v) in enumerate(zip(commands, velocities, strict=True)):
+        u = finite_array(f"command of run {j}", u)
+        v = finite_array(f"velocity of run {j}", v, length=u.size)
+        runs.append(Run(f"run {j}", sample_time * np.arange(u.size), {"command": u, "velocity": v}))
+    return runs

@@ -1,0 +1,249 @@
+"""From sessions and a structure to a FitResult: what the data can identify, the estimate, and what to say of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from trustlab.identification.fit_result import FitResult, parameter_table, run_fits
+from trustlab.identification.output_error import NOISES, Estimate, Problem, estimate
+from trustlab.identification.regression import regress
+from trustlab.identification.runs import Run, joined, read_runs
+from trustlab.identification.structure import IdentificationError, Structure
+from trustlab.models.checks import of_class, one_of
+from trustlab.sessions.session import Session
+
+__all__ = ["check_data", "estimate_runs", "fit", "found_table", "refuse_options", "result", "weak_parameters"]
+
+HALF_WIDTH = float(special.ndtri(0.975))
+"""Standard errors from the middle of a 95 % interval to its end."""
+
+
+def fit(
+    structure: Structure,
+    sessions: Session | Iterable[Session],
+    method: str = "output_error",
+    fixed: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple] | None = None,
+    noise: str = "auto",
+    guess: Mapping[str, float] | None = None,
+) -> FitResult:
+    """
+    Identify any structure from sessions: parameters are shared, initial states are each session's own.
+
+    Parameters
+    ----------
+    structure : Structure
+        The model, of this package or your own.
+    sessions : Session or iterable of Session
+        Runs with the columns that are the structure's inputs and outputs.
+    method : {"output_error", "regression"}
+        "output_error" simulates the model and minimises the squared error of each output, weighted by the inverse of
+        its own residual variance. "regression" is least squares on one-step predictions, for a structure with a
+        `LinearForm`: quick, and biased when the outputs are measured with noise.
+    fixed : mapping, optional
+        Values to hold, by name.
+    bounds : mapping, optional
+        (low, high) by name, None for an open side.
+    noise : {"auto", "white", "hac"}
+        What standard errors allow for: white residuals, or autocorrelated ones (Newey–West); "auto" chooses by a
+        Ljung–Box test at 0.001.
+    guess : mapping, optional
+        Where the search starts, by name, in place of the structure's own guess.
+
+    Returns
+    -------
+    FitResult
+        With `model` as the structure makes it.
+
+    Raises
+    ------
+    IdentificationError
+        If the data do not determine a parameter; it is named.
+    SessionError
+        If a column is missing.
+    ValueError
+        If an argument is not understood, or the simulation returns something other than finite outputs.
+    """
+    of_class("structure", structure, Structure)
+    one_of("method", method, ("output_error", "regression"))
+    limits = structure.limits(fixed, bounds)
+    runs = read_runs(sessions, *structure.inputs, *structure.outputs)
+    check_data(structure, runs, limits)
+    if method == "regression":
+        refuse_options(method, fixed, bounds, noise)
+        return regress(structure, runs, method)
+    problem, found = estimate_runs(structure, runs, limits, noise, guess)
+    return result(problem, found, *found_table(problem, found))
+
+
+def refuse_options(method: str, fixed: Mapping | None, bounds: Mapping | None, noise: str) -> None:
+    """Refuse the options that only the output-error method has a use for."""
+    if fixed or bounds or noise != "auto":
+        raise ValueError(
+            f'method "{method}" is plain least squares; to fix or bound a parameter, or choose its noise, use '
+            '"output_error"'
+        )
+
+
+def check_data(structure: Structure, runs: list[Run], limits: Mapping) -> None:
+    """Refuse data that cannot identify the structure, before any search."""
+    if structure.check is not None:
+        structure.check(runs, limits)
+    shared = {one.name for one in structure.parameters}
+    for output in structure.outputs:
+        values = joined(runs, output)
+        if np.ptp(values) > 0.0:
+            continue
+        others = [other for other in structure.outputs if other != output]
+        elsewhere = {structure.names[j] for other in others for j in structure.columns_of(other)}
+        lost = [structure.names[j] for j in structure.columns_of(output) if structure.names[j] in shared]
+        # What another output shows as well is not lost, if there is anything that only this one shows.
+        lost = [name for name in lost if name not in elsewhere] or lost
+        raise IdentificationError(
+            f"{output} never moves (it is {values[0]:g} throughout), so {' and '.join(lost)} cannot be identified; "
+            "record a session in which performance is measured",
+            tuple(lost),
+        )
+
+
+def estimate_runs(
+    structure: Structure, runs: list[Run], limits: Mapping, noise: str = "auto", guess: Mapping | None = None
+) -> tuple[Problem, Estimate]:
+    """Make the initial guess and run the output-error method."""
+    one_of("noise", noise, NOISES)
+    start = structure.guess(runs, limits) if structure.guess is not None else {}
+    for parameter in (*structure.parameters, *structure.initial):
+        low, high = limits[parameter.name]
+        given = None if guess is None else guess.get(parameter.name)
+        value = start.get(parameter.name, parameter.guess) if given is None else given
+        if value is None:
+            if not np.isfinite(high - low):
+                raise ValueError(
+                    f"{parameter.name} needs a guess, or bounds on both sides: guess={{{parameter.name!r}: …}}"
+                )
+            value = 0.5 * (low + high)
+        start[parameter.name] = value
+    problem = Problem(structure, runs, start)
+    return problem, estimate(problem, problem.vector(start), limits, noise)
+
+
+def found_table(problem: Problem, found: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the table of the shared parameters, derived rows included, and the covariance of the estimated ones."""
+    size = problem.shared
+    return parameter_table(
+        found.names[:size],
+        found.theta[:size],
+        found.covariance[:size, :size],
+        found.status[:size],
+        problem.structure.derived,
+    )
+
+
+def weak_parameters(problem: Problem, table: pd.DataFrame) -> list[str]:
+    """Return the shared parameters that a bound holds, or whose 95 % interval is too wide to be of use."""
+    values, stderrs, statuses = (table[column].to_dict() for column in ("value", "stderr", "status"))
+    names = []
+    for parameter in problem.structure.parameters:
+        name = parameter.name
+        wide = HALF_WIDTH * stderrs[name] > parameter.useful_half_width(values)
+        if statuses[name] == "at bound" or (statuses[name] == "estimated" and wide):
+            names.append(name)
+    return names
+
+
+def result(
+    problem: Problem,
+    found: Estimate,
+    table: pd.DataFrame,
+    covariance: pd.DataFrame,
+    method: str = "output_error",
+) -> FitResult:
+    """Put an estimate and its table of parameters into a FitResult; weakly determined parameters are marked here."""
+    structure, shared, own = problem.structure, problem.shared, problem.own
+    weak = weak_parameters(problem, table)
+    table, sentences = table.copy(), [_of_the_search(found)]
+    by_name = {one.name: one for one in structure.parameters}
+    for name in weak:
+        value, stderr, status = table.loc[name, ["value", "stderr", "status"]]
+        if status == "at bound":
+            sentences.append(
+                f"{name} is at its bound, {value:.6g}: the fit is better beyond it, or these data do not determine it."
+            )
+        else:
+            table.loc[name, "status"] = "weak"
+            sentences.append(
+                f"{name} is weakly determined by these data ({value:.4g} ± {HALF_WIDTH * stderr:.2g}); "
+                f"{by_name[name].hint}, or fix it."
+            )
+    sentences += _of_the_initial_states(problem, found) + _of_the_runs(problem.runs) + _of_the_noise(found)
+    # NaN for what was fixed; rows of what a bound holds are NaN already.
+    stderr = np.sqrt(np.where(found.fixed, np.nan, np.diag(found.covariance)))
+    states = {}
+    for j, one in enumerate(structure.initial):
+        states[one.name] = found.theta[shared + j :: own]
+        states[f"{one.name}_stderr"] = stderr[shared + j :: own]
+    values = dict(zip(structure.names, found.theta[:shared].tolist(), strict=False))
+    return FitResult(
+        model=values if structure.model is None else structure.model(**values),
+        method=method,
+        parameters=table,
+        covariance=covariance,
+        initial_states=pd.DataFrame(states, index=pd.Index([run.label for run in problem.runs], name="run")),
+        runs=run_fits(structure, problem.runs, found.fitted),
+        noise=found.noise,
+        sigma=dict(zip(structure.outputs, found.sigma.tolist(), strict=True)),
+        cost=0.5 * float(found.squares.sum()),
+        success=bool(found.converged and not weak),
+        message=" ".join(sentences),
+        degrees_of_freedom=float(problem.counts.sum() - found.free.size),
+    )
+
+
+def _of_the_search(found: Estimate) -> str:
+    if found.converged:
+        return f"Converged in {found.iterations} evaluations."
+    return f"Stopped after {found.iterations} evaluations without reaching a minimum; do not use the numbers."
+
+
+def _of_the_initial_states(problem: Problem, found: Estimate) -> list[str]:
+    """Say which initial states lie at an end that has a meaning."""
+    sentences = []
+    for j, one in enumerate(problem.structure.initial):
+        where = np.arange(problem.shared + j, found.theta.size, problem.own)
+        for bound, meaning in one.ends.items():
+            held = int((found.at_bound[where] & (found.theta[where] == bound)).sum())
+            if held:
+                sentences.append(f"{one.name} = {bound:g}, {meaning}, in {held} of {len(where)} run(s).")
+    return sentences
+
+
+def _of_the_runs(runs: list[Run]) -> list[str]:
+    """Say what a reader should know of the data themselves."""
+    sentences = []
+    people = {run.participant for run in runs}
+    if len(people) > 1:
+        sentences.append(
+            f"{len(people)} participants share one set of parameters; fit them one by one unless that is meant."
+        )
+    measures = {run.performance_measure for run in runs if run.performance_measure}
+    if measures:
+        sentences.append(
+            f"Performance is measured over a moving window ({', '.join(sorted(measures))}): rises and decays faster "
+            "than the window are the window's own."
+        )
+    return sentences
+
+
+def _of_the_noise(found: Estimate) -> list[str]:
+    """Say what the standard errors allow for."""
+    white = found.whiteness_p >= 1e-3
+    test = f"Residuals are not white (Ljung–Box p = {found.whiteness_p:.2g})"
+    if found.noise == "hac" and white:
+        return ["Standard errors allow for autocorrelated residuals."]
+    if found.noise == "hac":
+        return [f"{test}: standard errors allow for autocorrelation."]
+    return [] if white else [f'{test}: these standard errors are too small; use noise="hac".']

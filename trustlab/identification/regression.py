@@ -1,0 +1,323 @@
+"""Linear regression with covariance: ARX models, the dissertation's own method (Section 2.2.2), and structures with a linear form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import linalg
+
+from trustlab.identification.fit_result import (
+    FitResult,
+    gradient,
+    parameter_table,
+    run_fits,
+    with_intervals,
+)
+from trustlab.identification.runs import Run
+from trustlab.identification.structure import IdentificationError, Structure
+from trustlab.models.checks import whole_number
+
+__all__ = ["ArxResult", "arx", "equations", "regress", "regression", "simulated_result"]
+
+CONDITION_LIMIT = 1e5
+"""Up to this condition number (equilibrated) the normal equations are used, beyond it a QR factorisation."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArxResult:
+    """
+    A fitted ARX model, y(k) + a_1 y(k−1) + … + a_na y(k−na) = b_1 u(k−nk) + … + b_nb u(k−nk−nb+1) + c + e(k).
+
+    Parameters
+    ----------
+    names : tuple of str
+        Names of the coefficients: a1 … , b1 … (b1_1 … for several inputs: input, then lag), c.
+    coefficients : numpy.ndarray, shape (p,)
+        Estimates, in the order of `names`.
+    covariance : numpy.ndarray, shape (p, p)
+        Covariance of the estimates, s² (XᵀX)⁻¹.
+    residuals : numpy.ndarray, shape (n,)
+        One-step prediction errors.
+    na : int
+        Number of output lags.
+    nb, nk : tuple of int
+        Number of lags and delay of every input.
+    intercept : bool
+        Whether c was estimated.
+    """
+
+    names: tuple[str, ...]
+    coefficients: np.ndarray
+    covariance: np.ndarray
+    residuals: np.ndarray
+    na: int
+    nb: tuple[int, ...]
+    nk: tuple[int, ...]
+    intercept: bool
+
+    @property
+    def stderr(self) -> np.ndarray:
+        """Standard errors, shape (p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the prediction error, √(Σ e²/(n − p))."""
+        return float(np.sqrt(self.residuals @ self.residuals / self.degrees_of_freedom))
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Equations less coefficients, n − p."""
+        return self.residuals.size - self.coefficients.size
+
+    def table(self, level: float = 0.95):
+        """
+        Return estimates with standard errors and t intervals.
+
+        Parameters
+        ----------
+        level : float
+            Level of the intervals, in (0, 1).
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index `parameter`; columns value, stderr, ci_low, ci_high.
+        """
+        columns = {"value": self.coefficients, "stderr": self.stderr}
+        table = pd.DataFrame(columns, index=pd.Index(self.names, name="parameter"))
+        return with_intervals(table, level, self.degrees_of_freedom)
+
+    def _repr_html_(self) -> str:
+        return f"<p><b>ARX</b>, {self.residuals.size} equations</p>{self.table().to_html()}"
+
+
+def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]):
+    """
+    Solve a least-squares problem; return coefficients, their covariance s² (XXᵀ)⁻¹ and the residuals.
+
+    `design` holds one regressor per row, shape (p, n); `names` are those of the coefficients, for the errors.
+    """
+    p, n = design.shape
+    if n <= p:
+        raise IdentificationError(f"{p} coefficients need more than {p} equations, got {n}", names)
+    # Row by row: BLAS takes longer for the few, long rows of a product with its own transpose.
+    gram, moment = np.stack([design @ row for row in design]), design @ target
+    scale = np.sqrt(np.diag(gram))
+    if not np.isfinite(gram.sum() + moment.sum()):
+        raise ValueError("the data are too large to square; scale them")
+    if not (scale > 0.0).all():
+        dead = names[int(np.argmin(scale))]
+        raise IdentificationError(
+            f"coefficient {dead} is not identifiable: its regressor is identically zero", (dead,)
+        )
+    # Regressors scaled to unit length: their units have no part in what counts as nearly collinear.
+    sizes = np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(gram / sizes)
+    if values[0] > 0.0 and values[-1] < CONDITION_LIMIT * values[0]:
+        inverse = (vectors / values) @ vectors.T / sizes
+        coefficients = inverse @ moment
+        # Normal equations square the condition number; one step of refinement with the residuals wins the digits back.
+        coefficients += inverse @ (design @ (target - coefficients @ design))
+    else:
+        q, r, order = linalg.qr((design / scale[:, None]).T, mode="economic", pivoting=True)
+        diagonal = np.abs(np.diag(r))
+        if diagonal[-1] <= n * np.finfo(float).eps * diagonal[0]:
+            free = names[order[-1]]
+            raise IdentificationError(
+                f"coefficient {free} is not identifiable: its regressor is a linear combination of the others (does "
+                "the input move?)",
+                (free,),
+            )
+        coefficients = np.empty(p)
+        coefficients[order] = linalg.solve_triangular(r, q.T @ target)
+        half = np.empty((p, p))
+        half[order] = linalg.solve_triangular(r, np.eye(p))
+        coefficients /= scale
+        inverse = half @ half.T / sizes
+    residuals = target - coefficients @ design
+    return coefficients, inverse * (residuals @ residuals / (n - p)), residuals
+
+
+def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
+    """
+    Fit an ARX model by least squares.
+
+    y(k) + a_1 y(k−1) + … + a_na y(k−na) = b_1 u(k−nk) + … + b_nb u(k−nk−nb+1) + c + e(k). With white noise on the
+    measured output (rather than e(k) inside the recursion) the estimates are biased; see `fit_robot`.
+
+    Parameters
+    ----------
+    y : array_like, shape (N,), or list of such
+        Output; a list holds one array per run, and no equation crosses from one run to the next.
+    u : array_like, shape (N,) or (N, m), or list of such
+        Inputs.
+    na : int
+        Number of output lags, ≥ 0.
+    nb, nk : int or sequence of int
+        Number of lags and delay (in samples) per input.
+    intercept : bool
+        Whether to estimate a constant c.
+
+    Returns
+    -------
+    ArxResult
+
+    Raises
+    ------
+    ValueError
+        If shapes or orders do not fit, or a sample is not finite.
+    IdentificationError
+        If the data do not determine a coefficient.
+
+    Notes
+    -----
+    Ljung, *System Identification: Theory for the User*, 2nd ed., Section 10.1.
+    """
+    several = isinstance(y, (list, tuple)) and len(y) > 0 and np.ndim(y[0]) == 1
+    if several and len(y) != len(u):
+        raise ValueError(f"y has {len(y)} runs and u has {len(u)}; give one input array for every run")
+    na, parts = whole_number("na", na, least=0), []
+    for y_run, u_run in zip(y, u, strict=True) if several else [(y, u)]:
+        y_run = np.ascontiguousarray(y_run, dtype=float)
+        u_run = np.asarray(u_run, dtype=float)
+        u_run = u_run[:, None] if u_run.ndim == 1 else u_run
+        if y_run.ndim != 1 or u_run.ndim != 2 or len(u_run) != y_run.size:
+            raise ValueError(f"y must be (N,) and u (N,) or (N, m), got {y_run.shape} and {u_run.shape}")
+        if not (np.isfinite(y_run).all() and np.isfinite(u_run).all()):
+            raise ValueError("y and u must be finite; a sample is NaN or infinite")
+        inputs = u_run.shape[1]
+        lags, delays = _per_input("nb", nb, inputs, least=1), _per_input("nk", nk, inputs, least=0)
+        parts.append(equations(y_run, u_run, na, lags, delays, intercept))
+    design, target = _stacked(parts)
+    names = _names(na, lags, intercept)
+    coefficients, covariance, residuals = regression(design, target, names)
+    return ArxResult(names, coefficients, covariance, residuals, na, lags, delays, bool(intercept))
+
+
+def equations(
+    y: np.ndarray, u: np.ndarray, na: int, nb: tuple[int, ...], nk: tuple[int, ...], intercept: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return regressors, one per row, and left-hand sides of one run's ARX equations; u has shape (N, m)."""
+    first = max([na] + [delay + lags - 1 for delay, lags in zip(nk, nb, strict=True)])
+    size = y.size - first
+    if size < 1:
+        raise IdentificationError(f"a run of {y.size} samples is too short for lags up to {first}")
+    design = np.empty((na + sum(nb) + bool(intercept), size))
+    for lag in range(1, na + 1):
+        np.negative(y[first - lag : y.size - lag], out=design[lag - 1])
+    delayed = [(i, lag) for i in range(len(nb)) for lag in range(nk[i], nk[i] + nb[i])]
+    for row, (i, lag) in enumerate(delayed, start=na):
+        design[row] = u[first - lag : y.size - lag, i]
+    if intercept:
+        design[-1] = 1.0
+    return design, y[first:]
+
+
+def _names(na: int, nb: tuple[int, ...], intercept: bool) -> tuple[str, ...]:
+    """Return the names of the coefficients: a1, …, b1, … (input, then lag, for several inputs), c."""
+    of_y = [f"a{lag}" for lag in range(1, na + 1)]
+    of_u = [
+        f"b{lag + 1}" if len(nb) == 1 else f"b{i + 1}_{lag + 1}"
+        for i in range(len(nb))
+        for lag in range(nb[i])
+    ]
+    return (*of_y, *of_u, *(("c",) if intercept else ()))
+
+
+def _per_input(name: str, value, inputs: int, least: int) -> tuple[int, ...]:
+    """Return an order for every input."""
+    values = (value,) * inputs if np.ndim(value) == 0 else tuple(value)
+    if len(values) != inputs:
+        raise ValueError(f"{name} names {len(values)} inputs, u has {inputs}")
+    return tuple(whole_number(name, one, least=least) for one in values)
+
+
+def _stacked(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """Join the equations of all runs."""
+    if len(parts) == 1:
+        return parts[0]
+    return np.concatenate([design for design, _ in parts], axis=1), np.concatenate([y for _, y in parts])
+
+
+def regress(structure: Structure, runs: list[Run], method: str) -> FitResult:
+    """Fit a structure's linear form and turn the coefficients into its parameters."""
+    form = structure.linear
+    if form is None:
+        raise ValueError(f'structure {structure.name!r} has no linear form; use method="output_error"')
+    design, target = _stacked([form.equations(run) for run in runs])
+    coefficients, covariance, residuals = regression(design, target, form.coefficients)
+    values, slopes = [], []
+    for j in range(len(structure.parameters)):
+        value, slope = gradient(
+            lambda at, j=j: form.parameters(*at.values())[j], form.coefficients, coefficients
+        )
+        values.append(value)
+        slopes.append(slope)
+    for parameter, value in zip(structure.parameters, values, strict=True):
+        if not parameter.low <= value <= parameter.high:
+            raise IdentificationError(
+                f"least squares gives {parameter.name} = {value:.6g}, outside ({parameter.low:g}, {parameter.high:g}); "
+                "use output_error",
+                (parameter.name,),
+            )
+    through = np.array(slopes)
+    return simulated_result(
+        structure,
+        runs,
+        np.array(values),
+        through @ covariance @ through.T,
+        [form.initial(run) for run in runs],
+        residuals,
+        residuals.size - coefficients.size,
+        method,
+        form.caution,
+    )
+
+
+def simulated_result(
+    structure: Structure,
+    runs: list[Run],
+    values: np.ndarray,
+    covariance: np.ndarray,
+    initial: list[tuple[float, ...]],
+    residuals: np.ndarray,
+    degrees_of_freedom: int,
+    method: str,
+    caution: str,
+) -> FitResult:
+    """Simulate every run with the estimates of a regression and put all into a FitResult."""
+    names = structure.names
+    parameters = dict(zip(names, values.tolist(), strict=False))
+    model = structure.model(**parameters) if structure.model is not None else parameters
+    table, covariance = parameter_table(
+        names[: values.size], values, covariance, ["estimated"] * values.size, structure.derived
+    )
+    predicted = [
+        structure.predict(run, dict(zip(names, (*values, *states), strict=True)))[0]
+        for run, states in zip(runs, initial, strict=True)
+    ]
+    fits = run_fits(structure, runs, [list(outputs) for outputs in zip(*predicted, strict=True)])
+    errors = [np.concatenate([fit.residual(name) for fit in fits]) for name in structure.outputs]
+    measured = [np.concatenate([run[name] for run in runs]) for name in structure.outputs]
+    worthless = any(e @ e >= np.sum((y - y.mean()) ** 2) for e, y in zip(errors, measured, strict=True))
+    if worthless:
+        caution += " The simulated model explains less than the mean does; do not use the numbers."
+    states = pd.DataFrame(initial, columns=[one.name for one in structure.initial])
+    states = states.assign(**{f"{name}_stderr": np.nan for name in states.columns})
+    return FitResult(
+        model=model,
+        method=method,
+        parameters=table,
+        covariance=covariance,
+        initial_states=states.set_index(pd.Index([run.label for run in runs], name="run")),
+        runs=fits,
+        noise="white",
+        sigma={structure.outputs[0]: float(np.sqrt(residuals @ residuals / max(degrees_of_freedom, 1)))},
+        cost=0.5 * float(sum(e @ e for e in errors)),
+        success=not worthless,
+        message=caution,
+        degrees_of_freedom=float(degrees_of_freedom),
+    )

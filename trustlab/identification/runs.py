@@ -1,0 +1,90 @@
+"""What identification reads from sessions: columns as arrays, checked once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from trustlab.identification.structure import IdentificationError
+from trustlab.models.checks import of_class
+from trustlab.sessions.session import Session
+
+__all__ = ["Run", "block_means", "joined", "read_runs"]
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One session, or block means of one: columns of shape (N,) by name, and what messages say of it."""
+
+    label: str
+    t: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    synthetic: bool = False
+    participant: object = None
+    performance_measure: str | None = None
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.columns[name]
+
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+        return next(iter(self.columns.values())).size
+
+
+def read_runs(sessions: Session | Iterable[Session], *needed: str) -> list[Run]:
+    """Take the columns that a fit needs out of one or several sessions with the same sample time."""
+    if isinstance(sessions, Session):
+        sessions = [sessions]
+    iterable = isinstance(sessions, Iterable) and not isinstance(sessions, (str, bytes, Mapping))
+    if not iterable or hasattr(sessions, "columns"):
+        of_class(
+            "sessions",
+            sessions,
+            Session,
+            "pass a session or a list of them; read a file with trustlab.read_session(path), or make one of a table: "
+            'trustlab.Session(frame.set_index("t"))',
+        )
+    given = list(sessions)
+    if not given:
+        raise IdentificationError("no session was given; pass one or a list of them")
+    for session in given:
+        of_class("each session", session, Session, "read one with trustlab.read_session(path)")
+        session.require(*needed)
+        if abs(session.sample_time - given[0].sample_time) > 1e-6 * given[0].sample_time:
+            raise IdentificationError(
+                f"the parameters belong to one sample time, but {given[0].label} has {given[0].sample_time:g} s and "
+                f"{session.label} has {session.sample_time:g} s; resample by name when reading"
+            )
+    return [
+        Run(
+            session.label,
+            session.t,
+            {name: session[name].copy() for name in needed},
+            session.metadata.synthetic,
+            session.metadata.participant,
+            session.metadata.more.get("performance"),
+        )
+        for session in given
+    ]
+
+
+def joined(runs: list[Run], name: str) -> np.ndarray:
+    """Return one column of all runs, one after the other."""
+    return np.concatenate([run[name] for run in runs])
+
+
+def block_means(runs: list[Run], budget: int = 500) -> tuple[list[Run], int]:
+    """Return block means of all columns and the block length; about `budget` blocks in all, at least eight per run."""
+    total, shortest = sum(run.size for run in runs), min(run.size for run in runs)
+    length = max(1, min(total // budget, shortest // 8))
+    means = []
+    for run in runs:
+        size = run.size // length * length
+        columns = {
+            name: values[:size].reshape(-1, length).mean(axis=1) for name, values in run.columns.items()
+        }
+        means.append(Run(run.label, run.t[:size:length], columns))
+    return means, length

@@ -1,0 +1,396 @@
+"""A model structure: its parameters with bounds, its simulation, its sensitivities; and the error when data do not identify it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trustlab.models.checks import did_you_mean, finite_number, one_of, shown
+
+__all__ = ["COORDINATES", "Coordinate", "IdentificationError", "LinearForm", "Parameter", "Structure"]
+
+UNIT_MARGIN = 1e-9
+"""How close to 0 and 1 a parameter of (0, 1) may come during the search."""
+
+DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
+"""Relative step of central differences: truncation (∝ step²) and rounding (∝ 1/step) are then about equal."""
+
+
+class IdentificationError(ValueError):
+    """
+    The data do not identify a model.
+
+    Parameters
+    ----------
+    message : str
+        The reason and the remedy.
+    parameters : tuple of str
+        The parameters that are not identifiable.
+    """
+
+    def __init__(self, message: str, parameters: tuple[str, ...] = ()):
+        super().__init__(message)
+        self.parameters = tuple(parameters)
+
+
+class Coordinate(NamedTuple):
+    """The coordinate in which a parameter is searched, as functions; and the widest interval that is still of use."""
+
+    to: Callable
+    back: Callable
+    slope: Callable
+    """Derivative of the parameter by the coordinate."""
+    low: float
+    high: float
+    useful: Callable
+    """Greatest half-width of a 95 % interval at a value of the parameter; wider ones mark it as weak."""
+
+
+COORDINATES = {
+    "plain": Coordinate(lambda v: v, lambda x: x, lambda x: 1.0, -np.inf, np.inf, lambda v: np.inf),
+    # −ln(1 − a) is the logarithm of the time constant 1/(1 − a): equal steps are equal ratios of time constants.
+    "rate": Coordinate(
+        lambda v: -np.log1p(-v),
+        lambda x: -np.expm1(-x),
+        lambda x: np.exp(-x),
+        UNIT_MARGIN,
+        1.0 - UNIT_MARGIN,
+        lambda v: 0.5 * (1.0 - v),
+    ),
+    "logit": Coordinate(
+        lambda v: np.log(v) - np.log1p(-v),
+        lambda x: 1.0 / (1.0 + np.exp(-x)),
+        lambda x: (1.0 / (1.0 + np.exp(-x))) * (1.0 - 1.0 / (1.0 + np.exp(-x))),
+        UNIT_MARGIN,
+        1.0 - UNIT_MARGIN,
+        lambda v: min(0.25, v, 1.0 - v),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """
+    A parameter, or the initial state of a run, of a `Structure`.
+
+    Parameters
+    ----------
+    name : str
+        Its name: the argument of `Structure.simulate`.
+    low, high : float
+        Bounds; −∞ and ∞ when not given.
+    guess : float, optional
+        Where the search starts; the middle of the bounds when not given.
+    search : {"plain", "rate", "logit"} or callable
+        The coordinate of the search: the parameter itself; −ln(1 − a), for the share kept over one sample, in (0, 1);
+        the log odds, for a share in (0, 1). Or a function of the initial guess that returns a `Coordinate`.
+    span : tuple of str, optional
+        Two parameters whose distance is the scale of this one: with a 95 % interval beyond ± half of it, the parameter
+        is reported as weak.
+    hint : str
+        What to record when the data determine the parameter weakly.
+    ends : mapping of float to str
+        What it means when the parameter is found at a bound; such a parameter is no reason for doubt.
+
+    Raises
+    ------
+    ValueError
+        If the name is no Python name, or the bounds are empty.
+    """
+
+    name: str
+    low: float = -np.inf
+    high: float = np.inf
+    guess: float | None = None
+    search: str | Callable[[Mapping], Coordinate] = "plain"
+    span: tuple[str, str] | None = None
+    hint: str = "record phases that move the model more"
+    ends: Mapping[float, str] = field(default_factory=dict)
+
+    def __post_init__(self):
+        if not isinstance(self.name, str) or not self.name.isidentifier():
+            raise ValueError(f"the name of a parameter must be a Python name, got {shown(self.name)}")
+        if not callable(self.search):
+            one_of(f"search of {self.name}", self.search, COORDINATES, "a function")
+            coordinate = COORDINATES[self.search]
+            object.__setattr__(self, "low", max(float(self.low), coordinate.low))
+            object.__setattr__(self, "high", min(float(self.high), coordinate.high))
+        if not self.low < self.high:
+            raise ValueError(f"{self.name} needs bounds with low < high, got ({self.low}, {self.high})")
+        if (
+            self.guess is not None
+            and not self.low <= finite_number(f"guess of {self.name}", self.guess) <= self.high
+        ):
+            raise ValueError(
+                f"the guess of {self.name}, {self.guess}, lies outside ({self.low}, {self.high})"
+            )
+
+    def coordinate(self, guess: Mapping) -> Coordinate:
+        """
+        Return the coordinate of the search.
+
+        Parameters
+        ----------
+        guess : mapping
+            The initial guess, by name.
+        """
+        return self.search(guess) if callable(self.search) else COORDINATES[self.search]
+
+    def useful_half_width(self, values: Mapping[str, float]) -> float:
+        """
+        Return the greatest half-width of a 95 % interval that does not mark the parameter as weak.
+
+        Parameters
+        ----------
+        values : mapping
+            The estimates, by name.
+        """
+        if self.span is not None:
+            low, high = self.span
+            return 0.5 * abs(values[high] - values[low])
+        useful = self.coordinate(values).useful(values[self.name])
+        # As for a share in (0, 1): an interval over half the allowed range tells nothing.
+        return min(useful, 0.25 * (self.high - self.low)) if self.search == "plain" else useful
+
+
+@dataclass(frozen=True, eq=False)
+class LinearForm:
+    """
+    The one-step equations of a structure that is linear in some coefficients, for `fit(..., method="regression")`.
+
+    Parameters
+    ----------
+    coefficients : tuple of str
+        Names of the coefficients.
+    equations : callable
+        From a run to the regressors, shape (p, n), and the left-hand sides, shape (n,).
+    parameters : callable
+        From the coefficients to the structure's parameters, in order. It is differentiated by complex steps, so it
+        must be built from arithmetic.
+    initial : callable
+        From a run to its initial states, in order: where the fitted model is simulated from.
+    caution : str
+        What a reader must know of these estimates.
+    """
+
+    coefficients: tuple[str, ...]
+    equations: Callable
+    parameters: Callable
+    initial: Callable
+    caution: str = "Least squares on one-step predictions: noise in the regressors biases the parameters."
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """
+    A model structure that `fit` can identify: what is unknown, what is measured, and how one follows from the other.
+
+    Parameters
+    ----------
+    name : str
+        What the model is called in results and errors.
+    parameters : sequence of Parameter
+        Parameters that all runs share.
+    outputs : sequence of str
+        Columns of a session that the model explains.
+    simulate : callable
+        ``simulate(run, **values)``, with the parameters and initial states by name; ``run["mode"]`` is a column, shape
+        (N,). It returns the output, shape (N,), or a tuple of outputs. Not needed where `sensitivities` is given.
+    initial : sequence of Parameter
+        Initial states; every run has its own.
+    inputs : sequence of str
+        Columns that the simulation reads. Residuals are tested for correlation with the first.
+    sensitivities : callable, optional
+        ``sensitivities(run, **values)`` returns the outputs and, for each, its derivatives, shape (N, number of names
+        in `affected_by`). Central differences of `simulate` when not given.
+    affected_by : mapping, optional
+        Names of the parameters and initial states that move an output, by output; all when not given.
+    guess : callable, optional
+        ``guess(runs, limits)`` returns starting values by name; an initial state may have one value per run.
+    model : callable, optional
+        ``model(**parameters)`` makes `FitResult.model` from the estimates; a dictionary of them when not given.
+    derived : mapping, optional
+        Further rows of the table, by name: functions of the dictionary of estimates, built from arithmetic.
+    check : callable, optional
+        ``check(runs, limits)`` raises `IdentificationError` if the data cannot identify the structure.
+    linear : LinearForm, optional
+        The structure as a linear regression.
+
+    Raises
+    ------
+    ValueError
+        If a name is repeated, or a field does not fit the others.
+    """
+
+    name: str
+    parameters: Iterable[Parameter]
+    outputs: Iterable[str]
+    simulate: Callable | None = None
+    initial: Iterable[Parameter] = ()
+    inputs: Iterable[str] = ("mode",)
+    sensitivities: Callable | None = None
+    affected_by: Mapping[str, Iterable[str]] | None = None
+    guess: Callable | None = None
+    model: Callable | None = None
+    derived: Mapping[str, Callable] = field(default_factory=dict)
+    check: Callable | None = None
+    linear: LinearForm | None = None
+
+    how_to_get = "build one with trustlab.Structure(name, parameters=…, outputs=…, simulate=…)"
+
+    def __post_init__(self):
+        for what in ("outputs", "inputs"):
+            given = getattr(self, what)
+            object.__setattr__(self, what, (given,) if isinstance(given, str) else tuple(given))
+        for what in ("parameters", "initial"):
+            given = tuple(getattr(self, what))
+            if not all(isinstance(one, Parameter) for one in given):
+                raise ValueError(f"{what} of {self.name!r} must be a sequence of trustlab.Parameter")
+            object.__setattr__(self, what, given)
+        if not self.parameters or not self.outputs:
+            raise ValueError(f"structure {self.name!r} needs at least one parameter and one output")
+        if not callable(self.simulate) and not callable(self.sensitivities):
+            raise ValueError(f"structure {self.name!r} needs a function simulate or sensitivities")
+        repeated = {name for name in self.names if self.names.count(name) > 1}
+        if repeated:
+            raise ValueError(f"structure {self.name!r} has two parameters called {sorted(repeated)[0]!r}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, then of the initial states."""
+        return tuple(one.name for one in (*self.parameters, *self.initial))
+
+    def columns_of(self, output: str) -> list[int]:
+        """
+        Return the numbers, in `names`, of what moves an output: the columns of its derivatives.
+
+        Parameters
+        ----------
+        output : str
+            One of `outputs`.
+        """
+        moving = self.names if self.affected_by is None else self.affected_by[output]
+        return [self.names.index(name) for name in moving]
+
+    def predict(self, run: Any, values: Mapping[str, float]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """
+        Return the simulated outputs of a run and their derivatives.
+
+        Parameters
+        ----------
+        run : Run
+            The run.
+        values : mapping
+            Parameters and the run's initial states, by name.
+        """
+        if self.sensitivities is not None:
+            return self.sensitivities(run, **values)
+        outputs = self._simulated(run, values)
+        jacobians = [np.empty((run.size, len(self.columns_of(name)))) for name in self.outputs]
+        for number, parameter in enumerate((*self.parameters, *self.initial)):
+            ends = _around(parameter, values[parameter.name])
+            below, above = (self._simulated(run, {**values, parameter.name: end}) for end in ends)
+            for j, output in enumerate(self.outputs):
+                columns = self.columns_of(output)
+                if number in columns:
+                    slope = (above[j] - below[j]) / (ends[1] - ends[0])
+                    jacobians[j][:, columns.index(number)] = slope
+        return outputs, jacobians
+
+    def _simulated(self, run, values: Mapping[str, float]) -> list[np.ndarray]:
+        """Simulate by the user's function and check what it returns."""
+        found = self.simulate(run, **values)
+        outputs = [np.asarray(one, dtype=float) for one in (found if isinstance(found, tuple) else (found,))]
+        shapes = [one.shape for one in outputs]
+        if shapes != [(run.size,)] * len(self.outputs):
+            wanted = " and ".join(self.outputs)
+            raise ValueError(
+                f"simulate of structure {self.name!r} must return {wanted} with {run.size} samples each (a tuple for "
+                f"several), got shapes {shapes}"
+            )
+        return outputs
+
+    def limits(
+        self, fixed: Mapping[str, float] | None = None, bounds: Mapping[str, tuple] | None = None
+    ) -> dict[str, tuple[float, float]]:
+        """
+        Return the lowest and the highest value of every parameter; equal values for a fixed one.
+
+        Parameters
+        ----------
+        fixed : mapping, optional
+            Values to hold, by name.
+        bounds : mapping, optional
+            (low, high) by name; None for an open side.
+
+        Raises
+        ------
+        ValueError
+            If a name or a value is not possible.
+        """
+        fixed, bounds = {} if fixed is None else fixed, {} if bounds is None else bounds
+        for what, given in (("fixed", fixed), ("bounds", bounds)):
+            if not isinstance(given, Mapping):
+                raise ValueError(
+                    f"{what} must be a dictionary by parameter, for example {{'a': ...}}, got {given!r}"
+                )
+            self._check_names(given, what)
+        for name in set(fixed) & set(bounds):
+            raise ValueError(f"{name} is both fixed and bounded; give one of them")
+        out = {}
+        for parameter in (*self.parameters, *self.initial):
+            name = parameter.name
+            low, high = parameter.low, parameter.high
+            if name in bounds:
+                low, high = _narrowed(parameter, bounds[name])
+            if name in fixed:
+                value = finite_number(f"fixed {name}", fixed[name])
+                if not low <= value <= high:
+                    raise ValueError(f"{name} is fixed at {value}, outside ({low:.3g}, {high:.9g})")
+                low = high = value
+            out[name] = (low, high)
+        for low_name, high_name in {one.span for one in self.parameters if one.span}:
+            least, most = fixed.get(low_name), fixed.get(high_name)
+            if least is not None and most is not None and not least < most:
+                raise ValueError(f"{low_name} is fixed at {least}, not below {high_name} at {most}")
+        return out
+
+    def _check_names(self, given: Mapping, what: str) -> None:
+        """Refuse a name that is no parameter, and suggest the one that was meant."""
+        for name in given:
+            if name not in self.names:
+                # "a" is meant for human_a or robot_a where a structure has both.
+                prefixed = [own for own in self.names if own.endswith(f"_{name}")]
+                hint = f"; did you mean {' or '.join(map(repr, prefixed))}?" if prefixed else ""
+                raise ValueError(
+                    f"{what} names {name!r}, which is no parameter here ({', '.join(self.names)})"
+                    f"{hint or did_you_mean(name, self.names)}"
+                )
+
+
+def _narrowed(parameter: Parameter, pair: tuple) -> tuple[float, float]:
+    """Return the user's bounds within those of the parameter."""
+    name, low, high = parameter.name, parameter.low, parameter.high
+    if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+        raise ValueError(f"bounds of {name} must be a pair (low, high), None for an open side, got {pair!r}")
+    own_low = low if pair[0] is None else finite_number(f"lower bound of {name}", pair[0])
+    own_high = high if pair[1] is None else finite_number(f"upper bound of {name}", pair[1])
+    if not own_low < own_high:
+        raise ValueError(f"bounds of {name} must be (low, high) with low < high, got {pair}")
+    if own_high <= low or own_low >= high:
+        raise ValueError(f"bounds of {name}, {pair}, lie outside [{low:g}, {high:g}]")
+    return max(low, own_low), min(high, own_high)
+
+
+def _around(parameter: Parameter, value: float) -> tuple[float, float]:
+    """Return two values, one on each side, for central differences; at a bound one of them is the value itself."""
+    coordinate = parameter.coordinate({})
+    x = coordinate.to(value)
+    width = coordinate.to(parameter.high) - coordinate.to(parameter.low)
+    # A parameter near 0 has no scale of its own: a thousandth of its range, or of 1, takes its place.
+    step = DIFFERENCE * max(abs(x), 1e-3 * min(width, 1.0))
+    ends = (coordinate.back(x - step), coordinate.back(x + step))
+    return max(ends[0], parameter.low), min(ends[1], parameter.high)
