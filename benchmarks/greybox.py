@@ -20,14 +20,13 @@ from benchmarks.data import pilot, session
 from benchmarks.peers import scipy_trust_region
 from benchmarks.peers.casadi_shooting import SingleShooting
 from benchmarks.timing import Row, here, in_turns
-from trustlab.identification.starting_values import human_start, robot_start
-from trustlab.identification.traces import traces
+from trustlab.identification.runs import read_runs
+from trustlab.identification.tsc import TSC
 
 TITLE = "Joint grey-box fit"
 CASE = f"{TITLE}, 20,000 samples, 2 states, 8 parameters"
 OURS = "trustlab fit_tsc: search of starting values, fit, covariance, diagnostics"
 FIXED = {"r0": 0.0}
-FREE = (-np.inf, np.inf)
 HUMAN, ROBOT = ("a", "beta", "p_min", "p_max"), ("a", "p_min", "p_max")
 SLOWER, FASTER = 1.2, 15.0
 
@@ -135,10 +134,7 @@ def own_start(run: tl.Session) -> np.ndarray:
     run : Session
         The data.
     """
-    unit = (1e-9, 1.0 - 1e-9)
-    runs, _ = traces(run, "p_h", "p_r")
-    own = {"a": unit, "beta": unit, "p_min": FREE, "p_max": FREE, "r0": (FIXED["r0"], FIXED["r0"])}
-    human = human_start(runs, own)
-    robot = robot_start(runs, None, human["p_max"], {"a": unit})
-    shared = [human[name] for name in HUMAN] + [robot[name] for name in ROBOT]
-    return np.array([*shared, robot["p_r0"][0]], dtype=float)
+    guess = TSC.guess(read_runs(run, "mode", "p_h", "p_r"), TSC.limits(fixed=FIXED))
+    del guess["r0"]  # fixed
+    guess["p_r0"] = guess["p_r0"][0]
+    return np.array(list(guess.values()), dtype=float)

@@ -45,7 +45,11 @@ _lazy_getattr, __dir__, __all__ = lazy.attach(
         ],
         "identification": [
             "IdentificationError",
+            "LinearForm",
+            "Parameter",
+            "Structure",
             "arx",
+            "fit",
             "fit_human",
             "fit_robot",
             "fit_transfer_function",

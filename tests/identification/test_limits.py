@@ -99,7 +99,7 @@ def test_bounds_hold_and_are_reported(operators, make_session, switching):
     assert fit.model.beta == pytest.approx(0.7, abs=1e-12)
     assert fit.table().loc["beta", "status"] == "at bound"
     assert not fit.success
-    assert "beta ran into its bound" in fit.message
+    assert "beta is at its bound" in fit.message
     free = tl.fit_human(session, bounds={"beta": (0.6, 0.9)})
     assert free.model.beta == pytest.approx(tl.fit_human(session).model.beta, rel=1e-9)
 
@@ -107,20 +107,29 @@ def test_bounds_hold_and_are_reported(operators, make_session, switching):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"method": "pem"}, 'method must be "output_error" or "arx"'),
+        ({"method": "pem"}, "method must be one of 'output_error', 'regression', got 'pem'"),
         ({"fixed": {"betta": 0.7}}, "did you mean 'beta'"),
         ({"bounds": {"beta": (0.9, 0.1)}}, "low < high"),
         ({"bounds": {"beta": (1.5, 2.0)}}, "lie outside"),
         ({"fixed": {"a": 1.5}}, "outside"),
         ({"noise": "pink"}, "noise must be"),
-        ({"method": "arx", "fixed": {"a": 0.9}}, "plain least squares"),
-        ({"method": "arx"}, "column r"),
+        ({"method": "regression", "fixed": {"a": 0.9}}, "plain least squares"),
+        ({"method": "regression"}, "column r"),
+        ({"fixed": 0.9}, "fixed must be a dictionary"),
+        ({"fixed": {"p_min": 0.5, "p_max": 0.4}}, "p_min is fixed at 0.5, not below p_max at 0.4"),
+        ({"fixed": {"a": 0.9}, "bounds": {"a": (0.8, 0.95)}}, "both fixed and bounded"),
     ],
 )
 def test_arguments_that_are_not_understood(operators, make_session, switching, arguments, says):
     session = make_session(operators["pilot"], switching[:6000], noise=0.003)
     with pytest.raises(ValueError, match=says):
         tl.fit_human(session, **arguments)
+
+
+def test_p_h_max_is_an_argument_of_its_own(operators, make_session, switching):
+    session = make_session(operators["pilot"], switching[:6000], noise=0.003)
+    with pytest.raises(ValueError, match=r"give it as fit_robot\(..., p_h_max=...\)"):
+        tl.fit_robot(session, fixed={"p_h_max": 0.46})
 
 
 def test_sessions_that_do_not_fit_together(operators, make_session, switching):
@@ -150,12 +159,12 @@ def test_least_squares_refuses_what_it_has_no_use_for_and_doubts_what_explains_n
     r, _ = model.human.simulate(switching, 0.3)
     rng = np.random.default_rng(0)
     logged = session.with_columns(r=np.clip(r + 0.02 * rng.standard_normal(r.size), 0.0, 1.0))
-    for fit in (tl.fit_robot, tl.fit_human):
+    for fit, method in ((tl.fit_robot, "arx"), (tl.fit_human, "regression")):
         with pytest.raises(ValueError, match="choose its noise"):
-            fit(logged, method="arx", noise="hac")
+            fit(logged, method=method, noise="hac")
         with pytest.raises(ValueError, match="method must be"):
             fit(logged, method="pem")
-    poor = tl.fit_human(logged, method="arx")
+    poor = tl.fit_human(logged, method="regression")
     assert poor.fit_percent < 0.0
     assert not poor.success
     assert "do not use the numbers" in poor.message

@@ -15,7 +15,7 @@ from trustlab.identification.structure import Structure
 from trustlab.models.checks import one_of, open_unit, whole_number
 from trustlab.sessions.plots import shade_manual
 
-__all__ = ["FitResult", "RunFit", "gradient", "parameter_table", "run_fits", "with_intervals"]
+__all__ = ["FitResult", "RunFit"]
 
 LABELS = {"p_r": "robot performance $P_r$", "p_h": "human performance $P_h$"}
 
@@ -238,7 +238,6 @@ class FitResult:
         )
         notes = [f"{len(shown)} of {len(self.runs)} runs"] if len(shown) < len(self.runs) else []
         for row, name in zip(axes, self.outputs, strict=True):
-            row[0].set_ylabel(LABELS.get(name, name))
             for panel, run in zip(row, shown, strict=True):
                 panel.plot(run.t, run.measured[name], lw=0.8, color="0.55", label="measured")
                 panel.plot(run.t, run.fitted[name], lw=1.6, ls="--", color="C1", label="fitted")
@@ -246,6 +245,8 @@ class FitResult:
                     shade_manual(panel, run.t, run.mode)
         if "mode" in shown[0].inputs:
             notes.append("manual phases shaded")
+        for panel, name in zip(axes[:, 0], self.outputs, strict=True):
+            panel.set_ylabel(LABELS.get(name, name))
         for panel, run in zip(axes[0], shown, strict=True):
             panel.set_title(run.label, fontsize="small")
         for panel in axes[-1]:
@@ -283,9 +284,10 @@ class FitResult:
                 panel.plot(part.index, part[column], "o", ms=3)
                 panel.axhline(0.0, color="0.4", lw=0.6)
                 panel.set_xlabel("lag [samples]")
-            row[0].set_ylabel(f"{name} residual")
-            row[0].set_title("autocorrelation", fontsize="small")
-            row[1].set_title(f"with {next(iter(self.runs[0].inputs))}", fontsize="small")
+            auto, cross = row
+            auto.set_ylabel(f"{name} residual")
+            auto.set_title("autocorrelation", fontsize="small")
+            cross.set_title(f"with {next(iter(self.runs[0].inputs))}", fontsize="small")
         axes[0, 0].legend(fontsize="small")
         title = "residual correlations" + (", synthetic data" if self.synthetic else "")
         figure.suptitle(title, fontsize="small")

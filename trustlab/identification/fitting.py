@@ -116,6 +116,8 @@ def estimate_runs(
     """Make the initial guess and run the output-error method."""
     one_of("noise", noise, NOISES)
     start = structure.guess(runs, limits) if structure.guess is not None else {}
+    if guess is not None:
+        structure.check_names(guess, "guess")
     for parameter in (*structure.parameters, *structure.initial):
         low, high = limits[parameter.name]
         given = None if guess is None else guess.get(parameter.name)

@@ -24,18 +24,7 @@ from trustlab.models.deprecation import warn_renamed
 from trustlab.models.human import HumanModel, performance_curve
 from trustlab.sessions.session import Session
 
-__all__ = [
-    "HUMAN",
-    "build_human",
-    "decay_rates",
-    "fit_human",
-    "human_guess",
-    "human_parameters",
-    "initial_utilization",
-    "performance_slopes",
-    "solve_pair",
-    "undo_blocks",
-]
+__all__ = ["HUMAN", "fit_human"]
 
 EDGE = 1e-9
 """(2.6) has an infinite slope at r = 0 and r = 1; its slope is taken this far inside."""
@@ -143,27 +132,30 @@ def _sensitivities(run: Run, a, beta, p_min, p_max, r0):
     return [p_h], [by.view(float).reshape(run.size, -1)]
 
 
-def human_parameters(prefix: str = "") -> tuple[Parameter, ...]:
-    """Return a, beta, p_min and p_max of (2.5)-(2.6)."""
-    span = (f"{prefix}p_min", f"{prefix}p_max")
+def rate_parameter(prefix: str = "") -> Parameter:
+    """Return the parameter a: the share kept over one sample."""
+    hint = "record a rise or a decay long enough to show its curvature"
+    return Parameter(f"{prefix}a", search="rate", hint=hint)
+
+
+def range_parameters(prefix: str = "") -> tuple[Parameter, Parameter]:
+    """Return p_min and p_max, each judged by the distance between them."""
+    low, high = f"{prefix}p_min", f"{prefix}p_max"
     return (
         Parameter(
-            f"{prefix}a", search="rate", hint="record a rise or a decay long enough to show its curvature"
+            low, span=(low, high), hint="record a phase long enough to settle at the least performance"
         ),
         Parameter(
-            f"{prefix}beta",
-            search="logit",
-            hint="record phases that take utilization to both sides of the best one",
-        ),
-        Parameter(
-            f"{prefix}p_min", span=span, hint="record a phase long enough to settle at the least performance"
-        ),
-        Parameter(
-            f"{prefix}p_max",
-            span=span,
-            hint="record a phase long enough to come near the greatest performance",
+            high, span=(low, high), hint="record a phase long enough to come near the greatest performance"
         ),
     )
+
+
+def human_parameters(prefix: str = "") -> tuple[Parameter, ...]:
+    """Return a, beta, p_min and p_max of (2.5)-(2.6)."""
+    hint = "record phases that take utilization to both sides of the best one"
+    beta = Parameter(f"{prefix}beta", search="logit", hint=hint)
+    return (rate_parameter(prefix), beta, *range_parameters(prefix))
 
 
 def initial_utilization(beta: str = "beta") -> Parameter:

@@ -28,6 +28,11 @@ class NormalEquations:
     squares: np.ndarray
     exact: bool = False
 
+    @property
+    def finite(self) -> bool:
+        """Whether the simulation and its derivatives are finite here."""
+        return bool(np.isfinite(self.value) and np.isfinite(self.matrix).all())
+
 
 @dataclass(frozen=True)
 class Minimum:
@@ -56,6 +61,8 @@ def minimise(
     """
     x = np.clip(start, lower, upper)
     now = evaluate(x)
+    if not now.finite:
+        return Minimum(x, now, np.zeros(x.size, dtype=bool), False, 1)
     damping, iterations, history = 1e-4, 1, [now.value]
     pinned, refused, released = np.zeros(x.size, dtype=bool), 0, np.inf
     while True:
@@ -89,7 +96,7 @@ def minimise(
         iterations += 1
         # Below a thousandth of a standard error the value's last digits are rounding: trust the step, not the value.
         slack = 1e-6 if promised < 1e-6 else 0.0
-        if np.isfinite(new.value) and new.value < now.value + slack:
+        if new.finite and new.value < now.value + slack:
             x, now, damping, refused = trial, new, max(damping / 10.0, 1e-12), 0
         else:
             damping, refused = max(damping * 5.0, 1e-6), refused + 1

@@ -157,7 +157,7 @@ def estimate(problem: Problem, start: np.ndarray, limits: Mapping, noise: str = 
     theta[fixed] = low[fixed]
     theta[minimum.at_bound] = np.clip(theta, low, high)[minimum.at_bound]
     normal = problem.normal(theta)
-    if not np.isfinite(normal.value):
+    if not normal.finite:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(problem.names, theta, strict=True))
         raise ValueError(
             f"structure {structure.name!r} simulates values that are not finite at {values}; start elsewhere with "

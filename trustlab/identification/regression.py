@@ -19,7 +19,7 @@ from trustlab.identification.runs import Run
 from trustlab.identification.structure import IdentificationError, Structure
 from trustlab.models.checks import whole_number
 
-__all__ = ["ArxResult", "arx", "equations", "regress", "regression", "simulated_result"]
+__all__ = ["ArxResult", "arx", "regress"]
 
 CONDITION_LIMIT = 1e5
 """Up to this condition number (equilibrated) the normal equations are used, beyond it a QR factorisation."""

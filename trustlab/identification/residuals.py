@@ -5,15 +5,6 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-__all__ = [
-    "hac_lags",
-    "hac_matrix",
-    "ljung_box",
-    "pooled_autocorrelation",
-    "pooled_cross_correlation",
-    "sandwich",
-    "whiteness_p",
-]
 
 LAGS = 25
 """Lags of the Ljung–Box test that chooses between white and robust standard errors."""

@@ -18,7 +18,14 @@ from trustlab.identification.fitting import (
     result,
     weak_parameters,
 )
-from trustlab.identification.human import HUMAN, decay_rates, solve_pair, undo_blocks
+from trustlab.identification.human import (
+    HUMAN,
+    decay_rates,
+    range_parameters,
+    rate_parameter,
+    solve_pair,
+    undo_blocks,
+)
 from trustlab.identification.output_error import Estimate, Problem
 from trustlab.identification.regression import equations, regress
 from trustlab.identification.runs import Run, block_means, joined, read_runs
@@ -27,14 +34,7 @@ from trustlab.models.checks import one_of, positive
 from trustlab.models.robot import RobotModel
 from trustlab.sessions.session import Session
 
-__all__ = [
-    "build_robot",
-    "check_excitation",
-    "fit_robot",
-    "robot_guess",
-    "robot_parameters",
-    "robot_structure",
-]
+__all__ = ["fit_robot", "robot_structure"]
 
 
 def fit_robot(
@@ -157,20 +157,7 @@ def _input_influence(mode, a, b, jacobian):
 
 def robot_parameters(prefix: str = "") -> tuple[Parameter, ...]:
     """Return a, p_min and p_max of (2.3)."""
-    span = (f"{prefix}p_min", f"{prefix}p_max")
-    return (
-        Parameter(
-            f"{prefix}a", search="rate", hint="record a rise or a decay long enough to show its curvature"
-        ),
-        Parameter(
-            f"{prefix}p_min", span=span, hint="record a phase long enough to settle at the least performance"
-        ),
-        Parameter(
-            f"{prefix}p_max",
-            span=span,
-            hint="record a phase long enough to come near the greatest performance",
-        ),
-    )
+    return (rate_parameter(prefix), *range_parameters(prefix))
 
 
 def robot_structure(p_h_max: float) -> Structure:

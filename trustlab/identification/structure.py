@@ -337,7 +337,7 @@ class Structure:
                 raise ValueError(
                     f"{what} must be a dictionary by parameter, for example {{'a': ...}}, got {given!r}"
                 )
-            self._check_names(given, what)
+            self.check_names(given, what)
         for name in set(fixed) & set(bounds):
             raise ValueError(f"{name} is both fixed and bounded; give one of them")
         out = {}
@@ -358,8 +358,17 @@ class Structure:
                 raise ValueError(f"{low_name} is fixed at {least}, not below {high_name} at {most}")
         return out
 
-    def _check_names(self, given: Mapping, what: str) -> None:
-        """Refuse a name that is no parameter, and suggest the one that was meant."""
+    def check_names(self, given: Mapping, what: str) -> None:
+        """
+        Refuse a name that is no parameter, and suggest the one that was meant.
+
+        Parameters
+        ----------
+        given : mapping
+            Values by name.
+        what : str
+            The argument, for the error.
+        """
         for name in given:
             if name not in self.names:
                 # "a" is meant for human_a or robot_a where a structure has both.
