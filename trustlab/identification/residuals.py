@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-
 LAGS = 25
 """Lags of the Ljung–Box test that chooses between white and robust standard errors."""
 
