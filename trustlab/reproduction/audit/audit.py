@@ -7,7 +7,7 @@ from dataclasses import astuple, fields
 
 import pandas as pd
 
-from trustlab.reproduction.audit.catalogue import printed_numbers
+from trustlab.reproduction.audit.catalogue import printed_numbers, why_unchecked
 from trustlab.reproduction.audit.claims import claim_checks
 from trustlab.reproduction.audit.joint_consistency import joint_rows
 from trustlab.reproduction.audit.models import model_checks
@@ -52,8 +52,7 @@ def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
     rows = [row for maker in MAKERS for row in rows_of(maker(numbers), numbers)]
     # A number counts as checked if a row has its id, or continues it after a slash.
     checked = {start for row in rows for start in _ancestors(row.id)}
-    alone = "Chosen or measured by the author; no other printed number bears on it."
-    rows += rows_of([Remark(id, alone) for id in numbers if id not in checked], numbers)
+    rows += rows_of([Remark(id, why_unchecked(id)) for id in numbers if id not in checked], numbers)
     order = {id: i for i, id in enumerate(numbers)}
     place = {row.id: next((order[x] for x in _ancestors(row.id) if x in order), len(order)) for row in rows}
     rows.sort(key=lambda row: (place[row.id], row.id))

@@ -7,6 +7,8 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from fnmatch import fnmatchcase
+from functools import cache
 
 import pandas as pd
 
@@ -14,7 +16,7 @@ from trustlab.models.checks import did_you_mean, shown
 from trustlab.reproduction.printed_number import PrintedNumber
 from trustlab.reproduction.published import PILOT, published_folder, published_table
 
-__all__ = ["PARTICIPANTS", "claims", "conditions_of", "printed_numbers", "study_names"]
+__all__ = ["PARTICIPANTS", "claims", "conditions_of", "printed_numbers", "study_names", "why_unchecked"]
 
 PARTICIPANTS = ("1", "2", "3", "4", "5")
 TABLES = ("2.1", "2.2", "2.3", "2.4", "2.5", "2.6", "3.1")
@@ -100,6 +102,16 @@ def _statements() -> Iterator[PrintedNumber]:
     table = pd.read_csv(published_folder() / "statements.csv", dtype=str)
     for id, where, statement, printed in table.itertuples(index=False):
         yield PrintedNumber(id, where, statement, printed, _is_count(printed))
+
+
+@cache
+def _reasons() -> list[tuple[str, str]]:
+    return list(pd.read_csv(published_folder() / "unchecked.csv", dtype=str).itertuples(index=False))
+
+
+def why_unchecked(id: str) -> str:
+    """Return why a number that no other bears on cannot be checked: the first pattern of unchecked.csv that matches."""
+    return next(reason for pattern, reason in _reasons() if fnmatchcase(id, pattern))
 
 
 def printed_numbers(changes: Mapping[str, str] | None = None) -> dict[str, PrintedNumber]:

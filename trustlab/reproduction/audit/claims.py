@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from trustlab.reproduction.audit.catalogue import claims
-from trustlab.reproduction.audit.verdict import Check, Formula, Numbers, Remark
+from trustlab.reproduction.audit.verdict import Check, Formula, Numbers
 
 __all__ = ["claim_checks"]
 
@@ -95,7 +95,6 @@ def _teleoperation(numbers: Numbers) -> list:
         Check("section_3_1/error", tmig, explanations=used),
         _in_points("section_3_1/workload", mean("tlx", "TMIG"), mean("tlx", "MMI"), 1.0, numbers),
         Check("claim/section_3_8_1/f_i_for_a_delay_growing_at_most_0_5_s_s", gain),
-        Remark("section_3_8_1/T_max", "Chosen by the author."),
     ]
 
 

@@ -11,7 +11,7 @@ from trustlab.allocation.limits import limits_as_printed
 from trustlab.allocation.steady_state import performance_as_printed, utilization_as_printed
 from trustlab.models.robot import gain_of_human_performance
 from trustlab.models.tsc import TscConstants, performance_weights
-from trustlab.reproduction.audit.catalogue import PARTICIPANTS
+from trustlab.reproduction.audit.catalogue import PARTICIPANTS, why_unchecked
 from trustlab.reproduction.audit.verdict import Check, Formula, Numbers, Possible, Remark
 
 __all__ = ["PERFORMANCE", "bounds", "limits", "model_checks", "upper_limit_check"]
@@ -224,7 +224,7 @@ def _largest_robot_step(column: str, numbers: Numbers) -> Possible:
     )
     limit, _, _ = most.range(numbers)
     least, _ = numbers[id].compatible
-    note = "Depends on the stretch of the fitted curve that was used, which is not printed."
+    note = why_unchecked(id)
     if least > limit:
         note = (
             f"Suspicious: with the parameters as printed, (2.3) moves P_r by at most {limit:.2e} in one step."
@@ -239,25 +239,21 @@ def _captured(p: str, numbers: Numbers) -> list[Check | Remark]:
     gap = Formula(
         "(μ_u − σ_u) − (μ_l + σ_l)", ids, lambda v: v["u_mean"] - v["u_sd"] - v["l_mean"] - v["l_sd"]
     )
-    checks: list[Check | Remark] = [
-        Check(
-            "section_2_4_1_3/follow" if apart else "section_2_4_1_3/not_distinguishable",
-            gap,
-            suffix=f"/{p}" if apart else "",
-            quantity=f"μ ± σ of TSC_l and TSC_u {'apart' if apart else 'overlap'}, participant {p}",
-            target=(0.0, np.inf) if apart else (-np.inf, 0.0),
-        )
-    ]
+    check = Check(
+        "section_2_4_1_3/follow" if apart else "section_2_4_1_3/not_distinguishable",
+        gap,
+        suffix=f"/{p}" if apart else "",
+        quantity=f"μ ± σ of TSC_l and TSC_u {'apart' if apart else 'overlap'}, participant {p}",
+        target=(0.0, np.inf) if apart else (-np.inf, 0.0),
+    )
     upper, limit = numbers[ids["u_mean"]], numbers[f"table_2.1/TSC_ub/{p}"]
-    for symbol, id in ids.items():
-        reason = "Captured from switches that are not printed."
-        if symbol == "u_mean" and upper.value > limit.value:
-            reason += (
-                f" It lies above TSC_ub = {limit.printed} of Table 2.1, so that Theorem 1 does not cover this participant's "
-                "own switching (its condition is sufficient, not necessary)."
-            )
-        checks.append(Remark(id, reason))
-    return checks
+    if upper.value <= limit.value:
+        return [check]
+    above = (
+        f"{why_unchecked(upper.id)} It lies above TSC_ub = {limit.printed} of Table 2.1, so that Theorem 1 does not cover this participant's "
+        "own switching (its condition is sufficient, not necessary)."
+    )
+    return [check, Remark(upper.id, above)]
 
 
 def _spread_of_captured(numbers: Numbers) -> Check:
@@ -308,14 +304,4 @@ def model_checks(numbers: Numbers) -> list:
     checks = []
     for p in PARTICIPANTS:
         checks += [*_participant(p, numbers), _largest_robot_step(p, numbers), *_captured(p, numbers)]
-        checks += [
-            Remark(f"table_2.1/{name}/{p}", "Identified from a session that is not printed.")
-            for name in (*PERFORMANCE, "a_r", "beta", "a_pr")
-        ]
-        stretch = "Depends on the stretch of the fitted curve that was used, which is not printed."
-        checks.append(Remark(f"table_2.1/delta_P_h/{p}", stretch))
-        checks += [
-            Remark(f"table_2.2/{name}/{p}", "Chosen by the author (Algorithm 1).")
-            for name in ("TSC_l", "TSC_u")
-        ]
     return [*checks, _spread_of_captured(numbers), *_pilot(numbers)]

@@ -129,8 +129,6 @@ def pair_checks(name: str, numbers: Numbers) -> list[Possible | Remark | Row]:
     checks: list[Possible | Remark | Row] = [
         _pair(id, name, numbers) for id in numbers if id.startswith(f"{name}/pairs.")
     ]
-    silent = [id for id in numbers if id.startswith(f"{name}/significant.")]
-    checks += [Remark(id, "No p-value is printed.") for id in silent]
     if all(f"{name}/mean.{c}" in numbers for c in conditions_of(name)):
         checks.append(_adjustment(name, numbers))
     return checks

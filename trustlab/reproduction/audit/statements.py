@@ -111,14 +111,13 @@ def _counts(numbers: Numbers) -> list:
     ]
 
 
-def _participants() -> list:
+def _participants() -> list[Check]:
     """Return the checks of numbers of participants, by sex and in Latin squares."""
-    checks: list[Check | Remark] = []
+    checks = []
     for section in ("section_2_4_2_2", "section_3_8_2_1", "section_3_9_2"):
         female, male = f"{section}/female", f"{section}/male"
         people = f"{section}/participants"
         checks.append(_combined(people, female, male, "female + male", lambda v: v["a"] + v["b"]))
-        checks += [Remark(id, "A part of the participants.") for id in (female, male)]
     for number, people, orders in SQUARES:
         left = Formula(
             f"participants modulo {orders}",
@@ -153,14 +152,13 @@ def _restated(id: str, first: str, where: str, numbers: Numbers) -> Row:
 
 def _captions_and_appendix(numbers: Numbers) -> list:
     """Return the rows of numbers that are printed twice, and the remark on the rate of correction."""
-    found: list[Row | Remark] = [
-        _restated(f"figure_2_18/{name}", f"section_2_5/{name}", "The text of Section 2.5", numbers)
+    pairs = [
+        (f"figure_2_18/{name}", f"section_2_5/{name}", "The text of Section 2.5")
         for name in ("TSC_ld", "TSC_ud")
     ]
-    for id in [id for id in numbers if id.startswith("appendix_a/state/")]:
-        model = id.replace("/state/", "/model/")
-        found.append(_restated(id, model, "The transfer function", numbers))
-        found.append(Remark(model, "Identified from flights that are not printed."))
+    for id in numbers:
+        if id.startswith("appendix_a/state/"):
+            pairs.append((id, id.replace("/state/", "/model/"), "The transfer function"))
     changes = [
         abs(numbers[f"section_2_5/TSC_{end}d"].value - numbers[f"section_2_5/TSC_{end}_0"].value)
         for end in "lu"
@@ -170,7 +168,7 @@ def _captions_and_appendix(numbers: Numbers) -> list:
         f"Chosen by the author. The printed change of thresholds takes at least {minutes:.1f} min at "
         "this rate; the length of the tests is not printed."
     )
-    return [*found, Remark("section_2_5/c_b", chosen)]
+    return [*(_restated(*pair, numbers) for pair in pairs), Remark("section_2_5/c_b", chosen)]
 
 
 def statement_checks(numbers: Numbers) -> list:
