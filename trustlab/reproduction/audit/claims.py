@@ -14,42 +14,27 @@ __all__ = ["claim_checks"]
 
 def _relative(after: str, before: str) -> Formula:
     """Return the magnitude of a change relative to `before`, in %."""
-    return Formula(
-        "100 |after − before|/before",
-        {"after": after, "before": before},
-        lambda v: 100.0 * np.abs(v["after"] - v["before"]) / v["before"],
-        "relative change",
-    )
+    ids = {"after": after, "before": before}
+    return Formula.of("100 * abs(after - before) / before", ids, "relative change")
 
 
 def _by_range(number: str, after: str, before: str) -> Check:
     """Return the check of a difference of two robot performances in % of the range, or relative to the first."""
-    low, high = {"P_r_min": "remark_7/P_r_min"}, {"P_r_max": "remark_7/P_r_max"}
-    means = {"after": after, "before": before}
-    share = Formula(
-        "100 (after − before)/(P_r_max − P_r_min)",
-        means | low | high,
-        lambda v: 100.0 * (v["after"] - v["before"]) / (v["P_r_max"] - v["P_r_min"]),
-        "difference of two values of (2.39)",
+    ids = {"after": after, "before": before, "P_r_min": "remark_7/P_r_min", "P_r_max": "remark_7/P_r_max"}
+    share, ratio = (
+        "100 * (after - before) / (P_r_max - P_r_min)",
+        "100 * (after - before) / (before - P_r_min)",
     )
-    ratio = Formula(
-        "100 (after − before)/(before − P_r_min)",
-        means | low,
-        lambda v: 100.0 * (v["after"] - v["before"]) / (v["before"] - v["P_r_min"]),
-        "relative change of (2.39)",
-    )
-    return Check(number, share, (ratio,))
+    relative = Formula.of(ratio, ids, "relative change of (2.39)")
+    return Check(number, Formula.of(share, ids, "difference of two values of (2.39)"), (relative,))
 
 
 def _in_points(number: str, after: str, before: str, scale: float, numbers: Numbers) -> Check:
     """Return the check of a difference times `scale`, which is 100 for shares, or of a relative change."""
     relative = _relative(after, before)
-    points = Formula(
-        "|after − before|" if scale == 1.0 else f"{scale:g} |after − before|",
-        relative.inputs,
-        lambda v: scale * np.abs(v["after"] - v["before"]),
-        "difference in units of the measure, printed as %" if scale == 1.0 else "percentage points",
-    )
+    label = "difference in units of the measure, printed as %" if scale == 1.0 else "percentage points"
+    difference = "abs(after - before)" if scale == 1.0 else f"{scale:g} * abs(after - before)"
+    points = Formula.of(difference, relative.inputs, label)
     would, _, _ = relative.range(numbers)
     note = f"Printed with a % sign, which reads as a relative change; that would be {would:.1f} %."
     return Check(number, points, (relative,), note=note)
@@ -100,13 +85,13 @@ def _teleoperation(numbers: Numbers) -> list:
 
 def _remark_seven(end: str) -> Check:
     """Return the check of a velocity and an error of Remark 7 by (2.4)."""
-    inputs = {"v": f"remark_7/v_{end}", "e": f"remark_7/e_{end}", "e_max": "section_2_2_2/e_max"}
-    return Check(
-        f"remark_7/P_r_{end}",
-        Formula("v (1 − e/e_max)", inputs, lambda v: v["v"] * (1.0 - v["e"] / v["e_max"])),
-        binding="(2.4) is a mean of products, which is below the product of the means where the robot is faster the farther "
-        "it is from the path.",
+    ids = {"v": f"remark_7/v_{end}", "e": f"remark_7/e_{end}", "e_max": "section_2_2_2/e_max"}
+    mean_of_products = (
+        "(2.4) is a mean of products, which is below the product of the means where the robot is faster the farther "
+        "it is from the path."
     )
+    formula = Formula.of("v * (1 - e / e_max)", ids)
+    return Check(f"remark_7/P_r_{end}", formula, binding=mean_of_products)
 
 
 def claim_checks(numbers: Numbers) -> list:

@@ -83,7 +83,7 @@ def column_formulas(column: str) -> dict[str, Formula]:
     gain = _ids(("a_pr", "P_r_min", "P_r_max", "P_h_max"), column)
     steps = _ids((*PERFORMANCE, "delta_P_r", "delta_P_h"), column)
     return {
-        "b_r": Formula("1 − a_r", _ids(("a_r",), column), lambda v: 1.0 - v["a_r"]),
+        "b_r": Formula.of("1 - a_r", _ids(("a_r",), column)),
         "b_pr": Formula("(1 − a_pr)(P_r_max − P_r_min)/P_h_max", gain, robot_gain),
         "delta_TSC": Formula("a_T δ_Pr + b_T δ_Ph", steps, largest_step),
         "TSC_lb": Formula("a_T b'_1 − b_T P_h_min (2.9)", used, lambda v: limits(v)["TSC_lb"]),
@@ -217,11 +217,7 @@ def _inside_limits(p: str, note: str) -> Check:
 def _largest_robot_step(column: str, numbers: Numbers) -> Possible:
     """Return the check that δ_Pr is at most what (2.3) can move P_r by in one step, at either end of its range."""
     id = _ids(("delta_P_r",), column)["delta_P_r"]
-    most = Formula(
-        "(1 − a_pr)(P_r_max − P_r_min)",
-        _ids(("a_pr", "P_r_min", "P_r_max"), column),
-        lambda v: (1.0 - v["a_pr"]) * (v["P_r_max"] - v["P_r_min"]),
-    )
+    most = Formula.of("(1 - a_pr) * (P_r_max - P_r_min)", _ids(("a_pr", "P_r_min", "P_r_max"), column))
     limit, _, _ = most.range(numbers)
     least, _ = numbers[id].compatible
     note = why_unchecked(id)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from decimal import ROUND_HALF_UP, Decimal
 
 import numpy as np
@@ -63,8 +63,12 @@ def _comparisons() -> list[Check]:
     ]
 
 
-def _combined(number: str, first: str, second: str, text: str, compute: Callable) -> Check:
-    return Check(number, Formula(text, {"a": first, "b": second}, compute))
+def _combined(number: str, first: str, sign: str, second: str) -> Check:
+    """Return the check of a sum or product of two numbers of one section."""
+    section, _, _ = number.partition("/")
+    ids = {"a": f"{section}/{first}", "b": f"{section}/{second}"}
+    text = f"{first} {sign.replace('*', '×')} {second}"
+    return Check(number, Formula.of(f"a {sign} b", ids, text=text))
 
 
 def _number_of(text: str, ids: Mapping[str, str]) -> Formula:
@@ -83,22 +87,9 @@ def _counts(numbers: Numbers) -> list:
     tested = [name for name in uav if f"{name}/t_test.t" in numbers]
     same = "number of printed measures of the UAV study, which has the same variables"
     rows = {scheme: f"table_3.1/{scheme}/error_mean" for scheme in SCHEMES}
-    levels = Formula("df1 + 1", {"df1": "teleop.tlx/anova.df1"}, lambda v: v["df1"] + 1.0)
     return [
-        _combined(
-            "section_2_4_1_3/laps_in_all",
-            "section_2_4_1_3/sets",
-            "section_2_4_1_3/laps",
-            "sets × laps",
-            lambda v: v["a"] * v["b"],
-        ),
-        _combined(
-            "section_3_8_2/variables",
-            "section_3_8_2/objective",
-            "section_3_8_2/subjective",
-            "objective + subjective",
-            lambda v: v["a"] + v["b"],
-        ),
+        _combined("section_2_4_1_3/laps_in_all", "sets", "*", "laps"),
+        _combined("section_3_8_2/variables", "objective", "+", "subjective"),
         Check(
             "section_2_4_2_4/anovas",
             _anovas("uav", numbers),
@@ -107,23 +98,18 @@ def _counts(numbers: Numbers) -> list:
         Check("section_3_9_4/anovas", _anovas("teleop", numbers)),
         Check("section_2_4_1_2/variables", _number_of(same, {name: f"{name}/n" for name in uav})),
         Check("section_3_8_2/levels", _number_of("rows of Table 3.1", rows)),
-        Check("section_3_9_1/levels", levels),
+        Check("section_3_9_1/levels", Formula.of("df1 + 1", {"df1": "teleop.tlx/anova.df1"})),
     ]
 
 
 def _participants() -> list[Check]:
     """Return the checks of numbers of participants, by sex and in Latin squares."""
-    checks = []
-    for section in ("section_2_4_2_2", "section_3_8_2_1", "section_3_9_2"):
-        female, male = f"{section}/female", f"{section}/male"
-        people = f"{section}/participants"
-        checks.append(_combined(people, female, male, "female + male", lambda v: v["a"] + v["b"]))
+    checks = [
+        _combined(f"{section}/participants", "female", "+", "male")
+        for section in ("section_2_4_2_2", "section_3_8_2_1", "section_3_9_2")
+    ]
     for number, people, orders in SQUARES:
-        left = Formula(
-            f"participants modulo {orders}",
-            {"participants": people},
-            lambda v, orders=orders: v["participants"] % orders,
-        )
+        left = Formula.of(f"participants % {orders}", {"participants": people})
         note = f"A square balanced for order and carry-over has {orders} orders; those dropped break the balance."
         checks.append(Check(number, left, target=(0.0, 0.0), note=note))
     return checks

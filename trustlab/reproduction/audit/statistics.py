@@ -38,54 +38,41 @@ def _means_and_sds(name: str, conditions: tuple[str, ...]) -> dict[str, str]:
     return means | {f"SD_{c}": f"{name}/sd.{c}" for c in conditions} | {"n": f"{name}/n"}
 
 
-def _anova(name: str, k: int) -> list[Check]:
-    """Return the checks of p and partial η² of a study's F."""
-    at = {key: f"{name}/anova.{key}" for key in ("F", "df1", "df2")}
-    tail = Formula("P(F(df1, df2) > F)", at, lambda v: stats.f.sf(v["F"], v["df1"], v["df2"]))
-    from_n = Formula(
-        "F/(F + n − 1)",
-        {"F": at["F"], "n": f"{name}/n"},
-        lambda v: v["F"] / (v["F"] + v["n"] - 1.0),
-        "partial η²",
-    )
-    from_df = Formula(
-        "F df1/(F df1 + df2)",
-        at,
-        lambda v: v["F"] * v["df1"] / (v["F"] * v["df1"] + v["df2"]),
-        "partial η² with the printed df",
-    )
-    return [Check(f"{name}/anova.p", tail), Check(f"{name}/anova.eta2", from_n, (from_df,))]
+SYMBOLS = {
+    "F": "anova.F",
+    "df1": "anova.df1",
+    "df2": "anova.df2",
+    "n": "n",
+    "p": "mauchly.p",
+    "t": "t_test.t",
+    "ε": "epsilon",
+}
+"""What the symbols of formulas stand for within a study."""
 
 
-def _plain_degrees(name: str, k: int) -> list[Check]:
-    """Return the checks of degrees of freedom that are not corrected."""
-    df1 = Formula(f"k − 1, k = {k}", {}, lambda v: np.array(k - 1.0))
-    df2 = Formula(f"(k − 1)(n − 1), k = {k}", {"n": f"{name}/n"}, lambda v: (k - 1.0) * (v["n"] - 1.0))
-    return [Check(f"{name}/anova.df1", df1), Check(f"{name}/anova.df2", df2)]
+def _ids(name: str) -> dict[str, str]:
+    return {symbol: f"{name}/{entry}" for symbol, entry in SYMBOLS.items()}
 
 
-def _corrected_degrees(name: str, k: int) -> list[Check]:
-    """Return the checks of degrees of freedom multiplied by ε, and of ε, each by n and by the other."""
-    d = k - 1.0
-    n, epsilon = {"n": f"{name}/n"}, {"ε": f"{name}/epsilon"}
-    df1, df2 = {"df1": f"{name}/anova.df1"}, {"df2": f"{name}/anova.df2"}
-    return [
-        Check(
-            df1["df1"],
-            Formula("df2/(n − 1)", df2 | n, lambda v: v["df2"] / (v["n"] - 1.0)),
-            (Formula(f"{d:g} ε", epsilon, lambda v: d * v["ε"]),),
-        ),
-        Check(
-            df2["df2"],
-            Formula(f"{d:g} ε (n − 1)", epsilon | n, lambda v: d * v["ε"] * (v["n"] - 1.0)),
-            (Formula("df1 (n − 1)", df1 | n, lambda v: v["df1"] * (v["n"] - 1.0)),),
-        ),
-        Check(
-            epsilon["ε"],
-            Formula(f"df2/({d:g} (n − 1))", df2 | n, lambda v: v["df2"] / (d * (v["n"] - 1.0))),
-            (Formula(f"df1/{d:g}", df1, lambda v: v["df1"] / d),),
-        ),
-    ]
+def _anova(name: str, numbers: Numbers, k: int) -> list[Check]:
+    """Return the checks of a study's p, partial η², degrees of freedom and ε; each of the last by n and by the other."""
+    ids, d = _ids(name), k - 1
+
+    def check(symbol: str, first: str, *others: str) -> Check:
+        return Check(ids[symbol], Formula.of(first, ids), tuple(Formula.of(x, ids) for x in others))
+
+    inputs = {symbol: ids[symbol] for symbol in ("F", "df1", "df2")}
+    tail = Formula("P(F(df1, df2) > F)", inputs, lambda v: stats.f.sf(v["F"], v["df1"], v["df2"]))
+    eta2 = Formula.of("F / (F + n - 1)", ids, "partial η²")
+    by_df = Formula.of("F * df1 / (F * df1 + df2)", ids, "partial η² with the printed df")
+    checks = [Check(f"{name}/anova.p", tail), Check(f"{name}/anova.eta2", eta2, (by_df,))]
+    if f"{name}/epsilon" in numbers:
+        df1 = check("df1", "df2 / (n - 1)", f"{d} * ε")
+        df2 = check("df2", f"{d} * ε * (n - 1)", "df1 * (n - 1)")
+        return [*checks, df1, df2, check("ε", f"df2 / ({d} * (n - 1))", f"df1 / {d}")]
+    df1 = Formula(f"k − 1, k = {k}", {}, lambda v: np.array(float(d)))
+    df2 = Formula.of(f"{d} * (n - 1)", ids, text=f"(k − 1)(n − 1), k = {k}")
+    return [*checks, Check(ids["df1"], df1), Check(ids["df2"], df2)]
 
 
 def _f_ratio(name: str, numbers: Numbers) -> Possible | Remark:
@@ -151,7 +138,7 @@ def _mauchly(name: str, numbers: Numbers, k: int) -> list:
         Check(at["p"], second_order, (first_order,)),
         Check(
             sphericity,
-            Formula("p", {"p": at["p"]}, lambda v: v["p"]),
+            Formula.of("p", _ids(name)),
             target=(0.05, 1.0) if met else (0.0, 0.05),
             note="Sphericity is rejected below 0.05.",
         ),
@@ -187,17 +174,11 @@ def _sample_size(name: str) -> Check:
     """Return the check of n: participants less those dropped, times trials in the UAV study."""
     uav = name.startswith("uav.")
     section = "section_2_4_2_2" if uav else "section_3_9_2"
-    inputs = {"participants": f"{section}/participants", "dropped": f"{section}/dropped"}
+    ids = {symbol: f"{section}/{symbol}" for symbol in ("participants", "dropped", "trials")}
     if not uav:
-        kept = Formula("participants − dropped", inputs, lambda v: v["participants"] - v["dropped"])
-        return Check(f"{name}/n", kept)
-    trials = Formula(
-        "trials (participants − dropped)",
-        inputs | {"trials": f"{section}/trials"},
-        lambda v: v["trials"] * (v["participants"] - v["dropped"]),
-    )
+        return Check(f"{name}/n", Formula.of("participants - dropped", ids))
     note = "Trials of one person are counted as if they were of different people."
-    return Check(f"{name}/n", trials, note=note)
+    return Check(f"{name}/n", Formula.of("trials * (participants - dropped)", ids), note=note)
 
 
 def _duplicates(first: str, second: str, numbers: Numbers) -> list[Remark]:
@@ -233,8 +214,7 @@ def study_checks(numbers: Numbers) -> list:
         if f"{name}/t_test.t" in numbers:
             checks += _t_test(name, numbers)
             continue
-        checks += [*_anova(name, k), _f_ratio(name, numbers), *_mauchly(name, numbers, k)]
-        checks += _corrected_degrees(name, k) if f"{name}/epsilon" in numbers else _plain_degrees(name, k)
+        checks += [*_anova(name, numbers, k), _f_ratio(name, numbers), *_mauchly(name, numbers, k)]
         checks += pair_checks(name, numbers)
     for first, second in combinations(names, 2):
         checks += _duplicates(first, second, numbers)

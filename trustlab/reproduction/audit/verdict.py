@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
+import pandas as pd
 
 from trustlab.reproduction.printed_number import PrintedNumber
 
@@ -77,6 +79,19 @@ class Formula:
     label: str = ""
     changed: Mapping[str, float] = field(default_factory=dict)
     as_printed: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, expression: str, ids: Mapping[str, str], label: str = "", text: str = "") -> Formula:
+        """
+        Return the formula of an arithmetic expression, with those of `ids` that it names as inputs.
+
+        The text is the expression set as in print, unless given, so that what is shown is what is computed.
+        """
+        symbols = dict.fromkeys(re.findall(r"[^\W\d]\w*", expression))
+        inputs = {symbol: ids[symbol] for symbol in symbols if symbol in ids}
+        shown = re.sub(r"abs\(([^()]*)\)", r"|\1|", expression).replace(" * ", " ").replace(") (", ")(")
+        shown = shown.replace(" / ", "/").replace("-", "−").replace(" % ", " modulo ")
+        return cls(text or shown, inputs, lambda v: pd.eval(expression, engine="python", local_dict=v), label)
 
     def range(self, numbers: Numbers) -> Span:
         """Return the value, and its least and greatest when every input varies within its rounding."""
