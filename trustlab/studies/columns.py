@@ -11,8 +11,6 @@ import pandas as pd
 
 from trustlab.models.checks import did_you_mean
 
-__all__ = ["column_of", "number_or_nan", "refuse_missing_labels"]
-
 
 def column_of(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = "") -> pd.Series:
     """Return the one column that an argument names; `remedy` is appended to the error if no name is similar."""

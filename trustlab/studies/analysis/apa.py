@@ -11,14 +11,14 @@ import pandas as pd
 from trustlab.models.checks import one_of
 from trustlab.studies.analysis.score_table import ScoreTable, same_for_all
 
-__all__ = ["apa_decimals", "apa_number", "apa_p", "apa_pair", "apa_report", "apa_table"]
+__all__ = ["apa_number", "apa_p", "apa_table"]
 
+# Column of p-values and its name in the sentence.
 _ADJUSTMENTS = {
     "holm": ("p_holm", "Holm-adjusted p"),
     "bonferroni": ("p_bonferroni", "Bonferroni-adjusted p"),
     "none": ("p", "unadjusted p"),
 }
-"""Column of p-values and its name in the sentence."""
 
 
 def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pandas as pd
@@ -17,84 +17,103 @@ from trustlab.studies.analysis.sphericity import (
     orthonormal_contrasts,
 )
 
-__all__ = ["RepeatedMeasuresBatch", "analyse_table", "repeated_measures_batch"]
+__all__ = ["RepeatedMeasuresBatch", "repeated_measures_batch"]
 
+# Scores analysed in one go.
 _CHUNK = 1 << 20
-"""Scores analysed in one go."""
 
+# Size of scores, and spread of a study's scores, beyond which sums of squares leave double precision.
 _GREATEST, _LEAST = 1e140, 1e-140
-"""Size of scores, and spread of a study's scores, beyond which sums of squares leave double precision."""
 
 
 @dataclass(frozen=True, eq=False)
-class RepeatedMeasuresBatch:
+class Omnibus:
     """
-    One-way repeated-measures analyses of many studies.
+    The test of equal means: floats for one study, arrays of shape (studies,) for many.
 
     Parameters
     ----------
     n, k : int
-        Subjects and conditions of each study.
-    mean, sd : numpy.ndarray, shape (studies, k)
-        Of each condition.
-    F : numpy.ndarray, shape (studies,)
+        Subjects and conditions.
+    F : float
         Ratio of mean squares.
     df1, df2 : int
         k − 1 and (n − 1)(k − 1).
-    p : numpy.ndarray, shape (studies,)
+    p : float
         Sphericity assumed.
-    ss_effect, ss_subjects, ss_error : numpy.ndarray, shape (studies,)
+    ss_effect, ss_subjects, ss_error : float
         Sums of squares.
-    mauchly_w, mauchly_chi2, mauchly_p, mauchly_p_first_order : numpy.ndarray, shape (studies,)
-        Mauchly's test (see `trustlab.studies.analysis.sphericity.mauchly`); NaN for k = 2, for n ≤ k − 1 and where the
-        contrasts' covariance is singular.
+    mauchly_w, mauchly_chi2, mauchly_p, mauchly_p_first_order : float
+        Mauchly's test, its p with and without the second-order term; NaN for k = 2, for n ≤ k − 1 and where the covariance
+        of the contrasts is singular.
     mauchly_df : int
         k (k − 1)/2 − 1.
-    epsilon_gg, epsilon_hf, epsilon_hf_untruncated : numpy.ndarray, shape (studies,)
-        Greenhouse–Geisser and Huynh–Feldt ε.
-    p_gg, p_hf : numpy.ndarray, shape (studies,)
+    epsilon_gg, epsilon_hf, epsilon_hf_untruncated : float
+        Greenhouse–Geisser and Huynh–Feldt ε, the latter cut at 1 and not.
+    p_gg, p_hf : float
         p with degrees of freedom times ε.
-    eta2_partial, eta2_generalized : numpy.ndarray, shape (studies,)
+    eta2_partial, eta2_generalized : float
         SS_effect over SS_effect + SS_error, and over the sum of all three.
-    pairwise : PairwiseBatch
-        Every pair of conditions.
     """
 
     n: int
     k: int
-    mean: np.ndarray
-    sd: np.ndarray
-    F: np.ndarray
+    F: float | np.ndarray
     df1: int
     df2: int
-    p: np.ndarray
-    ss_effect: np.ndarray
-    ss_subjects: np.ndarray
-    ss_error: np.ndarray
-    mauchly_w: np.ndarray
-    mauchly_chi2: np.ndarray
+    p: float | np.ndarray
+    ss_effect: float | np.ndarray
+    ss_subjects: float | np.ndarray
+    ss_error: float | np.ndarray
+    mauchly_w: float | np.ndarray
+    mauchly_chi2: float | np.ndarray
     mauchly_df: int
-    mauchly_p: np.ndarray
-    mauchly_p_first_order: np.ndarray
-    epsilon_gg: np.ndarray
-    epsilon_hf: np.ndarray
-    epsilon_hf_untruncated: np.ndarray
-    p_gg: np.ndarray
-    p_hf: np.ndarray
-    eta2_partial: np.ndarray
-    eta2_generalized: np.ndarray
+    mauchly_p: float | np.ndarray
+    mauchly_p_first_order: float | np.ndarray
+    epsilon_gg: float | np.ndarray
+    epsilon_hf: float | np.ndarray
+    epsilon_hf_untruncated: float | np.ndarray
+    p_gg: float | np.ndarray
+    p_hf: float | np.ndarray
+    eta2_partial: float | np.ndarray
+    eta2_generalized: float | np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedMeasuresBatch(Omnibus):
+    """
+    One-way repeated-measures analyses of many studies: every field of `Omnibus` as an array, and the following.
+
+    Parameters
+    ----------
+    mean, sd : numpy.ndarray, shape (studies, k)
+        Of each condition.
+    pairwise : PairwiseBatch
+        Every pair of conditions.
+    """
+
+    mean: np.ndarray
+    sd: np.ndarray
     pairwise: PairwiseBatch
+
+    def study(self, s: int) -> dict[str, float]:
+        """
+        Return the fields of `Omnibus` of one study.
+
+        Parameters
+        ----------
+        s : int
+            Its position.
+        """
+        values = {field.name: getattr(self, field.name) for field in fields(Omnibus)}
+        return {name: float(v[s]) if np.ndim(v) else v for name, v in values.items()}
 
     def __len__(self) -> int:
         return self.F.size
 
     def table(self) -> pd.DataFrame:
         """Return one row per study with every omnibus statistic; index `study`."""
-        columns = {
-            name: getattr(self, name)
-            for name in self.__dataclass_fields__
-            if name not in ("mean", "sd", "pairwise")
-        }
+        columns = {field.name: getattr(self, field.name) for field in fields(Omnibus)}
         return pd.DataFrame(columns, index=pd.RangeIndex(len(self), name="study"))
 
     def pairs(self) -> pd.DataFrame:

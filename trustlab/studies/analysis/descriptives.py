@@ -8,8 +8,6 @@ from scipy import special
 
 from trustlab.studies.analysis.score_table import ScoreTable
 
-__all__ = ["describe", "t_half_width", "within_subject_sd"]
-
 
 def t_half_width(sd: np.ndarray, n: int, level: float = 0.95) -> np.ndarray:
     """Return half the width of the interval of a mean of n values, t · sd / √n."""

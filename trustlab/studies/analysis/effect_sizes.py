@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from trustlab.models.checks import not_negative, open_unit, positive
 
-__all__ = ["PartialEtaInterval", "noncentrality_limit", "partial_eta_interval"]
+__all__ = ["PartialEtaInterval", "partial_eta_interval"]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 from trustlab.studies.analysis.score_table import ScoreTable, read_scores
 from trustlab.studies.analysis.sphericity import orthonormal_contrasts
 
-__all__ = ["MixedModel", "fit_mixed_model", "mixed_model"]
+__all__ = ["MixedModel", "mixed_model"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from scipy import special
 
 from trustlab.studies.analysis.descriptives import t_half_width
 
-__all__ = ["PairwiseBatch", "bonferroni", "holm", "paired_differences"]
+__all__ = ["bonferroni", "holm"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,6 @@ import pandas as pd
 from trustlab.models.checks import one_of
 from trustlab.studies.analysis.score_table import ScoreTable
 
-__all__ = ["plot_conditions", "plot_pair"]
-
 _BLUE, _GREY = "#1f5a8c", "0.6"
 
 

@@ -9,8 +9,6 @@ import numpy as np
 import pandas as pd
 from scipy import special, stats
 
-__all__ = ["Friedman", "Wilcoxon", "friedman", "normality_of_differences", "wilcoxon"]
-
 
 @dataclass(frozen=True)
 class Friedman:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import one_of, open_unit
-from trustlab.studies.analysis.batch import RepeatedMeasuresBatch, analyse_table
+from trustlab.studies.analysis.batch import Omnibus, RepeatedMeasuresBatch, analyse_table
 from trustlab.studies.analysis.descriptives import describe
 from trustlab.studies.analysis.effect_sizes import partial_eta_interval
 from trustlab.studies.analysis.mixed_model import MixedModel, fit_mixed_model
@@ -20,50 +20,43 @@ from trustlab.studies.analysis.sphericity import CORRECTIONS, decide_correction,
 
 __all__ = ["RepeatedMeasures", "repeated_measures"]
 
-_UNTABLED = ("subject", "conditions", "subjects", "excluded", "notes", "scores", "observed", "batch")
+_UNTABLED = (
+    "dv",
+    "within",
+    "subject",
+    "conditions",
+    "subjects",
+    "excluded",
+    "notes",
+    "scores",
+    "observed",
+    "batch",
+)
 
 
-@dataclass(frozen=True, eq=False)
-class RepeatedMeasures:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RepeatedMeasures(Omnibus):
     """
-    A one-way repeated-measures analysis.
+    A one-way repeated-measures analysis: every field of `Omnibus` (n, k, F, df1, df2, p …) as a number, and the following.
 
     Parameters
     ----------
     dv, within, subject : hashable
         Columns analysed.
-    n, k : int
-        Subjects and conditions.
     conditions, subjects, excluded : tuple
         Labels; `excluded` are the subjects left out for missing cells.
-    F : float
-        Ratio of mean squares.
-    df1, df2 : int
-        k − 1 and (n − 1)(k − 1).
-    p : float
-        Sphericity assumed.
-    ss_effect, ss_subjects, ss_error : float
-        Sums of squares.
-    mauchly_w, mauchly_chi2, mauchly_p, mauchly_p_first_order : float
-        Mauchly's test, its p with and without the second-order term; NaN where it is not defined.
-    mauchly_df : int
-        k (k − 1)/2 − 1.
     mauchly_reason : str
         Why Mauchly's test is not defined; empty where it is.
-    epsilon_gg, epsilon_hf, epsilon_hf_untruncated : float
-        Greenhouse–Geisser and Huynh–Feldt ε, the latter cut at 1 and not.
-    df1_gg, df2_gg, p_gg, df1_hf, df2_hf, p_hf : float
-        Corrected by ε.
+    df1_gg, df2_gg, df1_hf, df2_hf : float
+        Degrees of freedom times ε.
     correction : {"none", "greenhouse-geisser", "huynh-feldt"}
         Which of the three applies.
     reason : str
         Why.
     df1_corrected, df2_corrected, p_corrected : float
         Those that apply.
-    eta2_partial, eta2_partial_low, eta2_partial_high : float
-        SS_effect / (SS_effect + SS_error) with its 90 % interval.
-    eta2_generalized : float
-        SS_effect over the sum of all three.
+    eta2_partial_low, eta2_partial_high : float
+        90 % interval of the partial η².
     alpha : float
         Level below which a p-value is called significant.
     notes : tuple of str
@@ -79,42 +72,21 @@ class RepeatedMeasures:
     dv: Hashable
     within: Hashable
     subject: Hashable
-    n: int
-    k: int
     conditions: tuple
     subjects: tuple
     excluded: tuple
-    F: float
-    df1: int
-    df2: int
-    p: float
-    ss_effect: float
-    ss_subjects: float
-    ss_error: float
-    mauchly_w: float
-    mauchly_chi2: float
-    mauchly_df: int
-    mauchly_p: float
-    mauchly_p_first_order: float
     mauchly_reason: str
-    epsilon_gg: float
-    epsilon_hf: float
-    epsilon_hf_untruncated: float
     df1_gg: float
     df2_gg: float
-    p_gg: float
     df1_hf: float
     df2_hf: float
-    p_hf: float
     correction: str
     reason: str
     df1_corrected: float
     df2_corrected: float
     p_corrected: float
-    eta2_partial: float
     eta2_partial_low: float
     eta2_partial_high: float
-    eta2_generalized: float
     alpha: float
     notes: tuple
     origin: str
@@ -129,7 +101,10 @@ class RepeatedMeasures:
 
     def table(self) -> pd.DataFrame:
         """Return every omnibus statistic in one row, so that tables of several measures can be put below each other."""
-        row = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in _UNTABLED}
+        row = {"dv": self.dv, "within": self.within}
+        row |= {
+            field.name: getattr(self, field.name) for field in fields(self) if field.name not in _UNTABLED
+        }
         row["excluded"] = len(self.excluded)
         return self._labelled(pd.DataFrame([row]))
 
@@ -354,41 +329,31 @@ def repeated_measures(
     observed = read_scores(frame, dv, within, subject, order=order)
     scores, excluded = complete_scores(observed, missing)
     batch = analyse_table(scores)
-    value = {
-        name: float(getattr(batch, name)[0])
-        for name in batch.__dataclass_fields__
-        if name in RepeatedMeasures.__dataclass_fields__ and np.ndim(getattr(batch, name)) == 1
-    }
-    n, k = batch.n, batch.k
-    why_not = why_no_mauchly(n, k, value["mauchly_w"])
-    applied, reason = decide_correction(
-        correction, alpha, k, value["mauchly_p"], value["epsilon_gg"], why_not
-    )
-    epsilons = dict(zip(CORRECTIONS, (1.0, value["epsilon_gg"], value["epsilon_hf"]), strict=True))
-    p_values = dict(zip(CORRECTIONS, (value["p"], value["p_gg"], value["p_hf"]), strict=True))
-    interval = partial_eta_interval(value["F"], batch.df1, batch.df2, 0.90)
+    omnibus = batch.study(0)
+    df1, df2, p = batch.df1, batch.df2, omnibus["p"]
+    gg, hf = omnibus["epsilon_gg"], omnibus["epsilon_hf"]
+    why_not = why_no_mauchly(batch.n, batch.k, omnibus["mauchly_w"])
+    applied, reason = decide_correction(correction, alpha, batch.k, omnibus["mauchly_p"], gg, why_not)
+    epsilon = dict(zip(CORRECTIONS, (1.0, gg, hf), strict=True))[applied]
+    interval = partial_eta_interval(omnibus["F"], df1, df2, 0.90)
     return RepeatedMeasures(
+        **omnibus,
         dv=dv,
         within=within,
         subject=subject,
-        n=n,
-        k=k,
         conditions=scores.conditions,
         subjects=scores.subjects,
         excluded=excluded,
-        df1=batch.df1,
-        df2=batch.df2,
-        mauchly_df=batch.mauchly_df,
         mauchly_reason=why_not,
-        df1_gg=batch.df1 * value["epsilon_gg"],
-        df2_gg=batch.df2 * value["epsilon_gg"],
-        df1_hf=batch.df1 * value["epsilon_hf"],
-        df2_hf=batch.df2 * value["epsilon_hf"],
+        df1_gg=df1 * gg,
+        df2_gg=df2 * gg,
+        df1_hf=df1 * hf,
+        df2_hf=df2 * hf,
         correction=applied,
         reason=reason,
-        df1_corrected=batch.df1 * epsilons[applied],
-        df2_corrected=batch.df2 * epsilons[applied],
-        p_corrected=p_values[applied],
+        df1_corrected=df1 * epsilon,
+        df2_corrected=df2 * epsilon,
+        p_corrected=dict(zip(CORRECTIONS, (p, omnibus["p_gg"], omnibus["p_hf"]), strict=True))[applied],
         eta2_partial_low=interval.low,
         eta2_partial_high=interval.high,
         alpha=alpha,
@@ -397,7 +362,6 @@ def repeated_measures(
         scores=scores,
         observed=observed,
         batch=batch,
-        **value,
     )
 
 

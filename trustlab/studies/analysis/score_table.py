@@ -12,10 +12,8 @@ import pandas as pd
 from trustlab.models.checks import one_of
 from trustlab.studies.columns import column_of, number_or_nan, refuse_missing_labels
 
-__all__ = ["ScoreTable", "complete_scores", "read_scores", "same_for_all"]
-
+# Cells or rows that an error lists before it counts the rest.
 _SHOWN = 5
-"""Cells or rows that an error lists before it counts the rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,29 +83,25 @@ def _how_to_melt(frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: H
     )
 
 
-def _labels(series: pd.Series, argument: str) -> tuple[np.ndarray, list]:
-    """Return each row's label as a number, and the labels: those of a categorical column in its own order."""
+def _labels(series: pd.Series, argument: str) -> list:
+    """Return each label of a column once: in the order of the categories if it is categorical, else as they appear."""
     refuse_missing_labels(series, argument)
     if isinstance(series.dtype, pd.CategoricalDtype):
-        codes = series.cat.codes.to_numpy().astype(np.intp)
-        present = np.unique(codes)
-        return np.searchsorted(present, codes), series.cat.categories.take(present).tolist()
+        return series.cat.remove_unused_categories().cat.categories.tolist()
     try:
-        codes, found = pd.factorize(series)
+        return list(dict.fromkeys(series.tolist()))
     except TypeError:
         raise ValueError(f"{argument}: column {series.name!r} holds labels that cannot be compared") from None
-    return codes, pd.Index(found, tupleize_cols=False).tolist()
 
 
-def _sorted(codes: np.ndarray, labels: list) -> tuple[np.ndarray, list]:
-    order = sorted(range(len(labels)), key=labels.__getitem__)
-    return np.argsort(order)[codes], [labels[i] for i in order]
+def _codes(series: pd.Series, labels: list) -> np.ndarray:
+    """Return the position of every row's label."""
+    place = {label: i for i, label in enumerate(labels)}
+    return np.array([place[label] for label in series.tolist()], dtype=np.intp)
 
 
-def _arranged(
-    codes: np.ndarray, labels: list, series: pd.Series, order: Sequence | None
-) -> tuple[np.ndarray, list]:
-    """Put the conditions into the order asked for, else that of the categories, else sort them."""
+def _in_order(labels: list, series: pd.Series, order: Sequence | None) -> list:
+    """Return the conditions in the order asked for, else in that of the categories, else sorted."""
     if order is not None:
         wanted = list(order) if isinstance(order, Iterable) and not isinstance(order, str) else []
         if len(wanted) != len(labels) or any(label not in wanted for label in labels):
@@ -115,12 +109,11 @@ def _arranged(
                 f"order must list every condition in column {series.name!r} once, {labels}, got {order!r}; "
                 "leave conditions out by selecting rows"
             )
-        place = np.array([wanted.index(label) for label in labels], dtype=np.intp)
-        return place[codes], [labels[i] for i in np.argsort(place)]
+        return sorted(labels, key=wanted.index)
     if isinstance(series.dtype, pd.CategoricalDtype):
-        return codes, labels
+        return labels
     try:
-        return _sorted(codes, labels)
+        return sorted(labels)
     except TypeError:
         kinds = sorted({type(label).__name__ for label in labels})
         raise ValueError(
@@ -130,29 +123,21 @@ def _arranged(
 
 
 def _scores(series: pd.Series, where: Callable[[int], str]) -> np.ndarray:
-    """Return the scores as floats, NaN where missing; text, booleans, dates and infinities are refused."""
-    dtype = series.dtype
+    """Return the scores as floats, NaN where missing; anything but real, finite numbers is refused."""
     start = f"dv: column {series.name!r}"
-    if isinstance(dtype, pd.CategoricalDtype):
+    if isinstance(series.dtype, pd.CategoricalDtype):
         raise ValueError(
             f"{start} is categorical; scores must be numbers (convert it with pandas.to_numeric)"
         )
-    if pd.api.types.is_bool_dtype(dtype):
-        raise ValueError(f"{start} holds True and False; scores must be numbers")
-    if pd.api.types.is_numeric_dtype(dtype) and not pd.api.types.is_complex_dtype(dtype):
-        values = series.to_numpy(dtype=float, na_value=np.nan)
-    elif pd.api.types.is_object_dtype(dtype) or pd.api.types.is_string_dtype(dtype):
-        values = np.empty(len(series))
-        for k, value in enumerate(series.array):
-            try:
-                values[k] = number_or_nan(value)
-            except TypeError:
-                raise ValueError(
-                    f"{start} holds {value!r} for {where(k)}; scores must be numbers "
-                    "(text that stands for numbers: convert it with pandas.to_numeric)"
-                ) from None
-    else:
-        raise ValueError(f"{start} is of type {dtype}; scores must be numbers")
+    values = np.empty(len(series))
+    for k, value in enumerate(series.tolist()):
+        try:
+            values[k] = number_or_nan(value)
+        except TypeError:
+            raise ValueError(
+                f"{start} holds {value!r} for {where(k)}; scores must be numbers "
+                "(text that stands for numbers: convert it with pandas.to_numeric)"
+            ) from None
     infinite = np.isinf(values)
     if infinite.any():
         k = int(np.argmax(infinite))
@@ -195,13 +180,12 @@ def read_scores(
         )
     if len(frame) == 0:
         raise ValueError("frame has no rows")
-    condition, conditions = _labels(series["within"], "within")
-    condition, conditions = _arranged(condition, conditions, series["within"], order)
-    person, subjects = _labels(series["subject"], "subject")
+    conditions = _in_order(_labels(series["within"], "within"), series["within"], order)
+    subjects = _labels(series["subject"], "subject")
     with suppress(TypeError):  # labels of several types stay in order of appearance: nothing depends on it
-        person, subjects = _sorted(person, subjects)
+        subjects = sorted(subjects)
     k = len(conditions)
-    cell = person * k + condition
+    cell = _codes(series["subject"], subjects) * k + _codes(series["within"], conditions)
     row = frame.index.astype(object)  # plain Python labels for the errors
 
     def cell_name(c: int) -> str:

@@ -7,23 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-__all__ = [
-    "CORRECTIONS",
-    "Mauchly",
-    "decide_correction",
-    "greenhouse_geisser",
-    "huynh_feldt",
-    "mauchly",
-    "mauchly_factor",
-    "mauchly_p_value",
-    "orthonormal_contrasts",
-    "why_no_mauchly",
-]
-
 CORRECTIONS = ("none", "greenhouse-geisser", "huynh-feldt")
 
+# Smallest ratio of eigenvalues that double precision distinguishes from zero in a covariance matrix.
 _RELATIVE_RANK = 1e-14
-"""Smallest ratio of eigenvalues that double precision distinguishes from zero in a covariance matrix."""
 
 
 def orthonormal_contrasts(k: int) -> np.ndarray:

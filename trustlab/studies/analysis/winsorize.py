@@ -11,8 +11,9 @@ import pandas as pd
 from trustlab.models.checks import did_you_mean, finite_array, one_of, positive
 from trustlab.studies.analysis.score_table import ScoreTable, read_scores
 
-__all__ = ["OUTLIER_RULES", "Winsorized", "winsorize"]
+__all__ = ["Winsorized", "winsorize"]
 
+# Which values count as outlying, by the name of the rule and its k.
 OUTLIER_RULES = {
     "sd": "values outside mean ± {k:g} standard deviations",
     "mad": "values outside median ± {k:g} scaled median absolute deviations",
@@ -20,13 +21,12 @@ OUTLIER_RULES = {
     "quantile": "values outside the quantiles {k:g} and {rest:g}",
     "extremes": "the {k:g} lowest and {k:g} highest values",
 }
-"""Which values count as outlying, by the name of the rule and its k."""
 
 _TARGETS = {"limit": "set to that limit", "next": "set to the next most extreme value"}
 _SPREADS = {"mad": "median absolute deviation", "iqr": "interquartile range"}
 
+# 1/Φ⁻¹(3/4): times the median absolute deviation it estimates the standard deviation of normal values.
 _MAD_TO_SD = 1.482602218505602
-"""1/Φ⁻¹(3/4): times the median absolute deviation it estimates the standard deviation of normal values."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,6 @@ import pandas as pd
 from trustlab.models.checks import did_you_mean
 from trustlab.studies.columns import column_of, number_or_nan, refuse_missing_labels
 
-__all__ = ["answer_name", "check_answers", "read_answers"]
-
 
 def answer_name(row: object, item: object = None) -> str:
     """Return how an error refers to an answer: subject, condition where the label of the row has one, item."""

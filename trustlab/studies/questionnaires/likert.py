@@ -13,21 +13,10 @@ from trustlab.models.checks import finite_number, of_class, one_of
 from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
 from trustlab.studies.questionnaires.reliability import cronbach_alpha
 
-__all__ = [
-    "MISSING_RULES",
-    "AnswerColumns",
-    "LikertScale",
-    "ScaleScores",
-    "Subscale",
-    "missing_answers",
-    "score_likert",
-]
+__all__ = ["LikertScale", "ScaleScores", "Subscale", "score_likert"]
 
-MISSING_RULES = {
-    "refuse": "every item must be answered",
-    "half_rule": "a score is formed from the answered items where at least half of its items are answered",
-}
-"""What may be done about missing answers."""
+# Every item must be answered; or a score is formed where at least half of its items are answered.
+MISSING_RULES = ("refuse", "half_rule")
 
 
 @dataclass(frozen=True)
@@ -113,18 +102,15 @@ class LikertScale:
 
     def table(self) -> pd.DataFrame:
         """Return the items: item, low, high, step, reversed, and one column per subscale that says what is in it."""
-        frame = pd.DataFrame(
-            {
-                "item": self.items,
-                "low": float(self.low),
-                "high": float(self.high),
-                "step": np.nan if self.step is None else float(self.step),
-                "reversed": [name in self.reversed for name in self.items],
-            }
-        )
-        return frame.assign(
-            **{part.name: [name in part.items for name in self.items] for part in self.subscales}
-        )
+        columns = {
+            "item": self.items,
+            "low": float(self.low),
+            "high": float(self.high),
+            "step": np.nan if self.step is None else float(self.step),
+            "reversed": [name in self.reversed for name in self.items],
+        }
+        columns |= {part.name: [name in part.items for name in self.items] for part in self.subscales}
+        return pd.DataFrame(columns)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,10 @@ from trustlab.studies.questionnaires.likert import ScaleScores, missing_answers
 
 __all__ = ["TLX_RESCALINGS", "TLX_SCALES", "score_nasa_tlx", "tlx_weights"]
 
+#: The six scales: demands (mental, physical, temporal), performance (good → poor), effort, frustration.
 TLX_SCALES = ("mental", "physical", "temporal", "performance", "effort", "frustration")
-"""The six scales: demands (mental, physical, temporal), performance (good → poor), effort, frustration."""
 
+#: Other response scales: lowest and highest answer, what makes 0–100 of it, and this in words.
 TLX_RESCALINGS = {
     "0-20": (0.0, 20.0, lambda x: 5.0 * x, "5 times the answer"),
     "1-21": (1.0, 21.0, lambda x: 5.0 * (x - 1.0), "5 times the answer less 1"),
@@ -29,7 +30,6 @@ TLX_RESCALINGS = {
     ),
     "1-20, stretched": (1.0, 20.0, lambda x: 100.0 * (x - 1.0) / 19.0, "1 to 20 stretched to 0 to 100"),
 }
-"""Other response scales: lowest and highest answer, what makes 0–100 of it, and this in words."""
 
 _PAIRS = tuple(itertools.combinations(TLX_SCALES, 2))
 

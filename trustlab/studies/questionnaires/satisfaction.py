@@ -9,10 +9,10 @@ import pandas as pd
 
 from trustlab.studies.questionnaires.likert import AnswerColumns, LikertScale, ScaleScores, score_likert
 
-__all__ = ["SATISFACTION_ITEMS", "satisfaction_scale", "score_satisfaction"]
+__all__ = ["satisfaction_scale", "score_satisfaction"]
 
+# The items of Section 2.4.1.3: satisfaction, comfort, and the feeling of being in control of the task.
 SATISFACTION_ITEMS = ("satisfaction", "comfort", "control")
-"""The items of Section 2.4.1.3: satisfaction, comfort, and the feeling of being in control of the task."""
 
 
 def satisfaction_scale(

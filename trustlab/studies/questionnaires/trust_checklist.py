@@ -19,6 +19,7 @@ __all__ = ["TRUST_CHECKLIST", "score_trust_checklist"]
 _DISTRUST = ("deceptive", "underhanded", "suspicious", "wary", "harmful")
 _TRUST = ("confident", "security", "integrity", "dependable", "reliable", "trust", "familiar")
 
+#: Items 1–5 (distrust) are reversed in mean and sum; both subscales are means of the answers as given.
 TRUST_CHECKLIST = LikertScale(
     name="trust",
     items=_DISTRUST + _TRUST,
@@ -28,7 +29,6 @@ TRUST_CHECKLIST = LikertScale(
     subscales=(Subscale("trust_subscale", _TRUST), Subscale("distrust_subscale", _DISTRUST)),
     source="trust checklist (Jian, Bisantz and Drury 2000)",
 )
-"""Items 1–5 (distrust) are reversed in mean and sum; both subscales are means of the answers as given."""
 
 
 def score_trust_checklist(frame: pd.DataFrame, **columns: Unpack[AnswerColumns]) -> ScaleScores:
