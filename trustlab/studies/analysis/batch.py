@@ -124,11 +124,8 @@ class RepeatedMeasuresBatch(Omnibus):
             "a": np.tile(self.pairwise.a, studies),
             "b": np.tile(self.pairwise.b, studies),
         }
-        values = {
-            name: np.ravel(value) if np.ndim(value) else value
-            for name, value in vars(self.pairwise).items()
-            if name not in ("a", "b", "sd_difference")
-        }
+        statistics = self.pairwise.statistics().items()
+        values = {name: np.ravel(value) if np.ndim(value) else value for name, value in statistics}
         return pd.DataFrame(keys | values)
 
     def __repr__(self) -> str:

@@ -37,6 +37,11 @@ class PairwiseBatch:
     d_z: np.ndarray
     d_av: np.ndarray
 
+    def statistics(self) -> dict[str, np.ndarray]:
+        """Return what tables show, by name and in their order."""
+        hidden = ("a", "b", "sd_difference")
+        return {name: value for name, value in vars(self).items() if name not in hidden}
+
 
 def bonferroni(p: np.ndarray) -> np.ndarray:
     """

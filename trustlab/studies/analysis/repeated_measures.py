@@ -1,4 +1,4 @@
-"""One-way repeated-measures analysis of a long table: everything that a paper reports of it."""
+"""One-way repeated-measures analysis of a long table: everything that a paper reports about it."""
 
 from __future__ import annotations
 
@@ -20,18 +20,9 @@ from trustlab.studies.analysis.sphericity import CORRECTIONS, decide_correction,
 
 __all__ = ["RepeatedMeasures", "repeated_measures"]
 
-_UNTABLED = (
-    "dv",
-    "within",
-    "subject",
-    "conditions",
-    "subjects",
-    "excluded",
-    "notes",
-    "scores",
-    "observed",
-    "batch",
-)
+_DESIGN = ("dv", "within", "subject", "conditions", "subjects", "excluded")
+_UNTABLED = (*_DESIGN, "notes", "scores", "observed", "batch")
+_OF_CONDITIONS = ("F", "p", "epsilon_gg", "p_gg", "epsilon_hf", "p_hf", "eta2_partial", "eta2_generalized")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,11 +91,10 @@ class RepeatedMeasures(Omnibus):
         return frame
 
     def table(self) -> pd.DataFrame:
-        """Return every omnibus statistic in one row, so that tables of several measures can be put below each other."""
+        """Return every omnibus statistic in one row, so that tables of several measures can be concatenated."""
         row = {"dv": self.dv, "within": self.within}
-        row |= {
-            field.name: getattr(self, field.name) for field in fields(self) if field.name not in _UNTABLED
-        }
+        names = [field.name for field in fields(self) if field.name not in _UNTABLED]
+        row |= {name: getattr(self, name) for name in names}
         row["excluded"] = len(self.excluded)
         return self._labelled(pd.DataFrame([row]))
 
@@ -122,16 +112,7 @@ class RepeatedMeasures(Omnibus):
         ss = np.array([self.ss_effect, self.ss_error, self.ss_subjects])
         df = np.array([self.df1, self.df2, self.n - 1])
         columns = {"source": ["condition", "error", "subjects"], "ss": ss, "df": df, "ms": ss / df}
-        for name in (
-            "F",
-            "p",
-            "epsilon_gg",
-            "p_gg",
-            "epsilon_hf",
-            "p_hf",
-            "eta2_partial",
-            "eta2_generalized",
-        ):
+        for name in _OF_CONDITIONS:
             columns[name] = [getattr(self, name), np.nan, np.nan]
         return self._labelled(pd.DataFrame(columns))
 
@@ -150,7 +131,7 @@ class RepeatedMeasures(Omnibus):
 
     def descriptives(self) -> pd.DataFrame:
         """
-        Return the conditions' scores in numbers.
+        Return descriptive statistics of the conditions.
 
         Returns
         -------
@@ -173,14 +154,8 @@ class RepeatedMeasures(Omnibus):
         pandas.DataFrame
             Columns a b mean_difference (a − b) ci_low ci_high (95 %, unadjusted) t df p p_bonferroni p_holm d_z d_av.
         """
-        statistics = vars(self.batch.pairwise)
-        columns = {
-            name: statistics[name] if name == "df" else statistics[name][0]
-            for name in (
-                *("mean_difference", "ci_low", "ci_high", "t", "df", "p"),
-                *("p_bonferroni", "p_holm", "d_z", "d_av"),
-            )
-        }
+        statistics = self.batch.pairwise.statistics().items()
+        columns = {name: value[0] if np.ndim(value) else value for name, value in statistics}
         return self._labelled(pd.DataFrame(self._pair_labels() | columns))
 
     def normality(self) -> pd.DataFrame:
@@ -218,12 +193,12 @@ class RepeatedMeasures(Omnibus):
         return self._labelled(pd.DataFrame([row]))
 
     def mixed_model(self) -> MixedModel:
-        """Return the mixed model of all cells that are there, those of excluded subjects too."""
+        """Return the mixed model of all scores, those of excluded subjects included."""
         return fit_mixed_model(self.observed)
 
     def apa(self, adjust: str = "holm") -> str:
         """
-        Return the sentences that a paper needs.
+        Return the sentences for a paper.
 
         Parameters
         ----------
@@ -243,7 +218,7 @@ class RepeatedMeasures(Omnibus):
         kind : {"means", "raincloud", "paired"}
             Means with 95 % intervals, as in Figs. 2.11–2.17 and 3.18–3.21; distributions; or a line per subject.
         interval : {"between", "within"}
-            Which interval the means carry.
+            Which interval of the means to draw.
         axes : matplotlib.axes.Axes, optional
             Where to draw; a new figure by default.
 
@@ -289,7 +264,7 @@ def repeated_measures(
     alpha: float = 0.05,
 ) -> RepeatedMeasures:
     """
-    Analyse one score under several conditions, each seen by every subject.
+    Analyse one score under several conditions, each of which every subject went through.
 
     Parameters
     ----------
