@@ -14,30 +14,34 @@ import trustlab as tl
 from benchmarks.peers.plain_loop import PlainLoop
 from benchmarks.timing import Row, here, in_turns
 from benchmarks.workers import PeerMissingError, Worker
+from trustlab.teleoperation.loop.kernel import STATE, run_loop
 from trustlab.teleoperation.loop.settings import STUDIES
-from trustlab.teleoperation.loop.kernel import run_loop
+from trustlab.teleoperation.ports.ledger import accounts
 from trustlab.testbeds import uav_tracking
 
 TITLE = "Teleoperation"
 DURATION, PERIOD = 120.0, 0.001
 LATE = 100
 """Delay of the linear case in samples; Drake's block reads its input a sample later than ours, so it is given one less."""
-ARRAYS = {"reference": 10, "moving": 11, "detected": 12, "delays": 13, "motor": 15, "pushed": 16}
+GIVEN = (
+    "setup", "settings", "hand", "auto", "vehicle", "blend", "inputs", "delays", "arrives", "accounts", "states", "log",
+)  # fmt: skip
+"""Arguments of the compiled loop, in turn."""
 
 
-def captured(**arguments) -> tuple:
+def captured(**arguments) -> tuple[dict, tl.Session]:
     """
-    Return what the compiled loop is given in a run of `simulate_teleoperation`, and the run.
+    Return what the compiled loop is given in a run of `simulate_teleoperation`, by name, and the run.
 
     Parameters
     ----------
     **arguments
         Of `simulate_teleoperation`.
     """
-    seen = []
+    seen = {}
 
     def keep(*given):
-        seen.extend(given)
+        seen.update(zip(GIVEN, given, strict=True))
         return run_loop(*given)
 
     with patch.object(uav_tracking, "run_loop", keep):
@@ -45,20 +49,55 @@ def captured(**arguments) -> tuple:
     return seen, run
 
 
-def as_arrays(given: list) -> dict[str, np.ndarray]:
+def again(given: dict) -> np.ndarray:
+    """
+    Run the compiled loop from its start and return its log as a table.
+
+    Parameters
+    ----------
+    given : dict
+        Its arguments by name.
+    """
+    log = np.empty_like(given["log"])
+    run_loop(*(given | {"accounts": accounts(), "states": np.zeros(1, STATE), "log": log}).values())
+    return log.view(float).reshape(log.size, -1)
+
+
+def flat(numbers, stem: str = "") -> dict[str, float]:
+    """
+    Return nested constants by dotted names.
+
+    Parameters
+    ----------
+    numbers : NamedTuple
+        The constants.
+    stem : str
+        Name of what they stand in.
+    """
+    found = {}
+    for name, value in numbers._asdict().items():
+        found |= (
+            flat(value, f"{stem}{name}.") if hasattr(value, "_fields") else {f"{stem}{name}": float(value)}
+        )
+    return found
+
+
+def as_arrays(given: dict) -> dict[str, np.ndarray]:
     """
     Return the loop's inputs as arrays by name, as the peers read them.
 
     Parameters
     ----------
-    given : list
-        Arguments of the compiled loop.
+    given : dict
+        Arguments of the compiled loop by name.
     """
-    data = {name: np.asarray(given[i]) for name, i in ARRAYS.items()}
-    data |= {"phi": given[8], "gamma": given[9]}
-    for name, numbers in (("settings", given[5]), ("hand", given[6]), ("auto", given[7])):
-        data[name] = np.asarray(numbers, float)
-        data[f"names_{name}"] = np.asarray(numbers._fields)
+    inputs, vehicle = given["inputs"], given["vehicle"]
+    data = {name: inputs[name] for name in ("reference", "detected", "motor", "pushed")}
+    data |= {"moving": inputs["reference_velocity"], "delays": given["delays"]}
+    data |= {"phi": vehicle["phi"][0], "gamma": vehicle["gamma"][0]}
+    for name in ("settings", "hand", "auto"):
+        numbers = flat(given[name])
+        data[name], data[f"names_{name}"] = np.array([*numbers.values()]), np.array([*numbers])
     return data
 
 
@@ -92,25 +131,27 @@ def linear_case() -> tuple[dict, dict[str, np.ndarray]]:
         "delay_1": LATE * PERIOD, "delay_2": LATE * PERIOD, "guard": "off", "push": push, "read_out": "interpolated",
     }  # fmt: skip
     given, _ = captured(**arguments)
-    n, hand, phi, gamma, reference, moving = given[5], given[6], given[8], given[9], given[10], given[11]
-    into, back = (np.sqrt(2.0 * n.b / top) for top in (n.alpha_max, n.beta_max))
+    n, hand = given["settings"], given["hand"]
+    phi, gamma = given["vehicle"]["phi"][0], given["vehicle"]["gamma"][0]
+    reference, moving = given["inputs"]["reference"], given["inputs"]["reference_velocity"]
+    into, back = (np.sqrt(2.0 * n.b / top) for top in (n.alpha.high, n.beta.high))
     stiff, damp = n.stiffness + hand.stiffness, n.damping + hand.damping
     inertia, tip = 2.0 * n.mass / PERIOD, 1.0 + 0.5 * PERIOD * n.weight
-    drag = n.force_scaling * n.beta_max
+    drag = n.force_scaling * n.beta.high
 
     def master(state, inputs):
         x, v, force, wave = state[:3], state[3:], inputs[:3], n.gain * inputs[3:]
         right = inertia * v - stiff * x + force - drag * (n.b * n.weight * x + back * wave)
         middle = right / (inertia + damp + 0.5 * PERIOD * stiff + drag * n.b * tip)
-        sent = np.sqrt(2.0 * n.b * n.beta_min) * (tip * middle + n.weight * x)
-        return x + PERIOD * middle, 2.0 * middle - v, sent + np.sqrt(n.beta_min / n.beta_max) * wave, x
+        sent = np.sqrt(2.0 * n.b * n.beta.low) * (tip * middle + n.weight * x)
+        return x + PERIOD * middle, 2.0 * middle - v, sent + np.sqrt(n.beta.low / n.beta.high) * wave, x
 
     def slave(state, inputs):
         vehicle, wave = state.reshape(3, 3), n.gain * inputs[3:]
-        force = -n.feedback * (inputs[:3] - vehicle[:, 0])
-        command = n.alpha_max * (into * wave - force) / n.b
+        force = -n.guidance * (inputs[:3] - vehicle[:, 0])
+        command = n.alpha.high * (into * wave - force) / n.b
         after = np.einsum("ijk,ik->ij", phi, vehicle) + gamma * command[:, None]
-        sent = np.sqrt(2.0 * n.alpha_min / n.b) * force - np.sqrt(n.alpha_min / n.alpha_max) * wave
+        sent = np.sqrt(2.0 * n.alpha.low / n.b) * force - np.sqrt(n.alpha.low / n.alpha.high) * wave
         return after.ravel(), sent, vehicle[:, 0]
 
     turn = np.hypot(moving[0, 0] / task.size_x, 0.0) / abs(
@@ -157,9 +198,7 @@ def rows() -> Iterator[Row]:
     ours = "trustlab run_loop (compiled), every signal and energy logged"
 
     def loop():
-        log = np.empty_like(given[-1])
-        run_loop(*given[:-1], log)
-        return log
+        return again(given)
 
     plain = PlainLoop(data)
     ours_log, fault = loop(), ""
@@ -225,7 +264,7 @@ def drake(case: str, ours: str, loop, log: np.ndarray, data: dict) -> Iterator[R
         given, run = captured(**arguments)
 
         def own():
-            run_loop(*given[:-1], np.empty_like(given[-1]))
+            again(given)
 
         names = [f"{stem}_{axis}" for stem in ("device", "robot") for axis in "xyz"]
         expected = run.data[names].to_numpy()[::100]

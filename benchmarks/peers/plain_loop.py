@@ -34,7 +34,7 @@ class PlainLoop:
         self.state[:, 0] = self.inputs["reference"][0]
         self.seen, self.left, self.right = [], [], []
         self.books = [[0, 0.0, -1.0], [0, 0.0, -1.0]]
-        self.trust = [s["trust0_hr"], s["trust0_rh"]]
+        self.trust = [s["trust_hr.start"], s["trust_rh.start"]]
         self.good = deque(maxlen=int(s["window"]))
         self.sums = [0.0, 0.0]
         self.work = self.lost = self.channel = self.robot = 0.0
@@ -59,12 +59,13 @@ class PlainLoop:
             book[0] += 1
         advance = min(max(where - book[2], 0.0), 1.0)
         book[2] = max(book[2], where)
-        wave = sqrt(advance) * sent[first] if first >= 0 else np.zeros(3)
+        wave = sent[first] if first >= 0 else np.zeros(3)
         energy = period * float(wave @ wave)
-        if energy > book[1]:
-            wave = wave * sqrt(book[1] / energy)
-            energy = period * float(wave @ wave)
-        book[1] = max(book[1] - energy, 0.0)
+        if energy > 0.0:
+            # beyond one packet, what is left from skipped samples is spent at once
+            part = min(max(advance, (book[1] - energy) / energy), 1.0)
+            wave = sqrt(min(part, book[1] / energy)) * wave
+        book[1] = max(book[1] - period * float(wave @ wave), 0.0)
         return wave
 
     def step(self, k):
@@ -99,9 +100,9 @@ class PlainLoop:
             self.integral = np.where(free, summed, self.integral)
             steered = np.clip(wanted + auto["integral"] * self.integral, -auto["reach"], auto["reach"])
         alpha, beta = (
-            s[f"{name}_max"]
-            - (s[f"{name}_max"] - s[f"{name}_min"])
-            / (1.0 + exp(-s[f"steepness_{name}"] * (trust - s[f"midpoint_{name}"])))
+            s[f"{name}.high"]
+            - (s[f"{name}.high"] - s[f"{name}.low"])
+            / (1.0 + exp(-s[f"{name}.steepness"] * (trust - s[f"{name}.midpoint"])))
             for name, trust in zip(("alpha", "beta"), self.trust, strict=True)
         )
         view, wanted = k - int(hand["delay"]), np.zeros(3)
@@ -112,14 +113,14 @@ class PlainLoop:
                 -hand["reach"],
                 hand["reach"],
             )
-        self.wish = hand["keep"] * self.wish + (1.0 - hand["keep"]) * wanted
+        self.wish = hand["decay"] * self.wish + (1.0 - hand["decay"]) * wanted
         stiff, damp = s["stiffness"] + hand["stiffness"], s["damping"] + hand["damping"]
         force = stiff * self.wish / weight + given["pushed"][k]
         force = force + hand["noise"] * given["motor"][k] * (1.0 + np.abs(self.wish))
         arrived_right = self.read(self.left, k - given["delays"][0, k], self.books[0])
         arrived_left = self.read(self.right, k - given["delays"][1, k], self.books[1])
         # the device and its port: implicit midpoint, the feedback solved with it
-        back = sqrt(2.0 * b / s["beta_max"]) * arrived_left
+        back = sqrt(2.0 * b / s["beta.high"]) * arrived_left
         inertia = 2.0 * s["mass"] / period
         tip = 1.0 + 0.5 * period * weight
         right = inertia * self.v - stiff * self.x + force - gamma * beta * (b * weight * self.x + back)
@@ -128,16 +129,18 @@ class PlainLoop:
         out = middle + weight * halfway
         felt = beta * (b * out + back)
         # the robot's port and its passivity controller
-        spring = -s["feedback"] * error
-        moved = alpha * (sqrt(2.0 * b / s["alpha_max"]) * arrived_right - spring) / b
+        spring = -s["guidance"] * error
+        moved = alpha * (sqrt(2.0 * b / s["alpha.high"]) * arrived_right - spring) / b
         power, square, shrink = float(moved @ spring), float(moved @ moved), 1.0
         if self.robot <= 0.0 and power < 0.0 and square > 0.0:
             gain = square * b / alpha
             shrink = 1.0 - (-power / gain) if power + gain > 0.0 else 0.0
             moved = shrink * moved
-        load = spring if shrink == 1.0 else sqrt(2.0 * b / s["alpha_max"]) * arrived_right - b * moved / alpha
-        self.left.append(sqrt(s["beta_min"] / (2.0 * b)) * (felt / beta + b * out))
-        self.right.append(sqrt(s["alpha_min"] / (2.0 * b)) * (load - b * moved / alpha))
+        load = (
+            spring if shrink == 1.0 else sqrt(2.0 * b / s["alpha.high"]) * arrived_right - b * moved / alpha
+        )
+        self.left.append(sqrt(s["beta.low"] / (2.0 * b)) * (felt / beta + b * out))
+        self.right.append(sqrt(s["alpha.low"] / (2.0 * b)) * (load - b * moved / alpha))
         pressed = force - hand["stiffness"] * halfway - hand["damping"] * middle
         self.work += period * float(out @ pressed) / gamma
         self.channel += period * float(out @ felt - moved @ load)
@@ -183,9 +186,10 @@ class PlainLoop:
         )
         row = np.concatenate([*signals, scales, energies])
         for i, end in enumerate(("hr", "rh")):
-            share = min(max((performance[i] - s["p_min"]) / (s["p_max"] - s["p_min"]), 0.0), 1.0)
-            keep = s[f"keep_{end}"]
-            self.trust[i] = keep * self.trust[i] + (1.0 - keep) * s[f"gain_{end}"] * share
+            low, high = s[f"trust_{end}.p_min"], s[f"trust_{end}.p_max"]
+            share = min(max((performance[i] - low) / (high - low), 0.0), 1.0)
+            decay = s[f"trust_{end}.decay"]
+            self.trust[i] = decay * self.trust[i] + (1.0 - decay) * s[f"trust_{end}.gain"] * share
         return row
 
     def run(self, count=None):
