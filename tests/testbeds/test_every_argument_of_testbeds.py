@@ -20,7 +20,7 @@ from trustlab.testbeds import (
     published_thresholds,
     run_condition,
 )
-from trustlab.testbeds.plots import plot_path, plot_run
+from trustlab.testbeds.ground_robot.plots import plot_path, plot_run
 
 matplotlib.use("Agg")
 

@@ -11,7 +11,7 @@ from trustlab.testbeds import (
     published_thresholds,
     run_condition,
 )
-from trustlab.testbeds.participants import participant_label
+from trustlab.testbeds.ground_robot.participants import participant_label
 
 PEOPLE = ("1", "2", "3", "4", "5")
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from trustlab.sessions.writers import write_session
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
-from trustlab.testbeds.course import Course
-from trustlab.testbeds.ground_robot import SAMPLE_TIME, run_condition
+from trustlab.testbeds.ground_robot.conditions import SAMPLE_TIME, run_condition
+from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 

@@ -15,7 +15,7 @@ from trustlab.studies.planning.virtual_folder import Folder
 from trustlab.studies.planning.virtual_participant import run_participant
 from trustlab.studies.planning.virtual_report import KEYS, ORIGIN, WORDS, VirtualStudy
 from trustlab.teleoperation.loop.schemes import SCHEMES
-from trustlab.testbeds.ground_robot import CONDITIONS, MOST_LAPS
+from trustlab.testbeds.ground_robot.conditions import CONDITIONS, MOST_LAPS
 
 __all__ = ["virtual_study"]
 

@@ -7,7 +7,7 @@ import numpy as np
 from trustlab.models.checks import finite_array, finite_number, of_class
 from trustlab.sessions.plots import shade_manual
 from trustlab.sessions.session import Session
-from trustlab.testbeds.course import Course
+from trustlab.testbeds.ground_robot.course import Course
 
 __all__ = ["plot_path", "plot_run"]
 

@@ -11,9 +11,9 @@ from trustlab.allocation.suggestions import followed_suggestions
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Session
-from trustlab.testbeds.course import Course
-from trustlab.testbeds.driving import DEADLINE
-from trustlab.testbeds.pioneer import Pioneer
+from trustlab.testbeds.ground_robot.course import Course
+from trustlab.testbeds.ground_robot.kernel import DEADLINE
+from trustlab.testbeds.ground_robot.pioneer import Pioneer
 
 __all__ = ["GroundRobotRun"]
 
@@ -119,7 +119,7 @@ class GroundRobotRun:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (4,)
         """
-        from trustlab.testbeds.plots import plot_run
+        from trustlab.testbeds.ground_robot.plots import plot_run
 
         return plot_run(self, bounds)
 
@@ -138,7 +138,7 @@ class GroundRobotRun:
         -------
         matplotlib.axes.Axes
         """
-        from trustlab.testbeds.plots import plot_path
+        from trustlab.testbeds.ground_robot.plots import plot_path
 
         return plot_path(self.session, self.course, start, stop, axes)
 

@@ -7,21 +7,33 @@ import pandas as pd
 
 from trustlab.allocation.correction.in_loop import no_correction
 from trustlab.allocation.limits import check_thresholds, threshold_limits
-from trustlab.models.checks import finite_array, finite_number, of_class, whole_number
+from trustlab.models.checks import between, finite_array, finite_number, of_class, spawned, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
 from trustlab.operators.teleoperator import Teleoperator
 from trustlab.sessions.session import Metadata, Session
-from trustlab.testbeds.course import Course
-from trustlab.testbeds.driving import COLUMNS, OWN, PERFORMANCE, SCHEDULE, SETTLING, TSC, Task, drive
-from trustlab.testbeds.ground_robot_run import GroundRobotRun
-from trustlab.testbeds.participants import (
+from trustlab.teleoperation.records import log_of
+from trustlab.testbeds.ground_robot.course import Course
+from trustlab.testbeds.ground_robot.kernel import (
+    COLUMNS,
+    LOG,
+    OWN,
+    PERFORMANCE,
+    SCHEDULE,
+    SETTLING,
+    STATE,
+    TSC,
+    Task,
+    drive,
+)
+from trustlab.testbeds.ground_robot.participants import (
     participant_label,
     published_model,
     published_operator,
     published_thresholds,
 )
-from trustlab.testbeds.pioneer import Pioneer
+from trustlab.testbeds.ground_robot.pioneer import Pioneer
+from trustlab.testbeds.ground_robot.run import GroundRobotRun
 
 __all__ = ["CONDITIONS", "GroundRobotRun", "drive_modes", "identification_session", "run_condition"]
 
@@ -256,7 +268,7 @@ def identification_session(
         raise ValueError(f"phases must last at least {SAMPLE_TIME} s, got {min(lengths)} s")
     mixed = whole_number("mixed", mixed, least=0, most=MOST_PHASES)
     _steps(lengths[0] + lengths[1] + mixed * lengths[3], "all phases together")
-    stream = np.random.default_rng(_streams(seed)[3])
+    stream = np.random.default_rng(spawned(seed, 4)[3])
     lengths = np.r_[lengths[:2], stream.uniform(*lengths[2:], size=mixed)]
     steps = np.maximum(np.round(lengths / SAMPLE_TIME).astype(int), 1)
     mode = np.repeat(1 - np.arange(steps.size) % 2, steps)
@@ -313,28 +325,18 @@ def _pair(pair, name: str = "thresholds", equal: bool = False) -> tuple[float, f
 
 
 def _task(scheme, forced=False, laps=0, lower=0.0, upper=0.0, model=None, first_mode=1, r0=0.0) -> Task:
-    r0 = finite_number("r0", r0)
-    if not 0.0 <= r0 <= 1.0:
-        raise ValueError(f"r0 must lie in [0, 1], got {r0}")
+    r0 = between("r0", r0, 0.0, 1.0)
     numbers = (model.a_T, model.b_T, model.robot.p_min, model.robot.p_max) if model else (0.0, 0.0, 0.0, 0.0)
     window = round(WINDOW / SAMPLE_TIME)
     return Task(scheme, forced, laps, lower, upper, *numbers, E_MAX, window, SAMPLE_TIME, first_mode, r0)
 
 
-def _streams(seed) -> list[np.random.SeedSequence]:
-    """Return four children of the seed, the same at every call: a SeedSequence given is not changed."""
-    if isinstance(seed, np.random.SeedSequence):
-        own = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
-    else:
-        own = np.random.SeedSequence(whole_number("seed", seed, least=0))
-    return own.spawn(4)
-
-
 def _drive(
     task, schedule, most, robot, course, operator, seed, correction=None
 ) -> tuple[pd.DataFrame, np.ndarray]:
-    log, lap_times = np.empty((most, len(COLUMNS))), np.empty(task.laps)
-    streams = [np.random.default_rng(child) for child in _streams(seed)[:3]]
+    table, log = log_of(LOG, most)
+    lap_times = np.empty(task.laps)
+    streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
     rows, done = drive(
         task,
         schedule,
@@ -343,12 +345,13 @@ def _drive(
         robot.numbers,
         operator.numbers,
         *streams,
+        np.zeros(1, STATE),
         log,
         lap_times,
         correction or no_correction(),
     )
     t = pd.Index(np.round(np.arange(rows) * task.sample_time, 6), name="t")
-    return pd.DataFrame(log[:rows], index=t, columns=COLUMNS), lap_times[:done]
+    return pd.DataFrame(table[:rows], index=t, columns=COLUMNS), lap_times[:done]
 
 
 def _session(data, operator, condition, seed, **facts) -> Session:

@@ -10,12 +10,10 @@ import pandas as pd
 from trustlab.allocation.correction.corrector import ThresholdCorrector, threshold_pair
 from trustlab.allocation.correction.in_loop import loop_correction
 from trustlab.allocation.correction.tests_in_a_row import CorrectionRun
-from trustlab.models.checks import finite_number, whole_number
+from trustlab.models.checks import not_negative, one_of, spawned, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
-from trustlab.testbeds.course import Course
-from trustlab.testbeds.driving import OWN, TSC
-from trustlab.testbeds.ground_robot import (
+from trustlab.testbeds.ground_robot.conditions import (
     MOST_LAPS,
     SAMPLE_TIME,
     SLOWEST,
@@ -26,7 +24,9 @@ from trustlab.testbeds.ground_robot import (
     _task,
     _who,
 )
-from trustlab.testbeds.pioneer import Pioneer
+from trustlab.testbeds.ground_robot.course import Course
+from trustlab.testbeds.ground_robot.kernel import OWN, TSC
+from trustlab.testbeds.ground_robot.pioneer import Pioneer
 
 __all__ = ["HABITS", "run_correction"]
 
@@ -109,9 +109,7 @@ def run_correction(
     -----
     Simulated: no person took part.
     """
-    if not isinstance(habit, str) or habit not in HABITS:
-        raise ValueError(f"habit must be one of {', '.join(HABITS)}, got {habit!r:.60}")
-    scheme, forced, adopted = HABITS[habit]
+    scheme, forced, adopted = HABITS[one_of("habit", habit, HABITS)]
     operator, model, printed = _who(participant, None, model)
     operator, robot, course = _checked(operator, robot, course)
     corrector = ThresholdCorrector(model, target, c_b, horizon)
@@ -119,18 +117,12 @@ def run_correction(
         raise ValueError("an Operator needs start=(TSC_l, TSC_u), the thresholds to begin with")
     start = threshold_pair("start", printed if start is None else start)
     tests, laps = whole_number("tests", tests, most=100), whole_number("laps", laps, most=MOST_LAPS)
-    lag = finite_number("lag", lag)
-    if lag < 0.0:
-        raise ValueError(f"lag cannot be negative, got {lag}")
+    lag = not_negative("lag", lag)
     if habit == "lagging":
         operator = replace(operator, reaction_lag=lag)
     most = _steps(laps * course.length / SLOWEST, f"{laps} laps of {course.length:.3g} m") + 1
-    if isinstance(seed, np.random.SeedSequence):
-        own = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
-    else:
-        own = np.random.SeedSequence(whole_number("seed", seed, least=0))
     now, parts, sessions = start, [], []
-    for test, child in enumerate(own.spawn(tests), start=1):
+    for test, child in enumerate(spawned(seed, tests), start=1):
         limits = (operator.lower, operator.upper) if scheme == OWN else now
         if adopted:
             limits = (limits[0] + now[0] - start[0], limits[1] + now[1] - start[1])
