@@ -26,7 +26,7 @@ STATISTICS = {
 
 
 class PublishedStudyError(ValueError):
-    """A printed study that cannot be: the message names the field."""
+    """A printed study with a missing or impossible number; the message names the field."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class PublishedStudy:
     Raises
     ------
     PublishedStudyError
-        If a field is missing, is no printed number, or cannot be; the message names it.
+        If a field is missing, not a printed number, or impossible; the message names it.
     """
 
     name: str
@@ -185,7 +185,7 @@ class PublishedStudy:
         Raises
         ------
         PublishedStudyError
-            If a field is unknown, missing, or cannot be.
+            If a field is unknown, missing or impossible.
         """
         if not isinstance(values, Mapping):
             raise PublishedStudyError(f"{name}: a published study must be a table of fields, got {values!r}")
@@ -211,7 +211,7 @@ class PublishedStudy:
         Raises
         ------
         PublishedStudyError
-            If a study cannot be; the message names it and the field.
+            If a study is impossible; the message names it and the field.
         """
         with Path(path).open("rb") as file:
             groups = tomllib.load(file)
@@ -243,7 +243,9 @@ def _check_design(study: PublishedStudy) -> None:
     for key in ("mean", "sd"):
         for condition in getattr(study, key):
             if condition not in study.conditions:
-                raise ValueError(f"{key}.{condition} is none of the conditions {', '.join(study.conditions)}")
+                raise ValueError(
+                    f"{key}.{condition} is not among the conditions {', '.join(study.conditions)}"
+                )
 
 
 def _check_scale(study: PublishedStudy) -> None:
@@ -280,7 +282,7 @@ def _check_cells(study: PublishedStudy) -> None:
         largest = math.sqrt(max((mean - low) * (high - mean), 0.0) * study.n / (study.n - 1))
         if printed_interval(text)[0] > largest:
             raise ValueError(
-                f"sd.{condition} = {text} is more than {study.n} values from {low:g} to {high:g} with mean"
+                f"sd.{condition} = {text} exceeds what {study.n} values from {low:g} to {high:g} with mean"
                 f" {study.mean[condition]} can have ({largest:.4g})"
             )
 
@@ -291,7 +293,7 @@ def _check_p(name: str, text: str) -> None:
     end = high if math.isinf(low) else low if math.isinf(high) else 0.5 * (low + high)
     empty = (math.isinf(low) and end == 0.0) or (math.isinf(high) and end == 1.0)  # p < 0 and p > 1
     if not 0.0 <= end <= 1.0 or empty:
-        raise ValueError(f"{name} = {text!r} is no p-value; it must lie between 0 and 1")
+        raise ValueError(f"{name} = {text!r} is not a p-value; it must lie between 0 and 1")
 
 
 def _check_tests(study: PublishedStudy) -> None:
@@ -308,7 +310,7 @@ def _check_tests(study: PublishedStudy) -> None:
     if "eta2" in study.anova and printed_interval(study.anova["eta2"])[0] >= 1.0:
         raise ValueError(f"anova.eta2 = {study.anova['eta2']} must lie between 0 and 1")
     if study.mauchly and k < 3:
-        raise ValueError("mauchly: sphericity is no question for two conditions")
+        raise ValueError("mauchly: sphericity always holds for two conditions")
     if study.t_test and k != 2:
         raise ValueError(f"t_test needs two conditions, got {k}")
     _check_epsilon_and_degrees(study)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
 import trustlab as tl
 from trustlab.reproduction import compare_adjustments
@@ -168,6 +169,19 @@ def test_arithmetic_conflicts_are_named(changes, name):
 def test_the_printed_studies_have_one_arithmetic_conflict():
     found = {name: tuple(arithmetic_conflicts(study)) for name, study in STUDIES.items()}
     assert {name: c for name, c in found.items() if c} == {"teleop.tracking_error": ("anova.df1",)}
+
+
+def test_mauchlys_p_is_that_of_packages():
+    """Oracle: p of χ² = 7 at n = 9, k = 4 by the k form, written out, and the plain χ² tail, which packages do not print."""
+    n, k, d = 9, 4, 3
+    factor = n - 1 - (2 * d * d + d + 2) / (6 * d)
+    weight = (d + 2) * (d - 1) * (d - 2) * (2 * d**3 + 6 * d * d + 3 * k + 2) / (288 * (d * factor) ** 2)
+    plain, shifted = stats.chi2.sf(7.0, 5), stats.chi2.sf(7.0, 9)
+    values = {"n": n, "mean": dict.fromkeys("ABCD", "5.0"), "sd": dict.fromkeys("ABCD", "1.0")}
+    for p, conflicts in ((plain, ["mauchly.p"]), (plain + weight * (shifted - plain), [])):
+        printed = {"chi2": "7.000", "p": f"{p:.4f}"}
+        study = tl.PublishedStudy.from_dict({**values, "mauchly": printed})
+        assert list(arithmetic_conflicts(study)) == conflicts
 
 
 def test_bad_input_is_refused():

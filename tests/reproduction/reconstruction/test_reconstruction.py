@@ -152,8 +152,8 @@ def test_the_same_seed_gives_the_same_data():
 def test_data_say_that_they_are_reconstructed():
     result = reconstruct_study(STUDIES["teleop.tracking_error"], 0)
     assert result.frame.attrs["reconstructed"] is True
-    assert "no measurements" in result.frame.attrs["note"]
-    assert "no measurements" in result._repr_html_()
+    assert "not measurements" in result.frame.attrs["note"]
+    assert "not measurements" in result._repr_html_()
     assert result.table().attrs["reconstructed"] is True
     assert "2.425" in result.left_out["anova.df1"]
     assert json.loads(json.dumps(result.frame.attrs)) == result.frame.attrs
@@ -232,7 +232,7 @@ def test_samples_have_exact_moments_within_the_scale():
         ((STUDIES["uav.tlx"], 1.5), "seed"),
         ((STUDIES["uav.tlx"], True), "seed"),
         ((STUDIES["uav.tlx"], 0, "tukey"), "p_adjust must be one of"),
-        ((STUDIES["uav.tlx"], 0, None, ("mauchley",)), "'mauchley' is none of"),
+        ((STUDIES["uav.tlx"], 0, None, ("mauchley",)), "'mauchley' is not among"),
         ((STUDIES["uav.tlx"], 0, None, "pairs"), "without must be a list"),
         ((STUDIES["uav.tlx"], 0, None, ("mean", "sd", "anova", "epsilon", "mauchly", "pairs")), "is left"),
     ],

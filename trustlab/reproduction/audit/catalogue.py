@@ -110,7 +110,7 @@ def _reasons() -> list[tuple[str, str]]:
 
 
 def why_unchecked(id: str) -> str:
-    """Return why a number that no other bears on cannot be checked: the first pattern of unchecked.csv that matches."""
+    """Return why an isolated number cannot be checked: the reason of the first matching pattern of unchecked.csv."""
     return next(reason for pattern, reason in _reasons() if fnmatchcase(id, pattern))
 
 

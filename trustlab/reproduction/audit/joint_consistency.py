@@ -16,7 +16,7 @@ __all__ = ["joint_rows"]
 LIMITS = ("TSC_lb", "TSC_ub", "b_pr")
 BOUNDS = ("P_rl", "P_ru", "r_l", "r_u")
 FARTHEST = 1e3
-"""What a miss counts at most, in half units; an output that cannot be computed counts as this."""
+"""Cap on a misfit, in half units; also the misfit of an output that cannot be computed."""
 
 
 @dataclass(frozen=True)

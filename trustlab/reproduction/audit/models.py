@@ -132,7 +132,7 @@ def upper_limit_check(p: str) -> Check:
 
 
 def _untied_gain(check: Check, tied: Formula, numbers: Numbers) -> str:
-    """Say so where only a b_pr that rounds as printed but does not obey (2.3) reaches the printed limit."""
+    """Return a note if the printed limit needs a b_pr that rounds as printed but violates (2.3); else an empty text."""
     printed, gain = numbers[check.number], numbers[check.formula.inputs["b_pr"]]
     free = replace(check.formula, as_printed=())
     if any(way.meets(printed, numbers) for way in (check.formula, *check.conventions)):

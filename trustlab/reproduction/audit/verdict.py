@@ -227,7 +227,7 @@ def _named(way: Formula) -> str:
 
 @dataclass(frozen=True)
 class Possible:
-    """Whether a printed number lies in the range that others leave it, from `least` to `most`; the rest as for `Check`."""
+    """Whether a printed number lies in the range that other numbers allow, from `least` to `most`."""
 
     number: str
     least: Formula
@@ -257,7 +257,7 @@ class Possible:
 
 @dataclass(frozen=True)
 class Remark:
-    """A printed number that no other determines: why it cannot be checked, or what is odd about it."""
+    """A printed number that no other number determines, with the reason it cannot be checked or what is odd about it."""
 
     number: str
     reason: str

@@ -1,5 +1,5 @@
 """
-What a printed study says about its data: one interval per printed number, on a statistic of means and covariance.
+What a printed study implies about its data: one interval per printed number, for a statistic of means and covariance.
 
 A pair's p may be printed unadjusted or adjusted for the m = k(k − 1)/2 comparisons: Bonferroni m p, Šidák
 1 − (1 − p)^m, Holm the running maximum of (m − l + 1) p_(l). Each printed p is an interval, "<.0005" a half-line.
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from difflib import get_close_matches
 
 from scipy import optimize, special
@@ -20,7 +20,7 @@ from trustlab.reproduction.published_study import PublishedStudy, published_stud
 from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
 from trustlab.studies.analysis.sphericity import mauchly_p_value
 
-__all__ = ["ADJUSTMENTS", "ALPHA", "Constraint", "constraints", "select", "sharpened"]
+__all__ = ["ADJUSTMENTS", "ALPHA", "Constraint", "constraints", "select"]
 
 ADJUSTMENTS = ("bonferroni", "holm", "sidak", "none")
 """Adjustments of pairwise p-values for the number of comparisons."""
@@ -52,39 +52,18 @@ def log_interval(text: str) -> Interval:
     return (math.log(low) if low > 0.0 else -math.inf), (math.log(high) if high < 1.0 else math.inf)
 
 
-def _chi2_interval(text: str, n: int, k: int, second_order: bool) -> Interval:
-    """Return the chi-squares whose p, with or without Mauchly's second-order term, rounds to the printed one."""
+def _chi2_interval(text: str, n: int, k: int) -> Interval:
+    """Return the chi-squares whose p by Mauchly's test, with its second-order term, rounds to the printed one."""
     low, high = printed_interval(text)
-    df = k * (k - 1) // 2 - 1
-
-    def p_value(chi2: float) -> float:
-        return mauchly_p_value(chi2, n, k) if second_order else special.chdtrc(df, chi2)
 
     def quantile(p: float) -> float:
-        if p_value(0.0) <= p:
+        if mauchly_p_value(0.0, n, k) <= p:
             return 0.0
-        above = special.chdtri(df, p * 0.5) + 10.0
-        return optimize.brentq(lambda x: p_value(x) - p, 0.0, 2.0 * above)
+        # The plain chi-square quantile of p/2 lies above, as the second-order term is small beside p.
+        above = 2.0 * (special.chdtri(k * (k - 1) // 2 - 1, p * 0.5) + 10.0)
+        return optimize.brentq(lambda x: mauchly_p_value(x, n, k) - p, 0.0, above)
 
     return quantile(high) if high < 1.0 else 0.0, quantile(low) if low > 0.0 else math.inf
-
-
-def _either_chi2_interval(text: str, n: int, k: int) -> Interval:
-    """Return the chi-squares whose p rounds to the printed one by either approximation."""
-    lows, highs = zip(*(_chi2_interval(text, n, k, second) for second in (False, True)), strict=True)
-    return min(lows), max(highs)
-
-
-def sharpened(found: Iterable[Constraint], study: PublishedStudy) -> list[Constraint]:
-    """Return constraints in which Mauchly's p has its second-order term, as R, SPSS and pingouin print it."""
-    sharp = []
-    for s in found:
-        if s.name in ("mauchly.p", "mauchly.violated"):
-            text = s.text if s.name == "mauchly.p" else f"<{ALPHA}"
-            low, high = _chi2_interval(text, study.n, study.k, second_order=True)
-            s = replace(s, low=low, high=high)
-        sharp.append(s)
-    return sharp
 
 
 def _omnibus(study: PublishedStudy) -> list[Constraint]:
@@ -112,10 +91,9 @@ def _omnibus(study: PublishedStudy) -> list[Constraint]:
     if chi2:
         add("mauchly.chi2", "chi2", printed_interval(chi2), chi2)
     if p:
-        add("mauchly.p", "chi2", _either_chi2_interval(p, n, k), p)
+        add("mauchly.p", "chi2", _chi2_interval(p, n, k), p)
     elif study.corrected and not chi2:
-        least, _ = _either_chi2_interval(f"<{ALPHA}", n, k)
-        add("mauchly.violated", "chi2", (least, math.inf), "sphericity violated, p < 0.05")
+        add("mauchly.violated", "chi2", _chi2_interval(f"<{ALPHA}", n, k), "sphericity violated, p < 0.05")
     return found
 
 
@@ -179,10 +157,10 @@ def _named_study(name: str) -> str:
 
 def constraints(study: PublishedStudy, p_adjust: str = "bonferroni") -> list[Constraint]:
     """
-    Return what a study says, number by number: means, standard deviations, F and what goes with it, sphericity, pairs.
+    Return one constraint per printed number: means, standard deviations, F and its companions, sphericity, pairs.
 
     A pair without a p-value was reported as not significant, p > 0.05, unless the study's `listed_only` is set; a printed
-    epsilon without a test of sphericity says that the test was significant.
+    epsilon without a test of sphericity implies that the test was significant.
     """
     of_class("study", study, PublishedStudy, _named_study(study) if isinstance(study, str) else "")
     one_of("p_adjust", p_adjust, ADJUSTMENTS)
@@ -204,6 +182,6 @@ def select(found: Iterable[Constraint], without: Iterable[str]) -> list[Constrai
     for name in without:
         if name not in known:
             raise ValueError(
-                f"without: {name!r} is none of the study's statistics; there are {', '.join(sorted(known))}"
+                f"without: {name!r} is not among the study's statistics, which are {', '.join(sorted(known))}"
             )
     return [s for s in found if s.name not in without and s.name.split(".")[0] not in without]

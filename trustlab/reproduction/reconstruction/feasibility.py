@@ -21,7 +21,7 @@ MARGINS = (0.3, 0.1, 0.02)
 """How far inside the printed intervals solutions are sought, as shares of their half-widths, one after the other."""
 
 LEAST_MISSED = ("sd", "anova.eta2", "anova.df2", "anova.df1", "anova.p", "epsilon", "mauchly.p", "mauchly")
-"""What a conflict is sought without first: numbers that follow from others, or that seldom matter."""
+"""What the deletion filter leaves out first: numbers that follow from others, or that rarely matter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +47,10 @@ def decide(
     problem: MomentProblem, rng: np.random.Generator, starts: int = 512, branches: int = 80, enough: int = 2
 ) -> Verdict:
     """
-    Look for solutions, `enough` of them, and where none turns up at once, for a proof that there is none.
+    Search for `enough` solutions and, if none is found at once, for a proof that there is none.
 
-    `branches` is the most relaxations to solve for a proof, 0 for none: one is tried after the first starts, as it is
-    cheap, and all after 256.
+    A proof may solve up to `branches` relaxations (0: no proof is attempted): one after the first starts, because it is
+    cheap, and all of them after 256 starts.
     """
     tried, best, count = 0, None, 32
     efforts = {count: min(1, branches), 8 * count: branches}
@@ -86,12 +86,12 @@ class Feasibility:
     status : {"solved", "proved", "not found"}
         A solution was found; it is proved that there is none; or none was found from many starts.
     conflict : tuple of str
-        Statistics that cannot hold together, the fewest found: where this is proved (`conflict_proved`), without any one of
-        them it is not proved; otherwise, without any one of them a solution was found. Empty when feasible.
+        The smallest set found of statistics that cannot hold together. Without any one of them this is no longer proved (if
+        `conflict_proved`), or a solution was found (otherwise). Empty when feasible.
     conflict_proved : bool
-        Whether it is proved that those cannot hold together.
+        Whether it is proved that the conflict cannot hold together.
     remedies : tuple of str
-        Single statistics without which all others can hold.
+        Statistics any one of which can be left out so that all others hold.
     left_out : mapping of str to str
         Reasons for statistics left out beforehand, by name: those asked for, and those that contradict others by arithmetic.
     violation : float
@@ -136,10 +136,10 @@ def feasibility(
     explain: bool = True,
 ) -> Feasibility:
     """
-    Say whether the numbers printed for a study can belong to one data set, and if not, which of them conflict.
+    Determine whether the numbers printed for a study can belong to one data set, and if not, which of them conflict.
 
-    Feasible is shown by means and a covariance matrix that have all statistics within rounding; infeasible is proved by a
-    linear relaxation wherever that suffices (`status`). The conflict is an irreducible infeasible subset, by a deletion
+    Feasibility is shown by means and a covariance matrix that have all statistics within rounding; infeasibility is proved
+    by a linear relaxation wherever that suffices (`status`). The conflict is an irreducible infeasible subset, by a deletion
     filter (Chinneck & Dravnieks 1991) in several orders, the smallest found.
 
     Parameters
@@ -248,7 +248,7 @@ def _smallest_conflict(
 
 def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) -> pd.DataFrame:
     """
-    Say under which adjustments of pairwise p-values each study's printed numbers can belong to one data set.
+    Determine under which adjustments of pairwise p-values each study's printed numbers can belong to one data set.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How far the quantities that are not printed can range while all that is printed holds."""
+"""Ranges of the unprinted quantities over data that have all printed statistics."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def feasible_ranges(
     problem: MomentProblem, rng: np.random.Generator, conditions: tuple[str, ...]
 ) -> pd.DataFrame:
     """
-    Return the lowest and highest value found of everything that is not printed.
+    Return the lowest and highest value found of every quantity that is not printed.
 
-    One quantity at a time is pushed on from the solutions in which it is furthest, while all constraints hold; the step grows
-    after success and shrinks after failure. Every solution met serves the other quantities, and all are gone through twice.
-    Both ends are attained by solutions; the true range is at least as wide. Beyond proved_low and proved_high (of means, NaN
-    otherwise) it is proved that no data have what is printed.
+    Each quantity in turn is pushed outwards from the solutions in which it is most extreme, while all constraints hold; the
+    step grows after success and shrinks after failure. Every solution found also serves the other quantities, and the whole
+    round is made twice. Both ends are attained by solutions, so that the true range is at least as wide. Beyond proved_low
+    and proved_high (for means; NaN otherwise) it is proved that no data have the printed statistics.
     """
     printed = {(s.kind, s.index) for s in problem.found}
     wanted = {  # name: kind, index and size of the statistic
@@ -69,7 +69,7 @@ def _proved(problem: MomentProblem, i: int, low: float, high: float, steps: int 
 
 
 class _Pool:
-    """Solutions met so far."""
+    """The solutions found so far."""
 
     def __init__(self, problem: MomentProblem, moments: Moments) -> None:
         self.problem, self.mean, self.factor = problem, moments.mean, moments.factor
@@ -84,7 +84,7 @@ class _Pool:
         self.factor = np.concatenate([self.factor, solutions.factor])
 
     def push(self, kind: str, index: int, size: float, upwards: bool, rounds: int = 14) -> float:
-        """Push one quantity as far as it goes, and return its value there."""
+        """Push one quantity outwards until no step succeeds, and return its value there."""
         sign, step = (1.0 if upwards else -1.0), 0.1 * size
 
         def reached(mean: np.ndarray, factor: np.ndarray) -> np.ndarray:

@@ -217,7 +217,7 @@ class MomentProblem:
         iterations: int = 80,
     ) -> Moments:
         """
-        Reduce the violations of candidates until all constraints hold or nothing helps; return them least violated first.
+        Reduce the violations of candidates until all constraints hold or no step helps; return them least violated first.
 
         `margin` is how far inside the intervals to go, as a share of their half-widths, in [0, 1); `stages` are relative
         widths that the intervals have at least, one stage after the other; the last one stops at `enough` solutions

@@ -27,7 +27,7 @@ def adjusted(p: np.ndarray, p_adjust: str) -> np.ndarray:
 
 def reanalyse(values: np.ndarray, study: PublishedStudy, p_adjust: str) -> dict[str, float]:
     """
-    Return the statistics of data, shape (n, k), under the names of a study's constraints, in the units of print.
+    Return the statistics of data, shape (n, k), under the names of a study's constraints, in the units in which they are printed.
 
     The study names the conditions and says whether degrees of freedom are corrected; Mauchly's p has the second-order term.
     """

@@ -1,10 +1,10 @@
 """
 Data that have all statistics printed for a study.
 
-All statistics of a one-way within-subject study that are printed are functions of the means and the covariance matrix, so
-that a reconstruction finds these first (`moment_search`), each within the rounding of what is printed, and then draws n
-subjects with exactly these moments inside the scale of the measure (`sampling`). The values are continuous: they are
-not held to the steps of a questionnaire. They are no measurements, and everything made from them says so.
+All printed statistics of a one-way within-subject study are functions of the means and the covariance matrix. A
+reconstruction therefore finds these moments first (`moment_search`), with every statistic within its rounding, and then draws
+n subjects with exactly these moments inside the scale of the measure (`sampling`). The values are continuous: they do not
+follow the steps of a questionnaire. They are not measurements, and everything made from them says so.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.reproduction.published_study import PublishedStudy
-from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, Constraint, constraints, sharpened
+from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, constraints
 from trustlab.reproduction.reconstruction.feasibility import (
     Verdict,
     decide,
@@ -32,7 +32,7 @@ from trustlab.reproduction.reconstruction.sampling import sample_with_moments
 
 __all__ = ["NOTE", "Reconstruction", "ReconstructionError", "reconstruct", "reconstruct_study"]
 
-NOTE = "Reconstructed data: no measurements, but values that have the printed statistics."
+NOTE = "Reconstructed data: not measurements, but values that have the printed statistics."
 
 
 class ReconstructionError(ValueError):
@@ -72,7 +72,7 @@ class Reconstruction:
 
     @property
     def frame(self) -> pd.DataFrame:
-        """The data in long form: columns subject (1 … n), condition, value; `attrs` says that they are reconstructed."""
+        """The data in long form: columns subject (1 … n), condition, value; `attrs` marks them as reconstructed."""
         n, k = self.values.shape
         frame = pd.DataFrame(
             {
@@ -93,13 +93,13 @@ class Reconstruction:
 
     def table(self) -> pd.DataFrame:
         """
-        Return every printed statistic beside that of these data.
+        Return every printed statistic beside the one recomputed from these data.
 
         Returns
         -------
         pandas.DataFrame
             Index statistic; columns printed, low, high (what agrees with it), reconstructed (recomputed from the data), agrees,
-            left_out (the reason; empty where it was to hold). Pairwise p-values are adjusted ones.
+            left_out (the reason; empty where the statistic had to hold). Pairwise p-values are adjusted.
         """
         ours = reanalyse(self.values, self.study, self.p_adjust)
         rows = [
@@ -120,7 +120,7 @@ class Reconstruction:
 
     def ranges(self) -> pd.DataFrame:
         """
-        Return how far what is not printed can range while all that is printed holds.
+        Return the range of each unprinted quantity over data that have all printed statistics.
 
         Returns
         -------
@@ -159,12 +159,12 @@ def reconstruct(
     p_adjust : {"bonferroni", "holm", "sidak", "none"}, optional
         How the printed pairwise p-values were adjusted; the first of these under which all can hold, unless given.
     without : iterable of str
-        Statistics that need not hold, by name ("anova.F", "pairs.C1-C3") or group ("mauchly", "pairs").
+        Statistics that the data need not have, by name ("anova.F", "pairs.C1-C3") or group ("mauchly", "pairs").
 
     Returns
     -------
     pandas.DataFrame
-        Columns subject, condition, value; `attrs` says that the data are reconstructed, and what was left out and why.
+        Columns subject, condition, value; `attrs` marks the data as reconstructed and says what was left out and why.
 
     Raises
     ------
@@ -180,10 +180,10 @@ def reconstruct_study(
     study: PublishedStudy, seed: int = 0, p_adjust: str | None = None, without: Iterable[str] = ()
 ) -> Reconstruction:
     """
-    Return data that have the statistics printed for a study, with the checks on them.
+    Return data that have the statistics printed for a study, together with checks of them.
 
-    Statistics that contradict others by arithmetic are left out. Where the rest cannot hold together, what is left out is the
-    first remedy that `feasibility` finds. The result names both in `left_out`.
+    Statistics that contradict others by arithmetic are left out. Where the rest cannot hold together, the first remedy
+    that `feasibility` finds is left out too. The result lists both in `left_out`.
 
     Parameters
     ----------
@@ -210,7 +210,8 @@ def reconstruct_study(
     without = tuple(without) if not isinstance(without, str) else without
     for candidate in ADJUSTMENTS if p_adjust is None else (p_adjust,):
         found, left_out = prepared(study, candidate, without)
-        problem, verdict = _solved(study, found, candidate, seed)
+        problem = moment_problem(study, found, candidate)
+        verdict = decide(problem, generator(seed))
         if verdict.status == "solved":
             break
     else:
@@ -225,8 +226,8 @@ def reconstruct_study(
         values = _draw(problem, verdict.moments, draws) if verdict.status == "solved" else None
     if values is None:
         raise ReconstructionError(
-            f"{study.name}: no {study.n} values within the scale {study.scale} were found that have the means and covariances"
-            " found; try another seed, or leave out a standard deviation"
+            f"{study.name}: no {study.n} values within the scale {study.scale} were found that have a solution's means and"
+            " covariances; try another seed, or leave out a standard deviation"
         )
     result = Reconstruction(study, candidate, int(seed), values, left_out, verdict, problem)
     table = result.table()
@@ -236,18 +237,6 @@ def reconstruct_study(
             f"{study.name}: the data found do not have {', '.join(wrong)}; try another seed"
         )
     return result
-
-
-def _solved(
-    study: PublishedStudy, found: list[Constraint], p_adjust: str, seed: int
-) -> tuple[MomentProblem, Verdict]:
-    """Look for solutions with Mauchly's p as packages print it, then by either approximation."""
-    for read_as in (sharpened(found, study), found):
-        problem = moment_problem(study, read_as, p_adjust)
-        verdict = decide(problem, generator(seed))
-        if verdict.status == "solved":
-            break
-    return problem, verdict
 
 
 def _draw(problem: MomentProblem, moments: Moments, rng: np.random.Generator) -> np.ndarray | None:
@@ -262,14 +251,13 @@ def _draw(problem: MomentProblem, moments: Moments, rng: np.random.Generator) ->
 def _remedied(
     study: PublishedStudy, p_adjust: str, without: tuple[str, ...], seed: int
 ) -> tuple[MomentProblem, Verdict, dict[str, str]]:
-    """Leave out what stands in the way, one statistic at a time."""
+    """Leave out conflicting statistics, one at a time, until the rest can hold together."""
     names, reasons = list(without), {}
     for _ in range(4):
         result = feasibility(study, p_adjust, names, seed)
         if result.feasible:
             found, left_out = prepared(study, p_adjust, names)
-            problem, verdict = _solved(study, found, p_adjust, seed)
-            return problem, verdict, left_out | reasons
+            return moment_problem(study, found, p_adjust), result.verdict, left_out | reasons
         name = next((x for x in (*reversed(result.remedies), *reversed(result.conflict))), None)
         if name is None:
             break
@@ -282,5 +270,5 @@ def _remedied(
         names.append(name)
     raise ReconstructionError(
         f"{study.name}: the printed numbers cannot hold together under p_adjust={p_adjust!r}, nor when"
-        f" {', '.join(reasons)} are left out; feasibility() says which conflict, `without` leaves statistics out"
+        f" {', '.join(reasons)} are left out; feasibility() names the conflict, `without` leaves statistics out"
     )

@@ -5,7 +5,7 @@ The unknowns are the variances q_i and the variances of differences V_ij; the co
 standard deviations, means and pairwise p bound them; F bounds their sum, T = Σ V_ij/k. What is left is convex and cut off
 by planes where a solution violates it (Kelley 1960): no combination of conditions has a negative variance; ε ≥ e is the cone
 ‖PSP‖ ≤ T/√((k − 1)e); W ≥ w is det(A)^(1/p) ≥ w^(1/p) T/p. The upper ends of ε and W are not convex and are left out, so that
-infeasible means infeasible, and feasible means nothing.
+"infeasible" is certain, and "feasible" is inconclusive.
 """
 
 from __future__ import annotations
@@ -172,8 +172,8 @@ def proves_infeasible(problem: MomentProblem, branches: int = 80) -> bool:
     """
     Return whether it is proved that no means and covariance satisfy the constraints of a problem.
 
-    True when even the relaxation has no solution, all its intervals widened by a millionth of themselves; False decides
-    nothing. At most `branches` relaxations are solved: the widest interval of a mean is halved until each part is refuted.
+    True when even the relaxation has no solution, with all its intervals widened by a millionth of themselves; False is
+    inconclusive. At most `branches` relaxations are solved: the widest interval of a mean is halved until each part is refuted.
     """
     found, k = list(problem.found), problem.k
     if np.isfinite(problem.scale).all():
@@ -201,7 +201,7 @@ def proves_infeasible(problem: MomentProblem, branches: int = 80) -> bool:
 
 
 def _refuted(problem: _Relaxation, rounds: int = 100) -> bool:
-    """Put the next planes where the last ones are deepest, until nothing is left or nothing is cut off."""
+    """Add cutting planes at the deepest point until no point is left (True) or the point violates none (False)."""
     if problem.empty:
         return True
     rows, right = problem.bounds()
