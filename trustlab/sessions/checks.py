@@ -62,9 +62,8 @@ def check_column(
     """Return a column as floats; raise if its name is unknown, or at its first value that is missing or out of range."""
     if name not in VOCABULARY:
         remedy = "map it with a recipe, leave it out, or see trustlab.sessions.vocabulary()"
-        raise SessionError(
-            f"column {name!r} is not in the vocabulary{did_you_mean(name, VOCABULARY)} ({remedy})"
-        )
+        hint = did_you_mean(name, VOCABULARY)
+        raise SessionError(f"column {name!r} is not in the vocabulary{hint} ({remedy})")
     values = np.asarray(values)
     if values.dtype.kind not in "fiub":
         raise SessionError(f"column {name!r} must hold numbers, found {values.dtype}")

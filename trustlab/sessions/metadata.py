@@ -92,9 +92,7 @@ def metadata_from_json(text: str) -> tuple[Metadata, dict]:
     except (ValueError, RecursionError) as error:
         raise SessionError(f"the trustlab metadata are damaged ({error}); write the file again") from error
     if not isinstance(content, dict):
-        raise SessionError(
-            f"the trustlab metadata are no JSON object but {shown(content)}; write the file again"
-        )
+        raise SessionError(f"the trustlab metadata must be an object, found {shown(content)}; write it again")
     given: dict[str, Any] = {}
     for name, types in _TYPES.items():
         value = content.pop(name, {"synthetic": False, "more": {}}.get(name))

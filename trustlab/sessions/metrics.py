@@ -258,9 +258,8 @@ def with_performance(
         p_r, p_h = mixed_initiative(u_h, u_a, u_i, error, share, u_max, e_max)
         equations = "(3.26), (3.27)"
     p_r, p_h = (window_mean(values, session.sample_time, window) for values in (p_r, p_h))
-    return session.with_columns(p_r=p_r, p_h=p_h).with_metadata(
-        performance=f"{equations}, window {window:g} s"
-    )
+    note = f"{equations}, window {window:g} s"
+    return session.with_columns(p_r=p_r, p_h=p_h).with_metadata(performance=note)
 
 
 def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
@@ -292,19 +291,19 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
     trials = pd.DataFrame([_trial(session) for session in ([sessions] if alone else sessions)])
     if trials.empty or trials["training"].all():
         raise SessionError("no trial to take the tracking error of (all are training, or none was given)")
-    trials = trials[~trials["training"].astype(bool)]
+    trials = trials[~trials["training"].astype(bool)].copy()
     twice = trials[trials.duplicated(["participant", "trial"])]
     if len(twice):
         first = twice.iloc[0]
         raise SessionError(f"trial {first['trial']} of participant {first['participant']} is there twice")
     order = trials.sort_values("trial").groupby(["participant", "block"]).cumcount()
-    kept = trials[order.reindex(trials.index) >= drop_first]
-    levels = trials.groupby(["participant", "autonomy"]).size().index
-    lost = levels.difference(kept.groupby(["participant", "autonomy"]).size().index)
+    trials["traj_err"] = trials["traj_err"].where(order.reindex(trials.index) >= drop_first)
+    table = trials.groupby(["participant", "autonomy"], as_index=False)["traj_err"].mean()
+    lost = table[table["traj_err"].isna()]
     if len(lost):
-        where = "participant {}, autonomy {}".format(*lost[0])
+        where = "participant {participant}, autonomy {autonomy}".format(**lost.iloc[0])
         raise SessionError(f"{where}: no trial is left after dropping the first {drop_first}")
-    return kept.groupby(["participant", "autonomy"], as_index=False)["traj_err"].mean()
+    return table
 
 
 def _trial(session) -> dict[str, object]:

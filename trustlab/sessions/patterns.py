@@ -51,9 +51,7 @@ class PathPattern:
 
     def __post_init__(self):
         if not isinstance(self.text, str) or not self.text.strip("/ "):
-            raise ValueError(
-                f"a pattern must be a text such as 'trial{{trial:int}}.csv', got {shown(self.text)}"
-            )
+            raise ValueError(f"a pattern must be like 'trial{{trial:int}}.csv', got {shown(self.text)}")
         types: dict[str, type] = {}
         regex, last = "", 0
         for found in _FIELD.finditer(self.text):
@@ -107,9 +105,7 @@ class FieldPath:
             found = re.fullmatch(r"([A-Za-z_]\w*)((?:\[\d{1,9}\])*)", part)
             if found is None:
                 example = "'twist.twist.linear.x', 'axes[1]' or 'yaw(pose.pose.orientation)'"
-                raise ValueError(
-                    f"cannot read the field path {shown(self.text)}; write for example {example}"
-                )
+                raise ValueError(f"cannot read the field path {shown(self.text)}; write it like {example}")
             steps += [found.group(1), *(int(index) for index in re.findall(r"\d+", found.group(2)))]
         object.__setattr__(self, "steps", tuple(steps))
         object.__setattr__(self, "yaw", yaw)

@@ -73,7 +73,6 @@ import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -198,29 +197,19 @@ def value_map(name: str, value: object, check: Callable = plain) -> dict[str, ob
     return entries
 
 
-def rising(name: str, value: object) -> tuple[float, ...]:
-    """Return a list of rising numbers."""
-    if not isinstance(value, list) or not value:
-        raise ValueError(f"{name} must be a list of rising numbers, got {shown(value)}")
-    limits = tuple(finite_number(name, limit) for limit in value)
-    if any(a >= b for a, b in pairwise(limits)):
-        raise ValueError(f"{name} must be rising numbers, got {shown(value)}")
-    return limits
+def _list_of(check: Callable, words: str) -> Callable:
+    def read(name: str, value: object) -> tuple:
+        if not isinstance(value, list) or not value:
+            raise ValueError(f"{name} must be a list of {words}, got {shown(value)}")
+        return tuple(check(name, each) for each in value)
+
+    return read
 
 
-def axis_names(name: str, value: object) -> tuple[str, ...]:
-    """Return some of the axes x, y and z, none twice."""
-    if not isinstance(value, list) or not value or len(set(map(str, value))) < len(value):
-        raise ValueError(f'{name} must be some of ["x", "y", "z"], none twice, got {shown(value)}')
-    return tuple(one_of(name, axis, "xyz") for axis in value)
-
-
-def positions(name: str, value: object, count: int) -> tuple[str, ...]:
-    """Return the stems of so many positions: "robot" is the stem of robot_x, robot_y and robot_z."""
-    stems = [each[:-2] for each, column in VOCABULARY.items() if each.endswith("_x") and column.unit == "m"]
-    if not isinstance(value, list) or len(value) != count:
-        raise ValueError(f"{name} must name {count} of {', '.join(stems)}, got {shown(value)}")
-    return tuple(one_of(name, stem, stems) for stem in value)
+# "robot" is the stem of robot_x, robot_y and robot_z.
+_STEMS = [name[:-2] for name, column in VOCABULARY.items() if name.endswith("_x") and column.unit == "m"]
+position = partial(one_of, allowed=_STEMS)
+axis_names = _list_of(partial(one_of, allowed=("x", "y", "z")), 'some of "x", "y", "z"')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -321,6 +310,10 @@ class _FromPositions(ColumnRule):
     axes: tuple[str, ...] = key(axis_names, hint='the axes that count, some of ["x", "y", "z"]')
     stems: tuple[str, ...]
 
+    def __post_init__(self):
+        if len(set(self.axes)) < len(self.axes):
+            raise ValueError("axes names an axis twice")
+
     @property
     def needs(self) -> tuple[str, ...]:
         """The session columns that this one is computed from: all axes of the first position, then of the second."""
@@ -336,7 +329,12 @@ class _FromPositions(ColumnRule):
 class Distance(_FromPositions):
     """The distance between two positions."""
 
-    stems: tuple[str, ...] = key(partial(positions, count=2), spelt="distance")
+    stems: tuple[str, ...] = key(_list_of(position, "two positions"), spelt="distance")
+
+    def __post_init__(self):
+        super().__post_init__()
+        if len(self.stems) != 2:
+            raise ValueError(f"distance is between two positions, got {len(self.stems)}")
 
     def compute(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the column, from those of the session."""
@@ -348,7 +346,7 @@ class Distance(_FromPositions):
 class Travelled(_FromPositions):
     """The distance from the sample before."""
 
-    stems: tuple[str, ...] = key(lambda name, value: positions(name, [value], count=1), spelt="travelled")
+    stems: tuple[str, ...] = key(lambda name, value: (position(name, value),), spelt="travelled")
 
     def compute(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the column, from those of the session."""
@@ -389,15 +387,15 @@ class MetadataRule:
     map: Mapping[str, object] | None = key(value_map, None)
     default: object = key(plain, None)
     keep: bool = key(switch, False)
-    bins: tuple[float, ...] | None = key(rising, None)
+    bins: tuple[float, ...] | None = key(_list_of(finite_number, "rising numbers"), None)
 
     def __post_init__(self):
         if (self.origin is None) == (self.value is None):
             raise ValueError("needs either from or value")
         if self.map is None and (self.default is not None or self.keep):
             raise ValueError("default and keep go with a map")
-        if self.bins is not None and self.map is not None:
-            raise ValueError("bins go without a map")
+        if self.bins is not None and (self.map is not None or list(self.bins) != sorted(set(self.bins))):
+            raise ValueError("bins must be rising numbers, and go without a map")
         if self.value is not None and (self.map is not None or self.bins is not None):
             raise ValueError("value is a constant, which takes no map and no bins")
 
@@ -494,9 +492,7 @@ class _Document:
     table: TableRule | None = key(_nested(TableRule), None)
     time: Any = key(any_table, None)
     resampling: _Resampling | None = key(_nested(_Resampling), None)
-    columns: Mapping[str, ColumnRule] = key(
-        partial(_each, rule=_column_rule), hint="a table with at least one column of the session"
-    )
+    columns: Mapping[str, ColumnRule] = key(partial(_each, rule=_column_rule), hint="at least one column")
     metadata: Mapping[str, MetadataRule] | None = key(partial(_each, rule=_metadata_rule), None)
     header: HeaderRule | None = key(_nested(HeaderRule), None)
     supersedes: _Supersedes | None = key(_nested(_Supersedes), None)
@@ -627,11 +623,8 @@ class Recipe:
         known = list(self.pattern.fields) if self.pattern else []
         # Metadata may refer to metadata above them; columns to all of them.
         origins = [(f"[metadata] {name}", rule.origin, [name]) for name, rule in self.metadata.items()]
-        origins += [
-            (f"[columns] {name}", rule.origin, [])
-            for name, rule in self.columns.items()
-            if isinstance(rule, MetadataColumn)
-        ]
+        given = {name: rule for name, rule in self.columns.items() if isinstance(rule, MetadataColumn)}
+        origins += [(f"[columns] {name}", rule.origin, []) for name, rule in given.items()]
         for where, origin, defines in origins:
             in_header = str(origin).startswith("header.")
             if origin is not None and origin not in known and not (in_header and self.header):

@@ -1,27 +1,73 @@
-"""Bring the streams of a log to one uniform time axis, by a method that has a name; nothing is extrapolated."""
+"""Raw logs, as readers take them from files, and how their streams come to one uniform time axis."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trustlab.models.checks import one_of, positive
 from trustlab.sessions.errors import RecipeError, SessionError
-from trustlab.sessions.raw_log import MAX_SAMPLES, RawLog
+from trustlab.sessions.metadata import Metadata
 
 if TYPE_CHECKING:
     from trustlab.sessions.recipe import ColumnRule
 
-__all__ = ["METHODS", "check_resampling", "require_common_times", "resample"]
+__all__ = [
+    "MAX_SAMPLES",
+    "METHODS",
+    "RawLog",
+    "Stream",
+    "check_resampling",
+    "require_common_times",
+    "resample",
+]
+
+MAX_SAMPLES = 20_000_000
+"""The longest log that is read or made by resampling (five and a half hours at 1 kHz)."""
 
 METHODS = ("previous", "linear", "nearest")
 """Ways to resample, by name."""
 
 _STATES = ("mode", "suggested_mode")
 """Columns that name a state; "linear" holds their previous value, as the log never was in half a state."""
+
+
+@dataclass
+class Stream:
+    """
+    Samples that share their times: the columns of a table, or what is read from one topic of a bag.
+
+    `t` [s] and every array of `columns` have shape (N,), in SI units; `place(k)` says where sample k stands in the
+    file. `held` is True where the last sample holds until the log ends; `remedy` is what to do about times that do
+    not rise, beside sorting and splitting the log.
+    """
+
+    t: np.ndarray
+    columns: dict[str, np.ndarray]
+    place: Callable[[int], str]
+    topic: str = ""
+    held: bool = False
+    remedy: str = ""
+
+
+@dataclass
+class RawLog:
+    """
+    The streams of one file, not yet checked.
+
+    `metadata` is what the file says about itself, `fault` why reading stopped after the samples there are, and
+    `notes` are metadata that reading adds (start_time, resampled).
+    """
+
+    source: str
+    streams: list[Stream]
+    metadata: Metadata | None = None
+    fault: SessionError | None = None
+    notes: dict[str, object] = field(default_factory=dict)
 
 
 def check_resampling(method: object, sample_time: object) -> None:
@@ -40,10 +86,9 @@ def require_common_times(log: RawLog) -> None:
     first = log.streams[0]
     for stream in log.streams[1:]:
         if not np.array_equal(stream.t, first.t):
-            raise RecipeError(
-                f"topics {first.topic!r} and {stream.topic!r} have stamps of their own; name how to bring them together: "
-                '[resampling] in the recipe, or read_session(..., resample="previous", sample_time=0.1)'
-            )
+            what = f"topics {first.topic!r} and {stream.topic!r} have stamps of their own"
+            how = '[resampling] in the recipe, or read_session(..., resample="previous", sample_time=0.1)'
+            raise RecipeError(f"{what}; name how to bring them together: {how}")
 
 
 def resample(
@@ -119,9 +164,6 @@ def _warn_of_gap(t: np.ndarray, sample_time: float, source: str) -> None:
     steps = np.diff(t)
     k = int(np.argmax(steps))
     if steps[k] > 10.0 * max(float(np.median(steps)), sample_time):
-        warnings.warn(
-            f"{source}: resampling bridges a gap of {steps[k]:.6g} s at t = {t[k]:.6g} s; if the log was interrupted, cut "
-            "the session there (session.between)",
-            UserWarning,
-            stacklevel=2,
-        )
+        what = f"{source}: resampling bridges a gap of {steps[k]:.6g} s at t = {t[k]:.6g} s"
+        remedy = "if the log was interrupted, cut the session there (session.between)"
+        warnings.warn(f"{what}; {remedy}", stacklevel=2)

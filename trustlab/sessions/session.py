@@ -158,10 +158,8 @@ class Session:
         """
         for name, values in columns.items():
             if np.ndim(values) > 1 or (np.ndim(values) == 1 and len(values) != len(self)):
-                what = (
-                    f"column {name!r} is of shape {np.shape(values)}, but the session has {len(self)} samples"
-                )
-                raise SessionError(what, self.metadata.source)
+                what = f"is of shape {np.shape(values)}, but the session has {len(self)} samples"
+                raise SessionError(f"column {name!r} {what}", self.metadata.source)
         return Session(self.data.assign(**columns), self.metadata)
 
     def with_metadata(self, **changes: Any) -> Session:
@@ -195,10 +193,9 @@ class Session:
             raise SessionError(f"start must be before stop, got {start} and {stop}")
         part = self.data.loc[start:stop]
         if len(part) < 2:
-            range_ = f"the session runs from {self.t[0]:g} s to {self.t[-1]:g} s"
-            raise SessionError(
-                f"no two samples lie between {start} s and {stop} s; {range_}", self.metadata.source
-            )
+            what = f"no two samples lie between {start} s and {stop} s"
+            extent = f"the session runs from {self.t[0]:g} s to {self.t[-1]:g} s"
+            raise SessionError(f"{what}; {extent}", self.metadata.source)
         return Session(part, self.metadata)
 
     def with_performance(

@@ -117,9 +117,7 @@ def _write_bag(session: Session, place: Path, format: str) -> Path:
     ros1 = format == "bag"
     typestore = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     serialize = typestore.serialize_ros1 if ros1 else typestore.serialize_cdr
-    stamps = _stamps(
-        session.t, latest=4_000_000_000 * 10**9 if ros1 else 4 * 10**18
-    )  # ROS 1: 32 bits of seconds
+    stamps = _stamps(session.t)
     plugin = rosbag2.StoragePlugin.MCAP if format == "mcap" else rosbag2.StoragePlugin.SQLITE3
     writer = rosbag1.Writer(place) if ros1 else rosbag2.Writer(place, version=8, storage_plugin=plugin)
     with writer:
@@ -132,11 +130,12 @@ def _write_bag(session: Session, place: Path, format: str) -> Path:
     return next(place.glob("*.mcap")) if format == "mcap" else place
 
 
-def _stamps(t: np.ndarray, latest: int) -> list[int]:
+def _stamps(t: np.ndarray) -> list[int]:
     """Return rising stamps [ns] from 0; the exact times stand on /trustlab/t, so that made-up stamps do no harm."""
     with np.errstate(over="ignore", invalid="ignore"):
         nanoseconds = np.round((t - t[0]) * 1e9)
-    if np.isfinite(nanoseconds).all() and nanoseconds[-1] < latest and (np.diff(nanoseconds) >= 1.0).all():
+    # 4e18 ns fit both kinds of bag: ROS 1 has 32 bits for the seconds, ROS 2 has 63 for the nanoseconds.
+    if np.isfinite(nanoseconds).all() and nanoseconds[-1] < 4e18 and (np.diff(nanoseconds) >= 1.0).all():
         return nanoseconds.astype(np.int64).tolist()
     return [k * 1_000_000 for k in range(t.size)]
 

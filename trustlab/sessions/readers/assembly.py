@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,19 +13,27 @@ import pandas as pd
 from trustlab.sessions.checks import check_column, check_rising, check_time
 from trustlab.sessions.errors import RecipeError, SessionError, source_named
 from trustlab.sessions.metadata import Metadata
-from trustlab.sessions.patterns import PathMatch
-from trustlab.sessions.raw_log import RawLog
+from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.recipe import Constant, MetadataColumn, MetadataRule, Recipe, mapped, plain_key
-from trustlab.sessions.resampling import require_common_times, resample
+from trustlab.sessions.resampling import RawLog, require_common_times, resample
 from trustlab.sessions.session import Session
 
 __all__ = ["assemble_session", "recipe_values"]
 
 
-def recipe_values(recipe: Recipe, match: PathMatch | None, header: Mapping[str, object]) -> dict[str, object]:
+def recipe_values(recipe: Recipe, path: Path, index: SessionIndex | None) -> dict[str, object]:
     """Return what is known about one session beside its log: path fields, header cells and the recipe's metadata."""
+    match = recipe.pattern.match(path) if recipe.pattern else None
+    origins = [rule.origin for rule in recipe.metadata.values()]
+    origins += [rule.origin for rule in recipe.columns.values() if isinstance(rule, MetadataColumn)]
+    if recipe.pattern and match is None and any(origins):
+        remedy = (
+            "rename the file or its folder, or remove what comes from the path from [metadata] and [columns]"
+        )
+        raise SessionError(f"the path does not fit the recipe's pattern {recipe.pattern.text!r}; {remedy}")
     values = dict(match.fields) if match else {}
-    values |= {f"header.{name}": value for name, value in header.items()}
+    if index is not None and any(str(origin).startswith("header.") for origin in origins):
+        values |= {f"header.{name}": value for name, value in index.row(match, str(path)).items()}
     for name, rule in recipe.metadata.items():
         where = f"metadata {name!r} (from {rule.origin})"
         values[name] = _derived(rule, values, where) if rule.origin else rule.value

@@ -16,8 +16,8 @@ from trustlab.models.extras import extra
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, damage_named, listed
 from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.patterns import FieldPath
-from trustlab.sessions.raw_log import MAX_SAMPLES, RawLog, Stream
 from trustlab.sessions.recipe import Recipe, TopicField, mapped
+from trustlab.sessions.resampling import MAX_SAMPLES, RawLog, Stream
 
 __all__ = ["PREFIX", "check_sqlite_path", "read_bag"]
 

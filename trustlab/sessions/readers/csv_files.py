@@ -13,9 +13,9 @@ import numpy as np
 
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.metadata import metadata_from_json
-from trustlab.sessions.raw_log import RawLog
-from trustlab.sessions.readers.tables import SourceColumn, select_columns, table_log
-from trustlab.sessions.recipe import NUMBER, Recipe, TableRule, TableTime, mapped, plain_key
+from trustlab.sessions.readers.tables import SourceColumn, select_columns, table_stream
+from trustlab.sessions.recipe import NUMBER, Recipe, TableRule, mapped, plain_key
+from trustlab.sessions.resampling import RawLog
 
 __all__ = ["COMMENT", "read_csv"]
 
@@ -70,8 +70,8 @@ def read_csv(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, la
     if raw is None:
         raw, lines, fault = _scan(body, selected, layout, width, basis, line)
         place = lambda k: f"line {lines[k]}"  # noqa: E731
-    time = recipe.time if recipe else TableTime(unit="s")
-    return table_log(str(path), selected, raw, time, place, metadata, fault)
+    table, notes = table_stream(selected, raw, recipe, place)
+    return RawLog(str(path), [table], metadata, fault, notes)
 
 
 def _decode(data: bytes) -> str:

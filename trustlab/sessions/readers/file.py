@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
-from trustlab.sessions.raw_log import RawLog
 from trustlab.sessions.readers.assembly import assemble_session, recipe_values
 from trustlab.sessions.readers.index import SessionIndex
-from trustlab.sessions.recipe import MetadataColumn, Recipe, TableRule, load_recipe, parse
-from trustlab.sessions.resampling import check_resampling
+from trustlab.sessions.recipe import Recipe, TableRule, load_recipe, parse
+from trustlab.sessions.resampling import RawLog, check_resampling
 from trustlab.sessions.session import Session
 
 __all__ = ["SUFFIXES", "FileReader", "read_session"]
@@ -105,7 +104,7 @@ class FileReader:
             try:
                 path = _existing(Path(source))
                 wanted = self._wanted()
-                values = self._values(path)
+                values = recipe_values(self.recipe, path, self.index) if self.recipe else {}
                 needed = wanted
                 if self.recipe is not None:
                     needs = [need for name in wanted for need in self.recipe.columns[name].needs]
@@ -149,24 +148,6 @@ class FileReader:
             if known is not None and name not in known:
                 raise SessionError(f"the recipe has no column {name!r}{alternatives(name, known, 'it has')}")
         return names
-
-    def _values(self, path: Path) -> dict[str, object]:
-        """Return what the recipe takes from the file's path and from its row in the header file."""
-        recipe = self.recipe
-        if recipe is None:
-            return {}
-        match = recipe.pattern.match(path) if recipe.pattern else None
-        origins = [rule.origin for rule in recipe.metadata.values()]
-        origins += [rule.origin for rule in recipe.columns.values() if isinstance(rule, MetadataColumn)]
-        if recipe.pattern and match is None and any(origins):
-            raise SessionError(
-                f"the path does not fit the recipe's pattern {recipe.pattern.text!r}; rename the file or its folder, or "
-                "remove what comes from the path from the recipe's [metadata] and [columns]"
-            )
-        row: Mapping[str, object] = {}
-        if self.index is not None and any(str(origin).startswith("header.") for origin in origins):
-            row = self.index.row(match, str(path))
-        return recipe_values(recipe, match, row)
 
 
 def _existing(path: Path) -> Path:

@@ -86,10 +86,8 @@ def read_sessions(
             progress(done, len(paths))
 
     def order(session: Session) -> list[tuple]:
-        metadata = session.metadata
-        return [
-            natural_key(key) for key in (metadata.participant, metadata.more.get("trial"), metadata.source)
-        ]
+        facts = session.metadata
+        return [natural_key(key) for key in (facts.participant, facts.more.get("trial"), facts.source)]
 
     return sorted(sessions, key=order)
 
@@ -103,9 +101,7 @@ def _logs_in(folder: str) -> list[str]:
             logs.append(path)
     if not logs:
         what = f"no logs stand in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders)"
-        raise SessionError(
-            f"{what}; for logs in folders below it, give a recipe with a [files] pattern", folder
-        )
+        raise SessionError(f"{what}; for logs further down, give a recipe with a [files] pattern", folder)
     return sorted(logs, key=natural_key)
 
 
@@ -121,7 +117,7 @@ def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[s
                     del found[path]
     if not sessions and not headers:
         raise SessionError(
-            f"no file below this folder fits the recipe's pattern {recipe.pattern.text!r}", folder
+            f"no file in this folder fits the recipe's pattern {recipe.pattern.text!r}", folder
         )
     same: dict[tuple, str] = {}
     for path, match in sessions.items():
@@ -141,12 +137,10 @@ def _superseded(folder: str, recipe: Recipe, sessions: dict[str, PathMatch]) -> 
     present = {plain_key(match.fields[name]) for match in sessions.values()}
     gone = {old: new for old, new in recipe.superseded.items() if old in present and new in present}
     for old, new in gone.items():
-        warnings.warn(
-            f"{folder}: the sessions of {name} {old} were superseded by those of {name} {new} (recipe "
-            f"{recipe.name!r}) and are left out",
-            UserWarning,
-            stacklevel=4,
+        what = (
+            f"the sessions of {name} {old} were superseded by those of {name} {new} (recipe {recipe.name!r})"
         )
+        warnings.warn(f"{folder}: {what} and are left out", stacklevel=4)
     return set(gone)
 
 

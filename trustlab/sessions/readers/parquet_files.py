@@ -9,9 +9,9 @@ import numpy as np
 
 from trustlab.sessions.errors import SessionError, damage_named
 from trustlab.sessions.metadata import metadata_from_json
-from trustlab.sessions.raw_log import MAX_SAMPLES, RawLog
-from trustlab.sessions.readers.tables import SourceColumn, select_columns, table_log
-from trustlab.sessions.recipe import Recipe, TableTime, mapped
+from trustlab.sessions.readers.tables import SourceColumn, select_columns, table_stream
+from trustlab.sessions.recipe import Recipe, mapped
+from trustlab.sessions.resampling import MAX_SAMPLES, RawLog
 
 __all__ = ["read_parquet"]
 
@@ -39,8 +39,8 @@ def read_parquet(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None
         table = file.read(columns=list(dict.fromkeys(own.values())), use_threads=False)
         table.validate(full=True)
         raw = {each.name: _numbers(table.column(own[each.name]), each) for each in selected}
-    time = recipe.time if recipe else TableTime(unit="s")
-    return table_log(str(path), selected, raw, time, lambda k: f"row {k} (from 0)", metadata)
+    table, notes = table_stream(selected, raw, recipe, "row {} (from 0)".format)
+    return RawLog(str(path), [table], metadata, notes=notes)
 
 
 def _check_type(column: SourceColumn, kind) -> None:

@@ -11,12 +11,11 @@ import numpy as np
 
 from trustlab.models.checks import did_you_mean
 from trustlab.sessions.errors import SessionError, listed
-from trustlab.sessions.metadata import Metadata
-from trustlab.sessions.raw_log import RawLog, Stream
 from trustlab.sessions.recipe import NUMBER, Recipe, TableColumn, TableTime
+from trustlab.sessions.resampling import Stream
 from trustlab.sessions.vocabulary import VOCABULARY, to_si
 
-__all__ = ["SourceColumn", "select_columns", "table_log"]
+__all__ = ["SourceColumn", "select_columns", "table_stream"]
 
 
 @dataclass(frozen=True)
@@ -48,10 +47,7 @@ def select_columns(
             _check_names(names, where)
             wanted = [name for name in names if name != "t"]
         keys = {name: name for name in ["t", *wanted]}
-    return [
-        SourceColumn(name, *_find(name, key, names, where), rule=rules.get(name))
-        for name, key in keys.items()
-    ]
+    return [SourceColumn(own, *_find(own, key, names, where), rules.get(own)) for own, key in keys.items()]
 
 
 def _find(name: str, key: str | int, names: Sequence[str], where: str) -> tuple[int, str]:
@@ -94,21 +90,17 @@ def _check_names(names: Sequence[str], where: str) -> None:
             raise SessionError(f"{where}: {what} ({remedy}; see trustlab.sessions.vocabulary())")
 
 
-def table_log(
-    source: str,
+def table_stream(
     selected: Sequence[SourceColumn],
     raw: Mapping[str, np.ndarray],
-    time: TableTime,
+    recipe: Recipe | None,
     place: Callable[[int], str],
-    metadata: Metadata | None,
-    fault: SessionError | None = None,
-) -> RawLog:
-    """Return the log that the columns of a table make; `raw` are their numbers in the file's units."""
-    columns = {
-        each.name: each.rule.convert(raw[each.name]) if each.rule else raw[each.name] for each in selected
-    }
+) -> tuple[Stream, dict[str, object]]:
+    """Return the stream that the columns of a table make, and notes; `raw` are their numbers in the file's units."""
+    columns = {own.name: own.rule.convert(raw[own.name]) if own.rule else raw[own.name] for own in selected}
     t = columns.pop("t")
     notes: dict[str, object] = {}
+    time = recipe.time if recipe else TableTime(unit="s")
     factor = to_si(time.unit, "s")
     with np.errstate(over="ignore", invalid="ignore"):
         if time.from_zero and t.size and np.isfinite(t[0]):
@@ -116,4 +108,4 @@ def table_log(
             t = t - t[0]  # before the conversion to float, which would round large integer stamps
         t = np.asarray(t, dtype=float)
         t = t * factor if factor != 1.0 else t
-    return RawLog(source, [Stream(t, columns, place)], metadata, fault, notes)
+    return Stream(t, columns, place), notes
