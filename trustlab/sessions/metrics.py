@@ -298,7 +298,7 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
         raise SessionError(f"trial {first['trial']} of participant {first['participant']} is there twice")
     order = trials.sort_values("trial").groupby(["participant", "block"]).cumcount()
     trials["traj_err"] = trials["traj_err"].where(order.reindex(trials.index) >= drop_first)
-    table = trials.groupby(["participant", "autonomy"], as_index=False)["traj_err"].mean()
+    table = trials.groupby(["participant", "autonomy"], as_index=False)[["traj_err"]].mean()
     lost = table[table["traj_err"].isna()]
     if len(lost):
         where = "participant {participant}, autonomy {autonomy}".format(**lost.iloc[0])

@@ -68,7 +68,8 @@ def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | No
     """
     import matplotlib.pyplot as plt
 
-    sessions, (across, up) = list(sessions), plane
+    sessions = list(sessions)
+    across, up = plane[0], plane[1]
     size = (2.4 * len(sessions), 2.8)
     figure, axes = plt.subplots(
         1, len(sessions), sharex=True, sharey=True, squeeze=False, figsize=size, layout="constrained"

@@ -245,7 +245,7 @@ class Session:
 
     def _repr_html_(self) -> str:
         head = f"<b>Session</b>: {self.label}; {len(self)} samples at {self.sample_time:g} s"
-        return f"<p>{head}</p>{self.data.describe().T.to_html(float_format='%.4g')}"
+        return f"<p>{head}</p>{self.data.describe().T.to_html(float_format='{:.4g}'.format)}"
 
     def __repr__(self) -> str:
         more = f"; metadata.more: {', '.join(map(str, self.metadata.more))}" if self.metadata.more else ""
