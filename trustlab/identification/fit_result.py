@@ -342,15 +342,15 @@ def parameter_table(
 
 
 def run_fits(structure: Structure, runs: list[Run], fitted: list[list[np.ndarray]]) -> list[RunFit]:
-    """Put runs beside their fitted outputs, which come by output, then by run."""
+    """Put every run beside its fitted outputs."""
     return [
         RunFit(
             run.label,
             run.synthetic,
             run.t,
-            {name: run[name] for name in structure.inputs},
-            {name: run[name] for name in structure.outputs},
-            {name: fitted[j][i] for j, name in enumerate(structure.outputs)},
+            inputs={name: run[name] for name in structure.inputs},
+            measured={name: run[name] for name in structure.outputs},
+            fitted=dict(zip(structure.outputs, own, strict=True)),
         )
-        for i, run in enumerate(runs)
+        for run, own in zip(runs, fitted, strict=True)
     ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 import pandas as pd
@@ -12,11 +12,11 @@ from trustlab.identification.fit_result import FitResult, parameter_table, run_f
 from trustlab.identification.output_error import NOISES, Estimate, Problem, estimate
 from trustlab.identification.regression import regress
 from trustlab.identification.runs import Run, joined, read_runs
-from trustlab.identification.structure import IdentificationError, Structure
+from trustlab.identification.structure import IdentificationError, Parameter, Structure
 from trustlab.models.checks import of_class, one_of
 from trustlab.sessions.session import Session
 
-__all__ = ["check_data", "estimate_runs", "fit", "found_table", "refuse_options", "result", "weak_parameters"]
+__all__ = ["fit"]
 
 HALF_WIDTH = float(special.ndtri(0.975))
 """Standard errors from the middle of a 95 % interval to its end."""
@@ -76,8 +76,7 @@ def fit(
     if method == "regression":
         refuse_options(method, fixed, bounds, noise)
         return regress(structure, runs, method)
-    problem, found = estimate_runs(structure, runs, limits, noise, guess)
-    return result(problem, found, *found_table(problem, found))
+    return result(estimate_runs(structure, runs, limits, noise, guess))
 
 
 def refuse_options(method: str, fixed: Mapping | None, bounds: Mapping | None, noise: str) -> None:
@@ -112,7 +111,7 @@ def check_data(structure: Structure, runs: list[Run], limits: Mapping) -> None:
 
 def estimate_runs(
     structure: Structure, runs: list[Run], limits: Mapping, noise: str = "auto", guess: Mapping | None = None
-) -> tuple[Problem, Estimate]:
+) -> Estimate:
     """Make the initial guess and run the output-error method."""
     one_of("noise", noise, NOISES)
     start = structure.guess(runs, limits) if structure.guess is not None else {}
@@ -130,75 +129,66 @@ def estimate_runs(
             value = 0.5 * (low + high)
         start[parameter.name] = value
     problem = Problem(structure, runs, start)
-    return problem, estimate(problem, problem.vector(start), limits, noise)
+    return estimate(problem, problem.vector(start), limits, noise)
 
 
-def found_table(problem: Problem, found: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
+def found_table(found: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the table of the shared parameters, derived rows included, and the covariance of the estimated ones."""
-    size = problem.shared
+    structure, size = found.problem.structure, found.problem.shared
+    covariance = found.covariance[:size, :size]
     return parameter_table(
-        found.names[:size],
-        found.theta[:size],
-        found.covariance[:size, :size],
-        found.status[:size],
-        problem.structure.derived,
+        structure.names[:size], found.theta[:size], covariance, found.status[:size], structure.derived
     )
 
 
-def weak_parameters(problem: Problem, table: pd.DataFrame) -> list[str]:
+def weak_parameters(found: Estimate, table: pd.DataFrame) -> list[Parameter]:
     """Return the shared parameters that a bound holds, or whose 95 % interval is too wide to be of use."""
-    values, stderrs, statuses = (table[column].to_dict() for column in ("value", "stderr", "status"))
-    names = []
-    for parameter in problem.structure.parameters:
-        name = parameter.name
-        wide = HALF_WIDTH * stderrs[name] > parameter.useful_half_width(values)
-        if statuses[name] == "at bound" or (statuses[name] == "estimated" and wide):
-            names.append(name)
-    return names
+    values, weak = table["value"].to_dict(), []
+    for parameter in found.problem.structure.parameters:
+        stderr, status = table.loc[parameter.name, ["stderr", "status"]]
+        wide = HALF_WIDTH * stderr > parameter.useful_half_width(values)
+        if status == "at bound" or (status == "estimated" and wide):
+            weak.append(parameter)
+    return weak
 
 
-def result(
-    problem: Problem,
-    found: Estimate,
-    table: pd.DataFrame,
-    covariance: pd.DataFrame,
-    method: str = "output_error",
-) -> FitResult:
-    """Put an estimate and its table of parameters into a FitResult; weakly determined parameters are marked here."""
-    structure, shared, own = problem.structure, problem.shared, problem.own
-    weak = weak_parameters(problem, table)
-    table, sentences = table.copy(), [_of_the_search(found)]
-    by_name = {one.name: one for one in structure.parameters}
-    for name in weak:
-        value, stderr, status = table.loc[name, ["value", "stderr", "status"]]
+def result(found: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame] | None = None) -> FitResult:
+    """Put an estimate and its tables into a FitResult; weakly determined parameters are marked here."""
+    problem = found.problem
+    structure, shared = problem.structure, problem.shared
+    table, covariance = found_table(found) if tables is None else tables
+    weak, sentences = weak_parameters(found, table), [_of_the_search(found)]
+    for parameter in weak:
+        value, stderr, status = table.loc[parameter.name, ["value", "stderr", "status"]]
         if status == "at bound":
             sentences.append(
-                f"{name} is at its bound, {value:.6g}: the fit is better beyond it, or these data do not determine it."
+                f"{parameter.name} is at its bound, {value:.6g}: the fit is better beyond it, or these data do not "
+                "determine it."
             )
         else:
-            table.loc[name, "status"] = "weak"
+            table.loc[parameter.name, "status"] = "weak"
             sentences.append(
-                f"{name} is weakly determined by these data ({value:.4g} ± {HALF_WIDTH * stderr:.2g}); "
-                f"{by_name[name].hint}, or fix it."
+                f"{parameter.name} is weakly determined by these data ({value:.4g} ± {HALF_WIDTH * stderr:.2g}); "
+                f"{parameter.hint}, or fix it."
             )
-    sentences += _of_the_initial_states(problem, found) + _of_the_runs(problem.runs) + _of_the_noise(found)
+    sentences += [*_of_the_initial_states(found), *_of_the_runs(problem.runs), *_of_the_noise(found)]
     # NaN for what was fixed; rows of what a bound holds are NaN already.
     stderr = np.sqrt(np.where(found.fixed, np.nan, np.diag(found.covariance)))
     states = {}
-    for j, one in enumerate(structure.initial):
-        states[one.name] = found.theta[shared + j :: own]
-        states[f"{one.name}_stderr"] = stderr[shared + j :: own]
+    for j, parameter in enumerate(structure.initial):
+        where = slice(shared + j, None, problem.own)
+        states[parameter.name], states[f"{parameter.name}_stderr"] = found.theta[where], stderr[where]
     values = dict(zip(structure.names, found.theta[:shared].tolist(), strict=False))
     return FitResult(
         model=values if structure.model is None else structure.model(**values),
-        method=method,
+        method="output_error",
         parameters=table,
         covariance=covariance,
         initial_states=pd.DataFrame(states, index=pd.Index([run.label for run in problem.runs], name="run")),
-        runs=run_fits(structure, problem.runs, found.fitted),
+        runs=run_fits(structure, problem.runs, [outputs for outputs, _ in problem.latest]),
         noise=found.noise,
         sigma=dict(zip(structure.outputs, found.sigma.tolist(), strict=True)),
-        cost=0.5 * float(found.squares.sum()),
+        cost=0.5 * float(found.normal.squares.sum()),
         success=bool(found.converged and not weak),
         message=" ".join(sentences),
         degrees_of_freedom=float(problem.counts.sum() - found.free.size),
@@ -211,41 +201,36 @@ def _of_the_search(found: Estimate) -> str:
     return f"Stopped after {found.iterations} evaluations without reaching a minimum; do not use the numbers."
 
 
-def _of_the_initial_states(problem: Problem, found: Estimate) -> list[str]:
+def _of_the_initial_states(found: Estimate) -> Iterator[str]:
     """Say which initial states lie at an end that has a meaning."""
-    sentences = []
-    for j, one in enumerate(problem.structure.initial):
-        where = np.arange(problem.shared + j, found.theta.size, problem.own)
-        for bound, meaning in one.ends.items():
+    problem = found.problem
+    for j, parameter in enumerate(problem.structure.initial):
+        where = slice(problem.shared + j, None, problem.own)
+        for bound, meaning in parameter.ends.items():
             held = int((found.at_bound[where] & (found.theta[where] == bound)).sum())
             if held:
-                sentences.append(f"{one.name} = {bound:g}, {meaning}, in {held} of {len(where)} run(s).")
-    return sentences
+                yield f"{parameter.name} = {bound:g}, {meaning}, in {held} of {len(problem.runs)} run(s)."
 
 
-def _of_the_runs(runs: list[Run]) -> list[str]:
+def _of_the_runs(runs: list[Run]) -> Iterator[str]:
     """Say what a reader should know of the data themselves."""
-    sentences = []
     people = {run.participant for run in runs}
     if len(people) > 1:
-        sentences.append(
-            f"{len(people)} participants share one set of parameters; fit them one by one unless that is meant."
-        )
-    measures = {run.performance_measure for run in runs if run.performance_measure}
+        yield f"{len(people)} participants share one set of parameters; fit them one by one unless that is meant."
+    measures = sorted({run.performance_measure for run in runs if run.performance_measure})
     if measures:
-        sentences.append(
-            f"Performance is measured over a moving window ({', '.join(sorted(measures))}): rises and decays faster "
-            "than the window are the window's own."
+        yield (
+            f"Performance is measured over a moving window ({', '.join(measures)}): rises and decays faster than the "
+            "window are the window's own."
         )
-    return sentences
 
 
-def _of_the_noise(found: Estimate) -> list[str]:
+def _of_the_noise(found: Estimate) -> Iterator[str]:
     """Say what the standard errors allow for."""
     white = found.whiteness_p >= 1e-3
     test = f"Residuals are not white (Ljung–Box p = {found.whiteness_p:.2g})"
-    if found.noise == "hac" and white:
-        return ["Standard errors allow for autocorrelated residuals."]
     if found.noise == "hac":
-        return [f"{test}: standard errors allow for autocorrelation."]
-    return [] if white else [f'{test}: these standard errors are too small; use noise="hac".']
+        begin = "Standard errors" if white else f"{test}: standard errors"
+        yield f"{begin} allow for autocorrelation."
+    elif not white:
+        yield f'{test}: these standard errors are too small; use noise="hac".'

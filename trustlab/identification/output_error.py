@@ -78,12 +78,23 @@ class Problem:
                 matrices[j][where[:, None], where] += jacobians[j].T @ jacobians[j]
         # With the variance of each output estimated as Σ e²/n, the likelihood is Σ n ln(Σ e²) but for a constant, and
         # its derivatives weight each output by n/Σ e²: no output needs a weight from the user.
-        weights = self.counts / (squares + self.floors)
+        weights = self.weights(squares)
         value = float(self.counts @ np.log(squares + self.floors))
         exact = bool((squares <= 1e-6 * self.floors).all())
         return NormalEquations(
             value, weights @ gradients, np.einsum("i,ijk", weights, matrices), squares, exact
         )
+
+    def weights(self, squares: np.ndarray) -> np.ndarray:
+        """Return the weight n/Σ e² of every output."""
+        return self.counts / (squares + self.floors)
+
+    def residuals(self) -> list[list[np.ndarray]]:
+        """Return measured minus predicted at the latest point, by output, then by run."""
+        return [
+            [run[name] - outputs[j] for run, (outputs, _) in zip(self.runs, self.latest, strict=True)]
+            for j, name in enumerate(self.structure.outputs)
+        ]
 
     def search_normal(self, x: np.ndarray) -> NormalEquations:
         """Return `normal` in the coordinates of the search."""
@@ -108,69 +119,61 @@ class Problem:
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """
-    A search's result as parameters.
+    A search's result as parameters, in the order of the problem's full vector.
 
-    `covariance` is 0 in rows of fixed parameters and NaN in rows of those at a bound; `information` is Σ w JᵀJ
-    with w = n/Σ e², `inverse` its inverse for the `free` ones. `residuals` and `fitted` are lists by output, then by run.
+    `covariance` is 0 in rows of fixed parameters and NaN in rows of those at a bound; `inverse` is the inverse of
+    `normal.matrix`, the information matrix, for the `free` ones.
     """
 
-    names: list[str]
+    problem: Problem
     theta: np.ndarray
     covariance: np.ndarray
     fixed: np.ndarray
     at_bound: np.ndarray
-    information: np.ndarray
+    normal: NormalEquations
     inverse: np.ndarray
-    free: np.ndarray
-    residuals: list
-    fitted: list
-    squares: np.ndarray
-    sigma: np.ndarray
     whiteness_p: float
     noise: str
     converged: bool
     iterations: int
 
     @property
+    def free(self) -> np.ndarray:
+        """Numbers of the parameters that were estimated."""
+        return np.flatnonzero(~self.fixed & ~self.at_bound)
+
+    @property
     def status(self) -> list[str]:
         """Whether each value was estimated, is fixed, or is held by a bound."""
         return np.where(self.fixed, "fixed", np.where(self.at_bound, "at bound", "estimated")).tolist()
 
-    def value(self, name: str) -> float:
-        """Return one estimate."""
-        return float(self.theta[self.names.index(name)])
-
-    def variance(self, name: str) -> float:
-        """Return the variance of one estimate."""
-        return float(self.covariance[self.names.index(name), self.names.index(name)])
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard deviation of the residuals of each output, √(Σ e²/(n − p)); p is shared out over the outputs."""
+        counts = self.problem.counts
+        return np.sqrt(self.normal.squares / np.maximum(counts - self.free.size / counts.size, 1.0))
 
 
 def estimate(problem: Problem, start: np.ndarray, limits: Mapping, noise: str = "auto") -> Estimate:
     """Search from `start` within the limits of every name, then give covariance and diagnostics."""
-    structure, runs = problem.structure, len(problem.runs)
-    order = [*structure.names[: problem.shared], *structure.names[problem.shared :] * runs]
-    low, high = (np.array([limits[name][side] for name in order]) for side in (0, 1))
+    low, high = (problem.vector({name: pair[side] for name, pair in limits.items()}) for side in (0, 1))
     fixed = low == high
     minimum = problem.search(start, low, high)
+    at_bound = minimum.at_bound
     theta = problem.from_search(minimum.x)
     # The way to the search coordinate and back rounds: what is fixed or at a bound gets its exact value.
     theta[fixed] = low[fixed]
-    theta[minimum.at_bound] = np.clip(theta, low, high)[minimum.at_bound]
+    theta[at_bound] = np.clip(theta, low, high)[at_bound]
     normal = problem.normal(theta)
     if not normal.finite:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(problem.names, theta, strict=True))
         raise ValueError(
-            f"structure {structure.name!r} simulates values that are not finite at {values}; start elsewhere with "
-            "guess={...} or narrow the bounds"
+            f"structure {problem.structure.name!r} simulates values that are not finite at {values}; start elsewhere "
+            "with guess={...} or narrow the bounds"
         )
-    free = np.flatnonzero(~fixed & ~minimum.at_bound)
+    free = np.flatnonzero(~fixed & ~at_bound)
     inverse = _inverse(normal.matrix, free, problem)
-
-    fitted = [[outputs[j] for outputs, _ in problem.latest] for j in range(len(structure.outputs))]
-    residuals = [
-        [run[name] - simulated for run, simulated in zip(problem.runs, fitted[j], strict=True)]
-        for j, name in enumerate(structure.outputs)
-    ]
+    residuals = problem.residuals()
     # Residuals of an exact fit are rounding: there is no noise to call white or not.
     exact = normal.squares <= 1e-4 * problem.floors
     p_value = min(1.0 if exact[j] else whiteness_p(own) for j, own in enumerate(residuals))
@@ -178,22 +181,16 @@ def estimate(problem: Problem, start: np.ndarray, limits: Mapping, noise: str = 
     # The inverse information matrix is the covariance for white residuals; else it is the bread of a sandwich.
     meat = _meat(problem, residuals, normal.squares)[np.ix_(free, free)] if robust else None
     covariance = np.zeros((theta.size, theta.size))
-    covariance[minimum.at_bound, :] = covariance[:, minimum.at_bound] = np.nan
+    covariance[at_bound, :] = covariance[:, at_bound] = np.nan
     covariance[np.ix_(free, free)] = sandwich(inverse, meat, problem.counts.sum())
-    dof = np.maximum(problem.counts - free.size / len(structure.outputs), 1.0)
     return Estimate(
-        names=problem.names,
-        theta=theta,
-        covariance=covariance,
-        fixed=fixed,
-        at_bound=minimum.at_bound,
-        information=normal.matrix,
-        inverse=inverse,
-        free=free,
-        residuals=residuals,
-        fitted=fitted,
-        squares=normal.squares,
-        sigma=np.sqrt(normal.squares / dof),
+        problem,
+        theta,
+        covariance,
+        fixed,
+        at_bound,
+        normal,
+        inverse,
         whiteness_p=float(p_value),
         noise="hac" if robust else "white",
         converged=minimum.converged,
@@ -237,8 +234,7 @@ def _why(problem: Problem) -> str:
 
 def _meat(problem: Problem, residuals: list, squares: np.ndarray) -> np.ndarray:
     """Return the long-run covariance of the likelihood's scores, summed over runs."""
-    weights = problem.counts / (squares + problem.floors)
-    size = len(problem.names)
+    weights, size = problem.weights(squares), len(problem.names)
     meat = np.zeros((size, size))
     lags = max(hac_lags(own) for own in residuals)
     for i, run in enumerate(problem.runs):

@@ -299,7 +299,7 @@ def simulated_result(
         structure.predict(run, dict(zip(names, (*values, *states), strict=True)))[0]
         for run, states in zip(runs, initial, strict=True)
     ]
-    fits = run_fits(structure, runs, [list(outputs) for outputs in zip(*predicted, strict=True)])
+    fits = run_fits(structure, runs, predicted)
     errors = [np.concatenate([fit.residual(name) for fit in fits]) for name in structure.outputs]
     measured = [np.concatenate([run[name] for run in runs]) for name in structure.outputs]
     worthless = any(e @ e >= np.sum((y - y.mean()) ** 2) for e, y in zip(errors, measured, strict=True))

@@ -26,7 +26,7 @@ from trustlab.identification.human import (
     solve_pair,
     undo_blocks,
 )
-from trustlab.identification.output_error import Estimate, Problem
+from trustlab.identification.output_error import Estimate
 from trustlab.identification.regression import equations, regress
 from trustlab.identification.runs import Run, block_means, joined, read_runs
 from trustlab.identification.structure import IdentificationError, LinearForm, Parameter, Structure
@@ -88,29 +88,35 @@ def fit_robot(
             raise ValueError(
                 "p_h_max is not a parameter of the search; give it as fit_robot(..., p_h_max=...)"
             )
-    limits = robot_structure(1.0).limits(fixed, bounds)
     runs = read_runs(sessions, "mode", "p_h", "p_r")
+    limits = robot_structure(1.0).limits(fixed, bounds)
     check_data(robot_structure(1.0), runs, limits)
-    operator, best = _best_performance(runs, p_h_max)
+    operator = None if p_h_max is not None else _fit_operator(runs)
+    best = _given_best(runs, p_h_max) if operator is None else _parameter(operator, "p_max")
     structure = robot_structure(best)
     if method == "arx":
-        plain = regress(structure, runs, method)
-        values, status = plain.parameters["value"].to_numpy()[:3], ["estimated"] * 3
-        covariance, covariance_with_best = plain.covariance.to_numpy(), np.zeros(3)
-        by_best = np.array([0.0, 0.0, (values[2] - values[1]) / best])
+        fit = regress(structure, runs, method)
+        values, covariance = fit.parameters["value"].to_numpy(), fit.covariance.to_numpy()
+        tables = _tables_with_best(values, ["estimated"] * 3, covariance, best, operator)
+        fit = replace(fit, parameters=tables[0], covariance=tables[1])
     else:
-        problem, found = estimate_runs(structure, runs, limits, noise)
-        values, status = found.theta[:3], found.status[:3]
-        covariance, covariance_with_best = _with_input_noise(problem, found, best, operator)
-        by_best = _shift_by_best(found, best)
-    table, covariance = _table_with_best(
-        values, status, covariance, covariance_with_best, by_best, best, operator
-    )
-    if method == "arx":
-        fit = replace(plain, parameters=table, covariance=covariance)
-    else:
-        fit = result(problem, found, table, covariance)
-    return fit if operator is None else _flag_weak_operator(fit, *operator)
+        found = estimate_runs(structure, runs, limits, noise)
+        covariance, shared = np.nan_to_num(found.covariance), np.zeros(found.theta.size)
+        # Robust errors see the noise of P_h already: filtered by (2.3), it is part of the residuals' autocorrelation.
+        if found.noise == "white" and found.free.size:
+            direct, shared = _input_noise(found, best, operator)
+            covariance = covariance + direct
+        tables = _tables_with_best(
+            found.theta[:3],
+            found.status[:3],
+            covariance[:3, :3],
+            best,
+            operator,
+            shared[:3],
+            _shift_by_best(found, best)[:3],
+        )
+        fit = result(found, tables)
+    return fit if operator is None else _flag_weak_operator(fit, operator)
 
 
 # --- the structure -------------------------------------------------------------------------------------------------
@@ -272,18 +278,18 @@ def robot_guess(runs: list[Run], limits: Mapping, p_h_max: float) -> dict[str, f
 # --- the operator's greatest performance, and the errors that come of it -------------------------------------------
 
 
-def _best_performance(
-    runs: list[Run], p_h_max: float | None
-) -> tuple[tuple[Problem, Estimate] | None, float]:
-    """Return the operator's fit, None where p_h_max is given, and the greatest human performance."""
-    if p_h_max is not None:
-        best = positive("p_h_max", p_h_max)
-        middle = float(np.median(joined(runs, "p_h")))
-        if best < middle:
-            raise ValueError(
-                f"p_h_max = {p_h_max} lies below the median of the measured p_h, {middle:.4g}; it is the greatest"
-            )
-        return None, best
+def _given_best(runs: list[Run], p_h_max: float) -> float:
+    """Check a given greatest human performance against the data."""
+    best, middle = positive("p_h_max", p_h_max), float(np.median(joined(runs, "p_h")))
+    if best < middle:
+        raise ValueError(
+            f"p_h_max = {p_h_max} lies below the median of the measured p_h, {middle:.4g}; it is the greatest"
+        )
+    return best
+
+
+def _fit_operator(runs: list[Run]) -> Estimate:
+    """Identify the operator, whose p_max is the p_h_max of (2.3)."""
     limits = HUMAN.limits()
     try:
         check_data(HUMAN, runs, limits)
@@ -294,99 +300,97 @@ def _best_performance(
             "give it as p_h_max=...",
             ("p_max", *error.parameters),
         ) from error
-    best = operator[1].value("p_max")
+    best = _parameter(operator, "p_max")
     if not best > 0.0:
         raise IdentificationError(
             f"column p_h: the operator's greatest performance comes out as {best:.4g}, but (2.3) divides by it; use a "
             "measure of performance that is positive",
             ("p_max",),
         )
-    return operator, best
+    return operator
 
 
-def _with_input_noise(
-    problem: Problem, found: Estimate, best: float, operator: tuple[Problem, Estimate] | None
-) -> tuple[np.ndarray, np.ndarray]:
+def _parameter(found: Estimate, name: str) -> float:
+    """Return one estimate."""
+    return float(found.theta[found.problem.names.index(name)])
+
+
+def _input_noise(found: Estimate, best: float, operator: Estimate | None) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the covariance of a, p_min, p_max with the noise of the measured P_h, and their covariance with p̂_h,max.
+    Return what noise of the measured P_h adds to the covariance, and the covariance that it shares with p̂_h,max.
 
     The simulation is driven by the measured P_h, whose noise e_h reaches the estimates: to first order
     θ̂ − θ = (JᵀJ)⁻¹ Jᵀ(e_r − L e_h), with L the response of simulated P_r to P_h. So e_h, white with variance σ²,
-    adds σ² (JᵀJ)⁻¹ JᵀL LᵀJ (JᵀJ)⁻¹ to the covariance. p̂_h,max = p_h,max + gᵀe_h comes from the same samples of P_h, so
-    that its covariance with θ̂ is −σ² (JᵀJ)⁻¹ JᵀL g.
+    adds σ² (JᵀJ)⁻¹ JᵀL LᵀJ (JᵀJ)⁻¹. p̂_h,max = p_h,max + gᵀe_h comes from the same samples of P_h, so that its
+    covariance with θ̂ is −σ² (JᵀJ)⁻¹ JᵀL g.
     """
-    covariance, free = np.nan_to_num(found.covariance), found.free
-    with_best = np.zeros(found.theta.size)
-    # Robust errors see the noise of P_h already: filtered by L, it is part of the residuals' autocorrelation.
-    if found.noise != "white" or not free.size:
-        return covariance[:3, :3], with_best[:3]
+    problem, free, size = found.problem, found.free, found.theta.size
     # The first difference of a signal that moves slowly under white noise has variance 2σ².
     variance = 0.5 * float(np.mean(np.concatenate([np.diff(run["p_h"]) for run in problem.runs]) ** 2))
     if operator is not None:
-        variance = min(variance, float(operator[1].sigma[0]) ** 2)
-    weights = _input_weights(operator, problem)
+        variance = min(variance, float(operator.sigma[0]) ** 2)
+    g = _best_by_samples(operator) if operator is not None else [np.zeros(run.size) for run in problem.runs]
     a, p_min, p_max = found.theta[:3]
     b = (1.0 - a) * (p_max - p_min) / best
-    spread = np.zeros_like(covariance)  # JᵀL LᵀJ
-    mixed = np.zeros(found.theta.size)  # JᵀL g
+    spread, mixed = np.zeros((size, size)), np.zeros(size)  # JᵀL LᵀJ and JᵀL g
     for i, run in enumerate(problem.runs):
         where = problem.where[i]
         influence = _input_influence(run["mode"], a, b, problem.latest[i][1][0])
         spread[np.ix_(where, where)] += influence.T @ influence
-        mixed[where] += influence.T @ weights[i]
-    # `inverse` is (Σ w JᵀJ)⁻¹ with w = n/Σ e²: times w it is (JᵀJ)⁻¹.
-    solve = found.inverse * (problem.counts[0] / (found.squares[0] + problem.floors[0]))
-    covariance[np.ix_(free, free)] += variance * solve @ spread[np.ix_(free, free)] @ solve.T
-    with_best[free] = -variance * solve @ mixed[free]
-    return covariance[:3, :3], with_best[:3]
+        mixed[where] += influence.T @ g[i]
+    # `inverse` is (w JᵀJ)⁻¹ with w = n/Σ e²: times w it is (JᵀJ)⁻¹.
+    solve = found.inverse * problem.weights(found.normal.squares)[0]
+    direct, shared = np.zeros((size, size)), np.zeros(size)
+    direct[np.ix_(free, free)] = variance * solve @ spread[np.ix_(free, free)] @ solve.T
+    shared[free] = -variance * solve @ mixed[free]
+    return direct, shared
 
 
-def _input_weights(operator: tuple[Problem, Estimate] | None, problem: Problem) -> list[np.ndarray]:
-    """Return g per run: the derivative of p̂_h,max by every sample of the measured P_h; 0 where it is not known."""
-    none = [np.zeros(run.size) for run in problem.runs]
-    if operator is None:
-        return none
-    its_problem, its = operator
-    row = its.names.index("p_max")
-    if row not in its.free or its.noise != "white":
-        return none
-    # p̂_h,max is one row of (JᵀJ)⁻¹ Jᵀ P_h, with the operator's own J.
-    weight = its_problem.counts[0] / (its.squares[0] + its_problem.floors[0])
-    solve = np.zeros(its.theta.size)
-    solve[its.free] = its.inverse[list(its.free).index(row)] * weight
+def _best_by_samples(operator: Estimate) -> list[np.ndarray]:
+    """Return g, the derivative of p̂_h,max by every sample of the measured P_h; 0 where the residuals are not white."""
+    problem, row = operator.problem, operator.problem.names.index("p_max")
+    solve = np.zeros(operator.theta.size)
+    if operator.noise == "white":
+        # p̂_h,max is one row of (JᵀJ)⁻¹ Jᵀ P_h, with the operator's own J.
+        weight = problem.weights(operator.normal.squares)[0]
+        solve[operator.free] = operator.inverse[list(operator.free).index(row)] * weight
     return [
         jacobians[0] @ solve[where]
-        for (_, jacobians), where in zip(its_problem.latest, its_problem.where, strict=True)
+        for (_, jacobians), where in zip(problem.latest, problem.where, strict=True)
     ]
 
 
 def _shift_by_best(found: Estimate, best: float) -> np.ndarray:
-    """Return the derivative of the estimates of a, p_min and p_max by the p_h,max that they are made with."""
+    """Return the derivative of all estimates by the p_h,max that they are made with."""
     # P_r depends on p_h,max through (p_max − p_min)/p_h,max alone, so ∂P_r/∂p_h,max = −gain ∂P_r/∂p_max, and least squares
     # answers with gain (JᵀJ)⁻¹ Jᵀ ∂P_r/∂p_max: p_max alone follows where it is free, the others give way where it is not.
-    gain = (found.value("p_max") - found.value("p_min")) / best
+    gain = (_parameter(found, "p_max") - _parameter(found, "p_min")) / best
     shift = np.zeros(found.theta.size)
-    shift[found.free] = gain * found.inverse @ found.information[found.free, found.names.index("p_max")]
-    return shift[:3]
+    by_p_max = found.normal.matrix[found.free, found.problem.names.index("p_max")]
+    shift[found.free] = gain * found.inverse @ by_p_max
+    return shift
 
 
-def _table_with_best(
+def _tables_with_best(
     values: np.ndarray,
     status: list[str],
     covariance: np.ndarray,
-    covariance_with_best: np.ndarray,
-    by_best: np.ndarray,
     best: float,
-    operator: tuple[Problem, Estimate] | None,
+    operator: Estimate | None,
+    shared: np.ndarray | None = None,
+    shift: np.ndarray | None = None,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return table and covariance of a, p_min, p_max and p_h_max, and the row of b."""
-    variance = 0.0 if operator is None else operator[1].variance("p_max")
+    """Return table and covariance of a, p_min, p_max and p_h_max, and the row of b; `shared` is their covariance with p̂_h,max."""
+    row = HUMAN.names.index("p_max")
     total = np.zeros((4, 4))
-    total[:3, :3], total[3, 3] = covariance, variance
-    total[:3, 3] = total[3, :3] = covariance_with_best
+    total[:3, :3] = covariance
+    total[3, 3] = 0.0 if operator is None else operator.covariance[row, row]
+    total[:3, 3] = total[3, :3] = 0.0 if shared is None else shared
     # The estimates were made with p̂_h,max in place of p_h,max: its error is added to each as far as it shifts them.
+    # Of a regression it shifts p_max alone, by the gain.
+    _, p_min, p_max = values
     through = np.eye(4)
-    through[:3, 3] = by_best
+    through[:3, 3] = (0.0, 0.0, (p_max - p_min) / best) if shift is None else shift
     return parameter_table(
         ("a", "p_min", "p_max", "p_h_max"),
         np.r_[values, best],
@@ -396,13 +400,16 @@ def _table_with_best(
     )
 
 
-def _flag_weak_operator(fit: FitResult, problem: Problem, found: Estimate) -> FitResult:
+def _flag_weak_operator(fit: FitResult, operator: Estimate) -> FitResult:
     """Mark p_max as weak where the operator's model, which p_h_max comes from, is weakly determined itself."""
-    names = weak_parameters(problem, found_table(problem, found)[0])
-    if found.converged and not names:
+    names = [parameter.name for parameter in weak_parameters(operator, found_table(operator)[0])]
+    if operator.converged and not names:
         return fit
     parameters = fit.parameters.copy()
     parameters.loc[["p_max", "p_h_max"], "status"] = "weak"
     reason = f"{' and '.join(names)} of the operator's model" if names else "the operator's model"
-    sentence = f"Do not rely on p_h_max, nor on p_max, which refers to it: these data do not determine {reason}; give p_h_max=..."
+    sentence = (
+        "Do not rely on p_h_max, nor on p_max, which refers to it: these data do not determine "
+        f"{reason}; give p_h_max=..."
+    )
     return replace(fit, parameters=parameters, success=False, message=f"{fit.message} {sentence}.")

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg, optimize, signal
 
 from trustlab.identification.fit_result import FitResult
-from trustlab.identification.fitting import check_data, estimate_runs, found_table, result
+from trustlab.identification.fitting import check_data, estimate_runs, result
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import IdentificationError, Parameter, Structure
 from trustlab.models.checks import finite_array, positive, whole_number
@@ -96,8 +96,7 @@ def fit_transfer_function(
         )
     limits = structure.limits()
     check_data(structure, runs, limits)
-    problem, found = estimate_runs(structure, runs, limits, noise)
-    fit = result(problem, found, *found_table(problem, found))
+    fit = result(estimate_runs(structure, runs, limits, noise))
     values = {field.name: getattr(fit, field.name) for field in fields(fit)}
     return TransferFunctionFit(**values | {"sigma": fit.sigma["velocity"]})
 
