@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
@@ -203,33 +202,12 @@ def _guess(
 
 
 def _denominators(order: int, runs: list[Run], sample_time: float) -> list[np.ndarray]:
-    """Return denominators to start from: instrumental variables on a discrete model, and a coarse set of time constants."""
-    rows, targets, instruments = [], [], []
-    for run in runs:
-        u, v = run["command"], run["velocity"]
-        columns = [v[order - 1 - i : v.size - 1 - i] for i in range(order)]
-        columns += [u[order - 1 - i : u.size - 1 - i] for i in range(order)]
-        rows.append(np.column_stack(columns))
-        targets.append(v[order:])
-        # Delayed commands are correlated with the regressors but not with the noise on them.
-        lagged = np.column_stack([np.r_[np.zeros(2 * order + i), u][: u.size] for i in range(2 * order)])
-        instruments.append(lagged[order:])
-    design, target, starts = np.vstack(rows), np.concatenate(targets), []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        for weight in (np.vstack(instruments), design):
-            try:
-                found = np.linalg.lstsq(weight.T @ design, weight.T @ target, rcond=None)[0]
-                poles = np.log(np.roots(np.r_[1.0, -found[:order]]).astype(complex)) / sample_time
-            except np.linalg.LinAlgError:
-                continue
-            if np.isfinite(poles).all():
-                starts.append(np.real(np.poly(poles))[1:])
+    """Return denominators to start from: natural frequencies from the sample time to the runs' length, damped or not."""
     longest = sample_time * max(run.size for run in runs)
-    for rate in 1.0 / np.geomspace(5.0 * sample_time, longest / 2.0, 5):
-        damped = [np.array([2.0 * damping * rate, rate**2]) for damping in (0.2, 1.0)]
-        starts += [np.array([rate])] if order == 1 else damped
-    return starts
+    rates = 1.0 / np.geomspace(2.0 * sample_time, longest / 2.0, 12)
+    if order == 1:
+        return [np.array([rate]) for rate in rates]
+    return [np.array([2.0 * damping * rate, rate**2]) for rate in rates for damping in (0.1, 0.5, 2.0)]
 
 
 def _runs(command, velocity, sample_time: float) -> list[Run]:
