@@ -362,7 +362,7 @@ def test_a_count_that_the_index_denies(tmp_path):
     path = errors(tmp_path / "a", [0.0, 1.0, 2.0]).write()
     yaml = path / "metadata.yaml"
     yaml.write_text(yaml.read_text().replace("message_count: 3", "message_count: 4"))
-    fails(path, ERROR, "'/e'", "counts 4 messages, 3 are there")
+    fails(path, ERROR, "'/e'", "counts 4 messages, but 3 are there")
 
 
 def test_the_example_recipe_reads_folders_of_bags(tmp_path):

@@ -109,7 +109,7 @@ def test_nothing_is_clipped():
         (ground(), {"measure": "speed"}, "measure must be one of .*got 'speed'"),
         (ground(), {"e_max": 0.0}, "must be positive"),
         (ground(), {"window": 0.01}, "shorter than one sample"),
-        (ground(), {"u_max": 1.0}, "no part in"),
+        (ground(), {"u_max": 1.0}, "not used by"),
         (arm(), {"measure": "uav_tracking"}, "needs e_max"),
         (ground(), {"measure": "uav_tracking", "e_max": 1.0, "u_max": 1.0}, "no column 'u_h_x'"),
     ],
@@ -148,7 +148,7 @@ def test_tracking_error_leaves_out_training_and_the_first_trial():
 def test_tracking_error_refuses():
     with pytest.raises(tl.SessionError, match="no trial"):
         tl.sessions.tracking_error([trial(1, 0, 0.0, 9.0, training=True)])
-    with pytest.raises(tl.SessionError, match="trial 6 of participant 1 is there twice"):
+    with pytest.raises(tl.SessionError, match="trial 6 of participant 1 occurs twice"):
         tl.sessions.tracking_error([trial(6, 1, 0.4, 5.0), trial(6, 1, 0.4, 5.0)])
     with pytest.raises(tl.SessionError, match="no trial is left"):
         tl.sessions.tracking_error([trial(6, 1, 0.4, 5.0)])

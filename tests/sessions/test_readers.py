@@ -97,10 +97,10 @@ def test_what_cannot_be_written(session, tmp_path):
         write_session(session, tmp_path / "no" / "a.csv")
     (tmp_path / "precious").mkdir()
     (tmp_path / "precious" / "thesis.tex").write_text("x")
-    with pytest.raises(SessionError, match="a folder is in this place"):
+    with pytest.raises(SessionError, match="there is a folder at this path"):
         write_session(session, tmp_path / "precious")
     assert (tmp_path / "precious" / "thesis.tex").exists()
-    with pytest.raises(SessionError, match="path with '#'"):
+    with pytest.raises(SessionError, match="path that contains '#'"):
         write_session(session, tmp_path / "run#1")
     assert not list(tmp_path.glob("*.*"))
 
@@ -132,10 +132,10 @@ BAD = {
     "time misnamed": ("time,mode\n0,1\n1,1\n", ["line 1", "rename it to t"]),
     "twice": ("t,mode,mode\n0,1,1\n1,1,1\n", ["line 1", "'mode'", "twice"]),
     "no name": (",t,mode\n0,0,1\n1,1,1\n", ["line 1", "has no name", "index=False"]),
-    "no header": ("0,1,1\n1,1,1\n", ["line 1", "numbers stand where", "header = false"]),
+    "no header": ("0,1,1\n1,1,1\n", ["line 1", "found numbers instead of column names", "header = false"]),
     "semicolons": (
         "t;mode\n0;1\n1;1\n",
-        ["line 1", "one column only, 't;mode'", "separated by ';'", 'with delimiter=";"'],
+        ["line 1", "one column only, 't;mode'", "separated by ';'", 'read it with delimiter=";"'],
     ),
     "text": (HEAD + "0,1,1\n1,1,abc\n2,1,1\n", ["line 3", "'p_r'", "'abc' is not a number", "map"]),
     "comma": (HEAD + '0,1,1\n1,1,"0,5"\n', ["line 3", "decimal"]),
@@ -344,7 +344,7 @@ def test_folders(tmp_path, session):
     with pytest.raises(SessionError, match=r"p9_2\.csv: line 1"):
         read_sessions(tmp_path)
     (tmp_path / "below").mkdir()
-    with pytest.raises(SessionError, match="no logs stand in this folder"):
+    with pytest.raises(SessionError, match="there are no logs in this folder"):
         read_sessions(tmp_path / "below")
     with pytest.raises(SessionError, match="no such folder"):
         read_sessions(tmp_path / "above")

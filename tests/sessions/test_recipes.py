@@ -154,8 +154,8 @@ def test_headers_and_files_name_each_other(tmp_path):
 
     for text, fragments in [
         (good.replace("run,", "rum,"), ["runs.csv: line 1", "'run' is missing", "did you mean 'rum'"]),
-        (good.replace("share", "run"), ["line 1", "'run' is there twice"]),
-        (good + "3,1,low\n", ["line 5", "there twice", "line 4"]),
+        (good.replace("share", "run"), ["line 1", "'run' occurs twice"]),
+        (good + "3,1,low\n", ["line 5", "occurs twice, first in line 4"]),
         (good + "4,1\n", ["line 5", "2 cells", "3"]),
         (good + ",1,low\n", ["line 5", "a key is empty"]),
         (good.replace("1,10,low", "1,ten,low"), ["run1.csv", "'r'", "'ten'", "not a number"]),
@@ -172,7 +172,7 @@ def test_headers_and_files_name_each_other(tmp_path):
     header.write_bytes(b"\xff\xfe")
     fails(read, "runs.csv", "UTF-8")
     header.unlink()
-    fails(read, "p2", "its header", "runs.csv is not there")
+    fails(read, "p2", "its header", "runs.csv does not exist")
     # A header alone, all of its files gone.
     header.write_text(good)
     for path in folder.glob("run[0-9].csv"):
@@ -288,7 +288,7 @@ def test_metadata_maps_without_a_way_out(tmp_path):
         ("scale = -1.0", "scale = nan", ["robot_y: scale", "finite"]),
         ('column = "x"', 'column = "x", value = 1', ["robot_x", "exactly one of"]),
         ('column = "x", ', "", ["robot_x", "exactly one of"]),
-        ('column = "x"', "column = 3", ["robot_x", "go by name", "3"]),
+        ('column = "x"', "column = 3", ["robot_x", "given by name", "3"]),
         ('column = "x"', 'topic = "/odom"', ["robot_x", "needs field"]),
         ('column = "x"', 'topic = "/odom", field = "x"', ["robot_x", "topic does not go with"]),
         ("HUMAN = 1", 'HUMAN = "1"', ["mode", "map entry 'HUMAN'"]),

@@ -93,7 +93,7 @@ def test_columns_that_do_not_fit_are_refused(columns, says):
 
 def test_other_faults():
     twice = pd.concat([frame(3), frame(3)], axis=1)
-    with pytest.raises(tl.SessionError, match="'mode' is there twice"):
+    with pytest.raises(tl.SessionError, match="'mode' occurs twice"):
         tl.Session(twice)
     with pytest.raises(tl.SessionError, match="must be a pandas DataFrame"):
         tl.Session([1, 2, 3])

@@ -69,7 +69,7 @@ def check_column(
         raise SessionError(f"column {name!r} must hold numbers, found {values.dtype}")
     values = values.astype(float)
     bad = ~np.isfinite(values)
-    why = "is missing or not finite; fill or cut it before reading, by a rule you can name"
+    why = "is missing or not finite; fill it or cut it out before reading, by a rule that you state"
     if not bad.any():
         column = VOCABULARY[name]
         low = -np.inf if column.low is None else column.low

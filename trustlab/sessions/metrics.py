@@ -28,7 +28,7 @@ def window_mean(values: np.ndarray, sample_time: float, window: float) -> np.nda
     """
     Return the mean over the window of length W that ends at each sample, (1/W) Σ z(i).
 
-    The beginning, where less than W has been seen, is the mean of what there is.
+    Before a full window has passed, the mean is over the samples so far.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def window_mean(values: np.ndarray, sample_time: float, window: float) -> np.nda
 
 def nearness(distance: np.ndarray, largest: float) -> np.ndarray:
     """
-    Return N(y) = (y_max − y)/y_max: 1 on the spot, 0 at y_max, negative beyond it (never clipped).
+    Return N(y) = (y_max − y)/y_max: 1 without deviation, 0 at y_max, negative beyond it (never clipped).
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def goal_speed(
     step_distance: np.ndarray, path_error: np.ndarray, sample_time: float, e_max: float = 2.0
 ) -> np.ndarray:
     """
-    Return (Δd/Δt)(e_max − e)/e_max, what (2.4) averages: speed, worth less the farther from the path.
+    Return (Δd/Δt)(e_max − e)/e_max, what (2.4) averages: speed, discounted with the distance from the path.
 
     Parameters
     ----------
@@ -105,12 +105,12 @@ def manoeuvring(
     v_command: np.ndarray, w_command: np.ndarray, path_error: np.ndarray, e_max: float = 2.0
 ) -> np.ndarray:
     """
-    Return v (e_max − e)/e_max + |ω| e/e_max, what (2.7) averages: drive on near the path, turn when off it.
+    Return v (e_max − e)/e_max + |ω| e/e_max, what (2.7) averages: forward motion counts near the path, turning away from it.
 
     Parameters
     ----------
     v_command, w_command : array_like, shape (N,)
-        Linear [m/s] and angular [rad/s] velocity commands; the size of ω counts, so that left and right turns
+        Linear [m/s] and angular [rad/s] velocity commands; the absolute value of ω counts, so that left and right turns
         do not cancel.
     path_error : array_like, shape (N,)
         e, deviation from the path [m].
@@ -239,7 +239,7 @@ def with_performance(
     one_of("measure", measure, ("ground_robot", "uav_tracking", "mixed_initiative"))
     if measure == "ground_robot":
         if u_max is not None:
-            raise ValueError("u_max has no part in (2.4) and (2.7); leave it out")
+            raise ValueError("u_max is not used by (2.4) and (2.7); leave it out")
         e_max = 2.0 if e_max is None else e_max
         session.require("step_distance", "path_error", "v_command", "w_command")
         p_r = goal_speed(session["step_distance"], session["path_error"], session.sample_time, e_max)
@@ -290,12 +290,12 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
     alone = isinstance(getattr(sessions, "metadata", None), Metadata)
     trials = pd.DataFrame([_trial(session) for session in ([sessions] if alone else sessions)])
     if trials.empty or trials["training"].all():
-        raise SessionError("no trial to take the tracking error of (all are training, or none was given)")
+        raise SessionError("no trial to average: all are training, or none was given")
     trials = trials[~trials["training"].astype(bool)].copy()
     twice = trials[trials.duplicated(["participant", "trial"])]
     if len(twice):
         first = twice.iloc[0]
-        raise SessionError(f"trial {first['trial']} of participant {first['participant']} is there twice")
+        raise SessionError(f"trial {first['trial']} of participant {first['participant']} occurs twice")
     order = trials.sort_values("trial").groupby(["participant", "block"]).cumcount()
     trials["traj_err"] = trials["traj_err"].where(order.reindex(trials.index) >= drop_first)
     table = trials.groupby(["participant", "autonomy"], as_index=False)[["traj_err"]].mean()

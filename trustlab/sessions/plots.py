@@ -33,10 +33,8 @@ def plot_session(session, columns: str | list[str] | None = None):
     if columns is None:
         columns = [name for name in ("p_r", "p_h", "r") if name in session] or session.columns
     session.require(*columns)
-    size = (8, 1.2 + 1.5 * len(columns))
-    figure, axes = plt.subplots(
-        len(columns), 1, sharex=True, squeeze=False, figsize=size, layout="constrained"
-    )
+    rows, size = len(columns), (8, 1.2 + 1.5 * len(columns))
+    figure, axes = plt.subplots(rows, sharex=True, squeeze=False, figsize=size, layout="constrained")
     for panel, name in zip(axes[:, 0], columns, strict=True):
         panel.plot(session.t, session[name], lw=1)
         unit = "s" if name == "t" else VOCABULARY[name].unit
@@ -70,10 +68,8 @@ def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | No
 
     sessions = list(sessions)
     across, up = plane[0], plane[1]
-    size = (2.4 * len(sessions), 2.8)
-    figure, axes = plt.subplots(
-        1, len(sessions), sharex=True, sharey=True, squeeze=False, figsize=size, layout="constrained"
-    )
+    shape = {"ncols": len(sessions), "figsize": (2.4 * len(sessions), 2.8), "layout": "constrained"}
+    figure, axes = plt.subplots(sharex=True, sharey=True, squeeze=False, **shape)
     titles = [session.label for session in sessions] if titles is None else titles
     for axis, session, title in zip(axes[0], sessions, titles, strict=True):
         for who, label, style in (

@@ -101,7 +101,7 @@ NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
 def key(check: Callable, default: Any = MISSING, spelt: str = "", hint: str = "") -> Any:
-    """Declare a key: `check(name, value)` returns the value to keep or raises ValueError; `hint` is said when it is missing."""
+    """Declare a key: `check(name, value)` returns the value to keep or raises ValueError; `hint` completes the error when it is missing."""
     return field(default=default, metadata={"check": check, "spelt": spelt, "hint": hint})
 
 
@@ -617,7 +617,7 @@ class Recipe:
         for name, own in by_key.items():
             if isinstance(own, int) == self.table.header:
                 how = "name" if self.table.header else "index (a number), as the table has no header line"
-                raise RecipeError(f"{name}: columns of this table go by {how}, got {own!r}")
+                raise RecipeError(f"{name}: columns of this table are given by {how}, got {own!r}")
 
     def _check_origins(self) -> None:
         known = list(self.pattern.fields) if self.pattern else []

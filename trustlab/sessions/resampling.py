@@ -16,15 +16,7 @@ from trustlab.sessions.metadata import Metadata
 if TYPE_CHECKING:
     from trustlab.sessions.recipe import ColumnRule
 
-__all__ = [
-    "MAX_SAMPLES",
-    "METHODS",
-    "RawLog",
-    "Stream",
-    "check_resampling",
-    "require_common_times",
-    "resample",
-]
+__all__ = ["RawLog", "Stream", "check_resampling", "require_common_times", "resample"]
 
 MAX_SAMPLES = 20_000_000
 """The longest log that is read or made by resampling (five and a half hours at 1 kHz)."""
@@ -104,7 +96,7 @@ def resample(
         late = max(log.streams, key=lambda stream: stream.t[0])
         early = min(bounding or log.streams, key=lambda stream: stream.t[-1])
         what = f"{early.topic!r} ends {start - stop:.6g} s before {late.topic!r} starts"
-        hint = "say hold = true for a topic whose last message holds to the end"
+        hint = "set hold = true for a topic whose last message holds to the end"
         raise SessionError(f"topics do not overlap: {what} ({hint})")
     grid = _time_grid(start, stop, sample_time)
     columns = {

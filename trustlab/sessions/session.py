@@ -109,12 +109,12 @@ class Session:
 
     @property
     def columns(self) -> list[str]:
-        """The columns there are."""
+        """The names of the columns."""
         return list(self.data.columns)
 
     @property
     def label(self) -> str:
-        """Who, what and whether synthetic, in a few words, for captions."""
+        """Participant, condition, trial and whether the data are synthetic, for captions."""
         meta = self.metadata
         parts = [f"participant {meta.participant}" if meta.participant is not None else ""]
         parts.append(str(meta.condition) if meta.condition is not None else "")
@@ -134,7 +134,7 @@ class Session:
         Raises
         ------
         SessionError
-            Naming what is missing, the nearest column there is, and what there is.
+            It names the missing column, the nearest existing one, and all columns of the session.
         """
         missing = [name for name in names if name not in self]
         if missing:
@@ -207,7 +207,7 @@ class Session:
         Parameters
         ----------
         window : float
-            Length W of the window [s]; a session shorter than it, and its beginning, use what there is.
+            Length W of the window [s]; at the beginning, and in a shorter session, the mean is over the samples so far.
         measure : {"ground_robot", "uav_tracking", "mixed_initiative"}
             (2.4) and (2.7); the UAV variants of Section 2.4.2; or (3.26)-(3.27).
         **scales : float
@@ -233,7 +233,7 @@ class Session:
         Parameters
         ----------
         columns : str or list of str, optional
-            What to plot, one panel each; the performances, or all there is, when not given.
+            What to plot, one panel each; by default p_r, p_h and r, or all columns if there is none of these.
 
         Returns
         -------
@@ -270,6 +270,6 @@ def _checked(data: pd.DataFrame) -> pd.DataFrame:
         raise SessionError("a session needs at least one column besides t")
     if data.columns.has_duplicates:
         twice = data.columns[data.columns.duplicated()][0]
-        raise SessionError(f"column {twice!r} is there twice; rename or remove one")
+        raise SessionError(f"column {twice!r} occurs twice; rename or remove one")
     columns = {name: check_column(name, data[name].to_numpy(), t) for name in data.columns}
     return pd.DataFrame(columns, index=pd.Index(t, name="t"))

@@ -80,11 +80,11 @@ def write_session(session: Session, path: str | os.PathLike, format: str | None 
 def _check_target(path: Path, format: str) -> None:
     """Raise where the session must not be written, or could not be read back."""
     if not path.parent.is_dir():
-        raise SessionError("its folder does not exist; make it first")
+        raise SessionError("its folder does not exist; create it first")
     if path.is_dir() and not (format == "rosbag2" and (path / "metadata.yaml").is_file()):
-        raise SessionError("a folder is in this place; choose another name")
+        raise SessionError("there is a folder at this path; choose another name")
     if path.is_file() and format == "rosbag2":
-        raise SessionError("a file is in this place, and a rosbag2 recording is a folder")
+        raise SessionError("there is a file at this path, but a rosbag2 recording is a folder")
     if format == "rosbag2":
         check_sqlite_path(path)
     elif path.suffix.lower() != FORMATS[format]:  # read_session chooses the reader by the suffix

@@ -27,9 +27,7 @@ def recipe_values(recipe: Recipe, path: Path, index: SessionIndex | None) -> dic
     origins = [rule.origin for rule in recipe.metadata.values()]
     origins += [rule.origin for rule in recipe.columns.values() if isinstance(rule, MetadataColumn)]
     if recipe.pattern and match is None and any(origins):
-        remedy = (
-            "rename the file or its folder, or remove what comes from the path from [metadata] and [columns]"
-        )
+        remedy = "rename the file or its folder, or take nothing from the path in [metadata] and [columns]"
         raise SessionError(f"the path does not fit the recipe's pattern {recipe.pattern.text!r}; {remedy}")
     values = dict(match.fields) if match else {}
     if index is not None and any(str(origin).startswith("header.") for origin in origins):

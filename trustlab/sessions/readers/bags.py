@@ -25,9 +25,7 @@ PREFIX = "/trustlab/"
 """Where the topics of a bag stand that `write_session` wrote: t, metadata and one per column."""
 
 _DAMAGED = "not a bag, or a damaged or truncated one"
-_guard = partial(
-    damage_named, _DAMAGED, "try `ros2 bag reindex` or `rosbag reindex` on it, or record it again"
-)
+_guard = partial(damage_named, _DAMAGED, "try `ros2 bag reindex` or `rosbag reindex`, or record it again")
 
 
 def read_bag(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None) -> RawLog:
@@ -43,7 +41,7 @@ def check_sqlite_path(path: Path) -> None:
     """Raise where a path has one of ? # %: sqlite3 would read it as a URI with a query."""
     for mark in "?#%":
         if mark in str(path.absolute()):
-            what = f"a sqlite3 recording cannot stand under a path with {mark!r} in it"
+            what = f"a sqlite3 recording cannot be stored under a path that contains {mark!r}"
             raise SessionError(f"{what}; rename the folder, or use .mcap", str(path))
 
 
@@ -76,7 +74,7 @@ class _Bag:
             if found[topic] == 0:
                 raise SessionError(f"topic {topic!r} has no messages; was it being published?")
             if expected[topic] and found[topic] != expected[topic]:
-                what = f"the bag's index counts {expected[topic]} messages, {found[topic]} are there"
+                what = f"the bag's index counts {expected[topic]} messages, but {found[topic]} are there"
                 raise SessionError(f"topic {topic!r}: {what}; the bag is damaged or truncated")
 
     def _decoded(self, connections) -> Iterator[tuple[str, int, object]]:

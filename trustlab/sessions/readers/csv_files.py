@@ -22,7 +22,7 @@ __all__ = ["COMMENT", "read_csv"]
 COMMENT = "# trustlab "
 """The start of the first line of a CSV file whose rest is metadata."""
 
-_FILL = "fill or cut it before reading, by a rule you can name"
+_FILL = "fill it or cut it out before reading, by a rule that you state"
 _NOT_A_NUMBER = {"nan", "na", "n/a", "null", "none", "inf", "-inf", "+inf", "infinity", "-infinity", "-"}
 
 
@@ -41,7 +41,7 @@ def read_csv(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, la
         before = 1
         if not text.endswith(("\n", "\r")):  # a file of ours ends its last line
             line = text.count("\n") + 1
-            raise SessionError(f"line {line}: is not ended, so that the file was cut short; write it again")
+            raise SessionError(f"line {line}: has no end, so the file was cut short; write it again")
     else:
         for _ in range(before):
             stream.readline()
@@ -95,15 +95,16 @@ def _check_header(
 ) -> None:
     """Raise where the line of names shows that the table is written in another way."""
     if not recipe and names[0].startswith("#"):
-        raise SessionError(f"{where}: a comment stands where the names should; use [table] skip_lines")
+        raise SessionError(f"{where}: found a comment instead of the names; skip it with [table] skip_lines")
     other = next((mark for mark in ";\t|," if mark != layout.delimiter and mark in names[0]), None)
     if len(names) > 1 or other is None or (not recipe and (wanted is not None or other in "|,")):
         return
     written = "\\t" if other == "\t" else other
-    how = f'with delimiter="{written}" (and decimal="," if numbers have a decimal comma), or in a recipe\'s [table]'
+    comma = "if numbers have a decimal comma"
+    how = f'read it with delimiter="{written}" (and decimal="," {comma}), or set them in a recipe\'s [table]'
     if recipe:
-        how = f'in the recipe: [table] delimiter = "{written}" (and decimal = "," if numbers have a decimal comma)'
-    what = f"one column only, {names[0][:60]!r}; if its names are separated by {other!r}, say so {how}"
+        how = f'set [table] delimiter = "{written}" (and decimal = "," {comma}) in the recipe'
+    what = f"one column only, {names[0][:60]!r}; if its names are separated by {other!r}, {how}"
     raise SessionError(f"{where}: {what}")
 
 
@@ -180,10 +181,10 @@ def _rows(body: str, layout: TableRule, width: int, basis: str, line: int) -> It
                 raise SessionError(f"line {blank}: is empty, with samples after it; remove it or fill it in")
             elif len(row) != width:
                 last = line + reader.line_num - 1
-                hint = "complete the row, or take out the commas that are too many (a decimal comma?)"
+                hint = "complete the row, or remove the extra commas (a decimal comma?)"
                 if last > here:
                     hint = f"a quotation mark that opens here closes in line {last}"
-                raise SessionError(f"line {here}: has {len(row)} cells where {basis}; {hint}")
+                raise SessionError(f"line {here}: has {len(row)} cells, but {basis}; {hint}")
             else:
                 yield here, row
             here = line + reader.line_num
@@ -217,5 +218,5 @@ def _number(text: str, decimal: str) -> float:
     if text.lower() in _NOT_A_NUMBER:
         raise ValueError(f"{shown} is not a finite number; {_FILL}")
     if decimal == "." and re.fullmatch(r"[+-]?\d+,\d+", text):
-        raise ValueError(f'{shown} is not a number; say decimal = "," in a recipe')
+        raise ValueError(f'{shown} is not a number; read the file with decimal=",", or set it in a recipe')
     raise ValueError(f"{shown} is not a number; correct it, or turn words into numbers with a recipe's map")

@@ -21,12 +21,12 @@ def read_sessions(
     folder: str | os.PathLike,
     recipe: str | os.PathLike | Recipe | None = None,
     *,
+    progress: Callable[[int, int], object] | None = None,
     columns: Sequence[str] | None = None,
     resample: str | None = None,
     sample_time: float | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
-    progress: Callable[[int, int], object] | None = None,
 ) -> list[Session]:
     """
     Read all sessions of a folder.
@@ -38,6 +38,8 @@ def read_sessions(
         above them, or the one they are in). Without: all logs in the folder itself.
     recipe : str, path-like or Recipe, optional
         As for `read_session`.
+    progress : callable, optional
+        Called after each file with the number of files read and the number of all.
     columns : sequence of str, optional
         Read only these columns of the sessions.
     resample : {"previous", "linear", "nearest"}, optional
@@ -46,8 +48,6 @@ def read_sessions(
         Time between samples [s] after resampling.
     delimiter, decimal : str, optional
         As for `read_session`; they apply to the CSV files of the folder.
-    progress : callable, optional
-        Called after each file with the number of files read and the number of all.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def _logs_in(folder: str) -> list[str]:
         if is_log or os.path.isfile(os.path.join(path, "metadata.yaml")):
             logs.append(path)
     if not logs:
-        what = f"no logs stand in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders)"
+        what = f"there are no logs in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders)"
         raise SessionError(f"{what}; for logs further down, give a recipe with a [files] pattern", folder)
     return sorted(logs, key=natural_key)
 
@@ -116,9 +116,7 @@ def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[s
                 if plain_key(match.fields.get(recipe.superseded_field)) in gone:
                     del found[path]
     if not sessions and not headers:
-        raise SessionError(
-            f"no file in this folder fits the recipe's pattern {recipe.pattern.text!r}", folder
-        )
+        raise SessionError(f"no file in it fits the recipe's pattern {recipe.pattern.text!r}", folder)
     same: dict[tuple, str] = {}
     for path, match in sessions.items():
         key = tuple(match.fields.items())
@@ -137,10 +135,8 @@ def _superseded(folder: str, recipe: Recipe, sessions: dict[str, PathMatch]) -> 
     present = {plain_key(match.fields[name]) for match in sessions.values()}
     gone = {old: new for old, new in recipe.superseded.items() if old in present and new in present}
     for old, new in gone.items():
-        what = (
-            f"the sessions of {name} {old} were superseded by those of {name} {new} (recipe {recipe.name!r})"
-        )
-        warnings.warn(f"{folder}: {what} and are left out", stacklevel=4)
+        what = f"the sessions of {name} {old} were superseded by those of {name} {new}"
+        warnings.warn(f"{folder}: {what} (recipe {recipe.name!r}) and are left out", stacklevel=4)
     return set(gone)
 
 

@@ -66,7 +66,7 @@ class SessionIndex:
             try:
                 text = Path(path).read_bytes().decode("utf-8-sig")
             except FileNotFoundError:
-                raise SessionError(f"its header {path} is not there", source) from None
+                raise SessionError(f"its header file {path} does not exist", source) from None
             except (OSError, UnicodeDecodeError) as error:
                 raise SessionError(f"cannot be read as UTF-8 text ({error})", path) from error
             with source_named(path):
@@ -82,19 +82,19 @@ class SessionIndex:
         names = [name.strip() for name in lines[0][1]] if lines else []
         for column in self.keys.values():
             if names.count(column) != 1:
-                what = "is there twice" if column in names else f"is missing{did_you_mean(column, names)}"
+                what = "occurs twice" if column in names else f"is missing{did_you_mean(column, names)}"
                 raise SessionError(f"line 1: column {column!r} {what}")
         rows: dict[tuple, tuple[int, dict]] = {}
         for line, cells in lines[1:]:
             if not cells:
                 continue
             if len(cells) != len(names):
-                raise SessionError(f"line {line}: has {len(cells)} cells where the header names {len(names)}")
+                raise SessionError(f"line {line}: has {len(cells)} cells, but the header names {len(names)}")
             row = {name: _typed(cell) for name, cell in zip(names, cells, strict=True)}
             key = tuple(plain_key(row[column]) for column in self.keys.values())
             if "" in key:
                 raise SessionError(f"line {line}: a key is empty ({', '.join(self.keys.values())})")
             if key in rows:
-                raise SessionError(f"line {line}: {' '.join(key)} is there twice (line {rows[key][0]})")
+                raise SessionError(f"line {line}: {' '.join(key)} occurs twice, first in line {rows[key][0]}")
             rows[key] = (line, row)
         return rows

@@ -58,7 +58,7 @@ def _find(name: str, key: str | int, names: Sequence[str], where: str) -> tuple[
             raise SessionError(f"{where}: has {len(names)} columns; {what}")
         return key, f"{key} ({name})"
     if names.count(key) != 1:
-        what = "is there twice; rename or remove one"
+        what = "occurs twice; rename or remove one"
         if key not in names:
             what = f"is missing{did_you_mean(key, names) or _time_hint(key, names)}"
         raise SessionError(f"{where}: column {key!r} {what} (the file has: {listed(names)})")
@@ -71,14 +71,14 @@ def _time_hint(key: str, names: Sequence[str]) -> str:
 
 
 def _check_names(names: Sequence[str], where: str) -> None:
-    """Raise unless all names of a file that is read without a recipe are of the vocabulary, and none is there twice."""
+    """Raise unless all names of a file that is read without a recipe belong to the vocabulary and none occurs twice."""
     if all(NUMBER.fullmatch(name.strip()) for name in names):
         remedy = "add a line of names, or read the file with a recipe that says [table] header = false"
-        raise SessionError(f"{where}: numbers stand where the column names should; {remedy}")
+        raise SessionError(f"{where}: found numbers instead of column names; {remedy}")
     counts = Counter(names)
     twice = [name for name in names if counts[name] > 1]
     if twice and twice[0]:
-        raise SessionError(f"{where}: column {twice[0]!r} is there twice; rename or remove one")
+        raise SessionError(f"{where}: column {twice[0]!r} occurs twice; rename or remove one")
     for k, name in enumerate(names):
         if not name:
             hint = "name it, or remove it (pandas writes one so unless told index=False)"
