@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
@@ -175,7 +176,7 @@ class OptimalBlending:
         self.deviation_weight = between("deviation_weight", deviation_weight, 0.0, 1e12)
         self.intervals = whole_number("intervals", intervals, most=50)
         self.weights = self._series()
-        self._program = None
+        self._program: Any = None
 
     def matrix(self, axis: int, alpha: float) -> np.ndarray:
         """
@@ -333,7 +334,7 @@ class OptimalBlending:
                     )
                     cost += 0.5 * length * w * running
                 state = _flow(a, state, length, terms)
-        options = {"expand": True, "print_time": False}
+        options: dict[str, Any] = {"expand": True, "print_time": False}
         options |= {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
         # the held share is a good start, often on a bound: neither push it away nor begin with a great barrier
         options |= {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -143,7 +144,7 @@ class ThresholdLimits:
         )
 
 
-def limits_as_printed(c: TscConstants, delta_p_h: float) -> tuple[np.ndarray, np.ndarray]:
+def limits_as_printed(c: TscConstants, delta_p_h: float) -> tuple[Any, Any]:
     """Return TSC_lb (2.9) and TSC_ub (2.10); the constants and δ_Ph may be arrays."""
     slack = c.b_T * delta_p_h / (c.a_T * (1.0 - c.a_pr))
     slope = c.a_T * c.b_pr / (1.0 - c.a_pr) - c.b_T

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -195,7 +196,7 @@ def sweep(
     lower: float | None = None,
     upper: float | None = None,
     starts: int = 1,
-    **campaign: object,
+    **campaign: Any,
 ) -> Sweep:
     """
     Map performance, utilization and dwell times of the steady cycle over thresholds and model parameters.
@@ -252,7 +253,7 @@ def cycle_sensitivity(
     lower: float | None = None,
     upper: float | None = None,
     quantities: tuple[str, ...] = ("mean_p_r", "mean_r", "dwell_manual_high", "dwell_autonomous_high"),
-    **options: object,
+    **options: Any,
 ) -> SobolIndices:
     """
     Return Sobol' indices of the steady cycle: which thresholds and parameters it depends on most.

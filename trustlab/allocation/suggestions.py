@@ -55,7 +55,7 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
     # A new suggestion begins when the mode has changed, or the aid has agreed with it, since the last one was shown.
     breaks = np.cumsum((mode != before) | (suggested == before))
     episodes: list[list] = []
-    for k in np.flatnonzero((suggested >= 0.0) & (suggested != before)):
+    for k in np.flatnonzero((suggested >= 0.0) & (suggested != before)).tolist():
         last = episodes[-1] if episodes else None
         same = last and last[1] == suggested[k] and t[k] - t[last[2]] <= deadline
         if same and breaks[k - 1] == breaks[last[2]]:

@@ -175,7 +175,9 @@ def separation(lower_mean: float, lower_sd: float, upper_mean: float, upper_sd: 
     return (high - low) / positive("lower_sd + upper_sd", spread)
 
 
-def _apart(groups: dict[str, np.ndarray], draws: int, rng: np.random.Generator) -> tuple[float, ...]:
+def _apart(
+    groups: dict[str, np.ndarray], draws: int, rng: np.random.Generator
+) -> tuple[float, float, float, float]:
     """Return the separation of two groups of switches, its 95 % interval, and p that it is 1 or less."""
     numbers, drawn = [], []
     for values in (groups["lower"], groups["upper"]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
@@ -132,7 +133,7 @@ class HumanModel:
         """−1/ln a, in samples: after this many, 1/e of a deviation is left; τ of (2.5), 1/b, is half a sample more."""
         return -1.0 / np.log(self.a)
 
-    def performance(self, r: float | np.ndarray) -> float | np.ndarray:
+    def performance(self, r: float | np.ndarray) -> Any:
         """
         Return human performance at utilization `r`, equation (2.6).
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numba
 import numpy as np
@@ -164,7 +164,7 @@ class TscModel:
             b_T=self.b_T,
         )
 
-    def value(self, p_r: float | np.ndarray, p_h: float | np.ndarray) -> float | np.ndarray:
+    def value(self, p_r: float | np.ndarray, p_h: float | np.ndarray) -> Any:
         """
         Return TSC = a_T P_r − b_T P_h, equation (2.1).
 

@@ -243,9 +243,9 @@ def operator(
     ValueError
         If an argument is not of the form above or out of range.
     """
-    human = model
+    human = model.human if isinstance(model, TscModel) else model
     if isinstance(model, TscModel):
-        human, robot = model.human, model.robot
+        robot = model.robot
         more = {"robot_floor": robot.p_min, "robot_gain": robot.b / (1.0 - robot.a)} | more
     for name, pair, keys in (
         ("lower", lower, ("lower", "lower_spread")),

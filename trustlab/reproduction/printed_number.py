@@ -60,7 +60,7 @@ def printed_decimal(text: str, name: str = "a printed value") -> Decimal:
 
 def last_unit(value: Decimal) -> Decimal:
     """Return one unit of a number's last digit."""
-    return Decimal(1).scaleb(value.as_tuple().exponent)
+    return Decimal(1).scaleb(int(value.as_tuple().exponent))
 
 
 def half_unit(printed: str) -> float:

@@ -115,7 +115,7 @@ class CasadiEngine:
         smooth = "ipopt" if solver == "ipopt" else "fatrop"
         self._smooth = CorrectionProgram(model, smooth, width) if width else None
         self._adds = extra_cost is not None
-        self._last = None
+        self._last: np.ndarray | None = None
 
     def reset(self) -> None:
         """Forget the last plan, from which the next one starts."""
@@ -294,12 +294,12 @@ class CasadiEngine:
         run = simulate_correction(
             self._tsc, r, p_r, lower, upper, int(mode), inputs[1], inputs[0], self._target
         )
-        tsc = self._tsc.value(p_r, self._tsc.human.performance(r))
+        tsc = float(self._tsc.value(p_r, self._tsc.human.performance(r)))
         return CorrectionPlan(
             c_l=float(inputs[1, 0]),
             c_u=float(inputs[0, 0]),
             suggestion=suggestion_now(tsc, lower, upper),
-            tsc=float(tsc),
+            tsc=tsc,
             actions_l=inputs[1],
             actions_u=inputs[0],
             r=run["r"],

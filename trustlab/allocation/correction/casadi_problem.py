@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ SOLVERS = ("piqp", "hpipm", "fatrop", "ipopt")
 """Solvers by name: sequential quadratic programming on PIQP or HPIPM, or the interior-point methods fatrop and IPOPT."""
 
 TOLERANCE = 1e-8
-QUIET = {"print_time": False, "error_on_fail": False}
+QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False}
 QUIET_SQP = {"print_header": False, "print_iteration": False, "print_status": False}
 
 SLACK = 1e-6
@@ -249,7 +250,7 @@ class CorrectionModel:
             Where the cost is looked at.
         """
         by_threshold = 2.0 * (run.states[2:, 1:] - self.zero[2:, None]) / self.c_b
-        by_input = 0.0
+        by_input: Any = 0.0
         if self._slopes_over_horizon is not None:
             by_x, by_u = self._slopes_over_horizon(run.states[:, :-1], run.inputs, self._steps)
             by_threshold[:, :-1] += np.asarray(by_x)[2:, 1:]
@@ -515,7 +516,7 @@ def _options(solver: str, equal: list[bool], plain: bool, most: int) -> dict:
         return QUIET | {
             "ipopt": {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": most, "max_wall_time": 2.0}
         }
-    inner = {"error_on_fail": False, "print_time": False}
+    inner: dict[str, Any] = {"error_on_fail": False, "print_time": False}
     inner |= (
         {"hpipm.mode": "robust", "hpipm.iter_max": 60} if solver == "hpipm" else {"piqp": {"max_iter": 60}}
     )

@@ -7,6 +7,7 @@ import inspect
 import warnings
 from collections.abc import Callable
 from time import perf_counter
+from typing import Any
 
 from trustlab.allocation.correction.incentive import incentive_box, within_range
 from trustlab.allocation.correction.plan import CorrectionPlan
@@ -84,7 +85,7 @@ class ThresholdCorrector:
         horizon: int = 200,
         engine: str = "exact",
         incentive: Callable | None = None,
-        **options: object,
+        **options: Any,
     ):
         self.tsc = of_class("tsc", tsc, TscModel)
         self.target = check_target(tsc, target)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numba
 import numpy as np
 
@@ -44,7 +46,7 @@ def simulate_correction(
     actions_l: np.ndarray,
     actions_u: np.ndarray,
     target: tuple[float, float],
-) -> dict[str, np.ndarray | float]:
+) -> dict[str, Any]:
     """
     Simulate (2.44) under given corrections, the switch being the hard one of (2.8).
 
@@ -70,7 +72,7 @@ def simulate_correction(
     """
     actions_l = np.ascontiguousarray(actions_l, dtype=float)
     actions_u = np.ascontiguousarray(actions_u, dtype=float)
-    out = {name: np.empty(actions_l.size + 1) for name in ("r", "p_r", "lower", "upper")}
+    out: dict[str, Any] = {name: np.empty(actions_l.size + 1) for name in ("r", "p_r", "lower", "upper")}
     for name, start in (("r", r), ("p_r", p_r), ("lower", lower), ("upper", upper)):
         out[name][0] = start
     modes = np.empty(actions_l.size)

@@ -88,7 +88,7 @@ class Workspace(NamedTuple):
         """Return room for N steps."""
         n = horizon + 1
         steps, thresholds = (np.empty(n) for _ in range(7)), (np.empty((2, n)) for _ in range(6))
-        return cls(*steps, *thresholds, np.empty(n, np.int64))
+        return cls._make([*steps, *thresholds, np.empty(n, np.int64)])
 
 
 class Solution(NamedTuple):

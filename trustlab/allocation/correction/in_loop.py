@@ -52,8 +52,8 @@ def loop_correction(
     log = np.zeros(samples, CORRECTED)
     for name in ("lower", "upper", "cost", "bound"):
         log[name] = np.nan
-    start = np.array(start, dtype=float)
-    return LoopCorrection(True, adopted, problem, start, Workspace.of(horizon), Solution.of(horizon), log)
+    now = np.array(start, dtype=float)
+    return LoopCorrection(True, adopted, problem, now, Workspace.of(horizon), Solution.of(horizon), log)
 
 
 def no_correction() -> LoopCorrection:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -171,7 +171,7 @@ def correct_pattern(
     p_r0: float | None = None,
     sample_time: float = 0.1,
     incentive: Callable | None = None,
-    **options: object,
+    **options: Any,
 ) -> CorrectionRun:
     """
     Correct thresholds in receding horizon over several tests in a row, on the model, Section 2.5 and Fig. 2.18.

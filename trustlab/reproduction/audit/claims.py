@@ -97,7 +97,11 @@ def _remark_seven(end: str) -> Check:
 def claim_checks(numbers: Numbers) -> list:
     """Return the checks of the printed percentages and differences, and of Remark 7."""
     return [
-        *(_claim(claim.id, *read, numbers) for claim, *read in claims() if any(read)),
+        *(
+            _claim(claim.id, reading, after, before, numbers)
+            for claim, reading, after, before in claims()
+            if reading or after or before
+        ),
         *_teleoperation(numbers),
         *(_remark_seven(end) for end in ("min", "max")),
     ]

@@ -245,7 +245,7 @@ def _followed(condition: str, numbers: Numbers) -> list[Check | Remark]:
 
 def sample_checks(numbers: Numbers) -> list:
     """Return the checks of the means and SDs in Tables 2.4-2.6 and 3.1 and in the studies."""
-    checks = [*_followed("C2", numbers), *_followed("C4", numbers)]
+    checks: list = [*_followed("C2", numbers), *_followed("C4", numbers)]
     for measure, ids in _measures(numbers).items():
         checks += [_sd(measure, id) for id in ids.values()]
         if measure.startswith("table_2.5"):

@@ -207,7 +207,8 @@ def _duplicates(first: str, second: str, numbers: Numbers) -> list[Remark]:
 
 def study_checks(numbers: Numbers) -> list:
     """Return the checks of every printed study but those of its means and SDs."""
-    checks, names = [], study_names(numbers)
+    checks: list = []
+    names = study_names(numbers)
     for name in names:
         k = len(conditions_of(name))
         checks.append(_sample_size(name))

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,7 +18,7 @@ __all__ = ["VERDICTS", "Check", "Formula", "Possible", "Remark", "Row", "row_abo
 VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
 
 Numbers = Mapping[str, PrintedNumber]
-Compute = Callable[[dict[str, np.ndarray]], np.ndarray]
+Compute = Callable[..., Any]  # of a dict of arrays, an array
 Span = tuple[float, float, float]
 NOTHING = (np.nan, np.nan, np.nan)
 

@@ -168,7 +168,9 @@ def feasibility(
     rng = generator(seed)
     verdict = decide(moment_problem(study, found, p_adjust), rng)
     feasible = verdict.status == "solved"
-    conflict, proved, remedies = (), False, ()
+    proved = False
+    conflict: tuple[str, ...] = ()
+    remedies: tuple[str, ...] = ()
     if not feasible and explain:
         proved = verdict.status == "proved"
         conflict = _smallest_conflict(study, found, p_adjust, proved, rng)

@@ -216,7 +216,7 @@ def reconstruct_study(
             break
     else:
         candidate = p_adjust or ADJUSTMENTS[0]
-        problem, verdict, left_out = _remedied(study, candidate, without, seed)
+        problem, verdict, left_out = _remedied(study, candidate, tuple(without), seed)
     draws = generator(seed).spawn(1)[0]
     values = _draw(problem, verdict.moments, draws)
     for _ in range(5):  # no values within the scale have these moments: try others

@@ -185,7 +185,9 @@ def proves_infeasible(problem: MomentProblem, branches: int = 80) -> bool:
             return True
         box = open_parts.pop()
         means = [
-            Constraint("mean", "mean", i, *ends, "") for i, ends in enumerate(box) if np.isfinite(ends).all()
+            Constraint("mean", "mean", i, ends[0], ends[1], "")
+            for i, ends in enumerate(box)
+            if np.isfinite(ends).all()
         ]
         if _refuted(_Relaxation(replace(problem, found=[*others, *means]))):
             continue

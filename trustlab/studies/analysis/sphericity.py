@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import special
@@ -56,13 +56,13 @@ class Mauchly(NamedTuple):
     singular: np.ndarray
 
 
-def mauchly_factor(n: int, k: int) -> float:
+def mauchly_factor(n: Any, k: int) -> Any:
     """Return (n − 1) ρ with ρ = 1 − (2d² + d + 2) / (6 d (n − 1)), d = k − 1, so that χ² = −(n − 1) ρ ln W."""
     d = k - 1
     return n - 1 - (2 * d**2 + d + 2) / (6 * d)
 
 
-def mauchly_p_value(chi2: np.ndarray, n: int, k: int) -> np.ndarray:
+def mauchly_p_value(chi2: Any, n: Any, k: int) -> Any:
     """
     Return the p-value of Mauchly's χ² to second order, as R, SPSS, JASP, jamovi and pingouin print it; n ≥ k ≥ 3.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -87,9 +88,7 @@ class VirtualStudy:
         """Names of the measures."""
         return tuple(name for name in self.measures.columns if name not in KEYS)
 
-    def analysis(
-        self, dv: str, conditions: Sequence[str] | None = None, **options: object
-    ) -> RepeatedMeasures:
+    def analysis(self, dv: str, conditions: Sequence[str] | None = None, **options: Any) -> RepeatedMeasures:
         """
         Return the repeated-measures analysis of one measure.
 

@@ -269,7 +269,7 @@ def identification_session(
     mixed = whole_number("mixed", mixed, least=0, most=MOST_PHASES)
     _steps(lengths[0] + lengths[1] + mixed * lengths[3], "all phases together")
     stream = np.random.default_rng(spawned(seed, 4)[3])
-    lengths = np.r_[lengths[:2], stream.uniform(*lengths[2:], size=mixed)]
+    lengths = np.r_[lengths[:2], stream.uniform(lengths[2], lengths[3], size=mixed)]
     steps = np.maximum(np.round(lengths / SAMPLE_TIME).astype(int), 1)
     mode = np.repeat(1 - np.arange(steps.size) % 2, steps)
     return drive_modes(mode, operator, seed, robot, course, condition="identification")
@@ -326,7 +326,9 @@ def _pair(pair, name: str = "thresholds", equal: bool = False) -> tuple[float, f
 
 def _task(scheme, forced=False, laps=0, lower=0.0, upper=0.0, model=None, first_mode=1, r0=0.0) -> Task:
     r0 = between("r0", r0, 0.0, 1.0)
-    numbers = (model.a_T, model.b_T, model.robot.p_min, model.robot.p_max) if model else (0.0, 0.0, 0.0, 0.0)
+    numbers: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    if model:
+        numbers = (model.a_T, model.b_T, model.robot.p_min, model.robot.p_max)
     window = round(WINDOW / SAMPLE_TIME)
     return Task(scheme, forced, laps, lower, upper, *numbers, E_MAX, window, SAMPLE_TIME, first_mode, r0)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numba
 import numpy as np
@@ -87,6 +87,8 @@ class Course:
     post_spacing: float = 2.5
     half_width: float = 1.25
     resolution: float = 0.1
+    _path: np.ndarray = field(init=False, repr=False, compare=False)
+    _posts: np.ndarray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
         try:
