@@ -185,6 +185,55 @@ class GroundRobotPopulation:
         ]
         return pd.DataFrame(rows, columns=["quantity", "distribution", "mean", "sd"])
 
+    def plot(self, n: int = 400, seed: int = 0) -> np.ndarray:
+        """
+        Plot operators drawn from the population, beside the participants of Tables 2.1 and 2.3.
+
+        Parameters
+        ----------
+        n : int
+            How many to draw.
+        seed : int
+            Seed of the draws.
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes, shape (3,)
+        """
+        import matplotlib.pyplot as plt
+
+        from trustlab.testbeds.ground_robot import SAMPLE_TIME
+
+        drawn = self.draw(n, seed)
+        models = [model for label, model in published_models().items() if label != "pilot"]
+        own = published_table("2.3").astype(float)
+        printed = {
+            "β": [model.human.beta for model in models],
+            "best human performance [m/s]": [model.human.p_max for model in models],
+            "time constant of utilization [s]": [SAMPLE_TIME / model.human.b for model in models],
+            "of robot performance [s]": [SAMPLE_TIME / (1.0 - model.robot.a) for model in models],
+            "own lower threshold of TSC": own.loc[("TSC_l", "mean")],
+            "own upper threshold": own.loc[("TSC_u", "mean")],
+        }
+        seconds = SAMPLE_TIME / (1.0 - drawn[["a_r", "a_pr"]])
+        columns = [
+            drawn["beta"],
+            drawn["p_h_max"],
+            seconds["a_r"],
+            seconds["a_pr"],
+            drawn["lower"],
+            drawn["upper"],
+        ]
+        values = dict(zip(printed, columns, strict=True))
+        names = list(printed)
+        _, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
+        for axis, x, y in zip(axes, names[::2], names[1::2], strict=True):
+            axis.plot(values[x], values[y], ".", ms=3, alpha=0.5, label="drawn")
+            axis.plot(printed[x], printed[y], "kx", ms=8, label="the five printed")
+            axis.set(xlabel=x, ylabel=y)
+        axes[0].legend()
+        return axes
+
     def draw(self, n: int, seed: int = 0) -> pd.DataFrame:
         """
         Draw operators; those of a smaller n are the first of a larger one.

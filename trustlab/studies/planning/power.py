@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,9 @@ from trustlab.models.checks import one_of, open_unit, spawned, whole_number
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
 from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, claims_mask, simulated_counts
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["LEAST_REPLICATES", "MOST_N", "PowerAnalysis", "power_analysis"]
 
@@ -108,7 +112,7 @@ class PowerAnalysis:
         """What kind of numbers these are."""
         return "simulated studies" + (f", from {self.conditions.origin}" if self.conditions.origin else "")
 
-    def plot(self, against: str | None = None, test: str = "auto", axes=None):
+    def plot(self, against: str | None = None, test: str | Sequence[str] = "auto", axes: Axes | None = None):
         """
         Plot the power of the omnibus F with its Monte-Carlo intervals; crosses mark the closed form.
 
@@ -116,8 +120,8 @@ class PowerAnalysis:
         ----------
         against : {"n", "effect_size", "correlation", "epsilon"}, optional
             The horizontal axis; by default the first that takes several values. A line per combination of the others.
-        test : {"auto", "none", "greenhouse-geisser", "huynh-feldt"}
-            Which test.
+        test : {"auto", "none", "greenhouse-geisser", "huynh-feldt"} or sequence of them
+            Which test, or several to compare.
         axes : matplotlib.axes.Axes, optional
             Where to draw.
 
@@ -132,22 +136,21 @@ class PowerAnalysis:
         """
         import matplotlib.pyplot as plt
 
-        one_of("test", test, TESTS)
+        tests = [test] if isinstance(test, str) else list(test)
+        for name in tests:
+            one_of("test", name, TESTS)
         against = against or (self.varied[0] if self.varied else "n")
         one_of("against", against, AXES)
-        table = self.omnibus[self.omnibus["test"] == test]
         if axes is None:
             _, axes = plt.subplots(figsize=(6.0, 3.8), layout="constrained")
         others = [name for name in self.varied if name != against]
-        groups = [((), table)]
-        if others:
-            # Values as computed differ in the last bits between cells of one line.
-            groups = table.groupby(table[others].round(9).apply(tuple, axis=1), sort=False)
-        for values, part in groups:
+        table = self.omnibus[self.omnibus["test"].isin(tests)]
+        # Values as computed differ in the last bits between the cells of one line.
+        keys = table[others].round(9).assign(test=table["test"])
+        for (*values, name), part in table.groupby(keys.apply(tuple, axis=1), sort=False):
             part = part.sort_values(against)
-            label = ", ".join(
-                f"{AXES[name]} {value + 0.0:.3g}" for name, value in zip(others, values, strict=True)
-            )
+            words = [f"{AXES[axis]} {value + 0.0:.3g}" for axis, value in zip(others, values, strict=True)]
+            label = ", ".join(words + [name] * (len(tests) > 1))
             x, power = part[against].to_numpy(), part["power"].to_numpy()
             bars = np.maximum([power - part["ci_low"], part["ci_high"] - power], 0.0)
             drawn = axes.errorbar(x, power, bars, fmt="o-", ms=4, lw=1.3, capsize=3, label=label or None)
@@ -156,10 +159,10 @@ class PowerAnalysis:
         axes.axhline(self.alpha, color="0.6", lw=0.8, ls=":")
         axes.set(xlabel=AXES[against], ylabel="power", ylim=(-0.02, 1.02))
         axes.set_title(
-            f"{self.origin}: F, correction “{test}”, level {self.alpha:g}, {100 * self.level:g} % Monte-Carlo intervals",
+            f"{self.origin}: F, correction “{', '.join(tests)}”, level {self.alpha:g}, {100 * self.level:g} % Monte-Carlo intervals",
             fontsize="small",
         )
-        if others:
+        if others or len(tests) > 1:
             axes.legend(fontsize="x-small")
         return axes
 
