@@ -50,6 +50,8 @@ class Workers:
         except RuntimeError as error:  # broken by the death of a process, or shut down by someone else
             self.executor, broken = self.make(), self.executor
             if self.executor is broken:
+                if not isinstance(error, BrokenExecutor):
+                    raise
                 raise CampaignError(
                     f"{type(broken).__name__} takes no more work ({error}); runs {first} to {first + len(parameters) - 1} "
                     "were lost with it or still to be sent. Finished chunks are safe where `out` was given: call again with "
@@ -124,14 +126,14 @@ def brought_workers(
     task: Callable, seed: np.random.SeedSequence, executor: object, count: int | None
 ) -> Workers:
     """Return the workers of an executor that the user brings, or of a function that makes executors."""
+    workers = None
     if isinstance(executor, Executor):
         workers = Workers(task, seed, type(executor).__name__, lambda: executor)
     elif callable(executor):
         workers = _Made(task, seed, getattr(executor, "__name__", "executor"), executor)
-    if not isinstance(getattr(workers, "executor", None), Executor):
+    if workers is None or not isinstance(workers.executor, Executor):
         raise ValueError(
-            "executor must be a concurrent.futures.Executor or a function that makes one, got "
-            f"{type(workers.executor).__name__}"
+            f"executor must be a concurrent.futures.Executor or a function that makes one, got {executor!r:.60}"
         )
     # Executors of the standard library, loky and mpi4py know how many workers they have; others need not.
     workers.count = count or getattr(workers.executor, "_max_workers", None) or os.cpu_count() or 1

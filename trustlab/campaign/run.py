@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from trustlab.campaign.executors import Workers
 
-__all__ = ["jobs", "run_campaign"]
+__all__ = ["run_campaign", "where_to_run"]
 
 
 def run_campaign(
@@ -109,9 +109,16 @@ def run_campaign(
     100
     """
     names = _checked_task(task, parameters)
-    root = seed if isinstance(seed, np.random.SeedSequence) else whole_number("seed", seed, least=0)
-    root = root if isinstance(root, np.random.SeedSequence) else np.random.SeedSequence(root)
-    _check_flags(progress, fresh, out)
+    if not isinstance(seed, np.random.SeedSequence):
+        seed = np.random.SeedSequence(whole_number("seed", seed, least=0))
+    for name, value, allowed in (
+        ("progress", progress, (True, False, None)),
+        ("fresh", fresh, (True, False)),
+    ):
+        if not any(value is one for one in allowed):
+            raise ValueError(f"{name} must be {' or '.join(map(str, allowed))}, got {value!r}")
+    if fresh and out is None:
+        raise ValueError("fresh=True removes a campaign from a folder, but `out` is not given")
     _check_where(n_jobs, cluster, executor)
     began = perf_counter()
     if out is None:
@@ -120,7 +127,7 @@ def run_campaign(
         from trustlab.campaign.folder import Folder
         from trustlab.campaign.identity import task_identity
 
-        identity = {"task": task_identity(task), "seed": _seed_text(root), "names": names}
+        identity = {"task": task_identity(task), "seed": _seed_text(seed), "names": names}
         store = Folder(out, identity, parameters, names, fresh)
     try:
         gaps = _gaps(store.spans, len(parameters))
@@ -129,7 +136,7 @@ def run_campaign(
         if gaps:
             from trustlab.campaign.dispatch import Dispatcher
 
-            workers = _workers(task, root, n_jobs, cluster, executor)
+            workers = _workers(task, seed, n_jobs, cluster, executor)
             with _bar(len(parameters), resumed, progress) as bar:
                 busy = Dispatcher(workers, parameters, store, bar).run(gaps)
         from trustlab.campaign.table import assembled
@@ -175,15 +182,6 @@ def _seed_text(seed: np.random.SeedSequence) -> str:
     return text
 
 
-def _check_flags(progress: object, fresh: object, out: object) -> None:
-    if not (progress is None or isinstance(progress, bool)):
-        raise ValueError(f"progress must be True or False or None, got {progress!r}")
-    if not isinstance(fresh, bool):
-        raise ValueError(f"fresh must be True or False, got {fresh!r}")
-    if fresh and out is None:
-        raise ValueError("fresh=True removes a campaign from a folder, but `out` is not given")
-
-
 def _check_where(n_jobs: object, cluster: object, executor: object) -> None:
     """Raise unless it is clear where chunks are to run."""
     if isinstance(n_jobs, bool | np.bool_) or not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
@@ -196,18 +194,13 @@ def _check_where(n_jobs: object, cluster: object, executor: object) -> None:
         raise ValueError(
             f"give n_jobs or cluster, not both: a cluster has its own workers, got n_jobs={n_jobs}"
         )
-    if executor is not None and not (isinstance(executor, Executor) or callable(executor)):
-        raise ValueError(
-            "executor must be a concurrent.futures.Executor or a function that makes one, got "
-            f"{type(executor).__name__}"
-        )
 
 
-def jobs(n_jobs: int | None, cluster: object, executor: object) -> int:
-    """Return `n_jobs` for a function that runs in this process unless told otherwise."""
-    if n_jobs is not None:
-        return n_jobs
-    return 1 if cluster is None and executor is None else -1
+def where_to_run(n_jobs: int | None, cluster: object, executor: object) -> dict:
+    """Return these arguments of `run_campaign` for a function that runs in this process unless told otherwise."""
+    if n_jobs is None:
+        n_jobs = 1 if cluster is None and executor is None else -1
+    return {"n_jobs": n_jobs, "cluster": cluster, "executor": executor}
 
 
 def _workers(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from trustlab.campaign.run import jobs
+from trustlab.campaign.run import where_to_run
 from trustlab.models.checks import one_of, open_unit, spawned, whole_number
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
@@ -185,28 +185,6 @@ class PowerAnalysis:
         return f"<p>{head}</p>{''.join(tables)}"
 
 
-def _listed(name: str, value, check) -> list:
-    """Return one value or a sequence of them as a list, each checked; None stays None."""
-    if value is None:
-        return [None]
-    if isinstance(value, str | bytes | dict) or (np.ndim(value) == 0 and not isinstance(value, range)):
-        return [check(value)]
-    values = list(value)
-    if not values:
-        raise ValueError(f"{name} is empty: give a number or several")
-    return [check(item) for item in values]
-
-
-def _sized(n: object) -> int:
-    """Return a number of subjects that a repeated-measures study can have."""
-    value = whole_number("n", n, least=1, most=MOST_N)
-    if value < 3:
-        raise ValueError(
-            f"n = {value} is too small for the design: repeated measures need at least 3 subjects"
-        )
-    return value
-
-
 def power_analysis(
     mean: Sequence[float] | None = None,
     covariance: np.ndarray | None = None,
@@ -292,31 +270,15 @@ def power_analysis(
     replicates = whole_number("replicates", replicates, least=LEAST_REPLICATES, most=10_000_000)
     seed = whole_number("seed", seed, least=0)
     mask = claims_mask(claims, population)
-    grid = [
-        _listed(name, values, check)
-        for name, values, check in zip(
-            AXES, (n, effect_size, correlation, epsilon), (_sized, *[lambda v: v] * 3), strict=True
-        )
-    ]
-    shapes = [population.with_structure(*pair) for pair in product(*grid[2:])]
-    cells = [
-        (size, shape if effect is None else shape.with_effect(effect))
-        for size in grid[0]
-        for effect in grid[1]
-        for shape in shapes
-    ]
-    if len(cells) > MOST_CELLS:
-        raise ValueError(
-            f"{len(cells)} cells are too many for one call, at most {MOST_CELLS}; split the grid"
-        )
-    children = spawned(seed, len(cells))
-    where = {"n_jobs": jobs(n_jobs, cluster, executor), "cluster": cluster, "executor": executor}
+    axes = (n, effect_size, correlation, epsilon)
+    grid = [_listed(name, values) for name, values in zip(AXES, axes, strict=True)]
+    cells = _cells(population, grid)
     counted = simulated_counts(
-        [(cell, size, child) for (size, cell), child in zip(cells, children, strict=True)],
+        [(cell, size, child) for (size, cell), child in zip(cells, spawned(seed, len(cells)), strict=True)],
         replicates,
         alpha,
         mask,
-        where,
+        where_to_run(n_jobs, cluster, executor),
     )
     omnibus, pairs, together = [], [], []
     for (size, cell), counts in zip(cells, counted, strict=True):
@@ -335,6 +297,39 @@ def power_analysis(
         pd.DataFrame(pairs, columns=[*AXES, "a", "b", "d_z", "adjust", *ends, "closed_form"]),
         pd.DataFrame(together, columns=[*AXES, "adjust", "claims", *ends, "expected_found"]),
     )
+
+
+def _listed(name: str, value: object) -> list:
+    """Return one value or a sequence of them as a list; None stays None."""
+    if (
+        value is None
+        or isinstance(value, str | bytes | dict)
+        or (np.ndim(value) == 0 and not isinstance(value, range))
+    ):
+        return [value]
+    values = list(value)
+    if not values:
+        raise ValueError(f"{name} is empty: give a number or several")
+    return values
+
+
+def _cells(population: Conditions, grid: list[list]) -> list[tuple[int, Conditions]]:
+    """Return subjects and population of every cell of n × effect_size × correlation × epsilon."""
+    sizes = [whole_number("n", size, most=MOST_N) for size in grid[0]]
+    if min(sizes) < 3:
+        raise ValueError(
+            f"n = {min(sizes)} is too small for the design: repeated measures need at least 3 subjects"
+        )
+    shapes = [population.with_structure(*pair) for pair in product(*grid[2:])]
+    effects = [
+        shape if effect is None else shape.with_effect(effect) for effect, shape in product(grid[1], shapes)
+    ]
+    cells = list(product(sizes, effects))
+    if len(cells) > MOST_CELLS:
+        raise ValueError(
+            f"{len(cells)} cells are too many for one call, at most {MOST_CELLS}; split the grid"
+        )
+    return cells
 
 
 def _rows(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.campaign.run import jobs
+from trustlab.campaign.run import where_to_run
 from trustlab.models.checks import one_of, open_unit, whole_number
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
@@ -148,41 +148,62 @@ def smallest_n(
     which = None if pair is None else int(np.flatnonzero(claims_mask([pair], population))[0])
     key = f"F {test}" if which is None else f"pair {which} {adjust}"
     expected = _closed_form(population, which, wanted, alpha, adjust)
-    start = _bisect(expected, 3, most) or most
-    n_jobs = jobs(n_jobs, cluster, executor)
-    where = {"n_jobs": n_jobs, "cluster": cluster, "executor": executor}
-    found: dict[int, int] = {}
+    where = where_to_run(n_jobs, cluster, executor)
 
-    def enough(n: int) -> bool:
-        return found[n] >= wanted * replicates if n in found else expected(n)
-
-    # The search needs one n after the other. Workers simulate the next ones too, along the path on which the closed form
-    # leads the search; where the simulation leads elsewhere, some were simulated for nothing.
-    ahead = 1 if n_jobs == 1 else AHEAD
-    while True:
-        n, asked = _searched(enough, start, most)
-        sizes = [size for size in asked if size not in found][:ahead]
-        if not sizes:
-            break
-        cells = [(population, size, np.random.SeedSequence(seed, spawn_key=(size,))) for size in sizes]
+    def simulated(sizes: list[int]) -> dict[int, int]:
+        cells = [(population, n, np.random.SeedSequence(seed, spawn_key=(n,))) for n in sizes]
         counted = simulated_counts(cells, replicates, alpha, None, where)
-        found |= {size: counts[key] for size, counts in zip(sizes, counted, strict=True)}
+        return {n: counts[key] for n, counts in zip(sizes, counted, strict=True)}
+
+    ahead = 1 if where["n_jobs"] == 1 else AHEAD
+    n, found = _search(simulated, expected, wanted * replicates, most, ahead)
     if n is None:
         share = found[most] / replicates
         raise ValueError(
             f"{most} subjects reach a power of {share:.3g} only, {wanted:g} was wanted: the effect is too small for the design; "
             "raise most=, or change the design"
         )
-    sizes = sorted(asked)
-    low, high = clopper_pearson([found[size] for size in sizes], replicates, level)
-    rows = pd.DataFrame(
-        {"n": sizes, "power": [found[s] / replicates for s in sizes], "ci_low": low, "ci_high": high}
-    )
-    here = rows[rows["n"] == n].iloc[0]
+    low, high = clopper_pearson(list(found.values()), replicates, level)
+    shares = [count / replicates for count in found.values()]
+    rows = pd.DataFrame({"n": list(found), "power": shares, "ci_low": low, "ci_high": high})
+    ends = rows.set_index("n").loc[n].tolist()
     origin = "simulated studies" + (f", from {population.origin}" if population.origin else "")
     name = f"F, {test}" if pair is None else f"{pair[0]} – {pair[1]}, {adjust}"
-    ends = (float(here["power"]), float(here["ci_low"]), float(here["ci_high"]))
     return SmallestN(n, *ends, wanted, name, participants_needed(len(population.mean), n), rows, origin)
+
+
+def _search(
+    simulated: Callable[[list[int]], dict[int, int]],
+    expected: Callable[[int], bool],
+    least: float,
+    most: int,
+    ahead: int,
+) -> tuple[int | None, dict[int, int]]:
+    """
+    Return the smallest n with `least` findings, and the findings of every n that the search asked for.
+
+    The search needs one n after the other. Workers simulate up to `ahead` at the same time, along the path on which the closed
+    form leads the search; where the simulation leads elsewhere, some were simulated for nothing.
+    """
+    found: dict[int, int] = {}
+    asked: set[int] = set()
+    missing: list[int] = []
+
+    def enough(n: int) -> bool:
+        asked.add(n)
+        if n in found:
+            return found[n] >= least
+        missing.append(n)
+        return expected(n)
+
+    start = _bisect(expected, 3, most) or most
+    while True:
+        asked.clear()
+        missing.clear()
+        n = _bisect(enough, start, most)
+        if not missing:
+            return n, {size: found[size] for size in sorted(asked)}
+        found |= simulated(list(dict.fromkeys(missing))[:ahead])
 
 
 def _bisect(enough, start: int, most: int) -> int | None:
@@ -205,17 +226,6 @@ def _bisect(enough, start: int, most: int) -> int | None:
         middle = (low + high) // 2
         low, high = (low, middle) if enough(middle) else (middle, high)
     return high
-
-
-def _searched(enough: Callable[[int], bool], start: int, most: int) -> tuple[int | None, list[int]]:
-    """Return what `_bisect` returns, and every n that it asked for."""
-    asked: dict[int, None] = {}
-
-    def recorded(n: int) -> bool:
-        asked[n] = None
-        return enough(n)
-
-    return _bisect(recorded, start, most), list(asked)
 
 
 def _closed_form(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from trustlab.campaign.run import jobs, run_campaign
+from trustlab.campaign.run import run_campaign, where_to_run
 from trustlab.models.checks import finite_number, not_negative, of_class, one_of, whole_number
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
@@ -99,27 +99,13 @@ def virtual_study(
     settings = _settings(testbed, laps, duration, rest)
     people = population.draw(len(design.participants), seed)
     folder = None if out is None else Folder(out, design)
-    plan = design.table()
-    fixed = {
-        "testbed": testbed,
-        "study": getattr(population, "study", ""),
-        "laps": settings.get("laps", 0),
-        "length": settings.get("duration", 0.0),
-        "rest": settings.get("rest"),
-        "folder": None if folder is None else str(folder.sessions),
-    }
     done = run_campaign(
         run_participant,
-        [
-            fixed | {"order": " ".join(plan.loc[person["participant"]])} | person
-            for person in people.to_dict("records")
-        ],
+        _parameters(testbed, people, population, design, settings, folder),
         seed=seed,
-        n_jobs=jobs(n_jobs, cluster, executor),
-        cluster=cluster,
-        executor=executor,
         out=None if folder is None else folder.campaign,
         progress=progress,
+        **where_to_run(n_jobs, cluster, executor),
     )
     failed = done["failed"].to_numpy(dtype=bool)
     if failed.all():
@@ -210,6 +196,30 @@ def _settings(testbed: str, laps: int | None, duration: float | None, rest: floa
         return {"duration": 120.0 if duration is None else finite_number("duration", duration)}
     laps = 8 if laps is None else whole_number("laps", laps, most=MOST_LAPS)
     return {"laps": laps, "rest": None if rest is None else not_negative("rest", rest)}
+
+
+def _parameters(
+    testbed: str,
+    people: pd.DataFrame,
+    population: GroundRobotPopulation | TeleoperatorPopulation,
+    design: LatinSquareDesign,
+    settings: dict,
+    folder: Folder | None,
+) -> list[dict]:
+    """Return the parameters of `run_participant` for every participant."""
+    fixed = {
+        "testbed": testbed,
+        "study": getattr(population, "study", ""),
+        "laps": settings.get("laps", 0),
+        "length": settings.get("duration", 0.0),
+        "rest": settings.get("rest"),
+        "folder": None if folder is None else str(folder.sessions),
+    }
+    plan = design.table()
+    return [
+        fixed | {"order": " ".join(plan.loc[person["participant"]])} | person
+        for person in people.to_dict("records")
+    ]
 
 
 def _tidy(done: pd.DataFrame, design: LatinSquareDesign, conditions: tuple[str, ...]) -> pd.DataFrame:
