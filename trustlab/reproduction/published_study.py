@@ -215,7 +215,7 @@ class PublishedStudy:
         """
         with Path(path).open("rb") as file:
             groups = tomllib.load(file)
-        studies = {}
+        studies: dict[str, Mapping] = {}
         for group, tables in groups.items():
             if isinstance(tables, Mapping) and "mean" not in tables and "n" not in tables:
                 studies |= {f"{group}.{key}": values for key, values in tables.items()}
@@ -338,7 +338,7 @@ def _check_epsilon_and_degrees(study: PublishedStudy) -> None:
 
 def _check_pairs(study: PublishedStudy) -> None:
     """Check that each pair is named once, with a p-value."""
-    seen = {}
+    seen: dict[tuple[int, int], str] = {}
     for name in (*study.pairs, *study.significant_without_p):
         pair = study.pair(name)
         if pair in seen:

@@ -48,7 +48,7 @@ def _tables() -> Iterator[PrintedNumber]:
             name = ".".join(row) if isinstance(row, tuple) else str(row)
             for column, text in cells.items():
                 where, quantity = f"Table {number}, {name}", str(column)
-                if number in BY_PARTICIPANT and column.isdigit():
+                if number in BY_PARTICIPANT and str(column).isdigit():
                     where, quantity = f"Table {number}, participant {column}", name
                 yield PrintedNumber(f"table_{number}/{name}/{column}", where, quantity, text)
 

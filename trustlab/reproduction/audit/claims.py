@@ -65,7 +65,7 @@ def _claim(number: str, reading: str, after: str, before: str, numbers: Numbers)
     return _in_points(number, after, before, 100.0 if reading == "share" else 1.0, numbers)
 
 
-def _teleoperation(numbers: Numbers) -> list:
+def _teleoperation(numbers: Numbers) -> list[Check]:
     """Return the checks of the claims of Chapter 3 that are made twice, and of the filter's gain under a growing delay."""
     both = "claim/section_3_9_5/tmig_and_omi_lower_tracking_error_against_mmi_by"
     mean = "teleop.{}/mean.{}".format
@@ -94,13 +94,13 @@ def _remark_seven(end: str) -> Check:
     return Check(f"remark_7/P_r_{end}", formula, binding=mean_of_products)
 
 
-def claim_checks(numbers: Numbers) -> list:
+def claim_checks(numbers: Numbers) -> list[Check]:
     """Return the checks of the printed percentages and differences, and of Remark 7."""
     return [
         *(
             _claim(claim.id, reading, after, before, numbers)
             for claim, reading, after, before in claims()
-            if reading or after or before
+            if reading
         ),
         *_teleoperation(numbers),
         *(_remark_seven(end) for end in ("min", "max")),

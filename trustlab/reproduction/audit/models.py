@@ -12,7 +12,7 @@ from trustlab.allocation.steady_state import performance_as_printed, utilization
 from trustlab.models.robot import gain_of_human_performance
 from trustlab.models.tsc import TscConstants, performance_weights
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, why_unchecked
-from trustlab.reproduction.audit.verdict import Check, Formula, Numbers, Possible, Remark
+from trustlab.reproduction.audit.verdict import Check, Finding, Formula, Numbers, Possible, Remark
 
 __all__ = ["PERFORMANCE", "bounds", "limits", "model_checks", "upper_limit_check"]
 
@@ -272,7 +272,7 @@ def _spread_of_captured(numbers: Numbers) -> Check:
     )
 
 
-def _pilot(numbers: Numbers) -> list:
+def _pilot(numbers: Numbers) -> list[Finding]:
     """Return the checks of the pilot operator, and of the thresholds that Section 2.5 chooses for them."""
     f = column_formulas("pilot")
     lower, _, _ = f["TSC_lb"].range(numbers)
@@ -295,9 +295,9 @@ def _pilot(numbers: Numbers) -> list:
     ]
 
 
-def model_checks(numbers: Numbers) -> list:
+def model_checks(numbers: Numbers) -> list[Finding]:
     """Return the checks of Tables 2.1-2.3 and of the pilot operator."""
-    checks = []
+    checks: list[Finding] = []
     for p in PARTICIPANTS:
         checks += [*_participant(p, numbers), _largest_robot_step(p, numbers), *_captured(p, numbers)]
     return [*checks, _spread_of_captured(numbers), *_pilot(numbers)]

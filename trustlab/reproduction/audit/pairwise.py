@@ -10,7 +10,16 @@ import numpy as np
 from scipy import stats
 
 from trustlab.reproduction.audit.catalogue import conditions_of
-from trustlab.reproduction.audit.verdict import Formula, Numbers, Possible, Remark, Row, listing, row_about
+from trustlab.reproduction.audit.verdict import (
+    Finding,
+    Formula,
+    Numbers,
+    Possible,
+    Remark,
+    Row,
+    listing,
+    row_about,
+)
 from trustlab.reproduction.printed_number import PrintedNumber
 
 __all__ = ["pair_checks"]
@@ -21,7 +30,7 @@ ALPHA = 0.05
 def _usual_bound(numbers: Numbers) -> str:
     """Return the bound that most pairwise p-values below one are printed with, "<.0005"."""
     bounds = Counter(x.printed for id, x in numbers.items() if "/pairs." in id and x.is_bound)
-    return max(bounds, key=bounds.get, default="")
+    return max(bounds, key=lambda text: bounds[text], default="")
 
 
 def _pair(id: str, name: str, numbers: Numbers) -> Possible | Remark:
@@ -124,11 +133,9 @@ def _sum_of_variances(name: str, numbers: Numbers, times: float) -> tuple[float,
     return least, most
 
 
-def pair_checks(name: str, numbers: Numbers) -> list[Possible | Remark | Row]:
+def pair_checks(name: str, numbers: Numbers) -> list[Finding]:
     """Return the checks of a study's pairwise p-values; the last is that of the adjustment, if all means are printed."""
-    checks: list[Possible | Remark | Row] = [
-        _pair(id, name, numbers) for id in numbers if id.startswith(f"{name}/pairs.")
-    ]
+    checks: list[Finding] = [_pair(id, name, numbers) for id in numbers if id.startswith(f"{name}/pairs.")]
     if all(f"{name}/mean.{c}" in numbers for c in conditions_of(name)):
         checks.append(_adjustment(name, numbers))
     return checks

@@ -12,6 +12,7 @@ import numpy as np
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, study_names
 from trustlab.reproduction.audit.verdict import (
     Check,
+    Finding,
     Formula,
     Numbers,
     Possible,
@@ -243,9 +244,9 @@ def _followed(condition: str, numbers: Numbers) -> list[Check | Remark]:
     return checks
 
 
-def sample_checks(numbers: Numbers) -> list:
+def sample_checks(numbers: Numbers) -> list[Finding]:
     """Return the checks of the means and SDs in Tables 2.4-2.6 and 3.1 and in the studies."""
-    checks: list = [*_followed("C2", numbers), *_followed("C4", numbers)]
+    checks: list[Finding] = [*_followed("C2", numbers), *_followed("C4", numbers)]
     for measure, ids in _measures(numbers).items():
         checks += [_sd(measure, id) for id in ids.values()]
         if measure.startswith("table_2.5"):

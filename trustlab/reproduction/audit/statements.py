@@ -8,7 +8,7 @@ from decimal import ROUND_HALF_UP, Decimal
 import numpy as np
 
 from trustlab.reproduction.audit.catalogue import study_names
-from trustlab.reproduction.audit.verdict import Check, Formula, Numbers, Remark, Row, row_about
+from trustlab.reproduction.audit.verdict import Check, Finding, Formula, Numbers, Remark, Row, row_about
 from trustlab.reproduction.printed_number import ROUNDINGS, last_unit
 
 __all__ = ["statement_checks"]
@@ -81,7 +81,7 @@ def _anovas(chapter: str, numbers: Numbers) -> Formula:
     return _number_of("number of printed ANOVAs", {name: id for name, id in ids.items() if id in numbers})
 
 
-def _counts(numbers: Numbers) -> list:
+def _counts(numbers: Numbers) -> list[Check]:
     """Return the checks of counts of laps, variables, analyses and levels."""
     uav = [name for name in study_names(numbers) if name.startswith("uav")]
     tested = [name for name in uav if f"{name}/t_test.t" in numbers]
@@ -136,7 +136,7 @@ def _restated(id: str, first: str, where: str, numbers: Numbers) -> Row:
     return row_about(number, verdict, reason, (value,) * 3, "the same number in two places", source_text)
 
 
-def _captions_and_appendix(numbers: Numbers) -> list:
+def _captions_and_appendix(numbers: Numbers) -> list[Finding]:
     """Return the rows of numbers that are printed twice, and the remark on the rate of correction."""
     pairs = [
         (f"figure_2_18/{name}", f"section_2_5/{name}", "The text of Section 2.5")
@@ -157,7 +157,7 @@ def _captions_and_appendix(numbers: Numbers) -> list:
     return [*(_restated(*pair, numbers) for pair in pairs), Remark("section_2_5/c_b", chosen)]
 
 
-def statement_checks(numbers: Numbers) -> list:
+def statement_checks(numbers: Numbers) -> list[Finding]:
     """Return the checks of statements.csv but those of the models and of sphericity."""
     ranks = [_rank(id, numbers) for id in numbers if id.startswith("section_3_8_3/")]
     return [*ranks, *_comparisons(), *_counts(numbers), *_participants(), *_captions_and_appendix(numbers)]

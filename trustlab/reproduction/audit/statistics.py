@@ -9,7 +9,7 @@ from scipy import stats
 
 from trustlab.reproduction.audit.catalogue import conditions_of, study_names
 from trustlab.reproduction.audit.pairwise import pair_checks
-from trustlab.reproduction.audit.verdict import Check, Formula, Numbers, Possible, Remark
+from trustlab.reproduction.audit.verdict import Check, Finding, Formula, Numbers, Possible, Remark
 from trustlab.studies.analysis.sphericity import mauchly_factor, mauchly_p_value
 
 __all__ = ["chi2_of_epsilon", "study_checks"]
@@ -70,9 +70,9 @@ def _anova(name: str, numbers: Numbers, k: int) -> list[Check]:
         df1 = check("df1", "df2 / (n - 1)", f"{d} * ε")
         df2 = check("df2", f"{d} * ε * (n - 1)", "df1 * (n - 1)")
         return [*checks, df1, df2, check("ε", f"df2 / ({d} * (n - 1))", f"df1 / {d}")]
-    df1 = Formula(f"k − 1, k = {k}", {}, lambda v: np.array(float(d)))
-    df2 = Formula.of(f"{d} * (n - 1)", ids, text=f"(k − 1)(n − 1), k = {k}")
-    return [*checks, Check(ids["df1"], df1), Check(ids["df2"], df2)]
+    conditions = Formula(f"k − 1, k = {k}", {}, lambda v: np.array(float(d)))
+    errors = Formula.of(f"{d} * (n - 1)", ids, text=f"(k − 1)(n − 1), k = {k}")
+    return [*checks, Check(ids["df1"], conditions), Check(ids["df2"], errors)]
 
 
 def _f_ratio(name: str, numbers: Numbers) -> Possible | Remark:
@@ -205,9 +205,9 @@ def _duplicates(first: str, second: str, numbers: Numbers) -> list[Remark]:
     return remarks
 
 
-def study_checks(numbers: Numbers) -> list:
+def study_checks(numbers: Numbers) -> list[Finding]:
     """Return the checks of every printed study but those of its means and SDs."""
-    checks: list = []
+    checks: list[Finding] = []
     names = study_names(numbers)
     for name in names:
         k = len(conditions_of(name))

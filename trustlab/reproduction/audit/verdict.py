@@ -13,7 +13,7 @@ import pandas as pd
 
 from trustlab.reproduction.printed_number import PrintedNumber
 
-__all__ = ["VERDICTS", "Check", "Formula", "Possible", "Remark", "Row", "row_about", "rows_of"]
+__all__ = ["VERDICTS", "Check", "Finding", "Formula", "Possible", "Remark", "Row", "row_about", "rows_of"]
 
 VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
 
@@ -271,6 +271,10 @@ class Remark:
         return replace(row, id=row.id + self.suffix, quantity=self.quantity or row.quantity)
 
 
-def rows_of(checks: Iterable[Check | Possible | Remark | Row], numbers: Numbers) -> list[Row]:
+Finding = Check | Possible | Remark | Row
+"""What a maker of checks returns: a row, or what gives one."""
+
+
+def rows_of(checks: Iterable[Finding], numbers: Numbers) -> list[Row]:
     """Return the rows of checks; what is a row already stays as it is."""
     return [check if isinstance(check, Row) else check.row(numbers) for check in checks]

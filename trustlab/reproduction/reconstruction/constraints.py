@@ -78,8 +78,8 @@ def _omnibus(study: PublishedStudy) -> list[Constraint]:
         if name == "F":
             add("anova.F", "f_ratio", (low, high), text)
         elif name == "eta2":  # η² = F/(F + n − 1)
-            ends = [(n - 1) * max(e, 0.0) / (1.0 - e) if e < 1.0 else math.inf for e in (low, high)]
-            add("anova.eta2", "f_ratio", (ends[0], ends[1]), text)
+            low, high = ((n - 1) * max(e, 0.0) / (1.0 - e) if e < 1.0 else math.inf for e in (low, high))
+            add("anova.eta2", "f_ratio", (low, high), text)
         elif name == "p":
             add("anova.p", "log_anova_p", log_interval(text), text)
         elif study.corrected:
@@ -102,8 +102,8 @@ def _t_test(study: PublishedStudy) -> list[Constraint]:
     found = []
     for name, text in study.t_test.items():
         if name == "t":
-            ends = [math.log(2.0 * special.stdtr(study.n - 1, -t)) for t in reversed(size_interval(text))]
-            found.append(Constraint("t_test.t", "log_p", 0, ends[0], ends[1], text))
+            high, low = (math.log(2.0 * special.stdtr(study.n - 1, -t)) for t in size_interval(text))
+            found.append(Constraint("t_test.t", "log_p", 0, low, high, text))
         elif name == "p":
             found.append(Constraint("t_test.p", "log_p", 0, *log_interval(text), text))
     return found

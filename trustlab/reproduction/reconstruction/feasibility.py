@@ -168,9 +168,9 @@ def feasibility(
     rng = generator(seed)
     verdict = decide(moment_problem(study, found, p_adjust), rng)
     feasible = verdict.status == "solved"
-    proved = False
     conflict: tuple[str, ...] = ()
     remedies: tuple[str, ...] = ()
+    proved = False
     if not feasible and explain:
         proved = verdict.status == "proved"
         conflict = _smallest_conflict(study, found, p_adjust, proved, rng)

@@ -131,7 +131,7 @@ class Reconstruction:
         """
         names = self.study.conditions
         ranges = feasible_ranges(self.problem, generator(self.seed), names)
-        ours = {}
+        ours: dict[str, float] = {}
         for i, name in enumerate(names):
             ours |= {f"mean.{name}": self.values[:, i].mean(), f"sd.{name}": self.values[:, i].std(ddof=1)}
             for j, other in enumerate(names):
@@ -252,7 +252,8 @@ def _remedied(
     study: PublishedStudy, p_adjust: str, without: tuple[str, ...], seed: int
 ) -> tuple[MomentProblem, Verdict, dict[str, str]]:
     """Leave out conflicting statistics, one at a time, until the rest can hold together."""
-    names, reasons = list(without), {}
+    names = list(without)
+    reasons: dict[str, str] = {}
     for _ in range(4):
         result = feasibility(study, p_adjust, names, seed)
         if result.feasible:
