@@ -68,8 +68,9 @@ def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | No
 
     sessions = list(sessions)
     across, up = plane[0], plane[1]
-    shape = {"ncols": len(sessions), "figsize": (2.4 * len(sessions), 2.8), "layout": "constrained"}
-    figure, axes = plt.subplots(sharex=True, sharey=True, squeeze=False, **shape)
+    count = len(sessions)
+    figure, axes = plt.subplots(1, count, sharex=True, sharey=True, squeeze=False, layout="constrained")
+    figure.set_size_inches(2.4 * count, 2.8)
     titles = [session.label for session in sessions] if titles is None else titles
     for axis, session, title in zip(axes[0], sessions, titles, strict=True):
         for who, label, style in (

@@ -74,7 +74,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -122,7 +122,9 @@ def parse(rule: type[Rule], table: object, where: str, **given: object) -> Rule:
 
 
 def _keys(rule: type) -> dict[str, dataclasses.Field]:
-    return {each.metadata["spelt"] or each.name: each for each in dataclasses.fields(rule) if each.metadata}
+    lacking = getattr(rule, "without", ())
+    keys = [each for each in dataclasses.fields(rule) if each.metadata and each.name not in lacking]
+    return {each.metadata["spelt"] or each.name: each for each in keys}
 
 
 def _known_keys(table: object, known: Iterable[str], where: str) -> Mapping[str, object]:
@@ -214,9 +216,10 @@ axis_names = _list_of(partial(one_of, allowed=("x", "y", "z")), 'some of "x", "y
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnRule:
-    """Where one column of the session, called `name`, comes from; `needs` are the columns it is computed from."""
+    """Where one column of the session, called `name`, comes from; `without` are keys of the base class that it lacks."""
 
     name: str
+    without: ClassVar[tuple[str, ...]] = ()
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -225,8 +228,15 @@ class ColumnRule:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _WithUnit(ColumnRule):
+class _Measured(ColumnRule):
+    """A column of raw numbers: in its unit the value is (scale · raw + offset), or the absolute value of this."""
+
     unit: str | None = key(text, None)
+    scale: float = key(finite_number, 1.0)
+    offset: float = key(finite_number, 0.0)
+    map: Mapping[str, float] | None = key(partial(value_map, check=finite_number), None)
+    absolute: bool = key(switch, False)
+    resample: str | None = key(resampling_method, None)
 
     def __post_init__(self):
         wanted = VOCABULARY[self.name].unit
@@ -239,58 +249,37 @@ class _WithUnit(ColumnRule):
         factor = to_si(self.unit or "1", VOCABULARY[self.name].unit)
         values = np.asarray(values, dtype=float)
         with np.errstate(over="ignore", invalid="ignore"):
+            if (self.scale, self.offset) != (1.0, 0.0):
+                values = self.scale * values + self.offset
+            values = np.abs(values) if self.absolute else values
             return values if factor == 1.0 else values * factor
 
 
 @dataclass(frozen=True, kw_only=True)
-class Constant(_WithUnit):
+class Constant(_Measured):
     """One number for all samples."""
 
+    without = ("scale", "offset", "map", "absolute", "resample")
     value: float = key(finite_number)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Scaled(_WithUnit):
-    scale: float = key(finite_number, 1.0)
-    offset: float = key(finite_number, 0.0)
-    map: Mapping[str, float] | None = key(partial(value_map, check=finite_number), None)
-
-    def convert(self, values: ArrayLike) -> np.ndarray:
-        """Return (scale · raw + offset) in the session's unit."""
-        values = np.asarray(values, dtype=float)
-        with np.errstate(over="ignore", invalid="ignore"):
-            if (self.scale, self.offset) != (1.0, 0.0):
-                values = self.scale * values + self.offset
-        return super().convert(values)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MetadataColumn(_Scaled):
+class MetadataColumn(_Measured):
     """One value from the path, the header or the metadata, for all samples."""
 
+    without = ("absolute", "resample")
     origin: str = key(text, spelt="from")
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Logged(_Scaled):
-    absolute: bool = key(switch, False)
-    resample: str | None = key(resampling_method, None)
-
-    def convert(self, values: ArrayLike) -> np.ndarray:
-        """Return (scale · raw + offset) in the session's unit, or its absolute value."""
-        values = super().convert(values)
-        return np.abs(values) if self.absolute else values
-
-
-@dataclass(frozen=True, kw_only=True)
-class TableColumn(_Logged):
+class TableColumn(_Measured):
     """A column of a table, by name or by number from 0."""
 
     column: str | int = key(column_key)
 
 
 @dataclass(frozen=True, kw_only=True)
-class TopicField(_Logged):
+class TopicField(_Measured):
     """One number in every message of a topic; `hold` where the last message holds until the log ends."""
 
     topic: str = key(text)
@@ -609,7 +598,7 @@ class Recipe:
             missing = [need for need in rule.needs if need not in self.columns]
             if missing:
                 raise RecipeError(f"[columns] {name}: needs column {missing[0]!r}, which has no rule")
-        if not any(isinstance(rule, _Logged) for rule in self.columns.values()):
+        if not any(isinstance(rule, TableColumn | TopicField) for rule in self.columns.values()):
             raise RecipeError("[columns]: at least one column must come from the log")
         by_key = {name: rule.column for name, rule in self.columns.items() if isinstance(rule, TableColumn)}
         if self.kind == "table":
