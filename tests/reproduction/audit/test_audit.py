@@ -344,3 +344,10 @@ def test_same_every_time(verdicts):
 def test_bad_changes_are_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         audit(changes)
+
+
+def test_every_reason_for_an_unchecked_number_is_used(verdicts):
+    with (PUBLISHED / "unchecked.csv").open() as file:
+        reasons = {row["reason"] for row in csv.DictReader(file)}
+    said = verdicts.loc[verdicts["verdict"] == "not checkable", "reason"]
+    assert {reason for reason in reasons if not said.str.contains(reason, regex=False).any()} == set()
