@@ -174,19 +174,19 @@ def _rows(body: str, layout: TableRule, width: int, basis: str, line: int) -> It
     blank = None
     here = line
     try:
-        for row in reader:
-            if not row or (len(row) == 1 and not row[0].strip()):
+        for cells in reader:
+            if len(cells) <= 1 and not "".join(cells).strip():
                 blank = here if blank is None else blank
             elif blank is not None:
                 raise SessionError(f"line {blank}: is empty, with samples after it; remove it or fill it in")
-            elif len(row) != width:
+            elif len(cells) != width:
                 last = line + reader.line_num - 1
                 hint = "complete the row, or remove the extra commas (a decimal comma?)"
                 if last > here:
                     hint = f"a quotation mark that opens here closes in line {last}"
-                raise SessionError(f"line {here}: has {len(row)} cells, but {basis}; {hint}")
+                raise SessionError(f"line {here}: has {len(cells)} cells, but {basis}; {hint}")
             else:
-                yield here, row
+                yield here, cells
             here = line + reader.line_num
     except csv.Error as error:
         last = line + reader.line_num - 1
