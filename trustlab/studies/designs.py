@@ -1,4 +1,4 @@
-"""Orders of conditions: complete balanced Latin squares (Williams 1949), and how balanced any set of orders is."""
+"""Orders of conditions: complete balanced Latin squares (Williams 1949), and the balance of any set of orders."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def participants_needed(conditions: int | Sequence[Hashable], at_least: int = 1)
     Raises
     ------
     ValueError
-        If there are fewer than two conditions, or `at_least` is no whole number of at least 1.
+        If there are fewer than two conditions, or `at_least` is not a whole number of at least 1.
     """
     if isinstance(conditions, numbers.Number):
         n = whole_number("conditions", conditions, least=2)
@@ -165,7 +165,7 @@ def design_balance(
     condition: str = "condition",
 ) -> DesignBalance:
     """
-    Count positions and first-order carry-over in any set of orders, for example of the participants who remained.
+    Count positions and first-order carry-over in any set of orders, for example those of the participants who were kept.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def design_balance(
 @dataclass(frozen=True, eq=False)
 class LatinSquareDesign:
     """
-    Which participant does which condition when.
+    The order of conditions for each participant.
 
     Parameters
     ----------
@@ -284,10 +284,10 @@ def latin_square_design(
     participants : int or sequence
         How many, numbered from 1, or their names in the order in which they come.
     seed : int
-        Seed of the draws; write it down with the design.
+        Seed of the draws; report it with the design.
     whole_squares : bool
-        Whether a number of participants that leaves a square unfinished is refused; if False it is warned of, and
-        the design is not balanced.
+        Whether to refuse a number of participants that leaves a square incomplete; False only warns, and the
+        design is then not balanced.
 
     Returns
     -------
@@ -296,7 +296,7 @@ def latin_square_design(
     Raises
     ------
     ValueError
-        If conditions or participants are missing or repeat, the seed is no whole number ≥ 0, or the participants do not
+        If conditions or participants are missing or repeat, the seed is not a whole number ≥ 0, or the participants do not
         fill whole squares; the error says how many would.
     """
     conditions = _labels("conditions", conditions, 2)

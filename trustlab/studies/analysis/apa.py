@@ -1,4 +1,4 @@
-"""The sentences of a results section, numbers rounded as the APA manual asks."""
+"""The sentences of a results section, with numbers rounded as the APA manual requires."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _ADJUSTMENTS = {
 
 def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str:
     """
-    Return a rounded number, halves away from zero, a true minus sign in front where it is negative.
+    Return a number as text, halves rounded away from zero, with a true minus sign.
 
-    The number is taken to twelve significant digits first, so that a mean of 6.875 that arithmetic left an ulp too small
-    is 6.88.
+    The number is taken to twelve significant digits first, so that a mean of 6.875 that rounding errors made one ulp too
+    small becomes 6.88.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str
     digits : int
         Decimals.
     below_one : bool
-        Whether it cannot pass 1, so that APA leaves the leading zero out.
+        Whether it cannot exceed 1, so that APA omits the leading zero.
     """
     if not np.isfinite(value):
         return str(value)

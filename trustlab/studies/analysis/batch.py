@@ -252,7 +252,7 @@ def repeated_measures_batch(array: np.ndarray) -> RepeatedMeasuresBatch:
     Raises
     ------
     ValueError
-        If `array` has another shape, fewer than 3 subjects or 2 conditions, a score that is no finite number, or a
+        If `array` has another shape, fewer than 3 subjects or 2 conditions, a score that is not a finite number, or a
         study without error variance; the study, subject and condition are named.
 
     Notes

@@ -1,4 +1,4 @@
-"""A mixed model with a random intercept per subject: a second opinion on the ANOVA that also takes missing cells."""
+"""A mixed model with a random intercept per subject: a check of the ANOVA that also accepts missing cells."""
 
 from __future__ import annotations
 
@@ -79,12 +79,12 @@ def mixed_model(
     frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable, *, order: Sequence | None = None
 ) -> MixedModel:
     """
-    Fit a random intercept per subject to a long table, missing cells allowed.
+    Fit a random intercept per subject to a long table; cells may be missing.
 
     Parameters
     ----------
     frame : pandas.DataFrame
-        One row per subject and condition; a missing cell is a row that is not there or has no score.
+        One row per subject and condition; a missing cell is an absent row or a missing score.
     dv, within, subject : hashable
         Columns with the score, the condition and the subject.
     order : sequence, optional
@@ -104,7 +104,7 @@ def mixed_model(
 
 
 def fit_mixed_model(table: ScoreTable) -> MixedModel:
-    """Fit a random intercept per subject to scores laid out as subjects × conditions, NaN for a missing cell."""
+    """Fit a random intercept per subject to scores arranged as subjects × conditions, NaN for a missing cell."""
     there = ~np.isnan(table.values)
     person, condition = np.nonzero(there)
     raw = table.values[there]

@@ -45,7 +45,7 @@ class RepeatedMeasures(Omnibus):
     reason : str
         Why.
     df1_corrected, df2_corrected, p_corrected : float
-        Those that apply.
+        Those of the correction that applies.
     eta2_partial_low, eta2_partial_high : float
         90 % interval of the partial η².
     alpha : float
@@ -203,7 +203,7 @@ class RepeatedMeasures(Omnibus):
         Parameters
         ----------
         adjust : {"holm", "bonferroni", "none"}
-            Which p-values of the pairs to report.
+            Which adjustment of the pairwise p-values to report.
         """
         from trustlab.studies.analysis.apa import apa_report
 
@@ -290,7 +290,7 @@ def repeated_measures(
     Raises
     ------
     ValueError
-        If a column is unknown, a label is missing, a score is no finite number, a cell has several rows or none,
+        If a column is unknown, a label is missing, a score is not a finite number, a cell has several rows or none,
         there is one condition or fewer than three complete subjects, or scores have no error variance.
 
     Notes

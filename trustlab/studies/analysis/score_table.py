@@ -1,4 +1,4 @@
-"""A long table of scores, checked and laid out as subjects × conditions."""
+"""A long table of scores, checked and arranged as subjects × conditions."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def read_scores(
     frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable, *, order: Sequence | None = None
 ) -> ScoreTable:
     """
-    Check a long table and lay its scores out as subjects × conditions, missing cells as NaN.
+    Check a long table and arrange its scores as subjects × conditions, missing cells as NaN.
 
     By default a categorical column keeps the order of its categories (those that occur); any other is sorted.
     """
@@ -251,7 +251,7 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
     if gone.any() and missing == "raise":
         raise ValueError(
             f"missing cells in {table.dv!r}: {_missing_cells(table)}{_alike(table.conditions)}. Complete them; or leave "
-            "these subjects out with missing='listwise'; or use trustlab.studies.mixed_model, which takes missing cells"
+            "these subjects out with missing='listwise'; or use trustlab.studies.mixed_model, which accepts missing cells"
         )
     excluded = tuple(s for s, out in zip(table.subjects, gone, strict=True) if out)
     kept = tuple(s for s, out in zip(table.subjects, gone, strict=True) if not out)

@@ -1,4 +1,4 @@
-"""Winsorizing: outlying values are moved in by a rule that is named, and every change is listed."""
+"""Winsorizing: outlying values are replaced by an explicit rule, and every change is listed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Winsorized:
     Parameters
     ----------
     data : pandas.DataFrame or numpy.ndarray
-        What was given, with outlying values moved in; rows, order and other columns as they were.
+        The data with outlying values replaced; rows, order and other columns are unchanged.
     changes : pandas.DataFrame
         Values changed: subject (position from 0 for an array), condition (NaN for an array), old, new.
     limits : pandas.DataFrame
@@ -116,7 +116,7 @@ def _limits(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, f
 
 
 def _moved(x: np.ndarray, low: float, high: float, to: str, where: str) -> np.ndarray:
-    """Return the values with those outside [low, high] moved in."""
+    """Return the values with those outside [low, high] replaced."""
     if not np.isfinite([low, high]).all():
         raise ValueError(f"{where}: values are so large that their spread overflows; change their unit")
     inside = x[(x >= low) & (x <= high)]
@@ -185,7 +185,7 @@ def winsorize(
     conditions: Sequence[Hashable] | None = None,
 ) -> Winsorized:
     """
-    Move outlying values in, condition by condition, and list what was changed.
+    Replace outlying values, condition by condition, and list every change.
 
     Section 3.9.4.1 winsorizes two outliers of one condition and does not say by which rule; here every part of the
     rule is an argument without a default.

@@ -31,7 +31,7 @@ class Subscale:
     items : tuple of str
         Its items.
     reversed : tuple of str
-        Those of them that run the other way within this subscale.
+        Those of them that are reversed within this subscale.
     """
 
     name: str
@@ -53,7 +53,7 @@ class LikertScale:
     low, high : float
         The ends of the response scale.
     reversed : tuple of str
-        Items that run the other way: scored as low + high − answer.
+        Items worded in the opposite direction, scored as low + high − answer.
     subscales : tuple of Subscale
         Further scores, the means of some items.
     step : float or None
@@ -64,7 +64,7 @@ class LikertScale:
     Raises
     ------
     ValueError
-        If items repeat, a reversed item or a subscale's item is none of the items, or low is not below high.
+        If items repeat, a reversed item or an item of a subscale is not among the items, or low is not below high.
     """
 
     name: str
@@ -91,7 +91,7 @@ class LikertScale:
         ]:
             unknown = [name for name in names if name not in self.items]
             if unknown:
-                raise ValueError(f"{what}: {unknown[0]!r} is none of the items {', '.join(self.items)}")
+                raise ValueError(f"{what}: {unknown[0]!r} is not one of the items {', '.join(self.items)}")
         low, high = finite_number("low", self.low), finite_number("high", self.high)
         if not low < high:
             raise ValueError(f"low must lie below high, got {low:g} and {high:g}")
@@ -101,7 +101,7 @@ class LikertScale:
                 raise ValueError(f"step must divide {low:g} to {high:g} into equal parts, got {self.step:g}")
 
     def table(self) -> pd.DataFrame:
-        """Return the items: item, low, high, step, reversed, and one column per subscale that says what is in it."""
+        """Return the items: item, low, high, step, reversed, and for each subscale a column that marks its items."""
         columns = {
             "item": self.items,
             "low": float(self.low),
@@ -129,7 +129,7 @@ class ScaleScores:
     ranges : dict of str to tuple
         Lowest and highest value that each score can have.
     coded : dict of str to pandas.DataFrame
-        For each score the items it is formed from, reversed where they run the other way.
+        For each score the items it is formed from, with reversed items recoded.
     missing : pandas.DataFrame
         Answers that were missing: subject, condition, item, rule.
     """
@@ -235,7 +235,7 @@ def score_likert(
     missing: str = "refuse",
 ) -> ScaleScores:
     """
-    Score a questionnaire: mean and sum over all items with reversed ones turned, and the mean of every subscale.
+    Score a questionnaire: mean and sum over all items, reversed ones recoded, and the mean of every subscale.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def score_likert(
     Raises
     ------
     ValueError
-        Naming subject, condition and item of an answer that is missing, no number, outside the scale or between its steps.
+        Naming subject, condition and item of an answer that is missing, not a number, outside the scale or between its steps.
     """
     of_class("scale", scale, LikertScale)
     answers = read_answers(

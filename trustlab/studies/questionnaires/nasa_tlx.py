@@ -83,7 +83,7 @@ def tlx_weights(
     Raises
     ------
     ValueError
-        Naming the subject and the pair that is missing, twice there, or whose choice is neither of the two.
+        Naming the subject and the pair that is missing or occurs twice, or whose choice is neither of the two.
     """
     if not isinstance(choices, pd.DataFrame) or choices.empty:
         raise ValueError("choices must be a DataFrame with a row per subject and pair of scales")
@@ -151,7 +151,9 @@ def _on_hundred(answers: pd.DataFrame, rescale: str | None) -> pd.DataFrame:
         hint = ""
         top = np.nanmax(answers.to_numpy(), initial=0.0)
         if top <= 21.0:
-            hint = f"; no answer passes {top:g}: if the form had another scale, say rescale= one of {known}"
+            hint = (
+                f"; no answer exceeds {top:g}: if the form had another scale, set rescale= to one of {known}"
+            )
         check_answers(answers, 0.0, 100.0, 5.0, hint)
         return answers
     if not isinstance(rescale, str) or rescale not in TLX_RESCALINGS:
@@ -177,7 +179,7 @@ def score_nasa_tlx(
     """
     Score the NASA task load index: the raw score is the mean of six scales, the weighted one Σ w_i x_i/15.
 
-    Performance runs from good (0) to poor (100) on the form, so that it is not reversed.
+    On the standard form performance runs from good (0) to poor (100), so it is not reversed.
 
     Parameters
     ----------
@@ -193,9 +195,9 @@ def score_nasa_tlx(
     weights : pandas.DataFrame or dict, optional
         Six weights per subject (and condition, if it has that column), as `tlx_weights` gives them, or one set for all.
     rescale : str, optional
-        A name in TLX_RESCALINGS, if the answers are on another scale than 0–100. Nothing is rescaled unasked.
+        A name in TLX_RESCALINGS, if the answers are on another scale than 0–100; answers are never rescaled implicitly.
     performance : {"good_to_poor", "poor_to_good"}
-        How the Performance scale ran on the form that was used; "poor_to_good" turns it, 100 − x.
+        Direction of the performance scale on the form; "poor_to_good" is recoded as 100 − x.
     missing : str
         "refuse", or "half_rule": means of the answered scales where at least half are answered, weights likewise.
 
@@ -207,8 +209,8 @@ def score_nasa_tlx(
     Raises
     ------
     ValueError
-        Naming subject, condition and scale of an answer that is missing, no number, out of range or no step of 5, or the
-        subject whose weights are no whole numbers from 0 to 5, do not sum to 15 or cannot come from fifteen choices.
+        Naming subject, condition and scale of an answer that is missing, not a number, out of range or not a step of 5, or the
+        subject whose weights are not whole numbers from 0 to 5, do not sum to 15 or cannot come from fifteen choices.
 
     References
     ----------

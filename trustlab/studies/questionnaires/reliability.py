@@ -49,12 +49,12 @@ class Reliability:
 
 def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability:
     """
-    Return Cronbach's alpha of items that run the same way, α = k/(k − 1) · (1 − Σ s_i²/s²), by pingouin.
+    Return Cronbach's alpha of items scored in the same direction, α = k/(k − 1) · (1 − Σ s_i²/s²), by pingouin.
 
     Parameters
     ----------
     items : pandas.DataFrame
-        A row per subject, a column per item, already reversed where they run the other way; no gaps.
+        A row per subject, a column per item, reversed items already recoded; no missing values.
     confidence : float
         Level of the interval.
 
@@ -65,7 +65,7 @@ def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability
     Raises
     ------
     ValueError
-        If there are fewer than two items or three subjects, an answer is missing or no number, or the sum of the items
+        If there are fewer than two items or three subjects, an answer is missing or not a number, or the sum of the items
         is the same for all subjects.
 
     References
@@ -87,7 +87,9 @@ def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability
     for j, name in enumerate(items.columns):
         column = items.iloc[:, j]
         if column.dtype.kind not in "iuf" or not np.isfinite(column).all():
-            raise ValueError(f"item {name!r} must hold finite numbers only, no gaps (dtype {column.dtype})")
+            raise ValueError(
+                f"item {name!r} must hold only finite numbers, none missing (dtype {column.dtype})"
+            )
     numbers = items.astype(float).set_axis(range(k), axis=1).reset_index(drop=True)
     if np.abs(numbers.to_numpy()).max() > 1e100:
         raise ValueError("items are so large that their squares overflow; change their unit")
