@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from time import monotonic
+from typing import Any
 
 import numpy as np
 
@@ -86,7 +87,7 @@ class DaskWorkers(Workers):
                 self.client.close(timeout=CONNECT)
 
 
-def _client(cluster: object) -> tuple[object, bool]:
+def _client(cluster: Any) -> tuple[Any, bool]:
     """Return a client of a cluster, and whether it was made here."""
     with extra("cluster"):
         from distributed import Client

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from time import monotonic
+from typing import Any
 
 from trustlab.campaign.errors import CampaignError
 from trustlab.campaign.executors import Workers
@@ -67,7 +68,7 @@ class ChunkSizes:
 class Dispatcher:
     """Sends chunks of runs to workers and stores their outcomes; a span is the first run and the one after the last."""
 
-    def __init__(self, workers: Workers, parameters: Sequence[Mapping], store: object, bar: object):
+    def __init__(self, workers: Workers, parameters: Sequence[Mapping], store: Any, bar: Any):
         self.workers, self.parameters, self.store, self.bar = workers, parameters, store, bar
         self.under_way: dict[Future, tuple[int, int]] = {}
         self.suspects: deque[tuple[int, int]] = deque()  # spans that were lost when a process died
@@ -131,7 +132,7 @@ class Dispatcher:
             self.succeeded = self.succeeded or any(outcome.results is not None for outcome in outcomes)
             self._store(first, last, outcomes)
 
-    def _lost(self, first: int, last: int, alone: bool, error: Exception) -> None:
+    def _lost(self, first: int, last: int, alone: bool, error: BaseException) -> None:
         """Deal with a chunk whose process died: try it alone, then halve it until one run is left to blame."""
         if not alone:
             self.suspects.append((first, last))

@@ -81,12 +81,12 @@ class InProcess(Workers):
     name, slots, count = "serial", 1, 1
 
     def __init__(self, task: Callable, seed: np.random.SeedSequence):
-        self.task, self.seed = task, seed
+        self.function, self.seed = task, seed
 
     def submit(self, first: int, parameters: list[dict]) -> Future:
         """Run a chunk. Errors of runs are results; what escapes, such as KeyboardInterrupt, ends the campaign."""
-        future = Future()
-        future.set_result(run_chunk(self.task, self.seed, first, parameters))
+        future: Future = Future()
+        future.set_result(run_chunk(self.function, self.seed, first, parameters))
         return future
 
 

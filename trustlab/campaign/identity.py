@@ -13,6 +13,7 @@ import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from numbers import Integral
 from types import CodeType, FunctionType, MethodType
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +44,7 @@ class _Identity:
         self.seen: list[FunctionType] = []
         self._add("task", task)
 
-    def _add(self, role: str, thing: object) -> None:
+    def _add(self, role: str, thing: Any) -> None:
         thing = getattr(thing, "py_func", thing)  # numba keeps the function there
         if isinstance(thing, functools.partial):
             self.parts[f"{role}: arguments bound"] = value_text((thing.args, thing.keywords))
@@ -117,7 +118,7 @@ def _is_plain(value: object) -> bool:
     return isinstance(value, PLAIN) or (isinstance(value, tuple) and all(map(_is_plain, value)))
 
 
-def _source(thing: object) -> str:
+def _source(thing: Any) -> str:
     """Return source without comments and layout; empty where it cannot be read."""
     try:
         text = textwrap.dedent(inspect.getsource(thing))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class ParameterGrid(Sequence):
     def __len__(self) -> int:
         return math.prod(self.shape) * self.repeats
 
-    def __getitem__(self, i: int | slice) -> dict | list[dict]:
+    def __getitem__(self, i: Any) -> Any:
         if isinstance(i, slice):
             return [self[k] for k in range(*i.indices(len(self)))]
         n = len(self)
@@ -89,7 +90,9 @@ def parameter_grid(repeats: int = 1, **axes: Iterable) -> ParameterGrid:
     return ParameterGrid(axes, repeats)
 
 
-def parameter_draws(n: int | None = None, /, seed: int = 0, **distributions: object) -> list[dict]:
+def parameter_draws(
+    n: int | None = None, /, seed: int | np.random.SeedSequence = 0, **distributions: Any
+) -> list[dict]:
     """
     Return independent random draws of parameters.
 
@@ -140,7 +143,7 @@ def interval(name: str, pair: tuple) -> tuple[float, float]:
     return low, high
 
 
-def _drawn(name: str, kind: object, n: int, rng: np.random.Generator) -> list:
+def _drawn(name: str, kind: Any, n: int, rng: np.random.Generator) -> list:
     if isinstance(kind, tuple):
         return rng.uniform(*interval(name, kind), n).tolist()
     if isinstance(kind, list) and kind:

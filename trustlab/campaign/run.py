@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -122,7 +122,7 @@ def run_campaign(
     _check_where(n_jobs, cluster, executor)
     began = perf_counter()
     if out is None:
-        store = _Memory()
+        store: Any = _Memory()
     else:
         from trustlab.campaign.folder import Folder
         from trustlab.campaign.identity import task_identity
@@ -150,7 +150,7 @@ def run_campaign(
     return _summed(table, resumed, times | {"executor": where})
 
 
-def _checked_task(task: object, parameters: object) -> list[str]:
+def _checked_task(task: object, parameters: Any) -> list[str]:
     """Return the names of the parameters; raise unless the task can be called with them and a seed."""
     if not callable(task):
         raise ValueError(
@@ -204,7 +204,7 @@ def where_to_run(n_jobs: int | None, cluster: object, executor: object) -> dict:
 
 
 def _workers(
-    task: Callable, seed: np.random.SeedSequence, n_jobs: int, cluster: object, executor: object
+    task: Callable, seed: np.random.SeedSequence, n_jobs: int, cluster: object, executor: Any
 ) -> Workers:
     """Return where chunks run."""
     from trustlab.campaign.executors import InProcess, brought_workers, loky_workers
@@ -223,7 +223,7 @@ def _workers(
     return InProcess(task, seed) if n_jobs == 1 else loky_workers(task, seed, int(n_jobs))
 
 
-def _bar(total: int, done: int, shown: bool | None) -> object:
+def _bar(total: int, done: int, shown: bool | None) -> Any:
     """Return a progress bar on stderr, shown by default where that is a terminal."""
     from tqdm import tqdm
 

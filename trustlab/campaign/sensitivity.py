@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -99,7 +100,7 @@ def sobol_indices(
     n_jobs: int = -1,
     out: str | os.PathLike | None = None,
     cluster: object = None,
-    executor: object = None,
+    executor: Any = None,
     progress: bool | None = None,
     fresh: bool = False,
 ) -> SobolIndices:
@@ -194,7 +195,7 @@ def sobol_indices(
     return SobolIndices(frame.rename(columns={"total_order": "total"}).reset_index(), n, level)
 
 
-def _points(distributions: dict[str, object], n: int, seed: np.random.SeedSequence) -> np.ndarray:
+def _points(distributions: dict[str, Any], n: int, seed: np.random.SeedSequence) -> np.ndarray:
     """
     Return the points of Saltelli's design, shape (n (d + 2), d): A, B, then for each parameter A with B's column.
 
@@ -212,7 +213,7 @@ def _points(distributions: dict[str, object], n: int, seed: np.random.SeedSequen
     return np.concatenate([a, b, *mixed])
 
 
-def _distributions(ranges: object) -> dict[str, object]:
+def _distributions(ranges: Any) -> dict[str, Any]:
     from scipy import stats
 
     if not isinstance(ranges, Mapping) or not ranges:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -91,7 +92,8 @@ def assembled(
                 f"CampaignError: returned {', '.join(json.loads(text))}, where most runs returned "
                 f"{', '.join(results)}; return the same names from every run, NaN or None where undefined"
             )
-    columns, whole = {"run": run}, np.zeros(run.size, dtype=bool)
+    columns: dict[str, Any] = {"run": run}
+    whole = np.zeros(run.size, dtype=bool)
     for name in names:
         columns[name] = (
             _gathered(chunks, name, whole) if parameters is None else _narrowest(parameters[name], whole)
@@ -122,7 +124,7 @@ def _texts(values: Iterable) -> pd.Series:
 
 def _gathered(chunks: list[pa.Table], name: str, missing: np.ndarray) -> np.ndarray | pd.Series:
     """Return one column over all chunks; where every chunk holds floats, without a list of Python values."""
-    parts = []
+    parts: list[Any] = []
     for chunk in chunks:
         if name not in chunk.column_names:
             parts.append([None] * len(chunk))

@@ -10,7 +10,7 @@ import pickle
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from numbers import Integral, Real
 from time import perf_counter, sleep
@@ -142,7 +142,7 @@ def run_pickled(data: bytes) -> tuple[list[Outcome], float]:
 
 
 def run_chunk(
-    task: Callable, seed: np.random.SeedSequence, first: int, parameters: list[Mapping]
+    task: Callable, seed: np.random.SeedSequence, first: int, parameters: Sequence[Mapping]
 ) -> tuple[list[Outcome], float]:
     """Run a task with consecutive parameters; return what came of each run, and the seconds they took together."""
     began = perf_counter()

@@ -4,6 +4,7 @@ import pickle
 import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -274,6 +275,16 @@ def test_memory_does_not_grow_with_runs(monkeypatch):
     assert peak(24) - peak(4) < 10 * session  # 40 sessions more
     monkeypatch.setattr(one_participant, "run_condition", holding)
     assert peak(24) - peak(4) > 30 * session
+
+
+def test_a_population_is_drawn_beside_the_printed_participants():
+    axes = PUBLISHED.plot(30, seed=1)
+    drawn, printed = axes[1].lines
+    np.testing.assert_allclose(drawn.get_xdata(), 0.1 / (1.0 - PUBLISHED.draw(30, seed=1)["a_r"]))
+    # Table 2.1 prints a_r = 0.999, 0.9995, 0.9995, 0.9995, 0.9994: τ = 0.1 s / (1 − a)
+    np.testing.assert_allclose(printed.get_xdata(), [100.0, 200.0, 200.0, 200.0, 0.1 / 0.0006], rtol=1e-9)
+    assert axes[0].get_xlabel() == "β"
+    plt.close("all")
 
 
 def test_participants_run_on_any_executor():

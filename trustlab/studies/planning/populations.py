@@ -202,7 +202,7 @@ class GroundRobotPopulation:
         """
         import matplotlib.pyplot as plt
 
-        from trustlab.testbeds.ground_robot import SAMPLE_TIME
+        from trustlab.testbeds.ground_robot.conditions import SAMPLE_TIME
 
         drawn = self.draw(n, seed)
         models = [model for label, model in published_models().items() if label != "pilot"]

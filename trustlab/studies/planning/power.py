@@ -280,11 +280,12 @@ def power_analysis(
         mask,
         where_to_run(n_jobs, cluster, executor),
     )
-    omnibus, pairs, together = [], [], []
+    tables: tuple[list, list, list] = ([], [], [])
     for (size, cell), counts in zip(cells, counted, strict=True):
         rows = _rows(cell, size, counts, replicates, alpha, level, mask)
-        for table, more in zip((omnibus, pairs, together), rows, strict=True):
+        for table, more in zip(tables, rows, strict=True):
             table.extend(more)
+    omnibus, pairs, together = tables
     ends = ["power", "ci_low", "ci_high", "replicates"]
     return PowerAnalysis(
         population,

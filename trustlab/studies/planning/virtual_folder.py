@@ -51,8 +51,9 @@ class Folder:
     def finish(self, study: VirtualStudy) -> None:
         """Check that every session is there, and write the tables beside them."""
         failed = set(study.failures["participant"])
-        rows = study.design.orders().itertuples(index=False)
-        wanted = [session_file(*row) for row in rows if row[0] not in failed]
+        orders = study.design.orders()
+        rows = orders[~orders["participant"].isin(failed)].itertuples(index=False)
+        wanted = [session_file(*row) for row in rows]
         missing = [name for name in wanted if not (self.sessions / name).is_file()]
         if missing:
             raise ValueError(
