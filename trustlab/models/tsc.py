@@ -75,7 +75,9 @@ def advance(r, p_r, p_h, mode, c):
     )
 
 
-@numba.njit(cache=True)
+# Inlined before it is optimized, so that loops keep its branches, which the processor predicts: as selections they would make
+# each step wait for the TSC of the one before, and a simulation take twice as long.
+@numba.njit(cache=True, inline="always")
 def threshold_mode(tsc, lower, upper, mode):
     """Return the mode of rule (2.8): 0 when TSC ≥ upper, 1 when TSC ≤ lower, else `mode` unchanged."""
     if tsc >= upper:

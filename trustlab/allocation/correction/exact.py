@@ -46,76 +46,36 @@ from trustlab.allocation.correction.plan import LOWER, UPPER, CorrectionPlan, Co
 from trustlab.models.checks import whole_number
 from trustlab.models.tsc import TscConstants, TscModel, advance, human_at, tsc_at
 
-__all__ = ["ExactEngine", "Problem", "Solution", "Workspace", "search"]
+__all__ = ["ExactEngine", "Solution", "Workspace", "search"]
 
 SEARCHED = 25
 """How many times N steps are searched at most, unless told otherwise."""
 
 
-class Problem(NamedTuple):
-    """What is to be minimized: the model, c_b of (2.42), the targets, and how many times N steps may be searched."""
-
-    constants: TscConstants
-    c_b: float
-    goal: np.ndarray  # TSC_ld, TSC_ud
-    budget: int
-
-
 class Workspace(NamedTuple):
-    """
-    What the search keeps of the sequence of modes that it is following, at each step 0 … N.
+    """Room for the search; `search` says what is in the rows."""
 
-    Thresholds have two rows, LOWER and UPPER, and are as seen rising: the threshold where it rises, else its negative.
-    """
-
-    r: np.ndarray
-    p_r: np.ndarray
-    low: np.ndarray  # the box (2.42)
-    high: np.ndarray
-    tsc: np.ndarray
-    mode: np.ndarray
-    spent: np.ndarray  # least cost of the steps so far
-    least: np.ndarray  # how far each threshold must and can have come, given the modes so far
-    most: np.ndarray
-    hold: np.ndarray  # what each must not exceed for these modes
-    tight: np.ndarray
-    z: np.ndarray
-    trial: np.ndarray
+    steps: np.ndarray  # shape (7, N + 1)
+    thresholds: np.ndarray  # shape (6, 2, N + 1)
     waiting: np.ndarray  # steps that could have gone the other way, the last on top
 
     @classmethod
     def of(cls, horizon: int) -> Workspace:
         """Return room for N steps."""
         n = horizon + 1
-        steps, thresholds = (np.empty(n) for _ in range(7)), (np.empty((2, n)) for _ in range(6))
-        return cls._make([*steps, *thresholds, np.empty(n, np.int64)])
+        return cls(np.empty((7, n)), np.empty((6, 2, n)), np.empty(n, np.int64))
 
 
 class Solution(NamedTuple):
-    """The best plan found: states at steps 0 … N, modes and corrections at steps 0 … N − 1."""
+    """The best plan found: r, P_r, TSC_l, TSC_u and mode at steps 0 … N (no mode at N), c_l and c_u at steps 0 … N − 1."""
 
-    r: np.ndarray
-    p_r: np.ndarray
-    thresholds: np.ndarray
-    mode: np.ndarray
+    states: np.ndarray
     actions: np.ndarray
 
     @classmethod
     def of(cls, horizon: int) -> Solution:
         """Return room for N steps."""
-        n = horizon + 1
-        return cls(np.empty(n), np.empty(n), np.empty((2, n)), np.empty(horizon), np.empty((2, horizon)))
-
-
-class Found(NamedTuple):
-    """What the search says of its solution; `valid` is False where incentives left [−c_b, 0] and [0, c_b]."""
-
-    cost: float
-    bound: float
-    sequences: int
-    complete: bool
-    tsc: float
-    valid: bool
+        return cls(np.empty((5, horizon + 1)), np.empty((2, horizon)))
 
 
 @numba.njit(cache=True)
@@ -155,11 +115,10 @@ def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
 
 
 @numba.njit(cache=True)
-def best_paths(work, goal, sign, margin, strict):
+def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions, strict):
     """Fill the best paths of both thresholds for one sequence of modes; return cost and whether (2.8) brings it about."""
-    z, tight, low, high, actions = work.z, work.tight, work.low, work.high, work.trial
     n = z.shape[1] - 1
-    tight[:] = work.hold
+    tight[:] = hold
     # Where both rise, TSC_u goes first and limits TSC_l; where both fall, TSC_l limits TSC_u.
     first = LOWER if sign[LOWER] < 0 or sign[LOWER] != sign[UPPER] else UPPER
     second = 1 - first
@@ -172,7 +131,6 @@ def best_paths(work, goal, sign, margin, strict):
     )
     if not strict:
         return cost, True
-    tsc, mode = work.tsc, work.mode
     for k in range(1, n + 1):
         lower, upper = sign[LOWER] * z[LOWER, k], sign[UPPER] * z[UPPER, k]
         if lower >= upper:
@@ -188,25 +146,34 @@ def best_paths(work, goal, sign, margin, strict):
 
 
 @numba.njit(cache=True)
-def search(problem, start, r0, p0, before, standard, work, best):
+def search(
+    constants, c_b, target, budget, start, r0, p0, before, standard, steps, thresholds, waiting, states, plan
+):
     """
-    Search the sequences of modes from r0, p0, the thresholds `start` and the mode before; fill `best`.
+    Search the sequences of modes from r0, p0, the thresholds `start` and the mode before; fill `states` and the actions `plan`.
 
-    `standard` says that incentives are (2.42), which lower bounds of the cost make use of.
+    `standard` says that incentives are (2.42), which lower bounds of the cost make use of; `budget` is how many times N steps
+    may be searched. Arrays are those of `Workspace` and `Solution`, one by one, and constants are a plain tuple, as NamedTuples
+    take longer to hand over from Python than many a search lasts. Returns the cost, its lower bound, how many sequences were followed, whether
+    the search was complete, TSC now, and whether incentives stayed within [−c_b, 0] and [0, c_b].
     """
-    c, c_b, goal_x = problem.constants, problem.c_b, problem.goal
-    r, p, low, high, tsc, mode = work.r, work.p_r, work.low, work.high, work.tsc, work.mode
-    least, most, hold, spent = work.least, work.most, work.hold, work.spent
+    c = TscConstants(*constants)
+    # At each step: the state, the box (2.42), TSC and mode of the sequence that is followed, and the least cost so far.
+    r, p, low, high, tsc, mode, spent = steps
+    # Both thresholds as seen rising: how far each must and can have come with the modes so far; what each must not exceed to
+    # bring them about, and the same tightened; and the best path, with its actions.
+    least, most, hold, tight, z, trial = thresholds
+    best_r, best_p, best_lower, best_upper, best_mode = states
     n = r.size - 1
     margin = min(max(1e-9 * c_b, 1e-15), 1e-12)
     sign, goal, at = np.empty(2), np.empty(2), np.empty(2)
     for j in (LOWER, UPPER):
-        sign[j] = 1.0 if goal_x[j] >= start[j] else -1.0
-        goal[j] = sign[j] * goal_x[j]
-        least[j, 0] = most[j, 0] = work.z[j, 0] = sign[j] * start[j]
+        sign[j] = 1.0 if target[j] >= start[j] else -1.0
+        goal[j] = sign[j] * target[j]
+        least[j, 0] = most[j, 0] = z[j, 0] = sign[j] * start[j]
         hold[j, :] = goal[j]
     r[0], p[0], spent[0] = r0, p0, 0.0
-    cost, bound, sequences, steps, height, k = np.inf, np.inf, 0, 0, 0, 0
+    cost, bound, sequences, searched, height, k = np.inf, np.inf, 0, 0, 0, 0
     complete, held, fresh = True, False, True
     while True:
         # Forward from step k to the end: wherever both modes are possible, thresholds move, and the other mode waits.
@@ -228,7 +195,7 @@ def search(problem, start, r0, p0, before, standard, work, best):
                     a, b = box(r[k], p[k], c_b, c.p_r_min, c.p_r_max)
                     slack = 1e-9 * c_b
                     if not (standard or (-c_b - slack <= a <= slack and -slack <= b <= c_b + slack)):
-                        return Found(np.inf, -np.inf, sequences, False, tsc[0], False)
+                        return np.inf, -np.inf, sequences, False, tsc[0], False
                     low[k], high[k] = min(a, 0.0), max(b, 0.0)
                 if k == 0:
                     if tsc[0] >= start[UPPER]:
@@ -256,7 +223,7 @@ def search(problem, start, r0, p0, before, standard, work, best):
                             mode[k] = 1.0 if rising else 0.0
                             if can_hold:
                                 least[j, k] = max(least[j, k], theta)
-                                work.waiting[height] = k
+                                waiting[height] = k
                                 height += 1
                         else:
                             mode[k] = 0.0 if rising else 1.0
@@ -264,34 +231,36 @@ def search(problem, start, r0, p0, before, standard, work, best):
                 for j in (LOWER, UPPER):
                     spent[k] += (goal[j] - most[j, k]) ** 2
             held, fresh = False, True
-            steps += 1
+            searched += 1
             k += 1
         plain = True
         for j in (LOWER, UPPER):
             for i in range(1, n):
                 plain = plain and hold[j, i] == goal[j]
         sequences += 1
-        steps += n // 2
+        searched += n // 2
         # Without the margin: the least cost, attained or not. With it: a plan that (2.8) is sure to bring about.
         now, meets = np.inf, True
         for attempt in range(1 if plain else 2):
-            now, meets = best_paths(work, goal, sign, margin if attempt == 1 else 0.0, attempt == 1)
+            gap = margin if attempt == 1 else 0.0
+            now, meets = best_paths(
+                z, hold, tight, low, high, tsc, mode, goal, sign, gap, trial, attempt == 1
+            )
             if not plain and attempt == 0:
                 bound = min(bound, now)
         if meets and now < cost:
             cost = now
-            best.r[:], best.p_r[:], best.mode[:] = r, p, mode[:n]
-            for j in (LOWER, UPPER):
-                best.thresholds[j] = sign[j] * work.z[j]
-            best.actions[:] = work.trial[:, :n]
+            best_r[:], best_p[:], best_mode[:] = r, p, mode
+            best_lower[:], best_upper[:] = sign[LOWER] * z[LOWER], sign[UPPER] * z[UPPER]
+            plan[:] = trial[:, :n]
         # Back to the last step that could have gone the other way, unless that cannot be better.
         k = -1
         while height > 0:
-            if steps > problem.budget * n:
+            if searched > budget * n:
                 complete = False
                 break
             height -= 1
-            i = work.waiting[height]
+            i = waiting[height]
             j = UPPER if mode[i - 1] == 1.0 else LOWER
             other = 0.0 if sign[j] > 0 else 1.0
             for s in (LOWER, UPPER):
@@ -301,7 +270,7 @@ def search(problem, start, r0, p0, before, standard, work, best):
             ahead = future_cost(
                 i, n, r[i], p[i], low[i], high[i], other, at, goal, sign, c, c_b, standard, enough
             )
-            steps += 1 + (n - i) // 16
+            searched += 1 + (n - i) // 16
             if ahead < enough:
                 k, held, fresh = i, True, False
                 break
@@ -309,16 +278,16 @@ def search(problem, start, r0, p0, before, standard, work, best):
             break
     if not complete:
         # The first step that waits: before it all sequences agree, and what follows it is bounded as a whole.
-        i = work.waiting[0]
+        i = waiting[0]
         guess = np.empty(2)
         for j in (LOWER, UPPER):
-            way = sign[j] * best.thresholds[j, n] - least[j, 0]
+            way = sign[j] * (best_lower[n] if j == LOWER else best_upper[n]) - least[j, 0]
             guess[j] = min(least[j, 0] + 1.3 * way + 50.0 * c_b, goal[j])
         rest = remaining_cost(
             i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, c_b, standard, guess
         )
         bound = min(bound, max(spent[i - 1] + rest, 0.0))
-    return Found(cost, min(bound, cost), sequences, complete, tsc[0], True)
+    return cost, min(bound, cost), sequences, complete, tsc[0], True
 
 
 class ExactEngine:
@@ -354,8 +323,9 @@ class ExactEngine:
         self, tsc, target_lower, target_upper, c_b, horizon, incentive=incentive_box, budget=SEARCHED
     ):
         self.horizon, self.budget = horizon, whole_number("budget", budget, most=1_000_000)
-        goal = np.array([target_lower, target_upper])
-        self._problem = Problem(tsc.constants(), c_b, goal, self.budget)
+        target = np.array([target_lower, target_upper])
+        self._problem = tuple(tsc.constants()), float(c_b), target, self.budget
+        self._start = np.empty(2)
         self._standard = incentive is incentive_box
         self._search = search if self._standard else _search_with(incentive, tsc, c_b)
         # Compiled now, by a plan of one step, so that the first plan of a run does not wait for it.
@@ -363,37 +333,51 @@ class ExactEngine:
         self._searched(0.5, tsc.robot.p_min, target_lower, target_upper, 1)
         self._work = Workspace.of(horizon)
 
-    def _searched(self, r, p_r, lower, upper, mode) -> tuple[Found, Solution]:
-        best = Solution.of(self._work.r.size - 1)
-        start = np.array([lower, upper])
-        found = self._search(self._problem, start, r, p_r, float(mode), self._standard, self._work, best)
-        return Found(*found), best
+    def _searched(self, r, p_r, lower, upper, mode):
+        # Written for speed: a plan takes about as long as handing over its arguments.
+        self._start[LOWER], self._start[UPPER] = lower, upper
+        n = self._work.waiting.size
+        states, actions = np.empty((5, n)), np.empty((2, n - 1))
+        found = self._search(
+            *self._problem,
+            self._start,
+            r,
+            p_r,
+            float(mode),
+            self._standard,
+            *self._work,
+            states,
+            actions,
+        )
+        return found, states, actions
 
     def solve(self, r: float, p_r: float, lower: float, upper: float, mode: int) -> CorrectionPlan:
         """Return the plan from this state, `mode` being that before now."""
-        found, best = self._searched(r, p_r, lower, upper, mode)
-        if not found.valid:
+        found, states, (actions_l, actions_u) = self._searched(r, p_r, lower, upper, mode)
+        cost, bound, sequences, complete, tsc, valid = found
+        if not valid:
             raise ValueError(
                 "the incentive function left [−c_b, 0] and [0, c_b] or gave NaN at a predicted state; as in (2.41), it "
                 "must bound corrections by c_b and allow thresholds to be held"
             )
+        path_r, path_p, path_lower, path_upper, modes = states
         return CorrectionPlan(
-            c_l=float(best.actions[LOWER, 0]),
-            c_u=float(best.actions[UPPER, 0]),
-            suggestion=suggestion_now(found.tsc, lower, upper),
-            tsc=found.tsc,
-            actions_l=best.actions[LOWER],
-            actions_u=best.actions[UPPER],
-            r=best.r,
-            p_r=best.p_r,
-            lower=best.thresholds[LOWER],
-            upper=best.thresholds[UPPER],
-            mode=best.mode,
-            cost=found.cost,
-            cost_lower_bound=found.bound,
-            status=CorrectionStatus.OPTIMAL if found.complete else CorrectionStatus.BOUNDED,
+            c_l=float(actions_l[0]),
+            c_u=float(actions_u[0]),
+            suggestion=suggestion_now(tsc, lower, upper),
+            tsc=tsc,
+            actions_l=actions_l,
+            actions_u=actions_u,
+            r=path_r,
+            p_r=path_p,
+            lower=path_lower,
+            upper=path_upper,
+            mode=modes[:-1],
+            cost=cost,
+            cost_lower_bound=bound,
+            status=CorrectionStatus.OPTIMAL if complete else CorrectionStatus.BOUNDED,
             engine=self.name,
-            message=f"{found.sequences} sequences of modes followed",
+            message=f"{sequences} sequences of modes followed",
         )
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from trustlab.allocation.correction.exact import SEARCHED, Problem, Solution, Workspace, search
+from trustlab.allocation.correction.exact import SEARCHED, Solution, Workspace, search
 from trustlab.allocation.correction.plan import LOWER, UPPER
 from trustlab.models.tsc import TscConstants, TscModel
 
@@ -30,7 +30,10 @@ class LoopCorrection(NamedTuple):
 
     active: bool
     adopted: bool  # whether the operator's own thresholds move along
-    problem: Problem
+    constants: tuple  # of TscConstants, in their order
+    c_b: float
+    target: np.ndarray
+    budget: int
     thresholds: np.ndarray
     work: Workspace
     best: Solution
@@ -48,31 +51,55 @@ def loop_correction(
     budget: int = SEARCHED,
 ) -> LoopCorrection:
     """Return what a loop of so many samples needs to correct thresholds from `start` towards `target` (both checked before)."""
-    problem = Problem(tsc.constants(), c_b, np.array(target, dtype=float), budget)
     log = np.zeros(samples, CORRECTED)
     for name in ("lower", "upper", "cost", "bound"):
         log[name] = np.nan
-    now = np.array(start, dtype=float)
-    return LoopCorrection(True, adopted, problem, now, Workspace.of(horizon), Solution.of(horizon), log)
+    return LoopCorrection(
+        active=True,
+        adopted=adopted,
+        constants=tuple(tsc.constants()),
+        c_b=float(c_b),
+        target=np.array(target, dtype=float),
+        budget=budget,
+        thresholds=np.array(start, dtype=float),
+        work=Workspace.of(horizon),
+        best=Solution.of(horizon),
+        log=log,
+    )
 
 
 def no_correction() -> LoopCorrection:
     """Return a correction that is not active, of the same type, for loops that always take one."""
-    problem = Problem(TscConstants._make([0.0] * len(TscConstants._fields)), 0.0, np.zeros(2), 1)
-    return LoopCorrection(
-        False, False, problem, np.zeros(2), Workspace.of(1), Solution.of(1), np.empty(1, CORRECTED)
-    )
+    nothing = (0.0,) * len(TscConstants._fields)
+    room = np.zeros(2), Workspace.of(1), Solution.of(1), np.zeros(1, CORRECTED)
+    return LoopCorrection(False, False, nothing, 0.0, np.zeros(2), 1, *room)
 
 
 @numba.njit(cache=True)
 def correct_thresholds(correction, k, r, p_r, mode):
     """Log sample k, plan, and move the thresholds on by one step; return c_l and c_u."""
-    c, thresholds, best = correction.problem.constants, correction.thresholds, correction.best
+    c, thresholds = TscConstants(*correction.constants), correction.thresholds
+    work, best = correction.work, correction.best
     now = min(max(p_r, c.p_r_min), c.p_r_max)
-    found = search(correction.problem, thresholds, r, now, float(mode), True, correction.work, best)
+    cost, bound, _, _, _, _ = search(
+        correction.constants,
+        correction.c_b,
+        correction.target,
+        correction.budget,
+        thresholds,
+        r,
+        now,
+        float(mode),
+        True,
+        work.steps,
+        work.thresholds,
+        work.waiting,
+        best.states,
+        best.actions,
+    )
     row = correction.log[k]
     row.lower, row.upper = thresholds[LOWER], thresholds[UPPER]
-    row.cost, row.bound, row.clipped = found.cost, found.bound, now != p_r
+    row.cost, row.bound, row.clipped = cost, bound, now != p_r
     c_l, c_u = best.actions[LOWER, 0], best.actions[UPPER, 0]
     thresholds[LOWER] += c_l
     thresholds[UPPER] += c_u

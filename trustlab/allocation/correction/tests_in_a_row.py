@@ -12,7 +12,9 @@ from trustlab.allocation.correction.corrector import ThresholdCorrector, thresho
 from trustlab.allocation.correction.incentive import within_range
 from trustlab.allocation.correction.online import OnlineCorrection
 from trustlab.models.checks import between, not_negative, one_of, positive, whole_number
-from trustlab.models.tsc import TscConstants, TscModel, advance, human_at, threshold_mode, tsc_at
+from trustlab.models.human import next_utilization, performance_at
+from trustlab.models.robot import next_performance
+from trustlab.models.tsc import TscConstants, TscModel, threshold_mode, tsc_at
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -291,12 +293,13 @@ def _one_test(
     """Simulate one test in closed loop and return p_r, p_h and mode, sample by sample."""
     truth = {name: np.empty(disturbance.size) for name in ("p_r", "p_h", "mode")}
     for k, push in enumerate(disturbance):
-        p_h = human_at(r, c)
-        mode = habit.decide(tsc_at(p_r, p_h, c), online)
+        # Numbers one by one: a NamedTuple takes longer to hand over to compiled code than the equation takes.
+        p_h = performance_at(r, c.beta, c.p_h_min, c.p_h_max)
+        mode = habit.decide(tsc_at.py_func(p_r, p_h, c), online)
         habit.hear(online.update(p_r, p_h, mode).suggestion)
         truth["p_r"][k], truth["p_h"][k], truth["mode"][k] = p_r, p_h, mode
-        r, p_r = advance(r, p_r, p_h, mode, c)
-        r = min(max(r, 0.0), 1.0)
+        r = min(max(next_utilization(r, mode, c.a_r), 0.0), 1.0)
+        p_r = next_performance(p_r, p_h, mode, c.a_pr, c.b_pr, c.p_r_min)
         if push:
             p_r = min(max(p_r + push, c.p_r_min), c.p_r_max)
     return truth
