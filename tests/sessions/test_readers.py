@@ -319,6 +319,22 @@ def test_bad_parquet(tmp_path, columns, fragments):
     refused(parquet(tmp_path, columns), *fragments)
 
 
+def test_a_parquet_file_with_a_recipe(tmp_path):
+    """Oracle: the numbers written; stamps of 1.7e18 ns would be 256 ns apart if they became floats too early."""
+    recipe = tl.sessions.Recipe.from_toml(
+        'kind = "table"\n[time]\ncolumn = "stamp"\nunit = "ns"\nfrom_zero = true\n'
+        '[columns]\nmode = { column = "who", map = { H = 1, R = 0 } }\nrobot_x = { column = "x", unit = "cm" }\n'
+    )
+    start = 1_700_000_000_123_456_789
+    columns = {"stamp": [start, start + 1_000, start + 2_000], "who": ["H", "R", "H"], "x": [0, 50, 100]}
+    read = read_session(parquet(tmp_path, columns), recipe=recipe)
+    np.testing.assert_array_equal(read.t, np.array([0, 1_000, 2_000]) * 1e-9)
+    np.testing.assert_array_equal(read["mode"], [1, 0, 1])
+    np.testing.assert_array_equal(read["robot_x"], [0, 0.5, 1])
+    path = parquet(tmp_path, columns | {"who": ["H", "RR", "H"]})
+    refused(path, "row 1", "'who' (mode)", "'RR' is not in the recipe's map", recipe=recipe)
+
+
 def test_damaged_parquet(tmp_path, session):
     data = write_session(session, tmp_path / "run.parquet").read_bytes()
     for cut in (0, 3, 50, len(data) // 2, len(data) - 1):
