@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -292,7 +292,7 @@ def simulated_result(
     names = structure.names
     parameters = dict(zip(names, values.tolist(), strict=False))
     model = structure.model(**parameters) if structure.model is not None else parameters
-    table, covariance = parameter_table(
+    table, table_covariance = parameter_table(
         names[: values.size], values, covariance, ["estimated"] * values.size, structure.derived
     )
     predicted = [
@@ -300,24 +300,24 @@ def simulated_result(
         for run, states in zip(runs, initial, strict=True)
     ]
     fits = run_fits(structure, runs, predicted)
-    errors = [np.concatenate([fit.residual(name) for fit in fits]) for name in structure.outputs]
-    measured = [np.concatenate([run[name] for run in runs]) for name in structure.outputs]
-    worthless = any(e @ e >= np.sum((y - y.mean()) ** 2) for e, y in zip(errors, measured, strict=True))
-    if worthless:
-        caution += " The simulated model explains less than the mean does; do not use the numbers."
     states = pd.DataFrame(initial, columns=[one.name for one in structure.initial])
     states = states.assign(**{f"{name}_stderr": np.nan for name in states.columns})
-    return FitResult(
+    sigma = float(np.sqrt(residuals @ residuals / max(degrees_of_freedom, 1)))
+    fit = FitResult(
         model=model,
         method=method,
         parameters=table,
-        covariance=covariance,
+        covariance=table_covariance,
         initial_states=states.set_index(pd.Index([run.label for run in runs], name="run")),
         runs=fits,
         noise="white",
-        sigma={structure.outputs[0]: float(np.sqrt(residuals @ residuals / max(degrees_of_freedom, 1)))},
-        cost=0.5 * float(sum(e @ e for e in errors)),
-        success=not worthless,
+        sigma=dict.fromkeys(structure.outputs, sigma),
+        cost=0.5 * float(sum(np.sum(run.residual(name) ** 2) for run in fits for name in structure.outputs)),
+        success=True,
         message=caution,
         degrees_of_freedom=float(degrees_of_freedom),
     )
+    if np.all(fit.fit_percent > 0.0):
+        return fit
+    doubt = "The simulated model explains less than the mean does; do not use the numbers."
+    return replace(fit, success=False, message=f"{caution} {doubt}")

@@ -23,7 +23,7 @@ class Run:
     columns: Mapping[str, np.ndarray]
     synthetic: bool = False
     participant: object = None
-    performance_measure: str | None = None
+    performance_measure: object = None
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.columns[name]

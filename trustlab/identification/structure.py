@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -226,13 +226,13 @@ class Structure:
     """
 
     name: str
-    parameters: Iterable[Parameter]
-    outputs: Iterable[str]
+    parameters: Sequence[Parameter]
+    outputs: Sequence[str]
     simulate: Callable | None = None
-    initial: Iterable[Parameter] = ()
-    inputs: Iterable[str] = ("mode",)
+    initial: Sequence[Parameter] = ()
+    inputs: Sequence[str] = ("mode",)
     sensitivities: Callable | None = None
-    affected_by: Mapping[str, Iterable[str]] | None = None
+    affected_by: Mapping[str, Sequence[str]] | None = None
     guess: Callable | None = None
     model: Callable | None = None
     derived: Mapping[str, Callable] = field(default_factory=dict)
