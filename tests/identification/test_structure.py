@@ -296,7 +296,12 @@ def test_what_cannot_be_fitted_is_refused():
     refused("noise must be one of", noise="pink")
     refused("fixed names 'rize'.*did you mean 'rise'", fixed={"rize": 0.1})
     refused("guess names 'rize'.*did you mean 'rise'", guess={"rize": 0.1})
-    refused("must return p_r with 3000 samples", structure=changed(simulate=lambda run, **at: np.ones(7)))
+    refused(
+        r"must return p_r in the shapes \[\(3000,\)\]",
+        structure=changed(simulate=lambda run, **at: np.ones(7)),
+    )
+    short = changed(sensitivities=lambda run, **at: ([run["mode"]], [np.ones((3000, 2))]))
+    refused(r"derivatives of sensitivities .*\[\(3000, 3\)\], got \[\(3000, 2\)\]", structure=short)
     refused("not finite at rise", structure=changed(simulate=lambda run, **at: np.full(run.size, np.nan)))
     refused("speed needs a guess", structure=changed(parameters=[tl.Parameter("speed")]))
     refused("no column 'p_h'", structure=changed(inputs=("mode", "p_h")))

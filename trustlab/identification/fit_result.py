@@ -130,7 +130,7 @@ class FitResult:
     def correlations(self) -> pd.DataFrame:
         """Return the correlations of the estimated parameters."""
         scale = np.sqrt(np.diag(self.covariance))
-        return self.covariance / np.outer(scale, scale)
+        return self.covariance.div(scale, axis="index").div(scale, axis="columns")
 
     @property
     def fit_percent(self) -> float | pd.Series:
@@ -298,12 +298,14 @@ class FitResult:
 
     def _repr_html_(self) -> str:
         fit = self.fit_percent
-        percent = f"{fit:.2f} %" if np.isscalar(fit) else ", ".join(f"{k} {v:.2f} %" for k, v in fit.items())
+        percent = (
+            f"{fit:.2f} %" if isinstance(fit, float) else ", ".join(f"{k} {v:.2f} %" for k, v in fit.items())
+        )
         origin = " Synthetic data." if self.synthetic else ""
         samples = sum(run.t.size for run in self.runs)
         return (
             f"<p><b>{type(self.model).__name__}</b> by {self.method}: {len(self.runs)} run(s), {samples} samples, "
-            f"fit {percent}.{origin} {self.message}</p>{self.table().to_html(float_format='%.6g')}"
+            f"fit {percent}.{origin} {self.message}</p>{self.table().to_html(float_format='{:.6g}'.format)}"
         )
 
 

@@ -143,10 +143,11 @@ def found_table(found: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 def weak_parameters(found: Estimate, table: pd.DataFrame) -> list[Parameter]:
     """Return the shared parameters that a bound holds, or whose 95 % interval is too wide to be of use."""
-    values, weak = table["value"].to_dict(), []
+    values, stderrs, statuses = (table[column].to_dict() for column in ("value", "stderr", "status"))
+    weak = []
     for parameter in found.problem.structure.parameters:
-        stderr, status = table.loc[parameter.name, ["stderr", "status"]]
-        wide = HALF_WIDTH * stderr > parameter.useful_half_width(values)
+        status = statuses[parameter.name]
+        wide = HALF_WIDTH * stderrs[parameter.name] > parameter.useful_half_width(values)
         if status == "at bound" or (status == "estimated" and wide):
             weak.append(parameter)
     return weak
@@ -168,7 +169,7 @@ def result(found: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame] | None = N
         else:
             table.loc[parameter.name, "status"] = "weak"
             sentences.append(
-                f"{parameter.name} is weakly determined by these data ({value:.4g} ± {HALF_WIDTH * stderr:.2g}); "
+                f"{parameter.name} is weakly determined by these data ({value:.4g} ± {HALF_WIDTH * float(stderr):.2g}); "
                 f"{parameter.hint}, or fix it."
             )
     sentences += [*_of_the_initial_states(found), *_of_the_runs(problem.runs), *_of_the_noise(found)]
@@ -217,7 +218,7 @@ def _of_the_runs(runs: list[Run]) -> Iterator[str]:
     people = {run.participant for run in runs}
     if len(people) > 1:
         yield f"{len(people)} participants share one set of parameters; fit them one by one unless that is meant."
-    measures = sorted({run.performance_measure for run in runs if run.performance_measure})
+    measures = sorted({str(run.performance_measure) for run in runs if run.performance_measure})
     if measures:
         yield (
             f"Performance is measured over a moving window ({', '.join(measures)}): rises and decays faster than the "

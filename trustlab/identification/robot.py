@@ -91,8 +91,11 @@ def fit_robot(
     runs = read_runs(sessions, "mode", "p_h", "p_r")
     limits = robot_structure(1.0).limits(fixed, bounds)
     check_data(robot_structure(1.0), runs, limits)
-    operator = None if p_h_max is not None else _fit_operator(runs)
-    best = _given_best(runs, p_h_max) if operator is None else _parameter(operator, "p_max")
+    if p_h_max is not None:
+        operator, best = None, _given_best(runs, p_h_max)
+    else:
+        operator = _fit_operator(runs)
+        best = _parameter(operator, "p_max")
     structure = robot_structure(best)
     if method == "arx":
         fit = regress(structure, runs, method)

@@ -139,7 +139,7 @@ class Parameter:
         """
         return self.search(guess) if callable(self.search) else COORDINATES[self.search]
 
-    def useful_half_width(self, values: Mapping[str, float]) -> float:
+    def useful_half_width(self, values: Mapping) -> float:
         """
         Return the greatest half-width of a 95 % interval that does not mark the parameter as weak.
 
@@ -228,7 +228,7 @@ class Structure:
     name: str
     parameters: Sequence[Parameter]
     outputs: Sequence[str]
-    simulate: Callable | None = None
+    simulate: Callable = None  # type: ignore[assignment]  # checked below
     initial: Sequence[Parameter] = ()
     inputs: Sequence[str] = ("mode",)
     sensitivities: Callable | None = None
@@ -287,7 +287,11 @@ class Structure:
             Parameters and the run's initial states, by name.
         """
         if self.sensitivities is not None:
-            return self.sensitivities(run, **values)
+            outputs, jacobians = self.sensitivities(run, **values)
+            self._check_shapes("sensitivities", outputs, [(run.size,)] * len(self.outputs))
+            shapes = [(run.size, len(self.columns_of(name))) for name in self.outputs]
+            self._check_shapes("the derivatives of sensitivities", jacobians, shapes)
+            return outputs, jacobians
         outputs = self._simulated(run, values)
         jacobians = [np.empty((run.size, len(self.columns_of(name)))) for name in self.outputs]
         for number, parameter in enumerate((*self.parameters, *self.initial)):
@@ -304,14 +308,17 @@ class Structure:
         """Simulate by the user's function and check what it returns."""
         found = self.simulate(run, **values)
         outputs = [np.asarray(one, dtype=float) for one in (found if isinstance(found, tuple) else (found,))]
-        shapes = [one.shape for one in outputs]
-        if shapes != [(run.size,)] * len(self.outputs):
-            wanted = " and ".join(self.outputs)
-            raise ValueError(
-                f"simulate of structure {self.name!r} must return {wanted} with {run.size} samples each (a tuple for "
-                f"several), got shapes {shapes}"
-            )
+        self._check_shapes("simulate", outputs, [(run.size,)] * len(self.outputs))
         return outputs
+
+    def _check_shapes(self, what: str, found: Sequence[np.ndarray], wanted: list[tuple]) -> None:
+        """Refuse what a user's function returns unless there is one array of the right shape for each output."""
+        shapes = [one.shape for one in found]
+        if shapes != wanted:
+            raise ValueError(
+                f"{what} of structure {self.name!r} must return {' and '.join(self.outputs)} in the shapes {wanted}, got "
+                f"{shapes}"
+            )
 
     def limits(
         self, fixed: Mapping[str, float] | None = None, bounds: Mapping[str, tuple] | None = None
@@ -396,7 +403,7 @@ def _narrowed(parameter: Parameter, pair: tuple) -> tuple[float, float]:
 
 def _around(parameter: Parameter, value: float) -> tuple[float, float]:
     """Return two values, one on each side, for central differences; at a bound one of them is the value itself."""
-    coordinate = parameter.coordinate({})
+    coordinate = COORDINATES["plain" if callable(parameter.search) else parameter.search]
     x = coordinate.to(value)
     width = coordinate.to(parameter.high) - coordinate.to(parameter.low)
     # A parameter near 0 has no scale of its own: a thousandth of its range, or of 1, takes its place.

@@ -65,22 +65,16 @@ def fit_tsc(
     return fit(TSC, sessions, fixed=fixed, bounds=bounds, noise=noise)
 
 
-ROBOT_SLOPES = np.dtype(
-    [
-        (name, float)
-        for name in (
-            *("human_a", "human_beta", "human_p_min", "human_p_max"),
-            *("robot_a", "robot_p_min", "robot_p_max", "r0", "p_r0"),
-        )
-    ]
-)
+P_H_NAMES = ("human_a", "human_beta", "human_p_min", "human_p_max", "r0")
+P_R_NAMES = (*P_H_NAMES[:-1], "robot_a", "robot_p_min", "robot_p_max", "r0", "p_r0")
+ROBOT_SLOPES = np.dtype([(name, float) for name in P_R_NAMES])
 
 
 @numba.njit(cache=True)
-def _simulate_with_slopes(
-    mode, a_h, beta, h_min, h_max, a, p_min, p_max, r0, p_r0, p_h, p_r, by_human, by_robot
-):
+def _simulate_with_slopes(mode, human, robot, r0, p_r0, p_h, p_r, by_human, by_robot):
     """Run (2.3), (2.5), (2.6) with the simulated operator driving the robot, and all derivatives, into the last four."""
+    a_h, beta, h_min, h_max = human
+    a, p_min, p_max = robot
     span, gain, rest = h_max - h_min, (p_max - p_min) / h_max, 1.0 - a
     r, r_a, r_0, now, by_0 = r0, 0.0, 1.0, p_r0, 1.0
     # Derivatives of P_r by the human's parameters, by the robot's, and by r0.
@@ -91,22 +85,22 @@ def _simulate_with_slopes(
         h = h_min + span * shape
         h_a, h_beta, h_r0 = span * slope * r_a, span * shape_beta, span * slope * r_0
         p_h[k], p_r[k] = h, now
-        human = by_human[k]
-        human.a = h_a
-        human.beta = h_beta
-        human.p_min = 1.0 - shape
-        human.p_max = shape
-        human.r0 = h_r0
-        robot = by_robot[k]
-        robot.human_a = by_ha
-        robot.human_beta = by_beta
-        robot.human_p_min = by_hmin
-        robot.human_p_max = by_hmax
-        robot.robot_a = by_a
-        robot.robot_p_min = by_min
-        robot.robot_p_max = by_max
-        robot.r0 = by_r0
-        robot.p_r0 = by_0
+        row = by_human[k]
+        row.a = h_a
+        row.beta = h_beta
+        row.p_min = 1.0 - shape
+        row.p_max = shape
+        row.r0 = h_r0
+        slopes = by_robot[k]
+        slopes.human_a = by_ha
+        slopes.human_beta = by_beta
+        slopes.human_p_min = by_hmin
+        slopes.human_p_max = by_hmax
+        slopes.robot_a = by_a
+        slopes.robot_p_min = by_min
+        slopes.robot_p_max = by_max
+        slopes.r0 = by_r0
+        slopes.p_r0 = by_0
         # As in the robot's own structure; the human's parameters act through P_h, and p_max also through the gain.
         drive = m * h
         share = drive / h_max
@@ -126,13 +120,15 @@ def _simulate_with_slopes(
         r = a_h * r + (1.0 - a_h) * m
 
 
-def _sensitivities(run: Run, **values):
+def _sensitivities(
+    run: Run, human_a, human_beta, human_p_min, human_p_max, robot_a, robot_p_min, robot_p_max, r0, p_r0
+):
     """Return P_h and P_r with their derivatives, shapes (N, 5) and (N, 9)."""
+    human, robot = (human_a, human_beta, human_p_min, human_p_max), (robot_a, robot_p_min, robot_p_max)
     n = run.size
     p_h, p_r = np.empty(n), np.empty(n)
     by_human, by_robot = np.empty(n, HUMAN_SLOPES), np.empty(n, ROBOT_SLOPES)
-    in_order = [values[name] for name in TSC.names]
-    _simulate_with_slopes(run["mode"], *in_order, p_h, p_r, by_human, by_robot)
+    _simulate_with_slopes(run["mode"], human, robot, r0, p_r0, p_h, p_r, by_human, by_robot)
     return [p_h, p_r], [by.view(float).reshape(n, -1) for by in (by_human, by_robot)]
 
 
@@ -166,10 +162,7 @@ TSC = Structure(
     initial=(initial_utilization("human_beta"), Parameter("p_r0")),
     outputs=("p_h", "p_r"),
     sensitivities=_sensitivities,
-    affected_by={
-        "p_h": ("human_a", "human_beta", "human_p_min", "human_p_max", "r0"),
-        "p_r": ROBOT_SLOPES.names,
-    },
+    affected_by={"p_h": P_H_NAMES, "p_r": P_R_NAMES},
     guess=_guess,
     model=_build,
     derived={
