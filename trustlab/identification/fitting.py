@@ -160,7 +160,7 @@ def result(found: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame] | None = N
     table, covariance = found_table(found) if tables is None else tables
     weak, sentences = weak_parameters(found, table), [_of_the_search(found)]
     for parameter in weak:
-        value, stderr, status = table.loc[parameter.name, ["value", "stderr", "status"]]
+        value, stderr, status = (table[column][parameter.name] for column in ("value", "stderr", "status"))
         if status == "at bound":
             sentences.append(
                 f"{parameter.name} is at its bound, {value:.6g}: the fit is better beyond it, or these data do not "
@@ -169,7 +169,7 @@ def result(found: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame] | None = N
         else:
             table.loc[parameter.name, "status"] = "weak"
             sentences.append(
-                f"{parameter.name} is weakly determined by these data ({value:.4g} ± {HALF_WIDTH * float(stderr):.2g}); "
+                f"{parameter.name} is weakly determined by these data ({value:.4g} ± {HALF_WIDTH * stderr:.2g}); "
                 f"{parameter.hint}, or fix it."
             )
     sentences += [*_of_the_initial_states(found), *_of_the_runs(problem.runs), *_of_the_noise(found)]

@@ -298,7 +298,7 @@ def _refined(means: list[Run], point: np.void, limits: Mapping, length: int) -> 
     found = problem.search(start, low, high, tolerance=1e-2, max_iterations=25)
     a, beta, p_min, p_max, *states = problem.from_search(found.x)
     if not p_max > p_min:
-        return point.tolist()
+        return tuple(map(float, point.tolist()))
     return (found.normal.squares.sum(), a, beta, p_min, p_max, np.median(states))
 
 
