@@ -35,9 +35,10 @@ fresh:
 reports: $(VENV)/.stamp fresh  ## every notebook, run and published under reports/ (PARAMS="-p name value" passes parameters on)
 	$(BIN)/python -m trustlab.publishing --jobs $(JOBS) $(PARAMS)
 
-test: $(VENV)/.stamp fresh  ## formatting, linting and every test but the long ones
+test: $(VENV)/.stamp fresh  ## formatting, linting, types and every test but the long ones
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(BIN)/mypy
 	$(BIN)/python -m pytest -n $(JOBS) -m "not long"
 
 test-long: $(VENV)/.stamp fresh  ## the tests that take too long for every time

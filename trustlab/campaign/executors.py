@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class Workers:
     ):
         self.task, self.seed, self.name = pickled_task(task), seed, name
         self.make, self.count = make, count
-        self.executor = make()
+        self.executor: Any = make()
 
     @property
     def slots(self) -> int:

@@ -62,7 +62,7 @@ class _Identity:
             self.parts[f"{role}: object"] = value_text(thing)
             self._add_class(type(thing))
 
-    def _add_class(self, thing: type) -> None:
+    def _add_class(self, thing: Any) -> None:
         source = _source(thing)
         if source:
             self.parts[f"source of {_name(thing)}"] = source

@@ -200,7 +200,8 @@ def plain(value: object) -> bool | int | float | str | None:
         return None
     if isinstance(value, bool | np.bool_):
         return bool(value)
-    for kind, of in ((str, str), (Integral, int), (Real, float)):
+    kinds: tuple[tuple[type, Callable], ...] = ((str, str), (Integral, int), (Real, float))
+    for kind, of in kinds:
         if isinstance(value, kind):
             return of(value)
     raise TypeError(f"{type(value).__name__} is no plain value")

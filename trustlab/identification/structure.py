@@ -228,7 +228,7 @@ class Structure:
     name: str
     parameters: Sequence[Parameter]
     outputs: Sequence[str]
-    simulate: Callable = None  # type: ignore[assignment]  # checked below
+    simulate: Callable = None
     initial: Sequence[Parameter] = ()
     inputs: Sequence[str] = ("mode",)
     sensitivities: Callable | None = None

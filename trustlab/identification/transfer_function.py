@@ -42,7 +42,7 @@ class TransferFunctionFit(FitResult):
         """T [s]."""
         return float(self.runs[0].t[1])
 
-    def plot(self, ax=None):  # type: ignore[override]
+    def plot(self, ax=None):
         """Plot the first run, measured and simulated, on given axes or new ones; return the axes."""
         if ax is None:
             import matplotlib.pyplot as plt

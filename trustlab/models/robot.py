@@ -73,7 +73,7 @@ class RobotModel:
     p_min: float
     p_max: float
     p_h_max: float
-    b: float = None  # type: ignore[assignment]  # by (2.3) where it is not given
+    b: float = None  # by (2.3) where it is not given
 
     def __post_init__(self):
         a = open_unit("a", self.a)

@@ -47,7 +47,7 @@ class Metadata:
     condition: str | int | float | None = None
     source: str | None = None
     synthetic: bool = False
-    more: Mapping[str, object] = field(default_factory=dict)
+    more: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
         object.__setattr__(self, "more", MappingProxyType(dict(self.more)))

@@ -63,7 +63,7 @@ class Session:
         mine.pop("source"), theirs.pop("source")
         return mine == theirs and self.data.sort_index(axis=1).equals(other.data.sort_index(axis=1))
 
-    __hash__ = None  # type: ignore[assignment]  # Python's own way to forbid hashing
+    __hash__ = None
 
     # As for a DataFrame, `in`, iteration and keys() are about the names of the columns, and len() about the samples.
 

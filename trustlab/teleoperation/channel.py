@@ -247,9 +247,9 @@ def channel_run(
     delays = delays_in_samples(
         {"delay_1": delay_1, "delay_2": delay_2}, scattering.max_delay_rate, read_out, count, sample_time
     )
-    always = np.zeros(count, np.int64)
+    always, (alphas, betas) = np.zeros(count, np.int64), scales
     return _run(
-        r_m, f_s, (scattering,), always, always, *scales, delays, lost_waves(lost, count), read_out, sample_time
+        r_m, f_s, (scattering,), always, always, alphas, betas, delays, lost_waves(lost, count), read_out, sample_time
     )  # fmt: skip
 
 

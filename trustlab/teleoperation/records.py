@@ -9,7 +9,7 @@ __all__ = ["columns_of", "log_of", "record"]
 
 def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = "") -> np.dtype:
     """Return a record of three-vectors, numbers, whole numbers and flags, each named in a text of words."""
-    fields = [(name, float, 3) for name in vectors.split()]
+    fields: list[tuple] = [(name, float, 3) for name in vectors.split()]
     for names, kind in ((numbers, float), (counts, np.int64), (flags, np.bool_)):
         fields += [(name, kind) for name in names.split()]
     return np.dtype(fields)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -58,25 +59,25 @@ class Omnibus:
 
     n: int
     k: int
-    F: float | np.ndarray
+    F: Any
     df1: int
     df2: int
-    p: float | np.ndarray
-    ss_effect: float | np.ndarray
-    ss_subjects: float | np.ndarray
-    ss_error: float | np.ndarray
-    mauchly_w: float | np.ndarray
-    mauchly_chi2: float | np.ndarray
+    p: Any
+    ss_effect: Any
+    ss_subjects: Any
+    ss_error: Any
+    mauchly_w: Any
+    mauchly_chi2: Any
     mauchly_df: int
-    mauchly_p: float | np.ndarray
-    mauchly_p_first_order: float | np.ndarray
-    epsilon_gg: float | np.ndarray
-    epsilon_hf: float | np.ndarray
-    epsilon_hf_untruncated: float | np.ndarray
-    p_gg: float | np.ndarray
-    p_hf: float | np.ndarray
-    eta2_partial: float | np.ndarray
-    eta2_generalized: float | np.ndarray
+    mauchly_p: Any
+    mauchly_p_first_order: Any
+    epsilon_gg: Any
+    epsilon_hf: Any
+    epsilon_hf_untruncated: Any
+    p_gg: Any
+    p_hf: Any
+    eta2_partial: Any
+    eta2_generalized: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,7 @@ class RepeatedMeasuresBatch(Omnibus):
     sd: np.ndarray
     pairwise: PairwiseBatch
 
-    def study(self, s: int) -> dict[str, float]:
+    def study(self, s: int) -> dict[str, Any]:
         """
         Return the fields of `Omnibus` of one study.
 

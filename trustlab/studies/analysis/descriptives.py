@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from scipy import special
@@ -9,7 +11,7 @@ from scipy import special
 from trustlab.studies.analysis.score_table import ScoreTable
 
 
-def t_half_width(sd: np.ndarray, n: int, level: float = 0.95) -> np.ndarray:
+def t_half_width(sd: Any, n: int, level: float = 0.95) -> Any:
     """Return half the width of the interval of a mean of n values, t · sd / √n."""
     return special.stdtrit(n - 1, 0.5 + 0.5 * level) * sd / np.sqrt(n)
 

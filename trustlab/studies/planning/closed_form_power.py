@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import special
 
 from trustlab.models.checks import finite_number, not_negative, open_unit, whole_number
@@ -76,7 +77,7 @@ def noncentral_f_power(
     return float(1.0 - special.ncfdtr(df1, df2, epsilon * value, critical))
 
 
-def clopper_pearson(count: np.ndarray, total: int, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+def clopper_pearson(count: ArrayLike, total: int, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
     """
     Return the exact interval of a share of which `count` in `total` draws were found (Clopper and Pearson, 1934).
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -288,6 +289,6 @@ def conditions_from(
         if names is not None and list(covariance.columns) != names:
             raise ValueError(f"mean has conditions {names}, but covariance {list(covariance.columns)}")
         names, covariance = list(covariance.columns), covariance.to_numpy()
-    mean = finite_array("mean", list(mean.values()) if isinstance(mean, dict) else mean)
-    given = labels if labels is not None else names or range(1, mean.size + 1)
-    return Conditions(given, mean, covariance)
+    means = finite_array("mean", list(mean.values()) if isinstance(mean, dict) else mean)
+    given: Any = labels if labels is not None else names or range(1, means.size + 1)
+    return Conditions(given, means, covariance)

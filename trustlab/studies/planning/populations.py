@@ -170,8 +170,8 @@ class GroundRobotPopulation:
         sample = np.cov(rows.T)
         matrix = spread**2 * ((1.0 - shrinkage) * sample + shrinkage * np.diag(np.diag(sample)))
         shares = published_table("2.6")[["mean", "sd"]].astype(float) / 100.0
-        follow = tuple((float(shares.loc[c, "mean"]), float(shares.loc[c, "sd"])) for c in ("C2", "C4"))
-        return cls(rows.mean(axis=0), matrix, follow, 0.24, "Tables 2.1, 2.2, 2.3 and 2.6")
+        tsc, performance = ((float(shares.loc[c, "mean"]), float(shares.loc[c, "sd"])) for c in ("C2", "C4"))
+        return cls(rows.mean(axis=0), matrix, (tsc, performance), 0.24, "Tables 2.1, 2.2, 2.3 and 2.6")
 
     def table(self) -> pd.DataFrame:
         """Return the distribution: columns quantity, distribution, mean, sd, of the coordinate as named."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -205,8 +205,8 @@ def power_analysis(
     level: float = 0.95,
     seed: int = 0,
     n_jobs: int | None = None,
-    cluster: object = None,
-    executor: object = None,
+    cluster: Any = None,
+    executor: Any = None,
 ) -> PowerAnalysis:
     """
     Simulate studies drawn from a normal population and count how many find its effects.
@@ -300,7 +300,7 @@ def power_analysis(
     )
 
 
-def _listed(name: str, value: object) -> list:
+def _listed(name: str, value: Any) -> list:
     """Return one value or a sequence of them as a list; None stays None."""
     if (
         value is None

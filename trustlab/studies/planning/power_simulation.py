@@ -97,7 +97,9 @@ def claims_mask(claims: Sequence[tuple] | None, conditions: Conditions) -> np.nd
     if claims is None:
         return None
     labels = list(conditions.labels)
-    places = {pair: i for i, pair in enumerate(zip(*np.triu_indices(len(labels), 1), strict=True))}
+    places: dict[tuple, int] = {
+        pair: i for i, pair in enumerate(zip(*np.triu_indices(len(labels), 1), strict=True))
+    }
     mask = np.zeros(len(places), dtype=bool)
     if isinstance(claims, str | bytes) or not hasattr(claims, "__iter__"):
         raise ValueError(f"claims must be a list of pairs of conditions, got {claims!r:.60}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -87,8 +88,8 @@ def smallest_n(
     seed: int = 0,
     most: int = 2000,
     n_jobs: int | None = None,
-    cluster: object = None,
-    executor: object = None,
+    cluster: Any = None,
+    executor: Any = None,
 ) -> SmallestN:
     """
     Return the smallest n whose simulated power reaches `power` while that of n − 1 does not.
@@ -166,10 +167,12 @@ def smallest_n(
     low, high = clopper_pearson(list(found.values()), replicates, level)
     shares = [count / replicates for count in found.values()]
     rows = pd.DataFrame({"n": list(found), "power": shares, "ci_low": low, "ci_high": high})
-    ends = rows.set_index("n").loc[n].tolist()
+    power, low, high = rows.set_index("n").loc[n]
     origin = "simulated studies" + (f", from {population.origin}" if population.origin else "")
     name = f"F, {test}" if pair is None else f"{pair[0]} – {pair[1]}, {adjust}"
-    return SmallestN(n, *ends, wanted, name, participants_needed(len(population.mean), n), rows, origin)
+    return SmallestN(
+        n, power, low, high, wanted, name, participants_needed(len(population.mean), n), rows, origin
+    )
 
 
 def _search(

@@ -128,7 +128,7 @@ class VirtualStudy:
         for name in self.names:
             there = self.measures[name].notna().groupby(self.measures["condition"]).all()
             own = [condition for condition in self.conditions if there[condition]]
-            row = dict.fromkeys(STATISTICS, np.nan)
+            row: dict[str, Any] = dict.fromkeys(STATISTICS, np.nan)
             try:
                 if len(own) < 2:
                     raise ValueError("fewer than two conditions have this measure for every participant")

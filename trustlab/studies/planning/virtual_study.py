@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from typing import Any
 
 import pandas as pd
 
@@ -35,8 +36,8 @@ def virtual_study(
     duration: float | None = None,
     rest: float | None = None,
     n_jobs: int | None = None,
-    cluster: object = None,
-    executor: object = None,
+    cluster: Any = None,
+    executor: Any = None,
     out: str | os.PathLike | None = None,
     progress: bool | None = None,
 ) -> VirtualStudy:

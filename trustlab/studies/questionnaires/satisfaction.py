@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Unpack
+from typing import Any, Unpack
 
 import pandas as pd
 
@@ -15,9 +15,7 @@ __all__ = ["satisfaction_scale", "score_satisfaction"]
 SATISFACTION_ITEMS = ("satisfaction", "comfort", "control")
 
 
-def satisfaction_scale(
-    points: int, items: Sequence[str] = SATISFACTION_ITEMS, reversed: Sequence[str] = ()
-) -> LikertScale:
+def satisfaction_scale(points: int, items: Any = SATISFACTION_ITEMS, reversed: Any = ()) -> LikertScale:
     """
     Return a satisfaction scale.
 
@@ -42,7 +40,7 @@ def satisfaction_scale(
     )
 
 
-def score_satisfaction(
+def score_satisfaction(  # type: ignore[misc]  # `items` is among the columns too
     frame: pd.DataFrame,
     *,
     points: int,

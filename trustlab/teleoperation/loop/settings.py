@@ -109,7 +109,7 @@ class LoopSettings:
             require_passive=self.require_passive,
         )
 
-    def scalings(self, kind: str = "logistic"):
+    def scalings(self, kind: str = "logistic") -> tuple:
         """
         Return α as a function of human-to-robot trust, and β of robot-to-human trust.
 
@@ -138,7 +138,7 @@ class LoopSettings:
         sample_time : float
             T [s].
         """
-        device, alpha, beta = self.device(), *self.scalings()
+        device, (alpha, beta) = self.device(), self.scalings()
         return LoopNumbers(
             sample_time=sample_time,
             mass=device.mass[0, 0],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -136,10 +136,10 @@ class HapticDevice:
     0.00917
     """
 
-    mass: np.ndarray
-    damping: np.ndarray
-    stiffness: np.ndarray
-    weight: np.ndarray
+    mass: Any
+    damping: Any
+    stiffness: Any
+    weight: Any
     force_scaling: float = 1.0
     dimensions: int = 3
     port_damping: float = 0.0

@@ -121,7 +121,8 @@ class EnergyLedger:
         self.received = self.given = 0.0
         # A ring by number modulo its length: a duplicate is recognised in constant memory, however long the run.
         self._seen = [-1] * WINDOW
-        self._newest, self._wave = -1, None
+        self._newest = -1
+        self._wave: np.ndarray | None = None
 
     @property
     def balance(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -274,7 +274,7 @@ SIGNATURE = (
 )
 
 
-def policy_named(policy: str | LeaderPolicy) -> LeaderPolicy:
+def policy_named(policy: str | LeaderPolicy) -> Any:
     """
     Return a leader policy.
 

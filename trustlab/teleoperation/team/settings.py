@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -160,11 +161,12 @@ class TeamSettings:
             raise ValueError(f"steepness must be at least 10 (3.5), got {self.steepness}")
         if not self.performance_time > 0.0:
             raise ValueError(f"performance_time must be positive, got {self.performance_time}")
-        for name, kind in (
-            ("scattering", Scattering),
-            ("human_to_robot", TrustModel),
-            ("robot_to_human", TrustModel),
-        ):
+        classes: dict[str, Any] = {
+            "scattering": Scattering,
+            "human_to_robot": TrustModel,
+            "robot_to_human": TrustModel,
+        }
+        for name, kind in classes.items():
             given = getattr(self, name)
             many = (given,) if isinstance(given, kind) else given
             if isinstance(many, str) or not np.iterable(many):
