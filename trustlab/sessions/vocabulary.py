@@ -35,12 +35,12 @@ VOCABULARY: dict[str, Column] = {
         Column("r", "1", "human utilization r", 0.0, 1.0),
         Column("tsc", "1", "trust and self-confidence TSC"),
         Column("path_error", "m", "deviation e from the path or target (a distance)", 0.0),
-        Column("step_distance", "m", "distance Δd travelled since the previous sample", 0.0),
+        Column("step_distance", "m", "distance Δd from the previous sample", 0.0),
         Column("v_command", "m/s", "linear velocity commanded by the operator"),
         Column(
             "w_command",
             "rad/s",
-            "angular velocity commanded by the operator (its absolute value counts in (2.7))",
+            "angular velocity commanded by the operator ((2.7) takes |ω|)",
         ),
         Column(
             "suggested_mode", "1", "mode the decision aid suggests: 1, 0, or −1 for no suggestion", -1.0, 1.0
