@@ -28,7 +28,7 @@ MOST_RUNS = 20_000
 WATCH = 2.0
 """Seconds between two looks at whether the workers are still there."""
 HOPELESS = 5
-"""So many runs may end their process, one after the other and none succeeding, before the campaign gives up."""
+"""Runs that may kill their process in a row, with none succeeding, before the campaign gives up."""
 DIED = (
     "WorkerDiedError: the process ended while it ran this, twice: it was killed, ran out of memory or crashed"
 )

@@ -15,7 +15,7 @@ from trustlab.campaign.worker import exit_with_parent, pickled, pickled_task, ru
 __all__ = ["InProcess", "Workers", "brought_workers", "loky_workers"]
 
 IDLE = 300
-"""Seconds after which processes end that have nothing to do."""
+"""Seconds after which idle processes end."""
 
 THREADS = [f"{library}_NUM_THREADS" for library in ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "NUMBA")]
 
@@ -24,7 +24,7 @@ class Workers:
     """Workers behind an executor; `make` returns it, and a new one when the death of a process has broken it."""
 
     deaths: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
-    """What a future raises whose worker died."""
+    """Exceptions of a future whose worker died."""
 
     def __init__(
         self,
@@ -136,6 +136,6 @@ def brought_workers(
         raise ValueError(
             f"executor must be a concurrent.futures.Executor or a function that makes one, got {executor!r:.60}"
         )
-    # Executors of the standard library, loky and mpi4py know how many workers they have; others need not.
+    # Executors of the standard library, loky and mpi4py know how many workers they have; others may not.
     workers.count = count or getattr(workers.executor, "_max_workers", None) or os.cpu_count() or 1
     return workers

@@ -109,7 +109,7 @@ def _name(function: object) -> str:
 
 
 def _global_names(code: CodeType) -> set[str]:
-    """Return names that code may look up among globals; names of attributes come along."""
+    """Return names that code may look up among globals, which includes names of attributes."""
     inner = (_global_names(part) for part in code.co_consts if isinstance(part, CodeType))
     return set(code.co_names).union(*inner)
 

@@ -99,7 +99,7 @@ def parameter_draws(
     Parameters
     ----------
     n : int
-        How many; `n=100` by name works too, and is told by its type from a parameter called n.
+        How many. `n=100` by name works too; a range, list or distribution called n is a parameter.
     seed : int or numpy.random.SeedSequence
         Seed of the draws; each parameter has a child of its own, so that adding one leaves the others as they were.
     **distributions : tuple, scipy.stats frozen distribution, list

@@ -173,7 +173,7 @@ def _checked_task(task: object, parameters: Any) -> list[str]:
 
 
 def _seed_text(seed: np.random.SeedSequence) -> str:
-    """Return a seed as the text by which a folder knows it again."""
+    """Return a seed as text, to compare it with that of a folder."""
     entropy = seed.entropy
     text = str(int(entropy) if isinstance(entropy, int | np.integer) else tuple(int(x) for x in entropy))
     if seed.spawn_key or seed.pool_size != 4 or seed.n_children_spawned:
@@ -183,7 +183,7 @@ def _seed_text(seed: np.random.SeedSequence) -> str:
 
 
 def _check_where(n_jobs: object, cluster: object, executor: object) -> None:
-    """Raise unless it is clear where chunks are to run."""
+    """Raise unless exactly one place is given where chunks are to run."""
     if isinstance(n_jobs, bool | np.bool_) or not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
         raise ValueError(
             f"n_jobs must be a whole number of processes, 1 for none beside this one, -1 for all cores, got {n_jobs!r}"

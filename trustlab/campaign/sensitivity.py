@@ -1,4 +1,4 @@
-"""Sobol' indices: which uncertain parameters of a task matter for what it returns."""
+"""Sobol' indices: how much each uncertain parameter of a task contributes to the variance of its results."""
 
 from __future__ import annotations
 

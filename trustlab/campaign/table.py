@@ -16,7 +16,7 @@ from trustlab.campaign.worker import Outcome, plain
 __all__ = ["assembled", "encoded"]
 
 LONGEST = 1000
-"""Characters that a parameter which is no plain value takes in a file."""
+"""Characters that a file keeps of a parameter that is not a plain value."""
 
 KINDS = {type(None): "none", bool: "bool", np.bool_: "bool", float: "float", np.float64: "float", str: "str"}
 ARROW = {"none": pa.null(), "bool": pa.bool_(), "float": pa.float64(), "str": pa.string(), "int": pa.int64()}
@@ -24,7 +24,7 @@ KIND = b"kind"
 
 
 def _kind(value: object) -> str:
-    """Return of what kind a value is; whole numbers are told apart by which types hold them exactly."""
+    """Return the kind of a value; integers are classed by the types that hold them exactly."""
     if type(value) is int or isinstance(value, np.integer):
         size = abs(int(value))
         return "int" if size <= 2**53 else "long" if size < 2**63 else "huge"

@@ -44,7 +44,7 @@ _local = threading.local()
 
 
 class Outcome(NamedTuple):
-    """What one run left: its results by name, or the error in one line and its traceback."""
+    """The outcome of one run: its results by name, or the error in one line and its traceback."""
 
     results: dict | None
     error: str | None = None

@@ -1,4 +1,4 @@
-"""Populations that simulated operators are drawn from: stand-ins for people, with the spread that was identified."""
+"""Populations from which simulated operators are drawn: stand-ins for people, with the identified spread."""
 
 from __future__ import annotations
 
@@ -243,13 +243,13 @@ class GroundRobotPopulation:
         n : int
             How many.
         seed : int
-            Each has a stream of their own.
+            Each operator has a random stream of its own.
 
         Returns
         -------
         pandas.DataFrame
             A row per operator: participant (from 1), a_r, beta, p_h_min, p_h_max, a_pr, p_r_min, p_r_max, lower, upper,
-            lower_spread, upper_spread, follow_tsc, follow_performance, tsc_l, tsc_u, redrawn (how many draws were no valid model).
+            lower_spread, upper_spread, follow_tsc, follow_performance, tsc_l, tsc_u, redrawn (how many draws were invalid).
 
         Raises
         ------
@@ -343,14 +343,14 @@ class TeleoperatorPopulation:
     """
     Operators of the haptic device: skill uniform in [0, 1], properties about it as in `graded_teleoperators`.
 
-    Each property lies at the share ½ (g + u) of its range in `trustlab.operators.teleoperator.RANGES`, g the skill and u uniform in [0, 1]
-    and drawn for every property apart; patience is uniform in 2 to 4 s. These ranges are plausible, not measured: the dissertation
+    Each property lies at the share ½ (g + u) of its range in `trustlab.operators.teleoperator.RANGES`, where g is the skill
+    and u is uniform in [0, 1] and drawn separately for each property; patience is uniform in 2 to 4 s. These ranges are plausible, not measured: the dissertation
     identifies no model of its teleoperators.
 
     Parameters
     ----------
     study : {"preliminary", "main"}
-        Whose settings and target: of Section 3.8 or 3.9.
+        Study whose settings and target are used: that of Section 3.8 or 3.9.
     testbed : str
         "uav"; not an argument.
 
@@ -390,7 +390,7 @@ class TeleoperatorPopulation:
         n : int
             How many.
         seed : int
-            Each has a stream of their own.
+            Each operator has a random stream of its own.
 
         Returns
         -------

@@ -92,7 +92,7 @@ class PowerAnalysis:
 
     def claims(self) -> pd.DataFrame:
         """
-        Return how likely F and all claimed pairs are found in one study, each in the population's direction.
+        Return the probability that one study finds F and all claimed pairs, each in the population's direction.
 
         Returns
         -------
@@ -109,7 +109,7 @@ class PowerAnalysis:
 
     @property
     def origin(self) -> str:
-        """What kind of numbers these are."""
+        """Where these numbers come from, for headers and captions."""
         return "simulated studies" + (f", from {self.conditions.origin}" if self.conditions.origin else "")
 
     def plot(self, against: str | None = None, test: str | Sequence[str] = "auto", axes: Axes | None = None):
@@ -232,11 +232,12 @@ def power_analysis(
     n : int or sequence of int
         Subjects; at least 3.
     effect_size : float or sequence of float, optional
-        Partial η² of the population: means keep their pattern and are drawn together or apart. As given when left out.
+        Partial η² of the population: means keep their pattern and are scaled about their mean. When left out, means
+        are used as given.
     correlation, epsilon : float or sequence of float, optional
         Replace the covariance by `graded_covariance` of the same mean variance; what is left out stays as it is.
     claims : sequence of (a, b), optional
-        Pairs that must be found together with F, in the direction that the population has.
+        Pairs that must be found together with F, in the direction of the population's difference.
     alpha : float
         Level of all tests, in (0, 1).
     replicates : int

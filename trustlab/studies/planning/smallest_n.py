@@ -43,7 +43,7 @@ class SmallestN:
     evaluations : pandas.DataFrame
         Every n that was simulated: n, power, ci_low, ci_high; n − 1 is among them, unless n is the least possible, 3.
     origin : str
-        What kind of number this is.
+        Where the numbers come from, for headers and captions.
     """
 
     n: int
@@ -144,7 +144,7 @@ def smallest_n(
     one_of("adjust", adjust, ADJUSTMENTS)
     if wanted <= alpha:
         raise ValueError(
-            f"power = {wanted:g} must exceed alpha = {alpha:g}, which no effect at all reaches already"
+            f"power = {wanted:g} must exceed alpha = {alpha:g}, the share of significant studies without any effect"
         )
     which = None if pair is None else int(np.flatnonzero(claims_mask([pair], population))[0])
     key = f"F {test}" if which is None else f"pair {which} {adjust}"

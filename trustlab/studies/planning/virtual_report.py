@@ -1,4 +1,4 @@
-"""What a virtual study hands back: its design, people, measures, statistics and figures."""
+"""The result of a virtual study: its design, people, measures, statistics and figures."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from trustlab.studies.planning.populations import GroundRobotPopulation, Teleope
 __all__ = ["KEYS", "ORIGIN", "WORDS", "VirtualStudy"]
 
 WORDS = {"ground_robot": "the ground-robot testbed", "uav": "the UAV testbed"}
-"""What testbeds are called in messages."""
+"""How messages call the testbeds."""
 
 ORIGIN = "simulated operators"
 """Where the measures come from, for headers and captions."""
 
 KEYS = ("participant", "position", "condition", "synthetic")
-"""Columns of the measures that are none."""
+"""Columns of the table of measures that identify a session."""
 
 STATISTICS = (
     "n",
@@ -49,18 +49,18 @@ USUAL = {
 @dataclass(frozen=True, eq=False)
 class VirtualStudy:
     """
-    A study that simulated operators took part in. No person did.
+    A study of simulated operators; no person took part.
 
     Parameters
     ----------
     testbed : {"ground_robot", "uav"}
-        Where.
+        The testbed.
     conditions : tuple of str
         Its conditions, as given.
     design : LatinSquareDesign
-        Who did what when.
+        The order of conditions of every participant.
     population : GroundRobotPopulation or TeleoperatorPopulation
-        Whom the operators were drawn from.
+        The population from which operators were drawn.
     participants : pandas.DataFrame
         Their parameters as drawn, a row each.
     measures : pandas.DataFrame
