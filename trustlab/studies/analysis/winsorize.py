@@ -23,7 +23,7 @@ OUTLIER_RULES = {
 }
 
 _TARGETS = {"limit": "set to that limit", "next": "set to the next most extreme value"}
-_SPREADS = {"mad": "median absolute deviation", "iqr": "interquartile range"}
+_SPREADS = {"sd": "standard deviation", "mad": "median absolute deviation", "iqr": "interquartile range"}
 
 # 1/Φ⁻¹(3/4): times the median absolute deviation it estimates the standard deviation of normal values.
 _MAD_TO_SD = 1.482602218505602
@@ -246,7 +246,9 @@ def winsorize(
         result[dv] = scores
     return Winsorized(
         data=result,
-        changes=pd.DataFrame(changes, columns=["subject", "condition", "old", "new"]),
+        changes=pd.DataFrame(changes, columns=["subject", "condition", "old", "new"]).astype(
+            {"old": float, "new": float}
+        ),
         limits=pd.DataFrame(limits, columns=["condition", "n", "low", "high", "changed"]),
         rule=f"{words}, {_TARGETS[to]}",
     )

@@ -209,7 +209,8 @@ def missing_answers(answers: pd.DataFrame, parts: Mapping[str, Sequence[str]], r
                 f"{score!r} are answered, so that the half rule gives no score; leave the subject out"
             )
     rows = [(*(row if several else (row, np.nan)), item, rule) for row, item in gaps]
-    return pd.DataFrame(rows, columns=["subject", "condition", "item", "rule"])
+    table = pd.DataFrame(rows, columns=["subject", "condition", "item", "rule"])
+    return table if several else table.astype({"condition": float})
 
 
 class AnswerColumns(TypedDict, total=False):

@@ -146,7 +146,7 @@ def _weights_of_rows(weights: pd.DataFrame | Mapping, answers: pd.DataFrame) -> 
 
 def _on_hundred(answers: pd.DataFrame, rescale: str | None) -> pd.DataFrame:
     """Return checked answers on the scale 0–100."""
-    known = "; ".join(f"{name!r}: {row[3]}" for name, row in TLX_RESCALINGS.items())
+    known = "; ".join(f"{name!r}: {words}" for name, (*_, words) in TLX_RESCALINGS.items())
     if rescale is None:
         hint = ""
         top = np.nanmax(answers.to_numpy(), initial=0.0)
