@@ -1,4 +1,4 @@
-"""Who drives: rules, limits, bounds and the exact cycle."""
+"""Allocation of control: rules, limits, bounds, the steady cycle, and the correction of thresholds."""
 
 import lazy_loader as lazy
 

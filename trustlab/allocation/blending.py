@@ -99,7 +99,7 @@ class BlendingStep:
     shares : tuple of float
         α over the horizon; one value where it is held.
     status : str
-        What the solver said.
+        The solver's status.
     """
 
     alpha: float
@@ -265,7 +265,7 @@ class OptimalBlending:
         Returns
         -------
         BlendingStep
-            α, cost, α over the horizon, and what the solver said.
+            α, cost, α over the horizon, and the solver's status.
 
         Raises
         ------

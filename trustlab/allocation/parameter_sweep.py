@@ -136,7 +136,7 @@ def varied_model(tsc: TscModel, values: Mapping[str, float]) -> TscModel:
     Return a model with some parameters changed.
 
     b_pr follows (2.3) where it does in `tsc`, and else stays as it was given; the robot's P_h,max follows the operator's
-    where the two are equal in `tsc`. A value for either goes first.
+    where the two are equal in `tsc`. A value given for either takes precedence.
 
     Parameters
     ----------

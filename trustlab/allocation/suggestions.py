@@ -48,7 +48,7 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
         if odd.any():
             k = int(np.argmax(odd))
             raise SessionError(
-                f"column {name!r}, t = {session.t[k]:g} s: {session[name][k]} is none of {allowed}"
+                f"column {name!r}, t = {session.t[k]:g} s: {session[name][k]} is not one of {allowed}"
             )
     t, mode, suggested = session.t, session["mode"], session["suggested_mode"]
     before = np.r_[mode[0], mode[:-1]]

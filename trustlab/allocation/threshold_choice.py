@@ -20,7 +20,7 @@ __all__ = ["ThresholdChoice", "choose_thresholds"]
 @dataclass(frozen=True, eq=False)
 class ThresholdChoice:
     """
-    Thresholds, with what they lead to and what else could have been chosen.
+    Chosen thresholds, the motion that they lead to, and the alternatives.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class ThresholdChoice:
     encloses_beta : bool
         Whether the steady utilization encloses β.
     message : str
-        How the choice was made, and how it lies to the limits at the δ_Ph that the model itself gives.
+        How the choice was made, and where it lies relative to the limits at the δ_Ph that the model itself gives.
     candidates : pandas.DataFrame
         All pairs that were tried: lower, upper, r_low, r_high, mean_r, p_r_high, mean_p_r, encloses_beta, on_front.
     model : TscModel
@@ -154,7 +154,7 @@ def choose_thresholds(
     here at δ_Ph = 0, or there are none at all, and for all printed models the pair chosen here lies outside of them: Theorem
     1, which is sufficient and not necessary, then does not promise that the rule keeps switching. What the choice rests on
     is the exact cycle, `.cycle`, and the bounds for every trajectory, `.bounds`. `.limits` are the limits searched,
-    `.model_limits` those at the model's δ_Ph; `.message` says how the pair lies to both. To stay within the latter give
+    `.model_limits` those at the model's δ_Ph; `.message` says where the pair lies relative to both. To stay within the latter give
     delta_p_h=threshold_limits(tsc).delta_p_h.
     """
     of_class("tsc", tsc, TscModel)
@@ -178,7 +178,7 @@ def choose_thresholds(
     encloses = not inside.empty
     if encloses:
         best = inside.sort_values(["p_r_high", "mean_p_r"], ascending=False, kind="stable").index[0]
-        message = "Utilization encloses β; of all pairs that do, the greatest highest performance."
+        message = "Utilization encloses β; of all pairs for which it does, this one reaches the highest performance."
     else:
         gap = np.maximum(tsc.human.beta - table["r_high"], table["r_low"] - tsc.human.beta)
         best = gap.idxmin()
@@ -194,7 +194,7 @@ def choose_thresholds(
 
 
 def _beside_limits(tsc: TscModel, lower: float, upper: float, limits: ThresholdLimits) -> str:
-    """Say how a pair lies to the limits of the search and to those at the model's own δ_Ph."""
+    """Say where a pair lies relative to the limits of the search and to those at the model's own δ_Ph."""
     own = threshold_limits(tsc)
     if own.contains(lower, upper):
         return f" Limits searched: {limits}. The pair also keeps those at the model's own δ_Ph: {own}."

@@ -1,4 +1,4 @@
-"""What thresholds an operator's own switches show (Table 2.3), and performance as a share of its range (2.39)."""
+"""Estimates of an operator's thresholds from their switches (Table 2.3), and relative performance (2.39)."""
 
 from __future__ import annotations
 
@@ -77,12 +77,12 @@ def estimate_thresholds(
     after: float | None = None,
 ) -> ThresholdEstimate:
     """
-    Estimate the thresholds that an operator's own switches show.
+    Estimate an operator's thresholds from the switches that they made.
 
     Parameters
     ----------
     sessions : Session or iterable of Session
-        Runs with column mode (0 or 1) and tsc, or p_r and p_h with a model to work it out.
+        Runs with column mode (0 or 1) and tsc, or p_r and p_h with a model to compute it from.
     model : TscModel, optional
         The operator's model (2.1), for sessions without column tsc.
     within : float
@@ -142,7 +142,7 @@ def estimate_thresholds(
             )
         if "tsc" not in run and model is None:
             raise SessionError(
-                f"{run.label} has no column 'tsc'; give model=TscModel(...) to work it out from p_r and p_h",
+                f"{run.label} has no column 'tsc'; give model=TscModel(...) to compute it from p_r and p_h",
                 run.metadata.source,
             )
         run.require(*(["tsc"] if "tsc" in run else ["p_r", "p_h"]))
@@ -152,7 +152,7 @@ def estimate_thresholds(
     switches = pd.DataFrame(rows, columns=["run", "t", "threshold", "tsc"])
     if switches.empty:
         when = "" if after == -np.inf else f" at {after:g} s or later"
-        raise SessionError(f"mode never changes{when} in these sessions, so no threshold shows")
+        raise SessionError(f"mode never changes{when} in these sessions, so no threshold can be estimated")
     return _summarise(switches, within, resamples, np.random.default_rng(seed))
 
 

@@ -23,7 +23,7 @@ __all__ = ["OnlineCorrection", "OnlineStep"]
 @dataclass(frozen=True, slots=True)
 class OnlineStep:
     """
-    What one sample led to.
+    The outcome of one sample.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class OnlineStep:
     tsc : float
         TSC from measured performance (2.1); NaN where a measurement is missing.
     lower, upper : float
-        TSC_l and TSC_u that the suggestion is made from.
+        TSC_l and TSC_u on which the suggestion is based.
     c_l, c_u : float
         What is added to them for the next sample (2.40); 0 where they are held.
     r : float
@@ -42,7 +42,7 @@ class OnlineStep:
     cost, cost_lower_bound : float
         Of the plan; NaN where there is none.
     status : CorrectionStatus
-        How this came about; its value is a sentence with a remedy.
+        How this came about; its value is a sentence that says what to do.
     latency : float
         Time taken [s].
     """
@@ -70,11 +70,11 @@ class OnlineCorrection:
     corrector : ThresholdCorrector
         Target, model and engine.
     start : (float, float)
-        The operator's thresholds TSC_l and TSC_u to begin with.
+        The operator's initial thresholds TSC_l and TSC_u.
     mode : int
-        Mode to begin with: 1 manual, 0 autonomous.
+        Initial mode: 1 manual, 0 autonomous.
     r : float
-        Utilization to begin with, in [0, 1]; 0 is a rested operator.
+        Initial utilization, in [0, 1]; 0 is a rested operator.
     outside : {"hold", "nearest"}
         What to do with robot performance measured outside the model's range: hold the thresholds, or plan with the nearest
         value of the range. The status says which. TSC and the suggestion take what was measured.
@@ -113,7 +113,7 @@ class OnlineCorrection:
 
     def update(self, p_r: float, p_h: float, mode: int | None = None) -> OnlineStep:
         """
-        Take one sample and return what to suggest; the thresholds move on for the next.
+        Process one sample and return the suggestion; the thresholds are corrected for the next one.
 
         Parameters
         ----------
@@ -121,7 +121,7 @@ class OnlineCorrection:
             Robot and human performance as measured; NaN or None where missing: the thresholds are then held and nothing is
             suggested.
         mode : int, optional
-            Who drives now: 1 the operator, 0 the robot. As before when not given or NaN.
+            Current mode: 1 manual, 0 autonomous; unchanged when not given or NaN.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""What a correction of thresholds hands back: the actions, what they lead to, and how far from optimal they can be."""
+"""The result of a correction: the actions, their predicted effect, and a bound on how far from optimal they are."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class CorrectionStatus(Enum):
 @dataclass(frozen=True, eq=False, slots=True)
 class CorrectionPlan:
     """
-    Corrections of both thresholds over the horizon, and what they lead to under the hard switch (2.8).
+    Corrections of both thresholds over the horizon, and their effect under the hard switch (2.8).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Corrections over several tests in a row, as in Fig. 2.18, on the model."""
+"""Corrections over several consecutive tests, as in Fig. 2.18, on the model."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 __all__ = ["CorrectionRun", "correct_pattern"]
 
 HABITS = ("following", "lagging", "ignoring")
-"""What operators do about suggestions."""
+"""How operators respond to suggestions."""
 
 
 @dataclass(frozen=True, eq=False)
 class CorrectionRun:
     """
-    Tests in a row, in which the thresholds of the suggestions are corrected.
+    Consecutive tests during which the thresholds of the suggestions are corrected.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class CorrectionRun:
     start, target : (float, float)
         TSC_l and TSC_u at the beginning, and those wanted.
     operator : str
-        What the operator does about suggestions.
+        How the operator responds to suggestions.
     source : str
         Where the data come from; simulated, and of which model or testbed.
     sessions : tuple of Session
@@ -176,9 +176,9 @@ def correct_pattern(
     **options: Any,
 ) -> CorrectionRun:
     """
-    Correct thresholds in receding horizon over several tests in a row, on the model, Section 2.5 and Fig. 2.18.
+    Correct thresholds in receding horizon over several consecutive tests, on the model, Section 2.5 and Fig. 2.18.
 
-    Every test begins in the manual mode with the operator rested; thresholds are carried on from test to test. The plans
+    Every test begins in the manual mode with the operator rested; thresholds are carried over from test to test. The plans
     see utilization and performance as they are, not how the operator will react.
 
     Parameters
@@ -192,7 +192,7 @@ def correct_pattern(
     tests : int
         How many tests.
     duration : float
-        Length of each [s]; Section 2.5 does not tell its own.
+        Length of each [s]; Section 2.5 does not state its own.
     c_b : float
         Largest correction per step.
     horizon : int
@@ -262,7 +262,7 @@ def correct_pattern(
 
 
 class Habit:
-    """What an operator does about suggestions: follows them at once, after a lag of `wait` samples, or ignores them."""
+    """An operator's response to suggestions: follows them at once, after a lag of `wait` samples, or ignores them."""
 
     def __init__(self, kind: str, own: tuple[float, float], wait: int):
         self.kind, self.own, self.wait = kind, own, wait

@@ -50,7 +50,7 @@ class LimitCycle:
     tsc_low, tsc_high : float
         Range of TSC, overshoot included.
     dwell_manual, dwell_autonomous : tuple of int
-        Least and greatest number of samples in a row in each mode.
+        Least and greatest number of consecutive samples in each mode.
     period : int or None
         After how many cycles the motion repeats; None where it does not within the cycles followed, or where motions
         of different period coexist.
