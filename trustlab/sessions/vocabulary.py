@@ -37,14 +37,8 @@ VOCABULARY: dict[str, Column] = {
         Column("path_error", "m", "deviation e from the path or target (a distance)", 0.0),
         Column("step_distance", "m", "distance Δd from the previous sample", 0.0),
         Column("v_command", "m/s", "linear velocity commanded by the operator"),
-        Column(
-            "w_command",
-            "rad/s",
-            "angular velocity commanded by the operator ((2.7) takes |ω|)",
-        ),
-        Column(
-            "suggested_mode", "1", "mode the decision aid suggests: 1, 0, or −1 for no suggestion", -1.0, 1.0
-        ),
+        Column("w_command", "rad/s", "angular velocity commanded by the operator ((2.7) takes |ω|)"),
+        Column("suggested_mode", "1", "mode suggested by the decision aid; −1 for no suggestion", -1.0, 1.0),
         *_axes("robot", "m", "robot position"),
         *_axes("reference", "m", "position of the path or target"),
         *_axes("human", "m", "position commanded by the operator"),
