@@ -210,3 +210,8 @@ def test_text_and_twofold_cells_are_refused(frame):
         winsorize(frame.assign(error="high"), "error", "scheme", "pid", **rule)
     with pytest.raises(ValueError, match="more than one row"):
         winsorize(pd.concat([frame, frame.iloc[:1]]), "error", "scheme", "pid", **rule)
+
+
+def test_a_spread_that_underflows_is_refused_by_name():
+    with pytest.raises(ValueError, match="standard deviation is 0"):
+        winsorize([0.0, 1e-200, 2e-200, 5e-200], outside="sd", k=1.0, to="limit")
