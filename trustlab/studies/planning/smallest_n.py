@@ -170,9 +170,8 @@ def smallest_n(
     power, low, high = rows.set_index("n").loc[n]
     origin = "simulated studies" + (f", from {population.origin}" if population.origin else "")
     name = f"F, {test}" if pair is None else f"{pair[0]} – {pair[1]}, {adjust}"
-    return SmallestN(
-        n, power, low, high, wanted, name, participants_needed(len(population.mean), n), rows, origin
-    )
+    squares = participants_needed(len(population.mean), n)
+    return SmallestN(n, power, low, high, wanted, name, squares, rows, origin)
 
 
 def _search(
