@@ -86,11 +86,11 @@ def test_a_delayed_hand_weaves(operators):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"human": None}, "human must be a HumanModel, got NoneType"),
-        ({"delay": -0.1}, "delay cannot be negative"),
+        ({"human": None}, "human must be of class HumanModel, got NoneType"),
+        ({"delay": -0.1}, "delay must not be negative"),
         ({"delay": np.nan}, "delay must be finite"),
         ({"look_ahead": 0.0}, "look_ahead must be positive"),
-        ({"follow_tsc": 78.57}, r"follow_tsc is a share, in \[0, 1\]; got 78.57"),
+        ({"follow_tsc": 78.57}, r"follow_tsc must lie in .*, got 78.57"),
         ({"lower": 0.5, "upper": 0.4}, "lower below upper"),
         ({"human": tl.HumanModel(0.999, 0.5, 10.0, 90.0)}, "rescale the model"),
     ],

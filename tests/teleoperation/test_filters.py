@@ -133,7 +133,7 @@ def test_refusals():
         passivity_margin([1.0], [1.0, -1.0])
     with pytest.raises(ValueError, match="proper"):
         passivity_margin([1.0, 0.0, 0.0], [1.0, 1.0])
-    with pytest.raises(ValueError, match="k12 cannot be negative"):
+    with pytest.raises(ValueError, match="k12 must not be negative"):
         passivity_margin([1.0], [1.0, 1.0], k12=-1.0)
     with pytest.raises(ValueError, match="same shape"):
         corrected_filter(1.0, 1.0).run(np.zeros(3), np.zeros(4), T)

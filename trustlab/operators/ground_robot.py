@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import between, finite_number, not_negative, of_class, positive, shown
 from trustlab.models.human import HumanModel
 from trustlab.models.tsc import TscModel
 
@@ -33,11 +33,22 @@ MOST = {
 }
 """Largest values of an operator's numbers, far beyond what people do; TSC itself lies in [-1, 1]."""
 
+POSITIVE = ("look_ahead", "steering_gain", "wander_time", "hand_lag")
+SHARES = ("idle_share", "follow_tsc", "follow_performance")
+
+
+def check_participant(participant: str | int) -> None:
+    """Refuse a participant that is neither a name nor a whole number."""
+    if isinstance(participant, str) and participant.strip():
+        return
+    if isinstance(participant, bool) or not isinstance(participant, int | np.integer):
+        raise ValueError(f"participant must be a name or a whole number, got {shown(participant)}")
+
 
 @numba.njit(cache=True)
 def driving_style(performance, robot_floor, robot_gain):
     """
-    Return cruising speed [m/s], wander [m] and steering activity [rad/s] of someone who performs so well [m/s].
+    Return cruising speed [m/s], wander [m] and steering activity [rad/s] for a given performance [m/s].
 
     They are such that (2.7) comes out as `performance` and (2.4), after long, as robot_floor + robot_gain · performance,
     or as much of it as `performance` leaves room for; what is left of (2.7) is steering. A regression on laps of the
@@ -162,40 +173,17 @@ class Operator:
     upper_spread: float = 0.1
 
     def __post_init__(self):
-        if not isinstance(self.human, HumanModel):
-            raise ValueError(
-                f"human must be a HumanModel, got {type(self.human).__name__}; of a TscModel take .human"
-            )
-        named = isinstance(self.participant, str) and self.participant.strip()
-        if not named and (
-            isinstance(self.participant, bool) or not isinstance(self.participant, int | np.integer)
-        ):
-            raise ValueError(f"participant must be a name or a whole number, got {self.participant!r:.60}")
+        of_class("human", self.human, HumanModel, "of a TscModel take .human")
+        check_participant(self.participant)
         for item in fields(self)[2:]:
-            object.__setattr__(self, item.name, finite_number(item.name, getattr(self, item.name)))
-        for name in ("look_ahead", "steering_gain", "wander_time", "hand_lag"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        for name in (
-            "robot_floor",
-            "robot_gain",
-            "delay",
-            "noise",
-            "easing",
-            "reaction_lag",
-            "reaction_spread",
-            "ignoring_time",
-            "lower_spread",
-            "upper_spread",
-        ):
-            if getattr(self, name) < 0.0:
-                raise ValueError(f"{name} cannot be negative, got {getattr(self, name)}")
+            check = finite_number if item.name in ("lower", "upper", *SHARES) else not_negative
+            check = positive if item.name in POSITIVE else check
+            object.__setattr__(self, item.name, check(item.name, getattr(self, item.name)))
         for name, most in MOST.items():
             if getattr(self, name) > most:
                 raise ValueError(f"{name} must be at most {most:g}, got {getattr(self, name):g}")
-        for name in ("idle_share", "follow_tsc", "follow_performance"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} is a share, in [0, 1]; got {getattr(self, name)}")
+        for name in SHARES:
+            between(name, getattr(self, name), 0.0, 1.0)
         if not self.lower < self.upper:
             raise ValueError(
                 f"own thresholds must have lower below upper, got lower = {self.lower} and upper = {self.upper}"

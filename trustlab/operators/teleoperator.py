@@ -7,7 +7,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from trustlab.models.checks import finite_number, whole_number
+from trustlab.models.checks import not_negative, one_of, positive, spawned, whole_number
+from trustlab.operators.ground_robot import check_participant
 from trustlab.teleoperation.loop.kernel import HandNumbers
 
 __all__ = ["RANGES", "REACH", "Teleoperator", "graded_teleoperators"]
@@ -82,19 +83,10 @@ class Teleoperator:
     patience: float = 3.0
 
     def __post_init__(self):
-        named = isinstance(self.participant, str) and self.participant.strip()
-        if not named and (
-            isinstance(self.participant, bool) or not isinstance(self.participant, int | np.integer)
-        ):
-            raise ValueError(f"participant must be a name or a whole number, got {self.participant!r:.60}")
+        check_participant(self.participant)
         for item in fields(self)[1:]:
-            value = finite_number(item.name, getattr(self, item.name))
-            if value < 0.0:
-                raise ValueError(f"{item.name} cannot be negative, got {value}")
-            object.__setattr__(self, item.name, value)
-        for name in ("reach", "lag", "noise_time", "patience"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+            check = positive if item.name in ("reach", "lag", "noise_time", "patience") else not_negative
+            object.__setattr__(self, item.name, check(item.name, getattr(self, item.name)))
         for name, most in (("reaction", 2.0), ("lag", 5.0), ("shift", 1.0)):
             if getattr(self, name) > most:
                 raise ValueError(f"{name} must not exceed {most}, got {getattr(self, name)}")
@@ -157,10 +149,9 @@ def graded_teleoperators(n: int, seed: int = 0, study: str = "main") -> list[Tel
     [1, 2, 3]
     """
     n, seed = whole_number("n", n, most=100_000), whole_number("seed", seed, least=0)
-    if not isinstance(study, str) or study not in REACH:
-        raise ValueError(f"study must be one of {', '.join(map(repr, REACH))}, got {study!r}")
+    one_of("study", study, REACH)
     people = []
-    for i, child in enumerate(np.random.SeedSequence(seed).spawn(n)):
+    for i, child in enumerate(spawned(seed, n)):
         draws = np.random.default_rng(child).uniform(size=len(RANGES) + 1)
         shares = 0.5 * ((i + 0.5) / n + draws[:-1])
         skill = {

@@ -22,6 +22,7 @@ from trustlab.teleoperation.ports.waves import (
     robot_velocity,
     robot_wave,
 )
+from trustlab.teleoperation.records import signal
 
 __all__ = ["ChannelRun", "channel_run", "lost_waves", "switched_channel_run"]
 
@@ -152,26 +153,10 @@ def _run(r_m, f_s, ends, near, far, alpha, beta, delays, arrives, read_out, peri
 
 def _signals(r_m, f_s) -> tuple[np.ndarray, np.ndarray]:
     """Return both signals as arrays of shape (N, n)."""
-    r_m, f_s = _samples("r_m", r_m), _samples("f_s", f_s)
+    r_m, f_s = signal("r_m", r_m, least=2), signal("f_s", f_s, least=2)
     if r_m.shape != f_s.shape:
         raise ValueError(f"r_m and f_s must have the same shape, got {r_m.shape} and {f_s.shape}")
     return r_m, f_s
-
-
-def _samples(name: str, values) -> np.ndarray:
-    """Return a signal as a finite array of shape (N, n)."""
-    try:
-        array = np.array(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be an array of numbers, got {type(values).__name__}") from None
-    if array.ndim == 1:
-        array = array[:, None]
-    if array.ndim != 2 or array.shape[0] < 2 or array.shape[1] < 1:
-        raise ValueError(f"{name} must have shape (N, n) with N ≥ 2, got {np.shape(values)}")
-    if not np.isfinite(array).all():
-        k, i = np.argwhere(~np.isfinite(array))[0]
-        raise ValueError(f"{name} must be finite, but sample {k}, axis {i} is {array[k, i]}")
-    return np.ascontiguousarray(array)
 
 
 def lost_waves(lost, count: int) -> np.ndarray:

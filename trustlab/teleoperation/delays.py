@@ -98,6 +98,7 @@ class Delay:
 
 
 def _rate(max_rate: float) -> float:
+    """Return a greatest rate of a delay, in [0, 1]."""
     rate = finite_number("max_rate", max_rate)
     if not 0.0 <= rate <= 1.0:
         raise ValueError(

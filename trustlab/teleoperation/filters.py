@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number
+from trustlab.models.checks import finite_array, finite_number, not_negative, of_class, positive
 from trustlab.teleoperation.ports.device import PassivityError
+from trustlab.teleoperation.records import signal
 
 __all__ = [
     "FilterRun",
@@ -21,13 +22,6 @@ __all__ = [
 ]
 
 SLACK = 1e-12
-
-
-def _positive(name: str, value: float) -> float:
-    number = finite_number(name, value)
-    if not number > 0.0:
-        raise ValueError(f"{name} must be positive, got {number}")
-    return number
 
 
 @dataclass(frozen=True)
@@ -92,10 +86,7 @@ def passivity_margin(numerator, denominator, k12: float = 0.0, k21: float = 0.0)
     """
     top = np.trim_zeros(finite_array("numerator", numerator), "f")
     bottom = np.trim_zeros(finite_array("denominator", denominator), "f")
-    k12, k21 = finite_number("k12", k12), finite_number("k21", k21)
-    for name, value in (("k12", k12), ("k21", k21)):
-        if value < 0.0:
-            raise ValueError(f"{name} cannot be negative, got {value}: it would be a source by itself")
+    k12, k21 = not_negative("k12", k12), not_negative("k21", k21)
     if not bottom.size:
         raise ValueError("denominator must not be zero")
     if top.size > bottom.size:
@@ -183,7 +174,7 @@ class TwoPortFilter:
     require_passive: bool = True
 
     def __post_init__(self):
-        object.__setattr__(self, "cutoff", _positive("cutoff", self.cutoff))
+        object.__setattr__(self, "cutoff", positive("cutoff", self.cutoff))
         for name in ("k12", "k21"):
             object.__setattr__(self, name, finite_number(name, getattr(self, name)))
         margin = passivity_margin([self.cutoff], [1.0, self.cutoff], self.k12, self.k21)
@@ -221,8 +212,8 @@ class TwoPortFilter:
         ValueError
             If the inputs are not finite or differ in shape.
         """
-        step = _positive("sample_time", sample_time)
-        first, second = (_samples(name, value) for name, value in (("u_1", u_1), ("u_2", u_2)))
+        step = positive("sample_time", sample_time)
+        first, second = (signal(name, value) for name, value in (("u_1", u_1), ("u_2", u_2)))
         if first.shape != second.shape:
             raise ValueError(f"u_1 and u_2 must have the same shape, got {first.shape} and {second.shape}")
         low = (_low_pass(first, self.cutoff, step), _low_pass(second, self.cutoff, step))
@@ -259,7 +250,7 @@ def corrected_filter(cutoff: float, impedance: float, product: float = 0.25) -> 
     product : float
         k_12 k_21; the least that is passive when not given.
     """
-    impedance, root = _positive("impedance", impedance), np.sqrt(_positive("product", product))
+    impedance, root = positive("impedance", impedance), np.sqrt(positive("product", product))
     return TwoPortFilter(cutoff, float(root / impedance), float(root * impedance))
 
 
@@ -285,7 +276,7 @@ class WaveFilter:
     cutoff: float
 
     def __post_init__(self):
-        object.__setattr__(self, "cutoff", _positive("cutoff", self.cutoff))
+        object.__setattr__(self, "cutoff", positive("cutoff", self.cutoff))
 
     def run(self, wave: np.ndarray, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -305,7 +296,7 @@ class WaveFilter:
         storage : numpy.ndarray, shape (N,)
             ‖a‖²/(2ω_c) after each sample [J].
         """
-        out, state = _low_pass(_samples("wave", wave), self.cutoff, _positive("sample_time", sample_time))
+        out, state = _low_pass(signal("wave", wave), self.cutoff, positive("sample_time", sample_time))
         return out, (state**2).sum(axis=1) / (2.0 * self.cutoff)
 
 
@@ -322,9 +313,8 @@ def sinusoid_energy(two_port: TwoPortFilter, duration: float, sample_time: float
     sample_time : float
         T [s].
     """
-    if not isinstance(two_port, TwoPortFilter):
-        raise ValueError(f"two_port must be of class TwoPortFilter, got {type(two_port).__name__}")
-    step, length = _positive("sample_time", sample_time), _positive("duration", duration)
+    of_class("two_port", two_port, TwoPortFilter)
+    step, length = positive("sample_time", sample_time), positive("duration", duration)
     if length < step:
         raise ValueError(f"duration must be at least one sample, {step:g} s, got {length:g}")
     phase = two_port.cutoff * step * (np.arange(round(length / step)) + 0.5)
@@ -339,20 +329,3 @@ def _low_pass(u: np.ndarray, cutoff: float, step: float) -> tuple[np.ndarray, np
     state = lfilter([2.0 * g / (1.0 + g)], [1.0, -(1.0 - g) / (1.0 + g)], u, axis=0)
     before = np.vstack([np.zeros((1, u.shape[1])), state[:-1]])
     return 0.5 * (before + state), state
-
-
-def _samples(name: str, values) -> np.ndarray:
-    try:
-        given = np.asarray(values)
-        if given.dtype.kind not in "iuf":
-            raise TypeError
-        array = given.astype(float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be an array of numbers, got {type(values).__name__}") from None
-    array = array[:, None] if array.ndim == 1 else array
-    if array.ndim != 2 or not array.size:
-        raise ValueError(f"{name} must have shape (N, n), got {given.shape}")
-    if not np.isfinite(array).all():
-        k, i = np.argwhere(~np.isfinite(array))[0]
-        raise ValueError(f"{name} must be finite, but sample {k}, axis {i} is {array[k, i]}")
-    return array

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["columns_of", "log_of", "record"]
+__all__ = ["columns_of", "log_of", "record", "signal"]
 
 
 def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = "") -> np.dtype:
@@ -27,3 +27,26 @@ def log_of(log: np.dtype, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return an empty log twice, over the same memory: as a table, shape (count, columns), and as records, shape (count,)."""
     table = np.empty((count, len(columns_of(log))))
     return table, table.view(log)[:, 0]
+
+
+def signal(
+    name: str, values, rows: int | None = None, columns: int | None = None, least: int = 1
+) -> np.ndarray:
+    """Return a signal as a finite array of shape (N, n); one number per sample counts as (N, 1)."""
+    wanted = f"({'N' if rows is None else rows}, {'n' if columns is None else columns})"
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind not in "iuf":
+            raise TypeError
+        array = np.ascontiguousarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be an array of numbers, got {type(values).__name__}") from None
+    array = array[:, None] if array.ndim == 1 and columns is None else array
+    if array.ndim != 2 or array.shape != (rows or array.shape[0], columns or array.shape[1]):
+        raise ValueError(f"{name} must have shape {wanted}, one row per sample or robot, got {given.shape}")
+    if len(array) < least or not array.size:
+        raise ValueError(f"{name} must have at least {least} samples, got shape {given.shape}")
+    if not np.isfinite(array).all():
+        k, i = np.argwhere(~np.isfinite(array))[0]
+        raise ValueError(f"{name} must be finite, but sample {k}, axis {i} is {array[k, i]}")
+    return array

@@ -6,10 +6,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number
+from trustlab.models.checks import (
+    between,
+    finite_array,
+    finite_number,
+    not_negative,
+    of_class,
+    one_of,
+    positive,
+)
 from trustlab.teleoperation.ports.waves import Scattering
 
 __all__ = ["Tuning", "dominance", "gains", "ideal_distances", "rendered_impedance", "tune_transparency"]
+
+PARAMETERS = ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")
 
 
 def ideal_distances(scattering: Scattering):
@@ -32,7 +42,7 @@ def ideal_distances(scattering: Scattering):
     """
     import pandas as pd
 
-    s = _checked(scattering)
+    s = of_class("scattering", scattering, Scattering)
     rows = {
         "f'_m = v_l": ("v_l", np.sqrt(2.0 * s.b / s.beta_max), "r_m", s.b),
         "u_r = f_s": ("f_s", np.sqrt(2.0 * s.alpha_min / s.b), "v_r", np.sqrt(s.alpha_min / s.alpha_max)),
@@ -63,7 +73,7 @@ def dominance(scattering: Scattering) -> dict[str, float]:
     dict of str to float
         force_robot (f_s in u_r), force_operator (v_l in f'_m), velocity_robot (v_r in r'_s), velocity_operator (r_m in u_l).
     """
-    s = _checked(scattering)
+    s = of_class("scattering", scattering, Scattering)
     return {
         "force_robot": float(np.sqrt(2.0 * s.alpha_max / s.b)),
         "force_operator": float(np.sqrt(2.0 / (s.b * s.beta_max))),
@@ -93,7 +103,7 @@ def gains(scattering: Scattering, alpha: float | None = None, beta: float | None
     dict of str to float
         force, velocity, drag [N s/m], drift [m/s/N].
     """
-    s = _checked(scattering)
+    s = of_class("scattering", scattering, Scattering)
     alpha, beta = _scales(s, alpha, beta)
     kappa = np.sqrt(s.alpha_min * s.beta_min / (s.alpha_max * s.beta_max))
     return {
@@ -139,11 +149,9 @@ def rendered_impedance(
     ValueError
         If an argument is not finite or out of range.
     """
-    s, omega = _checked(scattering), finite_array("frequency", frequency)
+    s, omega = of_class("scattering", scattering, Scattering), finite_array("frequency", frequency)
     alpha, beta = _scales(s, alpha, beta)
-    there, back = finite_number("delay_1", delay_1), finite_number("delay_2", delay_2)
-    if min(there, back) < 0.0:
-        raise ValueError(f"delays cannot be negative, got {there} and {back} s")
+    there, back = not_negative("delay_1", delay_1), not_negative("delay_2", delay_2)
     load = np.asarray(environment, dtype=complex)
     if (load.ndim and load.shape != omega.shape) or not np.isfinite(load).all():
         raise ValueError(f"environment must be a finite number or one per frequency, got shape {load.shape}")
@@ -179,9 +187,8 @@ class Tuning:
         """Return one row: weight, force, velocity and the parameters."""
         import pandas as pd
 
-        names = ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")
         row = {"weight": self.weight, "force": self.force, "velocity": self.velocity}
-        return pd.DataFrame([row | {name: getattr(self.scattering, name) for name in names}])
+        return pd.DataFrame([row | {name: getattr(self.scattering, name) for name in PARAMETERS}])
 
 
 def _distances(scattering: Scattering, impedance: float) -> tuple[float, float]:
@@ -235,19 +242,13 @@ def tune_transparency(
     """
     from scipy.optimize import differential_evolution, minimize
 
-    start = _checked(scattering)
-    weight, impedance = finite_number("weight", weight), finite_number("impedance", impedance)
-    if not 0.0 <= weight <= 1.0:
-        raise ValueError(f"weight is a share, in [0, 1]; got {weight}")
-    if not impedance > 0.0:
-        raise ValueError(f"impedance must be positive, got {impedance}")
-    known = ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")
+    start = of_class("scattering", scattering, Scattering)
+    weight, impedance = between("weight", weight, 0.0, 1.0), positive("impedance", impedance)
     free = tuple(free)
     for name in (*free, *(ranges or {})):
-        if name not in known:
-            raise ValueError(f"{name!r} is no parameter of the channel; there are {', '.join(known)}")
+        one_of("a name in free or ranges", name, PARAMETERS)
     if not free:
-        raise ValueError(f"free names nothing to tune; choose from {', '.join(known)}")
+        raise ValueError(f"free names nothing to tune; choose from {', '.join(PARAMETERS)}")
     box = []
     for name in free:
         value = getattr(start, name)
@@ -281,12 +282,6 @@ def tune_transparency(
     fine = minimize(cost, coarse.x, method="Nelder-Mead", bounds=box, options={"xatol": 1e-9, "fatol": 1e-13})
     best = at(fine.x if fine.fun <= coarse.fun else coarse.x)
     return Tuning(best, *_distances(best, impedance), weight)
-
-
-def _checked(scattering: Scattering) -> Scattering:
-    if not isinstance(scattering, Scattering):
-        raise ValueError(f"scattering must be of class Scattering, got {type(scattering).__name__}")
-    return scattering
 
 
 def _scales(scattering: Scattering, alpha, beta) -> tuple[float, float]:

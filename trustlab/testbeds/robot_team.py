@@ -27,7 +27,7 @@ from trustlab.teleoperation.filters import (
 )
 from trustlab.teleoperation.loop.settings import DivergenceError
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
-from trustlab.teleoperation.records import log_of
+from trustlab.teleoperation.records import log_of, signal
 from trustlab.teleoperation.team.kernel import (
     BLOCKS,
     COLUMNS,
@@ -154,8 +154,11 @@ def simulate_team(
         raise ValueError(f"vision_delay must be at least one sample, {T:g} s, got {vision}")
     dwell = _dwell(min_dwell, greatest)
     streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
-    q0 = _rows("start", start, len(names), streams[0].uniform(-5.0, 5.0, (len(names), 3)))
-    zeta0 = _rows("inner", inner, len(names), np.zeros((len(names), 3)))
+    q0 = signal(
+        "start", streams[0].uniform(-5.0, 5.0, (len(names), 3)) if start is None else start, len(names), 3
+    )
+    zeta0 = signal("inner", np.zeros((len(names), 3)) if inner is None else inner, len(names), 3)
+    pushed = signal("push", np.zeros((count, 3)) if push is None else push, count, 3)
     decision = max(DECISION, T)
     trust = _trust(settings, len(names), int(np.ceil(duration / decision)) + 1, decision, streams[1])
     chosen = _chosen(policy, trust, names, decision, dwell, streams[2])
@@ -172,7 +175,7 @@ def simulate_team(
     modes = np.empty((rows, 3, len(names)))
     done, block = run_team(
         numbers, np.maximum(values, 0.0), np.ascontiguousarray(vectors), leads, heads, _robots(settings, ends, T),
-        delays, np.ones((2, count), bool), accounts(), w, z, _rows("push", push, count, np.zeros((count, 3))), every,
+        delays, np.ones((2, count), bool), accounts(), w, z, pushed, every,
         np.zeros(1, STATE), log, modes,
     )  # fmt: skip
     if block >= 0:
@@ -273,25 +276,6 @@ def _flag(name: str, value) -> bool:
     if not isinstance(value, bool | np.bool_):
         raise ValueError(f"{name} must be True or False, got {value!r}")
     return bool(value)
-
-
-def _rows(name: str, given, count: int, default: np.ndarray) -> np.ndarray:
-    """Return an array of three numbers a row that a user may give, one row per robot or sample."""
-    if given is None:
-        return default
-    try:
-        array = np.asarray(given)
-        if array.dtype.kind not in "iuf":
-            raise TypeError
-        array = np.ascontiguousarray(array, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be an array of numbers, got {type(given).__name__}") from None
-    if array.shape != (count, 3):
-        raise ValueError(f"{name} must have shape ({count}, 3), one row per robot, got {array.shape}")
-    if not np.isfinite(array).all():
-        i, j = np.argwhere(~np.isfinite(array))[0]
-        raise ValueError(f"{name} must be finite, but row {i}, axis {j} is {array[i, j]}")
-    return array
 
 
 def _trust(settings: TeamSettings, size: int, count: int, step: float, rng) -> np.ndarray:

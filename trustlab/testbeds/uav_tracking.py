@@ -37,7 +37,7 @@ from trustlab.teleoperation.loop.schemes import OPTIMAL, Scheme, scheme_named
 from trustlab.teleoperation.loop.settings import DivergenceError, LoopSettings, study_named, vehicle_matrices
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.ports.passivity import METHODS
-from trustlab.teleoperation.records import log_of
+from trustlab.teleoperation.records import log_of, signal
 
 __all__ = ["TrackingTask", "simulate_teleoperation", "tracking_vehicle"]
 
@@ -312,12 +312,9 @@ def _inputs(settings, task, operator, count, sample_time, seeds, alpha, push) ->
     inputs["reference"], inputs["reference_velocity"] = position, velocity
     inputs["detected"] = _losses(task, count, sample_time, losses)
     inputs["motor"] = _coloured(count, operator.noise_time, sample_time, noise)
-    inputs["alpha"] = shares = _given("alpha", alpha, (count,), np.nan)
+    inputs["alpha"] = shares = _shares(alpha, count)
     settings.scattering.check_scales(shares[np.isfinite(shares)], settings.scattering.beta_max)
-    inputs["pushed"] = pushed = _given("push", push, (count, 3), 0.0)
-    if not np.isfinite(pushed).all():
-        k, i = np.argwhere(~np.isfinite(pushed))[0]
-        raise ValueError(f"push must be finite, but sample {k}, axis {i} is {pushed[k, i]}")
+    inputs["pushed"] = signal("push", np.zeros((count, 3)) if push is None else push, count, 3)
     return inputs
 
 
@@ -368,14 +365,14 @@ def _delays(settings: LoopSettings, given, read_out, count, sample_time, seeds) 
     return delays_in_samples(chosen, rate, read_out, count, sample_time, zero=True)
 
 
-def _given(name: str, values, shape: tuple[int, ...], default: float) -> np.ndarray:
-    """Return an array that a user may give, one row per sample; the default throughout when not given."""
-    if values is None:
-        return np.full(shape, default)
+def _shares(alpha, count: int) -> np.ndarray:
+    """Return α where it is given from outside, NaN where the scheme sets it."""
+    if alpha is None:
+        return np.full(count, np.nan)
     try:
-        array = np.ascontiguousarray(values, dtype=float)
+        array = np.asarray(alpha, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} must be an array of numbers, got {type(values).__name__}") from None
-    if array.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}, one row per sample, got {array.shape}")
+        raise ValueError(f"alpha must be an array of numbers, got {type(alpha).__name__}") from None
+    if array.shape != (count,):
+        raise ValueError(f"alpha must have shape ({count},), one number per sample, got {array.shape}")
     return array

@@ -8,6 +8,7 @@ import numba
 import numpy as np
 
 from trustlab.models.checks import not_negative, one_of, positive
+from trustlab.teleoperation.records import signal
 
 __all__ = ["CANCEL", "METHODS", "OFF", "REPAY", "Controlled", "PassivityController", "activation", "demanded"]
 
@@ -169,17 +170,12 @@ class PassivityController:
         """
         import pandas as pd
 
-        v, f = (np.asarray(a, dtype=float) for a in (velocity, force))
-        if v.ndim == 1:
-            v, f = v[:, None], f[:, None] if f.ndim == 1 else f
-        if v.ndim != 2 or v.shape != f.shape or not v.size:
+        v, f = signal("velocity", velocity), signal("force", force)
+        if v.shape != f.shape:
             raise ValueError(f"velocity and force must have one shape (N, n), got {v.shape} and {f.shape}")
         rows = []
-        for k in range(len(v)):
-            try:
-                done = self.step(v[k], f[k])
-            except ValueError as error:
-                raise ValueError(f"sample {k}: {error}") from None
+        for velocity, force in zip(v, f, strict=True):
+            done = self.step(velocity, force)
             rows.append((*done.force, done.z, done.energy, done.deficit))
         return pd.DataFrame(
             rows, columns=[*(f"force_{i}" for i in range(v.shape[1])), "z", "energy", "deficit"]

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any, Protocol
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number
+from trustlab.models.checks import did_you_mean, finite_array, not_negative, positive
 
 __all__ = ["POLICIES", "GivenSequence", "LeaderPolicy", "MostTrusted", "RandomLeaders", "policy_named"]
 
@@ -69,10 +68,7 @@ class MostTrusted:
     margin: float = 0.0
 
     def __post_init__(self):
-        margin = finite_number("margin", self.margin)
-        if margin < 0.0:
-            raise ValueError(f"margin cannot be negative, got {margin}")
-        object.__setattr__(self, "margin", margin)
+        object.__setattr__(self, "margin", not_negative("margin", self.margin))
 
     @property
     def title(self) -> str:
@@ -151,9 +147,7 @@ class GivenSequence:
                 raise ValueError(f"times must begin at 0 and increase, got {times.tolist()}")
             object.__setattr__(self, "times", tuple(times.tolist()))
         if self.every is not None:
-            object.__setattr__(self, "every", finite_number("every", self.every))
-            if not self.every > 0.0:
-                raise ValueError(f"every must be positive, got {self.every}")
+            object.__setattr__(self, "every", positive("every", self.every))
         again = self.times is None and self.robots is not None and len(self.robots) > 1
         if again and self.robots[0] == self.robots[-1]:
             raise ValueError(f"begun again, the sequence would have {self.robots[0]!r} follow itself")
@@ -224,10 +218,7 @@ class RandomLeaders:
     waiting: float = 1.0
 
     def __post_init__(self):
-        waiting = finite_number("waiting", self.waiting)
-        if waiting < 0.0:
-            raise ValueError(f"waiting cannot be negative, got {waiting}")
-        object.__setattr__(self, "waiting", waiting)
+        object.__setattr__(self, "waiting", not_negative("waiting", self.waiting))
 
     @property
     def title(self) -> str:
@@ -275,19 +266,7 @@ SIGNATURE = (
 
 
 def policy_named(policy: str | LeaderPolicy) -> Any:
-    """
-    Return a leader policy.
-
-    Parameters
-    ----------
-    policy : {"most_trusted", "hysteresis", "sequence", "random"} or LeaderPolicy
-        By name, or an object of one's own.
-
-    Raises
-    ------
-    ValueError
-        If there is no policy of that name.
-    """
+    """Return a leader policy by name, or an object of one's own as it is."""
     if isinstance(policy, str) and policy in POLICIES:
         return POLICIES[policy]
     if (
@@ -298,8 +277,7 @@ def policy_named(policy: str | LeaderPolicy) -> Any:
         return policy
     names = ", ".join(map(repr, POLICIES))
     if isinstance(policy, str):
-        near = get_close_matches(policy.lower(), POLICIES, n=1, cutoff=0.5)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        hint = did_you_mean(policy, POLICIES)
         raise ValueError(f"policy must be one of {names}, or a LeaderPolicy, got {policy!r}{hint}")
     if isinstance(policy, type):
         raise ValueError(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import finite_number, not_negative, of_class, positive
 from trustlab.models.trust import TrustModel
 from trustlab.teleoperation.ports.device import HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
@@ -73,27 +73,17 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
     for i in np.flatnonzero(np.diag(matrix)):
         raise GraphError(f"robot {names[i]!r} has a self-loop; remove it")
     if require_connected:
-        parts = _parts(matrix)
-        if len(parts) > 1:
-            told = "; ".join("{" + ", ".join(repr(names[i]) for i in part) + "}" for part in parts)
+        from scipy.sparse.csgraph import connected_components
+
+        count, label = connected_components(matrix, directed=False)
+        if count > 1:
+            parts = [[repr(names[i]) for i in np.flatnonzero(label == part)] for part in range(count)]
+            told = "; ".join("{" + ", ".join(part) + "}" for part in parts)
             raise GraphError(
-                f"the graph is not connected, it has {len(parts)} parts: {told}; robots of different parts never meet: add edges, "
+                f"the graph is not connected, it has {count} parts: {told}; robots of different parts never meet: add edges, "
                 "or pass require_connected=False to see it"
             )
     return names, matrix
-
-
-def _parts(matrix: np.ndarray) -> list[list[int]]:
-    """Return the connected components, each in order."""
-    left, parts = set(range(len(matrix))), []
-    while left:
-        part, border = set(), {min(left)}
-        while border:
-            part |= border
-            border = {int(j) for i in border for j in np.flatnonzero(matrix[i])} - part
-        parts.append(sorted(part))
-        left -= part
-    return parts
 
 
 def algebraic_connectivity(graph) -> float:
@@ -155,12 +145,11 @@ class TeamSettings:
     performance_time: float = 15.0
 
     def __post_init__(self):
-        for name in ("mass", "damping", "stiffness", "weight", "steepness", "performance_time"):
+        for name in ("mass", "damping", "stiffness", "weight", "steepness"):
             object.__setattr__(self, name, finite_number(name, getattr(self, name)))
+        object.__setattr__(self, "performance_time", positive("performance_time", self.performance_time))
         if not self.steepness >= 10.0:
             raise ValueError(f"steepness must be at least 10 (3.5), got {self.steepness}")
-        if not self.performance_time > 0.0:
-            raise ValueError(f"performance_time must be positive, got {self.performance_time}")
         classes: dict[str, Any] = {
             "scattering": Scattering,
             "human_to_robot": TrustModel,
@@ -173,10 +162,7 @@ class TeamSettings:
                 raise ValueError(f"{name} must be a {kind.__name__} or a sequence of them, got {given!r}")
             many = tuple(many)
             for place, one in enumerate(many):
-                if not isinstance(one, kind):
-                    raise ValueError(
-                        f"{name}[{place}] must be of class {kind.__name__}, got {type(one).__name__}"
-                    )
+                of_class(f"{name}[{place}]", one, kind)
                 if kind is TrustModel and (one.p_min, one.p_max) != (0.0, 1.0):
                     raise ValueError(
                         f"{name}[{place}]: performance lies between 0 and 1 here, set p_min=0, p_max=1"
@@ -269,16 +255,10 @@ class TeamOperator:
                 raise ValueError(f"{name} must be True or False, got {getattr(self, name)!r}")
             object.__setattr__(self, name, bool(getattr(self, name)))
         for name in ("push", "reach", "drag", "budget", "reserve", "cautious"):
-            value = finite_number(name, getattr(self, name))
-            object.__setattr__(self, name, value)
-            if value < 0.0 and (self.guarded or name != "drag"):
-                raise ValueError(
-                    f"{name} cannot be negative, got {value}"
-                    + ("; guarded=False allows a hand that drives instead" if name == "drag" else "")
-                )
-        for name in ("reach", "budget"):
-            if not getattr(self, name):
-                raise ValueError(f"{name} must be positive")
+            check = positive if name in ("reach", "budget") else not_negative
+            # a hand that drives (negative drag) is active: allowed only where nothing is promised of V_h
+            check = finite_number if name == "drag" and not self.guarded else check
+            object.__setattr__(self, name, check(name, getattr(self, name)))
         if not self.reserve < 1.0:
             raise ValueError(f"reserve must be below 1, got {self.reserve}")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numba
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number
+from trustlab.models.checks import finite_array, finite_number, positive
 
 __all__ = ["Course", "nearest_point", "path_point"]
 
@@ -105,10 +105,7 @@ class Course:
                 f"corners must lie within {FARTHEST:g} m of the origin, got {np.abs(corners).max():g}"
             )
         for name in ("radius", "post_spacing", "half_width", "resolution"):
-            value = finite_number(name, getattr(self, name))
-            if not value > 0.0:
-                raise ValueError(f"{name} must be positive, got {value}")
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, positive(name, getattr(self, name)))
         around = float(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum())
         for name, most in (("resolution", 100_000), ("post_spacing", 10_000)):
             if around / getattr(self, name) > most:
