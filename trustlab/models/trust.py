@@ -29,10 +29,11 @@ def logistic_scale(low, high, steepness, midpoint, trust):
 @numba.njit(cache=True)
 def trust_run(share, decay, gain, start):
     """Run trust, as a share of its range, over performance shares that are each held for one sample."""
-    out = np.empty(share.size + 1)
-    out[0] = start
+    out, now = np.empty(share.size + 1), start
     for k in range(share.size):
-        out[k + 1] = trust_step(out[k], share[k], decay, gain)
+        out[k] = now
+        now = trust_step(now, share[k], decay, gain)
+    out[share.size] = now
     return out
 
 

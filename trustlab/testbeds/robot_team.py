@@ -46,6 +46,7 @@ from trustlab.testbeds.team_run import TeamRun
 
 __all__ = ["simulate_team"]
 
+NOTE = "simulated team and operator"
 FILTERS = ("none", "corrected", "waves", "printed")
 CUTOFF = 10.0
 DECISION = 0.1
@@ -149,23 +150,12 @@ def simulate_team(
     both = {"delay": delay, "delay_back": delay if delay_back is None else delay_back}
     delays = delays_in_samples(both, rate, read_out, count, T)
     greatest = float(delays.max() * T)
-    vision = greatest if vision_delay is None else finite_number("vision_delay", vision_delay)
-    if not T * (1.0 - 1e-9) <= vision <= 1e4:
-        raise ValueError(f"vision_delay must be at least one sample, {T:g} s, got {vision}")
-    dwell = _dwell(min_dwell, greatest)
+    vision, dwell = _vision(vision_delay, greatest, T), _dwell(min_dwell, greatest)
     streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
-    q0 = signal(
-        "start", streams[0].uniform(-5.0, 5.0, (len(names), 3)) if start is None else start, len(names), 3
-    )
-    zeta0 = signal("inner", np.zeros((len(names), 3)) if inner is None else inner, len(names), 3)
-    pushed = signal("push", np.zeros((count, 3)) if push is None else push, count, 3)
-    decision = max(DECISION, T)
-    trust = _trust(settings, len(names), int(np.ceil(duration / decision)) + 1, decision, streams[1])
-    chosen = _chosen(policy, trust, names, decision, dwell, streams[2])
-    leads = chosen[np.minimum((np.arange(count) * T / decision + 1e-9).astype(np.int64), len(chosen) - 1)]
-    heads = leads if _flag("switch_scattering", switch_scattering) else np.full(count, leads[0])
-    values, vectors = np.linalg.eigh(np.diag(adjacency.sum(axis=1)) - adjacency)
-    w, z = (np.ascontiguousarray(array.T @ vectors) for array in (q0 - goal, zeta0))
+    q0, zeta0, pushed = _given(start, inner, push, len(names), count, streams[0])
+    trust, leads, decision = _leaders(policy, settings, names, duration, count, T, dwell, streams)
+    heads = leads if _flag("switch_scattering", switch_scattering) else np.full(count, leads.item(0))
+    values, vectors, w, z = _modes(adjacency, q0 - goal, zeta0)
     budget = operator.budget * (1.0 + 0.5 * float(np.sum(w**2) + np.sum(z**2)))
     far = max(float(np.linalg.norm(q0 - goal, axis=1).max()), tolerance)
     filtering = _filters(filters, float(np.mean([end.b for end in ends])))
@@ -174,35 +164,85 @@ def simulate_team(
     table, log = log_of(LOG, rows + 1)  # the last row is the kernel's scratch
     modes = np.empty((rows, 3, len(names)))
     done, block = run_team(
-        numbers, np.maximum(values, 0.0), np.ascontiguousarray(vectors), leads, heads, _robots(settings, ends, T),
-        delays, np.ones((2, count), bool), accounts(), w, z, pushed, every,
-        np.zeros(1, STATE), log, modes,
+        numbers, values, vectors, leads, heads, _robots(settings, ends, T),
+        delays, np.ones((2, count), bool), accounts(), w, z, pushed, every, np.zeros(1, STATE), log, modes,
     )  # fmt: skip
     if block >= 0:
-        raise DivergenceError(
-            f"the team diverged at t = {(done - 1) * T:g} s in the {BLOCKS[block]}; push less, switch the scattering with the "
-            "leader, or use a filter that is passive"
-        )
+        raise _diverged(block, (done - 1) * T)
     log["leader"] += goal
     t = np.round(T * every * np.arange(rows), 9)
+    facts = _facts(policy, filtering, numbers, seed, read_out, greatest, vision, dwell)
     data = pd.DataFrame(table[:rows], index=pd.Index(t, name="t"), columns=list(COLUMNS))
     positions = (modes @ vectors.T).transpose(0, 2, 1) + goal
-    facts = {
+    trust = trust[_intervals(t, decision, len(trust))]
+    return TeamRun(names, adjacency, goal, data, positions, trust, budget, tolerance, facts)
+
+
+def _modes(adjacency, distance, zeta) -> tuple[np.ndarray, ...]:
+    """Return eigenvalues and eigenvectors of the Laplacian, and the modes of two arrays of shape (N, 3)."""
+    values, vectors = np.linalg.eigh(np.diag(adjacency.sum(axis=1)) - adjacency)
+    w, z = (np.ascontiguousarray(array.T @ vectors) for array in (distance, zeta))
+    # the least eigenvalue is 0; rounding may make it negative, which would let the mean drift
+    return np.maximum(values, 0.0), np.ascontiguousarray(vectors), w, z
+
+
+def _facts(policy, filtering, numbers, seed, read_out, delay, vision, dwell) -> dict:
+    """Return how a run was made."""
+    return {
         "policy": policy.title,
         "filter": filtering.title,
         "k12": filtering.k12,
         "k21": filtering.k21,
         "seed": str(seed),
         "read_out": read_out,
-        "delay": greatest,
+        "delay": delay,
         "vision_delay": vision,
         "min_dwell": dwell,
-        "sample_time": T,
+        "sample_time": numbers.sample_time,
         "push": numbers.push,
-        "note": "simulated team and operator",
+        "note": NOTE,
     }
-    steps = np.minimum((t / decision + 1e-9).astype(np.int64), len(trust) - 1)
-    return TeamRun(names, adjacency, goal, data, positions, trust[steps], budget, tolerance, facts)
+
+
+def _given(start, inner, push, robots: int, count: int, rng) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where the robots begin, ζ at the start, and the force added to the hand's, drawn or zero where not given."""
+    drawn, none = rng.uniform(-5.0, 5.0, (robots, 3)), np.zeros((robots, 3))
+    return (
+        signal("start", drawn if start is None else start, robots, 3),
+        signal("inner", none if inner is None else inner, robots, 3),
+        signal("push", np.zeros((count, 3)) if push is None else push, count, 3),
+    )
+
+
+def _diverged(block: int, t: float) -> DivergenceError:
+    """Return the error of a run that grew without bound."""
+    return DivergenceError(
+        f"the team diverged at t = {t:g} s in the {BLOCKS[block]}; push less, switch the scattering with the leader, or use a "
+        "filter that is passive"
+    )
+
+
+def _vision(vision_delay, delay: float, T: float) -> float:
+    """Return how old the operator's picture is [s]: at least one sample, the greatest delay when not given."""
+    vision = delay if vision_delay is None else finite_number("vision_delay", vision_delay)
+    if not T * (1.0 - 1e-9) <= vision <= 1e4:
+        raise ValueError(f"vision_delay must be at least one sample, {T:g} s, got {vision}")
+    return vision
+
+
+def _intervals(t: np.ndarray, decision: float, most: int) -> np.ndarray:
+    """Return the decision interval that each time falls into; 1e-9 keeps rounding from moving a boundary."""
+    return np.minimum((t / decision + 1e-9).astype(np.int64), most - 1)
+
+
+def _leaders(
+    policy, settings, names, duration, count, T, dwell, streams
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return human-to-robot trust at every decision, who leads in each sample, and the time between decisions [s]."""
+    decision = max(DECISION, T)
+    trust = _trust(settings, len(names), int(np.ceil(duration / decision)) + 1, decision, streams[1])
+    chosen = _chosen(policy, trust, names, decision, dwell, streams[2])
+    return trust, chosen[_intervals(np.arange(count) * T, decision, len(chosen))], decision
 
 
 def _samples(duration, sample_time, record_every, robots: int) -> tuple[int, int, float]:

@@ -6,7 +6,7 @@ import html
 
 import numpy as np
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import finite_number, positive
 
 __all__ = ["animated_svg"]
 
@@ -16,27 +16,9 @@ DIAL_X, DIAL_Y, DIAL = 505, 170, 90
 
 
 def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
-    """
-    Return the team from above, and the horizontal force that the operator feels, as an SVG that repeats.
-
-    Parameters
-    ----------
-    run : TeamRun
-        What to show.
-    until : float, optional
-        Where to stop [s]; at the end of the run when not given.
-    lasting : float
-        How long one showing lasts [s].
-
-    Raises
-    ------
-    ValueError
-        If `until` is not within the run, or `lasting` is not positive.
-    """
-    lasting = finite_number("lasting", lasting)
+    """Return the team from above, and the horizontal force that the operator feels, as an SVG that repeats."""
+    lasting = positive("lasting", lasting)
     until = float(run.t[-1]) if until is None else finite_number("until", until)
-    if not lasting > 0.0:
-        raise ValueError(f"lasting must be positive, got {lasting}")
     if not run.t[0] < until <= run.t[-1]:
         raise ValueError(f"until must be after {run.t[0]:g} s and at most {run.t[-1]:g} s, got {until:g}")
     at = np.searchsorted(run.t, np.linspace(run.t[0], until, FRAMES) - 1e-9)
@@ -56,25 +38,10 @@ def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
     most = max(float(np.linalg.norm(force, axis=1).max()), 1e-9)
     tip = np.array([DIAL_X, DIAL_Y]) + DIAL * force / most * np.array([1.0, -1.0])
 
-    def moving(name: str, values: np.ndarray) -> str:
-        told = ";".join(f"{value:.1f}" for value in values)
-        return (
-            f'<animate attributeName="{name}" values="{told}" dur="{lasting:g}s" repeatCount="indefinite"/>'
-        )
-
-    parts = [
-        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 640 430" width="640" height="430" font-family="sans-serif" font-size="12">',
-        f"<title>{html.escape(run.label)}: from above, and the force that the operator feels</title>",
-        '<rect width="640" height="430" fill="#fff"/>',
-        f'<text x="{LEFT}" y="18" font-size="13">{html.escape(run.label)}</text>',
-        f'<rect x="{LEFT}" y="{TOP}" width="{SIDE}" height="{SIDE}" fill="none" stroke="#ccc"/>',
-        f'<text x="{LEFT}" y="{TOP - 6}" fill="#555">from above, {span:.1f} m wide</text>',
-        f'<text x="{DIAL_X - DIAL}" y="{TOP - 6}" fill="#555">force felt in x and y, rim: {most:.2g} N</text>',
-        f'<circle cx="{DIAL_X}" cy="{DIAL_Y}" r="{DIAL}" fill="none" stroke="#ccc"/>',
-    ]
+    parts = _frame(html.escape(run.label), span, most)
     for i, j in np.argwhere(np.triu(run.adjacency)):
         ends = "".join(
-            moving(name, values[:, k])
+            _moving(name, values[:, k], lasting)
             for name, values, k in (("x1", x, i), ("y1", y, i), ("x2", x, j), ("y2", y, j))
         )
         parts.append(f'<line stroke="#aaa">{ends}</line>')
@@ -92,18 +59,52 @@ def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
         first = colours.split(";", 1)[0]
         parts.append(
             f'<circle cx="{x[0, i]:.1f}" cy="{y[0, i]:.1f}" r="6" stroke="#fff" fill="{first}">'
-            f"{moving('cx', x[:, i])}{moving('cy', y[:, i])}{turn}</circle>"
+            f"{_moving('cx', x[:, i], lasting)}{_moving('cy', y[:, i], lasting)}{turn}</circle>"
         )
-    parts += [
-        f'<line x1="{DIAL_X}" y1="{DIAL_Y}" stroke="#d55e00" stroke-width="3">{moving("x2", tip[:, 0])}{moving("y2", tip[:, 1])}</line>',
-        f'<circle r="5" fill="#d55e00">{moving("cx", tip[:, 0])}{moving("cy", tip[:, 1])}</circle>',
+    parts += _force(tip, lasting) + _clock(until, lasting)
+    return "".join([*parts, "</svg>"])
+
+
+def _moving(name: str, values: np.ndarray, lasting: float) -> str:
+    """Return an animation of one attribute that runs through the values."""
+    told = ";".join(f"{value:.1f}" for value in values)
+    return f'<animate attributeName="{name}" values="{told}" dur="{lasting:g}s" repeatCount="indefinite"/>'
+
+
+def _frame(label: str, span: float, most: float) -> list[str]:
+    """Return title, frame and dial, and the key to the colours."""
+    return [
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 640 430" width="640" height="430" font-family="sans-serif" font-size="12">',
+        f"<title>{label}: from above, and the force that the operator feels</title>",
+        '<rect width="640" height="430" fill="#fff"/>',
+        f'<text x="{LEFT}" y="18" font-size="13">{label}</text>',
+        f'<rect x="{LEFT}" y="{TOP}" width="{SIDE}" height="{SIDE}" fill="none" stroke="#ccc"/>',
+        f'<text x="{LEFT}" y="{TOP - 6}" fill="#555">from above, {span:.1f} m wide</text>',
+        f'<text x="{DIAL_X - DIAL}" y="{TOP - 6}" fill="#555">force felt in x and y, rim: {most:.2g} N</text>',
+        f'<circle cx="{DIAL_X}" cy="{DIAL_Y}" r="{DIAL}" fill="none" stroke="#ccc"/>',
         f'<text x="{DIAL_X - DIAL}" y="300" fill="#0072b2">● robot</text>',
         f'<text x="{DIAL_X - DIAL}" y="320" fill="#d55e00">● leader</text>',
         f'<text x="{DIAL_X - DIAL}" y="340" fill="#009e73">○ goal</text>',
+    ]
+
+
+def _force(tip: np.ndarray, lasting: float) -> list[str]:
+    """Return the force as a line from the middle of the dial."""
+    x, y = tip.T
+    line = _moving("x2", x, lasting) + _moving("y2", y, lasting)
+    point = _moving("cx", x, lasting) + _moving("cy", y, lasting)
+    return [
+        f'<line x1="{DIAL_X}" y1="{DIAL_Y}" stroke="#d55e00" stroke-width="3">{line}</line>',
+        f'<circle r="5" fill="#d55e00">{point}</circle>',
+    ]
+
+
+def _clock(until: float, lasting: float) -> list[str]:
+    """Return a bar that grows with time."""
+    growing = _moving("width", np.linspace(0.0, SIDE, 2), lasting)
+    return [
         f'<rect x="{LEFT}" y="398" width="{SIDE}" height="5" fill="#eee"/>',
-        f'<rect x="{LEFT}" y="398" height="5" fill="#444">{moving("width", np.linspace(0.0, SIDE, 2))}</rect>',
+        f'<rect x="{LEFT}" y="398" height="5" fill="#444">{growing}</rect>',
         f'<text x="{LEFT}" y="420" fill="#555">0 s</text>',
         f'<text x="{LEFT + SIDE}" y="420" fill="#555" text-anchor="end">{until:g} s</text>',
-        "</svg>",
     ]
-    return "".join(parts)

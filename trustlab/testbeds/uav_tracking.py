@@ -278,17 +278,10 @@ def simulate_teleoperation(
             f"scheme {scheme} diverged at t = {(done - 1) * sample_time:g} s in the {BLOCKS[block]} (its energy: "
             f"{energy:.3g} J); lower k_ffa, the hand's gains or the sample time, or see which guard is off"
         )
-    facts = {
-        "study": settings.title,
-        "scheme": chosen.title,
-        "seed": str(seed),
-        "read_out": read_out,
-        "guard": guard,
-        "note": NOTE,
-    }
-    return Session(
-        data, Metadata(operator.participant, chosen.name, "trustlab.testbeds.uav_tracking", True, facts)
-    )
+    facts = {"study": settings.title, "scheme": chosen.title, "seed": str(seed)}
+    facts |= {"read_out": read_out, "guard": guard, "note": NOTE}
+    about = Metadata(operator.participant, chosen.name, "trustlab.testbeds.uav_tracking", True, facts)
+    return Session(data, about)
 
 
 def _samples(duration: float, sample_time: float) -> tuple[int, float]:

@@ -54,6 +54,8 @@ class LoopSettings:
         Refuse a device that is not r-passive.
     title : str
         What these settings are.
+    study : {"main", "preliminary"}
+        Whose task, delays and operator's reach are used where they are not given; `dataclasses.replace` keeps it.
 
     Raises
     ------
