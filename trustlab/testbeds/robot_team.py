@@ -157,9 +157,8 @@ def simulate_team(
     heads = leads if _flag("switch_scattering", switch_scattering) else np.full(count, leads.item(0))
     values, vectors, w, z = _modes(adjacency, q0 - goal, zeta0)
     budget = operator.budget * (1.0 + 0.5 * float(np.sum(w**2) + np.sum(z**2)))
-    far = max(float(np.linalg.norm(q0 - goal, axis=1).max()), tolerance)
     filtering = _filters(filters, float(np.mean([end.b for end in ends])))
-    numbers = _numbers(settings, operator, filtering, T, rate, read_out, vision, budget, far)
+    numbers = _numbers(settings, operator, filtering, T, rate, read_out, vision, budget, q0 - goal, tolerance)
     rows = -(-count // every)
     table, log = log_of(LOG, rows + 1)  # the last row is the kernel's scratch
     modes = np.empty((rows, 3, len(names)))
@@ -274,7 +273,9 @@ def _dwell(min_dwell, delay: float) -> float:
     return dwell
 
 
-def _numbers(settings, operator, filtering, T, rate, read_out, vision, budget, far) -> TeamNumbers:
+def _numbers(
+    settings, operator, filtering, T, rate, read_out, vision, budget, distance, tolerance
+) -> TeamNumbers:
     """Return device, filters and operator as the compiled loop takes them."""
     device = settings.device()
     return TeamNumbers(
@@ -296,7 +297,7 @@ def _numbers(settings, operator, filtering, T, rate, read_out, vision, budget, f
         reserve=operator.reserve * budget,
         guarded=operator.guarded,
         vision=round(vision / T),
-        error_range=far,
+        error_range=max(float(np.linalg.norm(distance, axis=1).max()), tolerance),
         steepness=settings.steepness,
     )
 
