@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class Problem:
     def columns(self, run: int) -> np.ndarray:
         """Return where the parameters and one run's initial states stand in the full vector."""
         first = self.shared + run * self.own
-        return np.r_[0 : self.shared, first : first + self.own]
+        return np.array([*range(self.shared), *range(first, first + self.own)])
 
     def vector(self, values: Mapping) -> np.ndarray:
         """Return the full vector of values by name; an initial state may have one value per run."""
@@ -56,12 +56,15 @@ class Problem:
         states = [
             np.broadcast_to(values[name], (len(self.runs),)) for name in self.structure.names[self.shared :]
         ]
-        return np.r_[shared, np.column_stack(states).ravel() if states else []].astype(float)
+        own = np.column_stack(states).ravel() if states else ()
+        return np.array([*shared, *own], dtype=float)
 
     def predict(self, run: int, theta: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Simulate one run; return its outputs and their derivatives."""
         values = dict(zip(self.structure.names, theta[self.where[run]], strict=True))
-        self.latest[run] = self.structure.predict(self.runs[run], values)
+        first, self.latest[run] = self.latest[run] is None, self.structure.predict(self.runs[run], values)
+        if first:
+            self.structure.check_sensitivities(self.runs[run], *self.latest[run])
         return self.latest[run]
 
     def normal(self, theta: np.ndarray) -> NormalEquations:
@@ -100,7 +103,8 @@ class Problem:
         """Return `normal` in the coordinates of the search."""
         at = self.normal(self.from_search(x))
         slope = np.array([one.slope(value) for one, value in zip(self.coordinates, x, strict=True)])
-        return replace(at, gradient=at.gradient * slope, matrix=at.matrix * np.outer(slope, slope))
+        matrix = at.matrix * np.outer(slope, slope)
+        return NormalEquations(at.value, at.gradient * slope, matrix, at.squares, at.exact)
 
     def to_search(self, theta: np.ndarray) -> np.ndarray:
         """Return search coordinates of parameters."""

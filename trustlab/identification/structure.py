@@ -287,11 +287,7 @@ class Structure:
             Parameters and the run's initial states, by name.
         """
         if self.sensitivities is not None:
-            outputs, jacobians = self.sensitivities(run, **values)
-            self._check_shapes("sensitivities", outputs, [(run.size,)] * len(self.outputs))
-            shapes = [(run.size, len(self.columns_of(name))) for name in self.outputs]
-            self._check_shapes("the derivatives of sensitivities", jacobians, shapes)
-            return outputs, jacobians
+            return self.sensitivities(run, **values)
         outputs = self._simulated(run, values)
         jacobians = [np.empty((run.size, len(self.columns_of(name)))) for name in self.outputs]
         for number, parameter in enumerate((*self.parameters, *self.initial)):
@@ -310,6 +306,23 @@ class Structure:
         outputs = [np.asarray(one, dtype=float) for one in (found if isinstance(found, tuple) else (found,))]
         self._check_shapes("simulate", outputs, [(run.size,)] * len(self.outputs))
         return outputs
+
+    def check_sensitivities(
+        self, run: Any, outputs: Sequence[np.ndarray], jacobians: Sequence[np.ndarray]
+    ) -> None:
+        """
+        Refuse what `sensitivities` returns unless there is an array of the right shape for each output.
+
+        Parameters
+        ----------
+        run : Run
+            The run that was simulated.
+        outputs, jacobians : sequence of numpy.ndarray
+            What was returned.
+        """
+        self._check_shapes("sensitivities", outputs, [(run.size,)] * len(self.outputs))
+        shapes = [(run.size, len(self.columns_of(name))) for name in self.outputs]
+        self._check_shapes("the derivatives of sensitivities", jacobians, shapes)
 
     def _check_shapes(self, what: str, found: Sequence[np.ndarray], wanted: list[tuple]) -> None:
         """Refuse what a user's function returns unless there is one array of the right shape for each output."""
