@@ -14,22 +14,12 @@ __all__ = ["PrintedNumber", "half_unit", "printed_decimal", "printed_interval", 
 ROUNDINGS = (ROUND_HALF_EVEN, ROUND_HALF_UP)
 """Both conventions for a 5 that is rounded off; which one a printed number followed is not known."""
 
+COUNTED = ("one", "two", "three", "four", "five", "six", "seven", "eight")
 WORDS = {
-    "one": 1.0,
-    "two": 2.0,
-    "three": 3.0,
-    "four": 4.0,
-    "five": 5.0,
-    "six": 6.0,
-    "seven": 7.0,
-    "eight": 8.0,
+    **{word: float(i) for i, word in enumerate(COUNTED, start=1)},
     "thirty two": 32.0,
-    "4 and 5": 2.0,  # two participants, by their numbers
-    "4 and 11": 2.0,
-    "smallest": 1.0,
-    "lowest": 1.0,
-    "highest": 1.0,
-    "worst": 1.0,
+    **dict.fromkeys(("4 and 5", "4 and 11"), 2.0),  # two participants, by their numbers
+    **dict.fromkeys(("smallest", "lowest", "highest", "worst"), 1.0),
     "third best": 3.0,
 }
 """Printed words that stand for a number or a rank."""
@@ -140,7 +130,5 @@ class PrintedNumber:
         """Least and greatest value that rounds to the number, or obeys the bound."""
         if self.is_bound:
             return -math.inf, self.value
-        reach = self.half * (
-            1.0 + 1e-9
-        )  # a value computed to lie on the edge may miss it by its own rounding
+        reach = self.half * (1.0 + 1e-9)  # a value on the edge may miss it by its own rounding
         return self.value - reach, self.value + reach

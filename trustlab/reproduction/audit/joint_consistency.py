@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -102,9 +102,9 @@ class JointCheck:
         names = ", ".join(self.outputs)
         inputs = listing(self.inputs, self.numbers)
         formula = f"{names} from one set of parameters"
-        row = row_about(self.numbers[anchor], verdict, reason, formula=formula, inputs=inputs)
         printed = ", ".join(self.numbers[id].printed for id in self.outputs.values())
-        return replace(row, id=f"{anchor}/column", quantity=f"{names} at once", printed=printed)
+        instead = {"id": f"{anchor}/column", "quantity": f"{names} at once", "printed": printed}
+        return row_about(self.numbers[anchor], verdict, reason, formula=formula, inputs=inputs, **instead)
 
 
 def _limit_row(numbers: Numbers, p: str) -> Row:

@@ -82,53 +82,47 @@ def column_formulas(column: str) -> dict[str, Formula]:
     used = _ids((*PERFORMANCE, "a_pr", "delta_P_h"), column)
     gain = _ids(("a_pr", "P_r_min", "P_r_max", "P_h_max"), column)
     steps = _ids((*PERFORMANCE, "delta_P_r", "delta_P_h"), column)
+    upper = Formula("a'_3 P_h + b'_3 (2.10)", used, lambda v: limits(v)["TSC_ub"])
     return {
         "b_r": Formula.of("1 - a_r", _ids(("a_r",), column)),
         "b_pr": Formula("(1 − a_pr)(P_r_max − P_r_min)/P_h_max", gain, robot_gain),
         "delta_TSC": Formula("a_T δ_Pr + b_T δ_Ph", steps, largest_step),
         "TSC_lb": Formula("a_T b'_1 − b_T P_h_min (2.9)", used, lambda v: limits(v)["TSC_lb"]),
-        # b_pr is not varied within its rounding on its own: (2.3) ties it to the other parameters.
-        "TSC_ub": Formula(
-            "a'_3 P_h + b'_3 (2.10)",
-            used | _ids(("b_pr",), column),
-            lambda v: limits(v)["TSC_ub"],
-            "b_pr as printed",
-            as_printed=("b_pr",),
-        ),
+        "TSC_ub": with_printed_gain(upper, column, "b_pr as printed"),
+        "TSC_ub by (2.3)": replace(upper, label="b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb"),
     }
+
+
+def with_printed_gain(formula: Formula, column: str, label: str) -> Formula:
+    """
+    Return a formula that takes the printed b_pr of a participant or the pilot, and not that of (2.3).
+
+    It is not varied within its rounding on its own: (2.3) ties it to the other parameters.
+    """
+    inputs = {**formula.inputs, **_ids(("b_pr",), column)}
+    return replace(formula, inputs=inputs, label=label, as_printed=("b_pr",))
 
 
 def bound_formulas(p: str) -> dict[str, Formula]:
     """Return the formulas of Table 2.2 for one participant."""
-    range_inputs = _ids((*PERFORMANCE, "delta_TSC", "TSC_l", "TSC_u"), p)
-    inputs = _ids((*PERFORMANCE, "a_pr", "a_r", "delta_TSC", "TSC_l", "TSC_u"), p)
+    for_range = _ids((*PERFORMANCE, "delta_TSC", "TSC_l", "TSC_u"), p)
+    for_rate = _ids((*PERFORMANCE, "a_pr", "a_r", "delta_TSC", "TSC_l", "TSC_u"), p)
     return {
-        "P_rl": Formula("P_rl of (2.15)", range_inputs, lambda v: bounds(v)["P_rl"]),
-        "P_ru": Formula("P_ru of (2.15)", range_inputs, lambda v: bounds(v)["P_ru"]),
-        "r_l": Formula("r_l of (2.33)", inputs, lambda v: bounds(v)["r_l"]),
-        "r_u": Formula("r_u of (2.33)", inputs, lambda v: bounds(v)["r_u"]),
+        "P_rl": Formula("P_rl of (2.15)", for_range, lambda v: bounds(v)["P_rl"]),
+        "P_ru": Formula("P_ru of (2.15)", for_range, lambda v: bounds(v)["P_ru"]),
+        "r_l": Formula("r_l of (2.33)", for_rate, lambda v: bounds(v)["r_l"]),
+        "r_u": Formula("r_u of (2.33)", for_rate, lambda v: bounds(v)["r_u"]),
     }
 
 
 def upper_limit_check(p: str) -> Check:
     """Return the check of TSC_ub (2.10), with b_pr as printed and as (2.3) gives it."""
-    ub = column_formulas(p)["TSC_ub"]
-    exact = replace(
-        ub,
-        inputs={symbol: id for symbol, id in ub.inputs.items() if symbol != "b_pr"},
-        label="b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb",
-        as_printed=(),
-    )
+    formulas = column_formulas(p)
+    exact = formulas["TSC_ub by (2.3)"]
     neighbours = tuple(
-        replace(
-            ub,
-            inputs={**ub.inputs, "b_pr": f"table_2.1/b_pr/{q}"},
-            label=f"the b_pr of participant {q} was used",
-        )
-        for q in PARTICIPANTS
-        if q != p
+        with_printed_gain(exact, q, f"the b_pr of participant {q} was used") for q in PARTICIPANTS if q != p
     )
-    return Check(f"table_2.1/TSC_ub/{p}", ub, (exact,), neighbours)
+    return Check(f"table_2.1/TSC_ub/{p}", formulas["TSC_ub"], (exact,), neighbours)
 
 
 def _untied_gain(check: Check, tied: Formula, numbers: Numbers) -> str:
@@ -161,25 +155,16 @@ def _participant(p: str, numbers: Numbers) -> list[Check]:
         lambda v: largest_step(v, -1.0),
         "|a_T δ_Pr − b_T δ_Ph| was taken as it stands in Remark 3, whose maximum is the sum",
     )
-    printed_gain = {
-        name: replace(
-            two[name],
-            inputs={**two[name].inputs, "b_pr": f"table_2.1/b_pr/{p}"},
-            label="c of (2.20) as b_pr P_h/(1 − a_pr) with b_pr as printed",
-            as_printed=("b_pr",),
-        )
-        for name in ("r_l", "r_u")
-    }
+    rise = "c of (2.20) as b_pr P_h/(1 − a_pr) with b_pr as printed"
     return [
-        Check(f"table_2.1/b_r/{p}", one["b_r"]),
-        Check(f"table_2.1/b_pr/{p}", one["b_pr"]),
+        *(Check(f"table_2.1/{name}/{p}", one[name]) for name in ("b_r", "b_pr", "TSC_lb")),
         Check(f"table_2.1/delta_TSC/{p}", one["delta_TSC"], explanations=(minus,)),
-        Check(f"table_2.1/TSC_lb/{p}", one["TSC_lb"]),
         replace(upper, note=f"{below} {_untied_gain(upper, one['b_pr'], numbers)}".strip()),
-        Check(f"table_2.2/P_rl/{p}", two["P_rl"]),
-        Check(f"table_2.2/P_ru/{p}", two["P_ru"]),
-        Check(f"table_2.2/r_l/{p}", two["r_l"], (printed_gain["r_l"],)),
-        Check(f"table_2.2/r_u/{p}", two["r_u"], (printed_gain["r_u"],)),
+        *(Check(f"table_2.2/{name}/{p}", two[name]) for name in ("P_rl", "P_ru")),
+        *(
+            Check(f"table_2.2/{name}/{p}", two[name], (with_printed_gain(two[name], p, rise),))
+            for name in ("r_l", "r_u")
+        ),
         _encloses_beta(p),
         _inside_limits(p, below),
     ]
@@ -225,7 +210,7 @@ def _largest_robot_step(column: str, numbers: Numbers) -> Possible:
         note = (
             f"Suspicious: with the parameters as printed, (2.3) moves P_r by at most {limit:.2e} in one step."
         )
-    return Possible(id, Formula("0", {}, lambda v: np.array(0.0)), most, note)
+    return Possible(id, Formula.of("0", {}), most, note)
 
 
 def _captured(p: str, numbers: Numbers) -> list[Check | Remark]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -22,9 +21,21 @@ from trustlab.reproduction.audit.verdict import (
 )
 from trustlab.reproduction.printed_number import PrintedNumber
 
-__all__ = ["pair_checks"]
+__all__ = ["extreme_t", "means_and_sds", "pair_checks"]
 
 ALPHA = 0.05
+
+
+def means_and_sds(name: str, conditions: tuple[str, ...]) -> dict[str, str]:
+    """Return symbol to id of the means and SDs of some conditions, and of n."""
+    means = {f"M_{c}": f"{name}/mean.{c}" for c in conditions}
+    return means | {f"SD_{c}": f"{name}/sd.{c}" for c in conditions} | {"n": f"{name}/n"}
+
+
+def extreme_t(v: dict, a: str, b: str, correlation: int) -> np.ndarray:
+    """Return the size of a paired t from means and SDs, at a correlation of 1 (the greatest) or −1 (the least)."""
+    sd = np.abs(v[f"SD_{a}"] - correlation * v[f"SD_{b}"])
+    return np.abs(v[f"M_{a}"] - v[f"M_{b}"]) * np.sqrt(v["n"]) / np.maximum(sd, 1e-12)
 
 
 def _usual_bound(numbers: Numbers) -> str:
@@ -43,16 +54,13 @@ def _pair(id: str, name: str, numbers: Numbers) -> Possible | Remark:
         return Remark(id, odd or "The mean and SD of one of the two conditions are not printed.")
     k = len(conditions_of(name))
     m = k * (k - 1) // 2
-    inputs = {f"M_{c}": f"{name}/mean.{c}" for c in (a, b)} | {f"SD_{c}": f"{name}/sd.{c}" for c in (a, b)}
+    inputs = means_and_sds(name, (a, b))
 
-    def p_value(v: dict, sign: float, times: float) -> np.ndarray:
-        sd = np.abs(v[f"SD_{a}"] + sign * v[f"SD_{b}"])
-        t = np.abs(v[f"M_{a}"] - v[f"M_{b}"]) * np.sqrt(v["n"]) / np.maximum(sd, 1e-12)
-        return np.minimum(times * 2.0 * stats.t.sf(t, v["n"] - 1.0), 1.0)
+    def p_value(v: dict, correlation: int, times: float) -> np.ndarray:
+        return np.minimum(times * 2.0 * stats.t.sf(extreme_t(v, a, b, correlation), v["n"] - 1.0), 1.0)
 
-    inputs["n"] = f"{name}/n"
-    least = Formula("p unadjusted at a correlation of 1", inputs, lambda v: p_value(v, -1.0, 1.0))
-    most = Formula(f"{m} p (Bonferroni) at a correlation of −1", inputs, lambda v: p_value(v, 1.0, m))
+    least = Formula("p unadjusted at a correlation of 1", inputs, lambda v: p_value(v, 1, 1.0))
+    most = Formula(f"{m} p (Bonferroni) at a correlation of −1", inputs, lambda v: p_value(v, -1, m))
     return Possible(id, least, most, odd)
 
 
@@ -88,11 +96,16 @@ def _adjustment(name: str, numbers: Numbers) -> Row:
         reason += f"The adjustment is not printed; of the two only {fits[0]} is possible."
     else:
         reason = f"Suspicious: {reason}Neither is possible."
-    row = row_about(
-        number, "not checkable", reason, (value, low, high), formula.text, listing(inputs, numbers)
+    return row_about(
+        number,
+        "not checkable",
+        reason,
+        (value, low, high),
+        formula.text,
+        listing(inputs, numbers),
+        id=f"{name}/pairs/adjustment",
+        quantity=f"{number.quantity}, against the pairwise p-values",
     )
-    quantity = f"{number.quantity}, against the pairwise p-values"
-    return replace(row, id=f"{name}/pairs/adjustment", quantity=quantity)
 
 
 def _printed_p(name: str, pair: tuple[str, str], numbers: Numbers) -> tuple[float, float]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -119,8 +118,7 @@ def _sd(measure: str, mean: str) -> Possible | Remark:
     text = f"√(n/(n − 1) (M − {least:g})({most:g} − M)), all scores at the ends of the scale"
     if math.isinf(most):
         text = "M √n, all but one score 0"
-    zero = Formula("0", {}, lambda v: np.array(0.0))
-    return Possible(sd, zero, Formula(text, {"M": mean, "n": _size(measure)}, greatest))
+    return Possible(sd, Formula.of("0", {}), Formula(text, {"M": mean, "n": _size(measure)}, greatest))
 
 
 def _units(measure: str, condition: str, numbers: Numbers, per_person: Fraction) -> Fraction:
@@ -183,11 +181,14 @@ def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Nu
     word, first = "items" if items else "scoring", next(iter(ids.values()))
     formula = "mean × respondents × items is a whole number"
     inputs = listing({**ids, "n": size}, numbers)
-    row = row_about(numbers[first], "not checkable", reason, (fewest, math.nan, math.nan), formula, inputs)
     printed = ", ".join(numbers[id].printed for id in ids.values())
-    return replace(
-        row, id=f"{measure}/{word}", quantity=f"{kind}: {word} that all means fit", printed=printed
-    )
+    instead = {
+        "id": f"{measure}/{word}",
+        "quantity": f"{kind}: {word} that all means fit",
+        "printed": printed,
+    }
+    span = (fewest, math.nan, math.nan)
+    return row_about(numbers[first], "not checkable", reason, span, formula, inputs, **instead)
 
 
 def _performance(measure: str, condition: str, id: str, numbers: Numbers) -> Possible | Remark:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from trustlab.reproduction.audit.catalogue import conditions_of, study_names
-from trustlab.reproduction.audit.pairwise import pair_checks
+from trustlab.reproduction.audit.pairwise import extreme_t, means_and_sds, pair_checks
 from trustlab.reproduction.audit.verdict import Check, Finding, Formula, Numbers, Possible, Remark
 from trustlab.studies.analysis.sphericity import mauchly_factor, mauchly_p_value
 
@@ -30,12 +30,6 @@ def chi2_of_epsilon(epsilon: np.ndarray, n: np.ndarray, k: int, greatest: bool) 
     with np.errstate(all="ignore"):
         w = np.where((single > 0.0) & (others > 0.0), single * others ** (p - 1.0), 0.0)
         return -mauchly_factor(n, k) * np.log(w)
-
-
-def _means_and_sds(name: str, conditions: tuple[str, ...]) -> dict[str, str]:
-    """Return symbol to id of the means and SDs of some conditions, and of n."""
-    means = {f"M_{c}": f"{name}/mean.{c}" for c in conditions}
-    return means | {f"SD_{c}": f"{name}/sd.{c}" for c in conditions} | {"n": f"{name}/n"}
 
 
 SYMBOLS = {
@@ -70,7 +64,7 @@ def _anova(name: str, numbers: Numbers, k: int) -> list[Check]:
         df1 = check("df1", "df2 / (n - 1)", f"{d} * ε")
         df2 = check("df2", f"{d} * ε * (n - 1)", "df1 * (n - 1)")
         return [*checks, df1, df2, check("ε", f"df2 / ({d} * (n - 1))", f"df1 / {d}")]
-    conditions = Formula(f"k − 1, k = {k}", {}, lambda v: np.array(float(d)))
+    conditions = Formula.of(f"{d}", {}, text=f"k − 1, k = {k}")
     errors = Formula.of(f"{d} * (n - 1)", ids, text=f"(k − 1)(n − 1), k = {k}")
     return [*checks, Check(ids["df1"], conditions), Check(ids["df2"], errors)]
 
@@ -81,7 +75,7 @@ def _f_ratio(name: str, numbers: Numbers) -> Possible | Remark:
     k = len(conditions)
     if any(f"{name}/mean.{c}" not in numbers for c in conditions):
         return Remark(f"{name}/anova.F", "The mean and SD of one condition are not printed.")
-    inputs = _means_and_sds(name, conditions)
+    inputs = means_and_sds(name, conditions)
 
     def f_ratio(v: dict, greatest: bool) -> np.ndarray:
         means = np.stack([v[f"M_{c}"] for c in conditions])
@@ -91,9 +85,8 @@ def _f_ratio(name: str, numbers: Numbers) -> Possible | Remark:
         error = variance - covariance if greatest else variance * k / (k - 1.0)
         return v["n"] * means.var(axis=0, ddof=1) / error
 
-    least = Formula(
-        "F at the least average correlation, −1/(k − 1)", inputs, lambda v: f_ratio(v, greatest=False)
-    )
+    lowest = "F at the least average correlation, −1/(k − 1)"
+    least = Formula(lowest, inputs, lambda v: f_ratio(v, greatest=False))
     most = Formula("F at correlations of 1", inputs, lambda v: f_ratio(v, greatest=True))
     return Possible(f"{name}/anova.F", least, most)
 
@@ -118,7 +111,7 @@ def _mauchly(name: str, numbers: Numbers, k: int) -> list:
             f"{p_low:.2g} to {p_high:.2g}."
         )
         return [Remark(sphericity, reason)]
-    df = Formula(f"k(k − 1)/2 − 1, k = {k}", {}, lambda v: np.array(k * (k - 1) / 2 - 1.0))
+    df = Formula.of(f"{k} * ({k} - 1) / 2 - 1", {}, text=f"k(k − 1)/2 − 1, k = {k}")
     first_order = Formula(
         "P(χ²(df) > χ²)",
         {"χ2": at["chi2"], "df": at["df"]},
@@ -132,16 +125,12 @@ def _mauchly(name: str, numbers: Numbers, k: int) -> list:
         "second-order approximation, as statistical packages give it",
     )
     chi2 = Remark(at["chi2"], "Depends on correlations, which are not printed.")
-    met = numbers[sphericity].printed == "met"
+    target = (0.05, 1.0) if numbers[sphericity].printed == "met" else (0.0, 0.05)
+    note = "Sphericity is rejected below 0.05."
     return [
         Check(at["df"], df),
         Check(at["p"], second_order, (first_order,)),
-        Check(
-            sphericity,
-            Formula.of("p", _ids(name)),
-            target=(0.05, 1.0) if met else (0.0, 0.05),
-            note="Sphericity is rejected below 0.05.",
-        ),
+        Check(sphericity, Formula.of("p", _ids(name)), target=target, note=note),
         Possible(at["chi2"], least, most) if epsilon in numbers else chi2,
     ]
 
@@ -149,25 +138,12 @@ def _mauchly(name: str, numbers: Numbers, k: int) -> list:
 def _t_test(name: str, numbers: Numbers) -> list[Check | Possible]:
     """Return the checks of a paired t and its p."""
     a, b = (id.split(".")[-1] for id in numbers if id.startswith(f"{name}/mean."))
-    inputs = _means_and_sds(name, (a, b))
-
-    def t_value(v: dict, sign: float) -> np.ndarray:
-        sd = np.abs(v[f"SD_{a}"] + sign * v[f"SD_{b}"])
-        return np.abs(v[f"M_{a}"] - v[f"M_{b}"]) * np.sqrt(v["n"]) / sd
-
-    tail = Formula(
-        "2 P(t(n − 1) > t)",
-        {"t": f"{name}/t_test.t", "n": f"{name}/n"},
-        lambda v: 2.0 * stats.t.sf(v["t"], v["n"] - 1.0),
-    )
-    return [
-        Check(f"{name}/t_test.p", tail),
-        Possible(
-            f"{name}/t_test.t",
-            Formula("t at a correlation of −1", inputs, lambda v: t_value(v, 1.0)),
-            Formula("t at a correlation of 1", inputs, lambda v: t_value(v, -1.0)),
-        ),
-    ]
+    inputs = means_and_sds(name, (a, b))
+    least = Formula("t at a correlation of −1", inputs, lambda v: extreme_t(v, a, b, -1))
+    most = Formula("t at a correlation of 1", inputs, lambda v: extreme_t(v, a, b, 1))
+    t, n = f"{name}/t_test.t", f"{name}/n"
+    tail = Formula("2 P(t(n − 1) > t)", {"t": t, "n": n}, lambda v: 2.0 * stats.t.sf(v["t"], v["n"] - 1.0))
+    return [Check(f"{name}/t_test.p", tail), Possible(t, least, most)]
 
 
 def _sample_size(name: str) -> Check:

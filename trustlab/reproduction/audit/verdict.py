@@ -52,10 +52,15 @@ def row_about(
     span: Span = NOTHING,
     formula: str = "",
     inputs: str = "",
+    **instead: str,
 ) -> Row:
-    """Return the row of a printed number; `span` is the recomputed value, its least and its greatest."""
+    """
+    Return the row of a printed number, with other fields of it where they are given.
+
+    `span` is the recomputed value, its least and its greatest.
+    """
     about = number.id, number.where, number.quantity, number.printed
-    return Row(*about, *span, verdict, reason.strip(), formula, inputs)
+    return replace(Row(*about, *span, verdict, reason.strip(), formula, inputs), **instead)
 
 
 def listing(inputs: Mapping[str, str], numbers: Numbers) -> str:
@@ -190,8 +195,8 @@ class Check:
             verdict = "not checkable" if self.binding else "differs"
             reason = f"{self._missed(number, ways)} {self._explained(numbers, least, most)}".strip()
         reason = f"{reason} {self.note}"
-        row = row_about(number, verdict, reason, span, way.text, listing(way.inputs, numbers))
-        return replace(row, id=row.id + self.suffix, quantity=self.quantity or row.quantity)
+        instead = {"id": number.id + self.suffix, "quantity": self.quantity or number.quantity}
+        return row_about(number, verdict, reason, span, way.text, listing(way.inputs, numbers), **instead)
 
     def _missed(self, number: PrintedNumber, ways: list) -> str:
         """Return the reason where no convention reaches the printed number."""
@@ -267,8 +272,9 @@ class Remark:
 
     def row(self, numbers: Numbers) -> Row:
         """Return the verdict "not checkable" with the reason."""
-        row = row_about(numbers[self.number], "not checkable", self.reason)
-        return replace(row, id=row.id + self.suffix, quantity=self.quantity or row.quantity)
+        number = numbers[self.number]
+        instead = {"id": number.id + self.suffix, "quantity": self.quantity or number.quantity}
+        return row_about(number, "not checkable", self.reason, **instead)
 
 
 Finding = Check | Possible | Remark | Row

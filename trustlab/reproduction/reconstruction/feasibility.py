@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -164,26 +164,25 @@ def feasibility(
     ValueError
         If an argument is wrong or nothing is left.
     """
-    found, left_out = prepared(study, p_adjust, without)
+    problem, left_out = prepared(study, p_adjust, without)
     rng = generator(seed)
-    verdict = decide(moment_problem(study, found, p_adjust), rng)
+    verdict = decide(problem, rng)
     feasible = verdict.status == "solved"
     conflict: tuple[str, ...] = ()
     remedies: tuple[str, ...] = ()
-    proved = False
+    proved = explain and verdict.status == "proved"
     if not feasible and explain:
-        proved = verdict.status == "proved"
-        conflict = _smallest_conflict(study, found, p_adjust, proved, rng)
-        remedies = tuple(name for name in conflict if _holds(study, _less(found, name), p_adjust, rng))
-    violation = 0.0 if feasible else float(verdict.moments.violation[0])
+        conflict = _smallest_conflict(problem, proved, rng)
+        remedies = tuple(name for name in conflict if _holds(_less(problem, name), rng))
+    violation = float(verdict.moments.violation[0])
     outcome = feasible, verdict.status, conflict, proved, remedies
     return Feasibility(study, p_adjust, *outcome, left_out, violation, verdict)
 
 
 def prepared(
     study: PublishedStudy, p_adjust: str, without: Iterable[str]
-) -> tuple[list[Constraint], dict[str, str]]:
-    """Return the constraints that are to hold, and the reasons for those that are left out."""
+) -> tuple[MomentProblem, dict[str, str]]:
+    """Return the constraints that are to hold as a problem, and the reasons for those that are left out."""
     found = constraints(study, p_adjust)
     kept = select(found, without)
     reasons = {s.name: "left out on request" for s in found if s not in kept}
@@ -191,7 +190,7 @@ def prepared(
     kept = [s for s in kept if s.name not in reasons]
     if not kept:
         raise ValueError(f"without: nothing of {study.name} is left")
-    return kept, reasons
+    return moment_problem(study, kept, p_adjust), reasons
 
 
 def generator(seed: int) -> np.random.Generator:
@@ -199,24 +198,18 @@ def generator(seed: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(whole_number("seed", seed, least=0)))
 
 
-def _less(found: Sequence[Constraint], name: str) -> list[Constraint]:
-    return [s for s in found if s.name != name]
+def _less(problem: MomentProblem, name: str) -> MomentProblem:
+    return replace(problem, found=[s for s in problem.found if s.name != name])
 
 
-def _refuted(study: PublishedStudy, found: Sequence[Constraint], p_adjust: str, branches: int) -> bool:
-    return proves_infeasible(moment_problem(study, found, p_adjust), branches)
-
-
-def _holds(study: PublishedStudy, found: list[Constraint], p_adjust: str, rng: np.random.Generator) -> bool:
+def _holds(problem: MomentProblem, rng: np.random.Generator) -> bool:
     """Return whether a solution is found; refuted first where that is quick."""
-    if _refuted(study, found, p_adjust, branches=1):
+    if proves_infeasible(problem, branches=1):
         return False
-    return decide(moment_problem(study, found, p_adjust), rng, starts=64, branches=0).status == "solved"
+    return decide(problem, rng, starts=64, branches=0).status == "solved"
 
 
-def _smallest_conflict(
-    study: PublishedStudy, found: list[Constraint], p_adjust: str, proved: bool, rng: np.random.Generator
-) -> tuple[str, ...]:
+def _smallest_conflict(problem: MomentProblem, proved: bool, rng: np.random.Generator) -> tuple[str, ...]:
     """
     Delete what is not needed for a conflict, in several orders, and return the smallest conflict.
 
@@ -227,25 +220,22 @@ def _smallest_conflict(
         hits = [q for q, key in enumerate(LEAST_MISSED) if key in (s.name, s.name.split(".")[0])]
         return hits[0] if hits else len(LEAST_MISSED) + (s.text != "not significant") + (s.kind == "mean")
 
-    branches = 1 if _refuted(study, found, p_adjust, branches=1) else 16
+    branches = 1 if proves_infeasible(problem, branches=1) else 16
 
-    def conflicting(fewer: list[Constraint]) -> bool:
-        if proved:
-            return _refuted(study, fewer, p_adjust, branches)
-        return not _holds(study, fewer, p_adjust, rng)
+    def conflicting(fewer: MomentProblem) -> bool:
+        return proves_infeasible(fewer, branches) if proved else not _holds(fewer, rng)
 
-    order, best = sorted(found, key=rank), found
+    order, best = sorted(problem.found, key=rank), problem
     orders = [order, order[::-1], *([order[q] for q in rng.permutation(len(order))] for _ in range(2))]
-    for order in orders[
-        : len(orders) if proved and branches == 1 else 1
-    ]:  # one order is all that is quick otherwise
-        kept = list(found)
+    quick = proved and branches == 1  # otherwise one order is all there is time for
+    for order in orders if quick else orders[:1]:
+        kept = problem
         for s in order:
             fewer = _less(kept, s.name)
-            if fewer and conflicting(fewer):
+            if fewer.found and conflicting(fewer):
                 kept = fewer
-        best = kept if len(kept) < len(best) else best
-    return tuple(s.name for s in best)
+        best = min(best, kept, key=lambda p: len(p.found))
+    return tuple(s.name for s in best.found)
 
 
 def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) -> pd.DataFrame:

@@ -1,16 +1,14 @@
-"""Every statistic a study prints, computed again from data: sums of squares, eigenvalues and differences, not moments."""
+"""Every statistic a study prints, computed again from data by the analysis of `trustlab.studies`, not from moments."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy import special
 
 from trustlab.reproduction.printed_number import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import ALPHA, Constraint, size_interval
-from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
+from trustlab.studies.analysis.batch import repeated_measures_batch
 from trustlab.studies.analysis.pairwise import bonferroni, holm
-from trustlab.studies.analysis.sphericity import mauchly_factor, mauchly_p_value
 
 __all__ = ["adjusted", "agrees", "printed_ends", "reanalyse"]
 
@@ -31,28 +29,22 @@ def reanalyse(values: np.ndarray, study: PublishedStudy, p_adjust: str) -> dict[
 
     The study names the conditions and says whether degrees of freedom are corrected; Mauchly's p has the second-order term.
     """
-    (n, k), names = values.shape, study.conditions
-    found = {f"mean.{c}": x for c, x in zip(names, values.mean(axis=0), strict=True)}
-    found |= {f"sd.{c}": x for c, x in zip(names, values.std(axis=0, ddof=1), strict=True)}
-    rest = values - values.mean(axis=1, keepdims=True)
-    effect = n * ((values.mean(axis=0) - values.mean()) ** 2).sum()
-    error = ((rest - rest.mean(axis=0)) ** 2).sum()
-    eigenvalues = np.linalg.eigvalsh(np.cov(rest.T))[1:]
-    epsilon = eigenvalues.sum() ** 2 / ((k - 1) * (eigenvalues**2).sum())
-    F = effect / error * (n - 1)
-    df1 = (k - 1) * (epsilon if study.corrected else 1.0)
-    found |= {"anova.F": F, "anova.df1": df1, "anova.df2": df1 * (n - 1), "epsilon": epsilon}
-    found |= {"anova.eta2": effect / (effect + error), "anova.p": special.fdtrc(df1, df1 * (n - 1), F)}
-    if k > 2:
-        chi2 = -mauchly_factor(n, k) * np.log(eigenvalues / eigenvalues.mean()).sum()
-        found |= {"mauchly.chi2": chi2, "mauchly.p": float(mauchly_p_value(chi2, n, k))}
-        found["mauchly.violated"] = found["mauchly.p"]
-    i, j = pair_indices(k)
-    difference = values[:, i] - values[:, j]
-    t = difference.mean(axis=0) / (difference.std(axis=0, ddof=1) / np.sqrt(n))
-    p = 2.0 * special.stdtr(n - 1, -np.abs(t))
-    found |= {"t_test.t": t[0], "t_test.p": p[0], "t_test.df": n - 1.0}
-    for a, b, value in zip(i, j, adjusted(p, p_adjust), strict=True):
+    names = study.conditions
+    result = repeated_measures_batch(values[None])
+    ours, pairs = result.study(0), result.pairwise
+    factor, p = (ours["epsilon_gg"], ours["p_gg"]) if study.corrected else (1.0, ours["p"])
+    found = {f"mean.{c}": x for c, x in zip(names, result.mean[0], strict=True)}
+    found |= {f"sd.{c}": x for c, x in zip(names, result.sd[0], strict=True)}
+    found |= {"anova.F": ours["F"], "anova.p": p, "anova.eta2": ours["eta2_partial"]}
+    found |= {
+        "anova.df1": factor * ours["df1"],
+        "anova.df2": factor * ours["df2"],
+        "epsilon": ours["epsilon_gg"],
+    }
+    found |= {"mauchly.chi2": ours["mauchly_chi2"], "mauchly.p": ours["mauchly_p"]}
+    found |= {"mauchly.violated": ours["mauchly_p"]}
+    found |= {"t_test.t": pairs.t[0, 0], "t_test.p": pairs.p[0, 0], "t_test.df": pairs.df}
+    for a, b, value in zip(pairs.a, pairs.b, adjusted(pairs.p[0], p_adjust), strict=True):
         found[f"pairs.{names[a]}-{names[b]}"] = found[f"pairs.{names[b]}-{names[a]}"] = value
     return {name: float(value) for name, value in found.items()}
 

@@ -22,7 +22,6 @@ from trustlab.reproduction.reconstruction.feasibility import (
     decide,
     feasibility,
     generator,
-    moment_problem,
     prepared,
 )
 from trustlab.reproduction.reconstruction.feasible_ranges import feasible_ranges
@@ -209,8 +208,7 @@ def reconstruct_study(
     """
     without = tuple(without) if not isinstance(without, str) else without
     for candidate in ADJUSTMENTS if p_adjust is None else (p_adjust,):
-        found, left_out = prepared(study, candidate, without)
-        problem = moment_problem(study, found, candidate)
+        problem, left_out = prepared(study, candidate, without)
         verdict = decide(problem, generator(seed))
         if verdict.status == "solved":
             break
@@ -257,9 +255,9 @@ def _remedied(
     for _ in range(4):
         result = feasibility(study, p_adjust, names, seed)
         if result.feasible:
-            found, left_out = prepared(study, p_adjust, names)
-            return moment_problem(study, found, p_adjust), result.verdict, left_out | reasons
-        name = next((x for x in (*reversed(result.remedies), *reversed(result.conflict))), None)
+            problem, left_out = prepared(study, p_adjust, names)
+            return problem, result.verdict, left_out | reasons
+        name = next(iter((*reversed(result.remedies), *reversed(result.conflict))), None)
         if name is None:
             break
         others = ", ".join(x for x in result.conflict if x != name)
