@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -15,6 +14,7 @@ import pandas as pd
 from trustlab.models.checks import did_you_mean, shown
 from trustlab.reproduction.printed_number import PrintedNumber
 from trustlab.reproduction.published import PILOT, published_folder, published_table
+from trustlab.reproduction.published_study import published_studies
 
 __all__ = ["PARTICIPANTS", "claims", "conditions_of", "printed_numbers", "study_names", "why_unchecked"]
 
@@ -60,23 +60,19 @@ def _pilot() -> Iterator[PrintedNumber]:
 
 
 def _studies() -> Iterator[PrintedNumber]:
-    chapters = tomllib.loads((published_folder() / "studies.toml").read_text(encoding="utf-8"))
-    for chapter, studies in chapters.items():
-        for key, study in studies.items():
-            yield from _study(f"{chapter}.{key}", study)
-
-
-def _study(name: str, study: Mapping) -> Iterator[PrintedNumber]:
-    where, title = study["where"].split(" (")[0], study["title"]
-    yield PrintedNumber(f"{name}/n", where, "n", str(study["n"]), exact=True)
-    for field in ("mean", "sd", "mauchly", "anova", "pairs", "t_test"):
-        for entry, text in study.get(field, {}).items():
-            exact = field in ("mauchly", "anova") and _is_count(text)  # degrees of freedom
-            yield PrintedNumber(f"{name}/{field}.{entry}", where, f"{title}: {field} {entry}", text, exact)
-    for pair in study.get("significant_without_p", []):
-        yield PrintedNumber(f"{name}/significant.{pair}", where, f"{title}: {pair}", "significantly")
-    if "epsilon" in study:
-        yield PrintedNumber(f"{name}/epsilon", where, f"{title}: epsilon", study["epsilon"])
+    for name, study in published_studies().items():
+        where, title = study.where.split(" (")[0], study.title
+        yield PrintedNumber(f"{name}/n", where, "n", str(study.n), exact=True)
+        for field in ("mean", "sd", "mauchly", "anova", "pairs", "t_test"):
+            for entry, text in getattr(study, field).items():
+                exact = field in ("mauchly", "anova") and _is_count(text)  # degrees of freedom
+                yield PrintedNumber(
+                    f"{name}/{field}.{entry}", where, f"{title}: {field} {entry}", text, exact
+                )
+        for pair in study.significant_without_p:
+            yield PrintedNumber(f"{name}/significant.{pair}", where, f"{title}: {pair}", "significantly")
+        if study.epsilon:
+            yield PrintedNumber(f"{name}/epsilon", where, f"{title}: epsilon", study.epsilon)
 
 
 def claims() -> Iterator[tuple[PrintedNumber, str, str, str]]:

@@ -100,11 +100,16 @@ class JointCheck:
         """Return a row with this verdict under the id of the second output."""
         _, anchor, *_ = self.outputs.values()
         names = ", ".join(self.outputs)
-        inputs = listing(self.inputs, self.numbers)
-        formula = f"{names} from one set of parameters"
-        printed = ", ".join(self.numbers[id].printed for id in self.outputs.values())
-        instead = {"id": f"{anchor}/column", "quantity": f"{names} at once", "printed": printed}
-        return row_about(self.numbers[anchor], verdict, reason, formula=formula, inputs=inputs, **instead)
+        return row_about(
+            self.numbers[anchor],
+            verdict,
+            reason,
+            formula=f"{names} from one set of parameters",
+            inputs=listing(self.inputs, self.numbers),
+            id=f"{anchor}/column",
+            quantity=f"{names} at once",
+            printed=", ".join(self.numbers[id].printed for id in self.outputs.values()),
+        )
 
 
 def _limit_row(numbers: Numbers, p: str) -> Row:

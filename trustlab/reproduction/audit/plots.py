@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import shown
@@ -82,13 +81,11 @@ def plot_verdicts(verdicts: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure when not given.
     """
-    counts, ax = verdict_counts(verdicts), _axes(ax, 3.0)
-    left = np.zeros(len(counts))
-    for verdict, colour in COLOURS.items():
-        ax.barh(counts.index, counts[verdict], left=left, color=colour, label=verdict)
-        left += counts[verdict].to_numpy()
+    ax, counts = _axes(ax, 3.0), verdict_counts(verdicts)[list(VERDICTS)]
+    counts.plot.barh(
+        stacked=True, color=COLOURS, width=0.8, ax=ax, xlabel="numbers and statements", ylabel=""
+    )
     ax.invert_yaxis()
-    ax.set_xlabel("numbers and statements")
     ax.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.35, 1.0), frameon=False)
     return ax
 

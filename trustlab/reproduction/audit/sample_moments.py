@@ -52,6 +52,10 @@ TLX_RULES = {
 """Whole points per respondent of a task load index: six scales, or fifteen weights, in steps of 5 or 1."""
 
 MOST_ITEMS = 40
+EXPECTED_ITEMS = {
+    "trust": ("12 items", "the checklist of [50] has as many"),
+    "table_2.4/satisfaction": ("3 items", "the text names three aspects"),
+}
 
 
 def attainable(number: PrintedNumber, units: Fraction) -> float:
@@ -130,11 +134,7 @@ def _units(measure: str, condition: str, numbers: Numbers, per_person: Fraction)
 
 def _expected_items(measure: str) -> tuple[str, str] | None:
     """Return how many items a questionnaire should have, and who says so; None where nothing is known."""
-    if _kind(measure) == "trust":
-        return "12 items", "the checklist of [50] has as many"
-    if measure == "table_2.4/satisfaction":
-        return "3 items", "the text names three aspects"
-    return None
+    return EXPECTED_ITEMS.get(measure) or EXPECTED_ITEMS.get(_kind(measure))
 
 
 def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Remark | Row]:
@@ -181,14 +181,10 @@ def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Nu
     word, first = "items" if items else "scoring", next(iter(ids.values()))
     formula = "mean × respondents × items is a whole number"
     inputs = listing({**ids, "n": size}, numbers)
+    id, quantity = f"{measure}/{word}", f"{kind}: {word} that all means fit"
     printed = ", ".join(numbers[id].printed for id in ids.values())
-    instead = {
-        "id": f"{measure}/{word}",
-        "quantity": f"{kind}: {word} that all means fit",
-        "printed": printed,
-    }
     span = (fewest, math.nan, math.nan)
-    return row_about(numbers[first], "not checkable", reason, span, formula, inputs, **instead)
+    return row_about(numbers[first], "not checkable", reason, span, formula, inputs, id, quantity, printed)
 
 
 def _performance(measure: str, condition: str, id: str, numbers: Numbers) -> Possible | Remark:

@@ -119,18 +119,13 @@ def _restated(id: str, first: str, where: str, numbers: Numbers) -> Row:
     """Return whether a number printed in a second place is the one of the first, or that one rounded."""
     number, source = numbers[id], numbers[first]
     here, there = Decimal(number.printed), Decimal(source.printed)
-    unit, rounded = last_unit(here), there
-    same = here == there
-    if unit >= last_unit(there):  # printed with fewer decimals here
-        same = same or here in (there.quantize(unit, rule) for rule in ROUNDINGS)
-        rounded = there.quantize(unit, ROUND_HALF_UP)
-    reason = f"{where} has {source.printed}"
-    if same:
-        reason += "."
-    else:
+    same = here in (there.quantize(last_unit(here), rule) for rule in ROUNDINGS)
+    reason = f"{where} has {source.printed}."
+    if not same:
+        rounded = there.quantize(last_unit(here), ROUND_HALF_UP)
         neither = "neither is the other one rounded"
         why = f"{source.printed} rounds to {rounded}" if rounded != there else neither
-        reason += f", here {number.printed} is printed: one of the two is wrong, as {why}."
+        reason = f"{reason[:-1]}, here {number.printed} is printed: one of the two is wrong, as {why}."
     verdict, value = "reproduced" if same else "differs", float(there)
     source_text = f"{source.printed} ({source.id})"
     return row_about(number, verdict, reason, (value,) * 3, "the same number in two places", source_text)
@@ -138,23 +133,21 @@ def _restated(id: str, first: str, where: str, numbers: Numbers) -> Row:
 
 def _captions_and_appendix(numbers: Numbers) -> list[Finding]:
     """Return the rows of numbers that are printed twice, and the remark on the rate of correction."""
-    pairs = [
-        (f"figure_2_18/{name}", f"section_2_5/{name}", "The text of Section 2.5")
-        for name in ("TSC_ld", "TSC_ud")
-    ]
-    for id in numbers:
-        if id.startswith("appendix_a/state/"):
-            pairs.append((id, id.replace("/state/", "/model/"), "The transfer function"))
-    changes = [
-        abs(numbers[f"section_2_5/TSC_{end}d"].value - numbers[f"section_2_5/TSC_{end}_0"].value)
-        for end in "lu"
-    ]
+    captions = [id for id in numbers if id.startswith("figure_2_18/")]
+    states = [id for id in numbers if id.startswith("appendix_a/state/")]
+    section = "section_2_5/TSC_{}".format
+    changes = [abs(numbers[section(f"{end}d")].value - numbers[section(f"{end}_0")].value) for end in "lu"]
     minutes = 60.0 * max(changes) / numbers["section_2_5/c_b"].value
     chosen = (
         f"Chosen by the author. The printed change of thresholds takes at least {minutes:.1f} min at "
         "this rate; the length of the tests is not printed."
     )
-    return [*(_restated(*pair, numbers) for pair in pairs), Remark("section_2_5/c_b", chosen)]
+    text = "The text of Section 2.5"
+    return [
+        *(_restated(id, id.replace("figure_2_18", "section_2_5"), text, numbers) for id in captions),
+        *(_restated(id, id.replace("state", "model"), "The transfer function", numbers) for id in states),
+        Remark("section_2_5/c_b", chosen),
+    ]
 
 
 def statement_checks(numbers: Numbers) -> list[Finding]:

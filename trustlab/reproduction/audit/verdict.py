@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
@@ -52,15 +52,17 @@ def row_about(
     span: Span = NOTHING,
     formula: str = "",
     inputs: str = "",
-    **instead: str,
+    id: str = "",
+    quantity: str = "",
+    printed: str = "",
 ) -> Row:
     """
-    Return the row of a printed number, with other fields of it where they are given.
+    Return the row of a printed number, under another id, quantity or text where one is given.
 
     `span` is the recomputed value, its least and its greatest.
     """
-    about = number.id, number.where, number.quantity, number.printed
-    return replace(Row(*about, *span, verdict, reason.strip(), formula, inputs), **instead)
+    about = id or number.id, number.where, quantity or number.quantity, printed or number.printed
+    return Row(*about, *span, verdict, reason.strip(), formula, inputs)
 
 
 def listing(inputs: Mapping[str, str], numbers: Numbers) -> str:
@@ -195,8 +197,8 @@ class Check:
             verdict = "not checkable" if self.binding else "differs"
             reason = f"{self._missed(number, ways)} {self._explained(numbers, least, most)}".strip()
         reason = f"{reason} {self.note}"
-        instead = {"id": number.id + self.suffix, "quantity": self.quantity or number.quantity}
-        return row_about(number, verdict, reason, span, way.text, listing(way.inputs, numbers), **instead)
+        id, inputs = number.id + self.suffix, listing(way.inputs, numbers)
+        return row_about(number, verdict, reason, span, way.text, inputs, id, self.quantity)
 
     def _missed(self, number: PrintedNumber, ways: list) -> str:
         """Return the reason where no convention reaches the printed number."""
@@ -272,9 +274,8 @@ class Remark:
 
     def row(self, numbers: Numbers) -> Row:
         """Return the verdict "not checkable" with the reason."""
-        number = numbers[self.number]
-        instead = {"id": number.id + self.suffix, "quantity": self.quantity or number.quantity}
-        return row_about(number, "not checkable", self.reason, **instead)
+        id, quantity = self.number + self.suffix, self.quantity
+        return row_about(numbers[self.number], "not checkable", self.reason, id=id, quantity=quantity)
 
 
 Finding = Check | Possible | Remark | Row

@@ -72,14 +72,10 @@ class Reconstruction:
     @property
     def frame(self) -> pd.DataFrame:
         """The data in long form: columns subject (1 … n), condition, value; `attrs` marks them as reconstructed."""
-        n, k = self.values.shape
-        frame = pd.DataFrame(
-            {
-                "subject": np.repeat(np.arange(1, n + 1), k),
-                "condition": np.tile(np.array(self.study.conditions, dtype=object), n),
-                "value": self.values.ravel(),
-            }
-        )
+        subjects = pd.RangeIndex(1, len(self.values) + 1, name="subject")
+        wide = pd.DataFrame(self.values, subjects, list(self.study.conditions))
+        long = wide.melt(var_name="condition", value_name="value", ignore_index=False)
+        frame = long.sort_index(kind="stable").reset_index()
         frame.attrs = {
             "reconstructed": True,
             "note": NOTE,

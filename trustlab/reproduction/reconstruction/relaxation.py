@@ -34,11 +34,6 @@ def _cells(found: Sequence[Constraint], kind: str, k: int, default: Interval) ->
     return bounds
 
 
-def _single(found: Sequence[Constraint], kind: str, default: Interval) -> Interval:
-    low, high = _cells(found, kind, 1, default)[0]
-    return low, high
-
-
 def _raw_intervals(found: Sequence[Constraint], pairs: int, p_adjust: str) -> np.ndarray:
     """Return the least and greatest logarithm of each pair's unadjusted p; for Holm over all orders of ties."""
     bounds = _cells(found, "log_p", pairs, (-np.inf, 0.0))
@@ -55,14 +50,13 @@ def _raw_intervals(found: Sequence[Constraint], pairs: int, p_adjust: str) -> np
 
 def _spread_of_means(mean: np.ndarray) -> Interval:
     """Return the least and greatest Σ(m − m̄)² over a box of means."""
-    fit = optimize.lsq_linear(
-        np.eye(len(mean)) - 1.0 / len(mean), np.zeros(len(mean)), (mean[:, 0], mean[:, 1] + 1e-300)
-    )
+    k, (low, high) = len(mean), mean.T
+    fit = optimize.lsq_linear(np.eye(k) - 1.0 / k, np.zeros(k), (low, high + 1e-300))
     # The tangent at the fit is a lower bound everywhere, however accurate the fit: the proof must not rest on it.
     slope = 2.0 * (fit.x - fit.x.mean())
-    reach = np.where(slope > 0.0, fit.x - mean[:, 0], mean[:, 1] - fit.x)
+    reach = np.where(slope > 0.0, fit.x - low, high - fit.x)
     least = ((fit.x - fit.x.mean()) ** 2).sum() - np.abs(slope) @ reach
-    return max(least, 0.0), max(np.var(corner) * len(corner) for corner in product(*mean))
+    return max(least, 0.0), max(np.var(corner) * k for corner in product(*mean))
 
 
 class _Relaxation:
@@ -83,13 +77,13 @@ class _Relaxation:
         log_p = _raw_intervals(found, len(self.i), problem.p_adjust)
         self.variance = self._difference_variances(mean, log_p)
         self.trace = (0.0, np.inf)
-        f_low, f_high = _single(found, "f_ratio", (0.0, np.inf))
+        f_low, f_high = _cells(found, "f_ratio", 1, (0.0, np.inf))[0]
         if np.isfinite(mean).all() and not self.empty:
             least, most = _spread_of_means(mean)
             self.trace = n * least / f_high, (n * most / f_low if f_low > 0.0 else np.inf)
             self.empty |= f_low > f_high
-        self.epsilon = _single(found, "epsilon", (1.0 / (k - 1), 1.0))
-        chi2 = _single(found, "chi2", (0.0, np.inf))
+        self.epsilon = _cells(found, "epsilon", 1, (1.0 / (k - 1), 1.0))[0]
+        chi2 = _cells(found, "chi2", 1, (0.0, np.inf))[0]
         self.log_w = -chi2[1] / mauchly_factor(n, k) if k > 2 else -np.inf
         self.empty |= self.epsilon[0] > self.epsilon[1] or chi2[0] > chi2[1]
 
@@ -184,14 +178,13 @@ def proves_infeasible(problem: MomentProblem, branches: int = 80) -> bool:
         if not open_parts:
             return True
         box = open_parts.pop()
+        bounded = np.isfinite(box).all(axis=1)
         means = [
-            Constraint("mean", "mean", i, ends[0], ends[1], "")
-            for i, ends in enumerate(box)
-            if np.isfinite(ends).all()
+            Constraint("mean", "mean", i, low, high, "") for i, (low, high) in enumerate(box) if bounded[i]
         ]
         if _refuted(_Relaxation(replace(problem, found=[*others, *means]))):
             continue
-        width = np.where(np.isfinite(box).all(axis=1), box[:, 1] - box[:, 0], 0.0)
+        width = np.where(bounded, box[:, 1] - box[:, 0], 0.0)
         i = int(np.argmax(width))
         if width[i] <= 1e-9:
             return False
