@@ -21,6 +21,7 @@ __all__ = [
     "did_you_mean",
     "finite_array",
     "finite_number",
+    "in_order",
     "mode_array",
     "not_negative",
     "of_class",
@@ -86,6 +87,16 @@ def between(name: str, value: Any, low: float, high: float) -> float:
     if not low <= number <= high:
         raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {number}")
     return number
+
+
+def in_order(low_name: str, low: Any, high_name: str, high: Any) -> tuple[float, float]:
+    """Return two finite numbers as floats, the first below the second."""
+    low, high = finite_number(low_name, low), finite_number(high_name, high)
+    if not low < high:
+        raise ValueError(
+            f"{low_name} must be below {high_name}, got {low_name} = {low} and {high_name} = {high}"
+        )
+    return low, high
 
 
 def open_unit(name: str, value: Any) -> float:

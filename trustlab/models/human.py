@@ -8,7 +8,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from trustlab.models.checks import between, finite_number, mode_array, open_unit
+from trustlab.models.checks import between, in_order, mode_array, open_unit
 from trustlab.models.deprecation import warn_renamed
 
 __all__ = [
@@ -112,9 +112,7 @@ class HumanModel:
 
     def __post_init__(self):
         a, beta = open_unit("a", self.a), open_unit("beta", self.beta)
-        p_min, p_max = finite_number("p_min", self.p_min), finite_number("p_max", self.p_max)
-        if not p_min < p_max:
-            raise ValueError(f"p_min must be below p_max, got p_min = {p_min} and p_max = {p_max}")
+        p_min, p_max = in_order("p_min", self.p_min, "p_max", self.p_max)
         self.__dict__.update(a=a, beta=beta, p_min=p_min, p_max=p_max)
 
     @property

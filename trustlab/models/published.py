@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from numbers import Integral
 from pathlib import Path
 
 import pandas as pd
 
+from trustlab.models.checks import did_you_mean
 from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
@@ -34,8 +34,7 @@ class ByName(dict):
     def __missing__(self, key):
         if isinstance(key, Integral) and not isinstance(key, bool) and str(key) in self:
             return self[str(key)]
-        near = get_close_matches(key[:100], self, n=1) if isinstance(key, str) else []
-        meant = f"; did you mean {near[0]!r}?" if near else ""
+        meant = did_you_mean(key, self) if isinstance(key, str) else ""
         raise KeyError(f"nothing is called {key!r:.60}{meant} (there are {', '.join(map(str, self))})")
 
 
@@ -92,13 +91,8 @@ def published_models() -> dict[str, TscModel]:
     dict of str to TscModel
         Keys "pilot", "1" … "5" (or 1 … 5). b_pr follows from (2.3); the printed one is this, rounded to four decimals.
     """
-    table = published_table("2.1")
-    columns: dict[str, dict] = {
-        "pilot": PILOT,
-        **{str(name): table[name].to_dict() for name in table.columns},
-    }
     models = ByName()
-    for name, printed in columns.items():
+    for name, printed in ({"pilot": PILOT} | published_table("2.1").to_dict()).items():
         value = {key: float(printed[key]) for key in PILOT}
         human = HumanModel(value["a_r"], value["beta"], value["P_h_min"], value["P_h_max"])
         robot = RobotModel(value["a_pr"], value["P_r_min"], value["P_r_max"], value["P_h_max"])

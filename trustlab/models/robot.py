@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, mode_array, open_unit, positive
+from trustlab.models.checks import finite_array, finite_number, in_order, mode_array, open_unit, positive
 
 __all__ = ["RobotModel", "gain_of_human_performance", "next_performance", "robot_performance"]
 
@@ -77,9 +77,7 @@ class RobotModel:
 
     def __post_init__(self):
         a = open_unit("a", self.a)
-        p_min, p_max = finite_number("p_min", self.p_min), finite_number("p_max", self.p_max)
-        if not p_min < p_max:
-            raise ValueError(f"p_min must be below p_max, got p_min = {p_min} and p_max = {p_max}")
+        p_min, p_max = in_order("p_min", self.p_min, "p_max", self.p_max)
         p_h_max = positive("p_h_max", self.p_h_max)
         b = positive("b", gain_of_human_performance(a, p_min, p_max, p_h_max) if self.b is None else self.b)
         self.__dict__.update(a=a, p_min=p_min, p_max=p_max, p_h_max=p_h_max, b=b)

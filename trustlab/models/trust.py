@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from trustlab.models.checks import between, finite_array, finite_number, positive
+from trustlab.models.checks import between, finite_array, finite_number, in_order, positive
 from trustlab.models.deprecation import warn_renamed
 
 __all__ = ["LogisticScaling", "StepScaling", "TrustModel"]
@@ -35,15 +35,6 @@ def trust_run(share, decay, gain, start):
         now = trust_step(now, share[k], decay, gain)
     out[share.size] = now
     return out
-
-
-def _range(low_name: str, low: float, high_name: str, high: float) -> tuple[float, float]:
-    low, high = finite_number(low_name, low), finite_number(high_name, high)
-    if not low < high:
-        raise ValueError(
-            f"{low_name} must be below {high_name}, got {low_name} = {low} and {high_name} = {high}"
-        )
-    return low, high
 
 
 @dataclass(frozen=True)
@@ -96,11 +87,10 @@ class TrustModel:
             value = finite_number(name, getattr(self, name))
             if not 0.0 < value <= 1.0:
                 raise ValueError(f"{name} must lie in (0, 1], got {value}")
-            object.__setattr__(self, name, value)
-        for low, high in (("t_min", "t_max"), ("p_min", "p_max")):
-            pair = _range(low, getattr(self, low), high, getattr(self, high))
-            object.__setattr__(self, low, pair[0])
-            object.__setattr__(self, high, pair[1])
+            self.__dict__[name] = value
+        t_min, t_max = in_order("t_min", self.t_min, "t_max", self.t_max)
+        p_min, p_max = in_order("p_min", self.p_min, "p_max", self.p_max)
+        self.__dict__.update(t_min=t_min, t_max=t_max, p_min=p_min, p_max=p_max)
         if self.b > self.a and not self.allow_unbounded:
             raise ValueError(
                 f"with b = {self.b} > a = {self.a} trust settles above t_max at full performance, so that (3.4) does not "
@@ -250,7 +240,7 @@ class LogisticScaling:
 
     def __post_init__(self):
         _check_scaling(self)
-        object.__setattr__(self, "steepness", finite_number("steepness", self.steepness))
+        self.__dict__["steepness"] = finite_number("steepness", self.steepness)
         if self.steepness < 10.0:
             raise ValueError(
                 f"steepness must be at least 10, so that the scale nearly meets its bounds, got {self.steepness}"
@@ -332,22 +322,15 @@ def _check_scaling(scaling) -> None:
         raise ValueError(
             f"low must be positive, got {low}: a scale of zero leaves one-way teleoperation (3.1)"
         )
-    t_min, t_max = _range("t_min", scaling.t_min, "t_max", scaling.t_max)
-    middle = (
-        (t_min + t_max) / 2.0 if scaling.midpoint is None else finite_number("midpoint", scaling.midpoint)
-    )
+    t_min, t_max = in_order("t_min", scaling.t_min, "t_max", scaling.t_max)
+    middle = (t_min + t_max) / 2.0
+    if scaling.midpoint is not None:
+        middle = finite_number("midpoint", scaling.midpoint)
     if not t_min < middle < t_max:
         raise ValueError(
             f"midpoint must lie strictly between t_min = {t_min} and t_max = {t_max}, got {middle}"
         )
-    for name, value in (
-        ("low", low),
-        ("high", high),
-        ("t_min", t_min),
-        ("t_max", t_max),
-        ("midpoint", middle),
-    ):
-        object.__setattr__(scaling, name, value)
+    scaling.__dict__.update(low=low, high=high, midpoint=middle, t_min=t_min, t_max=t_max)
 
 
 def _finite(name: str, values) -> np.ndarray:

@@ -69,10 +69,7 @@ def tsc_at(p_r, p_h, c):
 @numba.njit(cache=True)
 def advance(r, p_r, p_h, mode, c):
     """Return r and P_r one sample later, (2.5) and (2.3); p_h is P_h at r."""
-    return (
-        next_utilization(r, mode, c.a_r),
-        next_performance(p_r, p_h, mode, c.a_pr, c.b_pr, c.p_r_min),
-    )
+    return next_utilization(r, mode, c.a_r), next_performance(p_r, p_h, mode, c.a_pr, c.b_pr, c.p_r_min)
 
 
 # Inlined before it is optimized, so that loops keep its branches, which the processor predicts: as selections they would make
@@ -123,16 +120,14 @@ class TscModel:
                 "TscModel takes a RobotModel and a HumanModel, in this order; "
                 f"got {type(self.robot).__name__} and {type(self.human).__name__}"
             )
-        if not (self._denominator > 0.0 and self.a_T > 0.0 and self.b_T > 0.0):
+        robot, human = self.robot, self.human
+        scale = robot.p_max * human.p_max - robot.p_min * human.p_min
+        if not (scale > 0.0 and self.a_T > 0.0 and self.b_T > 0.0):
             raise ValueError(
-                "a_T and b_T of (2.2) must be positive, but the ranges of performance "
-                f"[{self.robot.p_min}, {self.robot.p_max}] (robot) and [{self.human.p_min}, {self.human.p_max}] "
-                f"(human) give {self.a_T} and {self.b_T}; use measures of performance that are not negative"
+                f"a_T and b_T of (2.2) must be positive, but the ranges of performance [{robot.p_min}, {robot.p_max}] "
+                f"(robot) and [{human.p_min}, {human.p_max}] (human) give {self.a_T} and {self.b_T}; use measures of "
+                "performance that are not negative"
             )
-
-    @property
-    def _denominator(self) -> float:
-        return self.robot.p_max * self.human.p_max - self.robot.p_min * self.human.p_min
 
     def _weights(self) -> tuple[float, float]:
         robot, human = self.robot, self.human
@@ -141,14 +136,12 @@ class TscModel:
     @property
     def a_T(self) -> float:  # noqa: N802
         """a_T = (P_h,max + P_h,min)/(P_r,max P_h,max − P_r,min P_h,min), equation (2.2)."""
-        a_T, _ = self._weights()
-        return a_T
+        return self._weights()[0]
 
     @property
     def b_T(self) -> float:  # noqa: N802
         """b_T = (P_r,max + P_r,min)/(P_r,max P_h,max − P_r,min P_h,min), equation (2.2)."""
-        _, b_T = self._weights()
-        return b_T
+        return self._weights()[1]
 
     def constants(self) -> TscConstants:
         """Return the model's constants by name, as compiled code takes them."""
@@ -191,9 +184,8 @@ class TscModel:
         ValueError
             If a change is negative or not finite.
         """
-        return self.a_T * not_negative("delta_p_r", delta_p_r) + self.b_T * not_negative(
-            "delta_p_h", delta_p_h
-        )
+        delta_p_r, delta_p_h = not_negative("delta_p_r", delta_p_r), not_negative("delta_p_h", delta_p_h)
+        return self.a_T * delta_p_r + self.b_T * delta_p_h
 
     def simulate(self, mode: np.ndarray, r0: float = 0.0, p_r0: float | None = None) -> pd.DataFrame:
         """
@@ -222,11 +214,5 @@ class TscModel:
 
         r, p_h = self.human.simulate(mode, r0)
         p_r = self.robot.simulate(mode, p_h, p_r0)
-        columns = {
-            "r": r,
-            "p_r": p_r,
-            "p_h": p_h,
-            "tsc": self.value(p_r, p_h),
-            "mode": np.asarray(mode, float),
-        }
-        return pd.DataFrame(columns)
+        tsc, modes = self.value(p_r, p_h), np.asarray(mode, float)
+        return pd.DataFrame({"r": r, "p_r": p_r, "p_h": p_h, "tsc": tsc, "mode": modes})

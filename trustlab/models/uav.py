@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number
+from trustlab.models.checks import finite_array, finite_number, positive
 
 __all__ = ["PRINTED_UAV", "TransferFunction", "three_axes"]
 
@@ -92,9 +92,7 @@ class TransferFunction:
         """
         from scipy.linalg import expm
 
-        sample_time = finite_number("sample_time", sample_time)
-        if not sample_time > 0.0:
-            raise ValueError(f"sample_time must be positive, got {sample_time}")
+        sample_time = positive("sample_time", sample_time)
         a, b = self.matrices()
         block = np.zeros((self.order + 1, self.order + 1))
         block[:-1, :-1], block[:-1, -1] = a, b
