@@ -478,8 +478,8 @@ def test_bad_input_is_named(one, model, change, says):
         (lambda: Course(radius=5.0), "smaller radius or corners farther apart"),
         (lambda: Course(radius=0.0), "radius must be positive"),
         (lambda: Pioneer(max_speed=0.0), "max_speed must be positive"),
-        (lambda: Pioneer(scan_range=-1.0), "scan_range cannot be negative"),
-        (lambda: Pioneer(detection=1.5), "detection is a share"),
+        (lambda: Pioneer(scan_range=-1.0), "scan_range must not be negative"),
+        (lambda: Pioneer(detection=1.5), "detection must be at most 1"),
         (lambda: Pioneer(look_ahead=np.inf), "look_ahead must be finite"),
     ],
 )

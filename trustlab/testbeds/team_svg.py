@@ -8,7 +8,7 @@ import numpy as np
 
 from trustlab.models.checks import finite_number, positive
 
-__all__ = ["animated_svg"]
+__all__ = ["animated_svg", "view"]
 
 FRAMES = 160
 SIDE, TOP, LEFT = 340, 40, 30
@@ -22,19 +22,11 @@ def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
     if not run.t[0] < until <= run.t[-1]:
         raise ValueError(f"until must be after {run.t[0]:g} s and at most {run.t[-1]:g} s, got {until:g}")
     at = np.searchsorted(run.t, np.linspace(run.t[0], until, FRAMES) - 1e-9)
-    points, number = run.positions[at][:, :, :2], run.data["number"].to_numpy()[at].astype(int)
+    points, number = run.positions[at], run.data["number"].to_numpy()[at].astype(int)
     force = -run.data[["f_m_x", "f_m_y"]].to_numpy()[at]  # what the device does to the hand
-    seen = np.concatenate([points.reshape(-1, 2), run.goal[None, :2]])
-    middle, span = (
-        0.5 * (seen.min(axis=0) + seen.max(axis=0)),
-        1.1 * max(float(np.ptp(seen, axis=0).max()), 0.1),
-    )
-    x = LEFT + SIDE * (0.5 + (points[..., 0] - middle[0]) / span)
-    y = TOP + SIDE * (0.5 - (points[..., 1] - middle[1]) / span)
-    goal = (
-        LEFT + SIDE * (0.5 + (run.goal[0] - middle[0]) / span),
-        TOP + SIDE * (0.5 - (run.goal[1] - middle[1]) / span),
-    )
+    middle, span = view(points[..., :2], run.goal[:2])
+    x, y = _on_picture(points, middle, span)
+    goal_x, goal_y = _on_picture(run.goal, middle, span)
     most = max(float(np.linalg.norm(force, axis=1).max()), 1e-9)
     tip = np.array([DIAL_X, DIAL_Y]) + DIAL * force / most * np.array([1.0, -1.0])
 
@@ -46,7 +38,7 @@ def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
         )
         parts.append(f'<line stroke="#aaa">{ends}</line>')
     parts.append(
-        f'<circle cx="{goal[0]:.1f}" cy="{goal[1]:.1f}" r="10" fill="none" stroke="#009e73" stroke-width="2"/>'
+        f'<circle cx="{goal_x:.1f}" cy="{goal_y:.1f}" r="10" fill="none" stroke="#009e73" stroke-width="2"/>'
     )
     changes = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1])
     moments = ";".join(f"{change / (FRAMES - 1):.4f}" for change in changes)
@@ -63,6 +55,20 @@ def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
         )
     parts += _force(tip, lasting) + _clock(until, lasting)
     return "".join([*parts, "</svg>"])
+
+
+def view(positions: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the middle of a square or cube that shows robots and goal at all times, and how wide it is."""
+    seen = np.concatenate([positions.reshape(-1, goal.size), goal[None]])
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    return 0.5 * (low + high), 1.1 * max(float((high - low).max()), 0.1)
+
+
+def _on_picture(points: np.ndarray, middle: np.ndarray, span: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return where points, seen from above, are on the picture; its y grows downwards."""
+    x = LEFT + SIDE * (0.5 + (points[..., 0] - middle[0]) / span)
+    y = TOP + SIDE * (0.5 - (points[..., 1] - middle[1]) / span)
+    return x, y
 
 
 def _moving(name: str, values: np.ndarray, lasting: float) -> str:

@@ -7,29 +7,13 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
+from trustlab.models.checks import of_class
 from trustlab.sessions.session import Session
 
 __all__ = ["teleoperation_measures"]
 
-COLUMNS = (
-    "participant",
-    "scheme",
-    "tracking_error",
-    "worst_error",
-    "p_r",
-    "p_h",
-    "alpha",
-    "alpha_rate",
-    "beta",
-    "hand_force",
-    "energy_operator",
-    "energy_dissipated",
-    "energy_channel_min",
-    "energy_robot_min",
-    "guarded",
-    "port_share",
-)
-AXES = "xyz"
+SIGNALS = ("path_error", "p_r", "p_h", "alpha", "beta", "port_share", "f_h_x", "f_h_y", "f_h_z")
+ENERGIES = ("energy_operator", "energy_dissipated", "energy_channel", "energy_robot")
 
 
 def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFrame:
@@ -62,32 +46,32 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
         raise ValueError("sessions is empty: give at least one run of simulate_teleoperation")
     rows = []
     for number, run in enumerate(runs):
-        if not isinstance(run, Session):
-            raise ValueError(f"sessions[{number}] must be a Session, got {type(run).__name__}")
-        names = ("path_error", "p_r", "p_h", "alpha", "beta", "port_share", "f_h_x", "f_h_y", "f_h_z")
-        energies = ("energy_operator", "energy_dissipated", "energy_channel", "energy_robot")
-        run.require(*names, *energies)
-        force = np.sqrt(sum(run[f"f_h_{axis}"] ** 2 for axis in AXES))
-        row = (
-            run.metadata.participant,
-            run.metadata.condition,
-            run["path_error"].mean(),
-            run["path_error"].max(),
-            run["p_r"].mean(),
-            run["p_h"].mean(),
-            run["alpha"].mean(),
-            np.abs(np.diff(run["alpha"])).mean() / run.sample_time,
-            run["beta"].mean(),
-            force.mean(),
-            run["energy_operator"][-1],
-            run["energy_dissipated"][-1],
-            run["energy_channel"].min(),
-            run["energy_robot"].min(),
-            (run["port_share"] < 1.0).mean(),
-            run["port_share"].mean(),
-        )
-        rows.append(row)
-    frame = pd.DataFrame(rows, columns=COLUMNS)
+        of_class(f"sessions[{number}]", run, Session)
+        run.require(*SIGNALS, *ENERGIES)
+        rows.append(_measures(run))
+    frame = pd.DataFrame(rows)
     if any(run.metadata.synthetic for run in runs):
         frame.attrs["origin"] = "simulated operators"
     return frame
+
+
+def _measures(run: Session) -> dict[str, object]:
+    """Return the measures of one run by column."""
+    return {
+        "participant": run.metadata.participant,
+        "scheme": run.metadata.condition,
+        "tracking_error": run["path_error"].mean(),
+        "worst_error": run["path_error"].max(),
+        "p_r": run["p_r"].mean(),
+        "p_h": run["p_h"].mean(),
+        "alpha": run["alpha"].mean(),
+        "alpha_rate": np.abs(np.diff(run["alpha"])).mean() / run.sample_time,
+        "beta": run["beta"].mean(),
+        "hand_force": np.sqrt(sum(run[f"f_h_{axis}"] ** 2 for axis in "xyz")).mean(),
+        "energy_operator": run["energy_operator"][-1],
+        "energy_dissipated": run["energy_dissipated"][-1],
+        "energy_channel_min": run["energy_channel"].min(),
+        "energy_robot_min": run["energy_robot"].min(),
+        "guarded": (run["port_share"] < 1.0).mean(),
+        "port_share": run["port_share"].mean(),
+    }

@@ -124,9 +124,7 @@ class TrackingTask:
         """
         late = max(round(self.camera_delay / sample_time), 1)
         ideal = 1.0  # gain of the ideal controller u_i = reference velocity + error
-        return AutonomyNumbers(
-            self.proportional, self.integral, self.derivative, late, self.reach, ideal
-        )  # fmt: skip
+        return AutonomyNumbers(self.proportional, self.integral, self.derivative, late, self.reach, ideal)
 
     def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -252,9 +250,7 @@ def simulate_teleoperation(
     delays = _delays(settings, (delay_1, delay_2), read_out, count, sample_time, seeds[3:])
     arrives = lost_waves(lost, count)
     inputs = _inputs(settings, task, operator, count, sample_time, seeds, alpha, push)
-    setup = Setup(
-        chosen.allocation, chosen.bilateral, not delays.any(), READ_OUTS[read_out], METHODS[guard]
-    )  # fmt: skip
+    setup = Setup(chosen.allocation, chosen.bilateral, not delays.any(), READ_OUTS[read_out], METHODS[guard])
     table, log = log_of(LOG, count)
     done, block = run_loop(
         setup,
@@ -286,10 +282,8 @@ def simulate_teleoperation(
 
 def _samples(duration: float, sample_time: float) -> tuple[int, float]:
     """Return the number of samples and the sample time of a run, checked."""
-    sample_time, duration = (
-        between("sample_time", sample_time, 1e-5, 0.1),
-        finite_number("duration", duration),
-    )
+    sample_time = between("sample_time", sample_time, 1e-5, 0.1)
+    duration = finite_number("duration", duration)
     if not 10.0 * sample_time <= duration <= min(1e5, 5e6 * sample_time):
         raise ValueError(
             f"duration must be ten to five million samples of {sample_time:g} s and at most 1e5 s, got {duration}"

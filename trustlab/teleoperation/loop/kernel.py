@@ -66,9 +66,6 @@ VEHICLE = np.dtype([("phi", float, (3, 3, 3)), ("gamma", float, (3, 3))])
 """Exact one-sample matrices of (position, velocity, acceleration) per axis."""
 
 
-COLUMNS = columns_of(LOG)
-
-
 class ScaleNumbers(NamedTuple):
     """A scale as a function of trust, (3.5) or (3.6), trust being a share of its range."""
 
@@ -405,12 +402,8 @@ def run_loop(setup, n, hand, auto, vehicle, blend, inputs, delays, arrives, acco
         waves.operator_end(n.b, n.beta.low, n.beta.high),
         waves.robot_end(n.b, n.alpha.low, n.alpha.high),
     )
-    error, sent, u_l, u_r = (
-        np.zeros((count, 3)),
-        np.zeros((count, 3)),
-        np.zeros((count, 3)),
-        np.zeros((count, 3)),
-    )
+    error, sent = np.zeros((count, 3)), np.zeros((count, 3))
+    u_l, u_r = np.zeros((count, 3)), np.zeros((count, 3))
     good_r, good_h = np.zeros(count), np.zeros(count)
     state.alpha, state.beta = n.alpha.high, n.beta.high
     state.trust_hr, state.trust_rh = n.trust_hr.start, n.trust_rh.start

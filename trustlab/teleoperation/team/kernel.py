@@ -299,14 +299,8 @@ def run_team(
                 row.leader[i] = at[i]
             row.number, row.beta = lead, beta
             row.trust_rh = leader.t_min + (leader.t_max - leader.t_min) * told
-            row.v_h, row.v_hd, row.v_ch, row.v_fs, row.v_e, row.v_filter = (
-                v_h,
-                v_hd,
-                v_ch,
-                v_fs,
-                v_e,
-                v_filter,
-            )
+            row.v_h, row.v_hd, row.v_ch = v_h, v_hd, v_ch
+            row.v_fs, row.v_e, row.v_filter = v_fs, v_e, v_filter
             row.v_e_delayed = held[late] if late >= 0 else held[0]
             row.v_t = v_h + n.budget + v_hd + v_hd0 + v_ch + v_fs + row.v_e_delayed + v_filter
             row.supply_team, row.supply_error, row.supply_hand = supply_team, supply_error, supply_hand

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import finite_number, not_negative, positive
 
 __all__ = ["Pioneer", "PioneerNumbers", "scan", "wrapped"]
 
@@ -53,6 +53,10 @@ def scan(x, y, yaw, est_x, est_y, est_yaw, posts, robot, rng, offsets):
 
 LARGEST = 1000.0
 """Largest number of a robot, in its unit."""
+
+LIMITS = ("max_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration")
+POSITIVE = (*LIMITS, "anchoring_time", "look_ahead", "steering_gain", "cruise_speed")
+SHARES = ("detection", "position_gain", "heading_gain")
 
 
 class PioneerNumbers(NamedTuple):
@@ -153,28 +157,13 @@ class Pioneer:
 
     def __post_init__(self):
         for item in fields(self):
-            value = finite_number(item.name, getattr(self, item.name))
-            if value < 0.0 and item.name != "heading_drift":
-                raise ValueError(f"{item.name} cannot be negative, got {value}")
-            if abs(value) > LARGEST:
-                raise ValueError(f"{item.name} must be at most {LARGEST:g}, got {value:g}")
+            check = positive if item.name in POSITIVE else not_negative
+            check = finite_number if item.name == "heading_drift" else check
+            value = check(item.name, getattr(self, item.name))
+            most = 1.0 if item.name in SHARES else LARGEST
+            if abs(value) > most:
+                raise ValueError(f"{item.name} must be at most {most:g}, got {value:g}")
             object.__setattr__(self, item.name, value)
-        for name in ("detection", "position_gain", "heading_gain"):
-            if getattr(self, name) > 1.0:
-                raise ValueError(f"{name} is a share, in [0, 1]; got {getattr(self, name)}")
-        positive = (
-            "max_speed",
-            "max_turn_rate",
-            "max_acceleration",
-            "max_turn_acceleration",
-            "anchoring_time",
-            "look_ahead",
-            "steering_gain",
-            "cruise_speed",
-        )
-        for name in positive:
-            if getattr(self, name) == 0.0:
-                raise ValueError(f"{name} must be positive, got 0")
 
     @property
     def numbers(self) -> PioneerNumbers:
