@@ -12,17 +12,10 @@ import numpy as np
 
 from trustlab.models.checks import finite_array, of_class, one_of, positive
 from trustlab.teleoperation.delays import delays_in_samples
+from trustlab.teleoperation.ports import waves as equations
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts, read_wave
-from trustlab.teleoperation.ports.waves import (
-    Scattering,
-    operator_end,
-    operator_force,
-    operator_wave,
-    robot_end,
-    robot_velocity,
-    robot_wave,
-)
-from trustlab.teleoperation.records import signal
+from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.records import robot_numbers, signal
 
 __all__ = ["ChannelRun", "channel_run", "lost_waves", "switched_channel_run"]
 
@@ -126,29 +119,33 @@ def _send(
         read_wave(waves.u_l, arrives[0], k, delays[0, k], gain, read_out, period, books[0], waves.v_r[k])
         read_wave(waves.u_r, arrives[1], k, delays[1, k], gain, read_out, period, books[1], waves.v_l[k])
         here, there = bounds[near[k]], bounds[far[k]]
-        operator = operator_end(here.b, here.beta_min, here.beta_max)
-        robot = robot_end(there.b, there.alpha_min, there.alpha_max)
+        operator = equations.operator_end(here.b, here.beta_min, here.beta_max)
+        robot = equations.robot_end(there.b, there.alpha_min, there.alpha_max)
         for i in range(n):
-            waves.u_l[k, i] = operator_wave(operator, r_m[k, i], waves.v_l[k, i])
-            f_m[k, i] = beta[k] * operator_force(operator, r_m[k, i], waves.v_l[k, i])
-            waves.u_r[k, i] = robot_wave(robot, f_s[k, i], waves.v_r[k, i])
-            r_s[k, i] = alpha[k] * robot_velocity(robot, f_s[k, i], waves.v_r[k, i])
+            waves.u_l[k, i] = equations.operator_wave(operator, r_m[k, i], waves.v_l[k, i])
+            f_m[k, i] = beta[k] * equations.operator_force(operator, r_m[k, i], waves.v_l[k, i])
+            waves.u_r[k, i] = equations.robot_wave(robot, f_s[k, i], waves.v_r[k, i])
+            r_s[k, i] = alpha[k] * equations.robot_velocity(robot, f_s[k, i], waves.v_r[k, i])
 
 
 BOUNDS = np.dtype([(name, float) for name in ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")])
 
 
-def _run(r_m, f_s, ends, near, far, alpha, beta, delays, arrives, read_out, period) -> ChannelRun:
-    """Send signals through a channel whose ends are set for given robots in every sample."""
+def _run(r_m, f_s, ends, near, far, alpha, beta, delays, read_out, sample_time, lost=None) -> ChannelRun:
+    """Send signals through a channel whose ends are set for given robots in every sample; delays are by argument name."""
+    count, period = len(r_m), positive("sample_time", sample_time)
+    one_of("read_out", read_out, READ_OUTS)
+    rate = max(end.max_delay_rate for end in ends)
+    late = delays_in_samples(delays, rate, read_out, count, period)
     bounds = np.array([tuple(getattr(end, name) for name in BOUNDS.names) for end in ends], BOUNDS)
     gain = min(end.gain for end in ends)
     f_m, r_s = np.empty_like(r_m), np.empty_like(r_m)
     waves = Waves(*np.zeros((4, *r_m.shape)))
     _send(
-        r_m, f_s, near, far, alpha, beta, bounds, delays, arrives, gain, READ_OUTS[read_out], period, accounts(),
-        waves, f_m, r_s,
+        r_m, f_s, near, far, alpha, beta, bounds, late, lost_waves(lost, count), gain, READ_OUTS[read_out], period,
+        accounts(), waves, f_m, r_s,
     )  # fmt: skip
-    return ChannelRun(period * np.arange(len(r_m)), r_m, f_m, r_s, f_s, *waves, period)
+    return ChannelRun(period * np.arange(count), r_m, f_m, r_s, f_s, *waves, period)
 
 
 def _signals(r_m, f_s) -> tuple[np.ndarray, np.ndarray]:
@@ -220,22 +217,15 @@ def channel_run(
     """
     r_m, f_s = _signals(r_m, f_s)
     of_class("scattering", scattering, Scattering)
-    one_of("read_out", read_out, READ_OUTS)
-    sample_time, count = positive("sample_time", sample_time), r_m.shape[0]
-    scales = []
+    count, scales = len(r_m), []
     for name, given, default in (("alpha", alpha, scattering.alpha_max), ("beta", beta, scattering.beta_max)):
         values = np.asarray(default if given is None else given, dtype=float)
         if values.ndim and values.shape != (count,):
             raise ValueError(f"{name} must be a number or have shape ({count},), got {values.shape}")
         scales.append(np.ascontiguousarray(np.broadcast_to(values, (count,))))
     scattering.check_scales(*scales)
-    delays = delays_in_samples(
-        {"delay_1": delay_1, "delay_2": delay_2}, scattering.max_delay_rate, read_out, count, sample_time
-    )
-    always, (alphas, betas) = np.zeros(count, np.int64), scales
-    return _run(
-        r_m, f_s, (scattering,), always, always, alphas, betas, delays, lost_waves(lost, count), read_out, sample_time
-    )  # fmt: skip
+    delays, always = {"delay_1": delay_1, "delay_2": delay_2}, np.zeros(count, np.int64)
+    return _run(r_m, f_s, (scattering,), always, always, *scales, delays, read_out, sample_time, lost)
 
 
 def switched_channel_run(
@@ -295,28 +285,13 @@ def switched_channel_run(
     for place, end in enumerate(ends):
         of_class(f"ends[{place}]", end, Scattering)
     r_m, f_s = _signals(r_m, f_s)
-    count, sample_time = len(r_m), positive("sample_time", sample_time)
-    one_of("read_out", read_out, READ_OUTS)
-    far = _robots("leaders", leaders, count, len(ends))
+    count, robots = len(r_m), len(ends)
+    far = robot_numbers("leaders", leaders, count, robots)
     near = (
-        far if operator_leaders is None else _robots("operator_leaders", operator_leaders, count, len(ends))
+        far
+        if operator_leaders is None
+        else robot_numbers("operator_leaders", operator_leaders, count, robots)
     )
     beta = finite_array("beta", beta, length=count)
-    back = delay if delay_back is None else delay_back
-    rate = max(end.max_delay_rate for end in ends)
-    delays = delays_in_samples({"delay": delay, "delay_back": back}, rate, read_out, count, sample_time)
-    return _run(
-        r_m, f_s, ends, near, far, np.ones(count), beta, delays, lost_waves(None, count), read_out, sample_time
-    )  # fmt: skip
-
-
-def _robots(name: str, values, count: int, robots: int) -> np.ndarray:
-    """Return numbers of robots, one per sample."""
-    array = np.asarray(values)
-    if array.shape != (count,) or array.dtype.kind not in "iu":
-        raise ValueError(f"{name} must be {count} whole numbers, got {array.dtype} {array.shape}")
-    if array.min() < 0 or array.max() >= robots:
-        raise ValueError(
-            f"{name} names robot {int(array[(array < 0) | (array >= robots)][0])}, but there are {robots}"
-        )
-    return array.astype(np.int64)
+    delays = {"delay": delay, "delay_back": delay if delay_back is None else delay_back}
+    return _run(r_m, f_s, ends, near, far, np.ones(count), beta, delays, read_out, sample_time)

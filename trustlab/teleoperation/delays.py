@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number, not_negative
+from trustlab.teleoperation.ports.waves import delay_rate
 
 __all__ = [
     "Delay",
@@ -66,27 +67,18 @@ class Delay:
         values = np.asarray(self.function(t), dtype=float)
         if values.shape != t.shape:
             raise ValueError(f"{self.title}: {count} delays were asked for, got shape {values.shape}")
-        if not np.isfinite(values).all():
-            k = int(np.argmin(np.isfinite(values)))
-            raise ValueError(f"{self.title} is {values[k]} at t = {t[k]:g} s")
-        if (values < 0.0).any():
-            k = int(np.argmax(values < 0.0))
-            raise ValueError(f"{self.title} is negative at t = {t[k]:g} s: {values[k]:g} s")
-        length = count * sample_time
-        if (values > length).any():
-            k = int(np.argmax(values > length))
-            raise ValueError(
-                f"{self.title} is {values[k]:g} s at t = {t[k]:g} s, longer than the run of {length:g} s"
-            )
+        length, short = count * sample_time, (values < sample_time * (1.0 - SLACK)) & values.any()
+        for bad, why in (
+            (~np.isfinite(values), "it must be finite"),
+            (values < 0.0, "it must not be negative"),
+            (values > length, f"it is longer than the run of {length:g} s"),
+            (short, f"it must be zero throughout or at least one sample, {sample_time:g} s"),
+        ):
+            if bad.any():
+                k = int(np.argmax(bad))
+                raise ValueError(f"{self.title} is {values[k]:g} s at t = {t[k]:g} s: {why}")
         if not values.any():
             return values
-        least = sample_time * (1.0 - SLACK)
-        if (values < least).any():
-            k = int(np.argmin(values))
-            raise ValueError(
-                f"{self.title} is {values[k]:g} s at t = {t[k]:g} s: a delay is zero throughout or at least one sample, "
-                f"{sample_time:g} s"
-            )
         growth = np.diff(values) / sample_time
         if growth.size and growth.max() > self.max_rate + 1e-6:
             k = int(np.argmax(growth))
@@ -95,16 +87,6 @@ class Delay:
                 "for which f_i = √(1 − max_rate) is set (3.13)"
             )
         return np.maximum(values, sample_time)
-
-
-def _rate(max_rate: float) -> float:
-    """Return a greatest rate of a delay, in [0, 1]."""
-    rate = finite_number("max_rate", max_rate)
-    if not 0.0 <= rate <= 1.0:
-        raise ValueError(
-            f"max_rate must lie in [0, 1], got {rate}: a delay that grows faster than time lets nothing arrive (Theorem 3)"
-        )
-    return rate
 
 
 def constant_delay(seconds: float) -> Delay:
@@ -150,7 +132,7 @@ def random_walk_delay(
         If bounds, rate or hold are out of range.
     """
     low, high, hold = finite_number("low", low), finite_number("high", high), finite_number("hold", hold)
-    rate = _rate(max_rate)
+    rate = delay_rate("max_rate", max_rate)
     if not 0.0 < low < high or not hold > 0.0:
         raise ValueError(
             f"0 < low < high and hold > 0 are needed, got low = {low}, high = {high}, hold = {hold}"
@@ -201,7 +183,7 @@ def recorded_delay(t: np.ndarray, delay: np.ndarray, max_rate: float | None = No
             f"the trace grows by {growth:.3g} s/s: packets were lost or reordered; give max_rate ≤ 1 after resampling the "
             "trace, or use the energy ledger with the loss of packets given"
         )
-    rate = growth if max_rate is None else _rate(max_rate)
+    rate = growth if max_rate is None else delay_rate("max_rate", max_rate)
 
     def trace(times: np.ndarray) -> np.ndarray:
         if times[0] < t[0] or times[-1] > t[-1]:
@@ -220,7 +202,7 @@ def delay_from(name: str, delay, max_rate: float | None = None) -> Delay:
     if callable(delay):
         if max_rate is None:
             raise ValueError(f"{name} is a function: say how fast it grows at most with max_rate (3.13)")
-        return Delay(lambda t: np.vectorize(delay, otypes=[float])(t), _rate(max_rate), name)
+        return Delay(lambda t: np.vectorize(delay, otypes=[float])(t), delay_rate("max_rate", max_rate), name)
     try:
         return constant_delay(delay)
     except ValueError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["columns_of", "log_of", "record", "signal"]
+__all__ = ["columns_of", "log_of", "record", "robot_numbers", "signal"]
 
 
 def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = "") -> np.dtype:
@@ -50,3 +50,16 @@ def signal(
         k, i = np.argwhere(~np.isfinite(array))[0]
         raise ValueError(f"{name} must be finite, but sample {k}, axis {i} is {array[k, i]}")
     return array
+
+
+def robot_numbers(name: str, values, count: int, robots: int) -> np.ndarray:
+    """Return `count` numbers of robots, each from 0 to `robots` − 1."""
+    array = np.asarray(values)
+    if array.shape != (count,) or array.dtype.kind not in "iu":
+        raise ValueError(f"{name} must be {count} whole numbers, got {array.dtype} {array.shape}")
+    absent = (array < 0) | (array >= robots)
+    if absent.any():
+        raise ValueError(
+            f"{name} names robot {array[absent][0]}, which does not exist; there are {robots} robots"
+        )
+    return array.astype(np.int64)

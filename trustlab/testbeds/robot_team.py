@@ -27,7 +27,7 @@ from trustlab.teleoperation.filters import (
 )
 from trustlab.teleoperation.loop.settings import DivergenceError
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
-from trustlab.teleoperation.records import log_of, signal
+from trustlab.teleoperation.records import log_of, robot_numbers, signal
 from trustlab.teleoperation.team.kernel import (
     BLOCKS,
     COLUMNS,
@@ -335,16 +335,8 @@ def _trust(settings: TeamSettings, size: int, count: int, step: float, rng) -> n
 
 def _chosen(policy, trust: np.ndarray, names: tuple, step: float, dwell: float, rng) -> np.ndarray:
     """Return the policy's leaders, checked: they exist, and stay for τ_min."""
-    chosen = np.asarray(policy.leaders(trust, names, step, dwell, rng))
-    if chosen.shape != (len(trust),) or chosen.dtype.kind not in "iu":
-        raise ValueError(
-            f"the policy must return {len(trust)} whole numbers, one per decision, got {chosen.dtype} {chosen.shape}"
-        )
-    if chosen.min() < 0 or chosen.max() >= len(names):
-        bad = int(chosen[(chosen < 0) | (chosen >= len(names))][0])
-        raise ValueError(
-            f"the policy names robot number {bad}, which does not exist; there are {len(names)} robots"
-        )
+    leaders = policy.leaders(trust, names, step, dwell, rng)
+    chosen = robot_numbers("the policy's answer, one leader per decision,", leaders, len(trust), len(names))
     switches = np.flatnonzero(np.diff(chosen)) + 1
     short = np.diff(np.concatenate([[0], switches])) * step < dwell - 1e-6
     if short.any():
@@ -352,7 +344,7 @@ def _chosen(policy, trust: np.ndarray, names: tuple, step: float, dwell: float, 
         raise ValueError(
             f"the policy switches at t = {switches[k] * step:g} s, less than min_dwell = {dwell:g} s after the switch before"
         )
-    return chosen.astype(np.int64)
+    return chosen
 
 
 class Filtering(NamedTuple):

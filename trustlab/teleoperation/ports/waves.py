@@ -76,6 +76,16 @@ def robot_wave(end, f_s, v_r):
     return end.sent * f_s - end.reflected * v_r
 
 
+def delay_rate(name: str, value) -> float:
+    """Return how fast a delay grows at most [s/s], in [0, 1]."""
+    rate = finite_number(name, value)
+    if not 0.0 <= rate <= 1.0:
+        raise ValueError(
+            f"{name} must lie in [0, 1], got {rate}: a delay that grows faster than time lets nothing arrive (Theorem 3)"
+        )
+    return rate
+
+
 @dataclass(frozen=True)
 class Scattering:
     """
@@ -121,7 +131,8 @@ class Scattering:
 
     def __post_init__(self):
         object.__setattr__(self, "b", positive("b", self.b))
-        for name in ("alpha_min", "alpha_max", "beta_min", "beta_max", "max_delay_rate"):
+        object.__setattr__(self, "max_delay_rate", delay_rate("max_delay_rate", self.max_delay_rate))
+        for name in ("alpha_min", "alpha_max", "beta_min", "beta_max"):
             object.__setattr__(self, name, finite_number(name, getattr(self, name)))
         for name in ("alpha", "beta"):
             low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
@@ -133,11 +144,6 @@ class Scattering:
                 raise ValueError(f"{name}_min must not exceed {name}_max, got {low} and {high}")
         if self.alpha_max > 1.0:
             raise ValueError(f"alpha_max must not exceed 1 (3.1), got {self.alpha_max}")
-        if not 0.0 <= self.max_delay_rate <= 1.0:
-            raise ValueError(
-                f"max_delay_rate must lie in [0, 1], got {self.max_delay_rate}: a delay that grows faster than time lets "
-                "nothing arrive (Theorem 3)"
-            )
 
     @property
     def gain(self) -> float:
