@@ -224,28 +224,25 @@ class PublishedStudy:
         return {key: cls.from_dict(values, key) for key, values in studies.items()}
 
 
+def _require(holds: object, message: str) -> None:
+    if not holds:
+        raise ValueError(message)
+
+
 def _check_design(study: PublishedStudy) -> None:
     """Check the name, the number of subjects and the conditions."""
-    if not isinstance(study.name, str) or not study.name:
-        raise ValueError(f"name must be a text, got {shown(study.name)}")
+    _require(isinstance(study.name, str) and study.name, f"name must be a text, got {shown(study.name)}")
     object.__setattr__(study, "n", whole_number("n", study.n, least=3))
     of_class("listed_only", study.listed_only, bool, "it must be true or false")
-    if len(set(study.conditions)) != study.k:
-        raise ValueError(f"conditions must differ, got {', '.join(study.conditions)}")
-    if study.k < 2:
-        raise ValueError(f"at least two conditions are needed, got {study.k}")
-    if study.n <= study.k:
-        raise ValueError(
-            f"n = {study.n} subjects are too few for {study.k} conditions; n must exceed their number"
-        )
-    if not study.mean:
-        raise ValueError("mean has no condition")
+    n, k, names = study.n, study.k, ", ".join(study.conditions)
+    _require(len(set(study.conditions)) == k, f"conditions must differ, got {names}")
+    _require(k >= 2, f"at least two conditions are needed, got {k}")
+    _require(n > k, f"n = {n} subjects are too few for {k} conditions; n must exceed their number")
+    _require(study.mean, "mean has no condition")
     for key in ("mean", "sd"):
         for condition in getattr(study, key):
-            if condition not in study.conditions:
-                raise ValueError(
-                    f"{key}.{condition} is not among the conditions {', '.join(study.conditions)}"
-                )
+            known = condition in study.conditions
+            _require(known, f"{key}.{condition} is not among the conditions {names}")
 
 
 def _check_scale(study: PublishedStudy) -> None:
@@ -253,14 +250,16 @@ def _check_scale(study: PublishedStudy) -> None:
     scale = study.scale
     numbers = isinstance(scale, tuple | list) and len(scale) == 2
     numbers = numbers and all(isinstance(x, int | float) and not isinstance(x, bool) for x in scale)
-    if not numbers or not scale[0] < scale[1]:
-        raise ValueError(f"scale must be the lowest and the highest value, in this order, got {shown(scale)}")
+    _require(
+        numbers and scale[0] < scale[1],
+        f"scale must be the lowest and the highest value, in this order, got {shown(scale)}",
+    )
     object.__setattr__(study, "scale", (float(scale[0]), float(scale[1])))
-    if study.missing and math.isinf(scale[1] - scale[0]):
-        raise ValueError(
-            f"scale must have both ends, because mean and SD of {', '.join(study.missing)} are not printed;"
-            f" got {scale}"
-        )
+    missing = ", ".join(study.missing)
+    _require(
+        not missing or math.isfinite(scale[1] - scale[0]),
+        f"scale must have both ends, because mean and SD of {missing} are not printed; got {scale}",
+    )
 
 
 def _check_cells(study: PublishedStudy) -> None:
@@ -269,22 +268,22 @@ def _check_cells(study: PublishedStudy) -> None:
     for condition, text in study.mean.items():
         printed_decimal(text, f"mean.{condition}")
         first, last = printed_interval(text)
-        if last < low or first > high:
-            raise ValueError(f"mean.{condition} = {text} lies outside the scale {low:g} to {high:g}")
+        outside = last < low or first > high
+        _require(not outside, f"mean.{condition} = {text} lies outside the scale {low:g} to {high:g}")
     for condition, text in study.sd.items():
-        if printed_decimal(text, f"sd.{condition}") <= 0:
-            raise ValueError(f"sd.{condition} = {text} must be positive")
+        spread = printed_decimal(text, f"sd.{condition}")
+        _require(spread > 0, f"sd.{condition} = {text} must be positive")
         if condition not in study.mean or math.isinf(high - low):
             continue
         first, last = printed_interval(study.mean[condition])
         # The variance is greatest with all values at the ends of the scale, and with the mean as near its middle as can be.
         mean = min(max(0.5 * (low + high), first), last)
         largest = math.sqrt(max((mean - low) * (high - mean), 0.0) * study.n / (study.n - 1))
-        if printed_interval(text)[0] > largest:
-            raise ValueError(
-                f"sd.{condition} = {text} exceeds what {study.n} values from {low:g} to {high:g} with mean"
-                f" {study.mean[condition]} can have ({largest:.4g})"
-            )
+        _require(
+            printed_interval(text)[0] <= largest,
+            f"sd.{condition} = {text} exceeds what {study.n} values from {low:g} to {high:g} with mean"
+            f" {study.mean[condition]} can have ({largest:.4g})",
+        )
 
 
 def _check_p(name: str, text: str) -> None:
@@ -292,27 +291,24 @@ def _check_p(name: str, text: str) -> None:
     low, high = printed_interval(text, name)
     end = high if math.isinf(low) else low if math.isinf(high) else 0.5 * (low + high)
     empty = (math.isinf(low) and end == 0.0) or (math.isinf(high) and end == 1.0)  # p < 0 and p > 1
-    if not 0.0 <= end <= 1.0 or empty:
-        raise ValueError(f"{name} = {text!r} is not a p-value; it must lie between 0 and 1")
+    possible = 0.0 <= end <= 1.0 and not empty
+    _require(possible, f"{name} = {text!r} is not a p-value; it must lie between 0 and 1")
 
 
 def _check_tests(study: PublishedStudy) -> None:
     """Check the statistics of each test, one by one and against the number of conditions."""
-    k = study.k
     for key, allowed in STATISTICS.items():
         for name, text in getattr(study, key).items():
-            if name not in allowed:
-                raise ValueError(f"{key}.{name} is unknown; there are {', '.join(allowed)}")
+            _require(name in allowed, f"{key}.{name} is unknown; there are {', '.join(allowed)}")
             if name == "p":
                 _check_p(f"{key}.p", text)
-            elif printed_decimal(text, f"{key}.{name}") < 0 and name != "t":
-                raise ValueError(f"{key}.{name} = {text} must not be negative")
-    if "eta2" in study.anova and printed_interval(study.anova["eta2"])[0] >= 1.0:
-        raise ValueError(f"anova.eta2 = {study.anova['eta2']} must lie between 0 and 1")
-    if study.mauchly and k < 3:
-        raise ValueError("mauchly: sphericity always holds for two conditions")
-    if study.t_test and k != 2:
-        raise ValueError(f"t_test needs two conditions, got {k}")
+                continue
+            value = printed_decimal(text, f"{key}.{name}")
+            _require(value >= 0 or name == "t", f"{key}.{name} = {text} must not be negative")
+    eta2 = study.anova.get("eta2", "0")
+    _require(printed_interval(eta2)[0] < 1.0, f"anova.eta2 = {eta2} must lie between 0 and 1")
+    _require(not study.mauchly or study.k > 2, "mauchly: sphericity always holds for two conditions")
+    _require(not study.t_test or study.k == 2, f"t_test needs two conditions, got {study.k}")
     _check_epsilon_and_degrees(study)
 
 
@@ -322,18 +318,16 @@ def _check_epsilon_and_degrees(study: PublishedStudy) -> None:
     if study.epsilon:
         printed_decimal(study.epsilon, "epsilon")
         low, high = printed_interval(study.epsilon)
-        if high < 1.0 / (k - 1) or low > 1.0:
-            raise ValueError(
-                f"epsilon = {study.epsilon} must lie between 1/(k − 1) = {1.0 / (k - 1):.4g} and 1 for {k} conditions"
-            )
-    df = k * (k - 1) // 2 - 1
-    if "df" in study.mauchly and float(study.mauchly["df"]) != df:
-        raise ValueError(f"mauchly.df = {study.mauchly['df']} does not belong to {k} conditions ({df})")
+        between = f"between 1/(k − 1) = {1.0 / (k - 1):.4g} and 1 for {k} conditions"
+        _require(high >= 1.0 / (k - 1) and low <= 1.0, f"epsilon = {study.epsilon} must lie {between}")
+    df, printed = k * (k - 1) // 2 - 1, study.mauchly.get("df")
+    if printed:
+        _require(float(printed) == df, f"mauchly.df = {printed} does not belong to {k} conditions ({df})")
     if "df1" in study.anova:
         low, high = printed_interval(study.anova["df1"])
-        if high < 1.0 or low > k - 1 or (not study.corrected and not low <= k - 1 <= high):
-            wanted = f"between 1 and {k - 1}" if study.corrected else f"{k - 1}"
-            raise ValueError(f"anova.df1 = {study.anova['df1']} must be {wanted} for {k} conditions")
+        least, wanted = (1, f"between 1 and {k - 1}") if study.corrected else (k - 1, f"{k - 1}")
+        possible = high >= least and low <= k - 1
+        _require(possible, f"anova.df1 = {study.anova['df1']} must be {wanted} for {k} conditions")
 
 
 def _check_pairs(study: PublishedStudy) -> None:
@@ -341,8 +335,7 @@ def _check_pairs(study: PublishedStudy) -> None:
     seen: dict[tuple[int, int], str] = {}
     for name in (*study.pairs, *study.significant_without_p):
         pair = study.pair(name)
-        if pair in seen:
-            raise ValueError(f"pairs: {name} was given already, as {seen[pair]}")
+        _require(pair not in seen, f"pairs: {name} was given already, as {seen.get(pair)}")
         seen[pair] = name
     for name, text in study.pairs.items():
         _check_p(f"pairs.{name}", text)

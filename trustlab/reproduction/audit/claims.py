@@ -21,12 +21,10 @@ def _relative(after: str, before: str) -> Formula:
 def _by_range(number: str, after: str, before: str) -> Check:
     """Return the check of a difference of two robot performances in % of the range, or relative to the first."""
     ids = {"after": after, "before": before, "P_r_min": "remark_7/P_r_min", "P_r_max": "remark_7/P_r_max"}
-    share, ratio = (
-        "100 * (after - before) / (P_r_max - P_r_min)",
-        "100 * (after - before) / (before - P_r_min)",
-    )
-    relative = Formula.of(ratio, ids, "relative change of (2.39)")
-    return Check(number, Formula.of(share, ids, "difference of two values of (2.39)"), (relative,))
+    change = "100 * (after - before)"
+    difference = Formula.of(f"{change} / (P_r_max - P_r_min)", ids, "difference of two values of (2.39)")
+    relative = Formula.of(f"{change} / (before - P_r_min)", ids, "relative change of (2.39)")
+    return Check(number, difference, (relative,))
 
 
 def _in_points(number: str, after: str, before: str, scale: float, numbers: Numbers) -> Check:
@@ -45,15 +43,12 @@ def _as_change(number: str, after: str, before: str, numbers: Numbers) -> Check:
     relative, mean = _relative(after, before), numbers[after]
     finer = [mean.value + k / 1000 for k in (-1, 1, -2, 2, -3, 3, -4, 4) if mean.decimals == 2]
     condition = after.partition("/")[2].removeprefix("mean.")
-    explanations = tuple(
-        replace(
-            relative,
-            label=f"the mean of {condition} was {value:.3f}, printed as {mean.printed}",
-            changed={"after": value},
-        )
-        for value in finer
-    )
-    return Check(number, relative, explanations=explanations)
+
+    def with_mean(value: float) -> Formula:
+        label = f"the mean of {condition} was {value:.3f}, printed as {mean.printed}"
+        return replace(relative, label=label, changed={"after": value})
+
+    return Check(number, relative, explanations=tuple(map(with_mean, finer)))
 
 
 def _claim(number: str, reading: str, after: str, before: str, numbers: Numbers) -> Check:
@@ -90,18 +85,12 @@ def _remark_seven(end: str) -> Check:
         "(2.4) is a mean of products, which is below the product of the means where the robot is faster the farther "
         "it is from the path."
     )
-    formula = Formula.of("v * (1 - e / e_max)", ids)
-    return Check(f"remark_7/P_r_{end}", formula, binding=mean_of_products)
+    return Check(f"remark_7/P_r_{end}", Formula.of("v * (1 - e / e_max)", ids), binding=mean_of_products)
 
 
 def claim_checks(numbers: Numbers) -> list[Check]:
     """Return the checks of the printed percentages and differences, and of Remark 7."""
-    return [
-        *(
-            _claim(claim.id, reading, after, before, numbers)
-            for claim, reading, after, before in claims()
-            if reading
-        ),
-        *_teleoperation(numbers),
-        *(_remark_seven(end) for end in ("min", "max")),
+    read = [
+        _claim(x.id, reading, after, before, numbers) for x, reading, after, before in claims() if reading
     ]
+    return [*read, *_teleoperation(numbers), _remark_seven("min"), _remark_seven("max")]

@@ -173,30 +173,20 @@ def _participant(p: str, numbers: Numbers) -> list[Check]:
 def _encloses_beta(p: str) -> Check:
     ids = {"β": f"table_2.1/beta/{p}", "r_l": f"table_2.2/r_l/{p}", "r_u": f"table_2.2/r_u/{p}"}
     gap = Formula("min(β − r_l, r_u − β)", ids, lambda v: np.minimum(v["β"] - v["r_l"], v["r_u"] - v["β"]))
-    return Check(
-        "section_2_4_1_2/enclose_beta",
-        gap,
-        suffix=f"/{p}",
-        quantity=f"r_l ≤ β ≤ r_u, participant {p}",
-        target=(0.0, np.inf),
-    )
+    id, quantity = "section_2_4_1_2/enclose_beta", f"r_l ≤ β ≤ r_u, participant {p}"
+    return Check(id, gap, suffix=f"/{p}", quantity=quantity, target=(0.0, np.inf))
 
 
 def _inside_limits(p: str, note: str) -> Check:
     names = ("TSC_lb", "TSC_l", "TSC_u", "TSC_ub")
-    gap = Formula(
-        "least gap in TSC_lb < TSC_l < TSC_u < TSC_ub",
-        _ids(names, p),
-        lambda v: np.diff(np.stack([v[name] for name in names]), axis=0).min(axis=0),
-    )
-    return Check(
-        "section_2_4_1_2/limits",
-        gap,
-        suffix=f"/{p}",
-        quantity=f"TSC_lb < TSC_l < TSC_u < TSC_ub, participant {p}",
-        note=note,
-        target=HOLDS,
-    )
+
+    def least_gap(v: dict) -> np.ndarray:
+        return np.diff(np.stack([v[name] for name in names]), axis=0).min(axis=0)
+
+    order = " < ".join(names)
+    gap = Formula(f"least gap in {order}", _ids(names, p), least_gap)
+    id, quantity = "section_2_4_1_2/limits", f"{order}, participant {p}"
+    return Check(id, gap, suffix=f"/{p}", quantity=quantity, note=note, target=HOLDS)
 
 
 def _largest_robot_step(column: str, numbers: Numbers) -> Possible:
@@ -217,9 +207,11 @@ def _captured(p: str, numbers: Numbers) -> list[Check | Remark]:
     """Return the checks of one participant's thresholds in Table 2.3."""
     ids = {f"{t}_{s}": f"table_2.3/TSC_{t}.{s}/{p}" for t in ("l", "u") for s in ("mean", "sd")}
     apart = p != "3"
-    gap = Formula(
-        "(μ_u − σ_u) − (μ_l + σ_l)", ids, lambda v: v["u_mean"] - v["u_sd"] - v["l_mean"] - v["l_sd"]
-    )
+
+    def apart_by(v: dict) -> np.ndarray:
+        return v["u_mean"] - v["u_sd"] - v["l_mean"] - v["l_sd"]
+
+    gap = Formula("(μ_u − σ_u) − (μ_l + σ_l)", ids, apart_by)
     check = Check(
         "section_2_4_1_3/follow" if apart else "section_2_4_1_3/not_distinguishable",
         gap,
@@ -267,16 +259,14 @@ def _pilot(numbers: Numbers) -> list[Finding]:
         f"and TSC_lb = {lower:.3f}."
     )
     over = "Suspicious: above the limit under which Theorem 1 guarantees switching. "
+    by_author = "Chosen by the author. "
     chosen = [f"section_2_5/{name}" for name in ("TSC_l_0", "TSC_u_0", "TSC_ld", "TSC_ud")]
     return [
         _largest_robot_step("pilot", numbers),
         Check("pilot/b_r", f["b_r"]),
         Check("pilot/b_pr", f["b_pr"]),
         Check("claim/remark_3/delta_tsc_of_the_pilot_operator", f["delta_TSC"]),
-        *(
-            Remark(id, (over if numbers[id].value > most else "Chosen by the author. ") + found)
-            for id in chosen
-        ),
+        *(Remark(id, f"{over if numbers[id].value > most else by_author}{found}") for id in chosen),
     ]
 
 

@@ -113,16 +113,16 @@ def _sd(measure: str, mean: str) -> Possible | Remark:
     if measure not in SCALES:
         return Remark(sd, "Depends on scores that are not printed, on a scale that is not printed.")
     least, most = SCALES[measure]
+    inputs = {"M": mean, "n": _size(measure)}
 
-    def greatest(v: dict) -> np.ndarray:
-        if math.isinf(most):
-            return v["M"] * np.sqrt(v["n"])
+    def between_ends(v: dict) -> np.ndarray:
         return np.sqrt(np.maximum(v["n"] / (v["n"] - 1.0) * (v["M"] - least) * (most - v["M"]), 0.0))
 
     text = f"√(n/(n − 1) (M − {least:g})({most:g} − M)), all scores at the ends of the scale"
+    greatest = Formula(text, inputs, between_ends)
     if math.isinf(most):
-        text = "M √n, all but one score 0"
-    return Possible(sd, Formula.of("0", {}), Formula(text, {"M": mean, "n": _size(measure)}, greatest))
+        greatest = Formula("M √n, all but one score 0", inputs, lambda v: v["M"] * np.sqrt(v["n"]))
+    return Possible(sd, Formula.of("0", {}), greatest)
 
 
 def _units(measure: str, condition: str, numbers: Numbers, per_person: Fraction) -> Fraction:
@@ -221,15 +221,12 @@ def _mean(v: dict) -> np.ndarray:
 def _followed(condition: str, numbers: Numbers) -> list[Check | Remark]:
     """Return the checks of a row of Table 2.6: mean and SD of the five participants, and their counts."""
     ids = {f"x_{p}": f"table_2.6/{condition}/{p}" for p in PARTICIPANTS}
-    sample, population = (
-        Formula(
-            "SD of the five",
-            ids,
-            lambda v, ddof=ddof: np.std(list(v.values()), axis=0, ddof=ddof),
-            f"divided by {divisor}",
-        )
-        for ddof, divisor in ((1, "n − 1"), (0, "n"))
-    )
+
+    def sd_of(v: dict, ddof: int) -> np.ndarray:
+        return np.std(list(v.values()), axis=0, ddof=ddof)
+
+    sample = Formula("SD of the five", ids, lambda v: sd_of(v, 1), "divided by n − 1")
+    population = Formula("SD of the five", ids, lambda v: sd_of(v, 0), "divided by n")
     checks: list[Check | Remark] = [
         Check(f"table_2.6/{condition}/mean", Formula("mean of the five", ids, _mean)),
         Check(f"table_2.6/{condition}/sd", sample, (population,)),

@@ -95,14 +95,9 @@ def _mauchly(name: str, numbers: Numbers, k: int) -> list:
     """Return the checks of Mauchly's test, and of what the text concludes from it."""
     at = {key: f"{name}/mauchly.{key}" for key in ("chi2", "df", "p")}
     n, epsilon, sphericity = {"n": f"{name}/n"}, f"{name}/epsilon", f"{name}/sphericity"
-    least, most = (
-        Formula(
-            f"{'greatest' if top else 'least'} χ² at this ε",
-            {"ε": epsilon} | n,
-            lambda v, top=top: chi2_of_epsilon(v["ε"], v["n"], k, top),
-        )
-        for top in (False, True)
-    )
+    given = {"ε": epsilon} | n
+    least = Formula("least χ² at this ε", given, lambda v: chi2_of_epsilon(v["ε"], v["n"], k, False))
+    most = Formula("greatest χ² at this ε", given, lambda v: chi2_of_epsilon(v["ε"], v["n"], k, True))
     if at["chi2"] not in numbers:
         (_, low, _), (_, _, high) = least.range(numbers), most.range(numbers)
         p_low, p_high = (float(mauchly_p_value(x, numbers[f"{name}/n"].value, k)) for x in (high, low))
@@ -112,12 +107,9 @@ def _mauchly(name: str, numbers: Numbers, k: int) -> list:
         )
         return [Remark(sphericity, reason)]
     df = Formula.of(f"{k} * ({k} - 1) / 2 - 1", {}, text=f"k(k − 1)/2 − 1, k = {k}")
-    first_order = Formula(
-        "P(χ²(df) > χ²)",
-        {"χ2": at["chi2"], "df": at["df"]},
-        lambda v: stats.chi2.sf(v["χ2"], v["df"]),
-        "first-order approximation",
-    )
+    inputs = {"χ2": at["chi2"], "df": at["df"]}
+    label = "first-order approximation"
+    first_order = Formula("P(χ²(df) > χ²)", inputs, lambda v: stats.chi2.sf(v["χ2"], v["df"]), label)
     second_order = Formula(
         "P(χ²(df) > χ²) + ω [P(χ²(df + 4) > χ²) − P(χ²(df) > χ²)]",
         {"χ2": at["chi2"]} | n,
