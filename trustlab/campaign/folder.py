@@ -203,20 +203,42 @@ def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:32]
 
 
-def _opened(path: object) -> tuple[Path, io.IOBase]:
-    """Make a folder if need be and hold it for this process; the system releases it however the process ends."""
-    if not isinstance(path, str | os.PathLike) or not str(path):
-        raise CampaignError(f"out must be the path of a folder, got {path!r}")
+def folder_path(path: object) -> Path:
+    """Return the path of a folder that is there or can be made."""
+    if not isinstance(path, str | os.PathLike) or not os.fspath(path):
+        raise CampaignError(f"out must be the path of a folder, got {path!r:.60}")
     folder = Path(path)
     if folder.exists() and not folder.is_dir():
         raise CampaignError(f"out must be a folder, but {folder} is a file; give another name")
+    return folder
+
+
+@contextlib.contextmanager
+def writing_in(folder: Path) -> Iterator[None]:
+    """Say in which folder the system refused to write."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / LOCK).open("a")
+        yield
     except OSError as error:
         raise CampaignError(
             f"cannot write in {folder}: {error.strerror or error}; choose a folder that you may write to"
         ) from error
+
+
+def refuse(folder: Path, what: str, names: set[str]) -> None:
+    """Raise if there are names of files that a folder must not hold."""
+    if names:
+        more = " …" if len(names) > 3 else ""
+        raise CampaignError(
+            f"{folder} holds {what} ({', '.join(sorted(names)[:3])}{more}); give a new or empty folder"
+        )
+
+
+def _opened(path: object) -> tuple[Path, io.IOBase]:
+    """Make a folder if need be and hold it for this process; the system releases it however the process ends."""
+    folder = folder_path(path)
+    with writing_in(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / LOCK).open("a")
     try:
         import fcntl
 
@@ -233,12 +255,7 @@ def _opened(path: object) -> tuple[Path, io.IOBase]:
 
 def _refuse_foreign(folder: Path) -> None:
     """Raise if a folder holds files of others."""
-    others = sorted(f.name for f in folder.iterdir() if f.name not in OWN and PARTIAL not in f.name)
-    if others:
-        more = " …" if len(others) > 3 else ""
-        raise CampaignError(
-            f"{folder} holds other files ({', '.join(others[:3])}{more}) and no campaign; give a new or empty folder"
-        )
+    refuse(folder, "other files", {f.name for f in folder.iterdir() if PARTIAL not in f.name} - OWN)
 
 
 def _manifest(folder: Path) -> dict:

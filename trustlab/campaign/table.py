@@ -52,19 +52,19 @@ def _written(value: object) -> bool | int | float | str | None:
 
 def encoded(first: int, parameters: list[Mapping], outcomes: list[Outcome]) -> pa.Table:
     """Return a chunk as a table: run, parameters, results, failed, error, traceback, returned (names as JSON)."""
-    columns = [_column("run", list(range(first, first + len(outcomes))))]
-    columns += [_column(name, [_written(values[name]) for values in parameters]) for name in parameters[0]]
     results = [outcome.results or {} for outcome in outcomes]
-    for name in dict.fromkeys(name for own in results for name in own):
-        columns.append(_column(name, [own.get(name) for own in results]))
-    columns.append(_column("failed", [not own for own in results]))
-    for name, texts in (
-        ("error", [outcome.error for outcome in outcomes]),
-        ("traceback", [outcome.traceback for outcome in outcomes]),
-        ("returned", [json.dumps(list(own)) if own else None for own in results]),
-    ):
-        columns.append((pa.field(name, pa.string()), pa.array(texts, pa.string())))
-    return pa.Table.from_arrays([column for _, column in columns], schema=pa.schema([f for f, _ in columns]))
+    returned = dict.fromkeys(name for own in results for name in own)
+    columns = {
+        "run": list(range(first, first + len(outcomes))),
+        **{name: [_written(values[name]) for values in parameters] for name in parameters[0]},
+        **{name: [own.get(name) for own in results] for name in returned},
+        "failed": [not own for own in results],
+        "error": [outcome.error for outcome in outcomes],
+        "traceback": [outcome.traceback for outcome in outcomes],
+        "returned": [json.dumps(list(own)) if own else None for own in results],
+    }
+    fields, arrays = zip(*(_column(name, values) for name, values in columns.items()), strict=True)
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
 
 
 def assembled(
@@ -124,38 +124,31 @@ def _texts(values: Iterable) -> pd.Series:
 
 def _gathered(chunks: list[pa.Table], name: str, missing: np.ndarray) -> np.ndarray | pd.Series:
     """Return one column over all chunks; where every chunk holds floats, without a list of Python values."""
-    parts: list[Any] = []
+    if all(name in chunk.column_names and pa.types.is_floating(chunk[name].type) for chunk in chunks):
+        values = np.concatenate([chunk[name].to_numpy() for chunk in chunks])
+        return np.where(missing, np.nan, values)
+    values = []
     for chunk in chunks:
         if name not in chunk.column_names:
-            parts.append([None] * len(chunk))
+            values += [None] * len(chunk)
             continue
-        field, column = chunk.schema.field(name), chunk[name]
-        if (field.metadata or {}).get(KIND) == b"mixed":
-            parts.append([None if x is None else json.loads(x) for x in column.to_pylist()])
-        elif pa.types.is_floating(field.type):
-            parts.append(column.to_numpy())
-        else:
-            parts.append(column.to_pylist())
-    if all(isinstance(part, np.ndarray) for part in parts):
-        out = np.concatenate(parts)
-        return np.where(missing, np.nan, out) if missing.any() else out
-    lists = [part.tolist() if isinstance(part, np.ndarray) else part for part in parts]
-    return _narrowest([x for part in lists for x in part], missing)
+        own = chunk[name].to_pylist()
+        if (chunk.schema.field(name).metadata or {}).get(KIND) == b"mixed":
+            own = [None if text is None else json.loads(text) for text in own]
+        values += own
+    return _narrowest(values, missing)
 
 
 def _narrowest(values: list, missing: np.ndarray) -> np.ndarray | pd.Series:
     """Return a column of the narrowest type that holds all values exactly; objects as they are."""
-    gaps = [gone or value is None for gone, value in zip(missing, values, strict=True)]
-    kinds = {_kind(value) for gap, value in zip(gaps, values, strict=True) if not gap}
-    if kinds == {"bool"} and not any(gaps):
+    values = [None if gone else value for gone, value in zip(missing, values, strict=True)]
+    kinds = {_kind(value) for value in values}
+    if kinds == {"bool"}:
         return np.array(values, dtype=bool)
-    if kinds and kinds <= {"int", "long"} and not any(gaps):
+    if kinds <= {"int", "long"}:
         return np.array(values, dtype=np.int64)
-    if kinds <= {"int", "float"}:
-        return np.array([np.nan if gap else x for x, gap in zip(values, gaps, strict=True)], dtype=float)
-    if kinds == {"str"}:
-        return _texts([None if gap else x for x, gap in zip(values, gaps, strict=True)])
-    out = np.empty(len(values), dtype=object)
-    for i, value in enumerate(values):
-        out[i] = np.nan if gaps[i] else value
-    return pd.Series(out, dtype=object)
+    if kinds <= {"int", "float", "none"}:
+        return np.array(values, dtype=float)  # None becomes NaN
+    if kinds <= {"str", "none"}:
+        return _texts(values)
+    return pd.Series([np.nan if value is None else value for value in values], dtype=object)
