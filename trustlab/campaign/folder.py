@@ -64,13 +64,10 @@ class Folder:
                 f"{self.path} is half a campaign: {len(list(chunks.glob('*.parquet')))} chunks, but {MANIFEST}, which "
                 f"says of what, is missing; {REMEDY}"
             )
-        digest, packed = hashlib.sha256(), io.BytesIO()
-        with gzip.GzipFile(fileobj=packed, mode="wb", compresslevel=1) as file:
-            for line in _lines(parameters, names):
-                digest.update(line)
-                file.write(line)
-        write_whole(self.path / PARAMETERS, packed.getvalue())
-        content = {"format": FORMAT, "runs": len(parameters), "parameters": digest.hexdigest(), **identity}
+        lines = b"".join(_lines(parameters, names))
+        write_whole(self.path / PARAMETERS, gzip.compress(lines, compresslevel=1))
+        digest = hashlib.sha256(lines).hexdigest()
+        content = {"format": FORMAT, "runs": len(parameters), "parameters": digest, **identity}
         text = json.dumps(content, indent=1, ensure_ascii=False)
         write_whole(self.path / MANIFEST, text.encode("utf-8", "backslashreplace"))
 
@@ -82,10 +79,8 @@ class Folder:
             changed.append(f"seed was {before['seed']}, is {identity['seed']}")
         if before["names"] != names:
             changed.append(f"parameters were {', '.join(before['names'])}, are {', '.join(names)}")
-        digest = hashlib.sha256()
-        for line in _lines(parameters, names):
-            digest.update(line)
-        if digest.hexdigest() != before["parameters"]:
+        digest = hashlib.sha256(b"".join(_lines(parameters, names))).hexdigest()
+        if digest != before["parameters"]:
             runs, now = before["runs"], len(parameters)
             counts = "" if runs == now else f"{runs:,} runs then, {now:,} now; "
             changed.append(f"parameters changed: {counts}{self._first_change(parameters, names)}")

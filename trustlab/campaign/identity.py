@@ -11,7 +11,7 @@ import json
 import pickle
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from numbers import Integral
+from contextlib import suppress
 from types import CodeType, FunctionType, MethodType
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from trustlab.campaign.worker import code_digest
 
-__all__ = ["cut", "differences", "parameter_texts", "task_identity"]
+__all__ = ["cut", "differences", "parameter_texts", "seed_text", "task_identity"]
 
 PLAIN = (bool, int, float, str, bytes, type(None))
 
@@ -120,14 +120,11 @@ def _is_plain(value: object) -> bool:
 
 def _source(thing: Any) -> str:
     """Return source without comments and layout; empty where it cannot be read."""
-    try:
+    text = ""
+    with suppress(OSError, TypeError, SyntaxError):
         text = textwrap.dedent(inspect.getsource(thing))
-    except (OSError, TypeError):
-        return ""
-    try:
-        return ast.unparse(ast.parse(text))
-    except SyntaxError:
-        return text
+        text = ast.unparse(ast.parse(text))
+    return text
 
 
 def value_text(value: object) -> str:
@@ -139,10 +136,8 @@ def value_text(value: object) -> str:
     """
     if isinstance(value, np.generic):
         value = value.item()
-    if isinstance(value, bool) or value is None or isinstance(value, str):
+    if value is None or isinstance(value, int | str):  # a bool is an int
         return json.dumps(value)
-    if isinstance(value, Integral):
-        return str(int(value))
     if isinstance(value, float):
         return repr(float(value))
     if isinstance(value, bytes) and len(value) <= 80:
@@ -167,6 +162,12 @@ def value_text(value: object) -> str:
     # A repr that holds an address or a set differs between processes.
     plain = shown and len(shown) <= 80 and not any(sign in shown for sign in (" at 0x", "{", "\n"))
     return f"{shown if plain else type(value).__qualname__} {digest}"
+
+
+def seed_text(seed: np.random.SeedSequence) -> str:
+    """Return the text of a seed: the number where it is no more than that, else all that it consists of."""
+    bare = np.random.SeedSequence(seed.entropy).state == seed.state
+    return value_text(seed.entropy if bare else seed.state)
 
 
 class _Pickler(pickle.Pickler):

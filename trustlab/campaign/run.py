@@ -111,12 +111,10 @@ def run_campaign(
     names = _checked_task(task, parameters)
     if not isinstance(seed, np.random.SeedSequence):
         seed = np.random.SeedSequence(whole_number("seed", seed, least=0))
-    for name, value, allowed in (
-        ("progress", progress, (True, False, None)),
-        ("fresh", fresh, (True, False)),
-    ):
-        if not any(value is one for one in allowed):
-            raise ValueError(f"{name} must be {' or '.join(map(str, allowed))}, got {value!r}")
+    if not (progress is None or isinstance(progress, bool)):
+        raise ValueError(f"progress must be True or False or None, got {progress!r}")
+    if not isinstance(fresh, bool):
+        raise ValueError(f"fresh must be True or False, got {fresh!r}")
     if fresh and out is None:
         raise ValueError("fresh=True removes a campaign from a folder, but `out` is not given")
     _check_where(n_jobs, cluster, executor)
@@ -125,9 +123,9 @@ def run_campaign(
         store: Any = _Memory()
     else:
         from trustlab.campaign.folder import Folder
-        from trustlab.campaign.identity import task_identity
+        from trustlab.campaign.identity import seed_text, task_identity
 
-        identity = {"task": task_identity(task), "seed": _seed_text(seed), "names": names}
+        identity = {"task": task_identity(task), "seed": seed_text(seed), "names": names}
         store = Folder(out, identity, parameters, names, fresh)
     try:
         gaps = _gaps(store.spans, len(parameters))
@@ -170,16 +168,6 @@ def _checked_task(task: object, parameters: Any) -> list[str]:
             "every task takes its parameters and `seed`, a numpy.random.SeedSequence"
         ) from None
     return names
-
-
-def _seed_text(seed: np.random.SeedSequence) -> str:
-    """Return a seed as text, to compare it with that of a folder."""
-    entropy = seed.entropy
-    text = str(int(entropy) if isinstance(entropy, int | np.integer) else tuple(int(x) for x in entropy))
-    if seed.spawn_key or seed.pool_size != 4 or seed.n_children_spawned:
-        key = tuple(int(k) for k in seed.spawn_key)
-        text += f", spawn key {key}, pool {seed.pool_size}, child {seed.n_children_spawned} on"
-    return text
 
 
 def _check_where(n_jobs: object, cluster: object, executor: object) -> None:
@@ -228,7 +216,7 @@ def _bar(total: int, done: int, shown: bool | None) -> Any:
     from tqdm import tqdm
 
     if shown is None:
-        shown = bool(getattr(sys.stderr, "isatty", lambda: False)())
+        shown = hasattr(sys.stderr, "isatty") and sys.stderr.isatty()
     return tqdm(total=total, initial=done, unit="run", disable=not shown)
 
 

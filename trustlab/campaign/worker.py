@@ -221,13 +221,11 @@ def _traceback(error: BaseException) -> str:
     waiting = [whole]
     while waiting:
         part = waiting.pop()
-        part.stack = traceback.StackSummary.from_list(
-            [
-                traceback.FrameSummary(f.filename, f.lineno, f.name, lookup_line=False, line="")
-                for f in part.stack
-                if f.filename != __file__
-            ]
-        )
+        part.stack[:] = [
+            traceback.FrameSummary(frame.filename, frame.lineno, frame.name, lookup_line=False, line="")
+            for frame in part.stack
+            if frame.filename != __file__
+        ]
         waiting += [cause for cause in (part.__cause__, part.__context__) if cause is not None]
     return _utf8("".join(whole.format()))
 

@@ -95,6 +95,11 @@ class Conditions:
             object.__setattr__(self, name, value)
 
     @property
+    def simulated_origin(self) -> str:
+        """Where the results of studies drawn from this population come from, for headers and captions."""
+        return "simulated studies" + (f", from {self.origin}" if self.origin else "")
+
+    @property
     def contrasts(self) -> np.ndarray:
         """Covariance of orthonormal contrasts, shape (k − 1, k − 1)."""
         c = orthonormal_contrasts(len(self.mean))
@@ -278,9 +283,9 @@ def conditions_from(
         return Conditions(scores.conditions, scores.values.mean(axis=0), matrix, scores.origin)
     if mean is None or covariance is None:
         raise ValueError("power needs mean= and covariance= of the conditions, or data= to take both from")
-    names = (
-        list(mean.index) if isinstance(mean, pd.Series) else list(mean) if isinstance(mean, dict) else None
-    )
+    if isinstance(mean, dict):
+        mean = pd.Series(mean)
+    names = list(mean.index) if isinstance(mean, pd.Series) else None
     if isinstance(covariance, pd.DataFrame):
         if list(covariance.index) != list(covariance.columns):
             raise ValueError(
@@ -289,6 +294,6 @@ def conditions_from(
         if names is not None and list(covariance.columns) != names:
             raise ValueError(f"mean has conditions {names}, but covariance {list(covariance.columns)}")
         names, covariance = list(covariance.columns), covariance.to_numpy()
-    means = finite_array("mean", list(mean.values()) if isinstance(mean, dict) else mean)
+    means = finite_array("mean", mean)
     given: Any = labels if labels is not None else names or range(1, means.size + 1)
     return Conditions(given, means, covariance)

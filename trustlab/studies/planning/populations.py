@@ -128,13 +128,14 @@ class GroundRobotPopulation:
         object.__setattr__(self, "covariance", checked_covariance("covariance", self.covariance, size))
         object.__setattr__(self, "p_r_min", finite_number("p_r_min", self.p_r_min))
         try:
-            pairs = tuple((finite_number("follow", a), finite_number("follow", b)) for a, b in self.follow)
+            tsc, performance = self.follow
+            pairs = tuple(
+                (finite_number("follow", a), finite_number("follow", b)) for a, b in (tsc, performance)
+            )
         except (TypeError, ValueError):
             raise ValueError(
                 f"follow must be two pairs of numbers (mean, SD), got {self.follow!r:.100}"
             ) from None
-        if len(pairs) != 2:
-            raise ValueError(f"follow must be two pairs of numbers (mean, SD), got {len(pairs)}")
         for average, sd in pairs:
             if not (0.0 < average < 1.0 and 0.0 < sd < np.sqrt(average * (1.0 - average))):
                 raise ValueError(
@@ -175,15 +176,16 @@ class GroundRobotPopulation:
 
     def table(self) -> pd.DataFrame:
         """Return the distribution: columns quantity, distribution, mean, sd, of the coordinate as named."""
-        rows = [
-            (name, "normal, truncated to valid models", m, s)
-            for name, m, s in zip(COORDINATES, self.mean, np.sqrt(np.diag(self.covariance)), strict=True)
-        ]
-        rows += [
-            (name, "beta", *pair)
-            for name, pair in zip(("follow_tsc", "follow_performance"), self.follow, strict=True)
-        ]
-        return pd.DataFrame(rows, columns=["quantity", "distribution", "mean", "sd"])
+        size = len(COORDINATES)
+        mean, sd = np.transpose(self.follow)
+        return pd.DataFrame(
+            {
+                "quantity": [*COORDINATES, "follow_tsc", "follow_performance"],
+                "distribution": ["normal, truncated to valid models"] * size + ["beta"] * 2,
+                "mean": np.r_[self.mean, mean],
+                "sd": np.r_[np.sqrt(np.diag(self.covariance)), sd],
+            }
+        )
 
     def plot(self, n: int = 400, seed: int = 0) -> np.ndarray:
         """
@@ -204,33 +206,30 @@ class GroundRobotPopulation:
 
         from trustlab.testbeds.ground_robot.conditions import SAMPLE_TIME
 
-        drawn = self.draw(n, seed)
         models = [model for label, model in published_models().items() if label != "pilot"]
         own = published_table("2.3").astype(float)
-        printed = {
-            "β": [model.human.beta for model in models],
-            "best human performance [m/s]": [model.human.p_max for model in models],
-            "time constant of utilization [s]": [SAMPLE_TIME / model.human.b for model in models],
-            "of robot performance [s]": [SAMPLE_TIME / (1.0 - model.robot.a) for model in models],
-            "own lower threshold of TSC": own.loc[("TSC_l", "mean")],
-            "own upper threshold": own.loc[("TSC_u", "mean")],
-        }
-        seconds = SAMPLE_TIME / (1.0 - drawn[["a_r", "a_pr"]])
-        columns = [
-            drawn["beta"],
-            drawn["p_h_max"],
-            seconds["a_r"],
-            seconds["a_pr"],
-            drawn["lower"],
-            drawn["upper"],
-        ]
-        values = dict(zip(printed, columns, strict=True))
-        names = list(printed)
+        printed = pd.DataFrame(
+            {
+                "beta": [model.human.beta for model in models],
+                "p_h_max": [model.human.p_max for model in models],
+                "a_r": [model.human.a for model in models],
+                "a_pr": [model.robot.a for model in models],
+                "lower": own.loc[("TSC_l", "mean")].to_numpy(),
+                "upper": own.loc[("TSC_u", "mean")].to_numpy(),
+            }
+        )
         _, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
-        for axis, x, y in zip(axes, names[::2], names[1::2], strict=True):
-            axis.plot(values[x], values[y], ".", ms=3, alpha=0.5, label="drawn")
-            axis.plot(printed[x], printed[y], "kx", ms=8, label="the five printed")
-            axis.set(xlabel=x, ylabel=y)
+        for frame, style, label in (
+            (self.draw(n, seed), {"marker": ".", "ms": 3, "alpha": 0.5}, "drawn"),
+            (printed, {"marker": "x", "ms": 8, "color": "black"}, "the five printed"),
+        ):
+            seconds = SAMPLE_TIME / (1.0 - frame[["a_r", "a_pr"]])
+            axes[0].plot(frame["beta"], frame["p_h_max"], ls="", label=label, **style)
+            axes[1].plot(seconds["a_r"], seconds["a_pr"], ls="", **style)
+            axes[2].plot(frame["lower"], frame["upper"], ls="", **style)
+        axes[0].set(xlabel="β", ylabel="best human performance [m/s]")
+        axes[1].set(xlabel="time constant of utilization [s]", ylabel="of robot performance [s]")
+        axes[2].set(xlabel="own lower threshold of TSC", ylabel="own upper threshold")
         axes[0].legend()
         return axes
 
@@ -267,23 +266,22 @@ class GroundRobotPopulation:
         for average, sd in self.follow:
             total = average * (1.0 - average) / sd**2 - 1.0
             shares.append(float(rng.beta(average * total, (1.0 - average) * total)))
+        more = {"follow_tsc": shares[0], "follow_performance": shares[1]}
         for tries in range(MOST_TRIES):
-            found = self._values(self.mean + root @ rng.standard_normal(len(COORDINATES)))
-            if found is not None:
-                more = {"follow_tsc": shares[0], "follow_performance": shares[1]}
-                values = {"participant": who} | found | more | {"redrawn": tries}
-                try:
-                    self.person(values)
-                except ValueError:
-                    continue
-                return values
+            coordinates = self.mean + root @ rng.standard_normal(len(COORDINATES))
+            try:
+                values = {"participant": who} | self._values(coordinates) | more | {"redrawn": tries}
+                self.person(values)
+            except ValueError:
+                continue
+            return values
         raise ValueError(
             f"none of {MOST_TRIES} draws for participant {who} is a valid model: most of this population lies outside the "
             "range of valid models; check its means and spreads"
         )
 
-    def _values(self, z: np.ndarray) -> dict[str, float] | None:
-        """Return the parameters that coordinates stand for; None if they make no model."""
+    def _values(self, z: np.ndarray) -> dict[str, float]:
+        """Return the parameters that coordinates stand for; raise `ValueError` if they make no model."""
         p_h_min, lower = float(z[2]), float(z[6])
         values = {
             "a_r": 1.0 - float(np.exp(-z[0])),
@@ -298,18 +296,12 @@ class GroundRobotPopulation:
             "lower_spread": float(np.exp(z[8])),
             "upper_spread": float(np.exp(z[9])),
         }
-        try:
-            limits = threshold_limits(_model(values), 0.0)
-        except ValueError:
-            return None
-        if not limits.lower < limits.upper:
-            return None
+        limits = threshold_limits(_model(values), 0.0)
         low = limits.lower + float(special.expit(z[10])) * (limits.upper - limits.lower)
         high = low + float(special.expit(z[11])) * (limits.upper - low)
-        if not (
-            limits.lower < low < high < limits.upper and -1.0 <= values["lower"] < values["upper"] <= 1.0
-        ):
-            return None
+        own = -1.0 <= values["lower"] < values["upper"] <= 1.0
+        if not (own and limits.lower < low < high < limits.upper):
+            raise ValueError("thresholds lie outside their limits")
         return values | {"tsc_l": low, "tsc_u": high}
 
     @staticmethod

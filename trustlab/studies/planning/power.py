@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, combinations, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -76,7 +76,7 @@ class PowerAnalysis:
             "greenhouse-geisser", "huynh-feldt", "auto"), power, ci_low, ci_high, replicates, closed_form (noncentral F; NaN where
             sphericity does not hold or the test is corrected).
         """
-        return self._labelled(self.omnibus)
+        return self.omnibus.copy()
 
     def pairs(self) -> pd.DataFrame:
         """
@@ -88,7 +88,7 @@ class PowerAnalysis:
             A row per cell, pair and adjustment: n, effect_size, correlation, epsilon, a, b, d_z, adjust ("none", "bonferroni",
             "holm"), power, ci_low, ci_high, replicates, closed_form (noncentral t; NaN for Holm's).
         """
-        return self._labelled(self.pairwise)
+        return self.pairwise.copy()
 
     def claims(self) -> pd.DataFrame:
         """
@@ -100,17 +100,12 @@ class PowerAnalysis:
             A row per cell and adjustment: n, effect_size, correlation, epsilon, adjust, claims (how many pairs), power, ci_low, ci_high,
             replicates, expected_found (mean number of claimed pairs found). No rows without claims.
         """
-        return self._labelled(self.together)
-
-    def _labelled(self, frame: pd.DataFrame) -> pd.DataFrame:
-        frame = frame.copy()
-        frame.attrs["origin"] = self.origin
-        return frame
+        return self.together.copy()
 
     @property
     def origin(self) -> str:
         """Where these numbers come from, for headers and captions."""
-        return "simulated studies" + (f", from {self.conditions.origin}" if self.conditions.origin else "")
+        return self.conditions.simulated_origin
 
     def plot(self, against: str | None = None, test: str | Sequence[str] = "auto", axes: Axes | None = None):
         """
@@ -281,24 +276,24 @@ def power_analysis(
         mask,
         where_to_run(n_jobs, cluster, executor),
     )
-    tables: tuple[list, list, list] = ([], [], [])
-    for (size, cell), counts in zip(cells, counted, strict=True):
-        rows = _rows(cell, size, counts, replicates, alpha, level, mask)
-        for table, more in zip(tables, rows, strict=True):
-            table.extend(more)
-    omnibus, pairs, together = tables
+    parts = [
+        _rows(cell, size, counts, replicates, alpha, level, mask)
+        for (size, cell), counts in zip(cells, counted, strict=True)
+    ]
     ends = ["power", "ci_low", "ci_high", "replicates"]
-    return PowerAnalysis(
-        population,
-        alpha,
-        replicates,
-        level,
-        seed,
-        tuple(name for name, values in zip(AXES, grid, strict=True) if len(values) > 1),
-        pd.DataFrame(omnibus, columns=[*AXES, "noncentrality", "test", *ends, "closed_form"]),
-        pd.DataFrame(pairs, columns=[*AXES, "a", "b", "d_z", "adjust", *ends, "closed_form"]),
-        pd.DataFrame(together, columns=[*AXES, "adjust", "claims", *ends, "expected_found"]),
+    columns = (
+        [*AXES, "noncentrality", "test", *ends, "closed_form"],
+        [*AXES, "a", "b", "d_z", "adjust", *ends, "closed_form"],
+        [*AXES, "adjust", "claims", *ends, "expected_found"],
     )
+    tables = [
+        pd.DataFrame(list(chain.from_iterable(rows)), columns=names)
+        for rows, names in zip(zip(*parts, strict=True), columns, strict=True)
+    ]
+    for table in tables:
+        table.attrs["origin"] = population.simulated_origin
+    varied = tuple(name for name, values in zip(AXES, grid, strict=True) if len(values) > 1)
+    return PowerAnalysis(population, alpha, replicates, level, seed, varied, *tables)
 
 
 def _listed(name: str, value: Any) -> list:
@@ -358,12 +353,10 @@ def _rows(
     ]
     pairs, together = [], []
     levels = {"none": alpha, "bonferroni": alpha / len(cell.d_z)}  # Holm's has no closed form
-    for i, (a, b, d_z) in enumerate(zip(*np.triu_indices(k, 1), cell.d_z, strict=True)):
+    for i, (pair, d_z) in enumerate(zip(combinations(cell.labels, 2), cell.d_z, strict=True)):
         for name in ADJUSTMENTS:
             closed = noncentral_f_power(n, 2, n * d_z**2, levels[name]) if name in levels else np.nan
-            pairs.append(
-                (*axes, cell.labels[a], cell.labels[b], d_z, name, *power(f"pair {i} {name}"), closed)
-            )
+            pairs.append((*axes, *pair, d_z, name, *power(f"pair {i} {name}"), closed))
     if mask is not None:
         for name in ADJUSTMENTS:
             found = counts[f"claimed {name}"] / replicates

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -97,10 +98,8 @@ def claims_mask(claims: Sequence[tuple] | None, conditions: Conditions) -> np.nd
     if claims is None:
         return None
     labels = list(conditions.labels)
-    places: dict[tuple, int] = {
-        pair: i for i, pair in enumerate(zip(*np.triu_indices(len(labels), 1), strict=True))
-    }
-    mask = np.zeros(len(places), dtype=bool)
+    pairs = list(combinations(labels, 2))
+    mask = np.zeros(len(pairs), dtype=bool)
     if isinstance(claims, str | bytes) or not hasattr(claims, "__iter__"):
         raise ValueError(f"claims must be a list of pairs of conditions, got {claims!r:.60}")
     for pair in claims:
@@ -111,7 +110,7 @@ def claims_mask(claims: Sequence[tuple] | None, conditions: Conditions) -> np.nd
                 raise ValueError(
                     f"unknown condition {label!r}{did_you_mean(label, labels)} (there are {', '.join(map(str, labels))})"
                 )
-        where = places[tuple(sorted(labels.index(label) for label in pair))]
+        where = pairs.index(tuple(sorted(pair, key=labels.index)))
         if mask[where]:
             raise ValueError(f"pair {pair!r} is claimed twice")
         mask[where] = True

@@ -168,10 +168,9 @@ def smallest_n(
     shares = [count / replicates for count in found.values()]
     rows = pd.DataFrame({"n": list(found), "power": shares, "ci_low": low, "ci_high": high})
     power, low, high = rows.set_index("n").loc[n]
-    origin = "simulated studies" + (f", from {population.origin}" if population.origin else "")
     name = f"F, {test}" if pair is None else f"{pair[0]} – {pair[1]}, {adjust}"
     squares = participants_needed(len(population.mean), n)
-    return SmallestN(n, power, low, high, wanted, name, squares, rows, origin)
+    return SmallestN(n, power, low, high, wanted, name, squares, rows, population.simulated_origin)
 
 
 def _search(

@@ -32,10 +32,7 @@ def run_participant(
     testbed: str,
     participant: int,
     order: str,
-    study: str,
-    laps: int,
-    length: float,
-    rest: float | None,
+    settings: dict,
     folder: str | None,
     seed: np.random.SeedSequence,
     **operator: float,
@@ -43,8 +40,9 @@ def run_participant(
     """
     Run all conditions for one simulated operator, and return measures as "condition/measure": a task of `run_campaign`.
 
-    `order` holds the conditions in their order, separated by blanks; `length` is that of a run of the UAV [s]; `rest` the pause
-    between sessions [s], or None where each begins with r = 0; `operator` a row of the population's draw.
+    `order` holds the conditions in their order, separated by blanks; `settings` laps and rest of the ground robot (rest is the
+    pause between sessions [s], or None where each begins with r = 0), or study and duration [s] of the UAV; `operator` is a
+    row of the population's draw.
     """
     conditions = order.split()
     # Each condition has a seed by its place in the alphabet, so that the order has no effect on its noise.
@@ -58,21 +56,21 @@ def run_participant(
                 someone,
                 model,
                 thresholds if condition in ("C2", "C3") else None,
-                laps=laps,
+                laps=settings["laps"],
                 seed=streams[condition],
                 course=_course(),
                 r0=r0,
             )
             session, measures = run.session, run.measures()
-            if rest is not None:
-                r0 = float(session["r"][-1]) * model.human.a ** (rest / SAMPLE_TIME)
+            if settings["rest"] is not None:
+                r0 = float(session["r"][-1]) * model.human.a ** (settings["rest"] / SAMPLE_TIME)
         else:
             session = simulate_teleoperation(
                 condition,
                 TeleoperatorPopulation.person(values),
-                study,
+                settings["study"],
                 seed=streams[condition],
-                duration=length,
+                duration=settings["duration"],
             )
             row = teleoperation_measures(session).iloc[0].drop(["participant", "scheme"])
             measures = {name: float(value) for name, value in row.items()}

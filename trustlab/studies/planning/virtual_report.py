@@ -26,20 +26,8 @@ ORIGIN = "simulated operators"
 KEYS = ("participant", "position", "condition", "synthetic")
 """Columns of the table of measures that identify a session."""
 
-STATISTICS = (
-    "n",
-    "k",
-    "F",
-    "df1",
-    "df2",
-    "p",
-    "correction",
-    "epsilon_gg",
-    "eta2_partial",
-    "eta2_partial_low",
-    "eta2_partial_high",
-    "note",
-)
+TEST = ("n", "k", "F", "df1", "df2", "p", "correction", "epsilon_gg")
+EFFECT = ("eta2_partial", "eta2_partial_low", "eta2_partial_high")
 USUAL = {
     "ground_robot": ("p_r", "p_h", "r", "path_error"),
     "uav": ("tracking_error", "p_r", "p_h", "hand_force"),
@@ -128,7 +116,7 @@ class VirtualStudy:
         for name in self.names:
             there = self.measures[name].notna().groupby(self.measures["condition"]).all()
             own = [condition for condition in self.conditions if there[condition]]
-            row: dict[str, Any] = dict.fromkeys(STATISTICS, np.nan)
+            row: dict[str, Any] = dict.fromkeys([*TEST, *EFFECT], np.nan)
             try:
                 if len(own) < 2:
                     raise ValueError("fewer than two conditions have this measure for every participant")
@@ -136,7 +124,7 @@ class VirtualStudy:
             except ValueError as error:
                 row |= {"correction": "", "note": str(error)}
             else:
-                row |= {key: getattr(result, key) for key in row if key in result.__dataclass_fields__}
+                row |= {key: getattr(result, key) for key in row}
                 row |= {"df1": result.df1_corrected, "df2": result.df2_corrected, "p": result.p_corrected}
                 gone = [c for c in self.conditions if c not in own]
                 row["note"] = f"without {', '.join(gone)}, which do not have it for everyone" if gone else ""
@@ -185,10 +173,9 @@ class VirtualStudy:
         names = [measures] if isinstance(measures, str) else list(measures)
         results = [self.analysis(name) for name in names]
         columns = min(4, len(names))
-        figure, axes = plt.subplots(
-            -(-len(names) // columns), columns, squeeze=False, layout="constrained",
-            figsize=(3.2 * columns, 3.2 * -(-len(names) // columns)),
-        )  # fmt: skip
+        rows = -(-len(names) // columns)
+        size = (3.2 * columns, 3.2 * rows)
+        figure, axes = plt.subplots(rows, columns, squeeze=False, layout="constrained", figsize=size)
         for axis, result in zip(axes.flat, results, strict=False):
             result.plot(kind, axes=axis)
             axis.set(title="", xlabel="")

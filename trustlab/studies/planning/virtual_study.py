@@ -208,14 +208,10 @@ def _parameters(
     folder: Folder | None,
 ) -> list[dict]:
     """Return the parameters of `run_participant` for every participant."""
-    fixed = {
-        "testbed": testbed,
-        "study": getattr(population, "study", ""),
-        "laps": settings.get("laps", 0),
-        "length": settings.get("duration", 0.0),
-        "rest": settings.get("rest"),
-        "folder": None if folder is None else str(folder.sessions),
-    }
+    if isinstance(population, TeleoperatorPopulation):
+        settings = settings | {"study": population.study}
+    sessions = None if folder is None else str(folder.sessions)
+    fixed = {"testbed": testbed, "settings": settings, "folder": sessions}
     plan = design.table()
     return [
         fixed | {"order": " ".join(plan.loc[person["participant"]])} | person
