@@ -177,7 +177,7 @@ def test_the_order_is_the_designs_and_balanced(kept):
 def test_a_participant_is_a_function_of_their_row_and_seed_that_any_process_can_run(kept):
     task = pickle.loads(pickle.dumps(one_participant.run_participant))
     order = " ".join(kept.design.table().loc[7])
-    fixed = {"testbed": "ground_robot", "study": "", "laps": 2, "length": 0.0, "rest": None, "folder": None}
+    fixed = {"testbed": "ground_robot", "settings": {"laps": 2, "rest": None}, "folder": None}
     values = kept.participants.to_dict("records")[6]
     found = task(**fixed, order=order, **values, seed=np.random.SeedSequence(3).spawn(7)[6])
     for row in kept.measures.query("participant == 7").to_dict("records"):
