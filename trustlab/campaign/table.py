@@ -54,7 +54,7 @@ def encoded(first: int, parameters: list[Mapping], outcomes: list[Outcome]) -> p
     """Return a chunk as a table: run, parameters, results, failed, error, traceback, returned (names as JSON)."""
     results = [outcome.results or {} for outcome in outcomes]
     returned = dict.fromkeys(name for own in results for name in own)
-    columns = {
+    columns: dict[str, list] = {
         "run": list(range(first, first + len(outcomes))),
         **{name: [_written(values[name]) for values in parameters] for name in parameters[0]},
         **{name: [own.get(name) for own in results] for name in returned},
@@ -125,9 +125,8 @@ def _texts(values: Iterable) -> pd.Series:
 def _gathered(chunks: list[pa.Table], name: str, missing: np.ndarray) -> np.ndarray | pd.Series:
     """Return one column over all chunks; where every chunk holds floats, without a list of Python values."""
     if all(name in chunk.column_names and pa.types.is_floating(chunk[name].type) for chunk in chunks):
-        values = np.concatenate([chunk[name].to_numpy() for chunk in chunks])
-        return np.where(missing, np.nan, values)
-    values = []
+        return np.where(missing, np.nan, np.concatenate([chunk[name].to_numpy() for chunk in chunks]))
+    values: list = []
     for chunk in chunks:
         if name not in chunk.column_names:
             values += [None] * len(chunk)
