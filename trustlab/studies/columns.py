@@ -15,9 +15,7 @@ from trustlab.models.checks import did_you_mean
 def column_of(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = "") -> pd.Series:
     """Return the one column that an argument names; `remedy` is appended to the error if no name is similar."""
     if not isinstance(name, Hashable):
-        raise ValueError(
-            f"{argument} must be the name of one column, got {name!r}; one factor is analysed at a time"
-        )
+        raise ValueError(f"{argument} must be the name of one column, got {name!r}; one factor at a time")
     if name not in frame.columns:
         if name is not None and name in frame.index.names:
             raise ValueError(f"{argument}: {name!r} is in the index, not a column; give frame.reset_index()")
@@ -30,9 +28,7 @@ def column_of(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = 
     if isinstance(frame.columns, pd.MultiIndex):
         inside = ", ".join(repr(label) for label in frame.columns if label[0] == name)
         raise ValueError(f"{argument}: {name!r} has columns below it; give one of them in full, {inside}")
-    raise ValueError(
-        f"{argument}: column {name!r} occurs {found.shape[1]} times; rename or remove all but one"
-    )
+    raise ValueError(f"{argument}: column {name!r} occurs {found.shape[1]} times; keep or rename all but one")
 
 
 def refuse_missing_labels(column: pd.Series, argument: str) -> None:
@@ -41,7 +37,7 @@ def refuse_missing_labels(column: pd.Series, argument: str) -> None:
     if missing.any():
         row = column.index.astype(object)[int(np.argmax(missing))]  # a plain Python label, for the error
         raise ValueError(
-            f"{argument}: column {column.name!r} has no label in row {row!r}; every row needs one"
+            f"{argument}: column {column.name!r} has no label in row {row!r}; each row needs one"
         )
 
 

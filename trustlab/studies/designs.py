@@ -34,7 +34,7 @@ def _labels(name: str, values: object, least: int) -> tuple[Hashable, ...]:
         blank = isinstance(label, str) and not label.strip()
         if not isinstance(label, Hashable) or isinstance(label, bool) or pd.isna([label]).any() or blank:
             raise ValueError(
-                f"{name}[{k}] is {label!r}; every label must be a number or a text that is not empty"
+                f"{name}[{k}] is {label!r}; a label must be a number or a text that is not empty"
             )
     if len(labels) < least:
         raise ValueError(f"{name} must have at least {least} labels, got {len(labels)}")
@@ -190,9 +190,7 @@ def design_balance(
     for who, own in orders.groupby(participant, sort=False):
         found = own[position].tolist()
         if any(isinstance(p, bool | str) for p in found) or sorted(found) != list(range(1, k + 1)):
-            raise ValueError(
-                f"participant {who!r} has positions {found}; {k} conditions need 1 to {k}, each once"
-            )
+            raise ValueError(f"participant {who!r} has positions {found}; {k} conditions need 1 to {k} once")
         row = own.sort_values(position)[condition].tolist()
         if len(set(row)) != k:
             raise ValueError(f"participant {who!r} had {row}; each of {conditions} is needed once")
@@ -201,17 +199,11 @@ def design_balance(
     places, follows = np.zeros((k, k), dtype=int), np.zeros((k, k), dtype=int)
     np.add.at(places, (square, np.broadcast_to(np.arange(k), square.shape)), 1)
     np.add.at(follows, (square[:, :-1], square[:, 1:]), 1)
-    carry = pd.DataFrame(
-        np.where(np.eye(k, dtype=bool), np.nan, follows),
-        index=pd.Index(conditions, name="before"),
-        columns=pd.Index(conditions, name="after"),
+    carry = pd.DataFrame(np.where(np.eye(k, dtype=bool), np.nan, follows), conditions, conditions)
+    return DesignBalance(
+        pd.DataFrame(places, conditions, range(1, k + 1)).rename_axis(index="condition", columns="position"),
+        carry.rename_axis(index="before", columns="after"),
     )
-    positions = pd.DataFrame(
-        places,
-        index=pd.Index(conditions, name="condition"),
-        columns=pd.Index(range(1, k + 1), name="position"),
-    )
-    return DesignBalance(positions, carry)
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,15 +238,8 @@ class LatinSquareDesign:
 
     def orders(self) -> pd.DataFrame:
         """Return the plan as a tidy table: participant, position, condition."""
-        plan = self.table()
-        n, k = plan.shape
-        return pd.DataFrame(
-            {
-                "participant": np.repeat(plan.index.to_numpy(), k),
-                "position": np.tile(np.arange(1, k + 1), n),
-                "condition": plan.to_numpy().ravel(),
-            }
-        ).infer_objects()
+        plan = self.table().stack()  # noqa: PD013  melt would sort the rows by position
+        return plan.rename("condition").reset_index().infer_objects()
 
     def balance(self) -> DesignBalance:
         """Return the counts of positions and of first-order carry-over over all participants."""
@@ -311,9 +296,8 @@ def latin_square_design(
     if n % size:
         below, above = n // size * size, participants_needed(k, n)
         remedy = f"{above} would do" if below == 0 else f"{above} would do, or {below}"
-        text = (
-            f"{n} participants do not fill whole squares: {k} conditions need a multiple of {size}; {remedy}"
-        )
+        multiple = f"{k} conditions need a multiple of {size}"
+        text = f"{n} participants do not fill whole squares: {multiple}; {remedy}"
         if whole_squares:
             raise ValueError(text)
         warnings.warn(f"{text}; this design is not balanced", stacklevel=2)
@@ -322,10 +306,7 @@ def latin_square_design(
     drawn = np.random.default_rng(labels).permutation(k)
     names = np.empty(k, dtype=object)
     names[:] = [conditions[i] for i in drawn]
-    square = pd.DataFrame(
-        names[williams_square(k)],
-        index=pd.RangeIndex(1, size + 1, name="order"),
-        columns=pd.RangeIndex(1, k + 1, name="position"),
-    )
+    square = pd.DataFrame(names[williams_square(k)], range(1, size + 1), range(1, k + 1))
+    square = square.rename_axis(index="order", columns="position")
     rows = np.concatenate([np.random.default_rng(child).permutation(size) for child in batches])[:n] + 1
     return LatinSquareDesign(conditions, participants, seed, square, tuple(int(row) for row in rows))
