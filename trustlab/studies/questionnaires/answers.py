@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean
+from trustlab.models.checks import did_you_mean, of_class
 from trustlab.studies.columns import column_of, number_or_nan, refuse_missing_labels
 
 
@@ -40,14 +40,12 @@ def _columns_of_items(wanted: Sequence[str], items: object) -> dict[str, object]
         columns = {name: items[name] for name in wanted}
     elif isinstance(items, Sequence) and not isinstance(items, str):
         if len(items) != len(wanted):
-            raise ValueError(
-                f"items lists {len(items)} columns, the questionnaire has {len(wanted)} items: {', '.join(wanted)}"
-            )
+            need = f"{len(wanted)} items: {', '.join(wanted)}"
+            raise ValueError(f"items lists {len(items)} columns, the questionnaire has {need}")
         columns = dict(zip(wanted, items, strict=True))
     else:
-        raise ValueError(
-            f"items must be a dict of item to column, or a list of columns in the questionnaire's order, got {items!r}"
-        )
+        need = "a dict of item to column, or a list of columns in the questionnaire's order"
+        raise ValueError(f"items must be {need}, got {items!r}")
     if len(set(columns.values())) != len(columns):
         raise ValueError(f"items: two items are given the same column: {list(columns.values())}")
     return columns
@@ -55,8 +53,7 @@ def _columns_of_items(wanted: Sequence[str], items: object) -> dict[str, object]
 
 def _check_table(frame: pd.DataFrame, keys: list[str]) -> None:
     """Refuse a table that is empty, or that does not say in every row whose answers these are."""
-    if not isinstance(frame, pd.DataFrame):
-        raise ValueError(f"the answers must be a DataFrame, got {type(frame).__name__}")
+    of_class("the answers", frame, pd.DataFrame)
     if frame.empty:
         raise ValueError("the table of answers is empty")
     for argument, name in zip(("subject", "condition"), keys, strict=False):
@@ -110,11 +107,9 @@ def read_answers(
     columns = _columns_of_items(wanted, items)
     own = list(frame[keys].itertuples(index=False, name=None))
     rows = own if condition is not None else [label for (label,) in own]
-    cells = (
-        _wide_cells(frame, rows, columns)
-        if item is None
-        else _long_cells(frame, rows, columns, item, response)
-    )
+    cells = _wide_cells(frame, rows, columns)
+    if item is not None:
+        cells = _long_cells(frame, rows, columns, item, response)
     answers = {}
     for row, name, value in cells:
         if (row, name) in answers:
@@ -123,12 +118,9 @@ def read_answers(
         try:
             answers[row, name] = number_or_nan(value)
         except TypeError:
-            raise ValueError(
-                f"{answer_name(row, name)}: the answer is {value!r}; it must be a number"
-            ) from None
-    labels = frame[
-        keys
-    ].drop_duplicates()  # one row each, in order of appearance, with the types of the columns
+            raise ValueError(f"{answer_name(row, name)}: the answer is {value!r}, not a number") from None
+    # One row each, in order of appearance, with the types of the columns.
+    labels = frame[keys].drop_duplicates()
     index = pd.Index(labels[subject]) if condition is None else pd.MultiIndex.from_frame(labels)
     table = [[answers.get((row, name), np.nan) for name in wanted] for row in dict.fromkeys(rows)]
     return pd.DataFrame(table, index=index, columns=list(wanted), dtype=float)
@@ -153,7 +145,4 @@ def check_answers(answers: pd.DataFrame, low: float, high: float, step: float | 
     if step is not None:
         steps = (values - low) / step
         # NaN compares as False: a missing answer is on no step and between none.
-        refuse(
-            np.abs(steps - np.round(steps)) > 1e-9,
-            f"is not a step of {step:g} from {low:g} to {high:g}",
-        )
+        refuse(np.abs(steps - np.round(steps)) > 1e-9, f"is not a step of {step:g} from {low:g} to {high:g}")

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, one_of
+from trustlab.models.checks import did_you_mean, of_class, one_of
 from trustlab.studies.columns import column_of, refuse_missing_labels
 from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
 from trustlab.studies.questionnaires.likert import ScaleScores, missing_answers
@@ -22,12 +22,7 @@ TLX_SCALES = ("mental", "physical", "temporal", "performance", "effort", "frustr
 TLX_RESCALINGS = {
     "0-20": (0.0, 20.0, lambda x: 5.0 * x, "5 times the answer"),
     "1-21": (1.0, 21.0, lambda x: 5.0 * (x - 1.0), "5 times the answer less 1"),
-    "1-20, as intervals": (
-        1.0,
-        20.0,
-        lambda x: 5.0 * x,
-        "5 times the answer: the twenty intervals, 5 to 100",
-    ),
+    "1-20, as intervals": (1.0, 20.0, lambda x: 5.0 * x, "5 times the answer: twenty intervals, 5 to 100"),
     "1-20, stretched": (1.0, 20.0, lambda x: 100.0 * (x - 1.0) / 19.0, "1 to 20 stretched to 0 to 100"),
 }
 
@@ -38,15 +33,11 @@ def _check_weights(weights: np.ndarray, whose: str) -> None:
     """Refuse weights that fifteen pairwise choices cannot give."""
     for name, weight in zip(TLX_SCALES, weights, strict=True):
         if weight not in range(6):
-            found = "missing" if np.isnan(weight) else f"{weight:g}"
-            raise ValueError(
-                f"weights of {whose}: that of {name!r} is {found}; each must be a whole number from 0 to 5"
-            )
+            found = f"that of {name!r} is {'missing' if np.isnan(weight) else f'{weight:g}'}"
+            raise ValueError(f"weights of {whose}: {found}; each must be a whole number from 0 to 5")
     total = float(weights.sum())
     if total != 15.0:
-        raise ValueError(
-            f"weights of {whose} sum to {total:g}; fifteen pairwise choices give weights that sum to 15"
-        )
+        raise ValueError(f"weights of {whose} sum to {total:g}; those of fifteen choices sum to 15")
     lowest = np.cumsum(np.sort(weights))
     for k in range(2, 6):  # Landau (1953): the k scales chosen least still meet each other k(k − 1)/2 times
         if lowest[k - 1] < k * (k - 1) / 2:
@@ -97,9 +88,8 @@ def tlx_weights(
         for a, b, pick in own[[first, second, chosen]].itertuples(index=False, name=None):
             for scale in (a, b):
                 if scale not in TLX_SCALES:
-                    raise ValueError(
-                        f"subject {who!r}: {scale!r} is not a scale{did_you_mean(scale, TLX_SCALES)}"
-                    )
+                    hint = did_you_mean(scale, TLX_SCALES)
+                    raise ValueError(f"subject {who!r}: {scale!r} is not a scale{hint}")
             pair = frozenset((a, b))
             if len(pair) < 2 or pair in seen:
                 what = "is compared with itself" if len(pair) < 2 else f"and {b!r} are compared twice"
@@ -120,14 +110,10 @@ def _weights_of_rows(weights: pd.DataFrame | Mapping, answers: pd.DataFrame) -> 
     keys = list(answers.index.names)
     if isinstance(weights, Mapping):
         if set(weights) != set(TLX_SCALES):
-            raise ValueError(
-                f"weights must have the six scales {', '.join(TLX_SCALES)}; got {', '.join(map(str, weights))}"
-            )
+            found = ", ".join(map(str, weights))
+            raise ValueError(f"weights must have the six scales {', '.join(TLX_SCALES)}; got {found}")
         weights = pd.DataFrame([dict(weights)] * len(answers), index=answers.index).reset_index()
-    if not isinstance(weights, pd.DataFrame):
-        raise ValueError(
-            f"weights must be a DataFrame or a dict of scale to weight, got {type(weights).__name__}"
-        )
+    of_class("weights", weights, pd.DataFrame, "or give a dict of scale to weight")
     if keys[0] not in weights.columns:
         raise ValueError(f"weights has no column {keys[0]!r}, which says whose they are")
     condition = keys[1] if len(keys) > 1 and keys[1] in weights.columns else None
@@ -138,9 +124,8 @@ def _weights_of_rows(weights: pd.DataFrame | Mapping, answers: pd.DataFrame) -> 
     wanted = answers.index if condition or len(keys) == 1 else answers.index.get_level_values(0)
     lacking = [row for row in wanted if row not in table.index]
     if lacking:
-        raise ValueError(
-            f"{answer_name(lacking[0])}: there are no weights; add them, or leave weights out for the raw score"
-        )
+        remedy = "add them, or leave weights out for the raw score"
+        raise ValueError(f"{answer_name(lacking[0])}: there are no weights; {remedy}")
     return table.loc[list(wanted)].to_numpy(dtype=float)
 
 
@@ -151,9 +136,7 @@ def _on_hundred(answers: pd.DataFrame, rescale: str | None) -> pd.DataFrame:
         hint = ""
         top = np.nanmax(answers.to_numpy(), initial=0.0)
         if top <= 21.0:
-            hint = (
-                f"; no answer exceeds {top:g}: if the form had another scale, set rescale= to one of {known}"
-            )
+            hint = f"; no answer exceeds {top:g}: if the form had another scale, set rescale= to {known}"
         check_answers(answers, 0.0, 100.0, 5.0, hint)
         return answers
     if not isinstance(rescale, str) or rescale not in TLX_RESCALINGS:
@@ -230,9 +213,7 @@ def score_nasa_tlx(
         w = np.where(coded.notna(), _weights_of_rows(weights, answers), 0.0)
         if (w.sum(axis=1) == 0.0).any():
             row = answers.index[int(np.argmax(w.sum(axis=1) == 0.0))]
-            raise ValueError(
-                f"{answer_name(row)}: every scale with a weight is missing, so there is no weighted score"
-            )
+            raise ValueError(f"{answer_name(row)}: every scale with a weight is missing: no weighted score")
         scores["tlx_weighted"] = (w * coded.fillna(0.0)).sum(axis=1) / w.sum(axis=1)
     ranges = dict.fromkeys(scores, (0.0, 100.0))
     table = scores.reset_index()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import open_unit
+from trustlab.models.checks import of_class, open_unit
 
 __all__ = ["Reliability", "cronbach_alpha"]
 
@@ -41,10 +41,8 @@ class Reliability:
 
     def table(self) -> pd.DataFrame:
         """Return one row: n, items, alpha, ci_low, ci_high."""
-        return pd.DataFrame(
-            [(self.n, self.items, self.alpha, self.ci_low, self.ci_high)],
-            columns=["n", "items", "alpha", "ci_low", "ci_high"],
-        )
+        names = ("n", "items", "alpha", "ci_low", "ci_high")
+        return pd.DataFrame([{name: getattr(self, name) for name in names}])
 
 
 def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability:
@@ -76,8 +74,7 @@ def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability
     from pingouin import cronbach_alpha as alpha_of
     from scipy.stats import f
 
-    if not isinstance(items, pd.DataFrame):
-        raise ValueError(f"items must be a DataFrame, a column per item, got {type(items).__name__}")
+    of_class("items", items, pd.DataFrame, "give a column per item")
     confidence = open_unit("confidence", confidence)
     n, k = items.shape
     if k < 2:
@@ -87,9 +84,7 @@ def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability
     for j, name in enumerate(items.columns):
         column = items.iloc[:, j]
         if column.dtype.kind not in "iuf" or not np.isfinite(column).all():
-            raise ValueError(
-                f"item {name!r} must hold only finite numbers, none missing (dtype {column.dtype})"
-            )
+            raise ValueError(f"item {name!r} must hold only finite numbers (dtype {column.dtype})")
     numbers = items.astype(float).set_axis(range(k), axis=1).reset_index(drop=True)
     if np.abs(numbers.to_numpy()).max() > 1e100:
         raise ValueError("items are so large that their squares overflow; change their unit")

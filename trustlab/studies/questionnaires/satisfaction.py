@@ -35,9 +35,8 @@ def satisfaction_scale(points: int, items: Any = SATISFACTION_ITEMS, reversed: A
     """
     if isinstance(points, bool) or points not in (5, 7):
         raise ValueError(f"points must be 5 or 7, got {points!r}; for other scales use LikertScale")
-    return LikertScale(
-        "satisfaction", items, 1, int(points), reversed, source=f"satisfaction, 1 to {int(points)}"
-    )
+    source = f"satisfaction, 1 to {int(points)}"
+    return LikertScale("satisfaction", items, 1, int(points), reversed, source=source)
 
 
 def score_satisfaction(  # type: ignore[misc]  # `items` is among the columns too
