@@ -182,7 +182,7 @@ GOOD = frame_of([1.0, 2, 4, 9], [2.0, 2, 3, 5])
         (GOOD.rename(columns={"score": "scores"}), "did you mean 'scores'"),
         (pd.concat([GOOD, frame_of([1.0, 2, 3, 4], [1.0, 3, 2, 5], ("C", "D"))]), "has 4 conditions"),
         (GOOD.iloc[:0], "no rows"),
-        (None, "must be a pandas.DataFrame"),
+        (None, "frame must be of class DataFrame, got NoneType"),
     ],
 )
 def test_bad_input_is_refused(frame, words):

@@ -75,12 +75,13 @@ def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
     frame = frame.copy()
     for name in frame.select_dtypes("float").columns.difference(["a", "b", "condition"], sort=False):
         p_value = name == "p" or name.startswith(("p_", "mauchly_p"))
-        texts = [
-            apa_p(v).removeprefix("p ").removeprefix("= ") if p_value else apa_number(v, digits)
-            for v in frame[name]
-        ]
+        texts = [_p_in_table(v) if p_value else apa_number(v, digits) for v in frame[name]]
         frame[name] = np.where(frame[name].isna(), "", texts)
     return frame
+
+
+def _p_in_table(p: float) -> str:
+    return apa_p(p).removeprefix("p ").removeprefix("= ")
 
 
 def _df(value: float) -> str:
@@ -112,11 +113,9 @@ def _sphericity(result) -> str:
         return ""
     name = {"greenhouse-geisser": "Greenhouse–Geisser", "huynh-feldt": "Huynh–Feldt"}.get(result.correction)
     epsilon = result.epsilon_hf if result.correction == "huynh-feldt" else result.epsilon_gg
-    applied = (
-        f"degrees of freedom are {name} corrected, ε = {apa_number(epsilon, below_one=True)}"
-        if name
-        else "degrees of freedom are not corrected"
-    )
+    applied = "degrees of freedom are not corrected"
+    if name:
+        applied = f"degrees of freedom are {name} corrected, ε = {apa_number(epsilon, below_one=True)}"
     if result.mauchly_reason:
         return f" {result.mauchly_reason.removesuffix('.')}; {applied}."
     found = "was violated" if result.mauchly_p < result.alpha else "was not rejected"
@@ -136,10 +135,8 @@ def _condition_means(stats: pd.DataFrame) -> list[str]:
 
 
 def _means(result) -> str:
-    constant = same_for_all(result.scores)
-    same = (
-        f" Every subject had the same score in {', '.join(map(str, constant))} (SD = 0)." if constant else ""
-    )
+    constant = ", ".join(map(str, same_for_all(result.scores)))
+    same = f" Every subject had the same score in {constant} (SD = 0)." if constant else ""
     return f" By condition: {', '.join(_condition_means(result.descriptives()))}.{same}"
 
 
@@ -168,14 +165,12 @@ def _pairs(result, adjust: str) -> str:
     found, other = [], []
     for i, (a, b) in enumerate(zip(pairs["a"], pairs["b"], strict=True)):
         if p[i] < result.alpha:
-            found.append(
-                f"{_compared(a, b, pairs['mean_difference'][i] > 0.0)}, t({result.n - 1}) = {apa_number(pairs['t'][i])}, {apa_p(p[i])}, "
-                f"d_z = {apa_number(pairs['d_z'][i])}"
-            )
+            t, d_z = apa_number(pairs["t"][i]), apa_number(pairs["d_z"][i])
+            order = _compared(a, b, pairs["mean_difference"][i] > 0.0)
+            found.append(f"{order}, t({result.n - 1}) = {t}, {apa_p(p[i])}, d_z = {d_z}")
         else:
-            other.append(
-                f"{a} and {b} ({apa_p(p[i])})" if p[i] == p[i] else f"{a} and {b} (no test: one difference)"
-            )
+            why = "no test: one difference" if np.isnan(p[i]) else apa_p(p[i])
+            other.append(f"{a} and {b} ({why})")
     if not found:
         return f" {tests} found no significant difference: {_listed(other)}."
     rest = f"; no significant difference between {_listed(other)}" if other else ""
@@ -183,9 +178,8 @@ def _pairs(result, adjust: str) -> str:
 
 
 def _listed(texts: list[str]) -> str:
-    return (
-        ", ".join(texts) if len(texts) <= 10 else f"{', '.join(texts[:10])} and {len(texts) - 10} more pairs"
-    )
+    more = f" and {len(texts) - 10} more pairs" if len(texts) > 10 else ""
+    return ", ".join(texts[:10]) + more
 
 
 def apa_report(result, adjust: str = "holm") -> str:

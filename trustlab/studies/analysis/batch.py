@@ -153,9 +153,8 @@ def _checked(array: np.ndarray) -> np.ndarray:
     if studies < 1:
         raise ValueError(f"array holds no study: its shape is {given.shape}")
     if n < 3 or k < 2:
-        raise ValueError(
-            f"every study needs at least 3 subjects and 2 conditions, got {n} subject(s) and {k} condition(s)"
-        )
+        found = f"{n} subject(s) and {k} condition(s)"
+        raise ValueError(f"every study needs at least 3 subjects and 2 conditions, got {found}")
     scores = given.astype(float, copy=False)
     bad = ~np.isfinite(scores)
     if bad.any():
@@ -229,12 +228,8 @@ def _why_flat(values: np.ndarray, effect: bool) -> str:
         return f"every score is {values.flat[0]:g}; there is nothing to analyse"
     if np.ptp(values) < _LEAST:
         return f"the scores spread over {np.ptp(values):.3g} only; use another unit"
-    found = (
-        "all subjects differ by the same amounts between conditions"
-        if effect
-        else "no subject's scores differ between conditions"
-    )
-    return f"the error variance is zero ({found}), so that F and t are not defined"
+    found = "all subjects differ by the same amounts" if effect else "no subject's scores differ"
+    return f"the error variance is zero ({found} between conditions), so that F and t are not defined"
 
 
 def repeated_measures_batch(array: np.ndarray) -> RepeatedMeasuresBatch:

@@ -153,15 +153,12 @@ def fit_mixed_model(table: ScoreTable) -> MixedModel:
 def _check_counts(table: ScoreTable, there: np.ndarray, n: int, df2: int) -> None:
     """Refuse a table with too few scores to estimate means, both variances and the error."""
     if n < 3:
-        raise ValueError(
-            f"subject: {n} subject(s) in column {table.subject!r} have a score; at least three are needed"
-        )
+        found = f"{n} subject(s) in column {table.subject!r} have a score"
+        raise ValueError(f"subject: {found}; at least three are needed")
     counts = there.sum(axis=0)
     if counts.min() < 2:
-        j = int(np.argmin(counts))
-        raise ValueError(
-            f"within: condition {table.conditions[j]!r} has {counts[j]} score(s); at least two are needed in each"
-        )
+        least = table.conditions[int(np.argmin(counts))]
+        raise ValueError(f"within: condition {least!r} has {counts.min()} score(s); at least two are needed")
     if df2 < 1:
         raise ValueError(
             f"dv: {there.sum()} scores of {n} subjects under {len(table.conditions)} conditions leave nothing to estimate "
@@ -182,9 +179,8 @@ def _check_error(
     within = columns - _sums_by_subject(columns, person) / np.bincount(person)[person, None]
     fitted = within[:, 1:] @ np.linalg.lstsq(within[:, 1:], within[:, 0], rcond=None)[0]
     if np.abs(within[:, 0] - fitted).max() <= 32.0 * np.finfo(float).eps * max(size, 1.0):
-        raise ValueError(
-            f"dv: column {table.dv!r} has no error variance: every score is its subject's level plus its condition's"
-        )
+        levels = "every score is its subject's level plus its condition's"
+        raise ValueError(f"dv: column {table.dv!r} has no error variance: {levels}")
 
 
 class _Fit(NamedTuple):

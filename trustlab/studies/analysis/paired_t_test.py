@@ -158,19 +158,15 @@ def paired_t_test(
     confidence = open_unit("confidence", confidence)
     table = read_scores(frame, dv, within, subject, order=order)
     if len(table.conditions) != 2:
-        raise ValueError(
-            f"within: column {within!r} has {len(table.conditions)} conditions, {list(table.conditions)}; a paired t-test "
-            "compares two. Select their rows, or use repeated_measures"
-        )
+        found = f"{len(table.conditions)} conditions, {list(table.conditions)}"
+        remedy = "a paired t-test compares two. Select their rows, or use repeated_measures"
+        raise ValueError(f"within: column {within!r} has {found}; {remedy}")
     scores, excluded = complete_scores(table, missing)
     pair = analyse_table(scores).pairwise
-    test = {
-        name: float(getattr(pair, name)[0, 0])
-        for name in ("mean_difference", "sd_difference", "t", "p", "d_z", "d_av")
-    }
+    names = ("mean_difference", "sd_difference", "t", "p", "d_z", "d_av")
+    test = {name: float(getattr(pair, name)[0, 0]) for name in names}
     half = float(t_half_width(test["sd_difference"], len(scores.subjects), confidence))
     a, b = scores.values.T
-    ranks = wilcoxon(a - b)
     normality = normality_of_differences(scores.values, pair.a, pair.b)
     return PairedTTest(
         a=scores.conditions[0],
@@ -181,13 +177,10 @@ def paired_t_test(
         confidence=confidence,
         df=pair.df,
         correlation=np.nan if same_for_all(scores) else float(np.corrcoef(a, b)[0, 1]),
-        wilcoxon_v=ranks.v,
-        wilcoxon_p=ranks.p,
-        wilcoxon_method=ranks.method,
-        rank_biserial=ranks.rank_biserial,
         shapiro_w=float(normality["W"][0]),
         shapiro_p=float(normality["p"][0]),
         excluded=excluded,
         scores=scores,
+        **wilcoxon(a - b)._asdict(),
         **test,
     )

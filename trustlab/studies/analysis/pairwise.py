@@ -86,10 +86,8 @@ def paired_differences(scores: np.ndarray, sd: np.ndarray, rounding: np.ndarray)
     a, b = np.array(list(combinations(range(k), 2))).T
     mean = np.empty((studies, a.size))
     spread = np.empty((studies, a.size))
-    for pair, (i, j) in enumerate(
-        zip(a, b, strict=True)
-    ):  # pair by pair: all at once would not fit the cache
-        difference = scores[:, :, i] - scores[:, :, j]
+    for pair in range(a.size):  # pair by pair: all at once would not fit the cache
+        difference = scores[:, :, a[pair]] - scores[:, :, b[pair]]
         mean[:, pair] = difference.mean(axis=1)
         difference -= mean[:, pair, None]
         spread[:, pair] = np.sqrt(np.einsum("sn,sn->s", difference, difference) / (n - 1))

@@ -51,21 +51,14 @@ def _clouds(scores: ScoreTable, axes) -> None:
     jitter = np.random.default_rng(0).uniform(-0.05, 0.05, scores.values.shape)
     for j, values in enumerate(scores.values.T):
         axes.plot(j - 0.22 + jitter[:, j], values, "o", ms=3, color=_BLUE, alpha=0.5, mew=0)
-        axes.boxplot(
-            values,
-            positions=[j],
-            widths=0.12,
-            manage_ticks=False,
-            showfliers=False,
-            medianprops={"color": "k"},
-        )
+        box = {"widths": 0.12, "manage_ticks": False, "showfliers": False, "medianprops": {"color": "k"}}
+        axes.boxplot(values, positions=[j], **box)
         spread = np.ptp(values)
         if spread > 1e-9 * np.abs(values).max():
             grid = np.linspace(values.min(), values.max(), 200)  # no density where there is no score
             density = gaussian_kde(values)(grid)
-            axes.fill_betweenx(
-                grid, j + 0.12, j + 0.12 + 0.3 * density / density.max(), color=_BLUE, alpha=0.3, lw=0
-            )
+            right = j + 0.12 + 0.3 * density / density.max()
+            axes.fill_betweenx(grid, j + 0.12, right, color=_BLUE, alpha=0.3, lw=0)
 
 
 def plot_conditions(result, kind: str = "means", interval: str = "between", axes=None):

@@ -36,12 +36,7 @@ def friedman(values: np.ndarray) -> Friedman:
     import pingouin
 
     n, k = values.shape
-    cells = {
-        "subject": np.repeat(np.arange(n), k),
-        "condition": np.tile(np.arange(k), n),
-        "value": values.ravel(),
-    }
-    found = pingouin.friedman(pd.DataFrame(cells), dv="value", within="condition", subject="subject")
+    found = pingouin.friedman(pd.DataFrame(values))  # a wide table: a row per subject
     w = float(np.clip(found["W"].iloc[0], 0.0, 1.0))  # the bounds are exact: only rounding is cut
     chi2 = n * (k - 1) * w
     return Friedman(chi2, k - 1, float(special.chdtrc(k - 1, chi2)), w)
@@ -50,9 +45,9 @@ def friedman(values: np.ndarray) -> Friedman:
 class Wilcoxon(NamedTuple):
     """Wilcoxon's signed-rank test: rank sum of the positive differences, two-sided p, method, effect size."""
 
-    v: float
-    p: float
-    method: str
+    wilcoxon_v: float
+    wilcoxon_p: float
+    wilcoxon_method: str
     rank_biserial: float
 
 

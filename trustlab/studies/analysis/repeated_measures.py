@@ -141,10 +141,6 @@ class RepeatedMeasures(Omnibus):
         """
         return self._labelled(describe(self.scores))
 
-    def _pair_labels(self) -> dict[str, pd.Index]:
-        labels = pd.Index(self.conditions, tupleize_cols=False)
-        return {"a": labels.take(self.batch.pairwise.a), "b": labels.take(self.batch.pairwise.b)}
-
     def pairs(self) -> pd.DataFrame:
         """
         Return all pairwise comparisons, a before b in the order of the conditions.
@@ -154,15 +150,15 @@ class RepeatedMeasures(Omnibus):
         pandas.DataFrame
             Columns a b mean_difference (a − b) ci_low ci_high (95 %, unadjusted) t df p p_bonferroni p_holm d_z d_av.
         """
-        statistics = self.batch.pairwise.statistics().items()
-        columns = {name: value[0] if np.ndim(value) else value for name, value in statistics}
-        return self._labelled(pd.DataFrame(self._pair_labels() | columns))
+        found = self.batch.pairs().drop(columns="study")
+        labels = pd.Index(self.conditions, tupleize_cols=False)
+        return self._labelled(found.assign(a=labels.take(found["a"]), b=labels.take(found["b"])))
 
     def normality(self) -> pd.DataFrame:
         """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
         pairwise = self.batch.pairwise
         tests = normality_of_differences(self.scores.values, pairwise.a, pairwise.b)
-        return self._labelled(pd.concat([pd.DataFrame(self._pair_labels()), tests], axis=1))
+        return self._labelled(pd.concat([self.pairs()[["a", "b"]], tests], axis=1))
 
     def friedman(self) -> Friedman:
         """Return Friedman's rank test with Kendall's W."""
@@ -353,7 +349,6 @@ def _notes(scores: ScoreTable, excluded: tuple, batch: RepeatedMeasuresBatch) ->
     flat = np.flatnonzero(np.isnan(batch.pairwise.t[0]))
     if flat.size:
         a, b = (scores.conditions[int(index[flat[0]])] for index in (batch.pairwise.a, batch.pairwise.b))
-        notes.append(
-            f"In {flat.size} pair(s) of conditions every subject has the same difference ({a!r} and {b!r} first): no t-test."
-        )
+        same = f"every subject has the same difference ({a!r} and {b!r} first)"
+        notes.append(f"In {flat.size} pair(s) of conditions {same}: no t-test.")
     return tuple(notes)

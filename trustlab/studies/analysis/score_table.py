@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import one_of
+from trustlab.models.checks import of_class, one_of
 from trustlab.studies.columns import column_of, number_or_nan, refuse_missing_labels
 
 # Cells or rows that an error lists before it counts the rest.
@@ -61,11 +61,6 @@ def _origin(attrs: dict) -> str:
             return f"{kind} data"
     origin = attrs.get("origin", "")
     return origin if isinstance(origin, str) else ""
-
-
-def _first_of(texts: Sequence[str]) -> str:
-    rest = len(texts) - _SHOWN
-    return "; ".join(texts[:_SHOWN]) + (f"; and {rest} more" if rest > 0 else "")
 
 
 def _how_to_melt(frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable) -> str:
@@ -126,9 +121,7 @@ def _scores(series: pd.Series, where: Callable[[int], str]) -> np.ndarray:
     """Return the scores as floats, NaN where missing; anything but real, finite numbers is refused."""
     start = f"dv: column {series.name!r}"
     if isinstance(series.dtype, pd.CategoricalDtype):
-        raise ValueError(
-            f"{start} is categorical; scores must be numbers (convert it with pandas.to_numeric)"
-        )
+        raise ValueError(f"{start} is categorical; scores must be numbers (pandas.to_numeric makes them)")
     values = np.empty(len(series))
     for k, value in enumerate(series.tolist()):
         try:
@@ -156,9 +149,8 @@ def _refuse_repeated_cells(
     for c in repeated[:_SHOWN]:
         rows = ", ".join(repr(row[k]) for k in np.flatnonzero(cell == c)[:_SHOWN])
         texts.append(f"{name(c)} has {counts[c]} rows ({rows})")
-    raise ValueError(
-        f"{repeated.size} cell(s) with more than one row: {'; '.join(texts)}; average the trials of a cell first: {remedy}"
-    )
+    found = f"{repeated.size} cell(s) with more than one row: {'; '.join(texts)}"
+    raise ValueError(f"{found}; average the trials of a cell first: {remedy}")
 
 
 def read_scores(
@@ -169,15 +161,12 @@ def read_scores(
 
     By default a categorical column keeps the order of its categories (those that occur); any other is sorted.
     """
-    if not isinstance(frame, pd.DataFrame):
-        raise ValueError(f"frame must be a pandas.DataFrame in long form, got {type(frame).__name__}")
+    of_class("frame", frame, pd.DataFrame, "with a row per subject and condition")
     columns = {"dv": dv, "within": within, "subject": subject}
     remedy = _how_to_melt(frame, dv, within, subject)
     series = {argument: column_of(frame, argument, name, remedy) for argument, name in columns.items()}
     if len(set(columns.values())) < 3:
-        raise ValueError(
-            f"dv, within and subject must be three columns, got {dv!r}, {within!r} and {subject!r}"
-        )
+        raise ValueError(f"dv, within and subject must be three columns, got {dv!r}, {within!r}, {subject!r}")
     if len(frame) == 0:
         raise ValueError("frame has no rows")
     conditions = _in_order(_labels(series["within"], "within"), series["within"], order)
@@ -194,7 +183,7 @@ def read_scores(
     scores = _scores(series["dv"], lambda i: f"{cell_name(cell[i])} (row {row[i]!r})")
     if k < 2:
         raise ValueError(
-            f"within: column {within!r} has one condition only, {conditions[0]!r}; at least two are compared"
+            f"within: column {within!r} has one condition only, {conditions[0]!r}; two are needed"
         )
     counts = np.bincount(cell, minlength=len(subjects) * k)
     average = f"frame.groupby([{subject!r}, {within!r}], as_index=False)[{dv!r}].mean()"
@@ -216,16 +205,12 @@ def _missing_cells(table: ScoreTable) -> str:
     texts = []
     for subject, scores in zip(table.subjects, table.values, strict=True):
         absent = [repr(c) for c, score in zip(table.conditions, scores, strict=True) if np.isnan(score)]
-        there = [repr(c) for c in table.conditions if repr(c) not in absent]
-        if not absent:
-            continue
-        if not there:
+        if len(absent) == len(table.conditions):
             texts.append(f"subject {subject!r} has no score at all")
-        elif len(there) == 1 and len(table.conditions) > 2:
-            texts.append(f"subject {subject!r} has a score in one condition only, {there[0]}")
-        else:
+        elif absent:
             texts.append(f"subject {subject!r} has no score in condition {', '.join(absent)}")
-    return _first_of(texts)
+    rest = len(texts) - _SHOWN
+    return "; ".join(texts[:_SHOWN]) + (f"; and {rest} more" if rest > 0 else "")
 
 
 def _alike(labels: tuple) -> str:
@@ -258,7 +243,6 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
     if len(kept) < 3:
         without = f" (left out: {_missing_cells(table)}){_alike(table.conditions)}" if excluded else ""
         named = f" ({', '.join(map(repr, kept))})" if kept else ""
-        raise ValueError(
-            f"subject: {len(kept)} complete subject(s){named} in column {table.subject!r}{without}; at least three are needed"
-        )
+        found = f"{len(kept)} complete subject(s){named} in column {table.subject!r}{without}"
+        raise ValueError(f"subject: {found}; at least three are needed")
     return replace(table, values=table.values[~gone], subjects=kept), excluded

@@ -46,14 +46,13 @@ def huynh_feldt(epsilon_gg: np.ndarray, n: int, d: int) -> np.ndarray:
 
 
 class Mauchly(NamedTuple):
-    """Mauchly's test of many studies; NaN where it is not defined, `singular` where M has no full rank."""
+    """Mauchly's test of many studies; NaN where it is not defined or M has no full rank."""
 
     w: np.ndarray
     chi2: np.ndarray
     df: int
     p: np.ndarray
     p_first_order: np.ndarray
-    singular: np.ndarray
 
 
 def mauchly_factor(n: Any, k: int) -> Any:
@@ -91,7 +90,7 @@ def mauchly(covariance: np.ndarray, n: int, floor: np.ndarray | float = 0.0) -> 
     df = d * (d + 1) // 2 - 1
     if d == 1 or n - 1 < d:
         nan = np.full(shape, np.nan)
-        return Mauchly(nan, nan, df, nan, nan, np.full(shape, n - 1 < d))
+        return Mauchly(nan, nan, df, nan, nan)
     sign, log_det = np.linalg.slogdet(covariance)
     trace = np.trace(covariance, axis1=-2, axis2=-1)
     log_w = np.minimum(log_det - d * np.log(trace / d), 0.0)
@@ -104,14 +103,7 @@ def mauchly(covariance: np.ndarray, n: int, floor: np.ndarray | float = 0.0) -> 
         singular[doubtful] = eigenvalues[..., 0] <= least
     log_w = np.where(singular, np.nan, log_w)
     chi2 = -mauchly_factor(n, d + 1) * log_w
-    return Mauchly(
-        w=np.exp(log_w),
-        chi2=chi2,
-        df=df,
-        p=mauchly_p_value(chi2, n, d + 1),
-        p_first_order=special.chdtrc(df, chi2),
-        singular=singular,
-    )
+    return Mauchly(np.exp(log_w), chi2, df, mauchly_p_value(chi2, n, d + 1), special.chdtrc(df, chi2))
 
 
 def why_no_mauchly(n: int, k: int, w: float) -> str:
@@ -119,16 +111,12 @@ def why_no_mauchly(n: int, k: int, w: float) -> str:
     if k == 2:
         return "With two conditions sphericity always holds; there is nothing for Mauchly's test to test."
     if n <= k - 1:
-        return (
-            f"Mauchly's test is not defined: {n} subjects are too few for {k} conditions "
-            f"(at least {k} are needed)."
-        )
-    if np.isnan(w):
-        return (
-            "Mauchly's test is not defined: the covariance of the contrasts is singular "
-            "(a condition is a linear combination of others)."
-        )
-    return ""
+        why = f"{n} subjects are too few for {k} conditions (at least {k} are needed)"
+    elif np.isnan(w):
+        why = "the covariance of the contrasts is singular (a condition is a linear combination of others)"
+    else:
+        return ""
+    return f"Mauchly's test is not defined: {why}."
 
 
 def decide_correction(

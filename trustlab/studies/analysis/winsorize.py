@@ -135,9 +135,8 @@ def _check_rule(outside: str, k: float, to: str) -> float:
     if outside == "quantile" and k >= 0.5:
         raise ValueError(f"k must be below 0.5 for quantiles, got {k:g}")
     if outside == "extremes" and (k != int(k) or to != "next"):
-        raise ValueError(
-            f'outside="extremes" needs a whole number k and to="next" (there is no other limit), got k={k:g} and to={to!r}'
-        )
+        need = 'outside="extremes" needs a whole number k and to="next" (there is no other limit)'
+        raise ValueError(f"{need}, got k={k:g} and to={to!r}")
     return k
 
 
@@ -145,18 +144,13 @@ def _chosen(conditions: Sequence[Hashable] | None, table: ScoreTable) -> list:
     """Return the conditions to look at: all by default."""
     if conditions is None:
         return list(table.conditions)
-    if (
-        isinstance(conditions, str)
-        or not isinstance(conditions, Sequence | np.ndarray)
-        or len(conditions) == 0
-    ):
+    listed = isinstance(conditions, Sequence | np.ndarray) and not isinstance(conditions, str)
+    if not listed or len(conditions) == 0:
         raise ValueError(f"conditions must be a list of conditions, got {conditions!r}")
-    unknown = [condition for condition in conditions if condition not in table.conditions]
-    if unknown:
-        raise ValueError(
-            f"conditions: {unknown[0]!r} is not in column {table.within!r}{did_you_mean(unknown[0], table.conditions)} "
-            f"(there are {', '.join(map(str, table.conditions))})"
-        )
+    for condition in conditions:
+        if condition not in table.conditions:
+            known = f"{did_you_mean(condition, table.conditions)} (there are {', '.join(map(str, table.conditions))})"
+            raise ValueError(f"conditions: {condition!r} is not in column {table.within!r}{known}")
     if len(set(conditions)) < len(conditions):
         raise ValueError(f"conditions lists one twice: {list(conditions)}")
     return list(conditions)
@@ -244,11 +238,10 @@ def winsorize(
     if isinstance(data, pd.DataFrame):
         result = data.copy()
         result[dv] = scores
+    moves = pd.DataFrame(changes, columns=["subject", "condition", "old", "new"])
     return Winsorized(
         data=result,
-        changes=pd.DataFrame(changes, columns=["subject", "condition", "old", "new"]).astype(
-            {"old": float, "new": float}
-        ),
+        changes=moves.astype({"old": float, "new": float}),
         limits=pd.DataFrame(limits, columns=["condition", "n", "low", "high", "changed"]),
         rule=f"{words}, {_TARGETS[to]}",
     )
