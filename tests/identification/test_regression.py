@@ -131,7 +131,7 @@ def test_runs_of_the_models_own_shape_agree_with_ols():
     assert_same(arx(y, drive, 1, 1, 1, intercept=True), ols([(y, drive)], 1, (1,), (1,), True))
 
 
-# --- regressors that nearly follow from one another: the QR branch -------------------------------------------------
+# --- regressors that nearly follow from one another: the branch of singular values ------------------------------------
 
 
 def condition(design):
@@ -141,7 +141,7 @@ def condition(design):
 
 @pytest.mark.parametrize("size", [1e-3, 1e-4, 1e-5])
 def test_nearly_collinear_lags_agree_with_ols(size):
-    """An input that hardly moves, so that its lags differ by `size`: beyond the limit for normal equations, still told by QR."""
+    """An input that hardly moves, so that its lags differ by `size`: beyond normal equations, resolved by singular values."""
     rng = np.random.default_rng(np.random.SeedSequence(9))
     u = 1.0 + size * rng.normal(size=600)
     y = np.zeros(u.size)

@@ -309,13 +309,13 @@ class FitResult:
         )
 
 
-def gradient(function: Callable, names: Iterable[str], values: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return a function of a dictionary of values, and its gradient by complex steps, exact to rounding."""
+def gradient(function: Callable, names: Iterable[str], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a function of a dictionary of values, and its derivatives by complex steps, exact to rounding."""
     at = dict(zip(names, values.tolist(), strict=True))
     # f(x + ih) = f(x) + ih f'(x) + O(h²) involves no difference of like numbers, so h may be as small as one likes.
     step = 1e-100
-    slope = [complex(function(at | {name: value + 1j * step})).imag / step for name, value in at.items()]
-    return float(function(at)), np.array(slope)
+    slopes = [np.imag(function(at | {name: value + 1j * step})) / step for name, value in at.items()]
+    return np.asarray(function(at), dtype=float), np.array(slopes).T
 
 
 def parameter_table(
@@ -336,7 +336,7 @@ def parameter_table(
         value, slope = gradient(function, names, values)
         # NaN where nothing that the row depends on was estimated.
         error = float(np.sqrt(slope @ known @ slope)) if slope[kept].any() else np.nan
-        rows.append((value, error, "derived"))
+        rows.append((float(value), error, "derived"))
     index = pd.Index([*names, *derived], name="parameter")
     table = pd.DataFrame(rows, index=index, columns=["value", "stderr", "status"])
     labels = index[kept]

@@ -125,11 +125,16 @@ def _simulate_with_slopes(mode, a, beta, p_min, p_max, r0, p_h, by):
         r = a * r + (1.0 - a) * mode[k]
 
 
+def simulate_human(mode: np.ndarray, *parameters: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return P_h and its derivatives by a, beta, p_min, p_max and r0, shape (N, 5)."""
+    p_h, by = np.empty(mode.size), np.empty(mode.size, SLOPES)
+    _simulate_with_slopes(mode, *parameters, p_h, by)
+    return p_h, by.view(float).reshape(mode.size, -1)
+
+
 def _sensitivities(run: Run, a, beta, p_min, p_max, r0):
-    """Return P_h and its derivatives, shape (N, 5)."""
-    p_h, by = np.empty(run.size), np.empty(run.size, SLOPES)
-    _simulate_with_slopes(run["mode"], a, beta, p_min, p_max, r0, p_h, by)
-    return [p_h], [by.view(float).reshape(run.size, -1)]
+    p_h, by = simulate_human(run["mode"], a, beta, p_min, p_max, r0)
+    return [p_h], [by]
 
 
 def rate_parameter(prefix: str = "") -> Parameter:
@@ -278,13 +283,11 @@ def human_guess(runs: list[Run], limits: Mapping[str, tuple[float, float]]) -> d
 
 def _best_apart(grid: np.ndarray, rates: np.ndarray, most: int = 6) -> list[np.void]:
     """Return the best grid points, one for each initial utilization and third of the rates."""
+    grid = grid[np.argsort(grid["squares"], kind="stable")]
+    grid = grid[np.isfinite(grid["squares"])]
     thirds = np.searchsorted(rates, grid["a"]) * 3 // max(rates.size, 1)
-    best: dict[tuple, np.void] = {}
-    for point, third in zip(grid, thirds, strict=True):
-        key = (third, point["r0"])
-        if np.isfinite(point["squares"]) and (key not in best or point["squares"] < best[key]["squares"]):
-            best[key] = point
-    return sorted(best.values(), key=lambda point: point["squares"])[:most]
+    _, first = np.unique(np.column_stack([thirds, grid["r0"]]), axis=0, return_index=True)
+    return list(grid[np.sort(first)[:most]])
 
 
 def _refined(means: list[Run], point: np.void, limits: Mapping, length: int) -> tuple[float, ...]:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from scipy import linalg
 
 from trustlab.identification.fit_result import (
     FitResult,
@@ -22,7 +21,7 @@ from trustlab.models.checks import whole_number
 __all__ = ["ArxResult", "arx", "regress"]
 
 CONDITION_LIMIT = 1e5
-"""Up to this condition number (equilibrated) the normal equations are used, beyond it a QR factorisation."""
+"""Up to this condition number (equilibrated) the normal equations are used, beyond it a singular value decomposition."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,21 +121,17 @@ def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]):
         # Normal equations square the condition number; one step of refinement with the residuals wins the digits back.
         coefficients += inverse @ (design @ (target - coefficients @ design))
     else:
-        q, r, order = linalg.qr((design / scale[:, None]).T, mode="economic", pivoting=True)
-        diagonal = np.abs(np.diag(r))
-        if diagonal[-1] <= n * np.finfo(float).eps * diagonal[0]:
-            free = names[order[-1]]
+        # Singular values of the regressors themselves, whose condition number is the root of that of their products.
+        vectors, values, across = np.linalg.svd(design / scale[:, None], full_matrices=False)
+        if values[-1] <= n * np.finfo(float).eps * values[0]:
+            free = names[int(np.argmax(np.abs(vectors[:, -1])))]
             raise IdentificationError(
                 f"coefficient {free} is not identifiable: its regressor is a linear combination of the others (does "
                 "the input move?)",
                 (free,),
             )
-        coefficients = np.empty(p)
-        coefficients[order] = linalg.solve_triangular(r, q.T @ target)
-        half = np.empty((p, p))
-        half[order] = linalg.solve_triangular(r, np.eye(p))
-        coefficients /= scale
-        inverse = half @ half.T / sizes
+        coefficients = vectors @ (across @ target / values) / scale
+        inverse = (vectors / values**2) @ vectors.T / sizes
     residuals = target - coefficients @ design
     return coefficients, inverse * (residuals @ residuals / (n - p)), residuals
 
@@ -249,13 +244,7 @@ def regress(structure: Structure, runs: list[Run], method: str) -> FitResult:
         raise ValueError(f'structure {structure.name!r} has no linear form; use method="output_error"')
     design, target = _stacked([form.equations(run) for run in runs])
     coefficients, covariance, residuals = regression(design, target, form.coefficients)
-    values, slopes = [], []
-    for j in range(len(structure.parameters)):
-        value, slope = gradient(
-            lambda at, j=j: form.parameters(*at.values())[j], form.coefficients, coefficients
-        )
-        values.append(value)
-        slopes.append(slope)
+    values, slopes = gradient(lambda at: form.parameters(*at.values()), form.coefficients, coefficients)
     for parameter, value in zip(structure.parameters, values, strict=True):
         if not parameter.low <= value <= parameter.high:
             raise IdentificationError(
@@ -263,12 +252,11 @@ def regress(structure: Structure, runs: list[Run], method: str) -> FitResult:
                 "use output_error",
                 (parameter.name,),
             )
-    through = np.array(slopes)
     return simulated_result(
         structure,
         runs,
-        np.array(values),
-        through @ covariance @ through.T,
+        values,
+        slopes @ covariance @ slopes.T,
         [form.initial(run) for run in runs],
         residuals,
         residuals.size - coefficients.size,

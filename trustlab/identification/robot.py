@@ -150,6 +150,13 @@ def _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by):
         now = a * now + rest * (p_min + gain * drive)
 
 
+def simulate_robot(mode: np.ndarray, p_h: np.ndarray, p_h_max: float, a, p_min, p_max, p_r0):
+    """Return P_r under a given P_h and its derivatives by a, p_min, p_max and P_r at the start, shape (N, 4)."""
+    p_r, by = np.empty(mode.size), np.empty(mode.size, SLOPES)
+    _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by)
+    return p_r, by.view(float).reshape(mode.size, -1)
+
+
 @numba.njit(cache=True)
 def _input_influence(mode, a, b, jacobian):
     """Return LᵀJ, shape (N, p), where L maps a change of P_h to the change of simulated P_r (2.3)."""
@@ -173,9 +180,8 @@ def robot_structure(p_h_max: float) -> Structure:
     """Return the structure of (2.3), driven by the measured P_h, for a known greatest human performance."""
 
     def sensitivities(run, a, p_min, p_max, p_r0):
-        p_r, by = np.empty(run.size), np.empty(run.size, SLOPES)
-        _simulate_with_slopes(run["mode"], run["p_h"], a, p_min, p_max, p_h_max, p_r0, p_r, by)
-        return [p_r], [by.view(float).reshape(run.size, -1)]
+        p_r, by = simulate_robot(run["mode"], run["p_h"], p_h_max, a, p_min, p_max, p_r0)
+        return [p_r], [by]
 
     def from_coefficients(a1, b, c):
         a = -a1
