@@ -34,10 +34,6 @@ def conditions_of(study: str) -> tuple[str, ...]:
     return CONDITIONS[study.split(".")[0]]
 
 
-def _is_count(text: str) -> bool:
-    return bool(re.fullmatch(r"\d+", text.strip()))
-
-
 def _slug(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", text.lower().replace("[%]", "")).strip("_")
 
@@ -65,7 +61,7 @@ def _studies() -> Iterator[PrintedNumber]:
         yield PrintedNumber(f"{name}/n", where, "n", str(study.n), exact=True)
         for field in ("mean", "sd", "mauchly", "anova", "pairs", "t_test"):
             for entry, text in getattr(study, field).items():
-                exact = field in ("mauchly", "anova") and _is_count(text)  # degrees of freedom
+                exact = field in ("mauchly", "anova") and text.strip().isdecimal()  # degrees of freedom
                 yield PrintedNumber(
                     f"{name}/{field}.{entry}", where, f"{title}: {field} {entry}", text, exact
                 )
@@ -97,7 +93,7 @@ def claims() -> Iterator[tuple[PrintedNumber, str, str, str]]:
 def _statements() -> Iterator[PrintedNumber]:
     table = pd.read_csv(published_folder() / "statements.csv", dtype=str)
     for id, where, statement, printed in table.itertuples(index=False):
-        yield PrintedNumber(id, where, statement, printed, _is_count(printed))
+        yield PrintedNumber(id, where, statement, printed, exact=printed.strip().isdecimal())
 
 
 @cache

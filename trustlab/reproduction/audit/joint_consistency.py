@@ -9,7 +9,7 @@ import numpy as np
 
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS
 from trustlab.reproduction.audit.models import PERFORMANCE, bounds, limits, upper_limit_check
-from trustlab.reproduction.audit.verdict import Numbers, Row, listing, row_about
+from trustlab.reproduction.audit.verdict import NOTHING, Numbers, Row, listing, row_about
 
 __all__ = ["joint_rows"]
 
@@ -100,16 +100,11 @@ class JointCheck:
         """Return a row with this verdict under the id of the second output."""
         _, anchor, *_ = self.outputs.values()
         names = ", ".join(self.outputs)
-        return row_about(
-            self.numbers[anchor],
-            verdict,
-            reason,
-            formula=f"{names} from one set of parameters",
-            inputs=listing(self.inputs, self.numbers),
-            id=f"{anchor}/column",
-            quantity=f"{names} at once",
-            printed=", ".join(self.numbers[id].printed for id in self.outputs.values()),
-        )
+        formula, inputs = f"{names} from one set of parameters", listing(self.inputs, self.numbers)
+        id, quantity = f"{anchor}/column", f"{names} at once"
+        printed = ", ".join(self.numbers[id].printed for id in self.outputs.values())
+        number = self.numbers[anchor]
+        return row_about(number, verdict, reason, NOTHING, formula, inputs, id, quantity, printed)
 
 
 def _limit_row(numbers: Numbers, p: str) -> Row:

@@ -119,10 +119,9 @@ def upper_limit_check(p: str) -> Check:
     """Return the check of TSC_ub (2.10), with b_pr as printed and as (2.3) gives it."""
     formulas = column_formulas(p)
     exact = formulas["TSC_ub by (2.3)"]
-    neighbours = tuple(
-        with_printed_gain(exact, q, f"the b_pr of participant {q} was used") for q in PARTICIPANTS if q != p
-    )
-    return Check(f"table_2.1/TSC_ub/{p}", formulas["TSC_ub"], (exact,), neighbours)
+    others = [q for q in PARTICIPANTS if q != p]
+    theirs = [with_printed_gain(exact, q, f"the b_pr of participant {q} was used") for q in others]
+    return Check(f"table_2.1/TSC_ub/{p}", formulas["TSC_ub"], (exact,), tuple(theirs))
 
 
 def _untied_gain(check: Check, tied: Formula, numbers: Numbers) -> str:

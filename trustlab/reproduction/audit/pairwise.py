@@ -96,16 +96,9 @@ def _adjustment(name: str, numbers: Numbers) -> Row:
         reason += f"The adjustment is not printed; of the two only {fits[0]} is possible."
     else:
         reason = f"Suspicious: {reason}Neither is possible."
-    return row_about(
-        number,
-        "not checkable",
-        reason,
-        (value, low, high),
-        formula.text,
-        listing(inputs, numbers),
-        id=f"{name}/pairs/adjustment",
-        quantity=f"{number.quantity}, against the pairwise p-values",
-    )
+    span, used = (value, low, high), listing(inputs, numbers)
+    id, quantity = f"{name}/pairs/adjustment", f"{number.quantity}, against the pairwise p-values"
+    return row_about(number, "not checkable", reason, span, formula.text, used, id, quantity)
 
 
 def _printed_p(name: str, pair: tuple[str, str], numbers: Numbers) -> tuple[float, float]:

@@ -163,24 +163,23 @@ def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Rem
 
 def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Numbers) -> Row:
     """Return which numbers of items, or rules of scoring, all means fit; not checkable, as neither is printed."""
-    kind, size = _kind(measure), _size(measure)
-    items = kind != "tlx"
-    reason = "The number of items is not printed." if items else "The rule of scoring is not printed."
-    if not fitting:
-        tried = f"up to {MOST_ITEMS} items" if items else "any of: " + "; ".join(TLX_RULES)
-        reason += f" Not all means are whole points for {tried}."
-    elif items:
-        counts = [rule.removesuffix(" items") for rule in fitting[:4]]
-        reason += f" All means are whole points for {', '.join(counts)} items."
+    kind, fewest, first = _kind(measure), math.nan, next(iter(ids.values()))
+    if kind == "tlx":
+        word, unknown = "scoring", "The rule of scoring is not printed."
+        fit, tried = ": " + "; ".join(fitting[:4]), "any of: " + "; ".join(TLX_RULES)
     else:
-        reason += f" All means are whole points for: {'; '.join(fitting[:4])}."
-    expected = _expected_items(measure)
+        word, unknown = "items", "The number of items is not printed."
+        counts = [rule.removesuffix(" items") for rule in fitting]
+        fit, tried = f" {', '.join(counts[:4])} items", f"up to {MOST_ITEMS} items"
+        fewest = float(counts[0]) if counts else math.nan
+    found = (
+        f"All means are whole points for{fit}" if fitting else f"Not all means are whole points for {tried}"
+    )
+    reason, expected = f"{unknown} {found}.", _expected_items(measure)
     if expected and expected[0] not in fitting:
         reason = f"Suspicious: not {expected[0]} ({expected[1]}). {reason}"
-    fewest = float(fitting[0].removesuffix(" items")) if items and fitting else math.nan
-    word, first = "items" if items else "scoring", next(iter(ids.values()))
     formula = "mean × respondents × items is a whole number"
-    inputs = listing({**ids, "n": size}, numbers)
+    inputs = listing({**ids, "n": _size(measure)}, numbers)
     id, quantity = f"{measure}/{word}", f"{kind}: {word} that all means fit"
     printed = ", ".join(numbers[id].printed for id in ids.values())
     span = (fewest, math.nan, math.nan)

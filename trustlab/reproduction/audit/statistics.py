@@ -38,7 +38,6 @@ SYMBOLS = {
     "df2": "anova.df2",
     "n": "n",
     "p": "mauchly.p",
-    "t": "t_test.t",
     "ε": "epsilon",
 }
 """What the symbols of formulas stand for within a study."""

@@ -182,7 +182,7 @@ class Check:
         near = next((w for w in ways if w[1][1] <= most and w[1][2] >= least), None)
         way, span = hit or near or ways[0]
         value, low, high = span
-        result = f"{way.text} = {show(value, number, 2)}{_named(way)}"
+        result = _result(way, value, number)
         if hit:
             verdict, reason = "reproduced", f"{result}."
         elif near:
@@ -205,7 +205,7 @@ class Check:
         tried = []
         for way, (value, low, high) in ways:
             span = f", from {show(low, number, 2)} to {show(high, number, 2)} within rounding"
-            tried.append(f"{way.text} = {show(value, number, 2)}{_named(way)}{span if high > low else ''}")
+            tried.append(f"{_result(way, value, number)}{span if high > low else ''}")
         word = f"“{number.printed}”, that is {number.value:g}" if number.is_word else number.printed
         reason = f"{'; '.join(tried)}. Printed is {word}."
         if self.binding:
@@ -229,8 +229,8 @@ class Check:
         return ""
 
 
-def _named(way: Formula) -> str:
-    return f" ({way.label})" if way.label else ""
+def _result(way: Formula, value: float, number: PrintedNumber) -> str:
+    return f"{way.text} = {show(value, number, 2)}" + (f" ({way.label})" if way.label else "")
 
 
 @dataclass(frozen=True)

@@ -47,9 +47,8 @@ def feasible_ranges(
         for name, what in wanted.items():
             rows[name] = [pool.push(*what, upwards) for upwards in (False, True)]
     for name, (kind, i, _) in wanted.items():
-        rows[name] += (
-            _proved(problem, i, low=rows[name][0], high=rows[name][1]) if kind == "mean" else [np.nan, np.nan]
-        )
+        low, high = rows[name]
+        rows[name] += _proved(problem, i, low, high) if kind == "mean" else [np.nan, np.nan]
     table = pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high", "proved_low", "proved_high"])
     return table.rename_axis("quantity")
 

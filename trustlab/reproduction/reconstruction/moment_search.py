@@ -101,9 +101,7 @@ class MomentProblem:
         def size(s: Constraint) -> float:
             end = s.low if np.isfinite(s.low) else s.high
             own = {"mean": spread, "sd": max(end, 0.01 * spread), "spread": spread**2}
-            if s.kind in own:
-                return own[s.kind]
-            return 1.0 if s.kind.startswith("log") else max(abs(end), 1e-3)
+            return own.get(s.kind, 1.0 if s.kind.startswith("log") else max(abs(end), 1e-3))
 
         return np.array([size(s) for s in self.rows])
 

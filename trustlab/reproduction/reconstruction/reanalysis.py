@@ -36,13 +36,9 @@ def reanalyse(values: np.ndarray, study: PublishedStudy, p_adjust: str) -> dict[
     found = {f"mean.{c}": x for c, x in zip(names, result.mean[0], strict=True)}
     found |= {f"sd.{c}": x for c, x in zip(names, result.sd[0], strict=True)}
     found |= {"anova.F": ours["F"], "anova.p": p, "anova.eta2": ours["eta2_partial"]}
-    found |= {
-        "anova.df1": factor * ours["df1"],
-        "anova.df2": factor * ours["df2"],
-        "epsilon": ours["epsilon_gg"],
-    }
-    found |= {"mauchly.chi2": ours["mauchly_chi2"], "mauchly.p": ours["mauchly_p"]}
-    found |= {"mauchly.violated": ours["mauchly_p"]}
+    found |= {"anova.df1": factor * ours["df1"], "anova.df2": factor * ours["df2"]}
+    found |= {"epsilon": ours["epsilon_gg"], "mauchly.chi2": ours["mauchly_chi2"]}
+    found |= {"mauchly.p": ours["mauchly_p"], "mauchly.violated": ours["mauchly_p"]}
     found |= {"t_test.t": pairs.t[0, 0], "t_test.p": pairs.p[0, 0], "t_test.df": pairs.df}
     for a, b, value in zip(pairs.a, pairs.b, adjusted(pairs.p[0], p_adjust), strict=True):
         found[f"pairs.{names[a]}-{names[b]}"] = found[f"pairs.{names[b]}-{names[a]}"] = value

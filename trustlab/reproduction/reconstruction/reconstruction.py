@@ -32,6 +32,8 @@ from trustlab.reproduction.reconstruction.sampling import sample_with_moments
 __all__ = ["NOTE", "Reconstruction", "ReconstructionError", "reconstruct", "reconstruct_study"]
 
 NOTE = "Reconstructed data: not measurements, but values that have the printed statistics."
+RECONSTRUCTED = {"reconstructed": True, "note": NOTE}
+"""The mark that every table made from such data carries in its `attrs`."""
 
 
 class ReconstructionError(ValueError):
@@ -76,14 +78,8 @@ class Reconstruction:
         wide = pd.DataFrame(self.values, subjects, list(self.study.conditions))
         long = wide.melt(var_name="condition", value_name="value", ignore_index=False)
         frame = long.sort_index(kind="stable").reset_index()
-        frame.attrs = {
-            "reconstructed": True,
-            "note": NOTE,
-            "study": self.study.name,
-            "p_adjust": self.p_adjust,
-            "seed": self.seed,
-            "left_out": dict(self.left_out),
-        }
+        about = {"study": self.study.name, "p_adjust": self.p_adjust, "seed": self.seed}
+        frame.attrs = {**RECONSTRUCTED, **about, "left_out": dict(self.left_out)}
         return frame
 
     def table(self) -> pd.DataFrame:
@@ -97,20 +93,13 @@ class Reconstruction:
             left_out (the reason; empty where the statistic had to hold). Pairwise p-values are adjusted.
         """
         ours = reanalyse(self.values, self.study, self.p_adjust)
-        rows = [
-            (
-                s.name,
-                s.text,
-                *printed_ends(s),
-                ours[s.name],
-                agrees(s, ours[s.name]),
-                self.left_out.get(s.name, ""),
-            )
-            for s in constraints(self.study, self.p_adjust)
-        ]
+        rows = []
+        for s in constraints(self.study, self.p_adjust):
+            value, reason = ours[s.name], self.left_out.get(s.name, "")
+            rows.append((s.name, s.text, *printed_ends(s), value, agrees(s, value), reason))
         columns = ["statistic", "printed", "low", "high", "reconstructed", "agrees", "left_out"]
         table = pd.DataFrame(rows, columns=columns).set_index("statistic")
-        table.attrs = {"reconstructed": True, "note": NOTE}
+        table.attrs = dict(RECONSTRUCTED)
         return table
 
     def ranges(self) -> pd.DataFrame:
@@ -132,7 +121,7 @@ class Reconstruction:
             for j, other in enumerate(names):
                 ours[f"correlation.{name}-{other}"] = np.corrcoef(self.values[:, [i, j]].T)[0, 1]
         ranges["reconstructed"] = [float(ours[name]) for name in ranges.index]
-        ranges.attrs = {"reconstructed": True, "note": NOTE}
+        ranges.attrs = dict(RECONSTRUCTED)
         return ranges
 
     def _repr_html_(self) -> str:

@@ -102,9 +102,8 @@ class _Relaxation:
         with np.errstate(invalid="ignore"):
             high = np.maximum(mean[i, 1] - mean[j, 0], mean[j, 1] - mean[i, 0])
             low = np.maximum(np.maximum(mean[i, 0] - mean[j, 1], mean[j, 0] - mean[i, 1]), 0.0)
-        t_low, t_high = (
-            -special.stdtrit(n - 1, 0.5 * np.exp(np.minimum(e, 0.0))) for e in (log_p[:, 1], log_p[:, 0])
-        )
+        # The greatest p belongs to the least t.
+        t_low, t_high = -special.stdtrit(n - 1, 0.5 * np.exp(np.minimum(log_p.T[::-1], 0.0)))
         with np.errstate(divide="ignore", invalid="ignore"):
             least = np.where(np.isfinite(t_high) & (t_high > 0.0), n * low**2 / t_high**2, 0.0)
             most = np.where(t_low > 1e-12, n * high**2 / t_low**2, np.inf)
@@ -127,16 +126,13 @@ class _Relaxation:
         """Return rows and right-hand sides of all intervals, each widened by a millionth of itself."""
         k, pairs = self.k, len(self.i)
         trace = np.concatenate([np.zeros(k), np.full(pairs, 1.0 / k)])
-        rows, right = [], []
-        units, intervals = [*np.eye(k + pairs), trace], [*self.q, *self.variance, self.trace]
-        for unit, (low, high) in zip(units, intervals, strict=True):
-            if np.isfinite(high):
-                rows.append(unit)
-                right.append(high / self.size * (1.0 + 1e-6))
-            if low > 0.0:
-                rows.append(-unit)
-                right.append(-low / self.size * (1.0 - 1e-6))
-        return np.column_stack([np.reshape(rows, (-1, k + pairs)), np.zeros(len(rows))]), np.array(right)
+        units = np.column_stack([np.vstack([np.eye(k + pairs), trace]), np.zeros(k + pairs + 1)])
+        low, high = np.array([*self.q, *self.variance, self.trace]).T / self.size
+        # Above and below by turns: unit · x ≤ high, −unit · x ≤ −low.
+        rows = np.stack([units, -units], axis=1).reshape(-1, k + pairs + 1)
+        right = np.column_stack([high * (1.0 + 1e-6), -low * (1.0 - 1e-6)]).ravel()
+        binding = np.column_stack([np.isfinite(high), low > 0.0]).ravel()
+        return rows[binding], right[binding]
 
     def cuts(self, x: np.ndarray) -> list[np.ndarray]:
         """Return planes row · x ≤ 0 that all covariance matrices satisfy and this solution does not."""
@@ -202,10 +198,9 @@ def _refuted(problem: _Relaxation, rounds: int = 100) -> bool:
     rows, right = problem.bounds()
     columns = rows.shape[1] - 1
     limits = [(0.0, 1e6)] * columns + [(-1e3, 1.0)]
+    depth = np.append(np.zeros(columns), -1.0)
     for _ in range(rounds):
-        solution = optimize.linprog(
-            np.append(np.zeros(columns), -1.0), rows, right, bounds=limits, method="highs"
-        )
+        solution = optimize.linprog(depth, rows, right, bounds=limits, method="highs")
         if solution.status == 2 or (solution.status == 0 and solution.x[-1] < -1e-6):
             return True
         cuts = problem.cuts(solution.x) if solution.status == 0 else []
