@@ -168,13 +168,10 @@ class Conditions:
         """
         if correlation is None and epsilon is None:
             return self
-        sd = float(np.sqrt(np.trace(self.covariance) / len(self.mean)))
-        matrix = graded_covariance(
-            len(self.mean),
-            self.correlation if correlation is None else correlation,
-            self.epsilon if epsilon is None else epsilon,
-            sd,
-        )
+        k = len(self.mean)
+        rho = self.correlation if correlation is None else correlation
+        eps = self.epsilon if epsilon is None else epsilon
+        matrix = graded_covariance(k, rho, eps, float(np.sqrt(np.trace(self.covariance) / k)))
         return Conditions(self.labels, self.mean, matrix, self.origin)
 
 

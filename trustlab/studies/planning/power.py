@@ -298,11 +298,7 @@ def power_analysis(
 
 def _listed(name: str, value: Any) -> list:
     """Return one value or a sequence of them as a list; None stays None."""
-    if (
-        value is None
-        or isinstance(value, str | bytes | dict)
-        or (np.ndim(value) == 0 and not isinstance(value, range))
-    ):
+    if np.ndim(value) == 0:  # as of None, a text or a dict, which are refused where they are used
         return [value]
     values = list(value)
     if not values:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 
@@ -63,9 +64,7 @@ def count_findings(
     root = np.linalg.cholesky(population.covariance).T
     a, b = np.triu_indices(k, 1)
     expected = np.sign(population.mean[a] - population.mean[b])
-    omnibus = dict.fromkeys(TESTS, 0)
-    pairs = {name: np.zeros(a.size, dtype=np.int64) for name in ADJUSTMENTS}
-    together, claimed = dict.fromkeys(ADJUSTMENTS, 0), dict.fromkeys(ADJUSTMENTS, 0)
+    counts: Counter = Counter()
     step = max(1, _CHUNK // (n * k))
     for first in range(0, replicates, step):
         studies = min(step, replicates - first)
@@ -74,23 +73,18 @@ def count_findings(
         # An undefined p of Mauchly's test (n ≤ k − 1) counts as a rejection, as in `repeated_measures`.
         rejected = ~(batch.mauchly_p >= alpha) if k > 2 else np.zeros(studies, dtype=bool)
         p_values = (batch.p, batch.p_gg, batch.p_hf, np.where(rejected, batch.p_gg, batch.p))
-        for name, p in zip(TESTS, p_values, strict=True):
-            omnibus[name] += int((p < alpha).sum())
+        for test, p in zip(TESTS, p_values, strict=True):
+            counts[f"F {test}"] += int((p < alpha).sum())
         significant = p_values[-1] < alpha
         for name, attribute in ADJUSTMENTS.items():
             hits = getattr(batch.pairwise, attribute) < alpha
-            pairs[name] += hits.sum(axis=0)
+            for i, found in enumerate(hits.sum(axis=0)):
+                counts[f"pair {i} {name}"] += int(found)
             if claims is not None:
                 right = hits & (np.sign(batch.pairwise.mean_difference) == expected)
-                together[name] += int((right[:, claims].all(axis=1) & significant).sum())
-                claimed[name] += int(right[:, claims].sum())
-    counts = {f"F {test}": count for test, count in omnibus.items()}
-    for name, found in pairs.items():
-        counts |= {f"pair {i} {name}": int(count) for i, count in enumerate(found)}
-    if claims is not None:
-        counts |= {f"claims {name}": count for name, count in together.items()}
-        counts |= {f"claimed {name}": count for name, count in claimed.items()}
-    return counts
+                counts[f"claims {name}"] += int((right[:, claims].all(axis=1) & significant).sum())
+                counts[f"claimed {name}"] += int(right[:, claims].sum())
+    return dict(counts)
 
 
 def claims_mask(claims: Sequence[tuple] | None, conditions: Conditions) -> np.ndarray | None:

@@ -72,8 +72,7 @@ def run_participant(
                 seed=streams[condition],
                 duration=settings["duration"],
             )
-            row = teleoperation_measures(session).iloc[0].drop(["participant", "scheme"])
-            measures = {name: float(value) for name, value in row.items()}
+            measures = teleoperation_measures(session).iloc[0].drop(["participant", "scheme"])
         if folder is not None:
             named = session.with_metadata(trial=position, testbed=testbed)
             write_session(named, Path(folder) / session_file(participant, position, condition))

@@ -100,9 +100,13 @@ def virtual_study(
     settings = _settings(testbed, laps, duration, rest)
     people = population.draw(len(design.participants), seed)
     folder = None if out is None else Folder(out, design)
+    own = {"study": population.study} if isinstance(population, TeleoperatorPopulation) else {}
+    sessions = None if folder is None else str(folder.sessions)
+    fixed = {"testbed": testbed, "settings": settings | own, "folder": sessions}
+    runs = people.assign(order=design.table().agg(" ".join, axis=1).to_numpy())
     done = run_campaign(
         run_participant,
-        _parameters(testbed, people, population, design, settings, folder),
+        [fixed | run for run in runs.to_dict("records")],
         seed=seed,
         out=None if folder is None else folder.campaign,
         progress=progress,
@@ -199,37 +203,14 @@ def _settings(testbed: str, laps: int | None, duration: float | None, rest: floa
     return {"laps": laps, "rest": None if rest is None else not_negative("rest", rest)}
 
 
-def _parameters(
-    testbed: str,
-    people: pd.DataFrame,
-    population: GroundRobotPopulation | TeleoperatorPopulation,
-    design: LatinSquareDesign,
-    settings: dict,
-    folder: Folder | None,
-) -> list[dict]:
-    """Return the parameters of `run_participant` for every participant."""
-    if isinstance(population, TeleoperatorPopulation):
-        settings = settings | {"study": population.study}
-    sessions = None if folder is None else str(folder.sessions)
-    fixed = {"testbed": testbed, "settings": settings, "folder": sessions}
-    plan = design.table()
-    return [
-        fixed | {"order": " ".join(plan.loc[person["participant"]])} | person
-        for person in people.to_dict("records")
-    ]
-
-
 def _tidy(done: pd.DataFrame, design: LatinSquareDesign, conditions: tuple[str, ...]) -> pd.DataFrame:
     """Return a row per session from a row per participant."""
     prefix = f"{conditions[0]}/"
     names = [column.removeprefix(prefix) for column in done.columns if column.startswith(prefix)]
-    parts = []
-    for condition in conditions:
-        part = done[[f"{condition}/{name}" for name in names]].set_axis(names, axis=1).astype(float)
-        parts.append(part.assign(participant=done["participant"].astype(int), condition=condition))
-    frame = design.orders().merge(
-        pd.concat(parts), on=["participant", "condition"], how="inner", validate="one_to_one"
-    )
+    wide = done.set_index(done["participant"].astype(int))
+    parts = [wide[[f"{c}/{name}" for name in names]].set_axis(names, axis=1) for c in conditions]
+    long = pd.concat(parts, keys=conditions, names=["condition"]).astype(float).reset_index()
+    frame = design.orders().merge(long, on=["participant", "condition"], validate="one_to_one")
     frame["condition"] = pd.Categorical(frame["condition"], categories=list(conditions), ordered=False)
     frame["synthetic"] = True
     frame = frame[[*KEYS, *names]].sort_values(["participant", "position"], ignore_index=True)
