@@ -126,9 +126,9 @@ def test_bad_gains_are_refused(change, words):
     ("change", "words"),
     [
         ({"f_h": [0.0, np.nan, 0.0]}, "f_h must be finite"),
-        ({"f_m": [0.0, 0.0]}, r"f_m must have shape \(3,\)"),
+        ({"f_m": [0.0, 0.0]}, "f_m must have 3 samples, got 2"),
         ({"sample_time": -0.01}, "sample_time must be positive"),
-        ({"x": "here"}, "x must be 3 numbers"),
+        ({"x": "here"}, "x must be an array of numbers"),
     ],
 )
 def test_bad_steps_are_refused(change, words):

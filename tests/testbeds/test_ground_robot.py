@@ -426,7 +426,7 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"condition": "C6"}, "C1, C2, C3, C4, C5, got 'C6'"),
+        ({"condition": "C6"}, "'C1', 'C2', 'C3', 'C4', 'C5', got 'C6'"),
         ({"operator": "pilot"}, "operator must be of class Operator, got str"),
         ({"model": None}, "model must be of class TscModel, got NoneType; fit one"),
         ({"operator": tl.Teleoperator()}, "got Teleoperator, who flies a UAV"),
@@ -437,7 +437,7 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
         ({"thresholds": (0.1, 0.9)}, r"strictly between TSC_lb = -0.6952 and TSC_ub = 0.6952"),
         ({"condition": "C1"}, "no effect in C1, where the operator's own"),
         ({"condition": "C5"}, "no effect in C5, where Algorithm 2 decides;"),
-        ({"condition": ["C3"]}, r"C5, got \['C3'\]"),
+        ({"condition": ["C3"]}, r"'C5', got \['C3'\]"),
         ({"laps": 10**9}, "from 1 to 1000"),
         (
             {
@@ -472,8 +472,8 @@ def test_bad_input_is_named(one, model, change, says):
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: Course(corners=((0, 0), (1, 0))), "at least three"),
-        (lambda: Course(corners=((0, 0), (1, 0), (np.nan, 1))), "at least three finite"),
+        (lambda: Course(corners=((0, 0), (1, 0))), "corners must have at least 3 rows"),
+        (lambda: Course(corners=((0, 0), (1, 0), (np.nan, 1))), "corners must be finite, but sample 2"),
         (lambda: Course(corners=((0, 0), (0, 0), (9, 0), (9, 9))), "twice in a row"),
         (lambda: Course(radius=5.0), "smaller radius or corners farther apart"),
         (lambda: Course(radius=0.0), "radius must be positive"),

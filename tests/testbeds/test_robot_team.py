@@ -515,7 +515,7 @@ class TestBadInput:
             ({"policy": GivenSequence([0, 1], every=1.0)}, "less than min_dwell"),
             ({"policy": "best"}, "policy must be one of"),
             ({"policy": "sequense"}, "did you mean 'sequence'"),
-            ({"policy": object()}, r"no method leaders\(trust, robots, step, dwell, rng\)"),
+            ({"policy": object()}, r"a method leaders\(trust, robots, step, dwell, rng\)"),
             ({"policy": GivenSequence}, "policy must be one of"),
             ({"policy": None}, "policy must be one of"),
             ({"delay": 0.0}, "at least one sample"),

@@ -224,8 +224,9 @@ def channel_run(
             raise ValueError(f"{name} must be a number or have shape ({count},), got {values.shape}")
         scales.append(np.ascontiguousarray(np.broadcast_to(values, (count,))))
     scattering.check_scales(*scales)
-    delays, always = {"delay_1": delay_1, "delay_2": delay_2}, np.zeros(count, np.int64)
-    return _run(r_m, f_s, (scattering,), always, always, *scales, delays, read_out, sample_time, lost)
+    (alphas, betas), always = scales, np.zeros(count, np.int64)
+    delays = {"delay_1": delay_1, "delay_2": delay_2}
+    return _run(r_m, f_s, (scattering,), always, always, alphas, betas, delays, read_out, sample_time, lost)
 
 
 def switched_channel_run(

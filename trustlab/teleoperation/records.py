@@ -43,9 +43,9 @@ def signal(
         raise ValueError(f"{name} must be an array of numbers, got {type(values).__name__}") from None
     array = array[:, None] if array.ndim == 1 and columns is None else array
     if array.ndim != 2 or array.shape != (rows or array.shape[0], columns or array.shape[1]):
-        raise ValueError(f"{name} must have shape {wanted}, one row per sample or robot, got {given.shape}")
+        raise ValueError(f"{name} must have shape {wanted}, got {given.shape}")
     if len(array) < least or not array.size:
-        raise ValueError(f"{name} must have at least {least} samples, got shape {given.shape}")
+        raise ValueError(f"{name} must have at least {least} rows, got shape {given.shape}")
     if not np.isfinite(array).all():
         k, i = np.argwhere(~np.isfinite(array))[0]
         raise ValueError(f"{name} must be finite, but sample {k}, axis {i} is {array[k, i]}")

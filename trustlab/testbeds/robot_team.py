@@ -28,20 +28,9 @@ from trustlab.teleoperation.filters import (
 from trustlab.teleoperation.loop.settings import DivergenceError
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.records import log_of, robot_numbers, signal
-from trustlab.teleoperation.team.kernel import (
-    BLOCKS,
-    COLUMNS,
-    LOG,
-    NO_FILTER,
-    ROBOT,
-    STATE,
-    TWO_PORT,
-    WAVES,
-    TeamNumbers,
-    run_team,
-)
+from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.leader_policies import LeaderPolicy, policy_named
-from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, team_graph
+from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, flag, team_graph
 from trustlab.testbeds.team_run import TeamRun
 
 __all__ = ["simulate_team"]
@@ -138,7 +127,7 @@ def simulate_team(
     DivergenceError
         If the run grows without bound; time and block are named.
     """
-    names, adjacency = team_graph(graph, _flag("require_connected", require_connected))
+    names, adjacency = team_graph(graph, flag("require_connected", require_connected))
     policy = policy_named(policy)
     settings = TeamSettings() if settings is None else of_class("settings", settings, TeamSettings)
     operator = TeamOperator() if operator is None else of_class("operator", operator, TeamOperator)
@@ -154,24 +143,24 @@ def simulate_team(
     streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
     q0, zeta0, pushed = _given(start, inner, push, len(names), count, streams[0])
     trust, leads, decision = _leaders(policy, settings, names, duration, count, T, dwell, streams)
-    heads = leads if _flag("switch_scattering", switch_scattering) else np.full(count, leads.item(0))
+    heads = leads if flag("switch_scattering", switch_scattering) else np.full(count, leads.item(0))
     values, vectors, w, z = _modes(adjacency, q0 - goal, zeta0)
     budget = operator.budget * (1.0 + 0.5 * float(np.sum(w**2) + np.sum(z**2)))
     filtering = _filters(filters, float(np.mean([end.b for end in ends])))
     numbers = _numbers(settings, operator, filtering, T, rate, read_out, vision, budget, q0 - goal, tolerance)
     rows = -(-count // every)
-    table, log = log_of(LOG, rows + 1)  # the last row is the kernel's scratch
+    table, log = log_of(kernel.LOG, rows + 1)  # the last row is the kernel's scratch
     modes = np.empty((rows, 3, len(names)))
-    done, block = run_team(
+    done, block = kernel.run_team(
         numbers, values, vectors, leads, heads, _robots(settings, ends, T),
-        delays, np.ones((2, count), bool), accounts(), w, z, pushed, every, np.zeros(1, STATE), log, modes,
+        delays, np.ones((2, count), bool), accounts(), w, z, pushed, every, np.zeros(1, kernel.STATE), log, modes,
     )  # fmt: skip
     if block >= 0:
         raise _diverged(block, (done - 1) * T)
     log["leader"] += goal
     t = np.round(T * every * np.arange(rows), 9)
     facts = _facts(policy, filtering, numbers, seed, read_out, greatest, vision, dwell)
-    data = pd.DataFrame(table[:rows], index=pd.Index(t, name="t"), columns=list(COLUMNS))
+    data = pd.DataFrame(table[:rows], index=pd.Index(t, name="t"), columns=list(kernel.COLUMNS))
     positions = (modes @ vectors.T).transpose(0, 2, 1) + goal
     trust = trust[_intervals(t, decision, len(trust))]
     return TeamRun(names, adjacency, goal, data, positions, trust, budget, tolerance, facts)
@@ -216,7 +205,7 @@ def _given(start, inner, push, robots: int, count: int, rng) -> tuple[np.ndarray
 def _diverged(block: int, t: float) -> DivergenceError:
     """Return the error of a run that grew without bound."""
     return DivergenceError(
-        f"the team diverged at t = {t:g} s in the {BLOCKS[block]}; push less, switch the scattering with the leader, or use a "
+        f"the team diverged at t = {t:g} s in the {kernel.BLOCKS[block]}; push less, switch the scattering with the leader, or use a "
         "filter that is passive"
     )
 
@@ -254,7 +243,7 @@ def _samples(duration, sample_time, record_every, robots: int) -> tuple[int, int
     if every < 1 or abs(every * T - record) > 1e-6 * record:
         raise ValueError(f"record_every must be a multiple of sample_time = {T:g} s, got {record:g}")
     rows = -(-count // every)
-    if max(rows * (3 * robots + len(COLUMNS)), 16 * count) > LARGEST:
+    if max(rows * (3 * robots + len(kernel.COLUMNS)), 16 * count) > LARGEST:
         raise ValueError(
             f"{count} samples and {rows} rows for {robots} robots are too many; shorten duration, or raise sample_time or "
             "record_every"
@@ -275,10 +264,10 @@ def _dwell(min_dwell, delay: float) -> float:
 
 def _numbers(
     settings, operator, filtering, T, rate, read_out, vision, budget, distance, tolerance
-) -> TeamNumbers:
+) -> kernel.TeamNumbers:
     """Return device, filters and operator as the compiled loop takes them."""
     device = settings.device()
-    return TeamNumbers(
+    return kernel.TeamNumbers(
         sample_time=T,
         mass=device.mass[0, 0],
         damping=device.damping[0, 0],
@@ -309,14 +298,7 @@ def _robots(settings, ends, T: float) -> np.ndarray:
         (end.b, end.beta_min, end.beta_max, model.decay(T), model.b / model.a, model.t_min, model.t_max)
         for end, model in zip(ends, models, strict=True)
     ]
-    return np.array(rows, ROBOT)
-
-
-def _flag(name: str, value) -> bool:
-    """Return True or False; nothing else counts as either."""
-    if not isinstance(value, bool | np.bool_):
-        raise ValueError(f"{name} must be True or False, got {value!r}")
-    return bool(value)
+    return np.array(rows, kernel.ROBOT)
 
 
 def _trust(settings: TeamSettings, size: int, count: int, step: float, rng) -> np.ndarray:
@@ -361,14 +343,14 @@ def _filters(filters, impedance: float) -> Filtering:
     """Return the filters that a user names or gives."""
     if isinstance(filters, str) and filters in FILTERS:
         if filters == "none":
-            return Filtering(NO_FILTER, 1.0, 0.0, 0.0, "no filter")
+            return Filtering(kernel.NO_FILTER, 1.0, 0.0, 0.0, "no filter")
         named = {"waves": WaveFilter(CUTOFF), "printed": printed_filter(CUTOFF)}
         filters = named.get(filters) or corrected_filter(CUTOFF, impedance)
     if isinstance(filters, WaveFilter):
-        return Filtering(WAVES, filters.cutoff, 0.0, 0.0, f"waves, {filters.cutoff:g} rad/s")
+        return Filtering(kernel.WAVES, filters.cutoff, 0.0, 0.0, f"waves, {filters.cutoff:g} rad/s")
     if not isinstance(filters, TwoPortFilter):
         one_of("filters", filters, FILTERS, also="a TwoPortFilter or a WaveFilter")
     margin = passivity_margin([filters.cutoff], [1.0, filters.cutoff], filters.k12, filters.k21)
     kind = "two-port" if margin.is_passive else "two-port that is not passive"
     title = f"{kind}, {filters.cutoff:g} rad/s"
-    return Filtering(TWO_PORT, filters.cutoff, filters.k12, filters.k21, title)
+    return Filtering(kernel.TWO_PORT, filters.cutoff, filters.k12, filters.k21, title)

@@ -167,14 +167,8 @@ def plot_alpha(sessions: Iterable[Session], axes=None):
         of_class(f"sessions[{number}]", run, Session)
         run.require("alpha")
     if axes is None:
-        axes = plt.subplots(
-            len(runs),
-            1,
-            sharex=True,
-            squeeze=False,
-            figsize=(7.2, 1.2 + 1.5 * len(runs)),
-            layout="constrained",
-        )[1][:, 0]
+        size = (7.2, 1.2 + 1.5 * len(runs))
+        axes = plt.subplots(len(runs), 1, sharex=True, figsize=size, layout="constrained")[1]
     axes = np.atleast_1d(axes)
     if axes.size != len(runs):
         raise ValueError(f"there are {len(runs)} runs and {axes.size} axes; give one per run")

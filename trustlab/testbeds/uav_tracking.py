@@ -23,16 +23,7 @@ from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.channel import lost_waves
 from trustlab.teleoperation.delays import Delay, delays_in_samples, random_walk_delay
-from trustlab.teleoperation.loop.kernel import (
-    BLOCKS,
-    COLUMNS,
-    INPUT,
-    LOG,
-    STATE,
-    AutonomyNumbers,
-    Setup,
-    run_loop,
-)
+from trustlab.teleoperation.loop import kernel
 from trustlab.teleoperation.loop.schemes import OPTIMAL, Scheme, scheme_named
 from trustlab.teleoperation.loop.settings import DivergenceError, LoopSettings, study_named, vehicle_matrices
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
@@ -113,7 +104,7 @@ class TrackingTask:
             check = not_negative if name in may_be_zero else positive
             object.__setattr__(self, name, check(name, getattr(self, name)))
 
-    def controller(self, sample_time: float) -> AutonomyNumbers:
+    def controller(self, sample_time: float) -> kernel.AutonomyNumbers:
         """
         Return the autonomous controller as the compiled loop takes it.
 
@@ -124,7 +115,9 @@ class TrackingTask:
         """
         late = max(round(self.camera_delay / sample_time), 1)
         ideal = 1.0  # gain of the ideal controller u_i = reference velocity + error
-        return AutonomyNumbers(self.proportional, self.integral, self.derivative, late, self.reach, ideal)
+        return kernel.AutonomyNumbers(
+            self.proportional, self.integral, self.derivative, late, self.reach, ideal
+        )
 
     def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -250,9 +243,11 @@ def simulate_teleoperation(
     delays = _delays(settings, (delay_1, delay_2), read_out, count, sample_time, seeds[3:])
     arrives = lost_waves(lost, count)
     inputs = _inputs(settings, task, operator, count, sample_time, seeds, alpha, push)
-    setup = Setup(chosen.allocation, chosen.bilateral, not delays.any(), READ_OUTS[read_out], METHODS[guard])
-    table, log = log_of(LOG, count)
-    done, block = run_loop(
+    setup = kernel.Setup(
+        chosen.allocation, chosen.bilateral, not delays.any(), READ_OUTS[read_out], METHODS[guard]
+    )
+    table, log = log_of(kernel.LOG, count)
+    done, block = kernel.run_loop(
         setup,
         settings.numbers(sample_time),
         operator.numbers(sample_time, task.camera_delay),
@@ -263,15 +258,15 @@ def simulate_teleoperation(
         delays,
         arrives,
         accounts(),
-        np.zeros(1, STATE),
+        np.zeros(1, kernel.STATE),
         log,
     )
     t = sample_time * np.arange(count)
-    data = pd.DataFrame(table, index=pd.Index(np.round(t, 9), name="t"), columns=COLUMNS)
+    data = pd.DataFrame(table, index=pd.Index(np.round(t, 9), name="t"), columns=kernel.COLUMNS)
     if block >= 0:
         energy = data[["energy_device", "energy_channel", "energy_robot"]].iloc[done - 1, block]
         raise DivergenceError(
-            f"scheme {scheme} diverged at t = {(done - 1) * sample_time:g} s in the {BLOCKS[block]} (its energy: "
+            f"scheme {scheme} diverged at t = {(done - 1) * sample_time:g} s in the {kernel.BLOCKS[block]} (its energy: "
             f"{energy:.3g} J); lower k_ffa, the hand's gains or the sample time, or see which guard is off"
         )
     facts = {"study": settings.title, "scheme": chosen.title, "seed": str(seed)}
@@ -294,7 +289,7 @@ def _samples(duration: float, sample_time: float) -> tuple[int, float]:
 def _inputs(settings, task, operator, count, sample_time, seeds, alpha, push) -> np.ndarray:
     """Return what comes from outside, records of INPUT: drawn from the seeds where random, checked where a user gave it."""
     start, losses, noise = (np.random.default_rng(child) for child in seeds[:3])
-    t, inputs = sample_time * np.arange(count), np.empty(count, INPUT)
+    t, inputs = sample_time * np.arange(count), np.empty(count, kernel.INPUT)
     position, velocity = task.path(t, settings.height, start.uniform(0.0, 2.0 * np.pi))
     inputs["reference"], inputs["reference_velocity"] = position, velocity
     inputs["detected"] = _losses(task, count, sample_time, losses)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from trustlab.models.checks import not_negative, positive, whole_number
+from trustlab.models.checks import finite_array, not_negative, positive, whole_number
 
 __all__ = ["Device", "HapticDevice", "PassivityError"]
 
@@ -298,15 +298,4 @@ class HapticDevice:
 
     def _vectors(self, **given) -> list[np.ndarray]:
         """Return the arguments as finite vectors of the device's dimension."""
-        out = []
-        for name, value in given.items():
-            try:
-                array = np.asarray(value, dtype=float)
-            except (TypeError, ValueError):
-                raise ValueError(f"{name} must be {self.dimensions} numbers, got {value!r}") from None
-            if array.shape != (self.dimensions,):
-                raise ValueError(f"{name} must have shape ({self.dimensions},), got {array.shape}")
-            if not np.isfinite(array).all():
-                raise ValueError(f"{name} must be finite, got {array.tolist()}")
-            out.append(array)
-        return out
+        return [finite_array(name, value, length=self.dimensions) for name, value in given.items()]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from trustlab.models.checks import did_you_mean, finite_array, not_negative, positive
+from trustlab.models.checks import finite_array, not_negative, one_of, positive
 
 __all__ = ["POLICIES", "GivenSequence", "LeaderPolicy", "MostTrusted", "RandomLeaders", "policy_named"]
 
@@ -125,6 +126,7 @@ class GivenSequence:
     robots: Sequence[Hashable] | None = None
     times: Sequence[float] | None = None
     every: float | None = None
+    title: ClassVar[str] = "given sequence"
 
     def __post_init__(self):
         if self.robots is not None:
@@ -134,10 +136,10 @@ class GivenSequence:
             if not robots:
                 raise ValueError("robots must name at least one robot")
             object.__setattr__(self, "robots", robots)
-            for place in range(1, len(robots)):
-                if robots[place] == robots[place - 1]:
+            for place, (before, robot) in enumerate(itertools.pairwise(robots), start=1):
+                if robot == before:
                     raise ValueError(
-                        f"a switch must pick another robot, but robots[{place}] is {robots[place]!r} again"
+                        f"a switch must pick another robot, but robots[{place}] is {robot!r} again"
                     )
         if self.times is not None:
             if self.every is not None or self.robots is None:
@@ -151,11 +153,6 @@ class GivenSequence:
         again = self.times is None and self.robots is not None and len(self.robots) > 1
         if again and self.robots[0] == self.robots[-1]:
             raise ValueError(f"begun again, the sequence would have {self.robots[0]!r} follow itself")
-
-    @property
-    def title(self) -> str:
-        """What it is, for the log."""
-        return "given sequence"
 
     def leaders(self, trust, robots, step, dwell, rng) -> np.ndarray:
         """
@@ -216,14 +213,10 @@ class RandomLeaders:
     """
 
     waiting: float = 1.0
+    title: ClassVar[str] = "arbitrary random"
 
     def __post_init__(self):
         object.__setattr__(self, "waiting", not_negative("waiting", self.waiting))
-
-    @property
-    def title(self) -> str:
-        """What it is, for the log."""
-        return "arbitrary random"
 
     def leaders(self, trust, robots, step, dwell, rng) -> np.ndarray:
         """
@@ -267,25 +260,8 @@ SIGNATURE = (
 
 def policy_named(policy: str | LeaderPolicy) -> Any:
     """Return a leader policy by name, or an object of one's own as it is."""
-    if isinstance(policy, str) and policy in POLICIES:
-        return POLICIES[policy]
-    if (
-        not isinstance(policy, str | type)
-        and callable(getattr(policy, "leaders", None))
-        and hasattr(policy, "title")
-    ):
+    own = not isinstance(policy, str | type) and callable(getattr(policy, "leaders", None))
+    if own and hasattr(policy, "title"):
         return policy
-    names = ", ".join(map(repr, POLICIES))
-    if isinstance(policy, str):
-        hint = did_you_mean(policy, POLICIES)
-        raise ValueError(f"policy must be one of {names}, or a LeaderPolicy, got {policy!r}{hint}")
-    if isinstance(policy, type):
-        raise ValueError(
-            f"policy must be one of {names}, or a LeaderPolicy, got the class {policy.__name__}; make one with {policy.__name__}()"
-        )
-    missing = (
-        "attribute title, a str" if callable(getattr(policy, "leaders", None)) else f"method {SIGNATURE}"
-    )
-    raise ValueError(
-        f"policy must be one of {names}, or a LeaderPolicy, got {policy!r:.60}, which has no {missing}"
-    )
+    also = f"a LeaderPolicy: an object, not a class, with a title and a method {SIGNATURE}"
+    return POLICIES[one_of("policy", policy, POLICIES, also)]

@@ -15,6 +15,13 @@ from trustlab.teleoperation.ports.waves import Scattering
 __all__ = ["GraphError", "TeamOperator", "TeamSettings", "algebraic_connectivity", "team_graph"]
 
 
+def flag(name: str, value) -> bool:
+    """Return True or False; nothing else counts as either."""
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
+
+
 class GraphError(ValueError):
     """A graph that is no team's: directed, with a self-loop, weighted, not connected, or of one robot."""
 
@@ -104,6 +111,14 @@ def _trust(rate: float, ratio: float = 1.0) -> TrustModel:
     return TrustModel(rate, ratio * rate)
 
 
+PER_ROBOT: dict[str, Any] = {
+    "scattering": Scattering,
+    "human_to_robot": TrustModel,
+    "robot_to_human": TrustModel,
+}
+"""Settings that may differ from robot to robot, and their classes."""
+
+
 @dataclass(frozen=True)
 class TeamSettings:
     """
@@ -150,12 +165,7 @@ class TeamSettings:
         object.__setattr__(self, "performance_time", positive("performance_time", self.performance_time))
         if not self.steepness >= 10.0:
             raise ValueError(f"steepness must be at least 10 (3.5), got {self.steepness}")
-        classes: dict[str, Any] = {
-            "scattering": Scattering,
-            "human_to_robot": TrustModel,
-            "robot_to_human": TrustModel,
-        }
-        for name, kind in classes.items():
+        for name, kind in PER_ROBOT.items():
             given = getattr(self, name)
             many = (given,) if isinstance(given, kind) else given
             if isinstance(many, str) or not np.iterable(many):
@@ -251,9 +261,7 @@ class TeamOperator:
 
     def __post_init__(self):
         for name in ("guarded", "slow_down"):
-            if not isinstance(getattr(self, name), bool | np.bool_):
-                raise ValueError(f"{name} must be True or False, got {getattr(self, name)!r}")
-            object.__setattr__(self, name, bool(getattr(self, name)))
+            object.__setattr__(self, name, flag(name, getattr(self, name)))
         for name in ("push", "reach", "drag", "budget", "reserve", "cautious"):
             check = positive if name in ("reach", "budget") else not_negative
             # a hand that drives (negative drag) is active: allowed only where nothing is promised of V_h

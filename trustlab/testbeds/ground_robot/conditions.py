@@ -7,25 +7,22 @@ import pandas as pd
 
 from trustlab.allocation.correction.in_loop import no_correction
 from trustlab.allocation.limits import check_thresholds, threshold_limits
-from trustlab.models.checks import between, finite_array, finite_number, of_class, spawned, whole_number
+from trustlab.models.checks import (
+    between,
+    finite_array,
+    finite_number,
+    of_class,
+    one_of,
+    spawned,
+    whole_number,
+)
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
 from trustlab.operators.teleoperator import Teleoperator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.records import log_of
+from trustlab.testbeds.ground_robot import kernel
 from trustlab.testbeds.ground_robot.course import Course
-from trustlab.testbeds.ground_robot.kernel import (
-    COLUMNS,
-    LOG,
-    OWN,
-    PERFORMANCE,
-    SCHEDULE,
-    SETTLING,
-    STATE,
-    TSC,
-    Task,
-    drive,
-)
 from trustlab.testbeds.ground_robot.participants import (
     participant_label,
     published_model,
@@ -38,11 +35,11 @@ from trustlab.testbeds.ground_robot.run import GroundRobotRun
 __all__ = ["CONDITIONS", "GroundRobotRun", "drive_modes", "identification_session", "run_condition"]
 
 CONDITIONS = {
-    "C1": (OWN, False),
-    "C2": (TSC, False),
-    "C3": (TSC, True),
-    "C4": (PERFORMANCE, False),
-    "C5": (PERFORMANCE, True),
+    "C1": (kernel.OWN, False),
+    "C2": (kernel.TSC, False),
+    "C3": (kernel.TSC, True),
+    "C4": (kernel.PERFORMANCE, False),
+    "C5": (kernel.PERFORMANCE, True),
 }
 """Who allocates in each condition of Section 2.4.1.2, and whether suggestions must be followed."""
 
@@ -128,20 +125,18 @@ def run_condition(
     >>> run.session.metadata.synthetic
     True
     """
-    if not isinstance(condition, str) or condition not in CONDITIONS:
-        raise ValueError(f"condition must be one of {', '.join(CONDITIONS)}, got {condition!r:.60}")
-    scheme, forced = CONDITIONS[condition]
+    scheme, forced = CONDITIONS[one_of("condition", condition, CONDITIONS)]
     operator, model, printed = _who(participant, operator, model)
     operator, robot, course = _checked(operator, robot, course)
     laps = whole_number("laps", laps, most=MOST_LAPS)
-    if thresholds is not None and scheme != TSC:
+    if thresholds is not None and scheme != kernel.TSC:
         decides = (
             "the operator's own thresholds, Operator(lower=, upper=), decide"
-            if scheme == OWN
+            if scheme == kernel.OWN
             else "Algorithm 2 decides"
         )
         raise ValueError(f"thresholds have no effect in {condition}, where {decides}; leave them out")
-    if scheme == TSC:
+    if scheme == kernel.TSC:
         if thresholds is None and printed is None:
             raise ValueError(
                 f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and .upper of "
@@ -150,16 +145,12 @@ def run_condition(
         thresholds = check_thresholds(
             model, *_pair(printed if thresholds is None else thresholds), threshold_limits(model, 0.0)
         )
-    lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
-    most = _steps(laps * course.length / SLOWEST, f"{laps} laps of {course.length:.3g} m") + 1
+    lower, upper = (operator.lower, operator.upper) if scheme == kernel.OWN else thresholds or (0.0, 0.0)
     task = _task(scheme, forced=forced, laps=laps, lower=lower, upper=upper, model=model, r0=r0)
-    data, lap_times = _drive(task, np.ones(1, np.int64), most, robot, course, operator, seed)
-    if lap_times.size < laps:
-        raise ValueError(
-            f"only {lap_times.size} of {laps} laps were done in {most * SAMPLE_TIME:.0f} s (an average of "
-            f"{SLOWEST} m/s would do): this robot or operator does not keep to the course; check their parameters"
-        )
-    facts = {"laps": laps, "settling": SETTLING} | ({"TSC_l": lower, "TSC_u": upper} if scheme == TSC else {})
+    data, lap_times = _drive(task, _longest(laps, course), robot, course, operator, seed)
+    facts = {"laps": laps, "settling": kernel.SETTLING} | (
+        {"TSC_l": lower, "TSC_u": upper} if scheme == kernel.TSC else {}
+    )
     session = _session(data, operator, condition, seed, **facts)
     return GroundRobotRun(session, course, operator, robot, model, thresholds, lap_times)
 
@@ -214,8 +205,8 @@ def drive_modes(
     if modes.size < 2:
         raise ValueError(f"mode must have at least two samples, zeros and ones, got {modes.size}")
     _steps(modes.size * SAMPLE_TIME, "mode")
-    task = _task(SCHEDULE, first_mode=int(modes[0]), r0=r0)
-    data, _ = _drive(task, modes.astype(np.int64), modes.size, robot, course, operator, seed)
+    task = _task(kernel.SCHEDULE, first_mode=int(modes[0]), r0=r0)
+    data, _ = _drive(task, modes.size, robot, course, operator, seed, modes.astype(np.int64))
     return _session(data.drop(columns=["tsc", "suggested_mode"]), operator, condition, seed)
 
 
@@ -324,36 +315,51 @@ def _pair(pair, name: str = "thresholds", equal: bool = False) -> tuple[float, f
     return low, high
 
 
-def _task(scheme, forced=False, laps=0, lower=0.0, upper=0.0, model=None, first_mode=1, r0=0.0) -> Task:
+def _task(
+    scheme, forced=False, laps=0, lower=0.0, upper=0.0, model=None, first_mode=1, r0=0.0
+) -> kernel.Task:
     r0 = between("r0", r0, 0.0, 1.0)
     numbers: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     if model:
         numbers = (model.a_T, model.b_T, model.robot.p_min, model.robot.p_max)
     window = round(WINDOW / SAMPLE_TIME)
-    return Task(scheme, forced, laps, lower, upper, *numbers, E_MAX, window, SAMPLE_TIME, first_mode, r0)
+    return kernel.Task(
+        scheme, forced, laps, lower, upper, *numbers, E_MAX, window, SAMPLE_TIME, first_mode, r0
+    )
+
+
+def _longest(laps: int, course: Course) -> int:
+    """Return how many samples laps may take."""
+    return _steps(laps * course.length / SLOWEST, f"{laps} laps of {course.length:.3g} m") + 1
 
 
 def _drive(
-    task, schedule, most, robot, course, operator, seed, correction=None
+    task, most, robot, course, operator, seed, schedule=None, correction=None
 ) -> tuple[pd.DataFrame, np.ndarray]:
-    table, log = log_of(LOG, most)
+    """Return the log of at most `most` samples, and when laps ended; all that are wanted must be done by then."""
+    table, log = log_of(kernel.LOG, most)
     lap_times = np.empty(task.laps)
     streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
-    rows, done = drive(
+    rows, done = kernel.drive(
         task,
-        schedule,
+        np.ones(1, np.int64) if schedule is None else schedule,
         course.path,
         course.posts,
         robot.numbers,
         operator.numbers,
         *streams,
-        np.zeros(1, STATE),
+        np.zeros(1, kernel.STATE),
         log,
         lap_times,
         correction or no_correction(),
     )
+    if done < task.laps:
+        raise ValueError(
+            f"only {done} of {task.laps} laps were done in {most * SAMPLE_TIME:.0f} s (an average of {SLOWEST} m/s would "
+            "do): this robot or operator does not keep to the course; check their parameters"
+        )
     t = pd.Index(np.round(np.arange(rows) * task.sample_time, 6), name="t")
-    return pd.DataFrame(table[:rows], index=t, columns=COLUMNS), lap_times[:done]
+    return pd.DataFrame(table[:rows], index=t, columns=kernel.COLUMNS), lap_times[:done]
 
 
 def _session(data, operator, condition, seed, **facts) -> Session:

@@ -15,12 +15,10 @@ from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
 from trustlab.testbeds.ground_robot.conditions import (
     MOST_LAPS,
-    SAMPLE_TIME,
-    SLOWEST,
     _checked,
     _drive,
+    _longest,
     _session,
-    _steps,
     _task,
     _who,
 )
@@ -120,20 +118,14 @@ def run_correction(
     lag = not_negative("lag", lag)
     if habit == "lagging":
         operator = replace(operator, reaction_lag=lag)
-    most = _steps(laps * course.length / SLOWEST, f"{laps} laps of {course.length:.3g} m") + 1
-    now, parts, sessions = start, [], []
+    most, now, parts, sessions = _longest(laps, course), start, [], []
     for test, child in enumerate(spawned(seed, tests), start=1):
         limits = (operator.lower, operator.upper) if scheme == OWN else now
         if adopted:
             limits = (limits[0] + now[0] - start[0], limits[1] + now[1] - start[1])
         task = _task(scheme, forced=forced, laps=laps, lower=limits[0], upper=limits[1], model=model, r0=r0)
         plan = loop_correction(model, now, corrector.target, corrector.c_b, corrector.horizon, most, adopted)
-        data, lap_times = _drive(task, np.ones(1, np.int64), most, robot, course, operator, child, plan)
-        if lap_times.size < laps:
-            raise ValueError(
-                f"test {test}: only {lap_times.size} of {laps} laps were done in {most * SAMPLE_TIME:.0f} s; this robot or "
-                "operator does not keep to the course; check their parameters"
-            )
+        data, _ = _drive(task, most, robot, course, operator, child, correction=plan)
         facts = {"laps": laps, "habit": habit, "test": test, "TSC_ld": target[0], "TSC_ud": target[1]}
         sessions.append(_session(data, operator, f"correction, {habit}", child, **facts))
         parts.append(_rows(test, data, plan.log[: len(data)], plan.thresholds))

@@ -8,6 +8,7 @@ import numba
 import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number, positive
+from trustlab.teleoperation.records import signal
 
 __all__ = ["Course", "nearest_point", "path_point"]
 
@@ -91,15 +92,7 @@ class Course:
     _posts: np.ndarray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
-        try:
-            given = np.array(self.corners)
-            if given.dtype.kind not in "iuf":
-                raise TypeError
-            corners = given.astype(float)
-        except (TypeError, ValueError):
-            raise ValueError(f"corners must be (x, y) pairs, got {self.corners!r:.200}") from None
-        if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
-            raise ValueError(f"corners must be at least three finite (x, y) pairs, got {self.corners!r:.200}")
+        corners = signal("corners", self.corners, columns=2, least=3)
         if np.abs(corners).max() > FARTHEST:
             raise ValueError(
                 f"corners must lie within {FARTHEST:g} m of the origin, got {np.abs(corners).max():g}"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
-
-from trustlab.models.checks import whole_number
+from trustlab.models.checks import did_you_mean, whole_number
 from trustlab.models.published import published_models, published_table
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, operator
@@ -39,8 +37,7 @@ def participant_label(participant: int | str) -> str:
             label = ""
     if label in known:
         return label
-    near = difflib.get_close_matches(label, known, n=1, cutoff=0.5) if label else []
-    meant = f"; did you mean {near[0]!r}?" if near else ""
+    meant = did_you_mean(label, known)
     raise ValueError(
         f"there is no participant {participant!r:.60} among the printed ones: {', '.join(known)}{meant}. For someone else give "
         "an Operator as participant, with model="

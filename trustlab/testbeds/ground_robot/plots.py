@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, of_class
+from trustlab.models.checks import finite_array, finite_number, of_class, one_of
 from trustlab.sessions.plots import shade_manual
 from trustlab.sessions.session import Session
 from trustlab.testbeds.ground_robot.course import Course
@@ -50,11 +50,8 @@ def plot_path(session: Session, course: Course, start: float = 0.0, stop: float 
     of_class("session", session, Session)
     of_class("course", course, Course)
     session.require("robot_x", "robot_y", "mode")
-    start, stop = (
-        finite_number("start", start),
-        session.t[-1] if stop is None else finite_number("stop", stop),
-    )
-    part = session.between(start, stop)
+    stop = session.t[-1] if stop is None else finite_number("stop", stop)
+    part = session.between(finite_number("start", start), stop)
     if axes is None:
         _, axes = plt.subplots(figsize=(8.0, 5.6), layout="constrained")
     axes.plot(*course.posts.T, ls="", marker="o", ms=4, mfc="none", color="0.55", label="guide posts")
@@ -66,9 +63,7 @@ def plot_path(session: Session, course: Course, start: float = 0.0, stop: float 
         if here.any():
             axes.plot(x, y, ls=style, lw=width, color="black" if manual else "#0072b2", label=label)
     axes.plot(*course.path[:, :2].T, ls="--", lw=2.0, color="#d62728", label="desired")
-    axes.set_aspect("equal")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
     axes.set_title(session.label, fontsize="medium")
     axes.legend(fontsize="small", ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.12), frameon=False)
     return axes
@@ -103,10 +98,8 @@ def plot_run(run, bounds: dict[str, tuple[float, float]] | None = None):
         bounds = dict(bounds if bounds is not None else {})
     except (TypeError, ValueError):
         raise ValueError(f"bounds must map columns to (low, high), got {bounds!r:.60}") from None
-    unknown = sorted(set(bounds) - set(PANELS), key=str)
-    if unknown:
-        raise ValueError(f"bounds are by column, one of {', '.join(PANELS)}; got {unknown[0]!r}")
     for name, pair in bounds.items():
+        one_of("a column of bounds", name, PANELS)
         bounds[name] = tuple(finite_array(f"bounds[{name!r}]", pair, length=2))
     if run.thresholds is not None:
         bounds.setdefault("tsc", run.thresholds)
@@ -120,8 +113,7 @@ def plot_run(run, bounds: dict[str, tuple[float, float]] | None = None):
             panel.axhline(bound, ls="--", lw=1.0, color="#d55e00")
         panel.set_ylabel(label)
         shade_manual(panel, session.t, session["mode"])
-    axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(session.t[0], session.t[-1])
+    axes[-1].set(xlabel="time [s]", xlim=(session.t[0], session.t[-1]))
     lines = "; dashed: " + ("thresholds" if set(bounds) == {"tsc"} else "bounds") if bounds else ""
     figure.suptitle(f"{session.label} (manual phases shaded{lines})", fontsize="medium")
     return axes
