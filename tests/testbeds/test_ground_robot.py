@@ -417,7 +417,7 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
     assert "synthetic" in axes.get_title()
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
     assert labels == ["guide posts", "manual", "autonomous", "desired"]
-    with pytest.raises(ValueError, match="one of p_r, r, p_h, tsc; got 'speed'"):
+    with pytest.raises(ValueError, match="one of 'p_r', 'r', 'p_h', 'tsc', got 'speed'"):
         run.plot(bounds={"speed": (0, 1)})
     assert "synthetic" in run._repr_html_()
     plt.close("all")
