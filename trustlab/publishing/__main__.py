@@ -3,6 +3,7 @@
 import argparse
 import signal
 import sys
+import textwrap
 import time
 
 from trustlab.publishing.inputs import Checkout
@@ -18,9 +19,7 @@ def _arguments(words: list[str] | None) -> argparse.Namespace:
     )
     add = parser.add_argument
     add("names", nargs="*", metavar="NAME", help="notebooks (01, 01_identification); all by default")
-    add(
-        "-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), help="a parameter they declare"
-    )
+    add("-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), help="a declared parameter")
     add("--jobs", default="auto", metavar="N", type=_jobs, help="notebooks run at once; auto: one per CPU")
     add("--notebooks", metavar="DIR", help="folder of the notebooks (default: notebooks)")
     add("--reports", metavar="DIR", help="folder of the reports (default: reports)")
@@ -35,27 +34,19 @@ def _jobs(text: str) -> int | str:
 def _complain(built: Built) -> None:
     failure = built.failure or {}
     where = f", cell {failure['cell']}" if failure["cell"] is not None else ""
-    lines = [f"\n── {built.name}{where} ──"]
-    if failure["source"]:
-        lines += [f"    {line}" for line in failure["source"].splitlines()] + [""]
-    print("\n".join([*lines, failure["traceback"], ""]), file=sys.stderr, flush=True)
-
-
-def _interrupt(number: int, frame: object) -> None:
-    raise KeyboardInterrupt
+    words = [f"\n── {built.name}{where} ──", textwrap.indent(failure["source"], "    "), ""]
+    print(*words, failure["traceback"], "", sep="\n", file=sys.stderr, flush=True)
 
 
 def main(words: list[str] | None = None) -> int:
     """Publish as the command line says; return 0, 1 if a notebook failed, 2 for a wrong command, 130 if interrupted."""
     options = _arguments(words)
-    signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: no kernel stays
     clock = time.monotonic()
     try:
         checkout = Checkout.find(notebooks=options.notebooks, reports=options.reports)
         if not checkout.external.is_dir():
-            print(
-                "no third-party data: neither TRUSTLAB_DATA nor data/external is a folder; sections that need it are left out"
-            )
+            print("no third-party data in TRUSTLAB_DATA or data/external: what needs them is left out")
         built = publish(
             options.names,
             checkout=checkout,

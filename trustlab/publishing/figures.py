@@ -6,6 +6,8 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from trustlab.models.checks import one_of
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -35,8 +37,7 @@ def use_house_style(inline: str = "svg") -> None:
     ValueError
         If ``inline`` is neither.
     """
-    if inline not in ("svg", "png"):
-        raise ValueError(f'inline must be "svg" or "png", found {inline!r}')
+    one_of("inline", inline, ("svg", "png"))
     import matplotlib as mpl
     from cycler import cycler
 
@@ -54,6 +55,11 @@ def use_house_style(inline: str = "svg") -> None:
 
 def _figure(where: Figure | Axes) -> Figure:
     return where.figure.figure  # axes -> (sub)figure -> figure; a figure is its own
+
+
+def _remove(where: Figure | Axes, gid: str) -> None:
+    for old in [artist for artist in where.texts if artist.get_gid() == gid]:
+        old.remove()
 
 
 def caption(where: Figure | Axes, text: str, synthetic: bool | str = False) -> Text:
@@ -77,10 +83,8 @@ def caption(where: Figure | Axes, text: str, synthetic: bool | str = False) -> T
     if synthetic:
         text = f"{_label(synthetic)}. {text}"
         label_synthetic(figure, synthetic)
-    for old in [artist for artist in figure.texts if artist.get_gid() == CAPTION_ID]:
-        old.remove()
-    width = max(30, int(figure.get_figwidth() * 14))
-    words = "\n".join(textwrap.wrap(text, width))
+    _remove(figure, CAPTION_ID)
+    words = textwrap.fill(text, max(30, int(figure.get_figwidth() * 14)))
     return figure.text(0.01, -0.02, words, ha="left", va="top", fontsize=9, color="#555555", gid=CAPTION_ID)
 
 
@@ -103,8 +107,7 @@ def label_synthetic(where: Figure | Axes, synthetic: bool | str = True) -> Text:
     matplotlib.text.Text
         The mark.
     """
-    for old in [artist for artist in where.texts if artist.get_gid() == MARK_ID]:
-        old.remove()
+    _remove(where, MARK_ID)
     style: dict[str, Any] = {"fontsize": 8, "color": "#8a5a00", "ha": "right", "va": "bottom", "gid": MARK_ID}
     if hasattr(where, "transAxes"):
         return where.text(1.0, 1.01, _label(synthetic), transform=where.transAxes, **style)

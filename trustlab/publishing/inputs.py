@@ -13,7 +13,6 @@ from pathlib import Path
 __all__ = ["Checkout", "file_digest", "folder_digest", "input_digest", "list_files"]
 
 Place = str | os.PathLike[str]
-EXTERNAL_VARIABLE = "TRUSTLAB_DATA"
 SKIPPED = ("__pycache__", ".ipynb_checkpoints")
 
 
@@ -81,11 +80,11 @@ class Checkout:
         notebooks = Path(notebooks).resolve() if notebooks is not None else root / "notebooks"
         if not notebooks.is_dir():
             raise ValueError(
-                f"no folder of notebooks at {notebooks}: run in the repository, or name it with --notebooks"
+                f"no folder of notebooks at {notebooks}: run in the repository, or give --notebooks"
             )
         package = root / "trustlab"
         data = root / "data"
-        external = os.environ.get(EXTERNAL_VARIABLE) or data / "external"
+        external = os.environ.get("TRUSTLAB_DATA") or data / "external"
         return cls(
             root=root,
             notebooks=notebooks,
@@ -103,12 +102,9 @@ def list_files(folder: Place, without: Iterable[Place] = ()) -> list[Path]:
     found = []
     for here, folders, files in os.walk(folder, followlinks=True):
         kept = [name for name in folders if name not in SKIPPED and not name.startswith(".")]
-        folders[:] = sorted(name for name in kept if Path(here, name) not in without)
-        found += [
-            Path(here, name)
-            for name in files
-            if not name.startswith(".") and not name.endswith((".pyc", "~"))
-        ]
+        folders[:] = [name for name in kept if Path(here, name) not in without]
+        visible = [name for name in files if not name.startswith(".")]
+        found += [Path(here, name) for name in visible if not name.endswith((".pyc", "~"))]
     return sorted(found)
 
 

@@ -40,13 +40,10 @@ def to_mathml(latex: str, display: bool = False) -> str:
     MathError
         If any part of the formula would be lost: an unknown command or environment, a missing argument, a stray brace.
     """
-    faults = [
-        f"the environment {name!r} is not supported; use one of {', '.join(ENVIRONMENTS)}"
-        for name in re.findall(r"\\begin\{(.*?)\}", latex)
-        if name not in ENVIRONMENTS
-    ]
-    if faults:
-        raise _refused(latex, faults)
+    unknown = [name for name in re.findall(r"\\begin\{(.*?)\}", latex) if name not in ENVIRONMENTS]
+    if unknown:
+        known = ", ".join(ENVIRONMENTS)
+        raise _refused(latex, [f"there is no environment {name!r}; use one of {known}" for name in unknown])
     # latex2mathml knows aligned by the name of split only
     source = latex.strip().replace("{aligned}", "{split}")
     try:
@@ -54,11 +51,9 @@ def to_mathml(latex: str, display: bool = False) -> str:
     except Exception as error:  # its errors are of many classes, most without words
         words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(error).__name__.removesuffix("Error")).lower()
         raise _refused(latex, [f"{words} {error}".strip()]) from None
+    dropped = re.findall(r"\\(?:re)?newcommand|\\tag|\\operatorname\*", latex)
     faults = [fault for element in math.iter() for fault in _faults(element)]
-    faults += [
-        f"{name} is not supported"
-        for name in re.findall(r"\\(?:re)?newcommand|\\tag|\\operatorname\*", latex)
-    ]
+    faults += [f"{name} is not supported" for name in dropped]
     if faults:
         raise _refused(latex, faults)
     for element in math.iter():

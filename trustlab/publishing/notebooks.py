@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import json
 import re
 import time
@@ -72,10 +73,9 @@ def _parameters_cell(path: Path) -> tuple[int, str]:
         import nbformat
 
     cells = nbformat.read(path, as_version=4).cells
-    tagged = (
-        (i, cell.source) for i, cell in enumerate(cells) if "parameters" in cell.metadata.get("tags", [])
-    )
-    return next(tagged, (len(cells), ""))
+    tagged = (i for i, cell in enumerate(cells) if "parameters" in cell.metadata.get("tags", []))
+    index = next(tagged, len(cells))
+    return index, cells[index].source if index < len(cells) else ""
 
 
 def declared_parameters(path: Path) -> dict[str, Any]:
@@ -89,10 +89,9 @@ def declared_parameters(path: Path) -> dict[str, Any]:
 
 def _literal(source: str) -> Any:
     """Return the value of a Python literal, or else its source."""
-    try:
+    with contextlib.suppress(SyntaxError, ValueError):
         return ast.literal_eval(source)
-    except (SyntaxError, ValueError):
-        return source
+    return source
 
 
 def parse_value(text: str) -> bool | int | float | str | None:
@@ -101,10 +100,8 @@ def parse_value(text: str) -> bool | int | float | str | None:
     if text in words:
         return words[text]
     for kind in (int, float):
-        try:
+        with contextlib.suppress(ValueError):
             return kind(text)
-        except ValueError:
-            continue
     return text
 
 
@@ -117,10 +114,8 @@ def parameters_for(notebooks: list[Path], given: dict[str, Any]) -> dict[Path, d
     for name in given:
         if name not in known:
             lines = [f"  {path.stem}: {', '.join(names) or '(none)'}" for path, names in declared.items()]
-            raise ValueError(
-                f"no notebook declares a parameter {name!r}{did_you_mean(name, known)}\n"
-                "Declared parameters:\n" + "\n".join(lines)
-            )
+            unknown = f"no notebook declares a parameter {name!r}{did_you_mean(name, known)}"
+            raise ValueError("\n".join([unknown, "Declared parameters:", *lines]))
     return {
         path: {name: _fitting(name, given[name], names[name], path) for name in given if name in names}
         for path, names in declared.items()
@@ -134,9 +129,8 @@ def _fitting(name: str, given: Any, default: Any, notebook: Path) -> Any:
     value = parse_value(given) if isinstance(given, str) else given
     kinds = {bool: bool, int: int, float: int | float}.get(type(default), object)
     if not isinstance(value, kinds) or (isinstance(value, bool) and kinds not in (bool, object)):
-        raise ValueError(
-            f"parameter {name} of {notebook.stem} is {default!r} by default; {shown(value)} is of another kind"
-        )
+        other = f"{shown(value)} is of another kind"
+        raise ValueError(f"parameter {name} of {notebook.stem} is {default!r} by default; {other}")
     return value
 
 

@@ -10,17 +10,7 @@ from trustlab.publishing.inputs import Checkout, file_digest, folder_digest, lis
 
 __all__ = ["commit", "duration", "provenance", "versions"]
 
-PACKAGES = [
-    "trustlab",
-    "numpy",
-    "scipy",
-    "pandas",
-    "matplotlib",
-    "numba",
-    "statsmodels",
-    "pingouin",
-    "casadi",
-]
+LISTED = ("trustlab", "numpy", "scipy", "pandas", "matplotlib", "numba", "statsmodels", "pingouin", "casadi")
 SHORT = 12
 """Digits of a digest that a reader sees."""
 
@@ -44,7 +34,7 @@ def commit(root: str | Path) -> str:
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages that results depend on, by name."""
     found = {"python": platform.python_version()}
-    for name in PACKAGES:
+    for name in LISTED:
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:

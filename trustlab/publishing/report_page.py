@@ -35,9 +35,7 @@ SHOWN = ("text/html", "text/markdown", "text/latex", *IMAGES, "application/javas
 """Forms of an output, the best first: a page shows one of them."""
 
 # What a cell that ends with a call of Matplotlib returns: no reader wants to see it.
-LEFT_OVER = re.compile(
-    r"^\[?(<Axes|<matplotlib\.|<Figure|Text\(|\(?array\(\[<Axes)|^\[?<[\w. ]+ at 0x[0-9a-f]+>"
-)
+LEFT_OVER = re.compile(r"\[?(<Axes|<matplotlib\.|<Figure|Text\(|\(?array\(\[<Axes|<[\w. ]+ at 0x[0-9a-f]+>)")
 # $5 and $6 are prices: a dollar that opens a formula is not followed by a space; one that closes it is neither preceded
 # by a space nor followed by a digit.
 FORMULA = r"(?s:(?<![\\$])\$(?![\s$])(?P<math_inline_tex>(?:\\\$|(?!\n\s*\n)[^$`])+?)(?<![\s\\])\$(?![\d$]))"
@@ -83,10 +81,7 @@ class _Renderer(IPythonRenderer):
 
 
 def markdown_html(
-    source: str,
-    headings: list[Heading] | None = None,
-    attachments: dict | None = None,
-    folder: str | Path = "",
+    source: str, headings: list | None = None, attachments: dict | None = None, folder: str | Path = ""
 ) -> str:
     """Return Markdown as HTML with formulas and pictures embedded; `headings` gets (level, anchor, HTML) of each."""
     renderer = _Renderer([] if headings is None else headings, attachments or {}, folder)
@@ -189,12 +184,10 @@ class Page:
 
     @property
     def contents(self) -> list[Heading]:
-        found = [
-            (level, anchor, re.sub(r"</?a\b[^>]*>", "", text))
-            for level, anchor, text in self.headings
-            if level in (2, 3)
-        ]
-        return found if len(self.headings) >= CONTENTS_FROM else []
+        if len(self.headings) < CONTENTS_FROM:
+            return []
+        listed = [heading for heading in self.headings if heading[0] in (2, 3)]
+        return [(level, anchor, re.sub(r"</?a\b[^>]*>", "", text)) for level, anchor, text in listed]
 
     @property
     def thumbnail(self) -> str:

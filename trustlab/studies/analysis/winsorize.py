@@ -149,8 +149,11 @@ def _chosen(conditions: Sequence[Hashable] | None, table: ScoreTable) -> list:
         raise ValueError(f"conditions must be a list of conditions, got {conditions!r}")
     for condition in conditions:
         if condition not in table.conditions:
-            known = f"{did_you_mean(condition, table.conditions)} (there are {', '.join(map(str, table.conditions))})"
-            raise ValueError(f"conditions: {condition!r} is not in column {table.within!r}{known}")
+            hint = did_you_mean(condition, table.conditions)
+            known = ", ".join(map(str, table.conditions))
+            raise ValueError(
+                f"conditions: {condition!r} is not in column {table.within!r}{hint} (there are {known})"
+            )
     if len(set(conditions)) < len(conditions):
         raise ValueError(f"conditions lists one twice: {list(conditions)}")
     return list(conditions)
