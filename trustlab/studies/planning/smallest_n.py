@@ -209,24 +209,17 @@ def _search(
 
 def _bisect(enough, start: int, most: int) -> int | None:
     """Return an n at which `enough` begins to hold, at least 3; None where `most` is not enough."""
-    low, high = None, None
+    low, high = 2, most + 1  # sizes that are never tried stand for the ends until they are found
     n, step = max(start, 3), 1
-    while low is None or high is None:
-        if enough(n):
-            high = n
-            if n == 3:
-                return 3
-            n = max(n - step, 3) if low is None else n
-        else:
-            low = n
-            if n == most:
-                return None
-            n = min(n + step, most) if high is None else n
-        step *= 2
     while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if enough(middle) else (middle, high)
-    return high
+        if enough(n):
+            high, n = n, max(n - step, 3)
+        else:
+            low, n = n, min(n + step, most)
+        step *= 2
+        if low > 2 and high <= most:
+            n = (low + high) // 2
+    return high if high <= most else None
 
 
 def _closed_form(
