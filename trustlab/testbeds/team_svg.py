@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import html
+from pathlib import Path
+from string import Template
 
 import numpy as np
 
@@ -11,8 +13,12 @@ from trustlab.models.checks import finite_number, positive
 __all__ = ["animated_svg", "view"]
 
 FRAMES = 160
+PICTURE = Path(__file__).with_name("team_picture.svg")
+"""What does not move, with places for what does; the frame and the dial there are those of the next lines."""
+
 SIDE, TOP, LEFT = 340, 40, 30
 DIAL_X, DIAL_Y, DIAL = 505, 170, 90
+LEADER, FOLLOWER = "#d55e00", "#0072b2"
 
 
 def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
@@ -30,31 +36,29 @@ def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
     most = max(float(np.linalg.norm(force, axis=1).max()), 1e-9)
     tip = np.array([DIAL_X, DIAL_Y]) + DIAL * force / most * np.array([1.0, -1.0])
 
-    parts = _frame(html.escape(run.label), span, most)
-    for i, j in np.argwhere(np.triu(run.adjacency)):
-        ends = "".join(
-            _moving(name, values[:, k], lasting)
-            for name, values, k in (("x1", x, i), ("y1", y, i), ("x2", x, j), ("y2", y, j))
-        )
-        parts.append(f'<line stroke="#aaa">{ends}</line>')
-    parts.append(
-        f'<circle cx="{goal_x:.1f}" cy="{goal_y:.1f}" r="10" fill="none" stroke="#009e73" stroke-width="2"/>'
-    )
     changes = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1])
-    moments = ";".join(f"{change / (FRAMES - 1):.4f}" for change in changes)
-    for i in range(len(run.robots)):
-        colours = ";".join("#d55e00" if number[change] == i else "#0072b2" for change in changes)
-        turn = (
-            f'<animate attributeName="fill" values="{colours}" keyTimes="{moments}" calcMode="discrete" dur="{lasting:g}s" '
-            'repeatCount="indefinite"/>'
-        )
-        first = colours.split(";", 1)[0]
-        parts.append(
-            f'<circle cx="{x[0, i]:.1f}" cy="{y[0, i]:.1f}" r="6" stroke="#fff" fill="{first}">'
-            f"{_moving('cx', x[:, i], lasting)}{_moving('cy', y[:, i], lasting)}{turn}</circle>"
-        )
-    parts += _force(tip, lasting) + _clock(until, lasting)
-    return "".join([*parts, "</svg>"])
+    links = [
+        f'<line stroke="#aaa">{_moving(lasting, x1=x[:, i], y1=y[:, i], x2=x[:, j], y2=y[:, j])}</line>'
+        for i, j in np.argwhere(np.triu(run.adjacency))
+    ]
+    robots = [
+        f'<circle cx="{x[0, i]:.1f}" cy="{y[0, i]:.1f}" r="6" stroke="#fff" fill="{LEADER if number[0] == i else FOLLOWER}">'
+        f"{_moving(lasting, cx=x[:, i], cy=y[:, i])}{_turning(number == i, changes, lasting)}</circle>"
+        for i in range(len(run.robots))
+    ]
+    return Template(PICTURE.read_text(encoding="utf-8")).substitute(
+        LABEL=html.escape(run.label),
+        SPAN=f"{span:.1f}",
+        MOST=f"{most:.2g}",
+        LINKS="".join(links),
+        GOAL_X=f"{goal_x:.1f}",
+        GOAL_Y=f"{goal_y:.1f}",
+        ROBOTS="".join(robots),
+        FORCE=_moving(lasting, x2=tip[:, 0], y2=tip[:, 1]),
+        TIP=_moving(lasting, cx=tip[:, 0], cy=tip[:, 1]),
+        CLOCK=_moving(lasting, width=np.linspace(0.0, SIDE, 2)),
+        UNTIL=f"{until:g}",
+    )
 
 
 def view(positions: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, float]:
@@ -71,46 +75,22 @@ def _on_picture(points: np.ndarray, middle: np.ndarray, span: float) -> tuple[np
     return x, y
 
 
-def _moving(name: str, values: np.ndarray, lasting: float) -> str:
-    """Return an animation of one attribute that runs through the values."""
-    told = ";".join(f"{value:.1f}" for value in values)
-    return f'<animate attributeName="{name}" values="{told}" dur="{lasting:g}s" repeatCount="indefinite"/>'
+def _moving(lasting: float, **attributes: np.ndarray) -> str:
+    """Return animations of attributes that run through their values."""
+    parts = []
+    for name, values in attributes.items():
+        told = ";".join(f"{value:.1f}" for value in values)
+        parts.append(
+            f'<animate attributeName="{name}" values="{told}" dur="{lasting:g}s" repeatCount="indefinite"/>'
+        )
+    return "".join(parts)
 
 
-def _frame(label: str, span: float, most: float) -> list[str]:
-    """Return title, frame and dial, and the key to the colours."""
-    return [
-        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 640 430" width="640" height="430" font-family="sans-serif" font-size="12">',
-        f"<title>{label}: from above, and the force that the operator feels</title>",
-        '<rect width="640" height="430" fill="#fff"/>',
-        f'<text x="{LEFT}" y="18" font-size="13">{label}</text>',
-        f'<rect x="{LEFT}" y="{TOP}" width="{SIDE}" height="{SIDE}" fill="none" stroke="#ccc"/>',
-        f'<text x="{LEFT}" y="{TOP - 6}" fill="#555">from above, {span:.1f} m wide</text>',
-        f'<text x="{DIAL_X - DIAL}" y="{TOP - 6}" fill="#555">force felt in x and y, rim: {most:.2g} N</text>',
-        f'<circle cx="{DIAL_X}" cy="{DIAL_Y}" r="{DIAL}" fill="none" stroke="#ccc"/>',
-        f'<text x="{DIAL_X - DIAL}" y="300" fill="#0072b2">● robot</text>',
-        f'<text x="{DIAL_X - DIAL}" y="320" fill="#d55e00">● leader</text>',
-        f'<text x="{DIAL_X - DIAL}" y="340" fill="#009e73">○ goal</text>',
-    ]
-
-
-def _force(tip: np.ndarray, lasting: float) -> list[str]:
-    """Return the force as a line from the middle of the dial."""
-    x, y = tip.T
-    line = _moving("x2", x, lasting) + _moving("y2", y, lasting)
-    point = _moving("cx", x, lasting) + _moving("cy", y, lasting)
-    return [
-        f'<line x1="{DIAL_X}" y1="{DIAL_Y}" stroke="#d55e00" stroke-width="3">{line}</line>',
-        f'<circle r="5" fill="#d55e00">{point}</circle>',
-    ]
-
-
-def _clock(until: float, lasting: float) -> list[str]:
-    """Return a bar that grows with time."""
-    growing = _moving("width", np.linspace(0.0, SIDE, 2), lasting)
-    return [
-        f'<rect x="{LEFT}" y="398" width="{SIDE}" height="5" fill="#eee"/>',
-        f'<rect x="{LEFT}" y="398" height="5" fill="#444">{growing}</rect>',
-        f'<text x="{LEFT}" y="420" fill="#555">0 s</text>',
-        f'<text x="{LEFT + SIDE}" y="420" fill="#555" text-anchor="end">{until:g} s</text>',
-    ]
+def _turning(leads: np.ndarray, changes: np.ndarray, lasting: float) -> str:
+    """Return an animation of a robot's colour, which changes as it takes the lead and loses it."""
+    colours = ";".join(LEADER if leads[change] else FOLLOWER for change in changes)
+    moments = ";".join(f"{change / (FRAMES - 1):.4f}" for change in changes)
+    return (
+        f'<animate attributeName="fill" values="{colours}" keyTimes="{moments}" calcMode="discrete" dur="{lasting:g}s" '
+        'repeatCount="indefinite"/>'
+    )
