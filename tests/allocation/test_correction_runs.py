@@ -146,7 +146,7 @@ def test_following_is_the_model_under_moving_thresholds():
 def test_habits_differ_as_they_should():
     runs = {
         habit: tl.correct_pattern(
-            SECOND, START, TARGET, tests=2, duration=900, operator=habit, lag=8.0, horizon=20
+            SECOND, START, TARGET, tests=2, duration=900, habit=habit, lag=8.0, horizon=20
         )
         for habit in ("following", "lagging", "ignoring")
     }
@@ -185,7 +185,7 @@ def test_noise_is_seeded():
         ({"duration": 0.0}, "positive"),
         ({"duration": 0.01}, "number of samples"),
         ({"duration": 1e308}, "number of samples"),
-        ({"operator": "asleep"}, "'following', 'lagging', 'ignoring'"),
+        ({"habit": "asleep"}, "'following', 'lagging', 'ignoring'"),
         ({"lag": -1.0}, "negative"),
         ({"noise": -1.0}, "negative"),
         ({"noise": math.nan}, "finite"),
@@ -213,3 +213,12 @@ def test_the_pilot_warns_but_runs():
     with pytest.warns(TargetWarning):
         run = tl.correct_pattern(published_models()["pilot"], (0.02, 0.45), (0.15, 0.56), tests=1, duration=5)
     assert len(run.data) == 50
+
+
+def test_the_old_name_of_habit_warns():
+    settings = {"tests": 1, "duration": 60, "horizon": 20}
+    with pytest.warns(DeprecationWarning, match=r"correct_pattern\(habit=…\)"):
+        old = tl.correct_pattern(SECOND, START, TARGET, operator="ignoring", **settings)
+    new = tl.correct_pattern(SECOND, START, TARGET, habit="ignoring", **settings)
+    assert old.data["mode"].equals(new.data["mode"])
+    assert old.operator == "ignoring"

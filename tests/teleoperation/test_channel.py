@@ -261,7 +261,10 @@ ONE = np.ones((50, 1))
             "max_delay_rate = 0",
         ),
         (lambda: Delay(lambda t: 0.1 + 0.5 * t, 0.1, "this delay").samples(50, T), "grows by 0.5 s/s"),
-        (lambda: Delay(lambda t: 0.1 - t, 0.1, "this delay").samples(50, T), r"-0\.01 s at t = 0\.11 s: it must not be negative"),
+        (
+            lambda: Delay(lambda t: 0.1 - t, 0.1, "this delay").samples(50, T),
+            r"-0\.01 s at t = 0\.11 s: it must not be negative",
+        ),
         (lambda: Delay(lambda t: t * np.nan, 0.1, "this delay").samples(50, T), "nan s at t = 0 s"),
         (lambda: EnergyLedger(T).receive(-1, [1.0]), "whole number"),
         (lambda: EnergyLedger(T).receive(0, [np.inf]), "packet 0"),

@@ -12,6 +12,7 @@ from trustlab.allocation.correction.corrector import ThresholdCorrector, thresho
 from trustlab.allocation.correction.incentive import within_range
 from trustlab.allocation.correction.online import OnlineCorrection
 from trustlab.models.checks import between, not_negative, one_of, positive, whole_number
+from trustlab.models.deprecation import warn_renamed
 from trustlab.models.human import next_utilization, performance_at
 from trustlab.models.robot import next_performance
 from trustlab.models.tsc import TscConstants, TscModel, threshold_mode, tsc_at
@@ -165,7 +166,7 @@ def correct_pattern(
     c_b: float = 1e-5,
     horizon: int = 200,
     engine: str = "exact",
-    operator: str = "following",
+    habit: str = "following",
     lag: float = 5.0,
     noise: float = 0.0,
     seed: int | np.random.SeedSequence = 0,
@@ -199,7 +200,7 @@ def correct_pattern(
         N of (2.43).
     engine : str
         As for `ThresholdCorrector`.
-    operator : {"following", "lagging", "ignoring"}
+    habit : {"following", "lagging", "ignoring"}
         Follows suggestions at once; follows those that still stand after a lag; or keeps to the thresholds of `start`.
     lag : float
         That lag [s].
@@ -230,9 +231,12 @@ def correct_pattern(
     """
     import pandas as pd
 
+    if "operator" in options:
+        warn_renamed("correct_pattern(operator=…)", "correct_pattern(habit=…)")
+        habit = options.pop("operator")
     corrector = ThresholdCorrector(tsc, target, c_b, horizon, engine, incentive, **options)
     start, tests = threshold_pair("start", start), whole_number("tests", tests, most=1000)
-    one_of("operator", operator, HABITS)
+    one_of("habit", habit, HABITS)
     step = positive("sample_time", sample_time)
     samples = whole_number(
         "the number of samples, duration/sample_time,",
@@ -249,8 +253,8 @@ def correct_pattern(
     thresholds, parts = start, []
     for test in range(tests):
         online = OnlineCorrection(corrector, thresholds, 1, r0, outside="nearest")
-        habit = Habit(operator, start, wait)
-        truth = _one_test(online, habit, tsc.constants(), r0, p_r0, disturbance[test])
+        person = Habit(habit, start, wait)
+        truth = _one_test(online, person, tsc.constants(), r0, p_r0, disturbance[test])
         thresholds = (online.lower, online.upper)
         frame = online.table().drop(columns="sample").assign(**truth)
         frame.insert(0, "test", test + 1)
@@ -258,7 +262,7 @@ def correct_pattern(
         parts.append(frame)
     columns = ["test", "t", "r", "p_r", "p_h", "tsc", "mode", "suggestion", "lower", "upper", "c_l", "c_u"]
     data = pd.concat(parts, ignore_index=True)[[*columns, "cost", "cost_lower_bound", "status", "latency"]]
-    return CorrectionRun(data, start, corrector.target, operator, "simulated, model of (2.1)-(2.6)")
+    return CorrectionRun(data, start, corrector.target, habit, "simulated, model of (2.1)-(2.6)")
 
 
 class Habit:
