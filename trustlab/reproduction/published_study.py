@@ -6,6 +6,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from itertools import permutations
 from pathlib import Path
 from types import MappingProxyType
 
@@ -151,10 +152,9 @@ class PublishedStudy:
         PublishedStudyError
             If it does not name two different conditions.
         """
-        for i, a in enumerate(self.conditions):
-            for j, b in enumerate(self.conditions):
-                if i != j and name == f"{a}-{b}":
-                    return min(i, j), max(i, j)
+        for (i, a), (j, b) in permutations(enumerate(self.conditions), 2):
+            if name == f"{a}-{b}":
+                return min(i, j), max(i, j)
         raise PublishedStudyError(
             f"{self.name}: pairs: {name!r} does not name two of the conditions {', '.join(self.conditions)}, as in"
             f" {self.conditions[0]}-{self.conditions[1]!s}"

@@ -71,7 +71,7 @@ class JointCheck:
             return 0.0
         # A global search: the misfit has steps, as dwell times are whole numbers, and is flat where all outputs fit.
         result = differential_evolution(
-            lambda z: miss(z.reshape(len(names), -1)) if z.ndim == 2 else miss(z[:, None]).item(),
+            miss,
             [(-1.0, 1.0)] * len(names),
             rng=0,
             maxiter=300,
