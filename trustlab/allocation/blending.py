@@ -8,7 +8,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from trustlab.models.checks import between, finite_number, positive, whole_number
+from trustlab.models.checks import between, finite_array, in_order, positive, whole_number
 from trustlab.models.uav import TransferFunction, three_axes
 
 __all__ = ["APPENDIX_A", "BlendingStep", "OptimalBlending", "best_share"]
@@ -161,16 +161,12 @@ class OptimalBlending:
         intervals: int = 1,
     ):
         self.vehicle = three_axes(vehicle)
-        try:
-            self.gains = tuple((finite_number("gain", p), finite_number("gain", d)) for p, d in gains)
-        except TypeError:
-            raise ValueError(f"gains must be three pairs (proportional, derivative), got {gains!r}") from None
-        if len(self.gains) != 3:
-            raise ValueError(f"gains must be three pairs (proportional, derivative), got {len(self.gains)}")
+        if np.shape(gains) != (3, 2):
+            raise ValueError(f"gains must be three pairs (proportional, derivative), got {gains!r}")
+        self.gains = tuple(tuple(finite_array("gains", pair).tolist()) for pair in gains)
         self.alpha_min = between("alpha_min", alpha_min, 0.0, 1.0)
         self.alpha_max = between("alpha_max", alpha_max, 0.0, 1.0)
-        if not self.alpha_min < self.alpha_max:
-            raise ValueError(f"alpha_min must be below alpha_max, got {alpha_min} and {alpha_max}")
+        in_order("alpha_min", self.alpha_min, "alpha_max", self.alpha_max)
         self.horizon = between("horizon", positive("horizon", horizon), 0.0, 2.0)
         self.error_weight = between("error_weight", error_weight, 0.0, 1e12)
         self.deviation_weight = between("deviation_weight", deviation_weight, 0.0, 1e12)
@@ -280,18 +276,9 @@ class OptimalBlending:
         return self._solve(states, held)
 
     def _states(self, *given) -> np.ndarray:
-        states = np.empty((3, 5))
-        for j, (name, value) in enumerate(
-            zip(("u_h", "u_a", "e", "rate", "acceleration"), given, strict=True)
-        ):
-            try:
-                array = np.asarray(value, dtype=float)
-            except (TypeError, ValueError):
-                raise ValueError(f"{name} must be three numbers, got {value!r}") from None
-            if array.shape != (3,) or not np.isfinite(array).all():
-                raise ValueError(f"{name} must be three finite numbers, got {value!r}")
-            states[:, j] = array
-        return states
+        names = ("u_h", "u_a", "e", "rate", "acceleration")
+        columns = [finite_array(name, value, length=3) for name, value in zip(names, given, strict=True)]
+        return np.column_stack(columns)
 
     def _solve(self, states: np.ndarray, held: BlendingStep) -> BlendingStep:
         if self._program is None:

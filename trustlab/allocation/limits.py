@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import between, finite_number, not_negative, of_class
+from trustlab.models.checks import between, finite_number, in_order, not_negative, of_class
 from trustlab.models.tsc import TscConstants, TscModel
 
 __all__ = [
@@ -64,8 +64,7 @@ def step_bounds(tsc: TscModel, r_low: float = 0.05, r_high: float = 0.95) -> Ste
     """
     of_class("tsc", tsc, TscModel)
     low, high = between("r_low", r_low, 0.0, 1.0), between("r_high", r_high, 0.0, 1.0)
-    if not low < high:
-        raise ValueError(f"r_low must be below r_high, got {low} and {high}")
+    in_order("r_low", low, "r_high", high)
     human, robot = tsc.human, tsc.robot
     grid = np.linspace(low, high, 4001)
     best = 0.0

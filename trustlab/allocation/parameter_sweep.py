@@ -16,7 +16,7 @@ from trustlab.campaign.run import run_campaign
 from trustlab.campaign.sensitivity import SobolIndices, sobol_indices
 from trustlab.models.checks import finite_array, finite_number, of_class, one_of, whole_number
 from trustlab.models.human import HumanModel
-from trustlab.models.robot import RobotModel
+from trustlab.models.robot import RobotModel, gain_of_human_performance
 from trustlab.models.tsc import TscModel
 
 __all__ = ["QUANTITIES", "Sweep", "cycle_sensitivity", "sweep", "varied_model"]
@@ -35,9 +35,10 @@ QUANTITIES = {
 }
 """What is mapped, all of the steady cycle under rule (2.8)."""
 
-PARAMETERS = (
-    *(f"robot.{field.name}" for field in fields(RobotModel)),
-    *(f"human.{field.name}" for field in fields(HumanModel)),
+PARAMETERS = tuple(
+    f"{part}.{field.name}"
+    for part, kind in (("robot", RobotModel), ("human", HumanModel))
+    for field in fields(kind)
 )
 THRESHOLDS = ("lower", "upper")
 
@@ -160,7 +161,7 @@ def varied_model(tsc: TscModel, values: Mapping[str, float]) -> TscModel:
     robot, human = tsc.robot, tsc.human
     if "p_max" in parts["human"] and "p_h_max" not in parts["robot"] and robot.p_h_max == human.p_max:
         parts["robot"]["p_h_max"] = parts["human"]["p_max"]
-    follows = (1.0 - robot.a) * (robot.p_max - robot.p_min) / robot.p_h_max
+    follows = gain_of_human_performance(robot.a, robot.p_min, robot.p_max, robot.p_h_max)
     if parts["robot"] and abs(robot.b - follows) <= 1e-12 * follows:
         parts["robot"].setdefault("b", None)
     return TscModel(replace(robot, **parts["robot"]), replace(human, **parts["human"]))
@@ -178,14 +179,10 @@ def cycle_at(
         return {"exists": False, **nothing, "reason": f"not defined: {error}"}
     table = cycle.table()
     measures = {"exists": cycle.exists, "mean_p_r": cycle.mean_p_r, "mean_r": cycle.mean_r}
-    for name, row in (
-        ("p_r", "P_r"),
-        ("r", "r"),
-        ("dwell_manual", "dwell time manual"),
-        ("dwell_autonomous", "dwell time autonomous"),
-    ):
-        for side in ("low", "high"):
-            measures[f"{name}_{side}"] = float(table.loc[row, side])
+    rows = {"p_r": "P_r", "r": "r"}
+    rows |= {"dwell_manual": "dwell time manual", "dwell_autonomous": "dwell time autonomous"}
+    for name, row in rows.items():
+        measures |= {f"{name}_{side}": float(table.loc[row, side]) for side in ("low", "high")}
     return measures | {"reason": cycle.reason}
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numba
 
 from trustlab.allocation.limits import check_order
-from trustlab.models.checks import finite_number, not_negative, whole_number
+from trustlab.models.checks import finite_number, in_order, not_negative, whole_number
 from trustlab.models.tsc import threshold_mode
 
 __all__ = ["PERFORMANCE_TOLERANCE", "PerformanceRule", "ThresholdRule", "performance_suggestion"]
@@ -139,9 +139,7 @@ class PerformanceRule:
     tolerance: float = PERFORMANCE_TOLERANCE
 
     def __post_init__(self):
-        low, high = finite_number("p_min", self.p_min), finite_number("p_max", self.p_max)
-        if not low < high:
-            raise ValueError(f"p_min must be below p_max, got {low} and {high}")
+        low, high = in_order("p_min", self.p_min, "p_max", self.p_max)
         tolerance = not_negative("tolerance", self.tolerance)
         if not tolerance < 0.1:
             raise ValueError(f"tolerance must be below 0.1, where manual is suggested, got {tolerance}")

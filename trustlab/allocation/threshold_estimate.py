@@ -8,7 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_array, finite_number, not_negative, of_class, positive, whole_number
+from trustlab.models.checks import (
+    finite_array,
+    finite_number,
+    in_order,
+    not_negative,
+    of_class,
+    positive,
+    whole_number,
+)
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
@@ -237,8 +245,6 @@ def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) ->
     ValueError
         If p_min is not below p_max, or a performance is not finite.
     """
-    low, high = finite_number("p_min", p_min), finite_number("p_max", p_max)
-    if not low < high:
-        raise ValueError(f"p_min must be below p_max, got {low} and {high}")
+    low, high = in_order("p_min", p_min, "p_max", p_max)
     values = np.array([finite_number("p_r", p_r)]) if np.isscalar(p_r) else finite_array("p_r", p_r)
     return 100.0 * (float(values.mean()) - low) / (high - low)

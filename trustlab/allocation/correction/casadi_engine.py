@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,6 +51,24 @@ MARGIN = 1e-6
 
 FEASIBLE = 1e-5
 """By how much an added constraint may be missed, as a share of what one unit of w, or of a scaled state, changes it by."""
+
+
+class Situation(NamedTuple):
+    """Where a plan begins: r, P_r, TSC_u, TSC_l and the mode before; where thresholds may go; what solvers had to say."""
+
+    state: np.ndarray
+    allowed: np.ndarray
+    reasons: list[str]
+
+    @property
+    def before(self) -> int:
+        """The mode before."""
+        return int(self.state[4])
+
+    @property
+    def message(self) -> str:
+        """What solvers had to say, each thing once."""
+        return "; ".join(dict.fromkeys(self.reasons))
 
 
 class CasadiEngine:
@@ -136,38 +155,33 @@ class CasadiEngine:
         """
         state = np.array([r, p_r, upper, lower, mode], dtype=float)
         found, message = self._search(state)
-        plan = None
         if found is not None:
-            total = found.cost * self._model.c_b**2 if self._adds else None
+            total = found.cost * self._model.c_b**2
             plan = self._plan(state, found.inputs, CorrectionStatus.CONVERGED, message, total)
-            fault = self._fault(plan)
-            if fault:
-                plan, message = None, fault
-        if plan is None:
-            self.reset()
-            total = math.nan if self._adds else None
-            return self._plan(state, np.zeros((2, self.horizon)), CorrectionStatus.FAILED, message, total)
-        self._last = np.hstack([found.w[:, 1:], found.w[:, -1:]])
-        return plan
+            message = self._fault(plan)
+            if not message:
+                self._last = np.hstack([found.w[:, 1:], found.w[:, -1:]])
+                return plan
+        self.reset()
+        return self._plan(state, np.zeros((2, self.horizon)), CorrectionStatus.FAILED, message, math.nan)
 
     def _search(self, state: np.ndarray) -> tuple[HardRun | None, str]:
         """Return the best plan that a solver stands for, or None, and what there is to say."""
         model = self._model
-        *_, upper, lower, before = state
-        before, allowed = int(before), model.allowed(upper, lower)
-        guess = self._first(state, allowed)
+        now = Situation(state, model.allowed(*state[2:4]), [])
+        guess = self._first(now)
         if not guess.sound:
             return None, (
                 "the model or the added functions give values that are not finite, or incentives that exclude 0, at a "
                 "predicted state"
             )
-        free = allowed if model.extras.any else None
-        found, reasons, seen = [], [], guess
+        free = now.allowed if model.extras.any else None
+        found, seen = [], guess
         for _ in range(ROUNDS):
-            after = self._solved(guess, before, free, state, allowed, reasons)
+            after = self._solved(guess, free, now)
             if after is None:
                 if seen is guess and not self._sound(guess):
-                    return None, "; ".join(reasons)
+                    return None, now.message
                 break
             if self._sound(after):
                 if np.array_equal(after.mode, guess.mode):
@@ -176,28 +190,25 @@ class CasadiEngine:
                 seen = min(seen, after, key=self._rank)
             guess = after
         if self._smooth is not None:
-            w, reason = self._smooth.solve(seen, before, allowed)
+            w, reason = self._smooth.solve(seen, now.before, now.allowed)
             if w is None:
-                reasons.append(f"smoothed switch: {reason}")
+                now.reasons.append(f"smoothed switch: {reason}")
             else:
-                self._settle(model.run(state, w, allowed), before, state, allowed, found, reasons)
+                found += self._settled(model.run(state, w, now.allowed), now)
+        found = found or self._settled(seen, now)
         if not found:
-            self._settle(seen, before, state, allowed, found, reasons)
-        if not found:
-            return None, "; ".join(dict.fromkeys(reasons)) or "no sequence of modes settled"
-        best = min(found, key=self._rank)
-        best = self._with_switches_held(best, before, state, allowed, reasons)
-        return best, "; ".join(dict.fromkeys(reasons))
+            return None, now.message or "no sequence of modes settled"
+        best = self._with_switches_held(min(found, key=self._rank), now)
+        return best, now.message
 
-    def _first(self, state, allowed) -> HardRun:
+    def _first(self, now: Situation) -> HardRun:
         """Return the best of the last plan, the straight way to the target, and holding."""
-        n = self.horizon
-        straight = self._straight(state)
-        runs = [self._model.run(state, straight, allowed)]
+        state, straight = now.state, self._straight(now.state)
+        runs = [self._model.run(state, straight, now.allowed)]
         if self._last is not None:
-            runs.append(self._model.run(state, self._last, allowed))
+            runs.append(self._model.run(state, self._last, now.allowed))
         if self._model.extras.any:
-            held = np.repeat(np.stack([state[2:4], state[2:4]])[:, :, None], n, axis=2)
+            held = np.broadcast_to(state[2:4, None], now.allowed.shape)
             runs.append(self._model.run(state, straight, held))
         return min(runs, key=self._rank)
 
@@ -210,16 +221,16 @@ class CasadiEngine:
     def _sound(self, run: HardRun) -> bool:
         return run.sound and run.worst <= FEASIBLE
 
-    def _solved(self, guess, before, thresholds, state, allowed, reasons) -> HardRun | None:
+    def _solved(self, guess: HardRun, thresholds: np.ndarray | None, now: Situation) -> HardRun | None:
         """Return the hard run of the solution for the modes of `guess`, from the first solver that succeeds."""
         for program in self._programs:
-            w, reason = program.solve(guess, before, thresholds)
+            w, reason = program.solve(guess, now.before, thresholds)
             if w is not None:
-                after = self._model.run(state, w, allowed)
+                after = self._model.run(now.state, w, now.allowed)
                 if not self._worse(after, guess):
                     return after
                 reason = f"{program.solver}: its solution costs more than the guess it started from"
-            reasons.append(reason)
+            now.reasons.append(reason)
         return None
 
     def _worse(self, after: HardRun, guess: HardRun) -> bool:
@@ -227,41 +238,30 @@ class CasadiEngine:
         same = self._sound(guess) and self._sound(after) and np.array_equal(after.mode, guess.mode)
         return same and after.cost > guess.cost + 1e-6 * max(1.0, guess.size)
 
-    def _settle(self, run, before, state, allowed, found, reasons) -> None:
-        """Add to `found` the best plan with the modes of `run`, which the thresholds are made to bring about."""
-        if not run.sound:
-            return
-        after = self._solved(run, before, self._cell(run, before, allowed), state, allowed, reasons)
-        if after is not None and self._sound(after) and np.array_equal(after.mode, run.mode):
-            found.append(after)
+    def _settled(self, run: HardRun, now: Situation) -> list[HardRun]:
+        """Return the best plan with the modes of `run`, which the thresholds are made to bring about, or nothing."""
+        after = self._solved(run, self._cell(run, now.allowed), now) if run.sound else None
+        settled = after is not None and self._sound(after) and np.array_equal(after.mode, run.mode)
+        return [after] if settled else []
 
-    def _cell(self, run: HardRun, before: int, allowed: np.ndarray) -> np.ndarray:
+    def _cell(self, run: HardRun, allowed: np.ndarray) -> np.ndarray:
         """Return where thresholds may go so that (2.8) brings about the modes of `run`."""
         cell, margin = allowed.copy(), MARGIN * self._model.c_b
-        mode, tsc = run.mode[1:], run.tsc[1:]
-        was = run.mode[:-1]
-        u, low = np.zeros(tsc.size, int), np.ones(tsc.size, int)
-        at = np.arange(tsc.size)
-        for row, least, where in (
-            (u, True, (was == 1.0) & (mode == 1.0)),
-            (u, False, (was == 1.0) & (mode == 0.0)),
-            (low, False, (was == 0.0) & (mode == 0.0)),
-            (low, True, (was == 0.0) & (mode == 1.0)),
-        ):
-            k = at[where]
-            if least:
-                cell[0, row[k], k] = np.maximum(cell[0, row[k], k], tsc[k] + margin)
-            else:
-                cell[1, row[k], k] = np.minimum(cell[1, row[k], k], tsc[k] - margin)
+        mode, tsc, row = run.mode[1:], run.tsc[1:], _deciding(run)
+        # The manual mode comes with a threshold above TSC, the autonomous mode with one below.
+        k = np.flatnonzero(mode == 1.0)
+        cell[0, row[k], k] = np.maximum(cell[0, row[k], k], tsc[k] + margin)
+        k = np.flatnonzero(mode == 0.0)
+        cell[1, row[k], k] = np.minimum(cell[1, row[k], k], tsc[k] - margin)
         return cell
 
-    def _with_switches_held(self, best, before, state, allowed, reasons) -> HardRun:
+    def _with_switches_held(self, best: HardRun, now: Situation) -> HardRun:
         """Return the best plan after trying to hold a threshold back where that changes a switch."""
-        model = self._model
+        model, state = self._model, now.state
         for _ in range(TRIALS):
             trial = best
             for k, row in self._moved_switches(best):
-                held, stay = allowed.copy(), MARGIN * model.c_b
+                held, stay = now.allowed.copy(), MARGIN * model.c_b
                 # Up to step k the threshold stays on the side of TSC(k) on which it is now.
                 if state[2 + row] < best.tsc[k]:
                     held[1, row, :k] = np.minimum(held[1, row, :k], best.tsc[k] - stay)
@@ -269,9 +269,7 @@ class CasadiEngine:
                     held[0, row, :k] = np.maximum(held[0, row, :k], best.tsc[k] + stay)
                 run = model.run(state, best.w if model.extras.any else self._straight(state), held)
                 trial = min(trial, run, key=self._rank)
-            found = []
-            if trial is not best:
-                self._settle(trial, before, state, allowed, found, reasons)
+            found = self._settled(trial, now) if trial is not best else []
             if not found or found[0].cost >= best.cost:
                 return best
             best = found[0]
@@ -279,17 +277,15 @@ class CasadiEngine:
 
     def _moved_switches(self, run: HardRun) -> list[tuple[int, int]]:
         """Return the steps at which (2.8) decides otherwise than it would for the threshold as it is now, and which one."""
-        row = (run.mode[:-1] == 0.0).astype(
-            int
-        )  # TSC_u counts after the manual mode, TSC_l after the autonomous one
+        row = _deciding(run)
         now = run.states[2 + row, 0]
         then = run.states[2 + row, np.arange(1, self.horizon)]
         tsc = run.tsc[1:]
         steps = np.flatnonzero((now < tsc) != (then < tsc))[:TRIALS]
         return [(int(k) + 1, int(row[k])) for k in steps]
 
-    def _plan(self, state, inputs, status, message, total=None) -> CorrectionPlan:
-        """Return the plan, as the hard switch has it; `total` is its cost with additions, if there are any."""
+    def _plan(self, state, inputs, status, message, total) -> CorrectionPlan:
+        """Return the plan, as the hard switch has it; `total` is its cost with additions."""
         r, p_r, upper, lower, mode = (float(value) for value in state)
         run = simulate_correction(
             self._tsc, r, p_r, lower, upper, int(mode), inputs[1], inputs[0], self._target
@@ -302,17 +298,12 @@ class CasadiEngine:
             tsc=tsc,
             actions_l=inputs[1],
             actions_u=inputs[0],
-            r=run["r"],
-            p_r=run["p_r"],
-            lower=run["lower"],
-            upper=run["upper"],
-            mode=run["mode"],
-            cost=run["cost"],
             cost_lower_bound=math.nan,
             status=status,
             engine=self.name,
             message=message,
-            added_cost=0.0 if total is None else total - run["cost"],
+            added_cost=total - run["cost"] if self._adds else 0.0,
+            **run,
         )
 
     def _fault(self, plan: CorrectionPlan) -> str:
@@ -329,3 +320,8 @@ class CasadiEngine:
                 k = int(np.argmin(inside))
                 return f"{name} = {actions[k]:.6g} at step {k} lies outside [{low[k]:.6g}, {high[k]:.6g}] of (2.41)"
         return ""
+
+
+def _deciding(run: HardRun) -> np.ndarray:
+    """Return which threshold decides at steps 1 … N − 1: TSC_u (0) after the manual mode, TSC_l (1) after the autonomous one."""
+    return (run.mode[:-1] == 0.0).astype(int)

@@ -48,12 +48,10 @@ class Extras:
     incentive: Callable = incentive_box
 
     def __post_init__(self):
-        for name, given in (
-            ("extra_cost", self.cost),
-            ("extra_constraints", self.constraints),
-            ("incentive", self.incentive),
-        ):
-            if not callable(given) and (given is not None or name == "incentive"):
+        functions = {"extra_cost": self.cost, "extra_constraints": self.constraints}
+        functions = {name: given for name, given in functions.items() if given is not None}
+        for name, given in (functions | {"incentive": self.incentive}).items():
+            if not callable(given):
                 raise ValueError(f"{name} must be a function, got {type(given).__name__}")
 
     @property
@@ -394,21 +392,13 @@ class CorrectionProgram:
             w, after = symbol.sym(f"w_{k}", 2), symbol.sym(f"x_{k + 1}", size)
             to, price, held = stage(now, w, modes[k], k)
             unknowns += [w, after]
-            rows.append(after - to)
-            equal += [True] * size
-            if k == 0:
-                rows.append(begins)
-                equal += [True] * size
-            rows.append(held)
-            equal += [False] * held.numel()
+            equations = [after - to, begins] if k == 0 else [after - to]
+            rows += [*equations, held]
+            equal += [True] * (size * len(equations)) + [False] * held.numel()
             cost += rho * (price + after[2] ** 2 + after[3] ** 2)
             now = after
-        program = {
-            "x": ca.vertcat(*unknowns),
-            "p": ca.vertcat(start, modes, rho),
-            "f": cost,
-            "g": ca.vertcat(*rows),
-        }
+        given = ca.vertcat(start, modes, rho)
+        program = {"x": ca.vertcat(*unknowns), "p": given, "f": cost, "g": ca.vertcat(*rows)}
         method = solver if solver in ("fatrop", "ipopt") else "sqpmethod"
         self._solver = ca.nlpsol(
             "correction", method, program, _options(solver, equal, self.plain, 60 if width else 100)
@@ -418,9 +408,8 @@ class CorrectionProgram:
         self._at_w = first[None, :] + np.arange(2)[:, None]
         states = first[None, :] + 2 + np.arange(size)[:, None]
         self._at_x = np.hstack([np.arange(size)[:, None], states])
-        self._least, self._most = (
-            np.full(self._at_x.size + self._at_w.size, end) for end in (-np.inf, np.inf)
-        )
+        count = self._at_x.size + self._at_w.size
+        self._least, self._most = np.full(count, -np.inf), np.full(count, np.inf)
         self._least[self._at_w], self._most[self._at_w] = 0.0, 1.0
 
     def _stage(self):
@@ -488,9 +477,8 @@ class CorrectionProgram:
             stats = self._solver.stats()
         except RuntimeError as error:
             reason = str(error).strip().splitlines()[-1][-200:]
-            if (
-                "basic_string" in reason
-            ):  # how CasADi passes on that a quadratic program ended without a status
+            # How CasADi passes on that a quadratic program ended without a status.
+            if "basic_string" in reason:
                 reason = "a quadratic program within it has no solution"
             return None, f"{self.solver}: {reason}"
         x = np.asarray(found["x"]).ravel()
@@ -516,11 +504,8 @@ def _options(solver: str, equal: list[bool], plain: bool, most: int) -> dict:
         return QUIET | {
             "ipopt": {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": most, "max_wall_time": 2.0}
         }
-    inner: dict[str, Any] = {"error_on_fail": False, "print_time": False}
-    inner |= (
-        {"hpipm.mode": "robust", "hpipm.iter_max": 60} if solver == "hpipm" else {"piqp": {"max_iter": 60}}
-    )
-    options = QUIET | QUIET_SQP | {"qpsol": solver, "qpsol_options": inner, "max_iter": 15}
+    inner = {"hpipm": {"hpipm.mode": "robust", "hpipm.iter_max": 60}, "piqp": {"piqp": {"max_iter": 60}}}
+    options = QUIET | QUIET_SQP | {"qpsol": solver, "qpsol_options": QUIET | inner[solver], "max_iter": 15}
     # For given modes (2.43) is one convex quadratic program: full steps, where a line search would stall on rounding.
     return options | ({"max_iter_ls": 0} if plain else {"convexify_strategy": "eigen-clip"})
 

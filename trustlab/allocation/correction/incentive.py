@@ -88,9 +88,7 @@ def incentive_bounds(
         raise ValueError(f"model must be a TscModel or a RobotModel, got {type(model).__name__}")
     c_b = positive("c_b", c_b)
     if not np.ndim(r) and not np.ndim(p_r):
-        now = within_range("p_r", finite_number("p_r", p_r), robot.p_min, robot.p_max)
-        low, high = incentive_box(between("r", r, 0.0, 1.0), now, c_b, robot.p_min, robot.p_max)
-        return min(low, 0.0), max(high, 0.0)
+        r, p_r = between("r", r, 0.0, 1.0), within_range("p_r", p_r, robot.p_min, robot.p_max)
     try:
         load, performance = np.broadcast_arrays(np.asarray(r, dtype=float), np.asarray(p_r, dtype=float))
     except (TypeError, ValueError) as error:
@@ -111,7 +109,8 @@ def incentive_bounds(
     performance = np.clip(performance, robot.p_min, robot.p_max)
     low, high = incentive_box(load, performance, c_b, robot.p_min, robot.p_max)
     # Thresholds may always be held; rounding must not exclude that.
-    return np.minimum(low, 0.0), np.maximum(high, 0.0)
+    low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+    return (low, high) if np.ndim(low) else (float(low), float(high))
 
 
 def within_range(name: str, value: float, least: float, most: float) -> float:

@@ -137,17 +137,10 @@ class CorrectionPlan:
         """
         import pandas as pd
 
-        end = [np.nan]
-        columns = {
-            "r": self.r,
-            "p_r": self.p_r,
-            "lower": self.lower,
-            "upper": self.upper,
-            "mode": np.r_[self.mode, end],
-            "c_l": np.r_[self.actions_l, end],
-            "c_u": np.r_[self.actions_u, end],
-        }
-        return pd.DataFrame(columns).rename_axis("step")
+        columns = {"r": self.r, "p_r": self.p_r, "lower": self.lower, "upper": self.upper}
+        columns |= {"mode": self.mode, "c_l": self.actions_l, "c_u": self.actions_u}
+        # As series, so that pandas fills step N of the last three, which have one value less, with NaN.
+        return pd.DataFrame({name: pd.Series(values) for name, values in columns.items()}).rename_axis("step")
 
     def plot(self, sample_time: float = 0.1):
         """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -108,31 +109,18 @@ class CorrectionRun:
         import matplotlib.pyplot as plt
 
         tests = self.data["test"].unique()
+        size = (3 * tests.size + 0.5, 3.2)
         figure, axes = plt.subplots(
-            1,
-            tests.size,
-            sharey=True,
-            squeeze=False,
-            figsize=(3 * tests.size + 0.5, 3.2),
-            layout="constrained",
+            1, tests.size, sharey=True, squeeze=False, figsize=size, layout="constrained"
         )
-        for axis, test, letter in zip(
-            axes[0], tests, "abcdefghijklmnopqrstuvwxyz" * tests.size, strict=False
-        ):
+        for axis, test, letter in zip(axes[0], tests, ascii_lowercase * tests.size, strict=False):
             part = self.data[self.data["test"] == test]
             axis.plot(part["t"], part["tsc"], lw=0.8, color="C0", label="TSC")
-            for side in ("lower", "upper"):
-                axis.plot(
-                    part["t"], part[side], "--", color="C3", label="thresholds" if side == "lower" else None
-                )
-            for value in target or self.target:
-                axis.axhline(
-                    value,
-                    ls="-.",
-                    lw=1,
-                    color="0.4",
-                    label="target" if value == (target or self.target)[0] else None,
-                )
+            # One label for both thresholds, and one for both targets: the second line has none.
+            for side, label in (("lower", "thresholds"), ("upper", None)):
+                axis.plot(part["t"], part[side], "--", color="C3", label=label)
+            for value, label in zip(target or self.target, ("target", None), strict=True):
+                axis.axhline(value, ls="-.", lw=1, color="0.4", label=label)
             axis.set(xlabel="time [s]", title=f"({letter}) test {test}")
         axes[0, 0].set(ylabel="TSC")
         figure.legend(
