@@ -100,9 +100,9 @@ class Sweep:
         names = list(self.axes)
         x = names[0] if x is None else x
         y = next((name for name in names if name != x), None) if y is None else y
-        for role, name in (("x", x), ("y", y)):
-            if name is not None and name not in names:
-                raise ValueError(f"{role} must be what was varied, one of {', '.join(names)}, got {name!r}")
+        one_of("x, among what was varied,", x, names)
+        if y is not None:
+            one_of("y, among what was varied,", y, names)
         if x == y:
             raise ValueError(f"x and y must be different, both are {x!r}")
         hidden = [name for name in names if name not in (x, y) and self.axes[name].size > 1]
@@ -151,12 +151,9 @@ def varied_model(tsc: TscModel, values: Mapping[str, float]) -> TscModel:
     ValueError
         If a name is unknown or the parameters make no model.
     """
-    unknown = [name for name in values if name not in PARAMETERS]
-    if unknown:
-        raise ValueError(f"no parameter is called {unknown[0]!r}; there are {', '.join(PARAMETERS)}")
     parts = {"robot": {}, "human": {}}
     for name, value in values.items():
-        part, _, field = name.partition(".")
+        part, _, field = one_of("what is varied", name, PARAMETERS).partition(".")
         parts[part][field] = value
     robot, human = tsc.robot, tsc.human
     if "p_max" in parts["human"] and "p_h_max" not in parts["robot"] and robot.p_h_max == human.p_max:
@@ -283,8 +280,7 @@ def cycle_sensitivity(
         ranges then.
     """
     _checked(tsc, ranges, lower, upper)
-    unknown = [name for name in quantities if name not in QUANTITIES]
-    if unknown or not quantities or isinstance(quantities, str):
+    if isinstance(quantities, str) or not quantities or not set(quantities) <= set(QUANTITIES):
         raise ValueError(f"quantities must be among {', '.join(QUANTITIES)}, got {quantities!r}")
     task = functools.partial(cycle_at, tsc=tsc, lower=lower, upper=upper, starts=1)
     return sobol_indices(task, ranges, n, results=list(quantities), **options)
@@ -296,8 +292,7 @@ def _checked(tsc: object, axes: object, lower: object, upper: object) -> list[st
     if not isinstance(axes, Mapping) or not axes:
         raise ValueError("give what to vary by name, such as {'lower': [0.0, 0.1], 'human.beta': [0.7, 0.8]}")
     for name in axes:
-        if name not in (*THRESHOLDS, *PARAMETERS):
-            raise ValueError(f"{name!r} cannot be varied; there are {', '.join((*THRESHOLDS, *PARAMETERS))}")
+        one_of("what is varied", name, (*THRESHOLDS, *PARAMETERS))
     for name, value in (("lower", lower), ("upper", upper)):
         if (value is None) == (name not in axes):
             remedy = "give it a value, or vary it" if value is None else "do not give it where it is varied"

@@ -124,10 +124,8 @@ class SteadyStateBounds:
                 axis.axhline(bound, color="0.5", lw=0.8)
             axis.set(xlabel="dwell time [s]", ylabel="$P_r$", title=title)
         settled = longest_phase(self.model.constants())
-        run = simulate_allocation(self.model, self.lower, self.upper, settled + 4000, r0=0.1)["r"].iloc[
-            settled:
-        ]
-        axes[2].plot(np.arange(run.size) * sample_time, run, label="r under (2.8)")
+        run = simulate_allocation(self.model, self.lower, self.upper, settled + 4000, r0=0.1)
+        axes[2].plot(np.arange(4000) * sample_time, run["r"].iloc[settled:], label="r under (2.8)")
         for bound, label in ((self.r_low, "$r_l$, $r_u$ (2.33)"), (self.r_high, None)):
             axes[2].axhline(bound, color="C1", ls="--", label=label)
         axes[2].axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
@@ -221,9 +219,8 @@ def steady_state_bounds(
     lower, upper = check_thresholds(tsc, lower, upper, threshold_limits(tsc, 0.0))
     if delta_tsc is None:
         cycle = limit_cycle(tsc, lower, upper, starts=1)
-        delta_tsc = (
-            step_bounds(tsc, cycle.r_low, cycle.r_high) if cycle.exists else step_bounds(tsc)
-        ).delta_tsc
+        visited = (cycle.r_low, cycle.r_high) if cycle.exists else ()
+        delta_tsc = step_bounds(tsc, *visited).delta_tsc
     delta_tsc = between("delta_tsc", delta_tsc, 0.0, 2.0)  # TSC lies in [−1, 1]
     robot = tsc.robot
     found = performance_as_printed(tsc.constants(), lower, upper, delta_tsc)

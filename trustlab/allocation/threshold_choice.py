@@ -91,30 +91,19 @@ class ThresholdChoice:
             (axes[0], "mean_p_r", "mean robot performance"),
             (axes[1], "mean_r", "mean utilization"),
         ):
-            points = axis.scatter(
-                self.candidates["lower"], self.candidates["upper"], c=self.candidates[name], s=14, marker="s"
-            )
+            points = axis.scatter("lower", "upper", c=name, data=self.candidates, s=14, marker="s")
             axis.plot(self.lower, self.upper, "k*", ms=12, label="choice")
             axis.set(xlabel="$TSC_l$", ylabel="$TSC_u$", title=label)
             axis.legend(loc="lower right", fontsize="small")
             figure.colorbar(points, ax=axis)
-        front = self.front()
-        axes[2].plot(
-            front["mean_r"], front["mean_p_r"], "-", color="C1", lw=3, alpha=0.5, label="Pareto front"
-        )
-        axes[2].scatter(
-            self.candidates["mean_r"],
-            self.candidates["mean_p_r"],
-            s=10,
-            color="0.35",
-            lw=0,
-            label="feasible pairs",
-            zorder=3,
-        )
-        axes[2].plot(self.cycle.mean_r, self.cycle.mean_p_r, "k*", ms=12, label="choice")
-        axes[2].axvline(self.model.human.beta, color="k", lw=0.8, ls=":", label="β")
-        axes[2].set(xlabel="mean utilization", ylabel="mean robot performance", title="trade-off")
-        axes[2].legend(fontsize="small")
+        trade_off, means = axes[2], ("mean_r", "mean_p_r")
+        trade_off.plot(*means, "-", data=self.front(), color="C1", lw=3, alpha=0.5, label="Pareto front")
+        style = {"s": 10, "color": "0.35", "lw": 0, "zorder": 3}
+        trade_off.scatter(*means, data=self.candidates, label="feasible pairs", **style)
+        trade_off.plot(self.cycle.mean_r, self.cycle.mean_p_r, "k*", ms=12, label="choice")
+        trade_off.axvline(self.model.human.beta, color="k", lw=0.8, ls=":", label="β")
+        trade_off.set(xlabel="mean utilization", ylabel="mean robot performance", title="trade-off")
+        trade_off.legend(fontsize="small")
         return axes
 
 

@@ -17,6 +17,7 @@ import numpy as np
 Kind = TypeVar("Kind")
 
 __all__ = [
+    "array_between",
     "between",
     "did_you_mean",
     "finite_array",
@@ -185,13 +186,16 @@ def _objects(array: np.ndarray) -> list:
     return array.ravel().tolist() if array.dtype.kind == "O" else []
 
 
-def mode_array(mode: Any) -> np.ndarray:
-    """Return a float array of manual shares in [0, 1]: 1 manual, 0 autonomous, or a share between them."""
-    array = finite_array("mode", mode)
-    outside = (array < 0.0) | (array > 1.0)
+def array_between(name: str, values: Any, low: float, high: float, meaning: str) -> np.ndarray:
+    """Return a float array, as `finite_array`, within [low, high]; `meaning` says what these are, for the error only."""
+    array = finite_array(name, values)
+    outside = (array < low) | (array > high)
     if outside.any():
         k = int(np.argmax(outside))
-        raise ValueError(
-            f"mode must lie in [0, 1] (1 manual, 0 autonomous, or a share), but sample {k} is {array[k]}"
-        )
+        raise ValueError(f"{name} must lie in [{low:g}, {high:g}] ({meaning}), but sample {k} is {array[k]}")
     return array
+
+
+def mode_array(mode: Any) -> np.ndarray:
+    """Return a float array of manual shares in [0, 1]: 1 manual, 0 autonomous, or a share between them."""
+    return array_between("mode", mode, 0.0, 1.0, "1 manual, 0 autonomous, or a share")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from trustlab.models.checks import between, finite_array, finite_number, in_order, positive
+from trustlab.models.checks import array_between, between, finite_array, finite_number, in_order, positive
 from trustlab.models.deprecation import warn_renamed
 
 __all__ = ["LogisticScaling", "StepScaling", "TrustModel"]
@@ -186,13 +186,7 @@ class TrustModel:
         ValueError
             If a sample is not finite or out of range.
         """
-        values = finite_array("performance", performance)
-        outside = (values < self.p_min) | (values > self.p_max)
-        if outside.any():
-            k = int(np.argmax(outside))
-            raise ValueError(
-                f"performance must lie in [{self.p_min}, {self.p_max}] (p_min, p_max), but sample {k} is {values[k]}"
-            )
+        values = array_between("performance", performance, self.p_min, self.p_max, "p_min, p_max")
         span = self.t_max - self.t_min
         start = self.t_min if trust0 is None else finite_number("trust0", trust0)
         share = (values[:-1] - self.p_min) / (self.p_max - self.p_min)

@@ -13,6 +13,7 @@ from trustlab.allocation.correction.incentive import ROUNDING
 from trustlab.allocation.correction.plan import CorrectionPlan, CorrectionStatus
 from trustlab.models.checks import between, finite_number, of_class, one_of
 from trustlab.models.human import next_utilization
+from trustlab.models.tsc import tsc_at
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -105,10 +106,7 @@ class OnlineCorrection:
         self.lower, self.upper = threshold_pair("start", start)
         self.mode, self.r = check_mode(mode), between("r", r, 0.0, 1.0)
         self._nearest = one_of("outside", outside, ("hold", "nearest")) == "nearest"
-        tsc = corrector.tsc
-        self._a, self._weights = tsc.human.a, (tsc.a_T, tsc.b_T)
-        self._range = (tsc.robot.p_min, tsc.robot.p_max)
-        self._slack = ROUNDING * (tsc.robot.p_max - tsc.robot.p_min)
+        self._c = corrector.tsc.constants()
         self._steps: list[OnlineStep] = []
 
     def update(self, p_r: float, p_h: float, mode: int | None = None) -> OnlineStep:
@@ -135,19 +133,20 @@ class OnlineCorrection:
         began = perf_counter()
         p_r, p_h = measured("p_r", p_r), measured("p_h", p_h)
         now = self.mode if mode is None or (isinstance(mode, float) and mode != mode) else check_mode(mode)
-        lower, upper = self.lower, self.upper
+        c, lower, upper = self._c, self.lower, self.upper
         plan: CorrectionPlan | None = None
-        tsc = self._weights[0] * p_r - self._weights[1] * p_h
+        tsc = tsc_at.py_func(p_r, p_h, c)
         if math.isinf(tsc) or (tsc != tsc and p_r == p_r and p_h == p_h):
             raise ValueError(f"TSC overflows for p_r = {p_r} and p_h = {p_h}; check their unit")
         if tsc != tsc:
             status, suggestion = CorrectionStatus.MISSING, -1
         else:
             suggestion = suggestion_now(tsc, lower, upper)
-            least, most = self._range
-            inside = least - self._slack <= p_r <= most + self._slack
+            slack = ROUNDING * (c.p_r_max - c.p_r_min)
+            inside = c.p_r_min - slack <= p_r <= c.p_r_max + slack
             if inside or self._nearest:
-                plan = self.corrector.step(self.r, min(max(p_r, least), most), lower, upper, now)
+                nearest = min(max(p_r, c.p_r_min), c.p_r_max)
+                plan = self.corrector.step(self.r, nearest, lower, upper, now)
                 status = plan.status if inside or plan.status.held else CorrectionStatus.NEAREST
             else:
                 status = CorrectionStatus.OUTSIDE
@@ -155,7 +154,7 @@ class OnlineCorrection:
         cost, bound = (plan.cost, plan.cost_lower_bound) if plan else (math.nan, math.nan)
         r = self.r
         self.lower, self.upper, self.mode = lower + c_l, upper + c_u, now
-        self.r = min(max(next_utilization.py_func(r, now, self._a), 0.0), 1.0)
+        self.r = min(max(next_utilization.py_func(r, now, c.a_r), 0.0), 1.0)
         sample, latency = len(self._steps), perf_counter() - began
         step = OnlineStep(sample, suggestion, tsc, lower, upper, c_l, c_u, r, cost, bound, status, latency)
         self._steps.append(step)
