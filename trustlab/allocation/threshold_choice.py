@@ -196,8 +196,7 @@ def _beside_limits(tsc: TscModel, lower: float, upper: float, limits: ThresholdL
 def _front(cost: np.ndarray, gain: np.ndarray) -> np.ndarray:
     """Return which points no other has with less cost and at least the gain, or more gain at no more cost."""
     order = np.lexsort((-gain, cost))
-    front, best = np.zeros(cost.size, dtype=bool), -np.inf
-    for k in order:
-        if gain[k] > best:
-            front[k], best = True, gain[k]
+    best_before = np.maximum.accumulate(np.r_[-np.inf, gain[order]])[:-1]
+    front = np.empty(cost.size, dtype=bool)
+    front[order] = gain[order] > best_before
     return front

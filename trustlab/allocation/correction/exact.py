@@ -338,17 +338,8 @@ class ExactEngine:
         self._start[LOWER], self._start[UPPER] = lower, upper
         n = self._work.waiting.size
         states, actions = np.empty((5, n)), np.empty((2, n - 1))
-        found = self._search(
-            *self._problem,
-            self._start,
-            r,
-            p_r,
-            float(mode),
-            self._standard,
-            *self._work,
-            states,
-            actions,
-        )
+        now = self._start, r, p_r, float(mode), self._standard
+        found = self._search(*self._problem, *now, *self._work, states, actions)
         return found, states, actions
 
     def solve(self, r: float, p_r: float, lower: float, upper: float, mode: int) -> CorrectionPlan:

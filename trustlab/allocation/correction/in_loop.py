@@ -81,22 +81,10 @@ def correct_thresholds(correction, k, r, p_r, mode):
     c, thresholds = TscConstants(*correction.constants), correction.thresholds
     work, best = correction.work, correction.best
     now = min(max(p_r, c.p_r_min), c.p_r_max)
-    cost, bound, _, _, _, _ = search(
-        correction.constants,
-        correction.c_b,
-        correction.target,
-        correction.budget,
-        thresholds,
-        r,
-        now,
-        float(mode),
-        True,
-        work.steps,
-        work.thresholds,
-        work.waiting,
-        best.states,
-        best.actions,
-    )
+    problem = correction.constants, correction.c_b, correction.target, correction.budget
+    state = thresholds, r, now, float(mode), True
+    room = work.steps, work.thresholds, work.waiting, best.states, best.actions
+    cost, bound, _, _, _, _ = search(*problem, *state, *room)
     row = correction.log[k]
     row.lower, row.upper = thresholds[LOWER], thresholds[UPPER]
     row.cost, row.bound, row.clipped = cost, bound, now != p_r

@@ -165,13 +165,8 @@ def all_phases(r, p, mode, k, limits, sign, c):
     offset = (
         max((p_most - c.p_r_min) / span - 1.0, 0.0) if sign > 0 else max((c.p_r_min - p_least) / span, 0.0)
     )
-    phases = Phases(
-        np.full(NODES, -1, np.int64),
-        np.zeros(NODES, np.int64),
-        np.zeros((NODES, 2)),
-        np.empty(POOL),
-        np.empty(POOL),
-    )
+    first, last, ends = np.full(NODES, -1, np.int64), np.zeros(NODES, np.int64), np.zeros((NODES, 2))
+    phases = Phases(first, last, ends, np.empty(POOL), np.empty(POOL))
     queue, queued = np.empty(NODES, np.int64), np.zeros(NODES, np.bool_)
     allowed = WORK + WORK_EACH * k
     h = np.empty((k + 2, 2))

@@ -150,28 +150,15 @@ def propagate(manual, poly, k, error, target, c, most, out, corners, errors):
 @numba.njit(cache=True)
 def propagate_cycle(poly, k, error, lower, upper, c, most, out, corners, errors):
     """Propagate a polygon through a manual and an autonomous phase, as `propagate`."""
-    half, half_corners, half_errors = (
-        np.empty((PARTS, CORNERS, 2)),
-        np.empty(PARTS, np.int64),
-        np.empty(PARTS),
-    )
+    half = np.empty((PARTS, CORNERS, 2))
+    half_corners, half_errors = np.empty(PARTS, np.int64), np.empty(PARTS)
     middle, steps = propagate(True, poly, k, error, upper, c, most, half, half_corners, half_errors)
     if middle < 0:
         return middle, steps
     parts = 0
     for j in range(middle):
-        more, stepped = propagate(
-            False,
-            half[j],
-            half_corners[j],
-            half_errors[j],
-            lower,
-            c,
-            most,
-            out[parts : parts + PARTS],
-            corners[parts:],
-            errors[parts:],
-        )
+        room = out[parts : parts + PARTS], corners[parts:], errors[parts:]
+        more, stepped = propagate(False, half[j], half_corners[j], half_errors[j], lower, c, most, *room)
         steps += stepped
         if more < 0:
             return more, steps
@@ -213,11 +200,8 @@ def narrow(low, high, over, lower, upper, c, cells, cycles, most, budget):
 
     Returns low, high, over, and how many more cycles it takes until every trajectory is within these.
     """
-    out, corners, errors = (
-        np.empty((4 * PARTS, CORNERS, 2)),
-        np.empty(4 * PARTS, np.int64),
-        np.empty(4 * PARTS),
-    )
+    out = np.empty((4 * PARTS, CORNERS, 2))
+    corners, errors = np.empty(4 * PARTS, np.int64), np.empty(4 * PARTS)
     poly, waiting = np.empty((CORNERS, 2)), np.empty((64, 2))
     stepped, done = 0, 0
     for _ in range(cycles):
