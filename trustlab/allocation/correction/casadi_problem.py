@@ -504,8 +504,10 @@ def _options(solver: str, equal: list[bool], plain: bool, most: int) -> dict:
         return QUIET | {
             "ipopt": {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": most, "max_wall_time": 2.0}
         }
-    inner = {"hpipm": {"hpipm.mode": "robust", "hpipm.iter_max": 60}, "piqp": {"piqp": {"max_iter": 60}}}
-    options = QUIET | QUIET_SQP | {"qpsol": solver, "qpsol_options": QUIET | inner[solver], "max_iter": 15}
+    inner = (
+        {"hpipm.mode": "robust", "hpipm.iter_max": 60} if solver == "hpipm" else {"piqp": {"max_iter": 60}}
+    )
+    options = QUIET | QUIET_SQP | {"qpsol": solver, "qpsol_options": QUIET | inner, "max_iter": 15}
     # For given modes (2.43) is one convex quadratic program: full steps, where a line search would stall on rounding.
     return options | ({"max_iter_ls": 0} if plain else {"convexify_strategy": "eigen-clip"})
 

@@ -88,7 +88,8 @@ def incentive_bounds(
         raise ValueError(f"model must be a TscModel or a RobotModel, got {type(model).__name__}")
     c_b = positive("c_b", c_b)
     if not np.ndim(r) and not np.ndim(p_r):
-        r, p_r = between("r", r, 0.0, 1.0), within_range("p_r", p_r, robot.p_min, robot.p_max)
+        r = between("r", r, 0.0, 1.0)
+        p_r = within_range("p_r", finite_number("p_r", p_r), robot.p_min, robot.p_max)
     try:
         load, performance = np.broadcast_arrays(np.asarray(r, dtype=float), np.asarray(p_r, dtype=float))
     except (TypeError, ValueError) as error:
