@@ -136,7 +136,8 @@ def _on_hundred(answers: pd.DataFrame, rescale: str | None) -> pd.DataFrame:
         hint = ""
         top = np.nanmax(answers.to_numpy(), initial=0.0)
         if top <= 21.0:
-            hint = f"; no answer exceeds {top:g}: if the form had another scale, set rescale= to {known}"
+            seen = f"no answer exceeds {top:g}: if the form had another scale"
+            hint = f"; {seen}, set rescale= to one of {known}"
         check_answers(answers, 0.0, 100.0, 5.0, hint)
         return answers
     if not isinstance(rescale, str) or rescale not in TLX_RESCALINGS:
