@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -164,7 +165,7 @@ def paired_t_test(
     scores, excluded = complete_scores(table, missing)
     pair = analyse_table(scores).pairwise
     names = ("mean_difference", "sd_difference", "t", "p", "d_z", "d_av")
-    test = {name: float(getattr(pair, name)[0, 0]) for name in names}
+    test: dict[str, Any] = {name: float(getattr(pair, name)[0, 0]) for name in names}
     half = float(t_half_width(test["sd_difference"], len(scores.subjects), confidence))
     a, b = scores.values.T
     normality = normality_of_differences(scores.values, pair.a, pair.b)
