@@ -165,7 +165,8 @@ def finite_array(name: str, values: Any, *, length: int | None = None) -> np.nda
     """Return a one-dimensional float array without gaps, of `length` samples where that is given."""
     try:
         given = np.asarray(values)
-        if given.dtype.kind not in "biufO" or any(isinstance(x, str | bytes) for x in _objects(given)):
+        kind = given.dtype.kind
+        if kind not in "biufO" or (kind == "O" and any(isinstance(x, str | bytes) for x in given.flat)):
             raise TypeError
         array = np.asarray(given, dtype=float)
     except (TypeError, ValueError, OverflowError):
@@ -179,11 +180,6 @@ def finite_array(name: str, values: Any, *, length: int | None = None) -> np.nda
         k = int(np.argmax(bad))
         raise ValueError(f"{name} must be finite, but sample {k} is {array[k]}")
     return np.ascontiguousarray(array)
-
-
-def _objects(array: np.ndarray) -> list:
-    """Return the items of an array of objects; nothing for an array of numbers."""
-    return array.ravel().tolist() if array.dtype.kind == "O" else []
 
 
 def array_between(name: str, values: Any, low: float, high: float, meaning: str) -> np.ndarray:

@@ -63,7 +63,7 @@ class Situation(NamedTuple):
     @property
     def before(self) -> int:
         """The mode before."""
-        return int(self.state[4])
+        return int(self.state[-1])
 
     @property
     def message(self) -> str:
