@@ -173,10 +173,7 @@ class PassivityController:
         v, f = signal("velocity", velocity), signal("force", force)
         if v.shape != f.shape:
             raise ValueError(f"velocity and force must have one shape (N, n), got {v.shape} and {f.shape}")
-        rows = []
-        for velocity, force in zip(v, f, strict=True):
-            done = self.step(velocity, force)
-            rows.append((*done.force, done.z, done.energy, done.deficit))
-        return pd.DataFrame(
-            rows, columns=[*(f"force_{i}" for i in range(v.shape[1])), "z", "energy", "deficit"]
-        )
+        steps = [self.step(*sample) for sample in zip(v, f, strict=True)]
+        rows = [(*done.force, done.z, done.energy, done.deficit) for done in steps]
+        forces = [f"force_{i}" for i in range(v.shape[1])]
+        return pd.DataFrame(rows, columns=[*forces, "z", "energy", "deficit"])

@@ -43,19 +43,19 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
         If the graph is none of that; parts, loops and edges are named.
     """
     if hasattr(graph, "is_directed") and hasattr(graph, "adjacency"):
+        import networkx
+
         if graph.is_directed():
             raise GraphError("the graph is directed; robots must see each other: pass graph.to_undirected()")
         if graph.is_multigraph():
             raise GraphError("the graph has parallel edges (a multigraph); pass networkx.Graph(graph)")
         names = tuple(graph.nodes)
-        place = {name: i for i, name in enumerate(names)}
-        matrix = np.zeros((len(names), len(names)))
-        for one, other, facts in graph.edges(data=True):
-            if facts.get("weight", 1) != 1:
+        for one, other, weight in graph.edges(data="weight", default=1):
+            if weight != 1:
                 raise GraphError(
-                    f"edge {one!r}-{other!r} has weight {facts['weight']!r}, but a_ij is 0 or 1 (Section 4.2); remove the weights"
+                    f"edge {one!r}-{other!r} has weight {weight!r}, but a_ij is 0 or 1 (Section 4.2); remove the weights"
                 )
-            matrix[place[one], place[other]] = matrix[place[other], place[one]] = 1.0
+        matrix = networkx.to_numpy_array(graph, weight=None)
     else:
         try:
             given = np.asarray(graph)
