@@ -123,6 +123,15 @@ def test_gaps_in_the_middle_are_filled(tmp_path):
     pd.testing.assert_frame_equal(first, second)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="elsewhere only the direct parent is watched")
+def test_a_worker_whose_parent_died_before_it_had_started_ends():
+    parent = subprocess.Popen([sys.executable, "-c", ""])
+    parent.wait()
+    code = f"import time; from trustlab.campaign.worker import exit_with_parent as e; e({parent.pid}); time.sleep(50)"
+    environment = os.environ | {"PYTHONPATH": str(Path(tl.__file__).parents[1])}
+    assert subprocess.run([sys.executable, "-c", code], env=environment, timeout=45).returncode == 1
+
+
 def test_what_was_being_written_is_thrown_away(tmp_path):
     first = go(tmp_path)
     victim = chunks(tmp_path)[-1]

@@ -58,13 +58,25 @@ def running_task() -> bool:
 
 def exit_with_parent(parent: int) -> None:
     """End this process within a second of the process that started it, even where that one was killed."""
+    direct = os.getppid() == parent
+
+    def lives() -> bool:
+        if direct:
+            return os.getppid() == parent
+        try:
+            os.kill(parent, 0)
+        except OSError:
+            return False
+        return True
 
     def watch() -> None:
-        while os.getppid() == parent:
+        while lives():
             sleep(0.5)
         os._exit(1)
 
-    if os.getppid() == parent:  # not so where a launcher stands between the two, as on Windows
+    # It is not the direct parent where a launcher stands between the two, or where it was killed while this process
+    # started. On Windows, where launchers are usual, os.kill would end the process instead of asking for it.
+    if direct or os.name == "posix":
         threading.Thread(target=watch, daemon=True).start()
 
 
