@@ -115,7 +115,7 @@ def test_bounds_hold_and_are_reported(operators, make_session, switching):
         ({"noise": "pink"}, "noise must be"),
         ({"method": "regression", "fixed": {"a": 0.9}}, "plain least squares"),
         ({"method": "regression"}, "column r"),
-        ({"fixed": 0.9}, "fixed must be a dictionary"),
+        ({"fixed": 0.9}, "fixed must be of class Mapping, got float; give a dictionary"),
         ({"fixed": {"p_min": 0.5, "p_max": 0.4}}, "p_min is fixed at 0.5, not below p_max at 0.4"),
         ({"fixed": {"a": 0.9}, "bounds": {"a": (0.8, 0.95)}}, "both fixed and bounded"),
     ],
@@ -139,7 +139,7 @@ def test_sessions_that_do_not_fit_together(operators, make_session, switching):
         tl.fit_robot([one, other])
     with pytest.raises(IdentificationError, match="no session"):
         tl.fit_robot([])
-    with pytest.raises(ValueError, match="must be of class Session, got DataFrame; read one with"):
+    with pytest.raises(ValueError, match="must be of class Session, got DataFrame; pass a session or"):
         tl.fit_robot([one.data])
     run = SimpleNamespace(session=one)
     for given in (run, [run]):

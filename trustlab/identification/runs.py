@@ -13,6 +13,11 @@ from trustlab.sessions.session import Session
 
 __all__ = ["Run", "block_means", "joined", "read_runs"]
 
+HOW_TO_GET = (
+    "pass a session or a list of them; read a file with trustlab.read_session(path), or make one of a table: "
+    'trustlab.Session(frame.set_index("t"))'
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -36,22 +41,13 @@ class Run:
 
 def read_runs(sessions: Session | Iterable[Session], *needed: str) -> list[Run]:
     """Take the columns that a fit needs out of one or several sessions with the same sample time."""
-    if isinstance(sessions, Session):
-        sessions = [sessions]
-    iterable = isinstance(sessions, Iterable) and not isinstance(sessions, (str, bytes, Mapping))
-    if not iterable or hasattr(sessions, "columns"):
-        of_class(
-            "sessions",
-            sessions,
-            Session,
-            "pass a session or a list of them; read a file with trustlab.read_session(path), or make one of a table: "
-            'trustlab.Session(frame.set_index("t"))',
-        )
-    given = list(sessions)
+    # A table, a mapping or a path can be iterated over too, but what comes out says nothing of the mistake.
+    several = isinstance(sessions, Iterable) and not isinstance(sessions, (Session, str, bytes, Mapping))
+    given = list(sessions) if several and not hasattr(sessions, "columns") else [sessions]
     if not given:
         raise IdentificationError("no session was given; pass one or a list of them")
     for session in given:
-        of_class("each session", session, Session, "read one with trustlab.read_session(path)")
+        of_class("sessions", session, Session, HOW_TO_GET)
         session.require(*needed)
         if abs(session.sample_time - given[0].sample_time) > 1e-6 * given[0].sample_time:
             raise IdentificationError(

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import did_you_mean, finite_number, one_of, shown
+from trustlab.models.checks import did_you_mean, finite_number, of_class, one_of, shown
 
 __all__ = ["COORDINATES", "Coordinate", "IdentificationError", "LinearForm", "Parameter", "Structure"]
 
@@ -353,10 +353,7 @@ class Structure:
         """
         fixed, bounds = {} if fixed is None else fixed, {} if bounds is None else bounds
         for what, given in (("fixed", fixed), ("bounds", bounds)):
-            if not isinstance(given, Mapping):
-                raise ValueError(
-                    f"{what} must be a dictionary by parameter, for example {{'a': ...}}, got {given!r}"
-                )
+            of_class(what, given, Mapping, "give a dictionary by parameter, for example {'a': ...}")
             self.check_names(given, what)
         for name in set(fixed) & set(bounds):
             raise ValueError(f"{name} is both fixed and bounded; give one of them")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg, optimize, signal
@@ -96,8 +96,7 @@ def fit_transfer_function(
     limits = structure.limits()
     check_data(structure, runs, limits)
     fit = result(estimate_runs(structure, runs, limits, noise))
-    values = {field.name: getattr(fit, field.name) for field in fields(fit)}
-    return TransferFunctionFit(**values | {"sigma": fit.sigma["velocity"]})
+    return TransferFunctionFit(**vars(fit) | {"sigma": fit.sigma["velocity"]})
 
 
 def transfer_structure(order: int, sample_time: float) -> Structure:
@@ -149,19 +148,19 @@ def _responses(denominator: np.ndarray, u: np.ndarray, sample_time: float) -> np
     block[n - 1, :n], block[n - 1, n] = -denominator[::-1], 1.0
     whole = linalg.expm(block * sample_time)
     phi, gamma = whole[:n, :n], whole[:n, n]
-    # As difference equations: v is the first state, so (zI − Φ)⁻¹ is written out for n = 1 and 2.
+    # As difference equations: v is the first state, so the first row of (zI − Φ)⁻¹ is written out for n = 1 and 2, its
+    # numerators by falling powers of z.
     pulse = np.zeros(u.size)
     pulse[0] = 1.0
     if n == 1:
         poles = np.array([1.0, -phi[0, 0]])
-        filters = [(np.array([0.0, gamma[0]]), u), (np.array([1.0, 0.0]), pulse)]
+        first_row = np.ones((1, 1))
     else:
         determinant = phi[0, 0] * phi[1, 1] - phi[0, 1] * phi[1, 0]
         poles = np.array([1.0, -(phi[0, 0] + phi[1, 1]), determinant])
-        forced = np.array([0.0, gamma[0], phi[0, 1] * gamma[1] - phi[1, 1] * gamma[0]])
-        from_velocity = np.array([1.0, -phi[1, 1], 0.0])
-        from_acceleration = np.array([0.0, phi[0, 1], 0.0])
-        filters = [(forced, u), (from_velocity, pulse), (from_acceleration, pulse)]
+        first_row = np.array([[1.0, 0.0], [-phi[1, 1], phi[0, 1]]])
+    forced = (np.r_[0.0, (first_row * gamma).sum(axis=1)], u)
+    filters = [forced, *((np.r_[state, 0.0], pulse) for state in first_row.T)]
     return np.column_stack([signal.lfilter(top, poles, x) for top, x in filters])
 
 
@@ -172,13 +171,10 @@ def _guess(
     order, target = len(denominator), np.concatenate([run["velocity"] for run in runs])
 
     def project(d):
-        design = np.zeros((target.size, 1 + order * len(runs)))
-        row = 0
-        for j, run in enumerate(runs):
-            part = _responses(d, run["command"], sample_time)
-            design[row : row + run.size, 0] = part[:, 0]
-            design[row : row + run.size, 1 + order * j : 1 + order * (j + 1)] = part[:, 1:]
-            row += run.size
+        parts = [_responses(d, run["command"], sample_time) for run in runs]
+        # The gain is shared; each run's initial states act in that run alone.
+        own = linalg.block_diag(*(part[:, 1:] for part in parts))
+        design = np.column_stack([np.concatenate([part[:, 0] for part in parts]), own])
         if not np.isfinite(design).all():
             return np.zeros(design.shape[1]), np.full(target.size, 1e6)
         weights = np.linalg.lstsq(design, target, rcond=None)[0]
