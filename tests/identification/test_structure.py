@@ -284,7 +284,7 @@ def test_what_makes_no_structure_is_refused():
         ("low < high", {"name": "rate", "low": 1.0, "high": 0.0}),
         ("low < high", {"name": "rate", "low": np.nan}),
         ("search of rate must be one of", {"name": "rate", "search": "log"}),
-        ("lies outside", {"name": "rate", "low": 0.0, "high": 1.0, "guess": 2.0}),
+        ("guess of rate must lie in", {"name": "rate", "low": 0.0, "high": 1.0, "guess": 2.0}),
     ):
         with pytest.raises(ValueError, match=says):
             tl.Parameter(**arguments)

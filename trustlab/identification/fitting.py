@@ -117,10 +117,10 @@ def estimate_runs(
     start = structure.guess(runs, limits) if structure.guess is not None else {}
     if guess is not None:
         structure.check_names(guess, "guess")
+        start = {**start, **guess}
     for parameter in (*structure.parameters, *structure.initial):
         low, high = limits[parameter.name]
-        given = None if guess is None else guess.get(parameter.name)
-        value = start.get(parameter.name, parameter.guess) if given is None else given
+        value = start.get(parameter.name, parameter.guess)
         if value is None:
             if not np.isfinite(high - low):
                 raise ValueError(

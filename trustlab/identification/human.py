@@ -19,7 +19,6 @@ from trustlab.identification.structure import (
     Parameter,
     Structure,
 )
-from trustlab.models.checks import one_of
 from trustlab.models.deprecation import warn_renamed
 from trustlab.models.human import HumanModel, performance_curve
 from trustlab.sessions.session import Session
@@ -76,11 +75,10 @@ def fit_human(
     if method == "arx":
         warn_renamed('fit_human(method="arx")', 'fit_human(method="regression")')
         method = "regression"
-    one_of("method", method, ("output_error", "regression"))
     if method == "regression":
         refuse_options(method, fixed, bounds, noise)
         return _fit_at_logged_utilization(sessions)
-    return fit(HUMAN, sessions, fixed=fixed, bounds=bounds, noise=noise)
+    return fit(HUMAN, sessions, method, fixed, bounds, noise)
 
 
 # --- the structure -------------------------------------------------------------------------------------------------
@@ -145,15 +143,10 @@ def rate_parameter(prefix: str = "") -> Parameter:
 
 def range_parameters(prefix: str = "") -> tuple[Parameter, Parameter]:
     """Return p_min and p_max, each judged by the distance between them."""
-    low, high = f"{prefix}p_min", f"{prefix}p_max"
-    return (
-        Parameter(
-            low, span=(low, high), hint="record a phase long enough to settle at the least performance"
-        ),
-        Parameter(
-            high, span=(low, high), hint="record a phase long enough to come near the greatest performance"
-        ),
-    )
+    span, hint = (f"{prefix}p_min", f"{prefix}p_max"), "record a phase long enough to"
+    low = Parameter(f"{prefix}p_min", span=span, hint=f"{hint} settle at the least performance")
+    high = Parameter(f"{prefix}p_max", span=span, hint=f"{hint} come near the greatest performance")
+    return low, high
 
 
 def human_parameters(prefix: str = "") -> tuple[Parameter, ...]:
@@ -322,7 +315,7 @@ HUMAN = Structure(
 
 def _fit_at_logged_utilization(sessions) -> FitResult:
     """Fit (2.5) to the logged utilization and (2.6) to performance against it."""
-    from scipy import optimize
+    from scipy import linalg, optimize
 
     try:
         runs = read_runs(sessions, "mode", "p_h", "r")
@@ -335,39 +328,33 @@ def _fit_at_logged_utilization(sessions) -> FitResult:
     # (2.5) as a regression without constant: r(k+1) − M(k) = a (r(k) − M(k)).
     design = np.concatenate([run["r"][:-1] - run["mode"][:-1] for run in runs])[None, :]
     target = np.concatenate([run["r"][1:] - run["mode"][:-1] for run in runs])
-    (a,), a_variance, _ = regression(design, target, ("a",))
+    rate = regression(design, target, ("a",))
 
     # (2.6) is linear in p_min and p_max: a search over beta alone, the other two by regression at each.
     r, p_h = joined(runs, "r"), joined(runs, "p_h")
 
     def at_beta(beta):
         shape = performance_curve(r, beta, 0.0, 1.0)
-        (p_min, p_max), _, residuals = regression(np.stack([1.0 - shape, shape]), p_h, ("p_min", "p_max"))
-        return shape, p_min, p_max, residuals
+        return shape, regression(np.stack([1.0 - shape, shape]), p_h, ("p_min", "p_max"))
 
-    search = optimize.minimize_scalar(
-        lambda beta: at_beta(beta)[-1] @ at_beta(beta)[-1],
-        bounds=(1e-4, 1.0 - 1e-4),
-        method="bounded",
-        options={"xatol": 1e-10},
-    )
-    beta = float(search.x)
-    shape, p_min, p_max, residuals = at_beta(beta)
+    def squares(beta):
+        residuals = at_beta(beta)[1].residuals
+        return float(residuals @ residuals)
+
+    inside, precision = (1e-4, 1.0 - 1e-4), {"xatol": 1e-10}
+    beta = float(optimize.minimize_scalar(squares, bounds=inside, method="bounded", options=precision).x)
+    shape, at_best = at_beta(beta)
+    p_min, p_max = at_best.values
     # Regressing the residuals on the derivatives by all three moves nothing, but yields their joint covariance.
     step = 1e-6 * min(beta, 1.0 - beta)
     above, below = (performance_curve(r, beta + sign * step, p_min, p_max) for sign in (1.0, -1.0))
     slopes = np.stack([(above - below) / (2.0 * step), 1.0 - shape, shape])
-    _, curve_covariance, _ = regression(slopes, residuals, ("beta", "p_min", "p_max"))
-    covariance = np.zeros((4, 4))
-    covariance[0, 0], covariance[1:, 1:] = a_variance[0, 0], curve_covariance
-    return simulated_result(
-        HUMAN,
-        runs,
-        np.array([a, beta, p_min, p_max]),
-        covariance,
-        [(float(run["r"][0]),) for run in runs],
-        residuals,
-        p_h.size - 3,
-        "regression",
-        "Least squares at the logged utilization: noise in column r biases a and beta.",
+    curve = regression(slopes, at_best.residuals, ("beta", "p_min", "p_max"))
+    found = curve._replace(
+        values=np.r_[rate.values, beta, p_min, p_max],
+        covariance=linalg.block_diag(rate.covariance, curve.covariance),
+        residuals=at_best.residuals,
     )
+    initial = [(float(run["r"][0]),) for run in runs]
+    caution = "Least squares at the logged utilization: noise in column r biases a and beta."
+    return simulated_result(HUMAN, runs, found, initial, "regression", caution)

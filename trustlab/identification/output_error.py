@@ -28,7 +28,9 @@ class Problem:
         self.shared, self.own = len(structure.parameters), len(structure.initial)
         one_run = [one.coordinate(guess) for one in (*structure.parameters, *structure.initial)]
         self.coordinates = one_run[: self.shared] + one_run[self.shared :] * len(runs)
-        self.where = [self.columns(i) for i in range(len(runs))]
+        # Where the parameters and each run's own initial states stand in the full vector.
+        firsts = [self.shared + i * self.own for i in range(len(runs))]
+        self.where = [np.r_[: self.shared, first : first + self.own] for first in firsts]
         self.moved = [structure.columns_of(name) for name in structure.outputs]
         measured = [joined(runs, name) for name in structure.outputs]
         self.counts = np.array([values.size for values in measured], dtype=float)
@@ -45,19 +47,12 @@ class Problem:
             return [*shared, *initial]
         return [*shared, *(f"{name}[{i}]" for i in range(len(self.runs)) for name in initial)]
 
-    def columns(self, run: int) -> np.ndarray:
-        """Return where the parameters and one run's initial states stand in the full vector."""
-        first = self.shared + run * self.own
-        return np.array([*range(self.shared), *range(first, first + self.own)])
-
     def vector(self, values: Mapping) -> np.ndarray:
         """Return the full vector of values by name; an initial state may have one value per run."""
         shared = [values[name] for name in self.structure.names[: self.shared]]
-        states = [
-            np.broadcast_to(values[name], (len(self.runs),)) for name in self.structure.names[self.shared :]
-        ]
-        own = np.column_stack(states).ravel() if states else ()
-        return np.array([*shared, *own], dtype=float)
+        initial = [values[name] for name in self.structure.names[self.shared :]]
+        own = [np.broadcast_to(value, len(self.runs)) for value in initial]
+        return np.array([*shared, *np.ravel(own, order="F")], dtype=float)
 
     def predict(self, run: int, theta: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Simulate one run; return its outputs and their derivatives."""

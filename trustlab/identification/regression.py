@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -93,9 +94,18 @@ class ArxResult:
         return f"<p><b>ARX</b>, {self.residuals.size} equations</p>{self.table().to_html()}"
 
 
-def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]):
+class LeastSquares(NamedTuple):
+    """Estimates of a regression, their covariance, what it leaves unexplained, and equations less coefficients."""
+
+    values: np.ndarray
+    covariance: np.ndarray
+    residuals: np.ndarray
+    degrees_of_freedom: int
+
+
+def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -> LeastSquares:
     """
-    Solve a least-squares problem; return coefficients, their covariance s² (XXᵀ)⁻¹ and the residuals.
+    Solve a least-squares problem; the covariance is s² (XXᵀ)⁻¹.
 
     `design` holds one regressor per row, shape (p, n); `names` are those of the coefficients, for the errors.
     """
@@ -133,7 +143,7 @@ def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]):
         coefficients = vectors @ (across @ target / values) / scale
         inverse = (vectors / values**2) @ vectors.T / sizes
     residuals = target - coefficients @ design
-    return coefficients, inverse * (residuals @ residuals / (n - p)), residuals
+    return LeastSquares(coefficients, inverse * (residuals @ residuals / (n - p)), residuals, n - p)
 
 
 def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
@@ -188,8 +198,9 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
         parts.append(equations(y_run, u_run, na, lags, delays, intercept))
     design, target = _stacked(parts)
     names = _names(na, lags, intercept)
-    coefficients, covariance, residuals = regression(design, target, names)
-    return ArxResult(names, coefficients, covariance, residuals, na, lags, delays, bool(intercept))
+    found = regression(design, target, names)
+    estimates = (found.values, found.covariance, found.residuals)
+    return ArxResult(names, *estimates, na, lags, delays, bool(intercept))
 
 
 def equations(
@@ -243,8 +254,8 @@ def regress(structure: Structure, runs: list[Run], method: str) -> FitResult:
     if form is None:
         raise ValueError(f'structure {structure.name!r} has no linear form; use method="output_error"')
     design, target = _stacked([form.equations(run) for run in runs])
-    coefficients, covariance, residuals = regression(design, target, form.coefficients)
-    values, slopes = gradient(lambda at: form.parameters(*at.values()), form.coefficients, coefficients)
+    found = regression(design, target, form.coefficients)
+    values, slopes = gradient(lambda at: form.parameters(*at.values()), form.coefficients, found.values)
     for parameter, value in zip(structure.parameters, values, strict=True):
         if not parameter.low <= value <= parameter.high:
             raise IdentificationError(
@@ -252,36 +263,19 @@ def regress(structure: Structure, runs: list[Run], method: str) -> FitResult:
                 "use output_error",
                 (parameter.name,),
             )
-    return simulated_result(
-        structure,
-        runs,
-        values,
-        slopes @ covariance @ slopes.T,
-        [form.initial(run) for run in runs],
-        residuals,
-        residuals.size - coefficients.size,
-        method,
-        form.caution,
-    )
+    found = found._replace(values=values, covariance=slopes @ found.covariance @ slopes.T)
+    return simulated_result(structure, runs, found, [form.initial(run) for run in runs], method, form.caution)
 
 
 def simulated_result(
-    structure: Structure,
-    runs: list[Run],
-    values: np.ndarray,
-    covariance: np.ndarray,
-    initial: list[tuple[float, ...]],
-    residuals: np.ndarray,
-    degrees_of_freedom: int,
-    method: str,
-    caution: str,
+    structure: Structure, runs: list[Run], found: LeastSquares, initial: list, method: str, caution: str
 ) -> FitResult:
-    """Simulate every run with the estimates of a regression and put all into a FitResult."""
-    names = structure.names
+    """Simulate every run with the estimates of a regression, from its initial states, and put all into a FitResult."""
+    names, values = structure.names, found.values
     parameters = dict(zip(names, values.tolist(), strict=False))
     model = structure.model(**parameters) if structure.model is not None else parameters
     table, table_covariance = parameter_table(
-        names[: values.size], values, covariance, ["estimated"] * values.size, structure.derived
+        names[: values.size], values, found.covariance, ["estimated"] * values.size, structure.derived
     )
     predicted = [
         structure.predict(run, dict(zip(names, (*values, *states), strict=True)))[0]
@@ -290,7 +284,7 @@ def simulated_result(
     fits = run_fits(structure, runs, predicted)
     states = pd.DataFrame(initial, columns=[one.name for one in structure.initial])
     states = states.assign(**{f"{name}_stderr": np.nan for name in states.columns})
-    sigma = float(np.sqrt(residuals @ residuals / max(degrees_of_freedom, 1)))
+    sigma = float(np.sqrt(found.residuals @ found.residuals / max(found.degrees_of_freedom, 1)))
     fit = FitResult(
         model=model,
         method=method,
@@ -303,7 +297,7 @@ def simulated_result(
         cost=0.5 * float(sum(np.sum(run.residual(name) ** 2) for run in fits for name in structure.outputs)),
         success=True,
         message=caution,
-        degrees_of_freedom=float(degrees_of_freedom),
+        degrees_of_freedom=float(found.degrees_of_freedom),
     )
     if np.all(fit.fit_percent > 0.0):
         return fit

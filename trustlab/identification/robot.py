@@ -157,18 +157,13 @@ def simulate_robot(mode: np.ndarray, p_h: np.ndarray, p_h_max: float, a, p_min, 
     return p_r, by.view(float).reshape(mode.size, -1)
 
 
-@numba.njit(cache=True)
-def _input_influence(mode, a, b, jacobian):
+def _input_influence(mode: np.ndarray, a: float, b: float, jacobian: np.ndarray) -> np.ndarray:
     """Return LᵀJ, shape (N, p), where L maps a change of P_h to the change of simulated P_r (2.3)."""
+    from scipy import signal
+
     # L[k, i] = b M(i) a^(k−1−i) for i < k: one backward recursion per column instead of an N × N matrix.
-    n, p = jacobian.shape
-    out = np.zeros((n, p))
-    tail = np.zeros(p)
-    for k in range(n - 2, -1, -1):
-        for j in range(p):
-            tail[j] = jacobian[k + 1, j] + a * tail[j]
-            out[k, j] = b * mode[k] * tail[j]
-    return out
+    tail = signal.lfilter([0.0, 1.0], [1.0, -a], jacobian[::-1], axis=0)[::-1]
+    return b * mode[:, None] * tail
 
 
 def robot_parameters(prefix: str = "") -> tuple[Parameter, ...]:

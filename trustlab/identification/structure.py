@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import did_you_mean, finite_number, of_class, one_of, shown
+from trustlab.models.checks import between, did_you_mean, finite_number, of_class, one_of, shown
 
 __all__ = ["COORDINATES", "Coordinate", "IdentificationError", "LinearForm", "Parameter", "Structure"]
 
@@ -120,13 +120,8 @@ class Parameter:
             object.__setattr__(self, "high", min(float(self.high), coordinate.high))
         if not self.low < self.high:
             raise ValueError(f"{self.name} needs bounds with low < high, got ({self.low}, {self.high})")
-        if (
-            self.guess is not None
-            and not self.low <= finite_number(f"guess of {self.name}", self.guess) <= self.high
-        ):
-            raise ValueError(
-                f"the guess of {self.name}, {self.guess}, lies outside ({self.low}, {self.high})"
-            )
+        if self.guess is not None:
+            between(f"guess of {self.name}", self.guess, self.low, self.high)
 
     def coordinate(self, guess: Mapping) -> Coordinate:
         """
