@@ -115,7 +115,7 @@ def test_bounds_hold_and_are_reported(operators, make_session, switching):
         ({"noise": "pink"}, "noise must be"),
         ({"method": "regression", "fixed": {"a": 0.9}}, "plain least squares"),
         ({"method": "regression"}, "column r"),
-        ({"fixed": 0.9}, "fixed must be of class Mapping, got float; give a dictionary"),
+        ({"fixed": 0.9}, "fixed must be a dictionary"),
         ({"fixed": {"p_min": 0.5, "p_max": 0.4}}, "p_min is fixed at 0.5, not below p_max at 0.4"),
         ({"fixed": {"a": 0.9}, "bounds": {"a": (0.8, 0.95)}}, "both fixed and bounded"),
     ],

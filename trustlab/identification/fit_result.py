@@ -249,8 +249,7 @@ class FitResult:
             panel.set_ylabel(LABELS.get(name, name))
         for panel, run in zip(axes[0], shown, strict=True):
             panel.set_title(run.label, fontsize="small")
-        for panel in axes[-1]:
-            panel.set_xlabel("time [s]")
+        plt.setp(axes[-1], xlabel="time [s]")
         axes[0, 0].legend(fontsize="small", loc="best")
         figure.suptitle(", ".join(notes), fontsize="small")
         return axes
@@ -319,11 +318,7 @@ def gradient(function: Callable, names: Iterable[str], values: np.ndarray) -> tu
 
 
 def parameter_table(
-    names: Iterable[str],
-    values: np.ndarray,
-    covariance: np.ndarray,
-    status: Iterable[str],
-    derived: Mapping[str, Callable],
+    names: Iterable[str], values: np.ndarray, covariance: np.ndarray, status: Iterable[str], derived: Mapping
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return a table of parameters, derived rows included, and the covariance of the estimated ones."""
     names, status = list(names), list(status)

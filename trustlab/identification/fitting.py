@@ -190,16 +190,16 @@ def result(found: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame] | None = N
         noise=found.noise,
         sigma=dict(zip(structure.outputs, found.sigma.tolist(), strict=True)),
         cost=0.5 * float(found.normal.squares.sum()),
-        success=bool(found.converged and not weak),
+        success=bool(found.search.converged and not weak),
         message=" ".join(sentences),
         degrees_of_freedom=float(problem.counts.sum() - found.free.size),
     )
 
 
 def _of_the_search(found: Estimate) -> str:
-    if found.converged:
-        return f"Converged in {found.iterations} evaluations."
-    return f"Stopped after {found.iterations} evaluations without reaching a minimum; do not use the numbers."
+    if found.search.converged:
+        return f"Converged in {found.search.iterations} evaluations."
+    return f"Stopped after {found.search.iterations} evaluations without reaching a minimum; do not use the numbers."
 
 
 def _of_the_initial_states(found: Estimate) -> Iterator[str]:
@@ -208,7 +208,7 @@ def _of_the_initial_states(found: Estimate) -> Iterator[str]:
     for j, parameter in enumerate(problem.structure.initial):
         where = slice(problem.shared + j, None, problem.own)
         for bound, meaning in parameter.ends.items():
-            held = int((found.at_bound[where] & (found.theta[where] == bound)).sum())
+            held = int((found.search.at_bound[where] & (found.theta[where] == bound)).sum())
             if held:
                 yield f"{parameter.name} = {bound:g}, {meaning}, in {held} of {len(problem.runs)} run(s)."
 

@@ -168,7 +168,6 @@ def initial_utilization(beta: str = "beta") -> Parameter:
             lambda x: max(x, EDGE**power) ** (1.0 / power - 1.0) / power,
             0.0,
             1.0,
-            lambda r: np.inf,
         )
 
     return Parameter(

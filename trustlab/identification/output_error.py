@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.identification.least_squares import NormalEquations, minimise
+from trustlab.identification.least_squares import Minimum, NormalEquations, minimise
 from trustlab.identification.residuals import hac_lags, hac_matrix, sandwich, whiteness_p
 from trustlab.identification.runs import Run, joined
 from trustlab.identification.structure import IdentificationError, Structure
@@ -118,7 +118,7 @@ class Problem:
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """
-    A search's result as parameters, in the order of the problem's full vector.
+    A search's result as parameters, in the order of the problem's full vector; `normal` is taken there.
 
     `covariance` is 0 in rows of fixed parameters and NaN in rows of those at a bound; `inverse` is the inverse of
     `normal.matrix`, the information matrix, for the `free` ones.
@@ -128,23 +128,21 @@ class Estimate:
     theta: np.ndarray
     covariance: np.ndarray
     fixed: np.ndarray
-    at_bound: np.ndarray
+    search: Minimum
     normal: NormalEquations
     inverse: np.ndarray
     whiteness_p: float
     noise: str
-    converged: bool
-    iterations: int
 
     @property
     def free(self) -> np.ndarray:
         """Numbers of the parameters that were estimated."""
-        return np.flatnonzero(~self.fixed & ~self.at_bound)
+        return np.flatnonzero(~self.fixed & ~self.search.at_bound)
 
     @property
     def status(self) -> list[str]:
         """Whether each value was estimated, is fixed, or is held by a bound."""
-        return np.where(self.fixed, "fixed", np.where(self.at_bound, "at bound", "estimated")).tolist()
+        return np.where(self.fixed, "fixed", np.where(self.search.at_bound, "at bound", "estimated")).tolist()
 
     @property
     def sigma(self) -> np.ndarray:
@@ -157,9 +155,8 @@ def estimate(problem: Problem, start: np.ndarray, limits: Mapping, noise: str = 
     """Search from `start` within the limits of every name, then give covariance and diagnostics."""
     low, high = (problem.vector({name: pair[side] for name, pair in limits.items()}) for side in (0, 1))
     fixed = low == high
-    minimum = problem.search(start, low, high)
-    at_bound = minimum.at_bound
-    theta = problem.from_search(minimum.x)
+    search = problem.search(start, low, high)
+    at_bound, theta = search.at_bound, problem.from_search(search.x)
     # The way to the search coordinate and back rounds: what is fixed or at a bound gets its exact value.
     theta[fixed] = low[fixed]
     theta[at_bound] = np.clip(theta, low, high)[at_bound]
@@ -182,19 +179,8 @@ def estimate(problem: Problem, start: np.ndarray, limits: Mapping, noise: str = 
     covariance = np.zeros((theta.size, theta.size))
     covariance[at_bound, :] = covariance[:, at_bound] = np.nan
     covariance[np.ix_(free, free)] = sandwich(inverse, meat, problem.counts.sum())
-    return Estimate(
-        problem,
-        theta,
-        covariance,
-        fixed,
-        at_bound,
-        normal,
-        inverse,
-        whiteness_p=float(p_value),
-        noise="hac" if robust else "white",
-        converged=minimum.converged,
-        iterations=minimum.iterations,
-    )
+    allowed_for = "hac" if robust else "white"
+    return Estimate(problem, theta, covariance, fixed, search, normal, inverse, float(p_value), allowed_for)
 
 
 def _inverse(matrix: np.ndarray, free: np.ndarray, problem: Problem) -> np.ndarray:

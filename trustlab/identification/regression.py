@@ -8,13 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.fit_result import (
-    FitResult,
-    gradient,
-    parameter_table,
-    run_fits,
-    with_intervals,
-)
+from trustlab.identification.fit_result import FitResult, gradient, parameter_table, run_fits, with_intervals
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import IdentificationError, Structure
 from trustlab.models.checks import whole_number
@@ -199,8 +193,9 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
     design, target = _stacked(parts)
     names = _names(na, lags, intercept)
     found = regression(design, target, names)
-    estimates = (found.values, found.covariance, found.residuals)
-    return ArxResult(names, *estimates, na, lags, delays, bool(intercept))
+    return ArxResult(
+        names, found.values, found.covariance, found.residuals, na, lags, delays, bool(intercept)
+    )
 
 
 def equations(

@@ -109,14 +109,9 @@ def fit_robot(
         if found.noise == "white" and found.free.size:
             direct, shared = _input_noise(found, best, operator)
             covariance = covariance + direct
+        shift = _shift_by_best(found, best)
         tables = _tables_with_best(
-            found.theta[:3],
-            found.status[:3],
-            covariance[:3, :3],
-            best,
-            operator,
-            shared[:3],
-            _shift_by_best(found, best)[:3],
+            found.theta[:3], found.status[:3], covariance[:3, :3], best, operator, shared[:3], shift[:3]
         )
         fit = result(found, tables)
     return fit if operator is None else _flag_weak_operator(fit, operator)
@@ -407,7 +402,7 @@ def _tables_with_best(
 def _flag_weak_operator(fit: FitResult, operator: Estimate) -> FitResult:
     """Mark p_max as weak where the operator's model, which p_h_max comes from, is weakly determined itself."""
     names = [parameter.name for parameter in weak_parameters(operator, found_table(operator)[0])]
-    if operator.converged and not names:
+    if operator.search.converged and not names:
         return fit
     parameters = fit.parameters.copy()
     parameters.loc[["p_max", "p_h_max"], "status"] = "weak"

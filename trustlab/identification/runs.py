@@ -43,7 +43,7 @@ def read_runs(sessions: Session | Iterable[Session], *needed: str) -> list[Run]:
     """Take the columns that a fit needs out of one or several sessions with the same sample time."""
     # A table, a mapping or a path can be iterated over too, but what comes out says nothing of the mistake.
     several = isinstance(sessions, Iterable) and not isinstance(sessions, (Session, str, bytes, Mapping))
-    given = list(sessions) if several and not hasattr(sessions, "columns") else [sessions]
+    given: list = list(sessions) if several and not hasattr(sessions, "columns") else [sessions]
     if not given:
         raise IdentificationError("no session was given; pass one or a list of them")
     for session in given:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import between, did_you_mean, finite_number, of_class, one_of, shown
+from trustlab.models.checks import between, did_you_mean, finite_number, one_of, shown
 
 __all__ = ["COORDINATES", "Coordinate", "IdentificationError", "LinearForm", "Parameter", "Structure"]
 
@@ -43,14 +43,14 @@ class Coordinate(NamedTuple):
     back: Callable
     slope: Callable
     """Derivative of the parameter by the coordinate."""
-    low: float
-    high: float
-    useful: Callable
+    low: float = -np.inf
+    high: float = np.inf
+    useful: Callable = lambda value: np.inf
     """Greatest half-width of a 95 % interval at a value of the parameter; wider ones mark it as weak."""
 
 
 COORDINATES = {
-    "plain": Coordinate(lambda v: v, lambda x: x, lambda x: 1.0, -np.inf, np.inf, lambda v: np.inf),
+    "plain": Coordinate(lambda v: v, lambda x: x, lambda x: 1.0),
     # −ln(1 − a) is the logarithm of the time constant 1/(1 − a): equal steps are equal ratios of time constants.
     "rate": Coordinate(
         lambda v: -np.log1p(-v),
@@ -348,7 +348,8 @@ class Structure:
         """
         fixed, bounds = {} if fixed is None else fixed, {} if bounds is None else bounds
         for what, given in (("fixed", fixed), ("bounds", bounds)):
-            of_class(what, given, Mapping, "give a dictionary by parameter, for example {'a': ...}")
+            if not isinstance(given, Mapping):
+                raise ValueError(f"{what} must be a dictionary by parameter, {{'a': ...}}, got {given!r}")
             self.check_names(given, what)
         for name in set(fixed) & set(bounds):
             raise ValueError(f"{name} is both fixed and bounded; give one of them")

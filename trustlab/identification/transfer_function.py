@@ -117,9 +117,6 @@ def transfer_structure(order: int, sample_time: float) -> Structure:
             by_d[:, i] = (_responses(moved, run["command"], sample_time) @ weights).imag / step
         return [responses @ weights], [np.column_stack([responses[:, :1], by_d, responses[:, 1:]])]
 
-    def guess(runs, limits):
-        return _guess(runs, denominator, states, sample_time)
-
     def check(runs, limits):
         if max(np.ptp(run["command"]) for run in runs) == 0.0:
             raise IdentificationError(
@@ -133,7 +130,7 @@ def transfer_structure(order: int, sample_time: float) -> Structure:
         inputs="command",
         outputs="velocity",
         sensitivities=sensitivities,
-        guess=guess,
+        guess=lambda runs, limits: _guess(runs, denominator, states, sample_time),
         check=check,
         model=lambda gain, **values: TransferFunction(gain, tuple(values[name] for name in denominator)),
     )

@@ -103,13 +103,15 @@ def _sensitivities(
     return [p_h, p_r], [by_human, by]
 
 
+def _own(values: Mapping, prefix: str) -> dict:
+    """Return what belongs to one of the two models, by its own names."""
+    return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
+
+
 def _guess(runs: list[Run], limits: Mapping) -> dict:
     """Return starting values: the operator's first, then the robot's under the measured P_h."""
-    own = {
-        name.removeprefix("human_"): pair for name, pair in limits.items() if not name.startswith("robot_")
-    }
-    human = human_guess(runs, own)
-    robot = robot_guess(runs, {"a": limits["robot_a"]}, human["p_max"])
+    human = human_guess(runs, _own(limits, "human_") | {"r0": limits["r0"]})
+    robot = robot_guess(runs, _own(limits, "robot_"), human["p_max"])
     states = {"r0": human.pop("r0"), "p_r0": robot.pop("p_r0")}
     return (
         {f"human_{name}": value for name, value in human.items()}
@@ -119,12 +121,8 @@ def _guess(runs: list[Run], limits: Mapping) -> dict:
 
 
 def _build(**values) -> TscModel:
-    human, robot = (
-        {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
-        for prefix in ("human_", "robot_")
-    )
-    operator = build_human(**human)
-    return TscModel(build_robot(**robot, p_h_max=operator.p_max), operator)
+    operator = build_human(**_own(values, "human_"))
+    return TscModel(build_robot(**_own(values, "robot_"), p_h_max=operator.p_max), operator)
 
 
 TSC = Structure(
