@@ -112,12 +112,9 @@ def _guess(runs: list[Run], limits: Mapping) -> dict:
     """Return starting values: the operator's first, then the robot's under the measured P_h."""
     human = human_guess(runs, _own(limits, "human_") | {"r0": limits["r0"]})
     robot = robot_guess(runs, _own(limits, "robot_"), human["p_max"])
-    states = {"r0": human.pop("r0"), "p_r0": robot.pop("p_r0")}
-    return (
-        {f"human_{name}": value for name, value in human.items()}
-        | {f"robot_{name}": value for name, value in robot.items()}
-        | states
-    )
+    start = {"r0": human.pop("r0"), "p_r0": robot.pop("p_r0")}
+    start |= {f"human_{name}": value for name, value in human.items()}
+    return start | {f"robot_{name}": value for name, value in robot.items()}
 
 
 def _build(**values) -> TscModel:
