@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume
-from hypothesis import strategies as st
+from hypothesis import assume, strategies as st
 
 import trustlab as tl
 from trustlab.allocation import threshold_limits

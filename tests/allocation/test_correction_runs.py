@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
 from trustlab.allocation import CorrectionStatus, TargetWarning, incentive_box

@@ -3,8 +3,7 @@
 import math
 
 import numpy as np
-from hypothesis import HealthCheck, assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, assume, given, settings, strategies as st
 
 import trustlab as tl
 from trustlab.allocation import simulate_allocation, steady_state_bounds, threshold_limits

@@ -10,8 +10,7 @@ import itertools
 import numpy as np
 import pytest
 import statsmodels.api as sm
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from trustlab.identification import IdentificationError, arx
 from trustlab.identification.regression import CONDITION_LIMIT

@@ -7,8 +7,7 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, example, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, example, given, settings, strategies as st
 
 from trustlab.sessions import Metadata, RecipeError, Session, SessionError, read_session, write_session
 from trustlab.sessions.readers.csv_files import _fast, _scan

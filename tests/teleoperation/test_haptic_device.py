@@ -3,8 +3,7 @@
 import control
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from trustlab.teleoperation.ports.device import HapticDevice, PassivityError
 

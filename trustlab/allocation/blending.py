@@ -1,7 +1,5 @@
 """Optimal mixed initiative (OMI, Appendix A): the share α that trades tracking error against departing from the operator."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +8,6 @@ import numpy as np
 
 from trustlab.models.checks import between, finite_array, in_order, positive, whole_number
 from trustlab.models.uav import TransferFunction, three_axes
-
-__all__ = ["APPENDIX_A", "BlendingStep", "OptimalBlending", "best_share"]
 
 DEGREE = 10
 """Degree of the interpolation of the cost in α; its error over 0.2 s is below rounding (a test checks it)."""

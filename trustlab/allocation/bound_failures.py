@@ -1,7 +1,5 @@
 """How often the printed steady-state bounds are violated, over random parameter sets."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba
@@ -15,8 +13,6 @@ from trustlab.models.checks import of_class, whole_number
 from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc_at
-
-__all__ = ["bound_failures", "random_set", "steady_extremes"]
 
 SETTLING, RECORDED = 12.0, 5.0
 """How many of the longest time constant pass before extremes are taken, and while they are."""

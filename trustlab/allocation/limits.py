@@ -1,7 +1,5 @@
 """Limits within which thresholds keep switching, (2.9)-(2.10) and Theorem 1, and the largest one-step changes in them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,16 +7,6 @@ import numpy as np
 
 from trustlab.models.checks import between, finite_number, in_order, not_negative, of_class
 from trustlab.models.tsc import TscConstants, TscModel
-
-__all__ = [
-    "StepBounds",
-    "ThresholdLimits",
-    "check_order",
-    "check_thresholds",
-    "limits_as_printed",
-    "step_bounds",
-    "threshold_limits",
-]
 
 
 @dataclass(frozen=True)

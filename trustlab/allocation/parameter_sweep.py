@@ -1,7 +1,5 @@
 """Maps of the steady cycle over thresholds and model parameters, and what it depends on most."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -18,8 +16,6 @@ from trustlab.models.checks import finite_array, finite_number, of_class, one_of
 from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel, gain_of_human_performance
 from trustlab.models.tsc import TscModel
-
-__all__ = ["QUANTITIES", "Sweep", "cycle_sensitivity", "sweep", "varied_model"]
 
 QUANTITIES = {
     "mean_p_r": "mean robot performance",

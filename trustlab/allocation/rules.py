@@ -1,7 +1,5 @@
 """Rules that say who should drive, step by step: by thresholds of TSC (2.8), and by performance (Algorithm 2)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numba
@@ -9,8 +7,6 @@ import numba
 from trustlab.allocation.limits import check_order
 from trustlab.models.checks import finite_number, in_order, not_negative, whole_number
 from trustlab.models.tsc import threshold_mode
-
-__all__ = ["PERFORMANCE_TOLERANCE", "PerformanceRule", "ThresholdRule", "performance_suggestion"]
 
 PERFORMANCE_TOLERANCE = 0.05
 """How far below P_max, as a share of P_max − P_min, performance still counts as P_max in Algorithm 2. As printed it is 0,

@@ -14,8 +14,6 @@ from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["simulate_allocation"]
-
 MOST_STEPS = 100_000_000
 """Longest simulation: 40 bytes are kept of every sample."""
 

@@ -1,7 +1,5 @@
 """Steady-state bounds exactly as printed, (2.14)-(2.21) and (2.33)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -14,8 +12,6 @@ from trustlab.allocation.limits import check_thresholds, step_bounds, threshold_
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.models.checks import between
 from trustlab.models.tsc import TscConstants, TscModel
-
-__all__ = ["SteadyStateBounds", "performance_as_printed", "steady_state_bounds", "utilization_as_printed"]
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,11 @@
 """Which suggestions were shown, and which were followed (Table 2.6)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import of_class, positive
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
-
-__all__ = ["followed_suggestions"]
 
 
 def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFrame:

@@ -1,7 +1,5 @@
 """Choosing thresholds, Algorithm 1 as an optimisation."""
 
-from __future__ import annotations
-
 import html
 from dataclasses import dataclass
 
@@ -13,8 +11,6 @@ from trustlab.allocation.cycle.limit_cycle import LimitCycle, limit_cycle
 from trustlab.allocation.limits import ThresholdLimits, check_thresholds, threshold_limits
 from trustlab.models.checks import finite_number, of_class, whole_number
 from trustlab.models.tsc import TscModel
-
-__all__ = ["ThresholdChoice", "choose_thresholds"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,5 @@
 """Estimates of an operator's thresholds from their switches (Table 2.3), and relative performance (2.39)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -20,8 +18,6 @@ from trustlab.models.checks import (
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
-
-__all__ = ["ThresholdEstimate", "estimate_thresholds", "relative_performance", "separation"]
 
 
 @dataclass(frozen=True, eq=False)

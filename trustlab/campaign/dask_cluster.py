@@ -1,7 +1,5 @@
 """The workers of a Dask cluster; the extra `cluster` is imported here and nowhere else."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -13,8 +11,6 @@ import numpy as np
 from trustlab.campaign.errors import CampaignError
 from trustlab.campaign.executors import Workers
 from trustlab.models.extras import extra
-
-__all__ = ["DaskWorkers"]
 
 CONNECT = 5.0
 """Seconds after which a scheduler that does not answer counts as unreachable."""

@@ -1,7 +1,5 @@
 """Sending runs to workers in chunks, storing what comes back, and isolating runs that kill their process."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -13,8 +11,6 @@ from trustlab.campaign.errors import CampaignError
 from trustlab.campaign.executors import Workers
 from trustlab.campaign.table import encoded
 from trustlab.campaign.worker import Outcome
-
-__all__ = ["ChunkSizes", "Dispatcher"]
 
 LEAST = 0.1
 """Seconds that a chunk should last at least: less, and sending and writing it costs more than a few per cent."""

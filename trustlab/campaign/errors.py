@@ -1,9 +1,5 @@
 """What can go wrong with a campaign as a whole."""
 
-from __future__ import annotations
-
-__all__ = ["CampaignError", "CampaignWarning"]
-
 
 class CampaignError(ValueError):
     """A campaign that cannot run or go on; the message says what was found and what to do."""

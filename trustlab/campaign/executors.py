@@ -1,7 +1,5 @@
 """Where chunks run: in this process, in others, or on any `concurrent.futures` executor."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
@@ -11,8 +9,6 @@ import numpy as np
 
 from trustlab.campaign.errors import CampaignError
 from trustlab.campaign.worker import exit_with_parent, pickled, pickled_task, run_chunk, run_pickled
-
-__all__ = ["InProcess", "Workers", "brought_workers", "loky_workers"]
 
 IDLE = 300
 """Seconds after which idle processes end."""

@@ -1,7 +1,5 @@
 """A campaign on disk: what it is, its parameters, and one Parquet file per finished chunk."""
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import hashlib
@@ -21,8 +19,6 @@ import pyarrow.parquet as pq
 from trustlab.campaign.errors import CampaignError
 from trustlab.campaign.identity import cut, differences, parameter_texts
 from trustlab.campaign.table import assembled
-
-__all__ = ["Folder", "read_campaign"]
 
 FORMAT = 1
 MANIFEST, PARAMETERS, CHUNKS, LOCK = "campaign.json", "parameters.txt.gz", "chunks", ".lock"

@@ -1,7 +1,5 @@
 """What makes a task and its parameters the same as before."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import hashlib
@@ -18,8 +16,6 @@ from typing import Any
 import numpy as np
 
 from trustlab.campaign.worker import code_digest
-
-__all__ = ["cut", "differences", "parameter_texts", "seed_text", "task_identity"]
 
 PLAIN = (bool, int, float, str, bytes, type(None))
 

@@ -1,7 +1,5 @@
 """Parameters of many runs: grids and draws."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -10,8 +8,6 @@ import numpy as np
 
 from trustlab.campaign.worker import RESERVED
 from trustlab.models.checks import finite_number, whole_number
-
-__all__ = ["ParameterGrid", "checked_names", "interval", "parameter_draws", "parameter_grid"]
 
 
 class ParameterGrid(Sequence):

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from trustlab.campaign.executors import Workers
 
-__all__ = ["run_campaign", "where_to_run"]
-
 
 def run_campaign(
     task: Callable[..., Mapping],

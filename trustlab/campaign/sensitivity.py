@@ -1,7 +1,5 @@
 """Sobol' indices: how much each uncertain parameter of a task contributes to the variance of its results."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,8 +12,6 @@ from trustlab.campaign.errors import CampaignError
 from trustlab.campaign.parameters import interval
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import open_unit, whole_number
-
-__all__ = ["SobolIndices", "sobol_indices"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,5 @@
 """Chunks as Arrow tables, and the one table of a campaign."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -12,8 +10,6 @@ import pandas as pd
 import pyarrow as pa
 
 from trustlab.campaign.worker import Outcome, plain
-
-__all__ = ["assembled", "encoded"]
 
 LONGEST = 1000
 """Characters that a file keeps of a parameter that is not a plain value."""

@@ -1,7 +1,5 @@
 """What happens in a worker: a chunk of runs, one after the other."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import importlib
@@ -20,20 +18,6 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.campaign.errors import CampaignError
-
-__all__ = [
-    "Outcome",
-    "code_digest",
-    "exit_with_parent",
-    "pickled",
-    "pickled_task",
-    "plain",
-    "run_chunk",
-    "run_pickled",
-    "run_seed",
-    "running_task",
-    "unpickled_task",
-]
 
 RESERVED = ("run", "seed", "failed", "error", "traceback", "returned")
 """Names that neither parameters nor results may have: columns of the table, and the argument of the seed."""

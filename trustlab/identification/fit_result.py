@@ -1,7 +1,5 @@
 """What a fit returns: the model, its uncertainty, and how well it explains the data, in tables and plots."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
@@ -14,8 +12,6 @@ from trustlab.identification.runs import Run
 from trustlab.identification.structure import Structure
 from trustlab.models.checks import one_of, open_unit, whole_number
 from trustlab.sessions.plots import shade_manual
-
-__all__ = ["FitResult", "RunFit"]
 
 LABELS = {"p_r": "robot performance $P_r$", "p_h": "human performance $P_h$"}
 

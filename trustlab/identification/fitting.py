@@ -1,7 +1,5 @@
 """From sessions and a structure to a FitResult: what the data can identify, the estimate, and what to say of it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
@@ -15,8 +13,6 @@ from trustlab.identification.runs import Run, joined, read_runs
 from trustlab.identification.structure import IdentificationError, Parameter, Structure
 from trustlab.models.checks import of_class, one_of
 from trustlab.sessions.session import Session
-
-__all__ = ["fit"]
 
 HALF_WIDTH = float(special.ndtri(0.975))
 """Standard errors from the middle of a 95 % interval to its end."""

@@ -1,7 +1,5 @@
 """Identification of human utilization and performance, (2.5)-(2.6): structure, sensitivities, initial guess, `fit_human`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 import numba
@@ -22,8 +20,6 @@ from trustlab.identification.structure import (
 from trustlab.models.deprecation import warn_renamed
 from trustlab.models.human import HumanModel, performance_curve
 from trustlab.sessions.session import Session
-
-__all__ = ["HUMAN", "fit_human"]
 
 EDGE = 1e-9
 """(2.6) has an infinite slope at r = 0 and r = 1; its slope is taken this far inside."""

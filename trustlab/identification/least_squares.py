@@ -1,13 +1,9 @@
 """Bounded nonlinear least squares on accumulated normal equations (Gauss–Newton with Levenberg–Marquardt damping)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-
-__all__ = ["Minimum", "NormalEquations", "minimise"]
 
 # scipy.optimize.least_squares (trf, on the same accumulated equations) takes 2.1 to 2.8 times as long for fit_tsc and
 # fit_human, 1.2 for fit_robot, and from an operator at full load, where (2.6) has a kink, it misses the 1e-6 of recovery.

@@ -1,7 +1,5 @@
 """The output-error (prediction-error) method for any structure: likelihood, search, covariance."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -11,8 +9,6 @@ from trustlab.identification.least_squares import Minimum, NormalEquations, mini
 from trustlab.identification.residuals import hac_lags, hac_matrix, sandwich, whiteness_p
 from trustlab.identification.runs import Run, joined
 from trustlab.identification.structure import IdentificationError, Structure
-
-__all__ = ["NOISES", "Estimate", "Problem", "estimate"]
 
 NOISES = ("auto", "white", "hac")
 

@@ -1,7 +1,5 @@
 """Linear regression with covariance: ARX models, the dissertation's own method (Section 2.2.2), and structures with a linear form."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -12,8 +10,6 @@ from trustlab.identification.fit_result import FitResult, gradient, parameter_ta
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import IdentificationError, Structure
 from trustlab.models.checks import whole_number
-
-__all__ = ["ArxResult", "arx", "regress"]
 
 CONDITION_LIMIT = 1e5
 """Up to this condition number (equilibrated) the normal equations are used, beyond it a singular value decomposition."""

@@ -1,7 +1,5 @@
 """What a model leaves unexplained: correlations, whiteness, and covariances that allow for autocorrelated noise."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import special
 

@@ -1,7 +1,5 @@
 """Identification of robot performance, (2.3): structure, sensitivities, initial guess, `fit_robot` and its errors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
@@ -33,8 +31,6 @@ from trustlab.identification.structure import IdentificationError, LinearForm, P
 from trustlab.models.checks import one_of, positive
 from trustlab.models.robot import RobotModel
 from trustlab.sessions.session import Session
-
-__all__ = ["fit_robot", "robot_structure"]
 
 
 def fit_robot(

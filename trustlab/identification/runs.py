@@ -1,7 +1,5 @@
 """What identification reads from sessions: columns as arrays, checked once."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -10,8 +8,6 @@ import numpy as np
 from trustlab.identification.structure import IdentificationError
 from trustlab.models.checks import of_class
 from trustlab.sessions.session import Session
-
-__all__ = ["Run", "block_means", "joined", "read_runs"]
 
 HOW_TO_GET = (
     "pass a session or a list of them; read a file with trustlab.read_session(path), or make one of a table: "

@@ -1,7 +1,5 @@
 """A model structure: its parameters with bounds, its simulation, its sensitivities; and the error when data do not identify it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -9,8 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trustlab.models.checks import between, did_you_mean, finite_number, one_of, shown
-
-__all__ = ["COORDINATES", "Coordinate", "IdentificationError", "LinearForm", "Parameter", "Structure"]
 
 UNIT_MARGIN = 1e-9
 """How close to 0 and 1 a parameter of (0, 1) may come during the search."""

@@ -1,7 +1,5 @@
 """Continuous-time transfer functions of order 1 and 2 from a logged command and velocity, as (A.1) was found."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,8 +12,6 @@ from trustlab.identification.runs import Run
 from trustlab.identification.structure import IdentificationError, Parameter, Structure
 from trustlab.models.checks import finite_array, positive, whole_number
 from trustlab.models.uav import TransferFunction
-
-__all__ = ["TransferFunctionFit", "fit_transfer_function", "transfer_structure"]
 
 COMPLEX_STEP = 1e-30
 """Relative step of complex-step derivatives: no digits cancel, so it may be as small as one likes."""

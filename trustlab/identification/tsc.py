@@ -1,7 +1,5 @@
 """Identification of robot and operator together, (2.3), (2.5) and (2.6): structure, sensitivities, `fit_tsc`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 import numba
@@ -27,8 +25,6 @@ from trustlab.identification.runs import Run
 from trustlab.identification.structure import Parameter, Structure
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
-
-__all__ = ["TSC", "fit_tsc"]
 
 
 def fit_tsc(

@@ -4,8 +4,6 @@ Checks on arguments that all rooms share: each names the argument, what was foun
 Every check returns the value in the type that the caller works with, and raises `ValueError` otherwise.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Iterable
@@ -15,24 +13,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 Kind = TypeVar("Kind")
-
-__all__ = [
-    "array_between",
-    "between",
-    "did_you_mean",
-    "finite_array",
-    "finite_number",
-    "in_order",
-    "mode_array",
-    "not_negative",
-    "of_class",
-    "one_of",
-    "open_unit",
-    "positive",
-    "shown",
-    "spawned",
-    "whole_number",
-]
 
 
 def shown(value: object) -> str:

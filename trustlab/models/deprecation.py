@@ -1,11 +1,7 @@
 """Old names that keep working for one version: each use warns and says the new name."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping
-
-__all__ = ["old_names", "warn_renamed"]
 
 
 def warn_renamed(old: str, new: str, stacklevel: int = 3) -> None:

@@ -1,11 +1,7 @@
 """Optional dependencies: a missing one is an error that names the extra of trustlab that brings it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
-
-__all__ = ["extra"]
 
 
 @contextmanager

@@ -1,7 +1,5 @@
 """Human utilization (2.5) and human performance (2.6)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,16 +8,6 @@ import numpy as np
 
 from trustlab.models.checks import between, in_order, mode_array, open_unit
 from trustlab.models.deprecation import warn_renamed
-
-__all__ = [
-    "HumanModel",
-    "human_performance",
-    "next_utilization",
-    "performance_at",
-    "performance_curve",
-    "performance_range",
-    "yerkes_dodson",
-]
 
 
 @numba.njit(cache=True)

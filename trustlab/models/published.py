@@ -1,7 +1,5 @@
 """What the dissertation prints, as strings, from data/published/."""
 
-from __future__ import annotations
-
 from numbers import Integral
 from pathlib import Path
 
@@ -11,8 +9,6 @@ from trustlab.models.checks import did_you_mean
 from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
-
-__all__ = ["PILOT", "ByName", "published_folder", "published_models", "published_table"]
 
 PILOT = {
     "a_r": "0.9991",

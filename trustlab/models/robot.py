@@ -1,15 +1,11 @@
 """Robot performance, (2.3)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numba
 import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number, in_order, mode_array, open_unit, positive
-
-__all__ = ["RobotModel", "gain_of_human_performance", "next_performance", "robot_performance"]
 
 
 def gain_of_human_performance(a, p_min, p_max, p_h_max):

@@ -1,7 +1,5 @@
 """Two-way trust from performance, (3.2)-(3.4), and the scalings it sets, (3.5)-(3.6)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -10,8 +8,6 @@ import numpy as np
 
 from trustlab.models.checks import array_between, between, finite_array, finite_number, in_order, positive
 from trustlab.models.deprecation import warn_renamed
-
-__all__ = ["LogisticScaling", "StepScaling", "TrustModel"]
 
 
 @numba.njit(cache=True, error_model="numpy", forceinline=True)

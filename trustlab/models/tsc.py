@@ -15,17 +15,6 @@ from trustlab.models.robot import RobotModel, next_performance
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "TscConstants",
-    "TscModel",
-    "advance",
-    "human_at",
-    "human_range",
-    "performance_weights",
-    "threshold_mode",
-    "tsc_at",
-]
-
 
 class TscConstants(NamedTuple):
     """The constants of a `TscModel` by the names they have in (2.1)-(2.6), for compiled code."""

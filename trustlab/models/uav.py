@@ -1,14 +1,10 @@
 """The UAV as transfer functions from command to velocity, (A.1)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number, positive
-
-__all__ = ["PRINTED_UAV", "TransferFunction", "three_axes"]
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,10 @@
 """Simulated answers to questionnaires: an explicit assumption about what a run feels like, not a model of people."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from trustlab.models.checks import of_class, whole_number
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.settings import LoopSettings, study_named
-
-__all__ = ["experience", "simulated_answers"]
 
 TRAIT, MOOD = 0.10, 0.05
 """Standard deviations, as shares of a scale: of a person's way of answering, the same in all conditions, and of one answer."""

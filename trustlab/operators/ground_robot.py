@@ -1,7 +1,5 @@
 """Simulated operators of the ground robot: how well they drive, how fast they react, when they switch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -11,9 +9,6 @@ import numpy as np
 from trustlab.models.checks import between, finite_number, not_negative, of_class, positive, shown
 from trustlab.models.human import HumanModel
 from trustlab.models.tsc import TscModel
-
-__all__ = ["Operator", "OperatorNumbers", "driving_style", "joystick", "operator"]
-
 
 MOST = {
     "robot_floor": 1.0,

@@ -1,7 +1,5 @@
 """A simulated operator at the haptic device: a stand-in for people in Chapter 3."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 
@@ -10,8 +8,6 @@ import numpy as np
 from trustlab.models.checks import not_negative, one_of, positive, spawned, whole_number
 from trustlab.operators.ground_robot import check_participant
 from trustlab.teleoperation.loop.kernel import HandNumbers
-
-__all__ = ["RANGES", "REACH", "Teleoperator", "graded_teleoperators"]
 
 REACH = {"preliminary": 2.5, "main": 1.0}
 """Largest command [m/s] that operators of each study ask for, above the speed of its target."""

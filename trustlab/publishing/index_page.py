@@ -14,8 +14,6 @@ from trustlab.publishing.report_page import TEMPLATES, check_page, stylesheet
 with extra("reports"):
     from jinja2 import Environment, FileSystemLoader
 
-__all__ = ["read_record", "record_path", "replace_file", "write_index"]
-
 
 def record_path(checkout: Checkout, name: str) -> Path:
     """Return where the record of a report is kept: digests of its inputs, title, sentence, thumbnail, or its failure."""

@@ -10,8 +10,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["Checkout", "file_digest", "folder_digest", "input_digest", "list_files"]
-
 Place = str | os.PathLike[str]
 SKIPPED = ("__pycache__", ".ipynb_checkpoints")
 

@@ -10,8 +10,6 @@ from trustlab.models.extras import extra
 with extra("reports"):
     from latex2mathml.converter import Converter
 
-__all__ = ["MathError", "to_mathml"]
-
 ENVIRONMENTS = ("split", "aligned", "align*", "cases", "array", "matrix", "pmatrix", "bmatrix", "vmatrix")
 PARTS = {"mfrac": 2, "msub": 2, "msup": 2, "mover": 2, "munder": 2, "mroot": 2, "msubsup": 3, "munderover": 3}
 

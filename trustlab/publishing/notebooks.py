@@ -22,8 +22,6 @@ from trustlab.publishing.provenance import duration, provenance
 if TYPE_CHECKING:
     from trustlab.publishing.execution import Kernels
 
-__all__ = ["Built", "declared_parameters", "find_notebooks", "parameters_for", "parse_value", "publish"]
-
 NAMED = re.compile(r"\d\d_.+\.ipynb")
 
 

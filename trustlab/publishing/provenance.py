@@ -8,8 +8,6 @@ from typing import Any
 
 from trustlab.publishing.inputs import Checkout, file_digest, folder_digest, list_files
 
-__all__ = ["commit", "duration", "provenance", "versions"]
-
 LISTED = ("trustlab", "numpy", "scipy", "pandas", "matplotlib", "numba", "statsmodels", "pingouin", "casadi")
 SHORT = 12
 """Digits of a digest that a reader sees."""

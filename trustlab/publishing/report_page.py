@@ -23,8 +23,6 @@ with extra("reports"):
     from pygments.formatters import HtmlFormatter
     from traitlets.config import Config
 
-__all__ = ["ReportError", "markdown_html", "page_faults", "report_html", "stylesheet"]
-
 Heading = tuple[int, str, str]  # level, anchor, HTML
 TEMPLATES = Path(__file__).parent / "templates"
 CONTENTS_FROM = 5
@@ -161,6 +159,7 @@ class Page:
         return ""
 
     def markdown(self, source: str) -> str:
+        """Return Markdown as HTML, its headings noted for the contents."""
         return markdown_html(source, self.headings, self.attachments, self.folder)
 
     def alt(self, output: NotebookNode) -> str:
@@ -175,15 +174,18 @@ class Page:
         return " ".join((words or f"Figure: {above}").split())
 
     def refuse_script(self) -> None:
+        """Refuse an output that needs JavaScript."""
         raise MathError("it shows JavaScript, which a report cannot hold; show a figure or a table instead")
 
     @property
     def title(self) -> str:
+        """The text of the first main heading."""
         titles = sorted(self.headings, key=lambda heading: heading[0] != 1)
         return plain(titles[0][2]) if titles else ""
 
     @property
     def contents(self) -> list[Heading]:
+        """The headings of levels 2 and 3, where there are enough of them for a table of contents."""
         if len(self.headings) < CONTENTS_FROM:
             return []
         listed = [heading for heading in self.headings if heading[0] in (2, 3)]

@@ -1,7 +1,5 @@
 """Computed numbers beside printed ones: matching digits, ranges within rounding, and the least change that explains."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from decimal import Decimal
 from itertools import product
@@ -11,8 +9,6 @@ import pandas as pd
 
 from trustlab.models.checks import shown, whole_number
 from trustlab.reproduction.printed_number import ROUNDINGS, half_unit, printed_decimal, rounds_to
-
-__all__ = ["compare", "matching_digits", "recompute", "smallest_change"]
 
 Compute = Callable[[dict[str, float]], Mapping[str, float]]
 

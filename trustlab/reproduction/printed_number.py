@@ -1,15 +1,11 @@
 """Numbers as printed: text whose last digit says how far they were rounded."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, ROUND_HALF_UP, Decimal, InvalidOperation
 
 from trustlab.models.checks import shown
-
-__all__ = ["PrintedNumber", "half_unit", "printed_decimal", "printed_interval", "rounds_to"]
 
 ROUNDINGS = (ROUND_HALF_EVEN, ROUND_HALF_UP)
 """Both conventions for a 5 that is rounded off; which one a printed number followed is not known."""

@@ -16,8 +16,6 @@ from trustlab.models.checks import of_class, shown, whole_number
 from trustlab.reproduction.printed_number import printed_decimal, printed_interval
 from trustlab.reproduction.published import ByName, published_folder
 
-__all__ = ["PublishedStudy", "PublishedStudyError", "published_studies"]
-
 STATISTICS = {
     "mauchly": ("chi2", "df", "p"),
     "anova": ("F", "df1", "df2", "p", "eta2"),

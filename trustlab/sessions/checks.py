@@ -1,7 +1,5 @@
 """What makes a table a session: uniform time, columns of the vocabulary, no gaps, values in range."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -9,8 +7,6 @@ import numpy as np
 from trustlab.models.checks import did_you_mean
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.vocabulary import VOCABULARY
-
-__all__ = ["STEP_TOLERANCE", "check_column", "check_rising", "check_time"]
 
 STEP_TOLERANCE = 0.01
 """How far a time step may differ from the median step, as a share of it, before sampling counts as irregular."""

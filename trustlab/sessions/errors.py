@@ -1,14 +1,10 @@
 """Errors of logs and recipes, and the parts that their messages share."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from trustlab.models.checks import did_you_mean
-
-__all__ = ["RecipeError", "SessionError"]
 
 
 class SessionError(ValueError):

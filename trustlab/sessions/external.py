@@ -1,11 +1,7 @@
 """Where third-party data lie, which the repository does not carry."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
-
-__all__ = ["external_data"]
 
 
 def external_data(name: str) -> Path | None:

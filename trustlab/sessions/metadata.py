@@ -1,7 +1,5 @@
 """What a session says about itself, and its form as JSON in the files that `write_session` writes."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,8 +10,6 @@ import numpy as np
 
 from trustlab.models.checks import shown
 from trustlab.sessions.errors import SessionError
-
-__all__ = ["Metadata", "metadata_from_json", "metadata_to_json"]
 
 # The fields with a name of their own, and the types that a file may give them; everything else goes to `more`.
 _TYPES = {

@@ -1,7 +1,5 @@
 """Performance measured from logs: (2.4), (2.7), their UAV variants, (3.26)-(3.27), and the tracking error of trials."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np
@@ -10,18 +8,6 @@ import pandas as pd
 from trustlab.models.checks import finite_array, mode_array, one_of, positive
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.metadata import Metadata
-
-__all__ = [
-    "command_deviation",
-    "command_quality",
-    "goal_speed",
-    "manoeuvring",
-    "mixed_initiative",
-    "nearness",
-    "tracking_error",
-    "window_mean",
-    "with_performance",
-]
 
 
 def window_mean(values: np.ndarray, sample_time: float, window: float) -> np.ndarray:

@@ -1,15 +1,11 @@
 """Patterns for paths of files, which say something about a session, and paths to a field inside a message."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from trustlab.models.checks import one_of, shown
-
-__all__ = ["FieldPath", "PathMatch", "PathPattern", "natural_key"]
 
 _FIELD = re.compile(r"\{([^{}]*)\}")
 # The lengths are bounded, so that no digits of a path overflow and no match takes long.

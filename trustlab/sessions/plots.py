@@ -1,14 +1,10 @@
 """Sessions, and measures of many sessions, to look at."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 
 from trustlab.sessions.vocabulary import VOCABULARY
-
-__all__ = ["plot_by_participant", "plot_paths", "plot_session", "shade_manual"]
 
 
 def shade_manual(axes, t: np.ndarray, mode: np.ndarray) -> None:

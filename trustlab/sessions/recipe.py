@@ -87,8 +87,6 @@ from trustlab.sessions.vocabulary import VOCABULARY, to_si
 
 Rule = TypeVar("Rule")
 
-__all__ = ["Recipe", "list_recipes", "load_recipe"]
-
 _SHIPPED = Path(__file__).parent / "recipes"
 
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)

@@ -16,8 +16,6 @@ from trustlab.sessions.metadata import Metadata
 if TYPE_CHECKING:
     from trustlab.sessions.recipe import ColumnRule
 
-__all__ = ["RawLog", "Stream", "check_resampling", "require_common_times", "resample"]
-
 MAX_SAMPLES = 20_000_000
 """The longest log that is read or made by resampling (five and a half hours at 1 kHz)."""
 

@@ -14,8 +14,6 @@ from trustlab.sessions.checks import check_column, check_time
 from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.metadata import Metadata
 
-__all__ = ["Metadata", "Session"]
-
 
 @dataclass(frozen=True, eq=False)
 class Session:

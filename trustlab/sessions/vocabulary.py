@@ -1,14 +1,10 @@
 """The columns a session can have: their units, ranges and meaning; and the units in which a log may hold them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 from trustlab.models.checks import shown
 from trustlab.sessions.errors import alternatives
-
-__all__ = ["UNITS", "VOCABULARY", "Column", "to_si", "vocabulary"]
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Write sessions: CSV, Parquet, ROS 1 and ROS 2 bags that read back the same."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile
@@ -18,8 +16,6 @@ from trustlab.sessions.metadata import metadata_to_json
 from trustlab.sessions.readers.bags import PREFIX, check_sqlite_path
 from trustlab.sessions.readers.csv_files import COMMENT
 from trustlab.sessions.session import Session
-
-__all__ = ["FORMATS", "write_session"]
 
 FORMATS = {"csv": ".csv", "parquet": ".parquet", "bag": ".bag", "mcap": ".mcap", "rosbag2": ""}
 """Formats by name, and the suffix that chooses each; a rosbag2 folder (sqlite3) has none."""

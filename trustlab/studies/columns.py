@@ -1,7 +1,5 @@
 """Reading columns of a user's table: found by name, without missing labels, numbers as floats."""
 
-from __future__ import annotations
-
 import decimal
 import numbers
 from collections.abc import Hashable

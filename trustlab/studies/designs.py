@@ -1,7 +1,5 @@
 """Orders of conditions: complete balanced Latin squares (Williams 1949), and the balance of any set of orders."""
 
-from __future__ import annotations
-
 import numbers
 import warnings
 from collections.abc import Hashable, Sequence
@@ -12,15 +10,6 @@ import pandas as pd
 
 from trustlab.models.checks import of_class, spawned, whole_number
 from trustlab.studies.columns import column_of, refuse_missing_labels
-
-__all__ = [
-    "DesignBalance",
-    "LatinSquareDesign",
-    "design_balance",
-    "latin_square_design",
-    "participants_needed",
-    "williams_square",
-]
 
 
 def _labels(name: str, values: object, least: int) -> tuple[Hashable, ...]:

@@ -1,7 +1,5 @@
 """The communication channel by itself, any signals at its ports: with scales (Theorem 3), and switched between leaders (4.7)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,8 +14,6 @@ from trustlab.teleoperation.ports import waves as equations
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts, read_wave
 from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.teleoperation.records import robot_numbers, signal
-
-__all__ = ["ChannelRun", "channel_run", "lost_waves", "switched_channel_run"]
 
 
 @dataclass(frozen=True, eq=False)

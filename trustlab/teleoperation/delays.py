@@ -1,7 +1,5 @@
 """Communication delays that vary with time: constant, drawn, recorded, or given as a function."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -9,15 +7,6 @@ import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number, not_negative
 from trustlab.teleoperation.ports.waves import delay_rate
-
-__all__ = [
-    "Delay",
-    "constant_delay",
-    "delay_from",
-    "delays_in_samples",
-    "random_walk_delay",
-    "recorded_delay",
-]
 
 SLACK = 1e-9
 

@@ -1,7 +1,5 @@
 """Filters at a port: the two-port of Proposition 3 as printed, its passivity margin, the corrected two-port, and filtered waves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,17 +7,6 @@ import numpy as np
 from trustlab.models.checks import finite_array, finite_number, not_negative, of_class, positive
 from trustlab.teleoperation.ports.device import PassivityError
 from trustlab.teleoperation.records import signal
-
-__all__ = [
-    "FilterRun",
-    "PassivityMargin",
-    "TwoPortFilter",
-    "WaveFilter",
-    "corrected_filter",
-    "passivity_margin",
-    "printed_filter",
-    "sinusoid_energy",
-]
 
 SLACK = 1e-12
 

@@ -1,10 +1,6 @@
 """Records of compiled loops: named columns that a kernel fills and a table shows."""
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = ["columns_of", "log_of", "record", "robot_numbers", "signal"]
 
 
 def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = "") -> np.dtype:

@@ -1,7 +1,5 @@
 """How near the channel comes to passing forces and velocities on unchanged (Section 3.7), and a tuner for it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,8 +14,6 @@ from trustlab.models.checks import (
     positive,
 )
 from trustlab.teleoperation.ports.waves import Scattering
-
-__all__ = ["Tuning", "dominance", "gains", "ideal_distances", "rendered_impedance", "tune_transparency"]
 
 PARAMETERS = ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")
 

@@ -1,7 +1,5 @@
 """A team of robots led to a goal by one operator through whichever of them leads: Chapter 4 as a simulated task."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -32,8 +30,6 @@ from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.leader_policies import LeaderPolicy, policy_named
 from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, flag, team_graph
 from trustlab.testbeds.team_run import TeamRun
-
-__all__ = ["simulate_team"]
 
 NOTE = "simulated team and operator"
 FILTERS = ("none", "corrected", "waves", "printed")

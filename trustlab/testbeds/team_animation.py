@@ -1,7 +1,5 @@
 """The animation of a simulated team: one HTML page with its data and script inside, nothing fetched."""
 
-from __future__ import annotations
-
 import html
 import json
 from pathlib import Path
@@ -11,8 +9,6 @@ import numpy as np
 
 from trustlab.models.checks import positive
 from trustlab.testbeds.team_svg import view
-
-__all__ = ["animation_page"]
 
 FRAMES, NUMBERS = 1500, 150_000
 """Frames at most, and coordinates in a page at most."""

@@ -15,8 +15,6 @@ from trustlab.sessions.session import Metadata, Session
 if TYPE_CHECKING:
     from trustlab.testbeds.team_animation import AnimationPage
 
-__all__ = ["ENERGIES", "TeamRun"]
-
 ENERGIES = {
     "v_h": "$V_h$ operator",
     "v_hd": "$V_{hd}$ device",

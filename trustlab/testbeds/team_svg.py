@@ -1,7 +1,5 @@
 """A simulated team as a moving picture without a script: an SVG whose robots, links and force are animated by the SVG itself."""
 
-from __future__ import annotations
-
 import html
 from pathlib import Path
 from string import Template
@@ -9,8 +7,6 @@ from string import Template
 import numpy as np
 
 from trustlab.models.checks import finite_number, positive
-
-__all__ = ["animated_svg", "view"]
 
 FRAMES = 160
 PICTURE = Path(__file__).with_name("team_picture.svg")

@@ -1,7 +1,5 @@
 """What a study takes from a teleoperation run: error, effort, allocation, and how its ports' energies ended."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np
@@ -9,8 +7,6 @@ import pandas as pd
 
 from trustlab.models.checks import of_class
 from trustlab.sessions.session import Session
-
-__all__ = ["teleoperation_measures"]
 
 SIGNALS = ("path_error", "p_r", "p_h", "alpha", "beta", "port_share", "f_h_x", "f_h_y", "f_h_z")
 ENERGIES = ("energy_operator", "energy_dissipated", "energy_channel", "energy_robot")

@@ -1,13 +1,9 @@
 """Figures of a teleoperation run: trajectories (Fig. 3.13), signals (Fig. 3.14), energies of all ports, shares (Fig. 3.22)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from trustlab.models.checks import of_class
 from trustlab.sessions.session import Session
-
-__all__ = ["plot_alpha", "plot_energies", "plot_signals", "plot_trajectory"]
 
 SIGNALS = (
     ("performance", {"p_r": "robot $P_r$", "p_h": "operator $P_h$"}),

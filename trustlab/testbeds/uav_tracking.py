@@ -1,7 +1,5 @@
 """A UAV that follows a ground robot through a teleoperation loop: a simulated stand-in for Figs. 3.12 and 3.15."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -29,8 +27,6 @@ from trustlab.teleoperation.loop.settings import DivergenceError, LoopSettings, 
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.ports.passivity import METHODS
 from trustlab.teleoperation.records import log_of, signal
-
-__all__ = ["TrackingTask", "simulate_teleoperation", "tracking_vehicle"]
 
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
 

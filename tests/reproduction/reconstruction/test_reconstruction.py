@@ -87,10 +87,8 @@ def differences(study, frame):
     printed = {frozenset(name.split("-")): text for name, text in study.pairs.items()}
     significant = {frozenset(name.split("-")) for name in study.significant_without_p}
     for pair, p in found["pairs"].items():
-        if pair in printed:
-            good = rounds_to(p, printed[pair])
-        else:
-            good = p < 0.05 if pair in significant else p > 0.05
+        expected = p < 0.05 if pair in significant else p > 0.05
+        good = rounds_to(p, printed[pair]) if pair in printed else expected
         bad += [] if good else ["pairs." + "-".join(sorted(pair))]
     return set(bad)
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from trustlab.studies.questionnaires.likert import LikertScale, Subscale, score_likert
 from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES, score_nasa_tlx, tlx_weights

@@ -17,8 +17,6 @@ What is exact: the plan is a local optimum among all corrections that bring abou
 tolerance. Which sequence is best is searched, not proved: `cost_lower_bound` is NaN, and engine="exact" proves it for (2.43).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -37,8 +35,6 @@ from trustlab.allocation.correction.incentive import incentive_box
 from trustlab.allocation.correction.plan import CorrectionPlan, CorrectionStatus
 from trustlab.models.checks import not_negative, one_of
 from trustlab.models.tsc import TscModel
-
-__all__ = ["DEFAULT_WIDTH", "CasadiEngine"]
 
 DEFAULT_WIDTH = 1e-3
 """Width of the smoothed switch where costs or constraints were added, in units of TSC: below the change of TSC in one step."""

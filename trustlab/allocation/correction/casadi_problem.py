@@ -11,8 +11,6 @@ import numpy as np
 from trustlab.allocation.correction.incentive import incentive_box
 from trustlab.models.tsc import TscModel
 
-__all__ = ["SOLVERS", "CorrectionModel", "CorrectionProgram", "Extras", "HardRun"]
-
 TINY = 1e-100
 """Utilization below which (2.6) is at P_h,min; its second derivative is still finite there."""
 

@@ -1,7 +1,5 @@
 """Correcting an operator's thresholds step by step, Section 2.5, by an engine chosen by name."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import warnings
@@ -15,8 +13,6 @@ from trustlab.allocation.cycle.limit_cycle import limit_cycle
 from trustlab.allocation.limits import check_order, threshold_limits
 from trustlab.models.checks import between, of_class, one_of, positive, shown, whole_number
 from trustlab.models.tsc import TscModel
-
-__all__ = ["ENGINES", "TargetWarning", "ThresholdCorrector"]
 
 ENGINES = {
     "exact": ("trustlab.allocation.correction.exact", "ExactEngine"),

@@ -1,15 +1,11 @@
 """The system (2.44) under given corrections, with the hard switch (2.8), and its cost (2.43)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numba
 import numpy as np
 
 from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc_at
-
-__all__ = ["simulate_correction", "suggestion_now"]
 
 
 def suggestion_now(tsc: float, lower: float, upper: float) -> int:

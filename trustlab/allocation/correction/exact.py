@@ -46,8 +46,6 @@ from trustlab.allocation.correction.plan import LOWER, UPPER, CorrectionPlan, Co
 from trustlab.models.checks import whole_number
 from trustlab.models.tsc import TscConstants, TscModel, advance, human_at, tsc_at
 
-__all__ = ["ExactEngine", "Solution", "Workspace", "search"]
-
 SEARCHED = 25
 """How many times N steps are searched at most, unless told otherwise."""
 

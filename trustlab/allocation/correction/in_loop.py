@@ -1,7 +1,5 @@
 """The correction inside a compiled loop: thresholds that move sample by sample while a testbed runs."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba
@@ -10,8 +8,6 @@ import numpy as np
 from trustlab.allocation.correction.exact import SEARCHED, Solution, Workspace, search
 from trustlab.allocation.correction.plan import LOWER, UPPER
 from trustlab.models.tsc import TscConstants, TscModel
-
-__all__ = ["CORRECTED", "LoopCorrection", "correct_thresholds", "loop_correction", "no_correction"]
 
 CORRECTED = np.dtype(
     [

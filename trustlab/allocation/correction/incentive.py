@@ -1,7 +1,5 @@
 """How much correction an operator can be expected to accept, (2.41)-(2.42)."""
 
-from __future__ import annotations
-
 import warnings
 
 import numba
@@ -11,8 +9,6 @@ from trustlab.models.checks import between, finite_number, positive
 from trustlab.models.published import published_models
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
-
-__all__ = ["box", "incentive_bounds", "incentive_box", "within_range"]
 
 ROUNDING = 1e-9
 """By which share of its range robot performance may lie outside and still count as at its end."""

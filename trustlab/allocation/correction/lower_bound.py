@@ -1,7 +1,5 @@
 """Lower bounds of the cost (2.43) from some step on, which no plan can beat: for the exact engine."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 
@@ -10,8 +8,6 @@ from trustlab.allocation.correction.plan import LOWER, UPPER
 from trustlab.models.human import next_utilization
 from trustlab.models.robot import next_performance
 from trustlab.models.tsc import advance, human_at, human_range
-
-__all__ = ["future_cost", "remaining_cost"]
 
 LONG = 1000
 """From how many steps on the bound over many switches is worth its time."""

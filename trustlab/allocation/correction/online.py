@@ -18,8 +18,6 @@ from trustlab.models.tsc import tsc_at
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["OnlineCorrection", "OnlineStep"]
-
 
 @dataclass(frozen=True, slots=True)
 class OnlineStep:

@@ -17,8 +17,6 @@ A node is a mode with a cell of r: autonomous phases are nodes 0 … CELLS − 1
 that is on is the last node, START.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba
@@ -27,8 +25,6 @@ import numpy as np
 from trustlab.allocation.correction.plan import LOWER, UPPER
 from trustlab.models.robot import next_performance
 from trustlab.models.tsc import human_at, human_range, tsc_at
-
-__all__ = ["least_effort"]
 
 CELLS = 800
 """Cells of utilization, over [0, 1]."""

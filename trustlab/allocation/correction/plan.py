@@ -11,8 +11,6 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["LOWER", "UPPER", "CorrectionPlan", "CorrectionStatus"]
-
 LOWER, UPPER = 0, 1
 """Rows of arrays that hold both thresholds."""
 

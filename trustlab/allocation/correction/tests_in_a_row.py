@@ -21,8 +21,6 @@ from trustlab.models.tsc import TscConstants, TscModel, threshold_mode, tsc_at
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["CorrectionRun", "correct_pattern"]
-
 HABITS = ("following", "lagging", "ignoring")
 """How operators respond to suggestions."""
 

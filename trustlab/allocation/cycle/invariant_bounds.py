@@ -1,7 +1,5 @@
 """Bounds on the switched system that hold for every trajectory: sets of states propagated round the cycle."""
 
-from __future__ import annotations
-
 import html
 import math
 from dataclasses import dataclass
@@ -11,8 +9,6 @@ from trustlab.allocation.cycle.propagation import ROUNDING, enclose, nest
 from trustlab.allocation.limits import check_thresholds
 from trustlab.models.checks import whole_number
 from trustlab.models.tsc import TscModel
-
-__all__ = ["InvariantBounds", "invariant_bounds"]
 
 EFFORT = 3_000_000
 """Samples through which polygons may be propagated, or twenty of the longest phases if that is more."""

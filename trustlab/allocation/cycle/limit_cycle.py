@@ -14,8 +14,6 @@ from trustlab.allocation.limits import check_thresholds
 from trustlab.models.checks import whole_number
 from trustlab.models.tsc import TscConstants, TscModel
 
-__all__ = ["LimitCycle", "limit_cycle"]
-
 MOST_CYCLES = 2000
 """Cycles that are recorded of a motion that does not repeat."""
 

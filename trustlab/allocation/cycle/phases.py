@@ -1,15 +1,11 @@
 """The model under rule (2.8), one phase after another: samples under one mode from a switch to the next."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from trustlab.models.tsc import advance, human_at, tsc_at
-
-__all__ = ["CYCLE", "NOTHING", "Seen", "longest_phase", "record", "return_map", "settle"]
 
 CYCLE = np.dtype(
     [

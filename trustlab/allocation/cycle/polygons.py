@@ -7,8 +7,6 @@ cells of r, each a polygon. While the dwell time is the same for a whole polygon
 it is cut along TSC = threshold into one part for each dwell time.
 """
 
-from __future__ import annotations
-
 import math
 
 import numba
@@ -16,8 +14,6 @@ import numpy as np
 
 from trustlab.allocation.cycle.propagation import overshoot
 from trustlab.models.tsc import advance, human_at, tsc_at
-
-__all__ = ["narrow"]
 
 R, P = 0, 1
 """Columns of a corner: utilization and robot performance."""

@@ -1,15 +1,11 @@
 """Intervals of states propagated round the cycle in interval arithmetic, for bounds that hold for every trajectory."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from trustlab.models.tsc import advance, human_at, human_range, tsc_at
-
-__all__ = ["ROUNDING", "Enclosure", "PhaseImage", "enclose", "nest", "overshoot"]
 
 ROUNDING = 1e-12
 """By how much intervals are widened after each phase: far more than the rounding of the arithmetic."""

@@ -1,7 +1,5 @@
 """All checks together: one table with a row per printed number, in the order in which they are printed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import astuple, fields
 
@@ -15,8 +13,6 @@ from trustlab.reproduction.audit.sample_moments import sample_checks
 from trustlab.reproduction.audit.statements import statement_checks
 from trustlab.reproduction.audit.statistics import study_checks
 from trustlab.reproduction.audit.verdict import Remark, Row, rows_of
-
-__all__ = ["audit"]
 
 MAKERS = (model_checks, study_checks, sample_checks, claim_checks, statement_checks, joint_rows)
 

@@ -1,7 +1,5 @@
 """Every printed number under an id of its own, from data/published/."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -15,8 +13,6 @@ from trustlab.models.checks import did_you_mean, shown
 from trustlab.reproduction.printed_number import PrintedNumber
 from trustlab.reproduction.published import PILOT, published_folder, published_table
 from trustlab.reproduction.published_study import published_studies
-
-__all__ = ["PARTICIPANTS", "claims", "conditions_of", "printed_numbers", "study_names", "why_unchecked"]
 
 PARTICIPANTS = ("1", "2", "3", "4", "5")
 TABLES = ("2.1", "2.2", "2.3", "2.4", "2.5", "2.6", "3.1")

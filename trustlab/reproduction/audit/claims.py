@@ -1,15 +1,11 @@
 """The audit of claims.csv: percentages and differences against the means they would be computed from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
 from trustlab.reproduction.audit.catalogue import claims
 from trustlab.reproduction.audit.verdict import Check, Formula, Numbers
-
-__all__ = ["claim_checks"]
 
 
 def _relative(after: str, before: str) -> Formula:

@@ -11,8 +11,6 @@ from trustlab.reproduction.audit.catalogue import PARTICIPANTS
 from trustlab.reproduction.audit.models import PERFORMANCE, bounds, limits, upper_limit_check
 from trustlab.reproduction.audit.verdict import NOTHING, Numbers, Row, listing, row_about
 
-__all__ = ["joint_rows"]
-
 LIMITS = ("TSC_lb", "TSC_ub", "b_pr")
 BOUNDS = ("P_rl", "P_ru", "r_l", "r_u")
 FARTHEST = 1e3

@@ -1,7 +1,5 @@
 """The audit of Tables 2.1-2.3 and the pilot operator: rates, limits, bounds and thresholds of the TSC model."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -13,8 +11,6 @@ from trustlab.models.robot import gain_of_human_performance
 from trustlab.models.tsc import TscConstants, performance_weights
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, why_unchecked
 from trustlab.reproduction.audit.verdict import Check, Finding, Formula, Numbers, Possible, Remark
-
-__all__ = ["PERFORMANCE", "bounds", "limits", "model_checks", "upper_limit_check"]
 
 PERFORMANCE = ("P_r_min", "P_r_max", "P_h_min", "P_h_max")
 HOLDS = (1e-12, np.inf)

@@ -1,7 +1,5 @@
 """The audit of pairwise p-values: what means and SDs leave possible, and for which adjustment they go with F."""
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import combinations
 
@@ -20,8 +18,6 @@ from trustlab.reproduction.audit.verdict import (
     row_about,
 )
 from trustlab.reproduction.printed_number import PrintedNumber
-
-__all__ = ["extreme_t", "means_and_sds", "pair_checks"]
 
 ALPHA = 0.05
 

@@ -12,8 +12,6 @@ from trustlab.reproduction.audit.verdict import VERDICTS
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["part_of", "plot_ranges", "plot_slips", "plot_verdicts", "verdict_counts"]
-
 COLOURS = dict(zip(VERDICTS, ("C2", "C5", "C1", "#bbbbbb"), strict=True))
 
 PARTS = {

@@ -1,7 +1,5 @@
 """The audit of printed means and SDs: what scales, sample sizes and whole points leave possible."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from fractions import Fraction
@@ -22,8 +20,6 @@ from trustlab.reproduction.audit.verdict import (
     show,
 )
 from trustlab.reproduction.printed_number import PrintedNumber
-
-__all__ = ["attainable", "sample_checks", "simplest_ratio"]
 
 LIKERT_1_5, SHARE, PERCENT = (1.0, 5.0), (0.0, 1.0), (0.0, 100.0)
 UNBOUNDED = (0.0, math.inf)

@@ -1,7 +1,5 @@
 """The audit of statements.csv: ranks, comparisons, counts, and numbers printed in two places."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from decimal import ROUND_HALF_UP, Decimal
 
@@ -10,8 +8,6 @@ import numpy as np
 from trustlab.reproduction.audit.catalogue import study_names
 from trustlab.reproduction.audit.verdict import Check, Finding, Formula, Numbers, Remark, Row, row_about
 from trustlab.reproduction.printed_number import ROUNDINGS, last_unit
-
-__all__ = ["statement_checks"]
 
 SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
 HIGHER_IS_BETTER = {"error": False, "tlx": False, "trust": True, "preference": True}

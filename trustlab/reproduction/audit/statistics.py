@@ -1,7 +1,5 @@
 """The audit of the eleven printed studies: degrees of freedom, p-values, effect sizes, sphericity and duplicates."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np
@@ -11,8 +9,6 @@ from trustlab.reproduction.audit.catalogue import conditions_of, study_names
 from trustlab.reproduction.audit.pairwise import extreme_t, means_and_sds, pair_checks
 from trustlab.reproduction.audit.verdict import Check, Finding, Formula, Numbers, Possible, Remark
 from trustlab.studies.analysis.sphericity import mauchly_factor, mauchly_p_value
-
-__all__ = ["chi2_of_epsilon", "study_checks"]
 
 
 def chi2_of_epsilon(epsilon: np.ndarray, n: np.ndarray, k: int, greatest: bool) -> np.ndarray:

@@ -13,8 +13,6 @@ import pandas as pd
 
 from trustlab.reproduction.printed_number import PrintedNumber
 
-__all__ = ["VERDICTS", "Check", "Finding", "Formula", "Possible", "Remark", "Row", "row_about", "rows_of"]
-
 VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
 
 Numbers = Mapping[str, PrintedNumber]

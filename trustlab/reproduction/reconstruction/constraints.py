@@ -5,8 +5,6 @@ A pair's p may be printed unadjusted or adjusted for the m = k(k − 1)/2 compar
 1 − (1 − p)^m, Holm the running maximum of (m − l + 1) p_(l). Each printed p is an interval, "<.0005" a half-line.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,8 +17,6 @@ from trustlab.reproduction.printed_number import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy, published_studies
 from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
 from trustlab.studies.analysis.sphericity import mauchly_p_value
-
-__all__ = ["ADJUSTMENTS", "ALPHA", "Constraint", "constraints", "select"]
 
 ADJUSTMENTS = ("bonferroni", "holm", "sidak", "none")
 """Adjustments of pairwise p-values for the number of comparisons."""

@@ -1,7 +1,5 @@
 """Printed numbers of one study that contradict each other by arithmetic alone, whatever the data."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -11,8 +9,6 @@ from scipy import special
 from trustlab.reproduction.printed_number import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import Constraint, constraints, size_interval
-
-__all__ = ["arithmetic_conflicts"]
 
 COMPARED = {
     "epsilon": ("epsilon", ("epsilon", "anova.df2", "anova.df1")),

@@ -1,7 +1,5 @@
 """Whether the numbers printed for a study can belong to one data set, and if not, which of them conflict."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -14,8 +12,6 @@ from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, Constr
 from trustlab.reproduction.reconstruction.contradictions import arithmetic_conflicts
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
 from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
-
-__all__ = ["Feasibility", "Verdict", "compare_adjustments", "decide", "feasibility", "prepared"]
 
 MARGINS = (0.3, 0.1, 0.02)
 """How far inside the printed intervals solutions are sought, as shares of their half-widths, one after the other."""

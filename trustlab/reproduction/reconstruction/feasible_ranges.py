@@ -1,7 +1,5 @@
 """Ranges of the unprinted quantities over data that have all printed statistics."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +10,6 @@ from trustlab.reproduction.reconstruction.feasibility import MARGINS, decide
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
 from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
 from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
-
-__all__ = ["feasible_ranges"]
 
 INSIDE = 0.02
 """Every end is attained this far inside the printed intervals, as a share of their half-widths."""

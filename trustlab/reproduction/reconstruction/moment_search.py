@@ -17,8 +17,6 @@ import numpy as np
 from trustlab.reproduction.reconstruction.constraints import Constraint
 from trustlab.reproduction.reconstruction.moment_statistics import MomentStatistics
 
-__all__ = ["MomentProblem", "Moments"]
-
 OPEN_UNIT = 0.05
 """Unit of violation of a statement that is open to one side: natural logarithm of a p, or a share of chi-square."""
 

@@ -8,8 +8,6 @@ k − 1 orthonormal contrasts: F = n Σ(m − m̄)²/T, ε = T²/((k − 1)Q), W
 of a difference (Mauchly 1940; Greenhouse & Geisser 1959).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,8 +15,6 @@ import numpy as np
 from scipy import special
 
 from trustlab.studies.analysis.sphericity import mauchly_factor
-
-__all__ = ["MomentStatistics", "pair_indices"]
 
 TINY = 1e-300
 

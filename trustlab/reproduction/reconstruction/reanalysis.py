@@ -1,7 +1,5 @@
 """Every statistic a study prints, computed again from data by the analysis of `trustlab.studies`, not from moments."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from trustlab.reproduction.printed_number import printed_interval
@@ -9,8 +7,6 @@ from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import ALPHA, Constraint, size_interval
 from trustlab.studies.analysis.batch import repeated_measures_batch
 from trustlab.studies.analysis.pairwise import bonferroni, holm
-
-__all__ = ["adjusted", "agrees", "printed_ends", "reanalyse"]
 
 
 def _sidak(p: np.ndarray) -> np.ndarray:

@@ -7,8 +7,6 @@ n subjects with exactly these moments inside the scale of the measure (`sampling
 follow the steps of a questionnaire. They are not measurements, and everything made from them says so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -28,8 +26,6 @@ from trustlab.reproduction.reconstruction.feasible_ranges import feasible_ranges
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
 from trustlab.reproduction.reconstruction.reanalysis import agrees, printed_ends, reanalyse
 from trustlab.reproduction.reconstruction.sampling import sample_with_moments
-
-__all__ = ["NOTE", "Reconstruction", "ReconstructionError", "reconstruct", "reconstruct_study"]
 
 NOTE = "Reconstructed data: not measurements, but values that have the printed statistics."
 RECONSTRUCTED = {"reconstructed": True, "note": NOTE}

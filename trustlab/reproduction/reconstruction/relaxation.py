@@ -8,8 +8,6 @@ by planes where a solution violates it (Kelley 1960): no combination of conditio
 "infeasible" is certain, and "feasible" is inconclusive.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
@@ -21,8 +19,6 @@ from trustlab.reproduction.reconstruction.constraints import Constraint, Interva
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem
 from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
 from trustlab.studies.analysis.sphericity import mauchly_factor
-
-__all__ = ["proves_infeasible"]
 
 
 def _cells(found: Sequence[Constraint], kind: str, k: int, default: Interval) -> np.ndarray:

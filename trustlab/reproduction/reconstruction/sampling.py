@@ -6,11 +6,7 @@ outside the range they are moved to its ends, and the nearest values with the ex
 polar factor of the centred values times G (orthogonal Procrustes problem, Schönemann 1966; alternating projections).
 """
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = ["sample_with_moments"]
 
 
 def sample_with_moments(

@@ -2,6 +2,4 @@
 
 import lazy_loader as lazy
 
-__getattr__, __dir__, __all__ = lazy.attach(
-    __name__, submod_attrs={"file": ["read_session"], "folder": ["read_sessions"]}
-)
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,7 +1,5 @@
 """From a raw log to a session: checks, resampling, constant and computed columns, metadata."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +15,6 @@ from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.recipe import Constant, MetadataColumn, MetadataRule, Recipe, mapped, plain_key
 from trustlab.sessions.resampling import RawLog, require_common_times, resample
 from trustlab.sessions.session import Session
-
-__all__ = ["assemble_session", "recipe_values"]
 
 
 def recipe_values(recipe: Recipe, path: Path, index: SessionIndex | None) -> dict[str, object]:

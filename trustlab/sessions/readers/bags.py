@@ -1,7 +1,5 @@
 """ROS 1 and ROS 2 bags, read without ROS."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections import Counter
@@ -18,8 +16,6 @@ from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.patterns import FieldPath
 from trustlab.sessions.recipe import Recipe, TopicField, mapped
 from trustlab.sessions.resampling import MAX_SAMPLES, RawLog, Stream
-
-__all__ = ["PREFIX", "check_sqlite_path", "read_bag"]
 
 PREFIX = "/trustlab/"
 """Where the topics of a bag stand that `write_session` wrote: t, metadata and one per column."""

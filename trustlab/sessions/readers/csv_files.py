@@ -1,7 +1,5 @@
 """CSV files."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math
@@ -16,8 +14,6 @@ from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.readers.tables import SourceColumn, select_columns, table_stream
 from trustlab.sessions.recipe import NUMBER, Recipe, TableRule, mapped, plain_key
 from trustlab.sessions.resampling import RawLog
-
-__all__ = ["COMMENT", "read_csv"]
 
 COMMENT = "# trustlab "
 """The start of the first line of a CSV file whose rest is metadata."""

@@ -1,7 +1,5 @@
 """Read one logged session: which reader a file needs, and with which recipe."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,8 +10,6 @@ from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.recipe import Recipe, TableRule, load_recipe, parse
 from trustlab.sessions.resampling import RawLog, check_resampling
 from trustlab.sessions.session import Session
-
-__all__ = ["SUFFIXES", "FileReader", "read_session"]
 
 _TABLES = (".csv", ".parquet")
 _BAGS = (".bag", ".mcap", ".db3")

@@ -1,7 +1,5 @@
 """Read all sessions of a folder: which files belong to it, and whether they are complete."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Callable, Sequence
@@ -13,8 +11,6 @@ from trustlab.sessions.readers.file import SUFFIXES, FileReader
 from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.recipe import Recipe, plain_key
 from trustlab.sessions.session import Session
-
-__all__ = ["read_sessions"]
 
 
 def read_sessions(

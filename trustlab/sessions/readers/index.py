@@ -1,7 +1,5 @@
 """The [header] files of a recipe: tables beside the sessions that index them, one row for each."""
 
-from __future__ import annotations
-
 import csv
 import io
 import os
@@ -13,8 +11,6 @@ from trustlab.models.checks import did_you_mean
 from trustlab.sessions.errors import SessionError, source_named
 from trustlab.sessions.patterns import PathMatch
 from trustlab.sessions.recipe import NUMBER, Recipe, plain_key
-
-__all__ = ["SessionIndex"]
 
 
 def _typed(text: str) -> object:

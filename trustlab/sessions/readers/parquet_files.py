@@ -1,7 +1,5 @@
 """Parquet files."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,8 +10,6 @@ from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.readers.tables import SourceColumn, select_columns, table_stream
 from trustlab.sessions.recipe import Recipe, mapped
 from trustlab.sessions.resampling import MAX_SAMPLES, RawLog
-
-__all__ = ["read_parquet"]
 
 
 def read_parquet(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None) -> RawLog:

@@ -1,7 +1,5 @@
 """Tables of numbers: which columns of a file are read, and the raw log that they make."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -14,8 +12,6 @@ from trustlab.sessions.errors import SessionError, listed
 from trustlab.sessions.recipe import NUMBER, Recipe, TableColumn, TableTime
 from trustlab.sessions.resampling import Stream
 from trustlab.sessions.vocabulary import VOCABULARY, to_si
-
-__all__ = ["SourceColumn", "select_columns", "table_stream"]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ def __getattr__(name: str) -> object:
     """Find the names that this place once had."""
     from trustlab.sessions import recipe
 
-    if name not in recipe.__all__:
+    if name.startswith("_") or not hasattr(recipe, name):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     warn_renamed(f"{__name__}.{name}", f"{recipe.__name__}.{name}")
     return getattr(recipe, name)

@@ -1,7 +1,5 @@
 """The sentences of a results section, with numbers rounded as the APA manual requires."""
 
-from __future__ import annotations
-
 from decimal import ROUND_HALF_UP, Context, Decimal
 from numbers import Number
 
@@ -10,8 +8,6 @@ import pandas as pd
 
 from trustlab.models.checks import one_of
 from trustlab.studies.analysis.score_table import ScoreTable, same_for_all
-
-__all__ = ["apa_number", "apa_p", "apa_table"]
 
 # Column of p-values and its name in the sentence.
 _ADJUSTMENTS = {

@@ -1,7 +1,5 @@
 """Repeated-measures analyses of many studies at once: the engine under `repeated_measures` and under campaigns."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -17,8 +15,6 @@ from trustlab.studies.analysis.sphericity import (
     mauchly,
     orthonormal_contrasts,
 )
-
-__all__ = ["RepeatedMeasuresBatch", "repeated_measures_batch"]
 
 # Scores analysed in one go.
 _CHUNK = 1 << 20

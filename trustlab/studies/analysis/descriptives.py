@@ -1,7 +1,5 @@
 """Means of conditions with their intervals: between subjects, and within subjects after Cousineau and Morey."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

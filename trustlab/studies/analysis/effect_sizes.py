@@ -1,15 +1,11 @@
 """The interval of partial η² from the noncentral F distribution."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from scipy import special
 from scipy.optimize import brentq
 
 from trustlab.models.checks import not_negative, open_unit, positive
-
-__all__ = ["PartialEtaInterval", "partial_eta_interval"]
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """A mixed model with a random intercept per subject: a check of the ANOVA that also accepts missing cells."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -13,8 +11,6 @@ from scipy.optimize import minimize_scalar
 
 from trustlab.studies.analysis.score_table import ScoreTable, read_scores
 from trustlab.studies.analysis.sphericity import orthonormal_contrasts
-
-__all__ = ["MixedModel", "mixed_model"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,5 @@
 """Two conditions: the paired t-test with its interval, effect sizes, normality and Wilcoxon's test beside it."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,8 +12,6 @@ from trustlab.studies.analysis.batch import analyse_table
 from trustlab.studies.analysis.descriptives import describe, t_half_width
 from trustlab.studies.analysis.rank_tests import normality_of_differences, wilcoxon
 from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, read_scores, same_for_all
-
-__all__ = ["PairedTTest", "paired_t_test"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,5 @@
 """All pairs of conditions: paired t-tests, adjusted p-values and standardized differences; arrays of studies at once."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -9,8 +7,6 @@ import numpy as np
 from scipy import special
 
 from trustlab.studies.analysis.descriptives import t_half_width
-
-__all__ = ["bonferroni", "holm"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,5 @@
 """Figures of analyses: means with intervals, rainclouds, a line per subject, differences of a pair."""
 
-from __future__ import annotations
-
 import textwrap
 
 import numpy as np

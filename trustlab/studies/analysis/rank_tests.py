@@ -1,7 +1,5 @@
 """Beside the ANOVA and the t-test: Friedman's and Wilcoxon's rank tests, and the normality of differences."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

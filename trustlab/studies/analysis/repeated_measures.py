@@ -1,7 +1,5 @@
 """One-way repeated-measures analysis of a long table: everything that a paper reports about it."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, fields
 
@@ -17,8 +15,6 @@ from trustlab.studies.analysis.pairwise import holm
 from trustlab.studies.analysis.rank_tests import Friedman, friedman, normality_of_differences
 from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, read_scores, same_for_all
 from trustlab.studies.analysis.sphericity import CORRECTIONS, decide_correction, why_no_mauchly
-
-__all__ = ["RepeatedMeasures", "repeated_measures"]
 
 _DESIGN = ("dv", "within", "subject", "conditions", "subjects", "excluded")
 _UNTABLED = (*_DESIGN, "notes", "scores", "observed", "batch")

@@ -1,7 +1,5 @@
 """A long table of scores, checked and arranged as subjects × conditions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Sphericity: Mauchly's test, Greenhouse–Geisser and Huynh–Feldt ε for arrays of studies, and which correction applies."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

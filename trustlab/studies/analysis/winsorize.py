@@ -1,7 +1,5 @@
 """Winsorizing: outlying values are replaced by an explicit rule, and every change is listed."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
@@ -10,8 +8,6 @@ import pandas as pd
 
 from trustlab.models.checks import did_you_mean, finite_array, one_of, positive
 from trustlab.studies.analysis.score_table import ScoreTable, read_scores
-
-__all__ = ["Winsorized", "winsorize"]
 
 # Which values count as outlying, by the name of the rule and its k.
 OUTLIER_RULES = {

@@ -1,14 +1,10 @@
 """Power in closed form: noncentral F where sphericity holds, Box's approximation elsewhere, and exact binomial intervals."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
 from trustlab.models.checks import finite_number, not_negative, open_unit, whole_number
-
-__all__ = ["clopper_pearson", "noncentral_f_power", "noncentrality"]
 
 
 def noncentrality(eta2_partial: float, n: int, k: int) -> float:

@@ -12,8 +12,6 @@ from scipy.optimize import brentq
 from trustlab.models.checks import finite_array, finite_number, positive, whole_number
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
 
-__all__ = ["Conditions", "checked_covariance", "conditions_from", "graded_covariance"]
-
 _LEAST = 1e-12
 """Least eigenvalue, as a share of the greatest, that counts as positive."""
 

@@ -18,8 +18,6 @@ from trustlab.operators.ground_robot import Operator, operator
 from trustlab.operators.teleoperator import RANGES, REACH, Teleoperator
 from trustlab.studies.planning.covariances import checked_covariance
 
-__all__ = ["GroundRobotPopulation", "TeleoperatorPopulation"]
-
 COORDINATES = (
     "ln tau_r",
     "logit beta",

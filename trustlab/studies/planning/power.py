@@ -19,8 +19,6 @@ from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, claim
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["LEAST_REPLICATES", "MOST_N", "PowerAnalysis", "power_analysis"]
-
 AXES = {
     "n": "participants n",
     "effect_size": "population partial η²",

@@ -1,7 +1,5 @@
 """Simulated studies counted: how many find the effect, and how many find which pair."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -12,8 +10,6 @@ from trustlab.models.checks import did_you_mean
 from trustlab.studies.analysis.batch import repeated_measures_batch
 from trustlab.studies.analysis.sphericity import CORRECTIONS
 from trustlab.studies.planning.covariances import Conditions
-
-__all__ = ["ADJUSTMENTS", "TESTS", "claims_mask", "count_findings", "simulated_counts"]
 
 TESTS = (*CORRECTIONS, "auto")
 """Corrections of the omnibus F; "auto" is that of `repeated_measures`: Greenhouse–Geisser where Mauchly's test rejects."""

@@ -1,7 +1,5 @@
 """The smallest study with a wanted power: bisection on simulated power, begun at the closed form."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,8 +14,6 @@ from trustlab.studies.planning.closed_form_power import clopper_pearson, noncent
 from trustlab.studies.planning.covariances import Conditions, conditions_from
 from trustlab.studies.planning.power import LEAST_REPLICATES, MOST_N
 from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, claims_mask, simulated_counts
-
-__all__ = ["SmallestN", "smallest_n"]
 
 AHEAD = 4
 """How many n are simulated at the same time where there are workers for it."""

@@ -12,8 +12,6 @@ from trustlab.studies.planning.virtual_participant import session_file
 if TYPE_CHECKING:
     from trustlab.studies.planning.virtual_report import VirtualStudy
 
-__all__ = ["Folder"]
-
 FILES = ("participants.csv", "orders.csv", "measures.csv", "about.txt")
 
 

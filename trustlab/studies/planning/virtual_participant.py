@@ -1,7 +1,5 @@
 """One simulated participant of a virtual study: every condition in their order, measured and, if asked for, written."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 
@@ -13,8 +11,6 @@ from trustlab.testbeds.ground_robot.conditions import SAMPLE_TIME, run_condition
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
-
-__all__ = ["run_participant", "session_file"]
 
 
 @cache

@@ -1,7 +1,5 @@
 """The result of a virtual study: its design, people, measures, statistics and figures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +12,6 @@ from trustlab.models.checks import one_of
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.designs import LatinSquareDesign
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
-
-__all__ = ["KEYS", "ORIGIN", "WORDS", "VirtualStudy"]
 
 WORDS = {"ground_robot": "the ground-robot testbed", "uav": "the UAV testbed"}
 """How messages call the testbeds."""

@@ -1,7 +1,5 @@
 """A whole study with simulated operators: from its design to its statistics."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from typing import Any
@@ -17,8 +15,6 @@ from trustlab.studies.planning.virtual_participant import run_participant
 from trustlab.studies.planning.virtual_report import KEYS, ORIGIN, WORDS, VirtualStudy
 from trustlab.teleoperation.loop.schemes import SCHEMES
 from trustlab.testbeds.ground_robot.conditions import CONDITIONS, MOST_LAPS
-
-__all__ = ["virtual_study"]
 
 TESTBEDS = {"ground_robot": tuple(CONDITIONS), "uav": tuple(SCHEMES)}
 MAIN_SCHEMES = ("M", "OMI", "MMI", "TMIG")

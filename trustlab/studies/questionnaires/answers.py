@@ -1,7 +1,5 @@
 """Answers to a questionnaire: a wide or long table becomes a row per subject and condition, a column per item."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np

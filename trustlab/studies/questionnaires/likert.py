@@ -1,7 +1,5 @@
 """Likert scales: reversed items, subscales, missing answers by a named rule, and scores that know their range."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Required, TypedDict
@@ -12,8 +10,6 @@ import pandas as pd
 from trustlab.models.checks import finite_number, of_class, one_of
 from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
 from trustlab.studies.questionnaires.reliability import cronbach_alpha
-
-__all__ = ["LikertScale", "ScaleScores", "Subscale", "score_likert"]
 
 # Every item must be answered; or a score is formed where at least half of its items are answered.
 MISSING_RULES = ("refuse", "half_rule")

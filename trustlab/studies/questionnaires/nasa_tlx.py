@@ -1,7 +1,5 @@
 """NASA task load index (Hart and Staveland 1988), raw and weighted."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 
@@ -12,8 +10,6 @@ from trustlab.models.checks import did_you_mean, of_class, one_of
 from trustlab.studies.columns import column_of, refuse_missing_labels
 from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
 from trustlab.studies.questionnaires.likert import ScaleScores, missing_answers
-
-__all__ = ["TLX_RESCALINGS", "TLX_SCALES", "score_nasa_tlx", "tlx_weights"]
 
 #: The six scales: demands (mental, physical, temporal), performance (good → poor), effort, frustration.
 TLX_SCALES = ("mental", "physical", "temporal", "performance", "effort", "frustration")

@@ -1,15 +1,11 @@
 """Cronbach's alpha with Feldt's interval."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import of_class, open_unit
-
-__all__ = ["Reliability", "cronbach_alpha"]
 
 
 @dataclass(frozen=True, eq=False)

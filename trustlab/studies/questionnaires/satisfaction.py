@@ -1,15 +1,11 @@
 """Satisfaction after a test, on a scale of five points (Chapter 2) or seven."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
 
 import pandas as pd
 
 from trustlab.studies.questionnaires.likert import AnswerColumns, LikertScale, ScaleScores, score_likert
-
-__all__ = ["satisfaction_scale", "score_satisfaction"]
 
 # The items of Section 2.4.1.3: satisfaction, comfort, and the feeling of being in control of the task.
 SATISFACTION_ITEMS = ("satisfaction", "comfort", "control")

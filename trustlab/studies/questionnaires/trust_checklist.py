@@ -1,7 +1,5 @@
 """Trust between people and automation: the twelve-item checklist of Jian, Bisantz and Drury (2000)."""
 
-from __future__ import annotations
-
 from typing import Unpack
 
 import pandas as pd
@@ -13,8 +11,6 @@ from trustlab.studies.questionnaires.likert import (
     Subscale,
     score_likert,
 )
-
-__all__ = ["TRUST_CHECKLIST", "score_trust_checklist"]
 
 _DISTRUST = ("deceptive", "underhanded", "suspicious", "wary", "harmful")
 _TRUST = ("confident", "security", "integrity", "dependable", "reliable", "trust", "familiar")

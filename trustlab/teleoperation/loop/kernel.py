@@ -7,8 +7,6 @@ pointers, whereas every array that a compiled function is given costs two atomic
 as arguments this loop is three times slower.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba
@@ -17,12 +15,9 @@ import numpy as np
 from trustlab.allocation.blending import best_share
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.loop.schemes import LOGISTIC, MANUAL, OPERATOR, OPTIMAL, STEP
-from trustlab.teleoperation.ports import device as haptic
-from trustlab.teleoperation.ports import guidance, waves
+from trustlab.teleoperation.ports import device as haptic, guidance, waves
 from trustlab.teleoperation.ports.ledger import read_wave
 from trustlab.teleoperation.records import columns_of, record
-
-__all__ = ["BLOCKS", "COLUMNS", "INPUT", "LOG", "STATE", "VEHICLE", "loop_step", "run_loop"]
 
 BLOCKS = ("haptic device", "channel", "robot")
 

@@ -1,11 +1,7 @@
 """The control schemes of Sections 3.8 and 3.9 by name, and the printed settings of both studies."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from difflib import SequenceMatcher
-
-__all__ = ["LOGISTIC", "MANUAL", "OPERATOR", "OPTIMAL", "SCHEMES", "STEP", "Scheme", "scheme_named"]
 
 MANUAL, LOGISTIC, STEP, OPERATOR, OPTIMAL = 0, 1, 2, 3, 4
 

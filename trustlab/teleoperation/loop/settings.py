@@ -1,7 +1,5 @@
 """The teleoperation loop of Fig. 3.1 with the printed settings of both studies."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,9 +10,6 @@ from trustlab.models.uav import three_axes
 from trustlab.teleoperation.loop.kernel import VEHICLE, LoopNumbers, ScaleNumbers, TrustNumbers
 from trustlab.teleoperation.ports.device import HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
-
-__all__ = ["STUDIES", "DivergenceError", "LoopSettings", "study_named", "vehicle_matrices"]
-
 
 STUDY_NAMES = ("preliminary", "main")
 

@@ -1,7 +1,5 @@
 """The haptic device with its passivating loop, (3.8)-(3.11), and static force scaling (3.25)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -9,8 +7,6 @@ import numba
 import numpy as np
 
 from trustlab.models.checks import finite_array, not_negative, positive, whole_number
-
-__all__ = ["Device", "HapticDevice", "PassivityError"]
 
 ROUNDING = 1e-12
 

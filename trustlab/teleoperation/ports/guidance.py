@@ -1,13 +1,9 @@
 """The guiding force at the robot's port: a spring to the target, and how the passivity controller limits what it does."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 
 from trustlab.teleoperation.ports.passivity import activation, demanded
-
-__all__ = ["guiding_force", "velocity_share"]
 
 
 @numba.njit(cache=True, error_model="numpy", forceinline=True)

@@ -1,13 +1,9 @@
 """Reading of delayed waves: an energy ledger that never gives out more than arrived, and the two gains of (3.13)."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 
 from trustlab.models.checks import positive, whole_number
-
-__all__ = ["READ_OUTS", "EnergyLedger", "accounts", "read_wave"]
 
 HOLD, INTERPOLATED, LEDGER = 0, 1, 2
 READ_OUTS = {"hold": HOLD, "interpolated": INTERPOLATED, "ledger": LEDGER}

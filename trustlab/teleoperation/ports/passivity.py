@@ -1,7 +1,5 @@
 """Passivity observer and controller of Theorem 4, (3.19)-(3.20), in discrete time."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba
@@ -9,8 +7,6 @@ import numpy as np
 
 from trustlab.models.checks import not_negative, one_of, positive
 from trustlab.teleoperation.records import signal
-
-__all__ = ["CANCEL", "METHODS", "OFF", "REPAY", "Controlled", "PassivityController", "activation", "demanded"]
 
 OFF, CANCEL, REPAY = 0, 1, 2
 METHODS = {"off": OFF, "cancel": CANCEL, "repay": REPAY}

@@ -1,7 +1,5 @@
 """The scattering transformation with variable power scaling, (3.12)-(3.14) and (3.22)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,8 +8,6 @@ import numba
 import numpy as np
 
 from trustlab.models.checks import finite_number, positive
-
-__all__ = ["OperatorEnd", "RobotEnd", "Scattering"]
 
 
 class OperatorEnd(NamedTuple):

@@ -5,20 +5,15 @@ The teleoperated team (Fig. 4.1), compiled: O(N) per step in the Laplacian's eig
 end of the channel are one compiled function each, between records of STATE and LOG.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from trustlab.models.trust import logistic_scale, trust_step
-from trustlab.teleoperation.ports import device as haptic
-from trustlab.teleoperation.ports import waves
+from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.ledger import read_wave
 from trustlab.teleoperation.records import columns_of, record
-
-__all__ = ["BLOCKS", "COLUMNS", "LOG", "ROBOT", "STATE", "TeamNumbers", "push_share", "run_team"]
 
 NO_FILTER, TWO_PORT, WAVES = 0, 1, 2
 BLOCKS = ("haptic device", "channel", "team")

@@ -1,7 +1,5 @@
 """Who leads: leader policies as small objects, all with a minimum dwell time, and each switch to another robot."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
@@ -10,8 +8,6 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from trustlab.models.checks import finite_array, not_negative, one_of, positive
-
-__all__ = ["POLICIES", "GivenSequence", "LeaderPolicy", "MostTrusted", "RandomLeaders", "policy_named"]
 
 
 class LeaderPolicy(Protocol):

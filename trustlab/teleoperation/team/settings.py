@@ -1,7 +1,5 @@
 """A team of robots under one operator: its graph, its blocks, and the simulated operator of (4.30)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,8 +9,6 @@ from trustlab.models.checks import finite_number, not_negative, of_class, positi
 from trustlab.models.trust import TrustModel
 from trustlab.teleoperation.ports.device import HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
-
-__all__ = ["GraphError", "TeamOperator", "TeamSettings", "algebraic_connectivity", "team_graph"]
 
 
 def flag(name: str, value) -> bool:

@@ -1,7 +1,5 @@
 """A robot on a course, an operator, and who drives: a simulated stand-in for the Stage testbed of Fig. 2.1."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 
@@ -31,8 +29,6 @@ from trustlab.testbeds.ground_robot.participants import (
 )
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 from trustlab.testbeds.ground_robot.run import GroundRobotRun
-
-__all__ = ["CONDITIONS", "GroundRobotRun", "drive_modes", "identification_session", "run_condition"]
 
 CONDITIONS = {
     "C1": (kernel.OWN, False),

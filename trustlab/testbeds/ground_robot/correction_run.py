@@ -1,7 +1,5 @@
 """Corrections over several tests in a row on the ground-robot testbed, as in Fig. 2.18."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -25,8 +23,6 @@ from trustlab.testbeds.ground_robot.conditions import (
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.kernel import OWN, TSC
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
-
-__all__ = ["HABITS", "run_correction"]
 
 HABITS = {
     "following": (TSC, True, False),

@@ -1,7 +1,5 @@
 """The closed course that the ground robot follows, and the guide posts beside it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numba
@@ -9,8 +7,6 @@ import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number, positive
 from trustlab.teleoperation.records import signal
-
-__all__ = ["Course", "nearest_point", "path_point"]
 
 CORNERS = (
     (0.0, 0.0),

@@ -4,8 +4,6 @@ The loop that drives the ground robot: one step of operator, allocation and robo
 `drive` is a plain loop over the parts of a step, which share one record of STATE and fill one record of LOG.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba
@@ -20,20 +18,6 @@ from trustlab.operators.ground_robot import driving_style, joystick
 from trustlab.teleoperation.records import record
 from trustlab.testbeds.ground_robot.course import nearest_point, path_point
 from trustlab.testbeds.ground_robot.pioneer import scan, wrapped
-
-__all__ = [
-    "COLUMNS",
-    "DEADLINE",
-    "LOG",
-    "OWN",
-    "PERFORMANCE",
-    "SCHEDULE",
-    "SETTLING",
-    "STATE",
-    "TSC",
-    "Task",
-    "drive",
-]
 
 SCHEDULE, OWN, TSC, PERFORMANCE = 0, 1, 2, 3
 """Who allocates: a given sequence of modes, the operator, suggestions by (2.8), suggestions by Algorithm 2."""

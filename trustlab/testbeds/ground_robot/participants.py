@@ -1,13 +1,9 @@
 """The dissertation's participants as simulated operators: printed model, own thresholds, readiness to follow."""
 
-from __future__ import annotations
-
 from trustlab.models.checks import did_you_mean, whole_number
 from trustlab.models.published import published_models, published_table
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, operator
-
-__all__ = ["participant_label", "published_model", "published_operator", "published_thresholds"]
 
 PILOT_THRESHOLDS = ("0.02", "0.45")
 """TSC_l(0) and TSC_u(0) of the pilot operator, as printed in Section 2.5; Table 2.2 has no column for the pilot."""

@@ -1,7 +1,5 @@
 """The ground robot: limits, laser scanner, odometry and autonomous controller."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -9,8 +7,6 @@ import numba
 import numpy as np
 
 from trustlab.models.checks import finite_number, not_negative, positive
-
-__all__ = ["Pioneer", "PioneerNumbers", "scan", "wrapped"]
 
 
 @numba.njit(cache=True)

@@ -1,15 +1,11 @@
 """Figures of the ground robot: where it went, and how performance, utilization and TSC moved."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number, of_class, one_of
 from trustlab.sessions.plots import shade_manual
 from trustlab.sessions.session import Session
 from trustlab.testbeds.ground_robot.course import Course
-
-__all__ = ["plot_path", "plot_run"]
 
 PANELS = {
     "p_r": "robot performance\n$P_r$ [m/s]",

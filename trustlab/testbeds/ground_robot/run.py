@@ -1,7 +1,5 @@
 """What a run of the ground robot hands back: the session, its measures and its figures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +12,6 @@ from trustlab.sessions.session import Session
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.kernel import DEADLINE
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
-
-__all__ = ["GroundRobotRun"]
 
 STATES = ("followed", "not followed", "withdrawn", "open")
 

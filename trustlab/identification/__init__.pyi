@@ -1,0 +1,13 @@
+from .fit_result import FitResult as FitResult
+from .fitting import fit as fit
+from .human import fit_human as fit_human
+from .regression import ArxResult as ArxResult, arx as arx
+from .robot import fit_robot as fit_robot
+from .structure import (
+    IdentificationError as IdentificationError,
+    LinearForm as LinearForm,
+    Parameter as Parameter,
+    Structure as Structure,
+)
+from .transfer_function import fit_transfer_function as fit_transfer_function
+from .tsc import fit_tsc as fit_tsc

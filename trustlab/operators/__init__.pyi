@@ -1,0 +1,13 @@
+from .answers import simulated_answers as simulated_answers
+from .ground_robot import (
+    Operator as Operator,
+    OperatorNumbers as OperatorNumbers,
+    driving_style as driving_style,
+    joystick as joystick,
+    operator as operator,
+)
+from .teleoperator import (
+    REACH as REACH,
+    Teleoperator as Teleoperator,
+    graded_teleoperators as graded_teleoperators,
+)

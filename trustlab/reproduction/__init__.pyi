@@ -1,0 +1,31 @@
+from .audit.audit import audit as audit
+from .audit.plots import (
+    part_of as part_of,
+    plot_ranges as plot_ranges,
+    plot_slips as plot_slips,
+    plot_verdicts as plot_verdicts,
+    verdict_counts as verdict_counts,
+)
+from .comparison import (
+    compare as compare,
+    matching_digits as matching_digits,
+    recompute as recompute,
+    smallest_change as smallest_change,
+)
+from .published import published_models as published_models, published_table as published_table
+from .published_study import (
+    PublishedStudy as PublishedStudy,
+    PublishedStudyError as PublishedStudyError,
+    published_studies as published_studies,
+)
+from .reconstruction.feasibility import (
+    Feasibility as Feasibility,
+    compare_adjustments as compare_adjustments,
+    feasibility as feasibility,
+)
+from .reconstruction.reconstruction import (
+    Reconstruction as Reconstruction,
+    ReconstructionError as ReconstructionError,
+    reconstruct as reconstruct,
+    reconstruct_study as reconstruct_study,
+)

@@ -1,0 +1,11 @@
+from . import metrics as metrics, recipe as recipe
+from .errors import RecipeError as RecipeError, SessionError as SessionError
+from .external import external_data as external_data
+from .metadata import Metadata as Metadata
+from .metrics import tracking_error as tracking_error
+from .plots import plot_by_participant as plot_by_participant, plot_paths as plot_paths
+from .readers import read_session as read_session, read_sessions as read_sessions
+from .recipe import Recipe as Recipe, list_recipes as list_recipes, load_recipe as load_recipe
+from .session import Session as Session
+from .vocabulary import vocabulary as vocabulary
+from .writers import write_session as write_session

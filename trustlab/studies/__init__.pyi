@@ -1,0 +1,60 @@
+from .analysis.apa import apa_number as apa_number, apa_p as apa_p, apa_table as apa_table
+from .analysis.batch import (
+    RepeatedMeasuresBatch as RepeatedMeasuresBatch,
+    repeated_measures_batch as repeated_measures_batch,
+)
+from .analysis.effect_sizes import (
+    PartialEtaInterval as PartialEtaInterval,
+    partial_eta_interval as partial_eta_interval,
+)
+from .analysis.mixed_model import MixedModel as MixedModel, mixed_model as mixed_model
+from .analysis.paired_t_test import PairedTTest as PairedTTest, paired_t_test as paired_t_test
+from .analysis.pairwise import bonferroni as bonferroni, holm as holm
+from .analysis.repeated_measures import (
+    RepeatedMeasures as RepeatedMeasures,
+    repeated_measures as repeated_measures,
+)
+from .analysis.winsorize import Winsorized as Winsorized, winsorize as winsorize
+from .designs import (
+    DesignBalance as DesignBalance,
+    LatinSquareDesign as LatinSquareDesign,
+    design_balance as design_balance,
+    latin_square_design as latin_square_design,
+    participants_needed as participants_needed,
+    williams_square as williams_square,
+)
+from .planning.closed_form_power import (
+    clopper_pearson as clopper_pearson,
+    noncentral_f_power as noncentral_f_power,
+    noncentrality as noncentrality,
+)
+from .planning.covariances import Conditions as Conditions, graded_covariance as graded_covariance
+from .planning.populations import (
+    GroundRobotPopulation as GroundRobotPopulation,
+    TeleoperatorPopulation as TeleoperatorPopulation,
+)
+from .planning.power import PowerAnalysis as PowerAnalysis, power_analysis as power_analysis
+from .planning.smallest_n import SmallestN as SmallestN, smallest_n as smallest_n
+from .planning.virtual_report import VirtualStudy as VirtualStudy
+from .planning.virtual_study import virtual_study as virtual_study
+from .questionnaires.likert import (
+    LikertScale as LikertScale,
+    ScaleScores as ScaleScores,
+    Subscale as Subscale,
+    score_likert as score_likert,
+)
+from .questionnaires.nasa_tlx import (
+    TLX_RESCALINGS as TLX_RESCALINGS,
+    TLX_SCALES as TLX_SCALES,
+    score_nasa_tlx as score_nasa_tlx,
+    tlx_weights as tlx_weights,
+)
+from .questionnaires.reliability import Reliability as Reliability, cronbach_alpha as cronbach_alpha
+from .questionnaires.satisfaction import (
+    satisfaction_scale as satisfaction_scale,
+    score_satisfaction as score_satisfaction,
+)
+from .questionnaires.trust_checklist import (
+    TRUST_CHECKLIST as TRUST_CHECKLIST,
+    score_trust_checklist as score_trust_checklist,
+)

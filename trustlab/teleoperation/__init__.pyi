@@ -1,0 +1,52 @@
+from .channel import (
+    ChannelRun as ChannelRun,
+    channel_run as channel_run,
+    switched_channel_run as switched_channel_run,
+)
+from .delays import (
+    Delay as Delay,
+    constant_delay as constant_delay,
+    random_walk_delay as random_walk_delay,
+    recorded_delay as recorded_delay,
+)
+from .filters import (
+    FilterRun as FilterRun,
+    PassivityMargin as PassivityMargin,
+    TwoPortFilter as TwoPortFilter,
+    WaveFilter as WaveFilter,
+    corrected_filter as corrected_filter,
+    passivity_margin as passivity_margin,
+    printed_filter as printed_filter,
+    sinusoid_energy as sinusoid_energy,
+)
+from .loop.schemes import SCHEMES as SCHEMES, Scheme as Scheme
+from .loop.settings import (
+    STUDIES as STUDIES,
+    DivergenceError as DivergenceError,
+    LoopSettings as LoopSettings,
+)
+from .ports.device import HapticDevice as HapticDevice, PassivityError as PassivityError
+from .ports.ledger import EnergyLedger as EnergyLedger
+from .ports.passivity import PassivityController as PassivityController
+from .ports.waves import Scattering as Scattering
+from .team.leader_policies import (
+    GivenSequence as GivenSequence,
+    LeaderPolicy as LeaderPolicy,
+    MostTrusted as MostTrusted,
+    RandomLeaders as RandomLeaders,
+)
+from .team.settings import (
+    GraphError as GraphError,
+    TeamOperator as TeamOperator,
+    TeamSettings as TeamSettings,
+    algebraic_connectivity as algebraic_connectivity,
+    team_graph as team_graph,
+)
+from .transparency import (
+    Tuning as Tuning,
+    dominance as dominance,
+    gains as gains,
+    ideal_distances as ideal_distances,
+    rendered_impedance as rendered_impedance,
+    tune_transparency as tune_transparency,
+)

@@ -1,0 +1,28 @@
+from .ground_robot.conditions import (
+    drive_modes as drive_modes,
+    identification_session as identification_session,
+    run_condition as run_condition,
+)
+from .ground_robot.correction_run import run_correction as run_correction
+from .ground_robot.course import Course as Course
+from .ground_robot.participants import (
+    published_model as published_model,
+    published_operator as published_operator,
+    published_thresholds as published_thresholds,
+)
+from .ground_robot.pioneer import Pioneer as Pioneer
+from .ground_robot.run import GroundRobotRun as GroundRobotRun
+from .robot_team import simulate_team as simulate_team
+from .team_run import TeamRun as TeamRun
+from .teleoperation_measures import teleoperation_measures as teleoperation_measures
+from .teleoperation_plots import (
+    plot_alpha as plot_alpha,
+    plot_energies as plot_energies,
+    plot_signals as plot_signals,
+    plot_trajectory as plot_trajectory,
+)
+from .uav_tracking import (
+    TrackingTask as TrackingTask,
+    simulate_teleoperation as simulate_teleoperation,
+    tracking_vehicle as tracking_vehicle,
+)
