@@ -72,9 +72,7 @@ def main(names: list[str]) -> int:
     print("\n" + report.table(rows))
     if not names:
         report.write(rows, seconds)
-    print(
-        f"\n{seconds:.0f} s" + ("" if names else "; written: reports/benchmarks.csv, reports/benchmarks.html")
-    )
+    print(f"\n{seconds:.0f} s" + ("" if names else "; written: reports/benchmarks.csv, reports/benchmarks.html"))
     faults = [row for row in rows if row.fault]
     for row in faults:
         print(f"NOT COMPARED: {row.peer} ({row.case}): {row.fault}", file=sys.stderr)
@@ -89,9 +87,7 @@ if __name__ == "__main__":
         chosen(sys.argv[1:])
     except ValueError as error:
         sys.exit(str(error))
-    if any(
-        os.environ.get(name) != value for name, value in SETTING.items()
-    ):  # they count from a process's start
+    if any(os.environ.get(name) != value for name, value in SETTING.items()):  # they count from a process's start
         command = [sys.executable, "-m", "benchmarks", *sys.argv[1:]]
         os.execve(sys.executable, command, os.environ | SETTING)
     sys.exit(main(sys.argv[1:]))

@@ -34,9 +34,7 @@ def rows() -> Iterator[Row]:
     goal = f"≤ {LIMIT_MS} ms"
     yield Row(CASE, OURS, "(alone)", alone, goal=goal, met=alone.median <= LIMIT_MS)
 
-    yield _compared(
-        "statsmodels OLS: regressors, fit and bse", ours, *_statsmodels(y, u), ours()[0], turns=25
-    )
+    yield _compared("statsmodels OLS: regressors, fit and bse", ours, *_statsmodels(y, u), ours()[0], turns=25)
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder) / "arx.npz"
         np.savez(data, y=y, u=u)
@@ -70,9 +68,7 @@ def rows() -> Iterator[Row]:
             try:
                 with Worker(script, data) as worker:
                     machine.VERSIONS.update(worker.versions)
-                    yield _compared(
-                        peer, ours, worker.side(way), worker.result(way), expected, turns=turns, note=note
-                    )
+                    yield _compared(peer, ours, worker.side(way), worker.result(way), expected, turns=turns, note=note)
             except PeerMissingError as error:
                 yield Row(CASE, OURS, peer, goal=f"≥ {FASTER:g} × faster", fault=str(error))
 

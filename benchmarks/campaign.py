@@ -60,9 +60,7 @@ def rows() -> Iterator[Row]:
         seeds = np.random.SeedSequence(0).spawn(RUNS)
 
         def alone() -> None:
-            parallel(
-                joblib.delayed(burn)(**values, seed=seed) for values, seed in zip(grid(), seeds, strict=True)
-            )
+            parallel(joblib.delayed(burn)(**values, seed=seed) for values, seed in zip(grid(), seeds, strict=True))
 
         yield from compared(
             "loky", Path(folder), 0.10, "joblib.Parallel alone, nothing kept", alone, start, n_jobs=WORKERS
@@ -70,9 +68,7 @@ def rows() -> Iterator[Row]:
         try:
             from distributed import Client, LocalCluster
         except ImportError as error:
-            yield Row(
-                "Campaign on Dask", "trustlab run_campaign", "the ideal", fault=f"not installed: {error}"
-            )
+            yield Row("Campaign on Dask", "trustlab run_campaign", "the ideal", fault=f"not installed: {error}")
             return
         with (
             LocalCluster(
@@ -133,8 +129,6 @@ def compared(
     )
     goal = f"overhead ≤ {100 * most:.0f} %"
     ratio = Spread.of([IDEAL / x for x in ours])
-    yield Row(
-        case, us, "the ideal: processor time / workers", times, ideal, ratio, goal, median(over) <= most, note
-    )
+    yield Row(case, us, "the ideal: processor time / workers", times, ideal, ratio, goal, median(over) <= most, note)
     ratio = Spread.of([y / x for x, y in zip(ours, others, strict=True)])
     yield Row(case, us, peer, times, Spread.of([1e3 * x for x in others]), ratio)

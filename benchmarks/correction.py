@@ -45,9 +45,7 @@ def rows() -> Iterator[Row]:
         data[f"{name}_states"], data[f"{name}_modes"] = scaled(loop), np.array([mode for _, mode in loop])
     for name, loop in loops.items():
         opti = Turns(data[f"{name}_states"], data[f"{name}_modes"], OptiShooting(data, HORIZON).solve)
-        yield compared(
-            name, loop, "CasADi Opti with IPOPT", opti, lambda _, call=opti: milliseconds(call)[0] / 1e3, 60
-        )
+        yield compared(name, loop, "CasADi Opti with IPOPT", opti, lambda _, call=opti: milliseconds(call)[0] / 1e3, 60)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "loop.npz"
         np.savez(path, **data)
@@ -88,18 +86,13 @@ def engines(horizon: int = HORIZON) -> dict[str, object]:
         N.
     """
     model = pilot()
-    return {
-        "exact": ExactEngine(model, *TARGET, C_B, horizon),
-        "casadi": CasadiEngine(model, *TARGET, C_B, horizon),
-    }
+    return {"exact": ExactEngine(model, *TARGET, C_B, horizon), "casadi": CasadiEngine(model, *TARGET, C_B, horizon)}
 
 
 def constants() -> np.ndarray:
     """Return the model's constants as the peers take them."""
     human, robot = pilot().human, pilot().robot
-    return np.array(
-        [human.a, human.beta, human.p_min, human.p_max, robot.a, robot.b, robot.p_min, robot.p_max]
-    )
+    return np.array([human.a, human.beta, human.p_min, human.p_max, robot.a, robot.b, robot.p_min, robot.p_max])
 
 
 def closed_loop(name: str) -> list[tuple[tuple, np.ndarray]]:
@@ -138,12 +131,7 @@ def scaled(loop: list) -> np.ndarray:
     """
     robot = pilot().robot
     rows = [
-        (
-            r,
-            (p_r - robot.p_min) / (robot.p_max - robot.p_min),
-            (upper - TARGET[1]) / C_B,
-            (lower - TARGET[0]) / C_B,
-        )
+        (r, (p_r - robot.p_min) / (robot.p_max - robot.p_min), (upper - TARGET[1]) / C_B, (lower - TARGET[0]) / C_B)
         for (r, p_r, lower, upper, _), _ in loop
     ]
     return np.array(rows)
@@ -209,13 +197,7 @@ def alone(name: str, loop: list) -> Iterator[Row]:
 
 
 def compared(
-    name: str,
-    loop: list,
-    peer: str,
-    result: Callable,
-    side: Callable,
-    turns: int,
-    faster: float | None = None,
+    name: str, loop: list, peer: str, result: Callable, side: Callable, turns: int, faster: float | None = None
 ) -> Row:
     """
     Return the row of one peer: its results checked at the first steps, then our CasADi engine and the peer in turns.
@@ -255,7 +237,9 @@ def compared(
         a.append(milliseconds(lambda k=k: ours.solve(*loop[k][0]))[0])
         b.append(1e3 * side(1))
     ratio = Spread.of([y / x for x, y in zip(a, b, strict=True)])
-    note = f"p99 {np.percentile(a, 99):.3g} and {np.percentile(b, 99):.3g} ms over {turns} steps; same cost to {worst:.0e}"
+    note = (
+        f"p99 {np.percentile(a, 99):.3g} and {np.percentile(b, 99):.3g} ms over {turns} steps; same cost to {worst:.0e}"
+    )
     met = None if faster is None else bool(ratio.median >= faster)
     return replace(row, ours_ms=Spread.of(a), peer_ms=Spread.of(b), ratio=ratio, met=met, note=note)
 
@@ -277,9 +261,7 @@ def cost_of(w: np.ndarray, state: tuple) -> float:
         8
     ):  # c = c_b (w − s) needs s, which needs the modes, which need c: the same after as many rounds as switches
         run = simulate_correction(model, r, p_r, lower, upper, mode, actions[1], actions[0], TARGET)
-        share = (
-            0.5 * (run["r"] + (run["p_r"] - model.robot.p_min) / (model.robot.p_max - model.robot.p_min))[:-1]
-        )
+        share = 0.5 * (run["r"] + (run["p_r"] - model.robot.p_min) / (model.robot.p_max - model.robot.p_min))[:-1]
         actions = C_B * (w - share)
     return simulate_correction(model, r, p_r, lower, upper, mode, actions[1], actions[0], TARGET)["cost"]
 

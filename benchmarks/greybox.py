@@ -45,8 +45,7 @@ def rows() -> Iterator[Row]:
     stderr = np.r_[table["stderr"], fit.initial_states["p_r0_stderr"]].astype(float)
     sd = fit.sigma["p_h"], fit.sigma["p_r"]
     cost = 0.5 * sum(
-        float(e @ e) / s**2
-        for e, s in zip((fit.residuals("p_h")[0], fit.residuals("p_r")[0]), sd, strict=True)
+        float(e @ e) / s**2 for e, s in zip((fit.residuals("p_h")[0], fit.residuals("p_r")[0]), sd, strict=True)
     )
     start = own_start(run)
 
@@ -54,9 +53,7 @@ def rows() -> Iterator[Row]:
         try:
             x, its = call()[:2]
         except Exception as error:
-            return Row(
-                CASE, OURS, peer, goal=goal, fault=f"failed: {type(error).__name__}: {str(error)[:200]}"
-            )
+            return Row(CASE, OURS, peer, goal=goal, fault=f"failed: {type(error).__name__}: {str(error)[:200]}")
         apart, excess = float(np.max(np.abs(x - theta) / stderr)), its / cost - 1.0
         if not (apart < 1e-2 and abs(excess) < 1e-6):
             return Row(

@@ -43,8 +43,6 @@ def _row(case: str, statement: str, turns: int, note: str, goal: str = "") -> Ro
 
 def _milliseconds(statement: str) -> tuple[float, float]:
     """Return the milliseconds that NumPy and then `statement` took in a process of their own."""
-    done = subprocess.run(
-        [sys.executable, "-c", TIMED.format(statement)], check=True, capture_output=True, text=True
-    )
+    done = subprocess.run([sys.executable, "-c", TIMED.format(statement)], check=True, capture_output=True, text=True)
     numpy, ours = done.stdout.split()
     return 1e3 * float(numpy), 1e3 * float(ours)

@@ -37,9 +37,7 @@ def rows() -> Iterator[Row]:
             yield timed(case, ours, peer, array, frames, analyse, error)
 
 
-def timed(
-    case: str, ours: str, peer: str, array: np.ndarray, frames: list, analyse: Callable, error: float
-) -> Row:
+def timed(case: str, ours: str, peer: str, array: np.ndarray, frames: list, analyse: Callable, error: float) -> Row:
     """
     Return the row of one way to use pingouin.
 
@@ -76,9 +74,7 @@ def timed(
 def studies() -> np.ndarray:
     """Return scores with correlated conditions, shape (studies, subjects, conditions)."""
     rng = np.random.default_rng(5)
-    scores = rng.standard_normal((STUDIES, SUBJECTS, CONDITIONS)) + rng.standard_normal(
-        (STUDIES, SUBJECTS, 1)
-    )
+    scores = rng.standard_normal((STUDIES, SUBJECTS, CONDITIONS)) + rng.standard_normal((STUDIES, SUBJECTS, 1))
     return 50.0 + 10.0 * (scores * np.linspace(1.0, 1.6, CONDITIONS) + np.linspace(0.0, 0.5, CONDITIONS))
 
 

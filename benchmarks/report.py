@@ -85,10 +85,7 @@ def write(rows: list[Row], seconds: float) -> None:
         How long the whole run took.
     """
     FOLDER.mkdir(exist_ok=True)
-    facts = {
-        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "duration": f"{seconds:.0f} s",
-    } | machine.facts()
+    facts = {"date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), "duration": f"{seconds:.0f} s"} | machine.facts()
     _write_csv(FOLDER / "benchmarks.csv", rows)
     (FOLDER / "benchmarks.html").write_text(_page(rows, facts), encoding="utf-8")
 

@@ -85,9 +85,5 @@ def _workers() -> Iterator[Row]:
         note = "" if first is None else f"{first / spread.median:.2f} times as fast as one"
         first = first or spread.median
         yield Row(
-            f"Campaign of {RUNS} runs of 5 ms: {workers} worker(s)",
-            "trustlab run_campaign",
-            "none",
-            spread,
-            note=note,
+            f"Campaign of {RUNS} runs of 5 ms: {workers} worker(s)", "trustlab run_campaign", "none", spread, note=note
         )

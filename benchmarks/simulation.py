@@ -64,15 +64,7 @@ def allocation(model: tl.TscModel, steps: int = 200_000) -> Row:
     rate = steps / ours_ms.median / 1e3
     goal, met = "≥ 10 million steps/s", bool(rate >= 10.0)
     return Row(
-        case,
-        ours,
-        peer,
-        ours_ms,
-        peer_ms,
-        ratio,
-        goal=goal,
-        met=met,
-        note=f"{rate:.0f} million steps per second",
+        case, ours, peer, ours_ms, peer_ms, ratio, goal=goal, met=met, note=f"{rate:.0f} million steps per second"
     )
 
 

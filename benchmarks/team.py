@@ -30,9 +30,7 @@ def rows() -> Iterator[Row]:
             continue
         peer = here(lambda robots=robots: plain(robots, SHORT))
         ours_ms, peer_ms, ratio = in_turns(
-            here(lambda robots=robots: one(robots, SECONDS)),
-            lambda calls, peer=peer: SECONDS / SHORT * peer(calls),
-            5,
+            here(lambda robots=robots: one(robots, SECONDS)), lambda calls, peer=peer: SECONDS / SHORT * peer(calls), 5
         )
         note = f"{1e6 * ours_ms.median / (SECONDS / T):.0f} ns per step; {len(ours.data)} rows recorded"
         goal, met = ("≤ 100 ms", ours_ms.median <= 100.0) if robots == 12 else ("", None)
@@ -50,9 +48,7 @@ def case(robots: int) -> tuple[np.ndarray, np.ndarray]:
     """
     apart = np.abs(np.subtract.outer(np.arange(robots), np.arange(robots)))
     apart = np.minimum(apart, robots - apart)
-    return ((apart > 0) & (apart <= 2)).astype(float), np.random.default_rng(robots).uniform(
-        -5.0, 5.0, (robots, 3)
-    )
+    return ((apart > 0) & (apart <= 2)).astype(float), np.random.default_rng(robots).uniform(-5.0, 5.0, (robots, 3))
 
 
 def one(robots: int, seconds: float) -> TeamRun:

@@ -76,9 +76,7 @@ def flat(numbers, stem: str = "") -> dict[str, float]:
     """
     found = {}
     for name, value in numbers._asdict().items():
-        found |= (
-            flat(value, f"{stem}{name}.") if hasattr(value, "_fields") else {f"{stem}{name}": float(value)}
-        )
+        found |= flat(value, f"{stem}{name}.") if hasattr(value, "_fields") else {f"{stem}{name}": float(value)}
     return found
 
 
@@ -154,9 +152,7 @@ def linear_case() -> tuple[dict, dict[str, np.ndarray]]:
         sent = np.sqrt(2.0 * n.alpha.low / n.b) * force - np.sqrt(n.alpha.low / n.alpha.high) * wave
         return after.ravel(), sent, vehicle[:, 0]
 
-    turn = np.hypot(moving[0, 0] / task.size_x, 0.0) / abs(
-        np.sqrt(1.0 - (reference[0, 0] / task.size_x) ** 2)
-    )
+    turn = np.hypot(moving[0, 0] / task.size_x, 0.0) / abs(np.sqrt(1.0 - (reference[0, 0] / task.size_x) ** 2))
     spins = np.concatenate([[turn, 2.0 * turn], rates])
     start = np.zeros(11)
     start[0], start[1] = reference[0, 0], moving[0, 0] / turn
@@ -178,14 +174,8 @@ def linear_case() -> tuple[dict, dict[str, np.ndarray]]:
     begin = np.zeros((3, 3))
     begin[:, 0] = reference[0]
     data["slave_start"] = begin.ravel()
-    for name, step, states, inputs in (
-        ("source", source, 11, 0),
-        ("master", master, 6, 6),
-        ("slave", slave, 9, 6),
-    ):
-        data |= {
-            f"{name}_{letter}": m for letter, m in zip("abcd", probed(step, states, inputs), strict=True)
-        }
+    for name, step, states, inputs in (("source", source, 11, 0), ("master", master, 6, 6), ("slave", slave, 9, 6)):
+        data |= {f"{name}_{letter}": m for letter, m in zip("abcd", probed(step, states, inputs), strict=True)}
     return arguments, data
 
 
@@ -211,9 +201,7 @@ def rows() -> Iterator[Row]:
     else:
         mine, other, ratio = in_turns(here(loop), here(plain.run), 3, warm=False)
         note = f"whole logs agree to {gap.max():.0e} of each signal; goal from the issue, after compilation"
-        yield Row(
-            case, ours, peer, mine, other, ratio, goal="≤ 50 ms", met=bool(mine.median <= 50.0), note=note
-        )
+        yield Row(case, ours, peer, mine, other, ratio, goal="≤ 50 ms", met=bool(mine.median <= 50.0), note=note)
     whole = "trustlab simulate_teleoperation: noise, delays, loop and a checked Session"
     mine, other, ratio = in_turns(here(lambda: tl.simulate_teleoperation(**arguments)), here(loop), 9)
     yield Row(case, whole, "its own compiled loop alone", mine, other, ratio, note="for information")
@@ -253,11 +241,7 @@ def drake(case: str, ours: str, loop, log: np.ndarray, data: dict) -> Iterator[R
                 else:
                     times = in_turns(here(loop), worker.side("leaf"), 3, warm=False)
                     yield Row(
-                        case,
-                        ours,
-                        peer,
-                        *times,
-                        note=f"first samples and the last agree to {max(gap, last):.0e}",
+                        case, ours, peer, *times, note=f"first samples and the last agree to {max(gap, last):.0e}"
                     )
         except PeerMissingError as error:
             yield Row(case, ours, peer, fault=str(error))
@@ -301,10 +285,7 @@ def shares() -> Iterator[Row]:
                 worst = max(worst, step.cost / fast.step(*now).cost - 1.0)
         spans[name] = np.percentile(times, 99)
     case = "Optimal share of Appendix A, one step"
-    ours, peer = (
-        "trustlab OptimalBlending, α held",
-        "the same with intervals=4: CasADi and IPOPT, α free to change",
-    )
+    ours, peer = ("trustlab OptimalBlending, α held", "the same with intervals=4: CasADi and IPOPT, α free to change")
     if worst > 1e-9:
         yield Row(case, ours, peer, fault=f"its cost is above the held share's by {worst:.1e}")
         return
@@ -315,6 +296,4 @@ def shares() -> Iterator[Row]:
         9,
     )
     note = f"99th percentile: {spans['fast']:.3f} ms held (2,000 states), {spans['free']:.1f} ms with CasADi (400)"
-    yield Row(
-        case, ours, peer, mine, other, ratio, goal="p99 ≤ 2 ms", met=bool(spans["fast"] <= 2.0), note=note
-    )
+    yield Row(case, ours, peer, mine, other, ratio, goal="p99 ≤ 2 ms", met=bool(spans["fast"] <= 2.0), note=note)

@@ -73,21 +73,12 @@ def power() -> Row:
         "Power of 36 × 5, 10,000 simulated studies",
         "trustlab power_analysis: F with three corrections, all pairs",
     )
-    given = {
-        "mean": [0.0, 0.1, 0.4, 0.5, 0.5],
-        "covariance": graded_covariance(5),
-        "n": 36,
-        "replicates": 10_000,
-    }
+    given = {"mean": [0.0, 0.1, 0.4, 0.5, 0.5], "covariance": graded_covariance(5), "n": 36, "replicates": 10_000}
     row = tl.power_analysis(**given, effect_size=0.05, seed=1).table().iloc[0]
-    error = (row["power"] - row["closed_form"]) / np.sqrt(
-        row["closed_form"] * (1.0 - row["closed_form"]) / 10_000
-    )
+    error = (row["power"] - row["closed_form"]) / np.sqrt(row["closed_form"] * (1.0 - row["closed_form"]) / 10_000)
     if not abs(error) < 4.0:
         return Row(case, ours, "noncentral F", fault=f"power differs by {error:.1f} standard errors")
-    times = [
-        1e3 * seconds_per_call(lambda: tl.power_analysis(**given, effect_size=0.05), 1) for _ in range(5)
-    ]
+    times = [1e3 * seconds_per_call(lambda: tl.power_analysis(**given, effect_size=0.05), 1) for _ in range(5)]
     spread = Spread.of(times)
     note = f"power {row['power']:.4f}, noncentral F {row['closed_form']:.4f}"
     return Row(case, ours, "none", spread, goal="≤ 5 s", met=spread.median <= 5e3, note=note)

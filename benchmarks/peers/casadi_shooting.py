@@ -38,10 +38,7 @@ class SingleShooting:
         inside = ca.fmax(r, 1e-12)
         bell = ca.exp(beta * ca.log(inside / beta) + (1 - beta) * ca.log((1 - inside) / (1 - beta)))
         h = h_min + (h_max - h_min) * bell
-        after = ca.vertcat(
-            a_h * r + (1 - a_h) * m,
-            a * robot + (1 - a) * (p_min + (p_max - p_min) * m * h / h_max),
-        )
+        after = ca.vertcat(a_h * r + (1 - a_h) * m, a * robot + (1 - a) * (p_min + (p_max - p_min) * m * h / h_max))
         one = ca.Function("one_sample", [ca.vertcat(r, robot), m, p], [after, ca.vertcat(h, robot)]).expand()
         everything = one.mapaccum("all_samples", samples)
 

@@ -58,10 +58,7 @@ def ways(data):
 
         return solve
 
-    return {
-        name: Turns(data[f"{name}_states"], data[f"{name}_modes"], controller())
-        for name in ("saturated", "near")
-    }
+    return {name: Turns(data[f"{name}_states"], data[f"{name}_modes"], controller()) for name in ("saturated", "near")}
 
 
 serve("do-mpc", ways)

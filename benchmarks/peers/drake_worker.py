@@ -7,13 +7,7 @@ from serve import serve
 def ways(data):
     from pydrake.systems.analysis import Simulator
     from pydrake.systems.framework import DiagramBuilder, EventStatus, LeafSystem
-    from pydrake.systems.primitives import (
-        Demultiplexer,
-        DiscreteTimeDelay,
-        LinearSystem,
-        LogVectorOutput,
-        Multiplexer,
-    )
+    from pydrake.systems.primitives import Demultiplexer, DiscreteTimeDelay, LinearSystem, LogVectorOutput, Multiplexer
 
     period, count = float(data["settings"][0]), len(data["reference"])
 

@@ -40,10 +40,7 @@ def ways(data):
 
         return solve
 
-    return {
-        name: Turns(data[f"{name}_states"], data[f"{name}_modes"], controller())
-        for name in ("saturated", "near")
-    }
+    return {name: Turns(data[f"{name}_states"], data[f"{name}_modes"], controller()) for name in ("saturated", "near")}
 
 
 serve("gekko", ways)

@@ -21,9 +21,7 @@ class PlainLoop:
             values = dict(zip(data[f"names_{kind}"].tolist(), data[kind].tolist(), strict=True))
             setattr(self, kind, values)
         self.phi, self.gamma = data["phi"], data["gamma"]
-        self.inputs = {
-            name: data[name] for name in ("reference", "moving", "detected", "delays", "motor", "pushed")
-        }
+        self.inputs = {name: data[name] for name in ("reference", "moving", "detected", "delays", "motor", "pushed")}
         self.restart()
 
     def restart(self):
@@ -79,21 +77,13 @@ class PlainLoop:
         """
         s, hand, auto, given = self.settings, self.hand, self.auto, self.inputs
         period, b, weight, gamma = s["sample_time"], s["b"], s["weight"], s["force_scaling"]
-        reference, position, velocity = (
-            given["reference"][k],
-            self.state[:, 0].copy(),
-            self.state[:, 1].copy(),
-        )
+        reference, position, velocity = (given["reference"][k], self.state[:, 0].copy(), self.state[:, 1].copy())
         error = reference - position
         self.seen.append(error)
         ideal = given["moving"][k] + auto["ideal"] * error
         steered, late = np.zeros(3), k - int(auto["delay"])
         if late >= 1 and given["detected"][late]:
-            rate = (
-                (self.seen[late] - self.seen[late - 1]) / period
-                if given["detected"][late - 1]
-                else np.zeros(3)
-            )
+            rate = (self.seen[late] - self.seen[late - 1]) / period if given["detected"][late - 1] else np.zeros(3)
             wanted = auto["proportional"] * self.seen[late] + auto["derivative"] * rate
             summed = self.integral + period * self.seen[late]
             free = np.abs(wanted + auto["integral"] * summed) < auto["reach"]
@@ -109,9 +99,7 @@ class PlainLoop:
         if view >= 1:
             rate = (self.seen[view] - self.seen[view - 1]) / period
             wanted = np.clip(
-                hand["proportional"] * self.seen[view] + hand["derivative"] * rate,
-                -hand["reach"],
-                hand["reach"],
+                hand["proportional"] * self.seen[view] + hand["derivative"] * rate, -hand["reach"], hand["reach"]
             )
         self.wish = hand["decay"] * self.wish + (1.0 - hand["decay"]) * wanted
         stiff, damp = s["stiffness"] + hand["stiffness"], s["damping"] + hand["damping"]
@@ -136,9 +124,7 @@ class PlainLoop:
             gain = square * b / alpha
             shrink = 1.0 - (-power / gain) if power + gain > 0.0 else 0.0
             moved = shrink * moved
-        load = (
-            spring if shrink == 1.0 else sqrt(2.0 * b / s["alpha.high"]) * arrived_right - b * moved / alpha
-        )
+        load = spring if shrink == 1.0 else sqrt(2.0 * b / s["alpha.high"]) * arrived_right - b * moved / alpha
         self.left.append(sqrt(s["beta.low"] / (2.0 * b)) * (felt / beta + b * out))
         self.right.append(sqrt(s["alpha.low"] / (2.0 * b)) * (load - b * moved / alpha))
         pressed = force - hand["stiffness"] * halfway - hand["damping"] * middle
@@ -146,9 +132,7 @@ class PlainLoop:
         self.channel += period * float(out @ felt - moved @ load)
         self.robot += period * float(moved @ load)
         spare = s["damping"] - s["mass"] * weight
-        self.lost += (
-            period / gamma * float(spare * (middle @ middle) + weight * s["stiffness"] * (halfway @ halfway))
-        )
+        self.lost += period / gamma * float(spare * (middle @ middle) + weight * s["stiffness"] * (halfway @ halfway))
         asked = moved / alpha
         before = self.x, self.v
         self.x, self.v = self.x + period * middle, 2.0 * middle - self.v
@@ -170,20 +154,7 @@ class PlainLoop:
         performance = [max(total / len(self.good), 0.0) for total in self.sums]
         scales = [alpha, beta, *performance, *self.trust, sqrt(float(error @ error)), shrink]
         energies = [self.work, stored, self.lost, self.channel, self.robot]
-        signals = (
-            reference,
-            position,
-            velocity,
-            *before,
-            out,
-            pressed,
-            felt,
-            moved,
-            load,
-            asked,
-            steered,
-            ideal,
-        )
+        signals = (reference, position, velocity, *before, out, pressed, felt, moved, load, asked, steered, ideal)
         row = np.concatenate([*signals, scales, energies])
         for i, end in enumerate(("hr", "rh")):
             low, high = s[f"trust_{end}.p_min"], s[f"trust_{end}.p_max"]

@@ -35,9 +35,7 @@ def ways(data):
         return [found[code] for code in structure[:, 0].tolist()]
 
     def known_structure():
-        fit = SimulateNARMAX(
-            basis_function=Polynomial(degree=1), estimator=LeastSquares(), estimate_parameter=True
-        )
+        fit = SimulateNARMAX(basis_function=Polynomial(degree=1), estimator=LeastSquares(), estimate_parameter=True)
         fit.simulate(X_train=u, y_train=y, X_test=u[:3], y_test=y[:3], model_code=structure, steps_ahead=1)
         return fit.theta.ravel()
 

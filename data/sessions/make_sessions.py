@@ -40,23 +40,14 @@ def make_session(name: str, model: tl.TscModel, child: np.random.SeedSequence) -
         {"mode": mode, "p_r": (run["p_r"] + noise[0]).round(5), "p_h": (run["p_h"] + noise[1]).round(5)}
     )
     frame.index = pd.Index(np.arange(STEPS) * SAMPLE_TIME, name="t").map(lambda t: round(t, 1))
-    more = {
-        "seed": SEED,
-        "spawn_key": int(child.spawn_key[0]),
-        "noise_sd": NOISE,
-        "generator": "make_sessions.py",
-    }
-    return tl.Session(
-        frame, tl.Metadata(participant=name, condition="identification", synthetic=True, more=more)
-    )
+    more = {"seed": SEED, "spawn_key": int(child.spawn_key[0]), "noise_sd": NOISE, "generator": "make_sessions.py"}
+    return tl.Session(frame, tl.Metadata(participant=name, condition="identification", synthetic=True, more=more))
 
 
 def main(folder: Path) -> None:
     """Write all sessions into `folder`: the pilot's as CSV, the others as Parquet."""
     models = published_models()
-    for (name, model), child in zip(
-        models.items(), np.random.SeedSequence(SEED).spawn(len(models)), strict=True
-    ):
+    for (name, model), child in zip(models.items(), np.random.SeedSequence(SEED).spawn(len(models)), strict=True):
         path = folder / ("pilot.csv" if name == "pilot" else f"participant_{name}.parquet")
         tl.write_session(make_session(name, model, child), path)
 

@@ -17,11 +17,7 @@ def identification() -> None:
     robot, human = tl.fit_robot(session), tl.fit_human(session)
     figure, axes = plt.subplots(2, 1, sharex=True, figsize=(9, 4.4), layout="constrained")
     for axis, fit, name, label in zip(
-        axes,
-        (robot, human),
-        ("p_r", "p_h"),
-        ("robot performance $P_r$", "human performance $P_h$"),
-        strict=True,
+        axes, (robot, human), ("p_r", "p_h"), ("robot performance $P_r$", "human performance $P_h$"), strict=True
     ):
         run = fit.runs[0]
         axis.plot(run.t, run.measured[name], lw=0.5, color="0.65", label="measured (synthetic)")

@@ -79,9 +79,7 @@ def test_casadi_agrees_with_the_fast_form_when_nothing_is_gained_by_changing():
 def test_the_better_command_gets_the_authority():
     # an error to the right: the controller steers towards it, the operator away, and the reverse
     e, right = np.array([2.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
-    against = [
-        OptimalBlending(error_weight=w).step(-right, right, e, ZERO, ZERO).alpha for w in (20.0, 200.0, 2e4)
-    ]
+    against = [OptimalBlending(error_weight=w).step(-right, right, e, ZERO, ZERO).alpha for w in (20.0, 200.0, 2e4)]
     assert 1.0 >= against[0] > against[1] > against[2] == 0.2
     assert OptimalBlending().step(right, -right, e, ZERO, ZERO).alpha == 1.0
 

@@ -57,9 +57,7 @@ def test_bounds_are_those_of_table_2_2(name):
     given, printed = table_2_2(name)
     table = recompute(as_printed, given, printed)
     assert set(table["verdict"]) <= {"reproduced", "within rounding"}
-    off = (table["recomputed"] - table["printed"].astype(float)) / [
-        2.0 * half_unit(x) for x in table["printed"]
-    ]
+    off = (table["recomputed"] - table["printed"].astype(float)) / [2.0 * half_unit(x) for x in table["printed"]]
     if name == "4":
         assert off.pop("r_l") == pytest.approx(1.574, abs=0.001)
     assert off.abs().max() < 0.7
@@ -78,10 +76,7 @@ def test_no_convention_of_rounding_gives_all_of_table_2_2():
         off = []
         for name in ("2", "4", "5"):
             given, printed = table_2_2(name)
-            p = {
-                key: float(text)
-                for key, text in (given | printed | published_table("2.1")[name].to_dict()).items()
-            }
+            p = {key: float(text) for key, text in (given | printed | published_table("2.1")[name].to_dict()).items()}
             off += misses(p, how, delta, fed, top, bottom)
         worst[how, delta, fed, top, bottom] = max(off)
     best = min(worst, key=worst.get)
@@ -95,9 +90,7 @@ def misses(p, how, delta, fed, top, bottom):
     """How many units of the last digit r_l and r_u are off; formulas written anew, as an oracle of the module's."""
     best, rest = p["P_r_max"] * p["P_h_max"], p["P_r_min"] * p["P_h_min"]
     a_T, b_T = (p["P_h_max"] + p["P_h_min"]) / (best - rest), (p["P_r_max"] + p["P_r_min"]) / (best - rest)
-    step = {"printed": p["delta_TSC"], "computed": a_T * p["delta_P_r"] + b_T * p["delta_P_h"], "none": 0.0}[
-        delta
-    ]
+    step = {"printed": p["delta_TSC"], "computed": a_T * p["delta_P_r"] + b_T * p["delta_P_h"], "none": 0.0}[delta]
     low = p["P_rl"] if fed else (p["TSC_l"] - step + b_T * p["P_h_min"]) / a_T
     high = p["P_ru"] if fed else (p["TSC_u"] + step + b_T * p["P_h_max"]) / a_T
     span, gain = p["P_r_max"] - p["P_r_min"], p["b_pr"] / (1.0 - p["a_pr"])
@@ -123,10 +116,7 @@ def test_participant_1_follows_with_c_from_the_printed_gain():
     found = {}
     for name in ("1", "2", "4", "5"):
         given, printed = table_2_2(name)
-        p = {
-            key: float(text)
-            for key, text in (given | printed | published_table("2.1")[name].to_dict()).items()
-        }
+        p = {key: float(text) for key, text in (given | printed | published_table("2.1")[name].to_dict()).items()}
         found[name] = [misses(p, "floor", "printed", False, top, False)[0] for top in (False, True)]
     assert found["1"] == pytest.approx([17.06, 0.9], abs=0.1)
     for name in ("2", "4", "5"):

@@ -114,9 +114,7 @@ def test_bounds_are_the_equations(parameters, with_gain):
 def test_the_gain_is_that_of_2_3(parameters):
     v = parameters
     found = gain_of_human_performance(v["a_pr"], v["P_r_min"], v["P_r_max"], v["P_h_max"])
-    np.testing.assert_allclose(
-        found, (1 - v["a_pr"]) * (v["P_r_max"] - v["P_r_min"]) / v["P_h_max"], rtol=1e-14
-    )
+    np.testing.assert_allclose(found, (1 - v["a_pr"]) * (v["P_r_max"] - v["P_r_min"]) / v["P_h_max"], rtol=1e-14)
 
 
 def test_an_endless_dwell_time_stays_endless(parameters):

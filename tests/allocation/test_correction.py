@@ -73,9 +73,7 @@ def test_holding_back_can_beat_clipping():
     assert beaten > 0
 
 
-states = st.tuples(
-    st.floats(0, 1), st.floats(0, 1), st.floats(-0.4, 0.3), st.floats(0.01, 0.5), st.integers(0, 1)
-)
+states = st.tuples(st.floats(0, 1), st.floats(0, 1), st.floats(-0.4, 0.3), st.floats(0.01, 0.5), st.integers(0, 1))
 
 
 @LIGHT
@@ -98,10 +96,7 @@ def test_plans_keep_their_promises(state, target_lower, width, decade, horizon, 
         assert path.max() <= max(begin, end)
     assert (plan.lower < plan.upper).all()
     low, high = np.array(
-        [
-            incentive_box(*s, c_b, model.robot.p_min, model.robot.p_max)
-            for s in zip(plan.r, plan.p_r, strict=True)
-        ]
+        [incentive_box(*s, c_b, model.robot.p_min, model.robot.p_max) for s in zip(plan.r, plan.p_r, strict=True)]
     ).T
     for actions in (plan.actions_l, plan.actions_u):
         assert (actions >= np.minimum(low[:-1], 0) - 1e-15).all()
@@ -123,12 +118,7 @@ def test_the_bound_of_a_search_cut_short_holds():
     rng = np.random.default_rng(7)
     cut = tight = 0
     for _ in range(150):
-        r, lower, gap, mode = (
-            rng.random(),
-            rng.uniform(-0.4, 0.3),
-            rng.uniform(0.01, 0.5),
-            int(rng.integers(2)),
-        )
+        r, lower, gap, mode = (rng.random(), rng.uniform(-0.4, 0.3), rng.uniform(0.01, 0.5), int(rng.integers(2)))
         p_r, horizon = rng.uniform(SECOND.robot.p_min, SECOND.robot.p_max), int(rng.integers(50, 600))
         upper, c_b = lower + gap, 10 ** rng.uniform(-4.5, -2)
         target = (lower + rng.uniform(-0.1, 0.1), lower + gap + rng.uniform(-0.1, 0.1))
@@ -160,9 +150,7 @@ def test_the_bound_over_many_switches_holds():
         plan = ExactEngine(model, *target, c_b, horizon, budget=2).solve(r, p_r, lower, upper, mode)
         other = ExactEngine(model, *target, c_b, horizon, budget=60).solve(r, p_r, lower, upper, mode)
         cost = random_corrections(model, r, p_r, lower, upper, mode, target, c_b, horizon, rng)
-        assert max(plan.cost_lower_bound, other.cost_lower_bound) <= min(plan.cost, other.cost, cost) * (
-            1 + 1e-12
-        )
+        assert max(plan.cost_lower_bound, other.cost_lower_bound) <= min(plan.cost, other.cost, cost) * (1 + 1e-12)
         cut += plan.status is CorrectionStatus.BOUNDED
     assert cut > 6
 
@@ -187,9 +175,7 @@ def random_corrections(model, r, p_r, lower, upper, mode, target, c_b, steps, rn
             now.append(min(max(x + (share * forth if rng.random() < 0.95 else back), end[0]), end[1]))
         if now[0] >= now[1]:
             now = [lower, upper]
-        run = simulate_correction(
-            model, r, p_r, lower, upper, mode, [now[0] - lower], [now[1] - upper], target
-        )
+        run = simulate_correction(model, r, p_r, lower, upper, mode, [now[0] - lower], [now[1] - upper], target)
         cost += run["cost"]
         r, p_r, mode, (lower, upper) = run["r"][1], run["p_r"][1], int(run["mode"][0]), now
     return cost

@@ -145,14 +145,10 @@ def test_a_rate_penalty_for_one_step_is_the_minimum_of_a_parabola():
     """N = 1: (z + c)² + λc² is least at −z/(1 + λ)."""
     weight, off = 3.0, 4e-6
     state = (0.5, 0.315, TARGET[0] + off, TARGET[1] + off, 1)
-    plan = engine(1, extra_cost=lambda x, u, k: weight * (u[0] ** 2 + u[1] ** 2), switch_width=0).solve(
-        *state
-    )
+    plan = engine(1, extra_cost=lambda x, u, k: weight * (u[0] ** 2 + u[1] ** 2), switch_width=0).solve(*state)
     assert plan.c_l == pytest.approx(-off / (1.0 + weight), rel=1e-5)
     assert plan.c_u == pytest.approx(-off / (1.0 + weight), rel=1e-5)
-    assert plan.cost_with_additions == pytest.approx(
-        plan.cost + weight * (plan.c_l**2 + plan.c_u**2), rel=1e-9
-    )
+    assert plan.cost_with_additions == pytest.approx(plan.cost + weight * (plan.c_l**2 + plan.c_u**2), rel=1e-9)
 
 
 def test_a_rate_penalty_trades_cost_for_smaller_corrections():
@@ -165,9 +161,7 @@ def test_a_rate_penalty_trades_cost_for_smaller_corrections():
 
 def test_a_cost_may_use_the_step_and_functions_of_matrices():
     table = casadi.interpolant("table", "bspline", [np.linspace(0.0, 1.0, 9)], np.linspace(0.0, 1.0, 9) ** 2)
-    late = engine(
-        12, extra_cost=lambda x, u, k: casadi.if_else(k < 6, 1e3, 0.0) * casadi.sumsqr(u), switch_width=0
-    )
+    late = engine(12, extra_cost=lambda x, u, k: casadi.if_else(k < 6, 1e3, 0.0) * casadi.sumsqr(u), switch_width=0)
     plan = late.solve(*NEAR)
     assert np.abs(plan.actions_l[:6]).max() < 0.1 * np.abs(plan.actions_l[6:]).max()
     matrix = engine(12, extra_cost=lambda x, u, k: 1e-12 * table(x[0]), switch_width=0).solve(*NEAR)
@@ -200,9 +194,7 @@ def test_the_smoothed_switch_becomes_the_hard_one():
     for width in (1e-3, 1e-5, 1e-7):
         m, memory = [], 1.0
         for value in tsc:
-            up, down = (
-                1.0 / (1.0 + np.exp(np.clip(-y / width, -700, 700))) for y in (value - 0.45, 0.02 - value)
-            )
+            up, down = (1.0 / (1.0 + np.exp(np.clip(-y / width, -700, 700))) for y in (value - 0.45, 0.02 - value))
             memory = (1.0 - up) * (down + (1.0 - down) * memory)
             m.append(memory)
         apart.append(np.abs(np.array(m) - run["mode"]).mean())
@@ -226,9 +218,7 @@ def test_a_solver_that_returns_nonsense_is_not_believed(monkeypatch):
     """The guards: a solution far from the optimum, and a plan that leaves (2.41)."""
     ours = engine(12)
     for program in ours._programs:
-        monkeypatch.setattr(
-            program, "solve", lambda guess, mode, thresholds=None: (np.full((2, 12), 0.5), "")
-        )
+        monkeypatch.setattr(program, "solve", lambda guess, mode, thresholds=None: (np.full((2, 12), 0.5), ""))
     plan = ours.solve(*FAR)
     assert plan.status is CorrectionStatus.FAILED
     assert "costs more than the guess" in plan.message

@@ -104,9 +104,7 @@ def test_closed_loop_keeps_range_order_and_incentives(seed, decade, back):
     """Whatever is measured and whoever drives."""
     start, target = (TARGET, START) if back else (START, TARGET)
     c_b, rng = 10.0**decade, np.random.default_rng(seed)
-    loop = tl.OnlineCorrection(
-        tl.ThresholdCorrector(SECOND, target, c_b=c_b, horizon=20), start, r=rng.random()
-    )
+    loop = tl.OnlineCorrection(tl.ThresholdCorrector(SECOND, target, c_b=c_b, horizon=20), start, r=rng.random())
     p_r = rng.uniform(0.24, 0.35, 150)
     p_r[rng.random(150) < 0.1] = math.nan
     for value in p_r:
@@ -144,9 +142,7 @@ def test_following_is_the_model_under_moving_thresholds():
 
 def test_habits_differ_as_they_should():
     runs = {
-        habit: tl.correct_pattern(
-            SECOND, START, TARGET, tests=2, duration=900, habit=habit, lag=8.0, horizon=20
-        )
+        habit: tl.correct_pattern(SECOND, START, TARGET, tests=2, duration=900, habit=habit, lag=8.0, horizon=20)
         for habit in ("following", "lagging", "ignoring")
     }
     own = tl.simulate_allocation(SECOND, *START, 9000)
@@ -165,9 +161,7 @@ def test_habits_differ_as_they_should():
 
 def test_noise_is_seeded():
     one, two, other = (
-        tl.correct_pattern(
-            SECOND, START, TARGET, tests=1, duration=60, noise=1e-3, seed=seed, horizon=20
-        ).data["p_r"]
+        tl.correct_pattern(SECOND, START, TARGET, tests=1, duration=60, noise=1e-3, seed=seed, horizon=20).data["p_r"]
         for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(one, two)

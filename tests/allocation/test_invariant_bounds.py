@@ -48,9 +48,7 @@ def leaves(bounds, model, lower, upper, rng):
     who, lengths = runs_of(mode[start - 1 :])
     for value, name in ((1.0, "dwell_manual"), (0.0, "dwell_autonomous")):
         own = lengths[who == value]
-        if own.size and (
-            own.min() < getattr(bounds, f"{name}_low") or own.max() > getattr(bounds, f"{name}_high")
-        ):
+        if own.size and (own.min() < getattr(bounds, f"{name}_low") or own.max() > getattr(bounds, f"{name}_high")):
             found.append(name)
     return found
 
@@ -81,12 +79,7 @@ def test_they_enclose_the_cycle_and_tighten_with_more_cells(random_model):
             assert bounds.r_low <= cycle.r_low < cycle.r_high <= bounds.r_high
             assert bounds.p_r_low <= cycle.p_r_low < cycle.p_r_high <= bounds.p_r_high
             assert bounds.tsc_low <= cycle.tsc_low < lower < upper < cycle.tsc_high <= bounds.tsc_high
-            assert (
-                bounds.dwell_manual_low
-                <= cycle.dwell_manual[0]
-                <= cycle.dwell_manual[1]
-                <= bounds.dwell_manual_high
-            )
+            assert bounds.dwell_manual_low <= cycle.dwell_manual[0] <= cycle.dwell_manual[1] <= bounds.dwell_manual_high
         assert fine.r_high - fine.r_low <= (coarse.r_high - coarse.r_low) * 1.001
 
 

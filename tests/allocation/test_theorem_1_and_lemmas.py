@@ -12,11 +12,7 @@ EXAMPLES = settings(
     max_examples=120,
     deadline=None,
     derandomize=True,
-    suppress_health_check=[
-        HealthCheck.filter_too_much,
-        HealthCheck.too_slow,
-        HealthCheck.function_scoped_fixture,
-    ],
+    suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 
 

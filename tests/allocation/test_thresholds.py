@@ -6,12 +6,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.allocation import (
-    choose_thresholds,
-    estimate_thresholds,
-    followed_suggestions,
-    relative_performance,
-)
+from trustlab.allocation import choose_thresholds, estimate_thresholds, followed_suggestions, relative_performance
 from trustlab.allocation.threshold_estimate import _apart, separation
 from trustlab.reproduction import published_table
 
@@ -176,9 +171,7 @@ def test_samples_like_those_of_table_2_3_are_told_apart_or_not(n):
     assert p["5"] < (0.05 if n > 16 else 1.0)
     if n >= 8:
         assert p["4"] < 0.01
-        third = stats.ttest_ind_from_stats(
-            0.51, 0.29, n, 0.096, 0.13, n, equal_var=False, alternative="greater"
-        )
+        third = stats.ttest_ind_from_stats(0.51, 0.29, n, 0.096, 0.13, n, equal_var=False, alternative="greater")
         assert third.pvalue < 0.01
 
 
@@ -188,9 +181,7 @@ def test_the_test_keeps_its_level_with_few_switches(sizes):
     rng = np.random.default_rng(1)
     found = np.array(
         [
-            _apart(
-                {"lower": rng.normal(0.0, 0.1, sizes[0]), "upper": rng.normal(0.3, 0.2, sizes[1])}, 400, rng
-            )
+            _apart({"lower": rng.normal(0.0, 0.1, sizes[0]), "upper": rng.normal(0.3, 0.2, sizes[1])}, 400, rng)
             for _ in range(1500)
         ]
     )
@@ -219,9 +210,7 @@ def test_suggestions_are_followed_in_time_or_not():
     suggested[400:640], mode[600:] = 1.0, 1.0  # too late: 20 s
     suggested[700:720] = 0.0  # never
     session = tl.Session(
-        pd.DataFrame(
-            {"mode": mode, "suggested_mode": suggested}, index=pd.Index(np.arange(n) * 0.1, name="t")
-        )
+        pd.DataFrame({"mode": mode, "suggested_mode": suggested}, index=pd.Index(np.arange(n) * 0.1, name="t"))
     )
     table = followed_suggestions(session)
     assert list(table["followed"]) == [True, False, False]

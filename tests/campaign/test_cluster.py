@@ -111,8 +111,7 @@ def test_a_run_that_kills_its_worker_every_time_is_recorded(cluster, client):
 
 
 @pytest.mark.parametrize(
-    "address",
-    ["tcp://127.0.0.1:1", "127.0.0.1:1", "nonsense", "abc://x:1", "tcp://no-such-host.invalid:8786"],
+    "address", ["tcp://127.0.0.1:1", "127.0.0.1:1", "nonsense", "abc://x:1", "tcp://no-such-host.invalid:8786"]
 )
 def test_a_scheduler_that_cannot_be_reached_is_an_error_with_the_address_in_seconds(address, monkeypatch):
     if address != "127.0.0.1:1":
@@ -136,9 +135,7 @@ def test_a_closed_client_is_refused(cluster):
         tl.run_campaign(lambda seed: {"y": 1}, [{}], cluster=one)
 
 
-def test_without_workers_or_without_its_scheduler_a_campaign_gives_up_and_goes_on_later(
-    tmp_path, monkeypatch
-):
+def test_without_workers_or_without_its_scheduler_a_campaign_gives_up_and_goes_on_later(tmp_path, monkeypatch):
     monkeypatch.setattr("trustlab.campaign.dask_cluster.CONNECT", 0.5)
     monkeypatch.setattr("trustlab.campaign.dask_cluster.PATIENCE", 1.0)
     monkeypatch.setattr("trustlab.campaign.dispatch.WATCH", 0.2)

@@ -90,9 +90,7 @@ def test_what_a_task_carries_counts():
         assert differences(task_identity(make(a)), task_identity(make(b)))
     bound = [functools.partial(make(1), x=x) for x in (1, 1, 2)]
     assert task_identity(bound[0]) == task_identity(bound[1])
-    assert differences(task_identity(bound[0]), task_identity(bound[2]))[0].startswith(
-        "task: arguments bound was"
-    )
+    assert differences(task_identity(bound[0]), task_identity(bound[2]))[0].startswith("task: arguments bound was")
     one, other = (lambda x, seed: {"y": x}), (lambda x, seed: {"y": -x})
     assert differences(task_identity(one), task_identity(other))
 
@@ -131,9 +129,7 @@ def test_a_task_that_calls_itself_is_no_trouble():
 @given(
     st.recursive(
         st.one_of(st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=3)),
-        lambda inner: st.one_of(
-            st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=2), inner, max_size=3)
-        ),
+        lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=2), inner, max_size=3)),
         max_leaves=6,
     ),
     st.data(),

@@ -73,9 +73,7 @@ def test_the_driving_process_is_killed_and_restarted(tmp_path, n_jobs):
     assert set(counts.index) == set(range(240))
     assert counts.max() <= 2
     assert not set(counts.index[counts > 1]) & set(saved["run"])  # what was saved did not run again
-    assert (
-        counts > 1
-    ).sum() <= 4 * 25  # chunks under way: at most two per process of 0.25 s, the last may run twice
+    assert (counts > 1).sum() <= 4 * 25  # chunks under way: at most two per process of 0.25 s, the last may run twice
     import runpy
 
     argv = sys.argv
@@ -186,9 +184,7 @@ def test_parameters_of_any_kind_are_told_apart(tmp_path, operators):
     runs = [{"model": model, "f": plain()}, {"model": operators["1"], "f": plain()}]
     table = go(tmp_path, task, runs)
     assert table["model"][0] is model
-    assert list(go(tmp_path, task, [dict(values) for values in runs])["b"]) == [
-        m.robot.b for m in table["model"]
-    ]
+    assert list(go(tmp_path, task, [dict(values) for values in runs])["b"]) == [m.robot.b for m in table["model"]]
     with pytest.raises(CampaignError, match=r"run 1 had model = .*, now has model"):
         go(tmp_path, task, [runs[0], {"model": operators["2"], "f": plain()}])
     with pytest.raises(CampaignError, match=r"run 0 had model = .*, now has"):

@@ -35,18 +35,7 @@ def quiet(*args, **kwargs):
 def test_the_table_is_that_of_a_plain_loop(mean_task):
     table = quiet(mean_task, GRID, seed=3, n_jobs=1)
     children = np.random.SeedSequence(3).spawn(len(GRID))
-    assert list(table.columns) == [
-        "run",
-        "n",
-        "k",
-        "mean",
-        "count",
-        "sign",
-        "positive",
-        "failed",
-        "error",
-        "traceback",
-    ]
+    assert list(table.columns) == ["run", "n", "k", "mean", "count", "sign", "positive", "failed", "error", "traceback"]
     assert list(table["run"]) == list(range(40))
     for i, (values, seed) in enumerate(zip(GRID, children, strict=True)):
         row = table.iloc[i]
@@ -92,14 +81,11 @@ def test_other_seeds_give_other_numbers_and_spawned_children_are_not_used_again(
     assert list(tl.run_campaign(draw, runs, seed=child, n_jobs=1)["x"]) == want
 
 
-VALUES = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5), st.integers(2**52, 2**54)
-)
+VALUES = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5), st.integers(2**52, 2**54))
 
 
 @given(
-    values=st.lists(st.one_of(VALUES, st.just(ValueError)), min_size=1, max_size=12),
-    cuts=st.sets(st.integers(1, 11)),
+    values=st.lists(st.one_of(VALUES, st.just(ValueError)), min_size=1, max_size=12), cuts=st.sets(st.integers(1, 11))
 )
 @settings(max_examples=150)
 def test_chunk_boundaries_have_no_effect(values, cuts):
@@ -185,9 +171,7 @@ def test_a_traceback_tells_the_cause_too():
 
     with pytest.warns(CampaignWarning):
         text = tl.run_campaign(task, [{}], n_jobs=1)["traceback"][0]
-    assert (
-        text.index("KeyError: 'missing'") < text.index("direct cause") < text.index("RuntimeError: no such")
-    )
+    assert text.index("KeyError: 'missing'") < text.index("direct cause") < text.index("RuntimeError: no such")
     assert "worker.py" not in text
 
 
@@ -323,7 +307,5 @@ def test_parameters_of_any_kind_are_in_the_table_as_they_were_given(tmp_path):
     texts = tl.read_campaign(tmp_path)["x"]
     assert texts[8] == "array([0, 1, 2])"
     assert len(texts[10]) == 1000
-    lone = tl.run_campaign(
-        lambda x, seed: {"y": 1}, [{"x": "\ud800"}, {"x": "a"}], n_jobs=1, out=tmp_path / "lone"
-    )
+    lone = tl.run_campaign(lambda x, seed: {"y": 1}, [{"x": "\ud800"}, {"x": "a"}], n_jobs=1, out=tmp_path / "lone")
     assert list(lone["x"]) == ["\ud800", "a"]

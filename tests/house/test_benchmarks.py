@@ -21,9 +21,7 @@ def test_cases_are_chosen_by_name_in_their_order():
 def test_unknown_name_is_refused_with_the_list():
     with pytest.raises(ValueError, match="no benchmark is called axr; there are: arx, greybox"):
         chosen(["arx", "axr"])
-    done = subprocess.run(
-        [sys.executable, "-m", "benchmarks", "axr"], cwd=ROOT, capture_output=True, text=True
-    )
+    done = subprocess.run([sys.executable, "-m", "benchmarks", "axr"], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 1
     assert done.stderr.startswith("no benchmark is called axr")
     assert done.stdout == ""

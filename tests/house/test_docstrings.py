@@ -12,9 +12,7 @@ PACKAGE = Path(__file__).parents[2] / "trustlab"
 
 def documented(doc):
     """Names in the Parameters section of a numpydoc docstring."""
-    section = re.search(
-        r"^\s*Parameters\n\s*-{10}\n(.*?)(?=^\s*\w[\w ]*\n\s*-{3,}\n|\Z)", doc or "", re.M | re.S
-    )
+    section = re.search(r"^\s*Parameters\n\s*-{10}\n(.*?)(?=^\s*\w[\w ]*\n\s*-{3,}\n|\Z)", doc or "", re.M | re.S)
     if not section:
         return set()
     names = re.findall(r"^\s*([*\w, ]+?) : ", section[1], re.M)
@@ -64,9 +62,7 @@ def undocumented(source, exported):
                 found.append(name)
             elif isinstance(node, ast.ClassDef):
                 is_data = any("dataclass" in ast.unparse(d) for d in node.decorator_list)
-                init = next(
-                    (n for n in node.body if isinstance(n, ast.FunctionDef) and n.name == "__init__"), None
-                )
+                init = next((n for n in node.body if isinstance(n, ast.FunctionDef) and n.name == "__init__"), None)
                 wanted = fields(node) if is_data else arguments(init) if init else []
                 found.extend(f"{name}({a})" for a in wanted if a not in documented(doc))
             elif not compiled(node):

@@ -51,8 +51,6 @@ def test_the_lock_has_every_dependency_and_names_no_registry():
     lock = (ROOT / "environment.lock").read_text()
     locked = {line.partition("==")[0] for line in lock.splitlines() if line[:1].isalpha()}
     needed = [PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()]
-    names = {
-        line.partition(">")[0].replace("_", "-") for group in needed for line in group if "[" not in line
-    }
+    names = {line.partition(">")[0].replace("_", "-") for group in needed for line in group if "[" not in line}
     assert names - locked == set()
     assert "://" not in lock

@@ -44,9 +44,7 @@ def imported(source):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "relative import"
-            names = [node.module] + [
-                f"{node.module}.{alias.name}" for alias in node.names if node.module == "trustlab"
-            ]
+            names = [node.module] + [f"{node.module}.{alias.name}" for alias in node.names if node.module == "trustlab"]
         else:
             continue
         for name in names:

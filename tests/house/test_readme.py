@@ -32,9 +32,7 @@ def test_block_runs(block, tmp_path):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "run1.csv").write_text(LOG)
     env = os.environ | {"MPLBACKEND": "Agg"}
-    done = subprocess.run(
-        [sys.executable, "-c", block], cwd=tmp_path, env=env, capture_output=True, text=True
-    )
+    done = subprocess.run([sys.executable, "-c", block], cwd=tmp_path, env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.strip()
 

@@ -25,9 +25,9 @@ def test_table_has_fixed_columns_and_named_rows(session):
     assert list(robot.index) == ["a", "p_min", "p_max", "p_h_max", "b"]
     assert list(human.index) == ["a", "beta", "p_min", "p_max", "b"]
     wide = tl.fit_human(session).table(level=0.99)
-    assert (
-        (wide["ci_high"] - wide["ci_low"]) / (human["ci_high"] - human["ci_low"])
-    ).to_numpy() == pytest.approx(1.3142, abs=1e-3)
+    assert ((wide["ci_high"] - wide["ci_low"]) / (human["ci_high"] - human["ci_low"])).to_numpy() == pytest.approx(
+        1.3142, abs=1e-3
+    )
     with pytest.raises(ValueError, match="level"):
         tl.fit_human(session).table(level=95)
 
@@ -35,9 +35,7 @@ def test_table_has_fixed_columns_and_named_rows(session):
 def test_fit_percent_is_the_printed_formula(session):
     fit = tl.fit_robot(session)
     y, e = session["p_r"], fit.residuals()[0]
-    assert fit.fit_percent == pytest.approx(
-        100 * (1 - np.linalg.norm(e) / np.linalg.norm(y - y.mean())), abs=1e-12
-    )
+    assert fit.fit_percent == pytest.approx(100 * (1 - np.linalg.norm(e) / np.linalg.norm(y - y.mean())), abs=1e-12)
     assert fit.cost == pytest.approx(0.5 * np.sum(e**2), rel=1e-12)
     assert set(tl.fit_tsc(session).fit_percent.index) == {"p_h", "p_r"}
 
@@ -45,9 +43,7 @@ def test_fit_percent_is_the_printed_formula(session):
 def test_fitted_output_is_the_model_simulated(session):
     fit = tl.fit_human(session)
     r0 = fit.initial_states["r0"].iloc[0]
-    np.testing.assert_allclose(
-        fit.runs[0].fitted["p_h"], fit.model.simulate(session["mode"], r0)[1], atol=1e-13
-    )
+    np.testing.assert_allclose(fit.runs[0].fitted["p_h"], fit.model.simulate(session["mode"], r0)[1], atol=1e-13)
     fit = tl.fit_robot(session)
     p_r = fit.model.simulate(session["mode"], session["p_h"], fit.initial_states["p_r0"].iloc[0])
     np.testing.assert_allclose(fit.runs[0].fitted["p_r"], p_r, atol=1e-13)
@@ -63,9 +59,7 @@ def test_correlations_and_whiteness(session):
     assert fit.whiteness().loc["p_h", "p"] == pytest.approx(oracle["lb_pvalue"].iloc[0], rel=1e-8)
     frame = fit.residual_correlations(lags=10)
     assert list(frame.columns) == ["autocorrelation", "cross_correlation", "band"]
-    np.testing.assert_allclose(
-        frame.loc[0:, "autocorrelation"], acf(fit.residuals()[0], nlags=10), atol=1e-12
-    )
+    np.testing.assert_allclose(frame.loc[0:, "autocorrelation"], acf(fit.residuals()[0], nlags=10), atol=1e-12)
     assert frame["band"].iloc[0] == pytest.approx(2.5758293 / np.sqrt(20_000))
 
 
@@ -106,9 +100,7 @@ def test_the_old_name_of_the_regression_warns(operators, make_session, switching
     """It fits no ARX model."""
     model = operators["3"]
     session = make_session(model, switching).with_columns(r=model.human.simulate(switching, 0.3)[0])
-    with pytest.warns(
-        DeprecationWarning, match=r'fit_human\(method="arx"\) is now fit_human\(method="regression"\)'
-    ):
+    with pytest.warns(DeprecationWarning, match=r'fit_human\(method="arx"\) is now fit_human\(method="regression"\)'):
         old = tl.fit_human(session, method="arx")
     assert old.model == tl.fit_human(session, method="regression").model
 

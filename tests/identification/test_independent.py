@@ -100,21 +100,12 @@ def noisy_session(seed, shares=False):
         rng.uniform(0.46, 0.60),
         rng.uniform(0.2, 0.4),
     ]
-    robot = [
-        rng.uniform(0.985, 0.996),
-        rng.uniform(0.20, 0.26),
-        rng.uniform(0.36, 0.42),
-        rng.uniform(0.28, 0.34),
-    ]
+    robot = [rng.uniform(0.985, 0.996), rng.uniform(0.20, 0.26), rng.uniform(0.36, 0.42), rng.uniform(0.28, 0.34)]
     mode = phases(rng, shares=shares)
     p_h = human_output(human, mode).real
     p_r = robot_output(robot, mode, p_h, human[3]).real
     frame = pd.DataFrame(
-        {
-            "mode": mode,
-            "p_r": p_r + rng.normal(0.0, 0.003, SAMPLES),
-            "p_h": p_h + rng.normal(0.0, 0.003, SAMPLES),
-        },
+        {"mode": mode, "p_r": p_r + rng.normal(0.0, 0.003, SAMPLES), "p_h": p_h + rng.normal(0.0, 0.003, SAMPLES)},
         index=pd.Index(0.1 * np.arange(SAMPLES), name="t"),
     )
     session = tl.Session(frame, tl.Metadata(participant=1, synthetic=True))
@@ -213,9 +204,7 @@ def test_several_sessions_share_parameters_and_keep_their_own_initial_states():
     second = tl.Session(frame, tl.Metadata(participant=1, synthetic=True))
 
     def both(p):
-        return np.concatenate(
-            [human_output(p[:5], measured(first, "mode")), human_output([*p[:4], p[5]], mode)]
-        )
+        return np.concatenate([human_output(p[:5], measured(first, "mode")), human_output([*p[:4], p[5]], mode)])
 
     low, high = ([*side, side[-1]] for side in HUMAN_BOUNDS)
     y = np.concatenate([measured(first, "p_h"), p_h])

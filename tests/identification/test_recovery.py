@@ -37,14 +37,8 @@ def test_exact_data_give_the_parameters_back(operators, make_session, switching,
     mode = {"phases": switching, "turned": 1.0 - switching, "two": np.repeat([1.0, 0.0], 6000)}[kind]
     session = make_session(model, mode, r0=r0, p_r0=p_r0)
     robot, human = truth(model)
-    joint = {f"robot_{k}": v for k, v in robot.items() if k != "p_h_max"} | {
-        f"human_{k}": v for k, v in human.items()
-    }
-    for fit, expected in (
-        (tl.fit_robot(session), robot),
-        (tl.fit_human(session), human),
-        (tl.fit_tsc(session), joint),
-    ):
+    joint = {f"robot_{k}": v for k, v in robot.items() if k != "p_h_max"} | {f"human_{k}": v for k, v in human.items()}
+    for fit, expected in ((tl.fit_robot(session), robot), (tl.fit_human(session), human), (tl.fit_tsc(session), joint)):
         assert fit.success, fit.message
         found = fit.table()["value"]
         for key, value in expected.items():
@@ -91,9 +85,7 @@ def test_runs_share_parameters_and_keep_their_own_beginning(operators, make_sess
     assert robot.model.p_max == pytest.approx(model.robot.p_max, rel=1e-6)
     assert human.model.beta == pytest.approx(model.human.beta, rel=1e-6)
     joint = tl.fit_tsc(runs)
-    np.testing.assert_allclose(
-        joint.initial_states[["r0", "p_r0"]], [[0.1, 0.25], [0.8, 0.34], [0.4, 0.30]], rtol=1e-5
-    )
+    np.testing.assert_allclose(joint.initial_states[["r0", "p_r0"]], [[0.1, 0.25], [0.8, 0.34], [0.4, 0.30]], rtol=1e-5)
 
 
 def test_a_shared_mode_is_as_good_as_switching(operators, make_session):

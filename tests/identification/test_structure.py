@@ -73,9 +73,7 @@ def test_sensitivities_of_its_own_give_the_same_fit():
 
     names = [tl.Parameter("gain", guess=1.0), tl.Parameter("offset", guess=0.0)]
     exact = tl.Structure("line", names, outputs="p_r", sensitivities=by_hand)
-    plain = tl.Structure(
-        "line", names, outputs="p_r", simulate=lambda run, gain, offset: gain * run["mode"] + offset
-    )
+    plain = tl.Structure("line", names, outputs="p_r", simulate=lambda run, gain, offset: gain * run["mode"] + offset)
     one, other = (tl.fit(which, session_of(0.003), noise="white") for which in (exact, plain))
     for column in ("value", "stderr"):
         np.testing.assert_allclose(one.parameters[column], other.parameters[column], rtol=1e-8)
@@ -94,9 +92,7 @@ def test_several_outputs_are_weighted_by_their_own_noise():
     )
     fit = tl.fit(level, tl.Session(frame), noise="white")
     weights = np.array([1.0 / quiet.var(), 1.0 / loud.var()])
-    assert fit.model["level"] == pytest.approx(
-        np.average([quiet.mean(), loud.mean()], weights=weights), rel=1e-6
-    )
+    assert fit.model["level"] == pytest.approx(np.average([quiet.mean(), loud.mean()], weights=weights), rel=1e-6)
     assert fit.parameters.loc["level", "stderr"] == pytest.approx((4000 * weights.sum()) ** -0.5, rel=1e-3)
 
 
@@ -108,9 +104,7 @@ def test_rates_are_searched_as_time_constants():
         outputs="p_r",
         simulate=lambda run, a: 0.2 + 0.1 * a ** np.arange(run.size),
     )
-    frame = pd.DataFrame(
-        {"mode": 1.0, "p_r": 0.2 + 0.1 * 0.9999 ** np.arange(9000)}, index=T * np.arange(9000)
-    )
+    frame = pd.DataFrame({"mode": 1.0, "p_r": 0.2 + 0.1 * 0.9999 ** np.arange(9000)}, index=T * np.arange(9000))
     assert 1.0 - tl.fit(memory, tl.Session(frame)).model["a"] == pytest.approx(1e-4, rel=1e-6)
 
 
@@ -125,9 +119,7 @@ def test_its_derived_rows_carry_their_error():
     )
     fit = tl.fit(structure, session_of(0.003), noise="white")
     assert fit.parameters.loc["sum", "status"] == "derived"
-    assert fit.parameters.loc["sum", "stderr"] == pytest.approx(
-        np.sqrt(fit.covariance.to_numpy().sum()), rel=1e-9
-    )
+    assert fit.parameters.loc["sum", "stderr"] == pytest.approx(np.sqrt(fit.covariance.to_numpy().sum()), rel=1e-9)
     both = {"rise": 0.011, "decay": 0.006}
     assert np.isnan(tl.fit(structure, session_of(0.003), fixed=both).parameters.loc["sum", "stderr"])
 
@@ -212,9 +204,7 @@ AT = {
 
 
 def test_sensitivities_agree_with_complex_steps(operators, make_session):
-    run = read_runs(make_session(operators["pilot"], np.repeat([1.0, 0.0, 0.5], 200)), "mode", "p_h", "p_r")[
-        0
-    ]
+    run = read_runs(make_session(operators["pilot"], np.repeat([1.0, 0.0, 0.5], 200)), "mode", "p_h", "p_r")[0]
     outputs, jacobians = TSC.predict(run, AT)
     for j, expected in enumerate(outputs_of(run, AT)):
         np.testing.assert_allclose(outputs[j], expected.real, rtol=1e-12)
@@ -229,9 +219,7 @@ def test_sensitivities_agree_with_complex_steps(operators, make_session):
 
 
 def test_the_robot_s_sensitivities_agree_with_central_differences(operators, make_session):
-    run = read_runs(make_session(operators["pilot"], np.repeat([1.0, 0.0, 0.5], 200)), "mode", "p_h", "p_r")[
-        0
-    ]
+    run = read_runs(make_session(operators["pilot"], np.repeat([1.0, 0.0, 0.5], 200)), "mode", "p_h", "p_r")[0]
     structure = robot_structure(0.46)
     plain = tl.Structure(
         "robot",
@@ -242,9 +230,7 @@ def test_the_robot_s_sensitivities_agree_with_central_differences(operators, mak
         inputs=structure.inputs,
     )
     at = {"a": 0.99, "p_min": 0.24, "p_max": 0.39, "p_r0": 0.3}
-    np.testing.assert_allclose(
-        plain.predict(run, at)[1][0], structure.predict(run, at)[1][0], rtol=1e-5, atol=1e-7
-    )
+    np.testing.assert_allclose(plain.predict(run, at)[1][0], structure.predict(run, at)[1][0], rtol=1e-5, atol=1e-7)
 
 
 def test_any_structure_with_a_linear_form_can_be_regressed(operators, make_session, switching):
@@ -296,10 +282,7 @@ def test_what_cannot_be_fitted_is_refused():
     refused("noise must be one of", noise="pink")
     refused("fixed names 'rize'.*did you mean 'rise'", fixed={"rize": 0.1})
     refused("guess names 'rize'.*did you mean 'rise'", guess={"rize": 0.1})
-    refused(
-        r"must return p_r in the shapes \[\(3000,\)\]",
-        structure=changed(simulate=lambda run, **at: np.ones(7)),
-    )
+    refused(r"must return p_r in the shapes \[\(3000,\)\]", structure=changed(simulate=lambda run, **at: np.ones(7)))
     short = changed(sensitivities=lambda run, **at: ([run["mode"]], [np.ones((3000, 2))]))
     refused(r"derivatives of sensitivities .*\[\(3000, 3\)\], got \[\(3000, 2\)\]", structure=short)
     refused("not finite at rise", structure=changed(simulate=lambda run, **at: np.full(run.size, np.nan)))
@@ -311,8 +294,7 @@ def test_what_cannot_be_fitted_is_refused():
 
 def test_a_parameter_without_effect_is_named():
     structure = changed(
-        parameters=[*RATES, tl.Parameter("idle", 0.0, 1.0)],
-        simulate=lambda run, idle, **at: two_rates(run, **at),
+        parameters=[*RATES, tl.Parameter("idle", 0.0, 1.0)], simulate=lambda run, idle, **at: two_rates(run, **at)
     )
     with pytest.raises(tl.IdentificationError, match="do not determine idle") as caught:
         tl.fit(structure, session_of(0.003))

@@ -68,17 +68,13 @@ def test_the_class_wanted_and_a_remedy_are_named():
 
 def test_a_run_is_told_to_hand_over_its_session():
     session = tl.Session(pd.DataFrame({"mode": [1.0, 0.0]}, index=[0.0, 0.1]))
-    with pytest.raises(
-        ValueError, match=r"must be of class Session, got SimpleNamespace; pass its \.session$"
-    ):
+    with pytest.raises(ValueError, match=r"must be of class Session, got SimpleNamespace; pass its \.session$"):
         of_class("session", SimpleNamespace(session=session), tl.Session, "read one")
     with pytest.raises(ValueError, match=r"got SimpleNamespace; read one$"):
         of_class("session", SimpleNamespace(session=3), tl.Session, "read one")
 
 
-@pytest.mark.parametrize(
-    "value", ["ab", ["1", "2"], [None, 1.0], [[1.0]], [], 3.0, [1.0, np.nan], [1j], [{}], None]
-)
+@pytest.mark.parametrize("value", ["ab", ["1", "2"], [None, 1.0], [[1.0]], [], 3.0, [1.0, np.nan], [1j], [{}], None])
 def test_what_is_no_array_of_numbers(value):
     with pytest.raises(ValueError, match=r"^width "):
         finite_array("width", value)

@@ -87,11 +87,4 @@ def test_the_range_of_human_performance_is_that_of_a_fine_grid(model, one, other
 
 
 def test_the_rule_switches_at_the_thresholds_and_holds_between_them():
-    assert [threshold_mode(tsc, 0.1, 0.4, mode) for tsc in (0.1, 0.25, 0.4) for mode in (0, 1)] == [
-        1,
-        1,
-        0,
-        1,
-        0,
-        0,
-    ]
+    assert [threshold_mode(tsc, 0.1, 0.4, mode) for tsc in (0.1, 0.25, 0.4) for mode in (0, 1)] == [1, 1, 0, 1, 0, 0]

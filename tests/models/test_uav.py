@@ -12,9 +12,7 @@ def test_discrete_form_is_that_of_python_control(axis):
     model = PRINTED_UAV[axis]
     phi, gamma = model.discrete(0.01)
     a, b = model.matrices()
-    other = control.c2d(
-        control.ss(a, b[:, None], np.eye(model.order), np.zeros((model.order, 1))), 0.01, method="zoh"
-    )
+    other = control.c2d(control.ss(a, b[:, None], np.eye(model.order), np.zeros((model.order, 1))), 0.01, method="zoh")
     np.testing.assert_allclose(phi, other.A, atol=1e-14)
     np.testing.assert_allclose(gamma, other.B[:, 0], atol=1e-14)
 

@@ -56,12 +56,7 @@ def test_bad_numbers_are_refused(name, bad):
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [
-        ((0,), "n must be"),
-        ((2.5,), "n must be"),
-        ((3, -1), "seed must be"),
-        ((3, 0, "third"), "study must be"),
-    ],
+    [((0,), "n must be"), ((2.5,), "n must be"), ((3, -1), "seed must be"), ((3, 0, "third"), "study must be")],
 )
 def test_bad_populations_are_refused(arguments, words):
     with pytest.raises(ValueError, match=words):
@@ -72,18 +67,8 @@ def made(error, force, alpha, p_h, p_r, condition="TMIG"):
     """A session with constant signals, so that what was gone through is known in closed form."""
     import pandas as pd
 
-    values = {
-        "path_error": error,
-        "f_h_x": force,
-        "f_h_y": 0.0,
-        "f_h_z": 0.0,
-        "alpha": alpha,
-        "p_h": p_h,
-        "p_r": p_r,
-    }
-    data = pd.DataFrame(
-        {name: np.full(50, value) for name, value in values.items()}, index=0.1 * np.arange(50)
-    )
+    values = {"path_error": error, "f_h_x": force, "f_h_y": 0.0, "f_h_z": 0.0, "alpha": alpha, "p_h": p_h, "p_r": p_r}
+    data = pd.DataFrame({name: np.full(50, value) for name, value in values.items()}, index=0.1 * np.arange(50))
     data.index.name = "t"
     return Session(data, Metadata(1, condition, "made", True, {}))
 
@@ -94,9 +79,7 @@ def test_experience_in_closed_form():
     assert felt["error"] == pytest.approx(0.2)
     assert felt["effort"] == pytest.approx(0.5)
     assert felt["agreement"] == pytest.approx(1.0 - abs(0.5 - 0.25))
-    assert experience(made(30.0, 0.0, 1.0, 0.0, 0.0)) == pytest.approx(
-        {"error": 1.0, "effort": 0.0, "agreement": 0.5}
-    )
+    assert experience(made(30.0, 0.0, 1.0, 0.0, 0.0)) == pytest.approx({"error": 1.0, "effort": 0.0, "agreement": 0.5})
 
 
 def test_answers_follow_what_was_gone_through():

@@ -120,9 +120,7 @@ def test_code_is_folded_and_hidden_where_tagged():
 
 
 def test_title_sentence_anchors_and_contents():
-    source = (
-        "# A *title* with $x$\n\nOne sentence, e.g. This one. And another.\n\n## B\n\n## B\n\n### C\n\n## D"
-    )
+    source = "# A *title* with $x$\n\nOne sentence, e.g. This one. And another.\n\n## B\n\n## B\n\n### C\n\n## D"
     page, card = page_of(new_markdown_cell(source))
     assert card["title"] == "A title with x"
     assert card["sentence"] == "One sentence, e.g. This one."
@@ -181,9 +179,7 @@ def write(checkout, name, source):
 def test_declared_parameters_agree_with_papermill(checkout):
     from papermill import inspect_notebook
 
-    path = write(
-        checkout, "01_a", "seed = 3  # of the noise\nnoise: float = 0.003\nname = 'x'\nmany = [1, 2]"
-    )
+    path = write(checkout, "01_a", "seed = 3  # of the noise\nnoise: float = 0.003\nname = 'x'\nmany = [1, 2]")
     assert declared_parameters(path) == {"seed": 3, "noise": 0.003, "name": "x", "many": [1, 2]}
     assert list(declared_parameters(path)) == list(inspect_notebook(str(path)))
 

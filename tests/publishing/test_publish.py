@@ -55,22 +55,14 @@ def world(tmp_path_factory):
         new_code_cell(PICTURE % DOT),
         new_code_cell("print('seed is', seed)"),
     )
-    write(
-        root,
-        "02_bad",
-        new_markdown_cell("# A bad one"),
-        tagged("x = 0", "parameters"),
-        new_code_cell("y = 1 / x"),
-    )
+    write(root, "02_bad", new_markdown_cell("# A bad one"), tagged("x = 0", "parameters"), new_code_cell("y = 1 / x"))
     write(root, "03_plain", new_markdown_cell("# A plain one\n\nWords."))
     (root / "reports").mkdir()
     (root / "reports" / "02_bad.html").write_text("old")
     (root / "reports" / "benchmarks.html").write_text("<title>Bench &amp; marks</title>")
     lines, failed = [], []
     checkout = Checkout.find(root)
-    built = publish(
-        checkout=checkout, parameters={"seed": "5"}, report=lines.append, on_failure=failed.append
-    )
+    built = publish(checkout=checkout, parameters={"seed": "5"}, report=lines.append, on_failure=failed.append)
     return checkout, built, lines, failed
 
 
@@ -223,9 +215,7 @@ def test_interrupt_leaves_neither_report_nor_kernel(tmp_path):
     write(
         root,
         "01_long",
-        new_code_cell(
-            "import os, pathlib, time\npathlib.Path('pid').write_text(str(os.getpid()))\ntime.sleep(60)"
-        ),
+        new_code_cell("import os, pathlib, time\npathlib.Path('pid').write_text(str(os.getpid()))\ntime.sleep(60)"),
     )
     command = [sys.executable, "-m", "trustlab.publishing", "--notebooks", str(root / "notebooks")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -47,9 +47,7 @@ class Bag:
         return self.make("Pose", position=self.xyz(x, y), orientation=self.turn(yaw))
 
     def twist(self, v, w):
-        return self.make(
-            "Twist", linear=self.xyz(v, kind="Vector3"), angular=self.xyz(0, 0, w, kind="Vector3")
-        )
+        return self.make("Twist", linear=self.xyz(v, kind="Vector3"), angular=self.xyz(0, 0, w, kind="Vector3"))
 
     def odometry(self, stamp, x, y, yaw, v=0.0):
         covariance = np.zeros(36)
@@ -110,9 +108,7 @@ def lab_bag(path):
         bag.add("/odom", t, bag.odometry(START + round((t - 0.005) * 1e9), t, 0.0, 3.0 + 0.2 * t, v=1.0))
     for k in range(25):
         t = -0.1 + 0.1 * k
-        bag.add(
-            "/reference", t, bag.make("PoseStamped", header=bag.header(START), pose=bag.pose(100 * t, 30.0))
-        )
+        bag.add("/reference", t, bag.make("PoseStamped", header=bag.header(START), pose=bag.pose(100 * t, 30.0)))
         bag.add("/cmd_vel", t, bag.twist(0.0, 180.0 * t))
         axes = np.array([0.0, t, 1.0], dtype=np.float32)
         buttons = np.array([0, 0, int(t > 0.95)], dtype=np.int32)
@@ -163,9 +159,7 @@ def test_header_stamps(tmp_path):
     np.testing.assert_allclose(session["robot_x"], session.t, atol=1e-9)
     np.testing.assert_allclose(session["reference_x"], session.t - 0.005, atol=1e-9)
     recipe = Recipe.from_toml(COLUMNS + RESAMPLED + '[time]\nstamp = "header"\n')
-    with pytest.raises(
-        RecipeError, match=r"'/drive_mode', message 0 .*std_msgs/msg/String has no header stamp"
-    ):
+    with pytest.raises(RecipeError, match=r"'/drive_mode', message 0 .*std_msgs/msg/String has no header stamp"):
         read_session(tmp_path / "lab.mcap", recipe=recipe)
 
 
@@ -176,9 +170,7 @@ def test_topics_with_the_same_stamps_need_no_resampling(tmp_path):
     assert len(session) == 25
     np.testing.assert_allclose(session.t, np.arange(25) * 0.1, atol=1e-12)
     assert "resampled" not in session.metadata.more
-    with pytest.raises(
-        RecipeError, match=r"'/reference' and '/odom' have stamps of their own.*\[resampling\]"
-    ):
+    with pytest.raises(RecipeError, match=r"'/reference' and '/odom' have stamps of their own.*\[resampling\]"):
         read_session(path, recipe=recipe, columns=["reference_x", "robot_x"])
     with pytest.raises(RecipeError, match="stamps of their own"):
         read_session(path, recipe=recipe)
@@ -198,16 +190,8 @@ def fails(path, recipe, *fragments, error=SessionError, **options):
 @pytest.mark.parametrize(
     ("old", "new", "fragments"),
     [
-        (
-            '"/odom", field = "twist',
-            '"/odm", field = "twist',
-            ["'/odm'", "velocity_x", "did you mean '/odom'"],
-        ),
-        (
-            "twist.twist.linear.x",
-            "twist.linear.x",
-            ["'/odom'", "nav_msgs/msg/Odometry", "has no field 'linear'"],
-        ),
+        ('"/odom", field = "twist', '"/odm", field = "twist', ["'/odm'", "velocity_x", "did you mean '/odom'"]),
+        ("twist.twist.linear.x", "twist.linear.x", ["'/odom'", "nav_msgs/msg/Odometry", "has no field 'linear'"]),
         ("twist.twist.linear.x", "twist.twist.linear.xx", ["nav_msgs/msg/Odometry", "did you mean 'x'"]),
         ("twist.twist.linear.x", "twist.twist.linear", ["not a number", "name one number"]),
         ("twist.twist.linear.x", "twist.twist.linear.x[0]", ["[0] needs a list"]),
@@ -258,10 +242,7 @@ def test_stamps_that_run_backwards(tmp_path):
     bag = Bag(tmp_path / "a.mcap")
     for k, stamp in enumerate([0, 2, 1, 3]):
         bag.add("/odom", k, bag.odometry(START + stamp * 10**9, k, 0, 0))
-    text = (
-        ONE
-        + 'robot_x = { topic = "/odom", field = "pose.pose.position.x", unit = "m" }\n[time]\nstamp = "header"\n'
-    )
+    text = ONE + 'robot_x = { topic = "/odom", field = "pose.pose.position.x", unit = "m" }\n[time]\nstamp = "header"\n'
     fails(bag.write(), text, "'/odom', message 2", "runs backwards")
 
 
@@ -270,12 +251,7 @@ def test_a_quaternion_that_is_none(tmp_path):
     odometry = bag.odometry(START, 0, 0, 0)
     odometry.pose.pose.orientation.w = 0.0
     bag.add("/odom", 0.0, odometry)
-    fails(
-        bag.write(),
-        ONE + 'yaw = { topic = "/odom", field = "yaw(pose.pose.orientation)" }',
-        "message 0",
-        "norm 0",
-    )
+    fails(bag.write(), ONE + 'yaw = { topic = "/odom", field = "yaw(pose.pose.orientation)" }', "message 0", "norm 0")
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -351,9 +327,7 @@ def test_what_is_missing_from_a_bag_of_ours_is_noticed(tmp_path, monkeypatch):
     path = write_session(session, tmp_path / "half.mcap")
     with pytest.raises(SessionError, match=r"'/trustlab/t' has 20 messages where the metadata say 40"):
         read_session(path)
-    monkeypatch.setattr(
-        "trustlab.sessions.readers.bags.metadata_from_json", lambda text: (None, {"samples": 20})
-    )
+    monkeypatch.setattr("trustlab.sessions.readers.bags.metadata_from_json", lambda text: (None, {"samples": 20}))
     assert len(read_session(path)) == 20
 
 

@@ -42,8 +42,7 @@ def folder(tmp_path_factory):
 def originals(folder):
     """Return the bytes of a valid file of each format."""
     paths = {
-        suffix: write_session(session(), folder / f"valid{suffix}")
-        for suffix in (".csv", ".parquet", ".bag", ".mcap")
+        suffix: write_session(session(), folder / f"valid{suffix}") for suffix in (".csv", ".parquet", ".bag", ".mcap")
     }
     written = {suffix: path.read_bytes() for suffix, path in paths.items()}
     bag = write_session(session(), folder / "valid")
@@ -167,9 +166,7 @@ def tables(draw):
 
 @settings(deterministic, max_examples=3 * EXAMPLES)
 @given(
-    text=tables(),
-    resample=st.sampled_from([None, "linear", "previous", "nearest"]),
-    step=st.sampled_from([0.05, 1e-9]),
+    text=tables(), resample=st.sampled_from([None, "linear", "previous", "nearest"]), step=st.sampled_from([0.05, 1e-9])
 )
 def test_tables_that_are_nearly_right(folder, text, resample, step):
     path = folder / "nearly.csv"
@@ -211,11 +208,7 @@ PLAIN = st.recursive(
 )
 def test_written_sessions_read_back_bit_for_bit(folder, name, values, start, step, participant, more):
     t = start + step * np.arange(len(values))
-    more = {
-        key: value
-        for key, value in more.items()
-        if key not in ("participant", "condition", "source", "synthetic")
-    }
+    more = {key: value for key, value in more.items() if key not in ("participant", "condition", "source", "synthetic")}
     original = Session(
         pd.DataFrame({"robot_x": values, "p_r": values[::-1]}, index=t), Metadata(participant, more=more)
     )
@@ -251,21 +244,7 @@ participant = { from = "who", map = { 25 = 8 }, keep = true }
 block = { from = "trial", bins = [5, 10] }
 """
 WORDS = st.sampled_from(re.split(r"[\s={}]+", RECIPE.strip())) | st.sampled_from(
-    [
-        "[]",
-        "{}",
-        "-1",
-        "nan",
-        "inf",
-        "1e400",
-        "true",
-        '""',
-        "''",
-        "1979-05-27",
-        "[[columns]]",
-        "bag",
-        "[1, 2]",
-    ]
+    ["[]", "{}", "-1", "nan", "inf", "1e400", "true", '""', "''", "1979-05-27", "[[columns]]", "bag", "[1, 2]"]
 )
 
 

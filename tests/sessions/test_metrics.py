@@ -42,10 +42,7 @@ def test_ground_robot_measures_are_the_printed_sums():
     near = (2.0 - session["path_error"][own]) / 2.0
     p_r = np.sum(session["step_distance"][own] / 0.1 * near) / w
     p_h = (
-        np.sum(
-            session["v_command"][own] * near
-            + np.abs(session["w_command"][own]) * session["path_error"][own] / 2
-        )
+        np.sum(session["v_command"][own] * near + np.abs(session["w_command"][own]) * session["path_error"][own] / 2)
         / w
     )
     assert measured["p_r"][k] == pytest.approx(p_r, abs=1e-12)
@@ -80,21 +77,15 @@ def test_uav_measures_and_the_printed_deviation():
 
 def test_mixed_initiative_measures_are_3_27():
     session = arm()
-    measured = session.with_performance(
-        window=0.1, measure="mixed_initiative", e_max=9.0, u_max=8.0, axes="yz"
-    )
+    measured = session.with_performance(window=0.1, measure="mixed_initiative", e_max=9.0, u_max=8.0, axes="yz")
     alpha = session["mode"]
 
     def norm(a, b):
         return sum(abs(session[f"{a}_{axis}"] - session[f"{b}_{axis}"]) for axis in "yz")
 
     e = norm("reference", "robot")
-    np.testing.assert_allclose(
-        measured["p_r"], (1 - norm("u_a", "u_i") / 8) * (1 - (1 - alpha) * e / 9), atol=1e-12
-    )
-    np.testing.assert_allclose(
-        measured["p_h"], (1 - norm("u_h", "u_i") / 8) * (1 - alpha * e / 9), atol=1e-12
-    )
+    np.testing.assert_allclose(measured["p_r"], (1 - norm("u_a", "u_i") / 8) * (1 - (1 - alpha) * e / 9), atol=1e-12)
+    np.testing.assert_allclose(measured["p_h"], (1 - norm("u_h", "u_i") / 8) * (1 - alpha * e / 9), atol=1e-12)
 
 
 def test_nothing_is_clipped():
@@ -159,9 +150,7 @@ def test_tracking_error_refuses():
 def test_real_tracking_error_is_the_published_one():
     folder = tl.sessions.external_data("autonomy_cl_trust")
     if folder is None:
-        pytest.skip(
-            "autonomy_cl_trust is not here: put it in data/external or name its parent in TRUSTLAB_DATA"
-        )
+        pytest.skip("autonomy_cl_trust is not here: put it in data/external or name its parent in TRUSTLAB_DATA")
     sessions = tl.read_sessions(folder, recipe="autonomy_cl_trust")
     theirs = pd.read_csv(folder / "measures" / "traj_err_all_levels.csv")
     both = tl.sessions.tracking_error(sessions).merge(

@@ -10,15 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import trustlab as tl
-from trustlab.sessions import (
-    Metadata,
-    RecipeError,
-    Session,
-    SessionError,
-    read_session,
-    read_sessions,
-    write_session,
-)
+from trustlab.sessions import Metadata, RecipeError, Session, SessionError, read_session, read_sessions, write_session
 
 FORMATS = ["run.csv", "run.parquet", "run.bag", "run.mcap", "run"]
 
@@ -27,9 +19,7 @@ FORMATS = ["run.csv", "run.parquet", "run.bag", "run.mcap", "run"]
 def session():
     rng = np.random.default_rng(5)
     t = 100.0 + np.arange(50) * 0.024
-    data = pd.DataFrame(
-        {"mode": (t > 100.5) * 1.0, "p_r": rng.normal(size=50), "path_error": rng.random(50)}, index=t
-    )
+    data = pd.DataFrame({"mode": (t > 100.5) * 1.0, "p_r": rng.normal(size=50), "path_error": rng.random(50)}, index=t)
     data.iloc[3, 1], data.iloc[4, 1], data.iloc[5, 1] = -0.0, 5e-324, 1.7976931348623157e308
     more = {"trial": 7, "autonomy": 0.2, "training": False, "note": 'ä, "quoted"\n', "levels": [1, 2.5, None]}
     return Session(data, Metadata(participant=8, condition="C1", synthetic=True, more=more))
@@ -60,10 +50,7 @@ def test_round_trip(session, tmp_path, name):
         assert read[column].tobytes() == session[column].tobytes()
     assert read_session(path, columns=["p_r"]).columns == ["p_r"]
     # Again in the same place, and nothing else is left beside it.
-    assert (
-        read_session(write_session(session.with_metadata(participant="P8"), path)).metadata.participant
-        == "P8"
-    )
+    assert read_session(write_session(session.with_metadata(participant="P8"), path)).metadata.participant == "P8"
     assert [each.name for each in tmp_path.iterdir()] == [name]
 
 
@@ -145,10 +132,7 @@ BAD = {
     "empty cell": (HEAD + "0,1,1\n,1,1\n", ["line 3", "'t'", "empty"]),
     "repeats": (HEAD + "0,1,1\n1,1,1\n1,1,1\n", ["line 4", "column t", "repeats", "sort or split"]),
     "backwards": (HEAD + "0,1,1\n1,1,1\n0.5,1,1\n", ["line 4", "column t", "backwards", "0.5 s"]),
-    "irregular": (
-        HEAD + "0,1,1\n1,1,1\n2,1,1\n3.5,1,1\n",
-        ["line 5", "irregular", "3.5 s", 'resample="linear"'],
-    ),
+    "irregular": (HEAD + "0,1,1\n1,1,1\n2,1,1\n3.5,1,1\n", ["line 5", "irregular", "3.5 s", 'resample="linear"']),
     "outside": (HEAD + "0,1,1\n1,1.01,1\n", ["line 3", "'mode'", "t = 1 s", "1.01", "[0, 1]"]),
     "negative distance": ("t,path_error\n0,1\n1,-0.1\n", ["line 3", "'path_error'", "-0.1"]),
     "short row": (HEAD + "0,1,1\n1,1\n", ["line 3", "2 cells", "3"]),
@@ -249,12 +233,8 @@ def test_resampling_only_when_asked(tmp_path):
     np.testing.assert_array_equal(linear["mode"], [1, 1, 1, 1, 1, 0, 0, 0, 0])  # a state is held, not halved
     np.testing.assert_allclose(abs(linear["yaw"][1]), np.pi)  # the short way round
     assert linear.metadata.more["resampled"] == "linear at 0.5 s; longest gap in the log 1.5 s"
-    np.testing.assert_array_equal(
-        read_session(path, resample="previous", sample_time=1.0)["p_r"], [0, 10, 10, 40, 10]
-    )
-    np.testing.assert_array_equal(
-        read_session(path, resample="nearest", sample_time=1.0)["p_r"], [0, 10, 40, 40, 10]
-    )
+    np.testing.assert_array_equal(read_session(path, resample="previous", sample_time=1.0)["p_r"], [0, 10, 10, 40, 10])
+    np.testing.assert_array_equal(read_session(path, resample="nearest", sample_time=1.0)["p_r"], [0, 10, 40, 40, 10])
     # No extrapolation: the grid ends before the log does.
     assert read_session(path, resample="linear", sample_time=1.5).t[-1] == 3.0
     for options, fragment in [
@@ -270,9 +250,7 @@ def test_resampling_only_when_asked(tmp_path):
     refused(path, "fewer than two", resample="linear", sample_time=100.0)
     # Faults that resampling would hide are told all the same.
     refused(write(tmp_path, text.replace("40", "nan")), "line 4", resample="nearest", sample_time=1.0)
-    refused(
-        write(tmp_path, text.replace("2.5", "1")), "line 4", "repeats", resample="nearest", sample_time=1.0
-    )
+    refused(write(tmp_path, text.replace("2.5", "1")), "line 4", "repeats", resample="nearest", sample_time=1.0)
 
 
 def test_previous_does_not_lose_a_sample_to_rounding(tmp_path):
@@ -293,8 +271,7 @@ def parquet(tmp_path, columns, metadata=None):
 def test_plain_parquet(tmp_path):
     path = tmp_path / "run.parquet"
     frame = pd.DataFrame(
-        {"mode": [True, False], "p_r": np.array([1, 2], dtype="float32")},
-        index=pd.Index([0.0, 1.0], name="t"),
+        {"mode": [True, False], "p_r": np.array([1, 2], dtype="float32")}, index=pd.Index([0.0, 1.0], name="t")
     )
     frame.to_parquet(path)
     assert read_session(path).data.to_dict("list") == {"mode": [1.0, 0.0], "p_r": [1.0, 2.0]}
@@ -306,10 +283,7 @@ def test_plain_parquet(tmp_path):
         ({"t": [0.0, 1.0, 2.0], "p_r": [1.0, None, 3.0]}, ["row 1", "'p_r'", "missing"]),
         ({"t": [0.0, 1.0, 1.0], "p_r": [1.0, 2.0, 3.0]}, ["row 2", "repeats"]),
         ({"t": [0.0, 1.0], "p_r": ["a", "b"]}, ["'p_r'", "string", "write numbers"]),
-        (
-            {"t": pd.to_datetime(["2026-01-01", "2026-01-02"]), "p_r": [1.0, 2.0]},
-            ["'t'", "timestamp", "seconds"],
-        ),
+        ({"t": pd.to_datetime(["2026-01-01", "2026-01-02"]), "p_r": [1.0, 2.0]}, ["'t'", "timestamp", "seconds"]),
         ({"t": [0.0, 1.0], "p_r": [[1.0], [2.0]]}, ["'p_r'", "list"]),
         ({"t": pa.array([], pa.float64()), "p_r": pa.array([], pa.float64())}, ["no rows"]),
         ({"t": [0.0, 1.0], "p_rr": [1.0, 2.0]}, ["'p_rr'", "did you mean 'p_r'"]),
@@ -339,9 +313,7 @@ def test_damaged_parquet(tmp_path, session):
     data = write_session(session, tmp_path / "run.parquet").read_bytes()
     for cut in (0, 3, 50, len(data) // 2, len(data) - 1):
         refused(write(tmp_path, data[:cut], "cut.parquet"), "empty" if cut == 0 else "truncated")
-    refused(
-        parquet(tmp_path, {"t": [0.0, 1.0], "p_r": [1.0, 2.0]}, {"trustlab": "{"}), "metadata are damaged"
-    )
+    refused(parquet(tmp_path, {"t": [0.0, 1.0], "p_r": [1.0, 2.0]}, {"trustlab": "{"}), "metadata are damaged")
 
 
 def test_folders(tmp_path, session):
@@ -393,9 +365,4 @@ def test_old_names_work_and_say_the_new_one():
 
 def test_what_is_written_says_what_it_is(tmp_path, session):
     write_session(session, tmp_path / "a.csv")
-    assert (
-        json.loads((tmp_path / "a.csv").read_text().splitlines()[0].removeprefix("# trustlab "))[
-            "participant"
-        ]
-        == 8
-    )
+    assert json.loads((tmp_path / "a.csv").read_text().splitlines()[0].removeprefix("# trustlab "))["participant"] == 8

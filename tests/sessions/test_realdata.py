@@ -11,10 +11,7 @@ import pytest
 
 from trustlab.sessions import SessionError, read_session, read_sessions
 
-DATA = (
-    Path(os.environ.get("TRUSTLAB_DATA") or Path(__file__).parents[2] / "data" / "external")
-    / "autonomy_cl_trust"
-)
+DATA = Path(os.environ.get("TRUSTLAB_DATA") or Path(__file__).parents[2] / "data" / "external") / "autonomy_cl_trust"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the real sessions are not here: no folder {DATA}")
 
 
@@ -36,9 +33,7 @@ def test_what_there_is(sessions):
         assert session.sample_time == pytest.approx(0.024)
         np.testing.assert_array_equal(session["mode"], round(1 - more["autonomy"], 1))
         # Column 10 is the distance in y and z.
-        distance = np.hypot(
-            session["robot_y"] - session["reference_y"], session["robot_z"] - session["reference_z"]
-        )
+        distance = np.hypot(session["robot_y"] - session["reference_y"], session["robot_z"] - session["reference_z"])
         np.testing.assert_allclose(session["path_error"], distance, atol=1e-12)
 
 
@@ -90,11 +85,7 @@ def test_the_replaced_participant_and_others(tmp_path):
     assert all("part25" in s.metadata.source for s in found[:30])
     # Without its replacement participant 8 stands.
     shutil.rmtree(tmp_path / "part25")
-    assert [s.metadata.participant for s in read_sessions(tmp_path, recipe="autonomy_cl_trust")] == [
-        8
-    ] * 30 + [24] * 30
+    assert [s.metadata.participant for s in read_sessions(tmp_path, recipe="autonomy_cl_trust")] == [8] * 30 + [24] * 30
     (tmp_path / "part24" / "trial17.csv").unlink()
-    with pytest.raises(
-        SessionError, match=r"part24_header\.csv: line 18: names trial_number 17, which has no file"
-    ):
+    with pytest.raises(SessionError, match=r"part24_header\.csv: line 18: names trial_number 17, which has no file"):
         read_sessions(tmp_path, recipe="autonomy_cl_trust")

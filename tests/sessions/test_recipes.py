@@ -3,14 +3,7 @@
 import numpy as np
 import pytest
 
-from trustlab.sessions import (
-    RecipeError,
-    SessionError,
-    list_recipes,
-    load_recipe,
-    read_session,
-    read_sessions,
-)
+from trustlab.sessions import RecipeError, SessionError, list_recipes, load_recipe, read_session, read_sessions
 from trustlab.sessions.patterns import PathPattern, natural_key
 from trustlab.sessions.recipe import Recipe
 from trustlab.sessions.vocabulary import UNITS, to_si
@@ -98,17 +91,9 @@ def test_every_rule(tmp_path):
     np.testing.assert_allclose(session.t, [0, 0.1, 0.2], rtol=1e-15)
     metadata = session.metadata
     assert (metadata.participant, metadata.condition, metadata.synthetic) == (2, "high", True)
-    assert dict(metadata.more) == {
-        "start_time": 5.0,
-        "trial": 3,
-        "block": 2,
-        "training": False,
-        "site": "north",
-    }
+    assert dict(metadata.more) == {"start_time": 5.0, "trial": 3, "block": 2, "training": False, "site": "north"}
     # Columns by name bring what they are computed from, and no more.
-    assert read_session(tmp_path / "raw/p2/run3.csv", recipe=recipe, columns=["path_error"]).columns == [
-        "path_error"
-    ]
+    assert read_session(tmp_path / "raw/p2/run3.csv", recipe=recipe, columns=["path_error"]).columns == ["path_error"]
     with pytest.raises(SessionError, match="no column 'path_eror'; did you mean 'path_error'"):
         read_session(tmp_path / "raw/p2/run3.csv", recipe=recipe, columns=["path_eror"])
 
@@ -197,14 +182,8 @@ def test_faults_are_told_in_the_words_of_the_file(tmp_path):
         path.write_text(ROWS.replace(old, new))
         fails(read, str(path), *fragments)
     path.write_text(ROWS)
-    fails(
-        lambda: read_session(path.rename(tmp_path / "run1.csv"), recipe=recipe), "does not fit", "p{who:int}"
-    )
-    fails(
-        lambda: read_sessions(tmp_path / "raw" / "p1", recipe="autonomy_cl_trust"),
-        "no file",
-        "part{folder:int}",
-    )
+    fails(lambda: read_session(path.rename(tmp_path / "run1.csv"), recipe=recipe), "does not fit", "p{who:int}")
+    fails(lambda: read_sessions(tmp_path / "raw" / "p1", recipe="autonomy_cl_trust"), "no file", "part{folder:int}")
 
 
 SIGNED = """
@@ -236,12 +215,7 @@ def test_a_recipe_and_a_delimiter_that_were_meant(tmp_path):
     fails(lambda: load_recipe(tmp_path / "mylab.toml"), "did you mean 'my_lab.toml'")
     for mark, shown in ((";", '";"'), ("\t", '"\\t"')):
         path.write_text(f"t{mark}cte\n0{mark}1\n1{mark}2\n")
-        fails(
-            lambda: read_session(path, recipe=recipe),
-            "line 1",
-            "one column only",
-            f"[table] delimiter = {shown}",
-        )
+        fails(lambda: read_session(path, recipe=recipe), "line 1", "one column only", f"[table] delimiter = {shown}")
         recipe.write_text(SIGNED.replace("[time]", f"[table]\ndelimiter = {shown}\n[time]"))
         assert len(read_session(path, recipe=recipe)) == 2
         recipe.write_text(SIGNED)
@@ -305,11 +279,7 @@ def test_metadata_maps_without_a_way_out(tmp_path):
         ("bins = [1, 2]", "bins = [2, 1]", ["block", "rising"]),
         ('value = "north"', 'value = "north", from = "who"', ["site", "either from or value"]),
         ("default = false", "defualt = false", ["training", "unknown key", "did you mean 'default'"]),
-        (
-            'keys = { trial = "run" }',
-            'keys = { trail = "run" }',
-            ["[header]", "'trail'", "did you mean 'trial'"],
-        ),
+        ('keys = { trial = "run" }', 'keys = { trail = "run" }', ["[header]", "'trail'", "did you mean 'trial'"]),
         ("p{who}/runs", "p{whom}/runs", ["[header] file", "'whom'", "did you mean 'who'"]),
         ("{who:int}", "{who:integer}", ["[files]", "type of field 'who'", "'integer'", "did you mean 'int'"]),
         ("{who:int}", "{who:int", ["brace"]),
@@ -324,11 +294,7 @@ def test_metadata_maps_without_a_way_out(tmp_path):
             "[resampling]\nmethod = 'lin'\nsample_time = 1\n[time]",
             ["[resampling]: method must be", "'lin'", "did you mean 'linear'"],
         ),
-        (
-            "[time]",
-            "[resampling]\nmethod = 'linear'\nsample_time = 0\n[time]",
-            ["sample_time must be positive"],
-        ),
+        ("[time]", "[resampling]\nmethod = 'linear'\nsample_time = 0\n[time]", ["sample_time must be positive"]),
         ("[time]", "[time", ["not a TOML file"]),
         ("site =", "source =", ["this name is taken"]),
     ],
@@ -348,9 +314,7 @@ def test_recipes_by_name_path_and_object(tmp_path):
     assert load_recipe(recipe) is recipe
     path = lay(tmp_path)
     assert load_recipe(path) == load_recipe(str(path))
-    with pytest.raises(
-        RecipeError, match=r"no recipe 'ros_ground_robt'.*did you mean 'ros_ground_robot'.*known"
-    ):
+    with pytest.raises(RecipeError, match=r"no recipe 'ros_ground_robt'.*did you mean 'ros_ground_robot'.*known"):
         load_recipe("ros_ground_robt")
     for wrong in (3, None, tmp_path, "", "a\0b"):
         with pytest.raises(RecipeError):

@@ -78,10 +78,7 @@ def test_jitter_within_the_tolerance_is_kept_as_it_is():
     [
         ({"p_rr": 1.0}, "'p_rr' is not in the vocabulary; did you mean 'p_r'"),
         ({"p_r": [0.1, 0.2, np.nan, 0.3, 0.4]}, r"row 2, column 'p_r', t = 0.2 s: nan is missing"),
-        (
-            {"path_error": [0.1, 0.2, 0.0, -0.3, 0.4]},
-            r"row 3, column 'path_error', t = 0.3 s: -0.3 lies outside",
-        ),
+        ({"path_error": [0.1, 0.2, 0.0, -0.3, 0.4]}, r"row 3, column 'path_error', t = 0.3 s: -0.3 lies outside"),
         ({"r": [0, 0, 0, 0, 1.01]}, "'r'.*lies outside"),
         ({"p_r": list("abcde")}, "must hold numbers"),
     ],
@@ -106,9 +103,7 @@ def test_other_faults():
 
 
 def test_metadata_travels_and_can_be_added():
-    session = tl.Session(
-        frame(), tl.Metadata(participant=3, condition="C1", synthetic=True, more={"trial": 2})
-    )
+    session = tl.Session(frame(), tl.Metadata(participant=3, condition="C1", synthetic=True, more={"trial": 2}))
     assert session.label == "participant 3, C1, trial 2, synthetic"
     assert repr(session).endswith("columns mode; metadata.more: trial)")
     changed = session.with_metadata(condition="C2", block=1)

@@ -7,12 +7,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from trustlab.studies.designs import (
-    design_balance,
-    latin_square_design,
-    participants_needed,
-    williams_square,
-)
+from trustlab.studies.designs import design_balance, latin_square_design, participants_needed, williams_square
 
 SIZES = {n: n if n % 2 == 0 else 2 * n for n in range(2, 13)}
 
@@ -116,9 +111,7 @@ def test_order_up_or_down_is_not_balanced():
     assert np.isnan(balance.carry_over.loc["A", "A"])
 
 
-@pytest.mark.parametrize(
-    ("k", "least", "needed"), [(4, 30, 32), (5, 18, 20), (5, 20, 20), (2, 1, 2), (3, 7, 12)]
-)
+@pytest.mark.parametrize(("k", "least", "needed"), [(4, 30, 32), (5, 18, 20), (5, 20, 20), (2, 1, 2), (3, 7, 12)])
 def test_participants_needed(k, least, needed):
     assert participants_needed(k, least) == needed
     assert participants_needed(list(range(k)), least) == needed
@@ -176,10 +169,7 @@ def test_sizes_that_are_none(n):
         (lambda f: f.rename(columns={"condition": "conditon"}), "did you mean 'conditon'"),
         (lambda f: f.iloc[1:], r"participant 1 has positions \[2, 3, 4\]; 4 conditions need 1 to 4"),
         (lambda f: pd.concat([f, f.iloc[:1]]), "participant 1 has positions"),
-        (
-            lambda f: f.assign(condition=f["condition"].where(f.index != 2)),
-            "column 'condition' has no label in row 2",
-        ),
+        (lambda f: f.assign(condition=f["condition"].where(f.index != 2)), "column 'condition' has no label in row 2"),
         (lambda f: f.assign(condition="A"), "at least two conditions, found 1"),
         (lambda f: f.assign(position=f["position"].astype(str)), "participant 1 has positions"),
         (lambda f: f.to_numpy(), "orders must be of class DataFrame, got ndarray"),

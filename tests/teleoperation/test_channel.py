@@ -7,13 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from trustlab.teleoperation.channel import channel_run
-from trustlab.teleoperation.delays import (
-    Delay,
-    constant_delay,
-    delay_from,
-    random_walk_delay,
-    recorded_delay,
-)
+from trustlab.teleoperation.delays import Delay, constant_delay, delay_from, random_walk_delay, recorded_delay
 from trustlab.teleoperation.ports.ledger import EnergyLedger
 from trustlab.teleoperation.ports.waves import Scattering
 
@@ -41,9 +35,7 @@ def random_case(seed):
     alpha, beta = rng.uniform(*alphas, N), rng.uniform(*betas, N)
     if seed % 3 == 0:  # scales that jump from bound to bound
         alpha, beta = rng.choice(alphas, N), rng.choice(betas, N)
-    delays = [
-        random_walk_delay(0.02, 1.5, rate, seed=int(s), hold=0.3) for s in rng.integers(1 << 30, size=2)
-    ]
+    delays = [random_walk_delay(0.02, 1.5, rate, seed=int(s), hold=0.3) for s in rng.integers(1 << 30, size=2)]
     return scattering, signals, alpha, beta, delays
 
 

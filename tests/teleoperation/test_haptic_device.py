@@ -18,12 +18,8 @@ def random_device(rng, n=3, passive=True):
     cross = 0.5 * (mass * weight + (mass * weight).T)
     least = np.linalg.eigvalsh(cross)[-1]
     damping = np.full(n, least) * (1.0 + rng.uniform(0.0, 1.0, n)) if passive else np.full(n, 0.1 * least)
-    stiffness = rng.uniform(0.0, 50.0, n) + (
-        np.linalg.norm(weight) ** 2 * np.linalg.norm(mass) if passive else 0
-    )
-    return HapticDevice(
-        mass, damping, stiffness, weight, force_scaling=rng.uniform(0.3, 3.0), require_passive=passive
-    )
+    stiffness = rng.uniform(0.0, 50.0, n) + (np.linalg.norm(weight) ** 2 * np.linalg.norm(mass) if passive else 0)
+    return HapticDevice(mass, damping, stiffness, weight, force_scaling=rng.uniform(0.3, 3.0), require_passive=passive)
 
 
 def follow(device, rng, steps=200, sample_time=0.01):

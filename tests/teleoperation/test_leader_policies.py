@@ -34,9 +34,7 @@ def test_most_trusted_by_hand():
     trust = np.array([[0.5, 0.4], [0.5, 0.6], [0.5, 0.6], [0.5, 0.6], [0.7, 0.6], [0.7, 0.6]])
     assert lead(MostTrusted(), trust, 0.2).tolist() == [0, 0, 1, 1, 0, 0]
     assert lead(MostTrusted(margin=0.15), trust, 0.2).tolist() == [0] * 6
-    assert (
-        lead(MostTrusted(), np.full((5, 3), 0.5), 0.1).tolist() == [0] * 5
-    )  # equal trust is no reason to switch
+    assert lead(MostTrusted(), np.full((5, 3), 0.5), 0.1).tolist() == [0] * 5  # equal trust is no reason to switch
 
 
 def test_most_trusted_is_the_argmax_whenever_it_may_switch():

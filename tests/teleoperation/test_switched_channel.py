@@ -38,9 +38,7 @@ def random_case(seed):
     if seed % 2:
         delays = [float(T * rng.integers(1, 151)) for _ in range(2)]
     else:
-        delays = [
-            random_walk_delay(0.02, 1.5, rate, seed=int(s), hold=0.3) for s in rng.integers(1 << 30, size=2)
-        ]
+        delays = [random_walk_delay(0.02, 1.5, rate, seed=int(s), hold=0.3) for s in rng.integers(1 << 30, size=2)]
     return ends, signals, leaders, beta, delays
 
 
@@ -97,13 +95,9 @@ def test_impedance_not_switched_with_the_leader_gives_none():
     """What an end not switched does harm by is its bounds, not its b: waves carry their energy whatever made them."""
     for seed in range(50):
         ends, signals, leaders, _, delays = random_case(seed)
-        same = [
-            Scattering(end.b, beta_min=0.5, beta_max=1.5, max_delay_rate=end.max_delay_rate) for end in ends
-        ]
+        same = [Scattering(end.b, beta_min=0.5, beta_max=1.5, max_delay_rate=end.max_delay_rate) for end in ends]
         beta = np.random.default_rng(seed).uniform(0.5, 1.5, K)
-        run = switched_channel_run(
-            *signals, same, leaders, T, beta, *delays, operator_leaders=np.zeros(K, int)
-        )
+        run = switched_channel_run(*signals, same, leaders, T, beta, *delays, operator_leaders=np.zeros(K, int))
         assert run.energy.min() >= -1e-12 * run.exchanged.max()
 
 
@@ -112,8 +106,7 @@ def test_waves_obey_4_7():
     ends, signals, leaders, beta, delays = random_case(1)
     run = switched_channel_run(*signals, ends, leaders, T, beta, *delays)
     b, low, high = (
-        np.array([getattr(end, name) for end in ends])[leaders][:, None]
-        for name in ("b", "beta_min", "beta_max")
+        np.array([getattr(end, name) for end in ends])[leaders][:, None] for name in ("b", "beta_min", "beta_max")
     )
     f = run.f_m / beta[:, None]
     for found, wanted in (

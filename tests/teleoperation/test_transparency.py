@@ -6,13 +6,7 @@ from hypothesis import given, settings, strategies as st
 
 from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.ports.waves import Scattering
-from trustlab.teleoperation.transparency import (
-    dominance,
-    gains,
-    ideal_distances,
-    rendered_impedance,
-    tune_transparency,
-)
+from trustlab.teleoperation.transparency import dominance, gains, ideal_distances, rendered_impedance, tune_transparency
 
 SETTINGS = settings(max_examples=60, deadline=None, derandomize=True)
 share = st.floats(0.02, 1.0)
@@ -43,25 +37,17 @@ def test_distances_are_the_coefficients_of_3_22(channel):
 def test_guidelines_of_section_3_7_1(channel, factor):
     before = dominance(channel)
     smaller_b = dominance(
-        Scattering(
-            channel.b / factor, channel.alpha_min, channel.alpha_max, channel.beta_min, channel.beta_max
-        )
+        Scattering(channel.b / factor, channel.alpha_min, channel.alpha_max, channel.beta_min, channel.beta_max)
     )
     for name in before:
         assert (smaller_b[name] > before[name]) == name.startswith("force")
     larger_beta = dominance(
-        Scattering(
-            channel.b, channel.alpha_min, channel.alpha_max, channel.beta_min, channel.beta_max * factor
-        )
+        Scattering(channel.b, channel.alpha_min, channel.alpha_max, channel.beta_min, channel.beta_max * factor)
     )
     assert larger_beta["force_operator"] < before["force_operator"]
     assert larger_beta["velocity_operator"] > before["velocity_operator"]  # against the text
     smaller = Scattering(
-        channel.b,
-        channel.alpha_min / factor,
-        channel.alpha_max / factor,
-        channel.beta_min / factor,
-        channel.beta_max,
+        channel.b, channel.alpha_min / factor, channel.alpha_max / factor, channel.beta_min / factor, channel.beta_max
     )
     assert dominance(smaller)["force_robot"] < before["force_robot"]
     assert dominance(smaller)["velocity_robot"] > before["velocity_robot"]
@@ -87,9 +73,7 @@ def test_gains_are_what_slow_signals_become(seed):
 @given(channels(), st.floats(0.0, 20.0), st.floats(0.0, 2.0), st.floats(0.0, 1.0))
 def test_rendered_impedance_is_passive(channel, load, delay, rate):
     omega = np.geomspace(0.01, 100.0, 200)
-    channel = Scattering(
-        channel.b, channel.alpha_min, channel.alpha_max, channel.beta_min, channel.beta_max, rate
-    )
+    channel = Scattering(channel.b, channel.alpha_min, channel.alpha_max, channel.beta_min, channel.beta_max, rate)
     spring = load / (1j * omega)
     for environment in (load, spring, spring + load):
         felt = rendered_impedance(channel, omega, environment, delay, 0.5 * delay)

@@ -101,9 +101,7 @@ def test_a_weaker_operator_brings_it_less_far_and_more_slowly(one, sessions):
     "robot",
     [
         Pioneer(heading_drift=0.0, heading_noise=0.0),
-        Pioneer(
-            scan_range=100.0, field_of_view=2.0 * np.pi, detection=1.0, range_noise=0.0, bearing_noise=0.0
-        ),
+        Pioneer(scan_range=100.0, field_of_view=2.0 * np.pi, detection=1.0, range_noise=0.0, bearing_noise=0.0),
     ],
     ids=["perfect odometry", "unlimited scanner"],
 )
@@ -175,13 +173,7 @@ def test_the_course_is_the_rounded_polygon():
     "robot",
     [
         Pioneer(),
-        Pioneer(
-            max_speed=0.4,
-            max_turn_rate=0.35,
-            max_acceleration=0.1,
-            max_turn_acceleration=0.8,
-            cruise_speed=0.4,
-        ),
+        Pioneer(max_speed=0.4, max_turn_rate=0.35, max_acceleration=0.1, max_turn_acceleration=0.8, cruise_speed=0.4),
     ],
 )
 def test_limits_hold(one, robot):
@@ -266,9 +258,7 @@ def test_free_suggestions_are_followed_with_their_probability(one, model, name, 
     for probability in (0.0, 0.6, 1.0):
         who = replace(one, **{key: probability})
         shown = [
-            run_condition(name, who, model, THRESHOLDS if name == "C2" else None, seed=s).suggestions()[
-                "state"
-            ]
+            run_condition(name, who, model, THRESHOLDS if name == "C2" else None, seed=s).suggestions()["state"]
             for s in range(30)
         ]
         states = pd.concat(shown)
@@ -297,9 +287,7 @@ def test_free_choice_switches_at_the_operators_own_thresholds(one, model):
     step = 2.0 * np.abs(np.diff(tsc[200:])).max()
     for k in later:
         assert tsc[k] == pytest.approx(-0.2 if mode[k] == 1 else 0.6, abs=step)
-    spread = run_condition(
-        "C1", replace(exact, lower_spread=0.1, upper_spread=0.1, reaction_lag=2.0), model, seed=2
-    )
+    spread = run_condition("C1", replace(exact, lower_spread=0.1, upper_spread=0.1, reaction_lag=2.0), model, seed=2)
     at = np.flatnonzero(np.diff(spread.session["mode"])) + 1
     assert np.std(spread.session["tsc"][at][spread.session["mode"][at] == 0]) > step
 
@@ -343,9 +331,7 @@ def test_followed_suggestions_by_hand():
     mode, suggested = np.ones(n), np.full(n, -1.0)
     suggested[100:150] = 0.0  # shown at 10 s, followed at 15 s
     mode[150:] = 0.0
-    suggested[300:310] = (
-        1.0  # shown at 30 s, gone after 1 s, back at 35 s (the same one), followed at 60 s: late
-    )
+    suggested[300:310] = 1.0  # shown at 30 s, gone after 1 s, back at 35 s (the same one), followed at 60 s: late
     suggested[350:600] = 1.0
     mode[600:] = 1.0
     suggested[700:720] = 0.0  # shown for 2 s and withdrawn
@@ -355,9 +341,7 @@ def test_followed_suggestions_by_hand():
     assert found["start"].tolist() == [10.0, 30.0, 70.0, 95.0]
     assert found["state"].tolist() == ["followed", "not followed", "withdrawn", "open"]
     np.testing.assert_allclose(found["delay"], [5.0, 30.0, np.nan, np.nan])
-    agreed = np.where(
-        np.arange(n) % 20 < 10, 1.0, 0.0
-    )  # every second one second of disagreement, then agreement
+    agreed = np.where(np.arange(n) % 20 < 10, 1.0, 0.0)  # every second one second of disagreement, then agreement
     always = pd.DataFrame({"mode": np.ones(n), "suggested_mode": agreed}, index=frame.index)
     assert len(followed_suggestions(tl.Session(always))) == 50
 
@@ -440,18 +424,12 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
         ({"condition": ["C3"]}, r"'C5', got \['C3'\]"),
         ({"laps": 10**9}, "from 1 to 1000"),
         (
-            {
-                "laps": 900,
-                "course": Course(corners=((0, 0), (5e3, 0), (5e3, 5e3), (0, 5e3)), resolution=50.0),
-            },
+            {"laps": 900, "course": Course(corners=((0, 0), (5e3, 0), (5e3, 5e3), (0, 5e3)), resolution=50.0)},
             "may last",
         ),
         ({"participant": 1}, "either participant= or operator=, not both"),
         ({"operator": None}, "who drives"),
-        (
-            {"operator": None, "participant": 6},
-            "no participant 6 among the printed ones: pilot, 1, 2, 3, 4, 5",
-        ),
+        ({"operator": None, "participant": 6}, "no participant 6 among the printed ones: pilot, 1, 2, 3, 4, 5"),
         ({"operator": None, "participant": "pilt"}, "did you mean 'pilot'"),
         ({"laps": 0}, "laps must be a whole number"),
         ({"laps": 2.5}, "laps must be a whole number"),

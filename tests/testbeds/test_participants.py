@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.testbeds import (
-    drive_modes,
-    published_model,
-    published_operator,
-    published_thresholds,
-    run_condition,
-)
+from trustlab.testbeds import drive_modes, published_model, published_operator, published_thresholds, run_condition
 from trustlab.testbeds.ground_robot.participants import participant_label
 
 PEOPLE = ("1", "2", "3", "4", "5")
@@ -23,9 +17,7 @@ def test_operators_are_what_the_tables_print(operators, name):
     assert who.participant == name
     assert who.human == operators[name].human == published_model(name).human
     assert [who.lower, who.lower_spread, who.upper, who.upper_spread] == own.tolist()
-    assert (100.0 * who.follow_tsc, 100.0 * who.follow_performance) == pytest.approx(
-        (shares["C2"], shares["C4"])
-    )
+    assert (100.0 * who.follow_tsc, 100.0 * who.follow_performance) == pytest.approx((shares["C2"], shares["C4"]))
     assert published_thresholds(name) == (pair["TSC_l"], pair["TSC_u"])
 
 
@@ -41,9 +33,7 @@ def test_ways_to_name_a_participant(given):
     assert participant_label(given) == "3"
 
 
-@pytest.mark.parametrize(
-    "wrong", [0, 6, -1, 2.5, True, None, np.nan, np.inf, "six", "", [1], {}, 1j, 10**400]
-)
+@pytest.mark.parametrize("wrong", [0, 6, -1, 2.5, True, None, np.nan, np.inf, "six", "", [1], {}, 1j, 10**400])
 def test_unknown_participants_are_told_the_known(wrong):
     for ask in (published_operator, published_model, published_thresholds):
         with pytest.raises(ValueError, match="pilot, 1, 2, 3, 4, 5"):

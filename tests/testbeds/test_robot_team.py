@@ -50,8 +50,7 @@ def random_team(seed):
     graph = random_graph(rng, robots)
     lows = rng.uniform(0.2, 1.0, robots)
     ends = tuple(
-        Scattering(10 ** rng.uniform(-0.3, 0.6), beta_min=low, beta_max=low + rng.uniform(0.0, 1.0))
-        for low in lows
+        Scattering(10 ** rng.uniform(-0.3, 0.6), beta_min=low, beta_max=low + rng.uniform(0.0, 1.0)) for low in lows
     )
     delay = rng.uniform(0.05, 1.5)
     return graph, {
@@ -91,9 +90,7 @@ def dense(graph, run, ends, n, leads, delay, vision, kind, start, goal, count, t
         error = -seen[late] if late >= 0 else np.zeros(3)
         good = max(1.0 - np.linalg.norm(error) / far, 0.0) if late >= 0 else 0.0
         end = ends[lead]
-        beta = end.beta_min + (end.beta_max - end.beta_min) * (
-            1.0 - 1.0 / (1.0 + np.exp(-10.0 * (trust[lead] - 0.5)))
-        )
+        beta = end.beta_min + (end.beta_max - end.beta_min) * (1.0 - 1.0 / (1.0 + np.exp(-10.0 * (trust[lead] - 0.5))))
         trust = trust + (1.0 - n["keep"]) * (good - trust)
         v_r = u_l[k - delay] if k >= delay else np.zeros(3)
         v_l = u_r[k - delay] if k >= delay else np.zeros(3)
@@ -108,10 +105,7 @@ def dense(graph, run, ends, n, leads, delay, vision, kind, start, goal, count, t
             A[Z, Z], A[Z, Q], y[Z] = np.eye(size), h * L, zeta[:, i]
             A[Q, Q], A[Q, Z], y[Q] = np.eye(size) + h * L, -h * L, q[:, i]
             A[size + lead, R] = -h
-            push, drag = (
-                n["push"] * error[i],
-                n["drag"],
-            )  # M (v_mid − v)/h = push − d r_m − f_m − B v_mid − K x_mid
+            push, drag = (n["push"] * error[i], n["drag"])  # M (v_mid − v)/h = push − d r_m − f_m − B v_mid − K x_mid
             A[V, V], A[V, RM], A[V, FM] = n["M"] / h + n["B"] + n["K"] * h, drag, 1.0
             y[V] = n["M"] * v[i] / h + push - n["K"] * x[i]
             A[RM, RM], A[RM, V], y[RM] = 1.0, -(1.0 + n["Lam"] * h), n["Lam"] * x[i]
@@ -144,9 +138,7 @@ def test_kernel_against_a_dense_solver(kind):
     T, count, graph = 0.02, 400, nx.Graph([(0, 1), (1, 2), (2, 3), (1, 3)])
     rng = np.random.default_rng(8)
     start, goal = rng.normal(size=(4, 3)), np.array([1.0, -2.0, 0.5])
-    ends = tuple(
-        Scattering(b, beta_min=low, beta_max=low + 0.7) for b, low in ((1, 0.3), (2, 0.5), (0.5, 1), (3, 0.2))
-    )
+    ends = tuple(Scattering(b, beta_min=low, beta_max=low + 0.7) for b, low in ((1, 0.3), (2, 0.5), (0.5, 1), (3, 0.2)))
     filters = {"none": "none", "two-port": corrected_filter(8.0, 1.5), "waves": WaveFilter(8.0)}[kind]
     run = tl.simulate_team(
         graph, GivenSequence([2, 0, 3], times=[0.0, 2.0, 5.0]), goal, duration=count * T, sample_time=T,
@@ -160,9 +152,7 @@ def test_kernel_against_a_dense_solver(kind):
     wanted, _, held = dense(graph, run, ends, n, leads, 10, 15, kind, start, goal, count)
     found = run.data[run.data.columns[:21]].to_numpy()
     np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-9 * np.abs(wanted).max())
-    np.testing.assert_allclose(
-        run.data["v_filter"], held if kind == "two-port" else 0.0, rtol=1e-8, atol=1e-9
-    )
+    np.testing.assert_allclose(run.data["v_filter"], held if kind == "two-port" else 0.0, rtol=1e-8, atol=1e-9)
 
 
 def test_converges_with_the_order_of_the_midpoint_rule():
@@ -187,13 +177,8 @@ def energies(seed, **change):
 @pytest.mark.parametrize("seed", range(12))
 def test_lemmas_6_and_7_balance_at_every_sample(seed):
     """V(k + 1) − V(k) = supply − dissipation, (4.25) and (4.33), relative to the storage."""
-    data = energies(
-        seed, inner=np.random.default_rng(seed).normal(size=energies(seed).positions.shape[1:])
-    ).data
-    for storage, supply, lost in (
-        ("v_fs", "supply_team", "lost_team"),
-        ("v_e", "supply_error", "lost_error"),
-    ):
+    data = energies(seed, inner=np.random.default_rng(seed).normal(size=energies(seed).positions.shape[1:])).data
+    for storage, supply, lost in (("v_fs", "supply_team", "lost_team"), ("v_e", "supply_error", "lost_error")):
         balance = data[storage] - data[supply] + data[lost]
         assert np.ptp(balance) <= 1e-12 * len(data) ** 0.5 * data[storage].max()
         step = np.abs(np.diff(balance)).max()
@@ -258,14 +243,11 @@ def test_free_team_meets_at_a_point_of_its_own():
         }
         for filters in ("corrected", "waves"):
             run, other = (
-                tl.simulate_team(graph, goal=goal, filters=filters, **shared)
-                for goal in ((1, 2, 0.5), (9, -9, 3))
+                tl.simulate_team(graph, goal=goal, filters=filters, **shared) for goal in ((1, 2, 0.5), (9, -9, 3))
             )
             assert run.synchronised
             assert not run.converged
-            np.testing.assert_allclose(
-                run.positions[-1], np.tile(start.mean(axis=0), (len(graph), 1)), atol=1e-8
-            )
+            np.testing.assert_allclose(run.positions[-1], np.tile(start.mean(axis=0), (len(graph), 1)), atol=1e-8)
             np.testing.assert_allclose(run.positions[-1], other.positions[-1], atol=1e-8)
 
 
@@ -282,9 +264,7 @@ def test_without_filter_or_scaling_waves_ring():
         rng = np.random.default_rng(seed)
         own = tuple(Scattering(10 ** rng.uniform(-0.3, 0.6)) for _ in graph)
         bare, filtered = (
-            tl.simulate_team(
-                graph, **(arguments | {"settings": TeamSettings(scattering=own), "filters": filters})
-            )
+            tl.simulate_team(graph, **(arguments | {"settings": TeamSettings(scattering=own), "filters": filters}))
             for filters in ("none", "waves")
         )
         assert filtered.converged
@@ -348,17 +328,14 @@ class TestGuardsRemoved:
 
     def test_scattering_not_switched_with_the_leader(self):
         """The operator's end keeps the first leader's bounds: the channel pays for what the operator does not."""
-        ends = (Scattering(2.0, beta_min=10.0, beta_max=20.0),) + (
-            Scattering(2.0, beta_min=0.2, beta_max=0.4),
-        ) * 3
+        ends = (Scattering(2.0, beta_min=10.0, beta_max=20.0),) + (Scattering(2.0, beta_min=0.2, beta_max=0.4),) * 3
         shared = {
             "policy": GivenSequence(range(4), times=[0, 10, 200, 400]), "settings": TeamSettings(scattering=ends), "delay": 0.5,
             "start": np.tile([-10.0, 0.0, 0.0], (4, 1)), "sample_time": 0.01, "duration": 600.0, "filters": "waves",
             "operator": TeamOperator(guarded=False),
         }  # fmt: skip
         right, wrong = (
-            tl.simulate_team(nx.path_graph(4), switch_scattering=switched, **shared)
-            for switched in (True, False)
+            tl.simulate_team(nx.path_graph(4), switch_scattering=switched, **shared) for switched in (True, False)
         )
         assert right.converged
         assert right.data["v_ch"].min() >= 0.0
@@ -394,9 +371,7 @@ def test_budget_of_eager_operators_is_kept():
     for seed in range(0, 40, 4):
         graph, arguments = random_team(seed)
         arguments |= {"duration": 200.0}
-        run = tl.simulate_team(
-            graph, operator=TeamOperator(push=40.0, reach=60.0, slow_down=False), **arguments
-        )
+        run = tl.simulate_team(graph, operator=TeamOperator(push=40.0, reach=60.0, slow_down=False), **arguments)
         assert run.operator_passive, seed
 
 
@@ -589,9 +564,7 @@ class TestBadInput:
             with pytest.raises(ValueError, match=words):
                 tl.simulate_team(nx.path_graph(3), Own(make), duration=10.0)
         assert (
-            tl.simulate_team(nx.path_graph(3), Own(lambda count: np.ones(count, int)), duration=5.0).facts[
-                "policy"
-            ]
+            tl.simulate_team(nx.path_graph(3), Own(lambda count: np.ones(count, int)), duration=5.0).facts["policy"]
             == "own"
         )
 

@@ -23,14 +23,10 @@ def test_measures_are_those_of_the_log():
     assert table["scheme"].tolist() == ["TMIG", "OMI"]
     assert table.attrs["origin"] == "simulated operators"
     data, row = RUNS[0].data, table.iloc[0]
-    offset = (
-        data[[f"reference_{a}" for a in "xyz"]].to_numpy() - data[[f"robot_{a}" for a in "xyz"]].to_numpy()
-    )
+    offset = data[[f"reference_{a}" for a in "xyz"]].to_numpy() - data[[f"robot_{a}" for a in "xyz"]].to_numpy()
     assert row["tracking_error"] == pytest.approx(np.linalg.norm(offset, axis=1).mean(), rel=1e-12)
     assert row["worst_error"] == pytest.approx(np.linalg.norm(offset, axis=1).max(), rel=1e-12)
-    assert row["hand_force"] == pytest.approx(
-        np.linalg.norm(data[[f"f_h_{a}" for a in "xyz"]], axis=1).mean()
-    )
+    assert row["hand_force"] == pytest.approx(np.linalg.norm(data[[f"f_h_{a}" for a in "xyz"]], axis=1).mean())
     assert row["alpha_rate"] == pytest.approx(np.abs(np.diff(data["alpha"])).sum() / (0.01 * (len(data) - 1)))
     assert row["energy_operator"] == data["energy_operator"].iloc[-1]
     assert row["guarded"] == pytest.approx((data["port_share"] < 1).mean())
@@ -51,9 +47,7 @@ def test_figures_show_what_was_logged():
     assert "synthetic" in panels[1].get_title()
 
 
-@pytest.mark.parametrize(
-    "call", [plot_trajectory, plot_signals, plot_energies, plot_alpha, tl.teleoperation_measures]
-)
+@pytest.mark.parametrize("call", [plot_trajectory, plot_signals, plot_energies, plot_alpha, tl.teleoperation_measures])
 @pytest.mark.parametrize("bad", [3, [3], None, "run"])
 def test_what_is_no_session_is_refused(call, bad):
     with pytest.raises((ValueError, TypeError)):

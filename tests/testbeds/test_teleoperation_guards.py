@@ -42,9 +42,7 @@ def test_waves_arrive_as_they_were_sent_and_carry_the_power_of_the_ports(scheme,
     data = simulate_teleoperation(scheme, study=study, seed=8, duration=20.0, delay_1=0.13, delay_2=0.21).data
     u_l, v_l, u_r, v_r = waves(data, ends)
     scale = max(np.abs(wave).max() for wave in (u_l, v_l, u_r, v_r))
-    np.testing.assert_allclose(
-        v_r[13:], u_l[:-13], atol=1e-11 * scale
-    )  # constant delay: unit gain (Remark 10)
+    np.testing.assert_allclose(v_r[13:], u_l[:-13], atol=1e-11 * scale)  # constant delay: unit gain (Remark 10)
     np.testing.assert_allclose(v_l[21:], u_r[:-21], atol=1e-11 * scale)
     alpha, beta = data["alpha"].to_numpy(), data["beta"].to_numpy()
     carried = 0.5 * beta * (squares(u_l) / ends.beta_min - squares(v_l) / ends.beta_max)
@@ -56,9 +54,7 @@ def test_waves_arrive_as_they_were_sent_and_carry_the_power_of_the_ports(scheme,
 def jitter(seed):
     """Delays drawn anew in every sample: packets overtake one another."""
     return Delay(
-        lambda t: np.random.default_rng(seed).uniform(0.02, 0.6, t.size),
-        np.inf,
-        "delays drawn anew every sample",
+        lambda t: np.random.default_rng(seed).uniform(0.02, 0.6, t.size), np.inf, "delays drawn anew every sample"
     )
 
 
@@ -67,12 +63,7 @@ def test_the_ledger_keeps_the_channel_passive_under_jitter_and_loss(scheme):
     for seed in range(8):
         lost = np.random.default_rng([71, seed]).uniform(size=(2, 3000)) < 0.3
         data = simulate_teleoperation(
-            scheme,
-            seed=seed,
-            duration=30.0,
-            delay_1=jitter(2 * seed),
-            delay_2=jitter(2 * seed + 1),
-            lost=lost,
+            scheme, seed=seed, duration=30.0, delay_1=jitter(2 * seed), delay_2=jitter(2 * seed + 1), lost=lost
         ).data
         u_l, v_l, u_r, v_r = waves(data, STUDIES["main"].scattering)
         for number, (sent, read) in enumerate(((u_l, v_r), (u_r, v_l))):

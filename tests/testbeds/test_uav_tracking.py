@@ -69,9 +69,7 @@ def test_without_delay_and_with_unit_scales_the_loop_is_the_continuous_one():
         data = driven(sample_time, 0.0)
         exact = solved.sol(data.index.to_numpy()).reshape(5, 3, -1)
         ours = [data[[f"{stem}_{axis}" for axis in "xyz"]].to_numpy().T for stem in ("device", "robot")]
-        errors.append(
-            max(np.abs(ours[0] - exact[0]).max() / np.abs(exact[0]).max(), np.abs(ours[1] - exact[2]).max())
-        )
+        errors.append(max(np.abs(ours[0] - exact[0]).max() / np.abs(exact[0]).max(), np.abs(ours[1] - exact[2]).max()))
     assert errors[-1] < 5e-3
     assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.25)  # first order in the sample time
     assert errors[1] / errors[2] == pytest.approx(2.0, abs=0.25)
@@ -96,9 +94,7 @@ def second_integrator(settings, delay, step, duration=4.0):
         out[0], out[1], out[2] = v, device(settings, x, v, push(np.array([t]))[0], f_m), w
         for i in range(2):
             out[3, i] = a[i]
-            out[4, i] = (
-                vehicle[i].gain * r_s[i] - vehicle[i].denominator[1] * w[i] - vehicle[i].denominator[0] * a[i]
-            )
+            out[4, i] = vehicle[i].gain * r_s[i] - vehicle[i].denominator[1] * w[i] - vehicle[i].denominator[0] * a[i]
         out[3, 2] = vehicle[2].gain * r_s[2] - vehicle[2].denominator[0] * w[2]
         sent_l = np.sqrt(ends.beta_min / (2 * b)) * (f_m / ends.beta_max + b * r_m)
         sent_r = np.sqrt(ends.alpha_min / (2 * b)) * (f_s - b * r_s / ends.alpha_max)
@@ -147,14 +143,11 @@ def test_every_port_balances_and_no_block_gives_energy_away(scheme, study):
         assert data["energy_device"].min() >= 0.0
         assert (np.diff(data["energy_dissipated"]) >= 0.0).all()
         exchanged = 0.01 * sum(
-            (data[f"r_m_{a}"] * data[f"f_m_{a}"]).abs() + (data[f"r_s_{a}"] * data[f"f_s_{a}"]).abs()
-            for a in "xyz"
+            (data[f"r_m_{a}"] * data[f"f_m_{a}"]).abs() + (data[f"r_s_{a}"] * data[f"f_s_{a}"]).abs() for a in "xyz"
         )
         assert (data["energy_channel"] >= -1e-9 * exchanged.cumsum()).all()
         power = sum(data[f"r_s_{a}"] * data[f"f_s_{a}"] for a in "xyz")
-        assert (
-            data["energy_robot"].min() >= 0.01 * power.min() - 1e-12
-        )  # Theorem 4: one sample's power at most
+        assert data["energy_robot"].min() >= 0.01 * power.min() - 1e-12  # Theorem 4: one sample's power at most
 
 
 @pytest.mark.slow
@@ -165,9 +158,7 @@ def test_stored_energy_is_bounded_under_bounded_force(scheme):
         study = ("preliminary", "main")[seed % 2]
         rng = np.random.default_rng([44, seed])
         force = 4.0 * np.sign(np.repeat(rng.normal(size=(40, 3)), 150, axis=0))
-        data = simulate_teleoperation(
-            scheme, STILL, study, seed=seed, duration=60.0, push=force / np.sqrt(3.0)
-        ).data
+        data = simulate_teleoperation(scheme, STILL, study, seed=seed, duration=60.0, push=force / np.sqrt(3.0)).data
         settings = STUDIES[study]
         first, second = data["energy_device"].iloc[:3000].max(), data["energy_device"].iloc[3000:].max()
         spring = settings.stiffness + settings.weight * settings.damping
@@ -179,10 +170,7 @@ def test_stored_energy_is_bounded_under_bounded_force(scheme):
 
 def tracking(scheme, study, seeds=12, **more):
     return np.array(
-        [
-            simulate_teleoperation(scheme, study=study, seed=s, **more).data["path_error"].mean()
-            for s in range(seeds)
-        ]
+        [simulate_teleoperation(scheme, study=study, seed=s, **more).data["path_error"].mean() for s in range(seeds)]
     )
 
 
@@ -238,9 +226,9 @@ def test_performance_is_the_window_mean_of_3_27():
     data, settings = simulate_teleoperation("TMIG", seed=5, duration=40.0).data, STUDIES["main"]
     e = sum((data[f"reference_{a}"] - data[f"robot_{a}"]).abs() for a in "xyz")
     gap = sum((data[f"u_a_{a}"] - data[f"u_i_{a}"]).abs() for a in "xyz")
-    now = (1 - gap / settings.command_range).clip(lower=0) * (
-        1 - (1 - data["alpha"]) * e / settings.error_range
-    ).clip(lower=0)
+    now = (1 - gap / settings.command_range).clip(lower=0) * (1 - (1 - data["alpha"]) * e / settings.error_range).clip(
+        lower=0
+    )
     np.testing.assert_allclose(data["p_r"], now.rolling(1000, min_periods=1).mean(), atol=1e-9)
 
 
@@ -274,16 +262,12 @@ def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
     states = flown(data, vehicle_matrices(vehicle, 0.01))
     np.testing.assert_allclose(states[:, :, 0], data[[f"robot_{a}" for a in "xyz"]], atol=1e-9)
     blending = OptimalBlending(vehicle, ((task.proportional, task.derivative),) * 3, ends.alpha_min)
-    u_h, u_a, reference = (
-        data[[f"{stem}_{a}" for a in "xyz"]].to_numpy() for stem in ("u_h", "u_a", "reference")
-    )
+    u_h, u_a, reference = (data[[f"{stem}_{a}" for a in "xyz"]].to_numpy() for stem in ("u_h", "u_a", "reference"))
     phase = np.random.default_rng(np.random.SeedSequence(6).spawn(5)[0]).uniform(0.0, 2.0 * np.pi)
     moving = task.path(data.index.to_numpy(), STUDIES[study].height, phase)[1]
     for k in range(0, len(data), 37):
         said = np.zeros(3) if k == 0 else u_h[k - 1]
-        now = blending.step(
-            said, u_a[k], reference[k] - states[k, :, 0], moving[k] - states[k, :, 1], -states[k, :, 2]
-        )
+        now = blending.step(said, u_a[k], reference[k] - states[k, :, 0], moving[k] - states[k, :, 1], -states[k, :, 2])
         assert data["alpha"].iloc[k] == pytest.approx(now.alpha, abs=1e-6)
     assert data["alpha"].nunique() > 10
 

@@ -280,9 +280,7 @@ class OptimalBlending:
         if self._program is None:
             self._program = self._build()
         n = self.intervals
-        found = self._program(
-            x0=np.full(n, held.alpha), lbx=self.alpha_min, ubx=self.alpha_max, p=states.ravel()
-        )
+        found = self._program(x0=np.full(n, held.alpha), lbx=self.alpha_min, ubx=self.alpha_max, p=states.ravel())
         shares, cost = np.asarray(found["x"]).ravel(), float(found["f"])
         said = self._program.stats()["return_status"]
         if not np.isfinite(shares).all() or not cost <= held.cost * (1.0 + 1e-9):
@@ -301,9 +299,7 @@ class OptimalBlending:
             state = p[5 * axis : 5 * axis + 5]
             at_zero = self.matrix(axis, 0.0)
             change = self.matrix(axis, 1.0) - at_zero
-            terms = _terms(
-                length * max(np.abs(at_zero).sum(axis=1).max(), np.abs(at_zero + change).sum(axis=1).max())
-            )
+            terms = _terms(length * max(np.abs(at_zero).sum(axis=1).max(), np.abs(at_zero + change).sum(axis=1).max()))
             at_zero, change = casadi.sparsify(casadi.DM(at_zero)), casadi.sparsify(casadi.DM(change))
             points, share = np.polynomial.legendre.leggauss(max(4, terms // 3))
             for k in range(self.intervals):
@@ -312,8 +308,7 @@ class OptimalBlending:
                     now = _flow(a, state, 0.5 * length * (x + 1.0), terms)
                     difference = (pick[0, :] - pick[1, :]) @ now
                     running = (
-                        self.error_weight * now[2] ** 2
-                        + self.deviation_weight * (1 - alphas[k]) ** 2 * difference**2
+                        self.error_weight * now[2] ** 2 + self.deviation_weight * (1 - alphas[k]) ** 2 * difference**2
                     )
                     cost += 0.5 * length * w * running
                 state = _flow(a, state, length, terms)

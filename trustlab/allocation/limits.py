@@ -111,9 +111,7 @@ class ThresholdLimits:
 
     def __str__(self) -> str:
         if not self.feasible:
-            return (
-                f"none at δ_Ph = {self.delta_p_h:.3g} (TSC_lb = {self.lower:.4f}, TSC_ub = {self.upper:.4f})"
-            )
+            return f"none at δ_Ph = {self.delta_p_h:.3g} (TSC_lb = {self.lower:.4f}, TSC_ub = {self.upper:.4f})"
         return f"TSC_lb = {self.lower:.4f} and TSC_ub = {self.upper:.4f} at δ_Ph = {self.delta_p_h:.3g}"
 
     def _repr_html_(self) -> str:

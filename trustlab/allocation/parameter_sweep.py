@@ -32,9 +32,7 @@ QUANTITIES = {
 """What is mapped, all of the steady cycle under rule (2.8)."""
 
 PARAMETERS = tuple(
-    f"{part}.{field.name}"
-    for part, kind in (("robot", RobotModel), ("human", HumanModel))
-    for field in fields(kind)
+    f"{part}.{field.name}" for part, kind in (("robot", RobotModel), ("human", HumanModel)) for field in fields(kind)
 )
 THRESHOLDS = ("lower", "upper")
 
@@ -220,9 +218,7 @@ def sweep(
     for name, array in values.items():
         if np.unique(array).size < array.size:
             raise ValueError(f"{name} has a value twice; give each once")
-    task = functools.partial(
-        cycle_at, tsc=tsc, lower=lower, upper=upper, starts=whole_number("starts", starts)
-    )
+    task = functools.partial(cycle_at, tsc=tsc, lower=lower, upper=upper, starts=whole_number("starts", starts))
     table = run_campaign(task, ParameterGrid(values), **campaign)
     if table["failed"].any():
         bad = table[table["failed"]].iloc[0]

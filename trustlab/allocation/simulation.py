@@ -32,13 +32,7 @@ def simulate_rule(start_r, start_p_r, mode, lower, upper, c, r, p_r, p_h, tsc, m
 
 
 def simulate_allocation(
-    tsc: TscModel,
-    lower: float,
-    upper: float,
-    steps: int,
-    r0: float = 0.0,
-    p_r0: float | None = None,
-    mode: int = 1,
+    tsc: TscModel, lower: float, upper: float, steps: int, r0: float = 0.0, p_r0: float | None = None, mode: int = 1
 ) -> pd.DataFrame:
     """
     Simulate (2.1), (2.3), (2.5) and (2.6) under rule (2.8).

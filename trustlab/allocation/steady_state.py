@@ -182,9 +182,7 @@ def utilization_as_printed(a, dwell_manual_low, dwell_manual_high, dwell_autonom
     return r_low, r_high
 
 
-def steady_state_bounds(
-    tsc: TscModel, lower: float, upper: float, delta_tsc: float | None = None
-) -> SteadyStateBounds:
+def steady_state_bounds(tsc: TscModel, lower: float, upper: float, delta_tsc: float | None = None) -> SteadyStateBounds:
     """
     Return the steady-state bounds as printed, (2.14)-(2.16), (2.20), (2.21) and (2.33).
 

@@ -43,9 +43,7 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
         odd = ~np.isin(session[name], allowed)
         if odd.any():
             k = int(np.argmax(odd))
-            raise SessionError(
-                f"column {name!r}, t = {session.t[k]:g} s: {session[name][k]} is not one of {allowed}"
-            )
+            raise SessionError(f"column {name!r}, t = {session.t[k]:g} s: {session[name][k]} is not one of {allowed}")
     t, mode, suggested = session.t, session["mode"], session["suggested_mode"]
     before = np.r_[mode[0], mode[:-1]]
     # A new suggestion begins when the mode has changed, or the aid has agreed with it, since the last one was shown.

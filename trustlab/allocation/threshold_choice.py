@@ -103,9 +103,7 @@ class ThresholdChoice:
         return axes
 
 
-def choose_thresholds(
-    tsc: TscModel, delta_p_h: float = 0.0, margin: float = 0.1, points: int = 24
-) -> ThresholdChoice:
+def choose_thresholds(tsc: TscModel, delta_p_h: float = 0.0, margin: float = 0.1, points: int = 24) -> ThresholdChoice:
     """
     Choose thresholds as Algorithm 1 asks: utilization encloses β, performance comes near its greatest.
 

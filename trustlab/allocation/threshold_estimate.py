@@ -6,15 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import (
-    finite_array,
-    finite_number,
-    in_order,
-    not_negative,
-    of_class,
-    positive,
-    whole_number,
-)
+from trustlab.models.checks import finite_array, finite_number, in_order, not_negative, of_class, positive, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
@@ -141,9 +133,7 @@ def estimate_thresholds(
         run.require("mode")
         mode = run["mode"]
         if not np.isin(mode, (0.0, 1.0)).all():
-            raise SessionError(
-                f"{run.label}: thresholds need a mode of 0 or 1, not shares", run.metadata.source
-            )
+            raise SessionError(f"{run.label}: thresholds need a mode of 0 or 1, not shares", run.metadata.source)
         if "tsc" not in run and model is None:
             raise SessionError(
                 f"{run.label} has no column 'tsc'; give model=TscModel(...) to compute it from p_r and p_h",
@@ -179,9 +169,7 @@ def separation(lower_mean: float, lower_sd: float, upper_mean: float, upper_sd: 
     return (high - low) / positive("lower_sd + upper_sd", spread)
 
 
-def _apart(
-    groups: dict[str, np.ndarray], draws: int, rng: np.random.Generator
-) -> tuple[float, float, float, float]:
+def _apart(groups: dict[str, np.ndarray], draws: int, rng: np.random.Generator) -> tuple[float, float, float, float]:
     """Return the separation of two groups of switches, its 95 % interval, and p that it is 1 or less."""
     numbers, drawn = [], []
     for values in (groups["lower"], groups["upper"]):
@@ -197,14 +185,10 @@ def _apart(
     return separation(*numbers), float(low), float(high), float((found <= 1.0).mean())
 
 
-def _summarise(
-    switches: pd.DataFrame, within: float, resamples: int, rng: np.random.Generator
-) -> ThresholdEstimate:
+def _summarise(switches: pd.DataFrame, within: float, resamples: int, rng: np.random.Generator) -> ThresholdEstimate:
     from scipy import stats
 
-    groups = {
-        name: switches.loc[switches["threshold"] == name, "tsc"].to_numpy() for name in ("lower", "upper")
-    }
+    groups = {name: switches.loc[switches["threshold"] == name, "tsc"].to_numpy() for name in ("lower", "upper")}
     rows = {}
     for name, values in groups.items():
         if values.size == 0:
@@ -219,9 +203,7 @@ def _summarise(
     summary = pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("threshold")
     p = np.nan
     if min(values.size for values in groups.values()) > 1:
-        p = float(
-            stats.ttest_ind(groups["upper"], groups["lower"], equal_var=False, alternative="greater").pvalue
-        )
+        p = float(stats.ttest_ind(groups["upper"], groups["lower"], equal_var=False, alternative="greater").pvalue)
     return ThresholdEstimate(switches, summary, *_apart(groups, resamples, rng), p)
 
 

@@ -89,13 +89,9 @@ def _client(cluster: Any) -> tuple[Any, bool]:
         from distributed import Client
     if isinstance(cluster, Client):
         if cluster.asynchronous:
-            raise CampaignError(
-                "the client is asynchronous; give an ordinary one, or the address of its scheduler"
-            )
+            raise CampaignError("the client is asynchronous; give an ordinary one, or the address of its scheduler")
         if cluster.status != "running":
-            raise CampaignError(
-                f"the client is not connected, its status is {cluster.status}; make a new one"
-            )
+            raise CampaignError(f"the client is not connected, its status is {cluster.status}; make a new one")
         return cluster, False
     address = cluster if isinstance(cluster, str) else getattr(cluster, "scheduler_address", None)
     if not isinstance(address, str) or not address:

@@ -25,9 +25,7 @@ WATCH = 2.0
 """Seconds between two looks at whether the workers are still there."""
 HOPELESS = 5
 """Runs that may kill their process in a row, with none succeeding, before the campaign gives up."""
-DIED = (
-    "WorkerDiedError: the process ended while it ran this, twice: it was killed, ran out of memory or crashed"
-)
+DIED = "WorkerDiedError: the process ended while it ran this, twice: it was killed, ran out of memory or crashed"
 
 
 class ChunkSizes:

@@ -23,12 +23,7 @@ class Workers:
     """Exceptions of a future whose worker died."""
 
     def __init__(
-        self,
-        task: Callable,
-        seed: np.random.SeedSequence,
-        name: str,
-        make: Callable[[], Executor],
-        count: int = 1,
+        self, task: Callable, seed: np.random.SeedSequence, name: str, make: Callable[[], Executor], count: int = 1
     ):
         self.task, self.seed, self.name = pickled_task(task), seed, name
         self.make, self.count = make, count
@@ -119,9 +114,7 @@ class _Made(Workers):
         self.executor.shutdown(wait=not left, cancel_futures=True)
 
 
-def brought_workers(
-    task: Callable, seed: np.random.SeedSequence, executor: object, count: int | None
-) -> Workers:
+def brought_workers(task: Callable, seed: np.random.SeedSequence, executor: object, count: int | None) -> Workers:
     """Return the workers of an executor that the user brings, or of a function that makes executors."""
     workers = None
     if isinstance(executor, Executor):

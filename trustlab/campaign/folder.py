@@ -31,9 +31,7 @@ REMEDY = "restore it, use another folder, or fresh=True to remove what is there"
 class Folder:
     """The files of one campaign, opened by one process at a time; `spans` are first run, end and file of each chunk."""
 
-    def __init__(
-        self, path: object, identity: dict, parameters: Sequence[Mapping], names: list[str], fresh: bool
-    ):
+    def __init__(self, path: object, identity: dict, parameters: Sequence[Mapping], names: list[str], fresh: bool):
         self.path, self._lock = _opened(path)
         try:
             if fresh:
@@ -219,9 +217,7 @@ def refuse(folder: Path, what: str, names: set[str]) -> None:
     """Raise if there are names of files that a folder must not hold."""
     if names:
         more = " …" if len(names) > 3 else ""
-        raise CampaignError(
-            f"{folder} holds {what} ({', '.join(sorted(names)[:3])}{more}); give a new or empty folder"
-        )
+        raise CampaignError(f"{folder} holds {what} ({', '.join(sorted(names)[:3])}{more}); give a new or empty folder")
 
 
 def _opened(path: object) -> tuple[Path, io.IOBase]:

@@ -48,9 +48,7 @@ class ParameterGrid(Sequence):
 
 def _values(name: str, values: Iterable) -> list:
     if isinstance(values, str | bytes) or not isinstance(values, Iterable) or isinstance(values, Mapping):
-        raise ValueError(
-            f"{name} must be a list or array of values, got {values!r}; write [{values!r}] for one"
-        )
+        raise ValueError(f"{name} must be a list or array of values, got {values!r}; write [{values!r}] for one")
     array = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else list(values)
     if not array:
         raise ValueError(f"{name} has no values; give at least one")
@@ -147,9 +145,7 @@ def _drawn(name: str, kind: Any, n: int, rng: np.random.Generator) -> list:
     if callable(getattr(kind, "rvs", None)):
         draws = np.asarray(kind.rvs(size=n, random_state=rng))
         if draws.shape != (n,) or not np.all(np.isfinite(draws)):
-            raise ValueError(
-                f"the distribution of {name} must give {n} finite numbers, got shape {draws.shape}"
-            )
+            raise ValueError(f"the distribution of {name} must give {n} finite numbers, got shape {draws.shape}")
         return draws.tolist()
     raise ValueError(
         f"{name} must be (low, high), a list of values or a scipy.stats distribution, got {type(kind).__name__}"
@@ -167,9 +163,7 @@ def checked_names(parameters: Sequence[Mapping]) -> list[str]:
     listed = hasattr(parameters, "__len__") and hasattr(parameters, "__getitem__")
     if frame or not listed or isinstance(parameters, str | bytes):
         remedy = "; use frame.to_dict('records')" if frame else ""
-        raise ValueError(
-            f"parameters must be a list of dicts, one per run, got {type(parameters).__name__}{remedy}"
-        )
+        raise ValueError(f"parameters must be a list of dicts, one per run, got {type(parameters).__name__}{remedy}")
     if len(parameters) == 0:
         raise ValueError("parameters is empty: there is nothing to run")
     # Every run of a grid has the names of its axes; a grid of a million runs need not be made to see that.

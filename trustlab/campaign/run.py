@@ -177,9 +177,7 @@ def _check_where(n_jobs: object, cluster: object, executor: object) -> None:
     if cluster is not None and executor is not None:
         raise ValueError("give cluster or executor, not both: each says where to run")
     if cluster is not None and n_jobs != -1:
-        raise ValueError(
-            f"give n_jobs or cluster, not both: a cluster has its own workers, got n_jobs={n_jobs}"
-        )
+        raise ValueError(f"give n_jobs or cluster, not both: a cluster has its own workers, got n_jobs={n_jobs}")
 
 
 def where_to_run(n_jobs: int | None, cluster: object, executor: object) -> dict:
@@ -189,9 +187,7 @@ def where_to_run(n_jobs: int | None, cluster: object, executor: object) -> dict:
     return {"n_jobs": n_jobs, "cluster": cluster, "executor": executor}
 
 
-def _workers(
-    task: Callable, seed: np.random.SeedSequence, n_jobs: int, cluster: object, executor: Any
-) -> Workers:
+def _workers(task: Callable, seed: np.random.SeedSequence, n_jobs: int, cluster: object, executor: Any) -> Workers:
     """Return where chunks run."""
     from trustlab.campaign.executors import InProcess, brought_workers, loky_workers
 

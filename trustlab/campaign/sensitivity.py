@@ -70,9 +70,7 @@ class SobolIndices:
             ):
                 middle = rows[value].to_numpy()
                 spread = np.abs(np.vstack([middle - rows[low], rows[high] - middle]))
-                panel.errorbar(
-                    middle, at + shift, xerr=spread, fmt="o", ms=4, capsize=3, color=color, label=label
-                )
+                panel.errorbar(middle, at + shift, xerr=spread, fmt="o", ms=4, capsize=3, color=color, label=label)
             panel.axvline(0.0, color="0.8", lw=0.8, zorder=0)
             panel.set_title(result, fontsize="medium")
             panel.set_xlabel("share of variance")
@@ -154,9 +152,7 @@ def sobol_indices(
     names, d = list(ranges), len(distributions)
     # Runs take the children 0, 1, … of the seed; points and bootstrap those of another child far from them.
     points, draws = np.random.SeedSequence(seed, spawn_key=(2**31,)).spawn(2)
-    parameters = [
-        dict(zip(names, map(float, point), strict=True)) for point in _points(distributions, n, points)
-    ]
+    parameters = [dict(zip(names, map(float, point), strict=True)) for point in _points(distributions, n, points)]
     table = run_campaign(
         task,
         parameters,

@@ -63,9 +63,7 @@ def encoded(first: int, parameters: list[Mapping], outcomes: list[Outcome]) -> p
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
 
 
-def assembled(
-    chunks: Iterable[pa.Table], names: list[str], parameters: Mapping[str, list] | None
-) -> pd.DataFrame:
+def assembled(chunks: Iterable[pa.Table], names: list[str], parameters: Mapping[str, list] | None) -> pd.DataFrame:
     """
     Return the table of a campaign, in the order of runs, whatever the chunks were.
 
@@ -91,9 +89,7 @@ def assembled(
     columns: dict[str, Any] = {"run": run}
     whole = np.zeros(run.size, dtype=bool)
     for name in names:
-        columns[name] = (
-            _gathered(chunks, name, whole) if parameters is None else _narrowest(parameters[name], whole)
-        )
+        columns[name] = _gathered(chunks, name, whole) if parameters is None else _narrowest(parameters[name], whole)
     columns |= {name: _gathered(chunks, name, failed) for name in results}
     columns |= {"failed": failed, "error": _texts(error), "traceback": _texts(trace)}
     return pd.DataFrame(columns, copy=False)

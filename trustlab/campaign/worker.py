@@ -104,9 +104,7 @@ def pickled(what: str, value: object) -> bytes:
 
 def pickled_task(task: Callable) -> tuple[bytes, str | None]:
     """Return a task as bytes, and a digest of its code where workers import it by name from a module."""
-    by_name = (
-        isinstance(task, FunctionType) and task.__module__ != "__main__" and "<" not in task.__qualname__
-    )
+    by_name = isinstance(task, FunctionType) and task.__module__ != "__main__" and "<" not in task.__qualname__
     return pickled("task", task), code_digest(task.__code__) if by_name else None
 
 
@@ -144,9 +142,7 @@ def run_chunk(
     began = perf_counter()
     _local.depth = getattr(_local, "depth", 0) + 1
     try:
-        outcomes = [
-            _outcome(task, values, run_seed(seed, run)) for run, values in enumerate(parameters, first)
-        ]
+        outcomes = [_outcome(task, values, run_seed(seed, run)) for run, values in enumerate(parameters, first)]
     finally:
         _local.depth -= 1
     return outcomes, perf_counter() - began

@@ -154,9 +154,7 @@ class FitResult:
     def _residuals_for(self, lags: int, output: str | None) -> list[np.ndarray]:
         """Return the residuals of an output whose runs are all longer than `lags`."""
         residuals = self.residuals(output)
-        whole_number(
-            "lags (below the length of the shortest run)", lags, 1, min(r.size for r in residuals) - 1
-        )
+        whole_number("lags (below the length of the shortest run)", lags, 1, min(r.size for r in residuals) - 1)
         return residuals
 
     def residual_correlations(self, lags: int = 25, output: str | None = None) -> pd.DataFrame:
@@ -266,9 +264,7 @@ class FitResult:
         import matplotlib.pyplot as plt
 
         rows = len(self.outputs)
-        figure, axes = plt.subplots(
-            rows, 2, squeeze=False, figsize=(8, 0.6 + 2.2 * rows), layout="constrained"
-        )
+        figure, axes = plt.subplots(rows, 2, squeeze=False, figsize=(8, 0.6 + 2.2 * rows), layout="constrained")
         for row, name in zip(axes, self.outputs, strict=True):
             frame = self.residual_correlations(lags, name)
             band = frame["band"].iloc[0]
@@ -293,9 +289,7 @@ class FitResult:
 
     def _repr_html_(self) -> str:
         fit = self.fit_percent
-        percent = (
-            f"{fit:.2f} %" if isinstance(fit, float) else ", ".join(f"{k} {v:.2f} %" for k, v in fit.items())
-        )
+        percent = f"{fit:.2f} %" if isinstance(fit, float) else ", ".join(f"{k} {v:.2f} %" for k, v in fit.items())
         origin = " Synthetic data." if self.synthetic else ""
         samples = sum(run.t.size for run in self.runs)
         return (

@@ -10,13 +10,7 @@ from trustlab.identification.fitting import fit, refuse_options
 from trustlab.identification.output_error import Problem
 from trustlab.identification.regression import regression, simulated_result
 from trustlab.identification.runs import Run, block_means, joined, read_runs
-from trustlab.identification.structure import (
-    UNIT_MARGIN,
-    Coordinate,
-    IdentificationError,
-    Parameter,
-    Structure,
-)
+from trustlab.identification.structure import UNIT_MARGIN, Coordinate, IdentificationError, Parameter, Structure
 from trustlab.models.deprecation import warn_renamed
 from trustlab.models.human import HumanModel, performance_curve
 from trustlab.sessions.session import Session

@@ -75,9 +75,7 @@ class Problem:
         weights = self.weights(squares)
         value = float(self.counts @ np.log(squares + self.floors))
         exact = bool((squares <= 1e-6 * self.floors).all())
-        return NormalEquations(
-            value, weights @ gradients, np.einsum("i,ijk", weights, matrices), squares, exact
-        )
+        return NormalEquations(value, weights @ gradients, np.einsum("i,ijk", weights, matrices), squares, exact)
 
     def weights(self, squares: np.ndarray) -> np.ndarray:
         """Return the weight n/Σ e² of every output."""

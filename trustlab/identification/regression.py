@@ -109,9 +109,7 @@ def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -
         raise ValueError("the data are too large to square; scale them")
     if not (scale > 0.0).all():
         dead = names[int(np.argmin(scale))]
-        raise IdentificationError(
-            f"coefficient {dead} is not identifiable: its regressor is identically zero", (dead,)
-        )
+        raise IdentificationError(f"coefficient {dead} is not identifiable: its regressor is identically zero", (dead,))
     # Regressors scaled to unit length: their units have no part in what counts as nearly collinear.
     sizes = np.outer(scale, scale)
     values, vectors = np.linalg.eigh(gram / sizes)
@@ -189,9 +187,7 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
     design, target = _stacked(parts)
     names = _names(na, lags, intercept)
     found = regression(design, target, names)
-    return ArxResult(
-        names, found.values, found.covariance, found.residuals, na, lags, delays, bool(intercept)
-    )
+    return ArxResult(names, found.values, found.covariance, found.residuals, na, lags, delays, bool(intercept))
 
 
 def equations(
@@ -216,11 +212,7 @@ def equations(
 def _names(na: int, nb: tuple[int, ...], intercept: bool) -> tuple[str, ...]:
     """Return the names of the coefficients: a1, …, b1, … (input, then lag, for several inputs), c."""
     of_y = [f"a{lag}" for lag in range(1, na + 1)]
-    of_u = [
-        f"b{lag + 1}" if len(nb) == 1 else f"b{i + 1}_{lag + 1}"
-        for i in range(len(nb))
-        for lag in range(nb[i])
-    ]
+    of_u = [f"b{lag + 1}" if len(nb) == 1 else f"b{i + 1}_{lag + 1}" for i in range(len(nb)) for lag in range(nb[i])]
     return (*of_y, *of_u, *(("c",) if intercept else ()))
 
 

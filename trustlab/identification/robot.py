@@ -16,14 +16,7 @@ from trustlab.identification.fitting import (
     result,
     weak_parameters,
 )
-from trustlab.identification.human import (
-    HUMAN,
-    decay_rates,
-    range_parameters,
-    rate_parameter,
-    solve_pair,
-    undo_blocks,
-)
+from trustlab.identification.human import HUMAN, decay_rates, range_parameters, rate_parameter, solve_pair, undo_blocks
 from trustlab.identification.output_error import Estimate
 from trustlab.identification.regression import equations, regress
 from trustlab.identification.runs import Run, block_means, joined, read_runs
@@ -81,9 +74,7 @@ def fit_robot(
         refuse_options(method, fixed, bounds, noise)
     for given in (fixed, bounds):
         if isinstance(given, Mapping) and "p_h_max" in given:
-            raise ValueError(
-                "p_h_max is not a parameter of the search; give it as fit_robot(..., p_h_max=...)"
-            )
+            raise ValueError("p_h_max is not a parameter of the search; give it as fit_robot(..., p_h_max=...)")
     runs = read_runs(sessions, "mode", "p_h", "p_r")
     limits = robot_structure(1.0).limits(fixed, bounds)
     check_data(robot_structure(1.0), runs, limits)
@@ -349,10 +340,7 @@ def _best_by_samples(operator: Estimate) -> list[np.ndarray]:
         # p̂_h,max is one row of (JᵀJ)⁻¹ Jᵀ P_h, with the operator's own J.
         weight = problem.weights(operator.normal.squares)[0]
         solve[operator.free] = operator.inverse[list(operator.free).index(row)] * weight
-    return [
-        jacobians[0] @ solve[where]
-        for (_, jacobians), where in zip(problem.latest, problem.where, strict=True)
-    ]
+    return [jacobians[0] @ solve[where] for (_, jacobians), where in zip(problem.latest, problem.where, strict=True)]
 
 
 def _shift_by_best(found: Estimate, best: float) -> np.ndarray:

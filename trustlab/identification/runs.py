@@ -75,8 +75,6 @@ def block_means(runs: list[Run], budget: int = 500) -> tuple[list[Run], int]:
     means = []
     for run in runs:
         size = run.size // length * length
-        columns = {
-            name: values[:size].reshape(-1, length).mean(axis=1) for name, values in run.columns.items()
-        }
+        columns = {name: values[:size].reshape(-1, length).mean(axis=1) for name, values in run.columns.items()}
         means.append(Run(run.label, run.t[:size:length], columns))
     return means, length

@@ -298,9 +298,7 @@ class Structure:
         self._check_shapes("simulate", outputs, [(run.size,)] * len(self.outputs))
         return outputs
 
-    def check_sensitivities(
-        self, run: Any, outputs: Sequence[np.ndarray], jacobians: Sequence[np.ndarray]
-    ) -> None:
+    def check_sensitivities(self, run: Any, outputs: Sequence[np.ndarray], jacobians: Sequence[np.ndarray]) -> None:
         """
         Refuse what `sensitivities` returns unless there is an array of the right shape for each output.
 

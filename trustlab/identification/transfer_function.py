@@ -86,9 +86,7 @@ def fit_transfer_function(
     structure = transfer_structure(order, sample_time)
     unknowns, samples = 1 + order + order * len(runs), sum(run.size for run in runs)
     if samples < 2 * unknowns:
-        raise IdentificationError(
-            f"{samples} samples are too few for {unknowns} unknowns; record longer runs"
-        )
+        raise IdentificationError(f"{samples} samples are too few for {unknowns} unknowns; record longer runs")
     limits = structure.limits()
     check_data(structure, runs, limits)
     fit = result(estimate_runs(structure, runs, limits, noise))
@@ -157,9 +155,7 @@ def _responses(denominator: np.ndarray, u: np.ndarray, sample_time: float) -> np
     return np.column_stack([signal.lfilter(top, poles, x) for top, x in filters])
 
 
-def _guess(
-    runs: list[Run], denominator: tuple[str, ...], states: tuple[str, ...], sample_time: float
-) -> Mapping:
+def _guess(runs: list[Run], denominator: tuple[str, ...], states: tuple[str, ...], sample_time: float) -> Mapping:
     """Return starting values by variable projection: a search over the denominator, the rest by linear least squares."""
     order, target = len(denominator), np.concatenate([run["velocity"] for run in runs])
 
@@ -183,11 +179,7 @@ def _guess(
     best = min(found, key=lambda done: done.cost).x
     weights = project(best)[0]
     own = weights[1:].reshape(len(runs), order)
-    return {
-        "gain": weights[0],
-        **dict(zip(denominator, best, strict=True)),
-        **dict(zip(states, own.T, strict=True)),
-    }
+    return {"gain": weights[0], **dict(zip(denominator, best, strict=True)), **dict(zip(states, own.T, strict=True))}
 
 
 def _denominators(order: int, runs: list[Run], sample_time: float) -> list[np.ndarray]:

@@ -14,13 +14,7 @@ from trustlab.identification.human import (
     initial_utilization,
     simulate_human,
 )
-from trustlab.identification.robot import (
-    build_robot,
-    check_excitation,
-    robot_guess,
-    robot_parameters,
-    simulate_robot,
-)
+from trustlab.identification.robot import build_robot, check_excitation, robot_guess, robot_parameters, simulate_robot
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import Parameter, Structure
 from trustlab.models.tsc import TscModel
@@ -129,9 +123,7 @@ TSC = Structure(
     model=_build,
     derived={
         "human_b": lambda at: 1.0 - at["human_a"],
-        "robot_b": lambda at: (
-            (1.0 - at["robot_a"]) * (at["robot_p_max"] - at["robot_p_min"]) / at["human_p_max"]
-        ),
+        "robot_b": lambda at: (1.0 - at["robot_a"]) * (at["robot_p_max"] - at["robot_p_min"]) / at["human_p_max"],
     },
     check=lambda runs, limits: check_excitation(runs, limits, "robot_p_min", "robot_p_max"),
 )

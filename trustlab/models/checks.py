@@ -74,9 +74,7 @@ def in_order(low_name: str, low: Any, high_name: str, high: Any) -> tuple[float,
     """Return two finite numbers as floats, the first below the second."""
     low, high = finite_number(low_name, low), finite_number(high_name, high)
     if not low < high:
-        raise ValueError(
-            f"{low_name} must be below {high_name}, got {low_name} = {low} and {high_name} = {high}"
-        )
+        raise ValueError(f"{low_name} must be below {high_name}, got {low_name} = {low} and {high_name} = {high}")
     return low, high
 
 

@@ -45,9 +45,7 @@ def published_folder() -> Path:
     """
     folder = Path(__file__).resolve().parents[2] / "data" / "published"
     if not folder.is_dir():
-        raise FileNotFoundError(
-            "the printed tables live in data/published of the repository; run from a clone of it"
-        )
+        raise FileNotFoundError("the printed tables live in data/published of the repository; run from a clone of it")
     return folder
 
 

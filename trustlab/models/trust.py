@@ -157,9 +157,7 @@ class TrustModel:
         trust, decay = finite_number("trust", trust), self.decay(sample_time)
         return decay * trust + (1.0 - decay) * self.steady_state(performance)
 
-    def simulate(
-        self, performance: np.ndarray, sample_time: float, trust0: float | None = None
-    ) -> np.ndarray:
+    def simulate(self, performance: np.ndarray, sample_time: float, trust0: float | None = None) -> np.ndarray:
         """
         Return trust along a record of performance, each sample held until the next.
 
@@ -309,17 +307,13 @@ def _check_scaling(scaling) -> None:
     if low > high:
         raise ValueError(f"low must not exceed high, got low = {low} and high = {high}")
     if not low > 0.0:
-        raise ValueError(
-            f"low must be positive, got {low}: a scale of zero leaves one-way teleoperation (3.1)"
-        )
+        raise ValueError(f"low must be positive, got {low}: a scale of zero leaves one-way teleoperation (3.1)")
     t_min, t_max = in_order("t_min", scaling.t_min, "t_max", scaling.t_max)
     middle = (t_min + t_max) / 2.0
     if scaling.midpoint is not None:
         middle = finite_number("midpoint", scaling.midpoint)
     if not t_min < middle < t_max:
-        raise ValueError(
-            f"midpoint must lie strictly between t_min = {t_min} and t_max = {t_max}, got {middle}"
-        )
+        raise ValueError(f"midpoint must lie strictly between t_min = {t_min} and t_max = {t_max}, got {middle}")
     scaling.__dict__.update(low=low, high=high, midpoint=middle, t_min=t_min, t_max=t_max)
 
 

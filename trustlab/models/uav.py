@@ -39,9 +39,7 @@ class TransferFunction:
             raise ValueError("gain must not be zero: the command would have no effect")
         numbers = tuple(finite_array("denominator", self.denominator).tolist())
         if len(numbers) > 2:
-            raise ValueError(
-                f"denominator must have one or two coefficients, highest power first, got {len(numbers)}"
-            )
+            raise ValueError(f"denominator must have one or two coefficients, highest power first, got {len(numbers)}")
         object.__setattr__(self, "denominator", numbers)
 
     @property

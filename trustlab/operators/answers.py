@@ -51,11 +51,7 @@ def experience(session: Session, study: str | LoopSettings = "main") -> dict[str
 
 
 def simulated_answers(
-    session: Session,
-    study: str | LoopSettings = "main",
-    participant: int = 1,
-    seed: int = 0,
-    points: int = 7,
+    session: Session, study: str | LoopSettings = "main", participant: int = 1, seed: int = 0, points: int = 7
 ) -> dict[str, float]:
     """
     Return answers that follow, by assumption, from tracking error, effort, and agreement of α with own performance.

@@ -244,7 +244,5 @@ def operator(
         more |= dict(zip(keys, (first, second), strict=True))
     unknown = sorted(set(more) - set(OperatorNumbers._fields[4:]))
     if unknown:
-        raise ValueError(
-            f"an Operator has no {unknown[0]!r}; it has {', '.join(OperatorNumbers._fields[4:])}"
-        )
+        raise ValueError(f"an Operator has no {unknown[0]!r}; it has {', '.join(OperatorNumbers._fields[4:])}")
     return Operator(participant, human, **more)

@@ -45,9 +45,7 @@ class Checkout:
     external: Path
 
     @classmethod
-    def find(
-        cls, root: Place | None = None, notebooks: Place | None = None, reports: Place | None = None
-    ) -> Checkout:
+    def find(cls, root: Place | None = None, notebooks: Place | None = None, reports: Place | None = None) -> Checkout:
         """Return the checkout around a folder.
 
         Parameters
@@ -77,9 +75,7 @@ class Checkout:
         root = Path(root).resolve()
         notebooks = Path(notebooks).resolve() if notebooks is not None else root / "notebooks"
         if not notebooks.is_dir():
-            raise ValueError(
-                f"no folder of notebooks at {notebooks}: run in the repository, or give --notebooks"
-            )
+            raise ValueError(f"no folder of notebooks at {notebooks}: run in the repository, or give --notebooks")
         package = root / "trustlab"
         data = root / "data"
         external = os.environ.get("TRUSTLAB_DATA") or data / "external"
@@ -138,9 +134,7 @@ def shared_digest(checkout: Checkout) -> str:
     return digest.hexdigest()
 
 
-def input_digest(
-    checkout: Checkout, notebook: Place, parameters: dict | None = None, shared: str | None = None
-) -> str:
+def input_digest(checkout: Checkout, notebook: Place, parameters: dict | None = None, shared: str | None = None) -> str:
     """Return the digest of all that one report depends on; `shared` is the `shared_digest` where it is at hand."""
     shared = shared_digest(checkout) if shared is None else shared
     line = [shared, file_digest(notebook), sorted((parameters or {}).items())]

@@ -39,9 +39,7 @@ LEFT_OVER = re.compile(r"\[?(<Axes|<matplotlib\.|<Figure|Text\(|\(?array\(\[<Axe
 FORMULA = r"(?s:(?<![\\$])\$(?![\s$])(?P<math_inline_tex>(?:\\\$|(?!\n\s*\n)[^$`])+?)(?<![\s\\])\$(?![\d$]))"
 FETCHED = ("src", "srcset", "poster", "data", "background", "xlink:href")
 ELSEWHERE = re.compile(r"@import|url\(\s*['\"]?\s*(?!data:|#)", re.IGNORECASE)
-NUMBER = re.compile(
-    r"(?:[<>]\s*)?[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|[-+]?inf|\u2013|-"
-)
+NUMBER = re.compile(r"(?:[<>]\s*)?[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|[-+]?inf|\u2013|-")
 
 
 class ReportError(CellError):

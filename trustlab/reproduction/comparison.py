@@ -71,9 +71,7 @@ def compare(
     """
     if set(ours) != set(printed):
         only = sorted(set(ours) ^ set(printed))
-        raise ValueError(
-            f"both sides must have the same quantities; only on one side: {', '.join(map(str, only))}"
-        )
+        raise ValueError(f"both sides must have the same quantities; only on one side: {', '.join(map(str, only))}")
     rows = []
     for name, value in ours.items():
         target = printed_decimal(printed[name])
@@ -105,9 +103,7 @@ def _printed_values(name: str, values: Mapping[str, str]) -> dict[str, str]:
 def _outputs(compute: Compute, inputs: Mapping[str, float], wanted: list) -> Mapping[str, float]:
     """Return what `compute` gives, or say which of the wanted outputs it does not give."""
     if not callable(compute):
-        raise ValueError(
-            f"compute must be a function of a dictionary of inputs, got {type(compute).__name__}"
-        )
+        raise ValueError(f"compute must be a function of a dictionary of inputs, got {type(compute).__name__}")
     found = compute(dict(inputs))
     for name in wanted:
         if name not in found:

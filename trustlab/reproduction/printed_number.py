@@ -30,9 +30,7 @@ def _parsed(text: str, name: str) -> tuple[str, Decimal]:
         value = None
     if value is None or not value.is_finite():
         lost = "" if isinstance(text, str) else f" ({type(text).__name__}): it has lost its trailing zeros"
-        raise ValueError(
-            f"{name} must be a number as printed, in quotes, for example '0.390', got {shown(text)}{lost}"
-        )
+        raise ValueError(f"{name} must be a number as printed, in quotes, for example '0.390', got {shown(text)}{lost}")
     return match[1], value
 
 

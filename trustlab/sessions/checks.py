@@ -52,9 +52,7 @@ def check_time(t: np.ndarray, place: Callable[[int], str] = _row, remedy: str = 
     return step
 
 
-def check_column(
-    name: str, values: np.ndarray, t: np.ndarray, place: Callable[[int], str] = _row
-) -> np.ndarray:
+def check_column(name: str, values: np.ndarray, t: np.ndarray, place: Callable[[int], str] = _row) -> np.ndarray:
     """Return a column as floats; raise if its name is unknown, or at its first value that is missing or out of range."""
     if name not in VOCABULARY:
         remedy = "map it with a recipe, leave it out, or see trustlab.sessions.vocabulary()"

@@ -60,9 +60,7 @@ def nearness(distance: np.ndarray, largest: float) -> np.ndarray:
     return 1.0 - distance / positive("largest", largest)
 
 
-def goal_speed(
-    step_distance: np.ndarray, path_error: np.ndarray, sample_time: float, e_max: float = 2.0
-) -> np.ndarray:
+def goal_speed(step_distance: np.ndarray, path_error: np.ndarray, sample_time: float, e_max: float = 2.0) -> np.ndarray:
     """
     Return (Δd/Δt)(e_max − e)/e_max, what (2.4) averages: speed, discounted with the distance from the path.
 
@@ -87,9 +85,7 @@ def goal_speed(
     return step_distance / positive("sample_time", sample_time) * near
 
 
-def manoeuvring(
-    v_command: np.ndarray, w_command: np.ndarray, path_error: np.ndarray, e_max: float = 2.0
-) -> np.ndarray:
+def manoeuvring(v_command: np.ndarray, w_command: np.ndarray, path_error: np.ndarray, e_max: float = 2.0) -> np.ndarray:
     """
     Return v (e_max − e)/e_max + |ω| e/e_max, what (2.7) averages: forward motion counts near the path, turning away from it.
 
@@ -140,13 +136,7 @@ def command_deviation(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndar
 
 
 def mixed_initiative(
-    u_h: np.ndarray,
-    u_a: np.ndarray,
-    u_i: np.ndarray,
-    error: np.ndarray,
-    alpha: np.ndarray,
-    u_max: float,
-    e_max: float,
+    u_h: np.ndarray, u_a: np.ndarray, u_i: np.ndarray, error: np.ndarray, alpha: np.ndarray, u_max: float, e_max: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return p'_r and p'_h of (3.27), what (3.26) averages.

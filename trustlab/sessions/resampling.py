@@ -130,9 +130,7 @@ def _method(name: str, method: str, rule: ColumnRule | None) -> str:
     return own or ("previous" if name in _STATES and method == "linear" else method)
 
 
-def _interpolate(
-    times: np.ndarray, values: np.ndarray, grid: np.ndarray, method: str, angle: bool
-) -> np.ndarray:
+def _interpolate(times: np.ndarray, values: np.ndarray, grid: np.ndarray, method: str, angle: bool) -> np.ndarray:
     """Return values at the times of the grid, none of which is before the first sample."""
     if method == "linear":
         if not angle:

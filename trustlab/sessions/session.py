@@ -196,9 +196,7 @@ class Session:
             raise SessionError(f"{what}; {extent}", self.metadata.source)
         return Session(part, self.metadata)
 
-    def with_performance(
-        self, window: float = 100.0, measure: str = "ground_robot", **scales: Any
-    ) -> Session:
+    def with_performance(self, window: float = 100.0, measure: str = "ground_robot", **scales: Any) -> Session:
         """
         Return the session with measured performance, columns p_r and p_h, as means over a moving window.
 

@@ -10,10 +10,7 @@ from .analysis.effect_sizes import (
 from .analysis.mixed_model import MixedModel as MixedModel, mixed_model as mixed_model
 from .analysis.paired_t_test import PairedTTest as PairedTTest, paired_t_test as paired_t_test
 from .analysis.pairwise import bonferroni as bonferroni, holm as holm
-from .analysis.repeated_measures import (
-    RepeatedMeasures as RepeatedMeasures,
-    repeated_measures as repeated_measures,
-)
+from .analysis.repeated_measures import RepeatedMeasures as RepeatedMeasures, repeated_measures as repeated_measures
 from .analysis.winsorize import Winsorized as Winsorized, winsorize as winsorize
 from .designs import (
     DesignBalance as DesignBalance,

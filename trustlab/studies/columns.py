@@ -34,9 +34,7 @@ def refuse_missing_labels(column: pd.Series, argument: str) -> None:
     missing = column.isna().to_numpy()
     if missing.any():
         row = column.index.astype(object)[int(np.argmax(missing))]  # a plain Python label, for the error
-        raise ValueError(
-            f"{argument}: column {column.name!r} has no label in row {row!r}; each row needs one"
-        )
+        raise ValueError(f"{argument}: column {column.name!r} has no label in row {row!r}; each row needs one")
 
 
 def number_or_nan(value: object) -> float:

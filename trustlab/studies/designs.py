@@ -14,17 +14,13 @@ from trustlab.studies.columns import column_of, refuse_missing_labels
 
 def _labels(name: str, values: object, least: int) -> tuple[Hashable, ...]:
     """Return labels that are all there, all different, and at least so many."""
-    if isinstance(values, str | bytes) or not isinstance(
-        values, Sequence | np.ndarray | pd.Series | pd.Index
-    ):
+    if isinstance(values, str | bytes) or not isinstance(values, Sequence | np.ndarray | pd.Series | pd.Index):
         raise ValueError(f"{name} must be a list of labels, got {values!r}")
     labels = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
     for k, label in enumerate(labels):
         blank = isinstance(label, str) and not label.strip()
         if not isinstance(label, Hashable) or isinstance(label, bool) or pd.isna([label]).any() or blank:
-            raise ValueError(
-                f"{name}[{k}] is {label!r}; a label must be a number or a text that is not empty"
-            )
+            raise ValueError(f"{name}[{k}] is {label!r}; a label must be a number or a text that is not empty")
     if len(labels) < least:
         raise ValueError(f"{name} must have at least {least} labels, got {len(labels)}")
     twice = [label for k, label in enumerate(labels) if label in labels[:k]]
@@ -148,10 +144,7 @@ class DesignBalance:
 
 
 def design_balance(
-    orders: pd.DataFrame,
-    participant: str = "participant",
-    position: str = "position",
-    condition: str = "condition",
+    orders: pd.DataFrame, participant: str = "participant", position: str = "position", condition: str = "condition"
 ) -> DesignBalance:
     """
     Count positions and first-order carry-over in any set of orders, for example those of the participants who were kept.
@@ -239,11 +232,7 @@ class LatinSquareDesign:
 
 
 def latin_square_design(
-    conditions: Sequence[Hashable],
-    participants: int | Sequence[Hashable],
-    seed: int = 0,
-    *,
-    whole_squares: bool = True,
+    conditions: Sequence[Hashable], participants: int | Sequence[Hashable], seed: int = 0, *, whole_squares: bool = True
 ) -> LatinSquareDesign:
     """
     Assign participants to the orders of a complete balanced Latin square, in whole squares.

@@ -1,8 +1,4 @@
-from .channel import (
-    ChannelRun as ChannelRun,
-    channel_run as channel_run,
-    switched_channel_run as switched_channel_run,
-)
+from .channel import ChannelRun as ChannelRun, channel_run as channel_run, switched_channel_run as switched_channel_run
 from .delays import (
     Delay as Delay,
     constant_delay as constant_delay,
@@ -20,11 +16,7 @@ from .filters import (
     sinusoid_energy as sinusoid_energy,
 )
 from .loop.schemes import SCHEMES as SCHEMES, Scheme as Scheme
-from .loop.settings import (
-    STUDIES as STUDIES,
-    DivergenceError as DivergenceError,
-    LoopSettings as LoopSettings,
-)
+from .loop.settings import STUDIES as STUDIES, DivergenceError as DivergenceError, LoopSettings as LoopSettings
 from .ports.device import HapticDevice as HapticDevice, PassivityError as PassivityError
 from .ports.ledger import EnergyLedger as EnergyLedger
 from .ports.passivity import PassivityController as PassivityController

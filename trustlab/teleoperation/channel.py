@@ -101,9 +101,7 @@ class Waves(NamedTuple):
 
 
 @numba.njit(cache=True)
-def _send(
-    r_m, f_s, near, far, alpha, beta, bounds, delays, arrives, gain, read_out, period, books, waves, f_m, r_s
-):
+def _send(r_m, f_s, near, far, alpha, beta, bounds, delays, arrives, gain, read_out, period, books, waves, f_m, r_s):
     """
     Fill `waves`, f_m and r_s, sample by sample.
 
@@ -158,9 +156,7 @@ def lost_waves(lost, count: int) -> np.ndarray:
         return np.ones((2, count), bool)
     missing = np.asarray(lost)
     if missing.shape != (2, count) or missing.dtype != bool:
-        raise ValueError(
-            f"lost must be True or False, shape (2, {count}), got {missing.dtype} {missing.shape}"
-        )
+        raise ValueError(f"lost must be True or False, shape (2, {count}), got {missing.dtype} {missing.shape}")
     return ~missing
 
 
@@ -284,11 +280,7 @@ def switched_channel_run(
     r_m, f_s = _signals(r_m, f_s)
     count, robots = len(r_m), len(ends)
     far = robot_numbers("leaders", leaders, count, robots)
-    near = (
-        far
-        if operator_leaders is None
-        else robot_numbers("operator_leaders", operator_leaders, count, robots)
-    )
+    near = far if operator_leaders is None else robot_numbers("operator_leaders", operator_leaders, count, robots)
     beta = finite_array("beta", beta, length=count)
     delays = {"delay": delay, "delay_back": delay if delay_back is None else delay_back}
     return _run(r_m, f_s, ends, near, far, np.ones(count), beta, delays, read_out, sample_time)

@@ -123,9 +123,7 @@ def random_walk_delay(
     low, high, hold = finite_number("low", low), finite_number("high", high), finite_number("hold", hold)
     rate = delay_rate("max_rate", max_rate)
     if not 0.0 < low < high or not hold > 0.0:
-        raise ValueError(
-            f"0 < low < high and hold > 0 are needed, got low = {low}, high = {high}, hold = {hold}"
-        )
+        raise ValueError(f"0 < low < high and hold > 0 are needed, got low = {low}, high = {high}, hold = {hold}")
     own = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
 
     def walk(t: np.ndarray) -> np.ndarray:
@@ -160,9 +158,7 @@ def recorded_delay(t: np.ndarray, delay: np.ndarray, max_rate: float | None = No
     """
     t, delay = finite_array("t", t), finite_array("delay", delay)
     if t.size != delay.size or t.size < 2:
-        raise ValueError(
-            f"t and delay need the same number of samples, two or more, got {t.size} and {delay.size}"
-        )
+        raise ValueError(f"t and delay need the same number of samples, two or more, got {t.size} and {delay.size}")
     if (np.diff(t) <= 0.0).any():
         k = int(np.argmax(np.diff(t) <= 0.0))
         raise ValueError(f"t must increase, but sample {k + 1} is {t[k + 1]:g} s after {t[k]:g} s")
@@ -199,12 +195,7 @@ def delay_from(name: str, delay, max_rate: float | None = None) -> Delay:
 
 
 def delays_in_samples(
-    given: Mapping[str, object],
-    max_rate: float,
-    read_out: str,
-    count: int,
-    sample_time: float,
-    zero: bool = False,
+    given: Mapping[str, object], max_rate: float, read_out: str, count: int, sample_time: float, zero: bool = False
 ) -> np.ndarray:
     """
     Return the delays both ways in samples, shape (2, count), from arguments by name; `zero` allows both to be zero.
@@ -223,8 +214,6 @@ def delays_in_samples(
         if not zero and not delays[i].all():
             raise ValueError(f"{name} must be at least one sample, {sample_time:g} s, got 0")
     if delays.any() and not delays.all():
-        raise ValueError(
-            f"{' and '.join(given)} must both be zero (no channel in between) or both at least one sample"
-        )
+        raise ValueError(f"{' and '.join(given)} must both be zero (no channel in between) or both at least one sample")
     whole = np.round(delays)
     return np.where(np.abs(delays - whole) < 1e-6, whole, delays)

@@ -91,9 +91,7 @@ def passivity_margin(numerator, denominator, k12: float = 0.0, k21: float = 0.0)
     imaginary, size = np.poly1d((near * conjugate).c.imag), np.poly1d((far * conjugate).c.real)
     flat = (imaginary.deriv() * size - imaginary * size.deriv()).c
     roots = np.roots(flat) if np.any(flat) else np.zeros(0)
-    places = np.concatenate(
-        [np.zeros(1), np.abs(roots.real), np.abs(roots)]
-    )  # one place too many does no harm
+    places = np.concatenate([np.zeros(1), np.abs(roots.real), np.abs(roots)])  # one place too many does no harm
     heights = (imaginary(places) / size(places)) ** 2
     best = int(np.argmax(heights))
     return PassivityMargin(float(heights[best]), float(unit * places[best]), k12 * k21)
@@ -206,9 +204,7 @@ class TwoPortFilter:
         low = (_low_pass(first, self.cutoff, step), _low_pass(second, self.cutoff, step))
         y_1, y_2 = low[0][0] - self.k12 * second, self.k21 * first + low[1][0]
         supply = step * np.cumsum((first * y_2 - second * y_1).sum(axis=1))
-        held = (
-            self.k21 * (low[0][1] ** 2).sum(axis=1) + self.k12 * (low[1][1] ** 2).sum(axis=1)
-        ) / self.cutoff
+        held = (self.k21 * (low[0][1] ** 2).sum(axis=1) + self.k12 * (low[1][1] ** 2).sum(axis=1)) / self.cutoff
         return FilterRun(step * np.arange(1, len(first) + 1), y_1, y_2, supply, held)
 
 

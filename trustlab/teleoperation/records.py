@@ -25,9 +25,7 @@ def log_of(log: np.dtype, count: int) -> tuple[np.ndarray, np.ndarray]:
     return table, table.view(log)[:, 0]
 
 
-def signal(
-    name: str, values, rows: int | None = None, columns: int | None = None, least: int = 1
-) -> np.ndarray:
+def signal(name: str, values, rows: int | None = None, columns: int | None = None, least: int = 1) -> np.ndarray:
     """Return a signal as a finite array of shape (N, n); one number per sample counts as (N, 1)."""
     wanted = f"({'N' if rows is None else rows}, {'n' if columns is None else columns})"
     try:
@@ -55,7 +53,5 @@ def robot_numbers(name: str, values, count: int, robots: int) -> np.ndarray:
         raise ValueError(f"{name} must be {count} whole numbers, got {array.dtype} {array.shape}")
     absent = (array < 0) | (array >= robots)
     if absent.any():
-        raise ValueError(
-            f"{name} names robot {array[absent][0]}, which does not exist; there are {robots} robots"
-        )
+        raise ValueError(f"{name} names robot {array[absent][0]}, which does not exist; there are {robots} robots")
     return array.astype(np.int64)

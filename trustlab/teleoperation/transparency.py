@@ -4,15 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trustlab.models.checks import (
-    between,
-    finite_array,
-    finite_number,
-    not_negative,
-    of_class,
-    one_of,
-    positive,
-)
+from trustlab.models.checks import between, finite_array, finite_number, not_negative, of_class, one_of, positive
 from trustlab.teleoperation.ports.waves import Scattering
 
 PARAMETERS = ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")
@@ -190,9 +182,7 @@ class Tuning:
 def _distances(scattering: Scattering, impedance: float) -> tuple[float, float]:
     """Return how far force and velocity are from ideal: gains on a logarithmic scale, leaks against `impedance`."""
     found = gains(scattering)
-    force = np.hypot(
-        np.log(found["force"] / scattering.beta_max), found["drag"] / (scattering.beta_max * impedance)
-    )
+    force = np.hypot(np.log(found["force"] / scattering.beta_max), found["drag"] / (scattering.beta_max * impedance))
     velocity = np.hypot(
         np.log(found["velocity"] / scattering.alpha_max), found["drift"] * impedance / scattering.alpha_max
     )
@@ -248,16 +238,10 @@ def tune_transparency(
     box = []
     for name in free:
         value = getattr(start, name)
-        usual = (
-            (0.1, 10.0)
-            if name == "b"
-            else (value / 10.0, min(3.0 * value, 1.0 if "alpha" in name else np.inf))
-        )
+        usual = (0.1, 10.0) if name == "b" else (value / 10.0, min(3.0 * value, 1.0 if "alpha" in name else np.inf))
         low, high = (finite_number(name, x) for x in (ranges or {}).get(name, usual))
         if not 0.0 < low < high or ("alpha" in name and high > 1.0):
-            raise ValueError(
-                f"range of {name} must be positive, increasing, and within (3.1), got ({low}, {high})"
-            )
+            raise ValueError(f"range of {name} must be positive, increasing, and within (3.1), got ({low}, {high})")
         box.append((np.log(low), np.log(high)))
 
     def at(logarithms) -> Scattering | None:

@@ -5,24 +5,10 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import (
-    between,
-    finite_array,
-    finite_number,
-    of_class,
-    one_of,
-    positive,
-    spawned,
-)
+from trustlab.models.checks import between, finite_array, finite_number, of_class, one_of, positive, spawned
 from trustlab.models.trust import trust_run
 from trustlab.teleoperation.delays import Delay, delays_in_samples
-from trustlab.teleoperation.filters import (
-    TwoPortFilter,
-    WaveFilter,
-    corrected_filter,
-    passivity_margin,
-    printed_filter,
-)
+from trustlab.teleoperation.filters import TwoPortFilter, WaveFilter, corrected_filter, passivity_margin, printed_filter
 from trustlab.teleoperation.loop.settings import DivergenceError
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.records import log_of, robot_numbers, signal
@@ -219,9 +205,7 @@ def _intervals(t: np.ndarray, decision: float, most: int) -> np.ndarray:
     return np.minimum((t / decision + 1e-9).astype(np.int64), most - 1)
 
 
-def _leaders(
-    policy, settings, names, duration, count, T, dwell, streams
-) -> tuple[np.ndarray, np.ndarray, float]:
+def _leaders(policy, settings, names, duration, count, T, dwell, streams) -> tuple[np.ndarray, np.ndarray, float]:
     """Return human-to-robot trust at every decision, who leads in each sample, and the time between decisions [s]."""
     decision = max(DECISION, T)
     trust = _trust(settings, len(names), int(np.ceil(duration / decision)) + 1, decision, streams[1])

@@ -71,9 +71,7 @@ def animation_page(run, rate: float = 5.0) -> str:
         "tolerance": run.tolerance,
     }
     arrived = (
-        f"all within {run.tolerance:g} m after {run.time_to_goal:.1f} s"
-        if run.converged
-        else "not all at the goal"
+        f"all within {run.tolerance:g} m after {run.time_to_goal:.1f} s" if run.converged else "not all at the goal"
     )
     note = f"Synthetic: simulated robots, channel and operator; {arrived}."
     # safe_substitute leaves the one $ of the script, in a regular expression, alone

@@ -164,9 +164,7 @@ class TeamRun:
         return pd.DataFrame([row])
 
     def __repr__(self) -> str:
-        state = (
-            f"all at the goal after {self.time_to_goal:.1f} s" if self.converged else "not all at the goal"
-        )
+        state = f"all at the goal after {self.time_to_goal:.1f} s" if self.converged else "not all at the goal"
         return f"TeamRun({self.label}: {state}, {len(self.switches)} switches in {self.t[-1]:.0f} s)"
 
     def _repr_html_(self) -> str:
@@ -207,9 +205,7 @@ class TeamRun:
         axes[1].step(t, data["number"], where="post", color="#444444", lw=1.0)
         axes[1].set(ylabel="leader", ylim=(-0.5, len(self.robots) - 0.5))
         if len(self.robots) <= 12:
-            axes[1].set_yticks(
-                range(len(self.robots)), [str(name) for name in self.robots], fontsize="x-small"
-            )
+            axes[1].set_yticks(range(len(self.robots)), [str(name) for name in self.robots], fontsize="x-small")
         for name, colour in zip("xyz", ("#0072b2", "#d55e00", "#009e73"), strict=True):
             axes[2].plot(t, data[f"f_m_{name}"], lw=0.9, color=colour, label=f"$f_m$, {name}")
         axes[2].set_ylabel("force\nfeedback [N]")

@@ -76,9 +76,7 @@ def _moving(lasting: float, **attributes: np.ndarray) -> str:
     parts = []
     for name, values in attributes.items():
         told = ";".join(f"{value:.1f}" for value in values)
-        parts.append(
-            f'<animate attributeName="{name}" values="{told}" dur="{lasting:g}s" repeatCount="indefinite"/>'
-        )
+        parts.append(f'<animate attributeName="{name}" values="{told}" dur="{lasting:g}s" repeatCount="indefinite"/>')
     return "".join(parts)
 
 

@@ -7,15 +7,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.allocation.blending import OptimalBlending
-from trustlab.models.checks import (
-    between,
-    finite_number,
-    not_negative,
-    of_class,
-    one_of,
-    positive,
-    spawned,
-)
+from trustlab.models.checks import between, finite_number, not_negative, of_class, one_of, positive, spawned
 from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session
@@ -50,9 +42,7 @@ def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
     """
     omega = between("bandwidth", positive("bandwidth", bandwidth), 0.0, 1e3)
     return tuple(
-        TransferFunction(omega, (omega,))
-        if model.order == 1
-        else TransferFunction(omega**2, (2.0 * omega, omega**2))
+        TransferFunction(omega, (omega,)) if model.order == 1 else TransferFunction(omega**2, (2.0 * omega, omega**2))
         for model in PRINTED_UAV.values()
     )
 
@@ -111,9 +101,7 @@ class TrackingTask:
         """
         late = max(round(self.camera_delay / sample_time), 1)
         ideal = 1.0  # gain of the ideal controller u_i = reference velocity + error
-        return kernel.AutonomyNumbers(
-            self.proportional, self.integral, self.derivative, late, self.reach, ideal
-        )
+        return kernel.AutonomyNumbers(self.proportional, self.integral, self.derivative, late, self.reach, ideal)
 
     def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -239,9 +227,7 @@ def simulate_teleoperation(
     delays = _delays(settings, (delay_1, delay_2), read_out, count, sample_time, seeds[3:])
     arrives = lost_waves(lost, count)
     inputs = _inputs(settings, task, operator, count, sample_time, seeds, alpha, push)
-    setup = kernel.Setup(
-        chosen.allocation, chosen.bilateral, not delays.any(), READ_OUTS[read_out], METHODS[guard]
-    )
+    setup = kernel.Setup(chosen.allocation, chosen.bilateral, not delays.any(), READ_OUTS[read_out], METHODS[guard])
     table, log = log_of(kernel.LOG, count)
     done, block = kernel.run_loop(
         setup,

@@ -21,19 +21,7 @@ from trustlab.reproduction.audit.verdict import VERDICTS, Check, rows_of
 
 PUBLISHED = Path(__file__).parents[3] / "data" / "published"
 QUICK = [maker for maker in MAKERS if maker is not joint_rows]
-COLUMNS = [
-    "id",
-    "where",
-    "quantity",
-    "printed",
-    "recomputed",
-    "low",
-    "high",
-    "verdict",
-    "reason",
-    "formula",
-    "inputs",
-]
+COLUMNS = ["id", "where", "quantity", "printed", "recomputed", "low", "high", "verdict", "reason", "formula", "inputs"]
 
 
 @pytest.fixture(scope="module")
@@ -121,8 +109,7 @@ def gain_and_bias(p):
 
 
 @pytest.mark.parametrize(
-    ("p", "verdict"),
-    [("1", "reproduced"), ("2", "differs"), ("3", "reproduced"), ("4", "differs"), ("5", "differs")],
+    ("p", "verdict"), [("1", "reproduced"), ("2", "differs"), ("3", "reproduced"), ("4", "differs"), ("5", "differs")]
 )
 def test_delta_tsc_by_hand(verdicts, p, verdict):
     a_t, b_t, t = gain_and_bias(p)
@@ -130,9 +117,7 @@ def test_delta_tsc_by_hand(verdicts, p, verdict):
     assert hand(verdicts, f"table_2.1/delta_TSC/{p}", robot + human) == verdict
     # The explanation: what is printed is the difference, to its last digit, for those three and only those.
     assert (f"{float(robot - human):.4f}" == t["delta_TSC"]) == (verdict == "differs")
-    assert ("|a_T δ_Pr − b_T δ_Ph|" in verdicts.loc[f"table_2.1/delta_TSC/{p}", "reason"]) == (
-        verdict == "differs"
-    )
+    assert ("|a_T δ_Pr − b_T δ_Ph|" in verdicts.loc[f"table_2.1/delta_TSC/{p}", "reason"]) == (verdict == "differs")
 
 
 @pytest.mark.parametrize(("p", "verdict"), [("2", "reproduced"), ("4", "reproduced"), ("5", "differs")])
@@ -156,10 +141,7 @@ def test_percentages_by_hand(verdicts):
     def of(id, value):
         return hand(verdicts, f"claim/{id}", value)
 
-    assert (
-        of("section_2_1/c3_raises_uav_robot_performance_over_c1_by", 100 * (0.551 / 0.493 - 1))
-        == "reproduced"
-    )
+    assert of("section_2_1/c3_raises_uav_robot_performance_over_c1_by", 100 * (0.551 / 0.493 - 1)) == "reproduced"
     assert of("section_2_1/c3_lowers_perceived_workload_against_c1_by", 54.296 - 44.213) == "differs"
     assert of("remark_7/c5_robot_performance_over_c3_by_2_39", 100 * 0.019 / 0.16) == "within rounding"
     assert of("section_2_4_2_4/uav_robot_performance_c5_over_c1", 100 * 0.087 / 0.493) == "within rounding"
@@ -237,9 +219,7 @@ def test_a_spoiled_number_differs(id, text, verdicts):
 
 
 def test_a_spoiled_input_shows_where_it_is_used():
-    rows = quick(
-        {"table_2.1/b_pr/5": "0.0012", "uav.tlx/mean.C3": "44.226", "table_3.1/MI/tlx_mean": "62.42"}
-    )
+    rows = quick({"table_2.1/b_pr/5": "0.0012", "uav.tlx/mean.C3": "44.226", "table_3.1/MI/tlx_mean": "62.42"})
     assert rows["table_2.1/TSC_ub/5"].verdict == "reproduced"
     assert rows["table_2.1/b_pr/5"].verdict == "differs"
     assert rows["claim/section_2_1/c3_lowers_perceived_workload_against_c1_by"].verdict == "reproduced"

@@ -21,9 +21,7 @@ NAMES = conditions_of("uav.made")
 def printed_study(seed, times, n=36):
     """A study of simulated data as a paper would print it, p-values multiplied by `times`."""
     rng = np.random.default_rng(seed)
-    data = (
-        rng.normal(size=(n, 1)) + rng.normal(size=(n, 5)) * rng.uniform(0.6, 1.4, 5) + rng.normal(0.0, 0.4, 5)
-    )
+    data = rng.normal(size=(n, 1)) + rng.normal(size=(n, 5)) * rng.uniform(0.6, 1.4, 5) + rng.normal(0.0, 0.4, 5)
     centred = data - data.mean(axis=1, keepdims=True)
     between = n * data.mean(axis=0).var(ddof=1)
     error = ((centred - centred.mean(axis=0)) ** 2).sum() / (4 * (n - 1))
@@ -76,8 +74,7 @@ def test_each_printed_pair_is_possible():
 def test_the_printed_studies_are_bonferronis():
     numbers = printed_numbers()
     reasons = {
-        name: pair_checks(name, numbers)[-1].reason
-        for name in ("uav.tlx", "teleop.trust", "teleop.satisfaction")
+        name: pair_checks(name, numbers)[-1].reason for name in ("uav.tlx", "teleop.trust", "teleop.satisfaction")
     }
     assert "leave it open" in reasons["uav.tlx"]
     assert all("only Bonferroni is possible" in reasons[f"teleop.{x}"] for x in ("trust", "satisfaction"))

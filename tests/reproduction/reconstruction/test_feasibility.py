@@ -86,9 +86,7 @@ def study_of(values, p_adjust, decimals):
 @given(st.integers(0, 2**32 - 1), st.sampled_from([3, 4, 5]), st.sampled_from(ADJUSTMENTS), st.integers(2, 4))
 def test_what_data_say_is_never_refuted(seed, k, p_adjust, decimals):
     rng = np.random.default_rng(seed)
-    values = rng.normal(size=(k + 3 + seed % 30, k)) @ (
-        np.eye(k) + rng.normal(size=(k, k))
-    ) + 1.5 * rng.normal(size=k)
+    values = rng.normal(size=(k + 3 + seed % 30, k)) @ (np.eye(k) + rng.normal(size=(k, k))) + 1.5 * rng.normal(size=k)
     study = study_of(values, p_adjust, decimals)
     assert arithmetic_conflicts(study) == {}
     found = constraints(study, p_adjust)

@@ -26,9 +26,7 @@ def test_statistics_are_those_of_pingouin(k):
 
     x = data(k, 25)
     long = pd.DataFrame(x).melt(ignore_index=False, var_name="c", value_name="v").reset_index()
-    table = pingouin.rm_anova(long, dv="v", within="c", subject="index", correction=True, effsize="np2").iloc[
-        0
-    ]
+    table = pingouin.rm_anova(long, dv="v", within="c", subject="index", correction=True, effsize="np2").iloc[0]
     sphericity = pingouin.sphericity(pd.DataFrame(x))
     ours = moments(x)
     assert ours.f_ratio[0] == pytest.approx(table["F"], rel=1e-10)
@@ -41,9 +39,7 @@ def test_statistics_are_those_of_pingouin(k):
     assert np.exp(ours.log_p[0, 1]) == pytest.approx(t["p_val"], rel=1e-10)
 
 
-@pytest.mark.parametrize(
-    "kind", ["mean", "sd", "f_ratio", "epsilon", "chi2", "log_p", "log_anova_p", "correlation"]
-)
+@pytest.mark.parametrize("kind", ["mean", "sd", "f_ratio", "epsilon", "chi2", "log_p", "log_anova_p", "correlation"])
 def test_gradients_are_those_of_central_differences(kind):
     k, n, h = 4, 20, 1e-6
     x = data(k, n, 1)
@@ -74,6 +70,4 @@ def test_holm_in_the_search_is_holm_by_definition():
     np.testing.assert_allclose(np.minimum(ours, 1.0), adjusted(p, "holm"), rtol=1e-12)
     statsmodels = pytest.importorskip("statsmodels.stats.multitest")
     for ours_name, theirs in (("holm", "holm"), ("bonferroni", "bonferroni"), ("sidak", "sidak")):
-        np.testing.assert_allclose(
-            adjusted(p, ours_name), statsmodels.multipletests(p, method=theirs)[1], rtol=1e-10
-        )
+        np.testing.assert_allclose(adjusted(p, ours_name), statsmodels.multipletests(p, method=theirs)[1], rtol=1e-10)

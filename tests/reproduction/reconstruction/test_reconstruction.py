@@ -47,9 +47,7 @@ def textbook(frame, conditions, corrected):
         d = 1 - (2 * (k - 1) ** 2 + (k - 1) + 2) / (6 * (k - 1) * (n - 1))
         out["chi2"] = -(n - 1) * d * np.log(w)
         q, f = k - 1, k * (k - 1) / 2 - 1
-        weight = (
-            (q + 2) * (q - 1) * (q - 2) * (2 * q**3 + 6 * q**2 + 3 * k + 2) / (288 * ((n - 1) * q * d) ** 2)
-        )
+        weight = (q + 2) * (q - 1) * (q - 2) * (2 * q**3 + 6 * q**2 + 3 * k + 2) / (288 * ((n - 1) * q * d) ** 2)
         first, second = stats.chi2.sf(out["chi2"], f), stats.chi2.sf(out["chi2"], f + 4)
         out["mauchly_p"] = first + weight * (second - first)
     m = k * (k - 1) // 2
@@ -65,14 +63,8 @@ def textbook(frame, conditions, corrected):
 def differences(study, frame):
     """Names of printed statistics that the data do not have, pairs not listed included."""
     x, found = textbook(frame, study.conditions, study.corrected)
-    bad = [
-        f"mean.{c}" for c, t in study.mean.items() if not rounds_to(x[:, study.conditions.index(c)].mean(), t)
-    ]
-    bad += [
-        f"sd.{c}"
-        for c, t in study.sd.items()
-        if not rounds_to(x[:, study.conditions.index(c)].std(ddof=1), t)
-    ]
+    bad = [f"mean.{c}" for c, t in study.mean.items() if not rounds_to(x[:, study.conditions.index(c)].mean(), t)]
+    bad += [f"sd.{c}" for c, t in study.sd.items() if not rounds_to(x[:, study.conditions.index(c)].std(ddof=1), t)]
     bad += [f"anova.{q}" for q, t in study.anova.items() if not rounds_to(found[q], t)]
     bad += ["epsilon"] if study.epsilon and not rounds_to(found["epsilon"], study.epsilon) else []
     for q, value in (("chi2", "chi2"), ("p", "mauchly_p")):

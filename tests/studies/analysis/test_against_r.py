@@ -120,9 +120,7 @@ def test_mixed_model_against_nlme(name):
     study = STUDIES[name]
     found = mixed_model(long_table(study), "the score", "autonomy level", "pid")
     assert found.df2 == study["mixed_df2"]
-    assert study["mixed_F"] == pytest.approx(
-        found.F, rel=2e-6
-    )  # nlme stops there: test_mixed_model.py is tighter
+    assert study["mixed_F"] == pytest.approx(found.F, rel=2e-6)  # nlme stops there: test_mixed_model.py is tighter
     assert found.missing_cells == np.isnan(np.array(study["data"], dtype=float)).sum()
 
 

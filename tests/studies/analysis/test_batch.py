@@ -14,12 +14,7 @@ from statsmodels.stats.multitest import multipletests
 import trustlab as tl
 from trustlab.studies.analysis import batch as engine
 from trustlab.studies.analysis.pairwise import bonferroni, holm
-from trustlab.studies.analysis.sphericity import (
-    greenhouse_geisser,
-    mauchly,
-    mauchly_p_value,
-    orthonormal_contrasts,
-)
+from trustlab.studies.analysis.sphericity import greenhouse_geisser, mauchly, mauchly_p_value, orthonormal_contrasts
 
 OMNIBUS = [
     "F",
@@ -70,9 +65,7 @@ def test_equals_a_pingouin_loop(n, k):
             batch.mauchly_chi2[s],
             batch.mauchly_p[s],
         ]
-        np.testing.assert_allclose(
-            ours, [partial, epsilon, sphericity.W, sphericity.chi2, sphericity.pval], rtol=1e-10
-        )
+        np.testing.assert_allclose(ours, [partial, epsilon, sphericity.W, sphericity.chi2, sphericity.pval], rtol=1e-10)
         assert batch.mauchly_df == sphericity.dof
         np.testing.assert_allclose(batch.pairwise.t[s], pairs["T"], rtol=1e-10)
         np.testing.assert_allclose(batch.pairwise.p[s], pairs["p_unc"], rtol=1e-10)
@@ -105,9 +98,7 @@ def test_sums_of_squares_by_brute_force():
     effect = sum(n * (scores[:, j].mean() - grand) ** 2 for j in range(k))
     subjects = sum(k * (scores[i].mean() - grand) ** 2 for i in range(n))
     error = sum(
-        (scores[i, j] - scores[i].mean() - scores[:, j].mean() + grand) ** 2
-        for i in range(n)
-        for j in range(k)
+        (scores[i, j] - scores[i].mean() - scores[:, j].mean() + grand) ** 2 for i in range(n) for j in range(k)
     )
     np.testing.assert_allclose(
         [batch.ss_effect[0], batch.ss_subjects[0], batch.ss_error[0]], [effect, subjects, error], rtol=1e-12
@@ -227,9 +218,7 @@ def test_unit_and_subjects_levels_do_not_matter(shape, offset, unit):
             "eta2_generalized",
             "epsilon_hf_untruncated",
         ):  # the one has the subjects' variance, the other a pole
-            np.testing.assert_allclose(
-                getattr(second, name), getattr(first, name), rtol=1e-5, atol=1e-8, err_msg=name
-            )
+            np.testing.assert_allclose(getattr(second, name), getattr(first, name), rtol=1e-5, atol=1e-8, err_msg=name)
     np.testing.assert_allclose(second.pairwise.t, first.pairwise.t, rtol=1e-6, atol=1e-7)
     np.testing.assert_allclose(second.pairwise.d_z, first.pairwise.d_z, rtol=1e-6, atol=1e-7)
 
@@ -244,9 +233,7 @@ def test_order_of_subjects_and_conditions_does_not_matter(shape, random):
     random.shuffle(columns)
     first, second = (tl.repeated_measures_batch(x) for x in (array, array[:, rows][:, :, columns]))
     for name in OMNIBUS:
-        np.testing.assert_allclose(
-            getattr(second, name), getattr(first, name), rtol=1e-6, atol=1e-9, err_msg=name
-        )
+        np.testing.assert_allclose(getattr(second, name), getattr(first, name), rtol=1e-6, atol=1e-9, err_msg=name)
 
 
 def test_a_large_offset_costs_only_the_scores_own_digits():

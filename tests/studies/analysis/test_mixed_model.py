@@ -25,8 +25,7 @@ def draw(n, k, subjects=1.0, seed=0):
 
 
 @pytest.mark.parametrize(
-    ("n", "k", "subjects"),
-    [(24, 4, 1.0), (36, 5, 3.0), (12, 10, 1.0), (24, 4, 20.0), (24, 4, 300.0), (8, 2, 2.0)],
+    ("n", "k", "subjects"), [(24, 4, 1.0), (36, 5, 3.0), (12, 10, 1.0), (24, 4, 20.0), (24, 4, 300.0), (8, 2, 2.0)]
 )
 def test_complete_data_give_the_anova(n, k, subjects):
     """Closed form: with complete data and MS_subjects > MS_error, F, variances and df are the ANOVA's."""

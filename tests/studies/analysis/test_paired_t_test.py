@@ -35,9 +35,7 @@ SAME = [
 
 def frame_of(a, b, names=("A", "B")):
     n = len(a)
-    return pd.DataFrame(
-        {"who": list(range(n)) * 2, "which": [names[0]] * n + [names[1]] * n, "score": [*a, *b]}
-    )
+    return pd.DataFrame({"who": list(range(n)) * 2, "which": [names[0]] * n + [names[1]] * n, "score": [*a, *b]})
 
 
 def run(frame, **more):
@@ -85,10 +83,7 @@ def test_agrees_with_pingouin():
     assert found.t == pytest.approx(wanted["T"], rel=1e-12)
 
 
-@given(
-    st.lists(st.tuples(st.integers(-50, 50), st.integers(-50, 50)), min_size=3, max_size=20),
-    st.integers(1, 9),
-)
+@given(st.lists(st.tuples(st.integers(-50, 50), st.integers(-50, 50)), min_size=3, max_size=20), st.integers(1, 9))
 @settings(max_examples=60)
 def test_turning_and_scaling(pairs, factor):
     a, b = np.array(pairs, dtype=float).T
@@ -128,9 +123,7 @@ def test_tables_sentence_and_plot():
     assert rows["sd"].tolist() == pytest.approx([np.std(x["a"], ddof=1), np.std(x["b"], ddof=1)])
     text = found.apa()
     assert f"t(35) = {found.t:.2f}" in text
-    assert (
-        f"C2 (M = {np.mean(x['a']):.1f}" in text
-    )  # as many decimals as a standard deviation of some tens needs
+    assert f"C2 (M = {np.mean(x['a']):.1f}" in text  # as many decimals as a standard deviation of some tens needs
     assert "t(35)" in found._repr_html_()
     axes = found.plot()
     assert axes.shape == (2,)

@@ -24,12 +24,7 @@ def table(n=12, k=4, seed=0, labels=None, effect=0.5):
     scores = rng.standard_normal((n, k)) + rng.standard_normal((n, 1)) + effect * np.arange(k)
     labels = [f"C{j + 1}" for j in range(k)] if labels is None else labels
     return pd.DataFrame(
-        {
-            "pid": np.repeat(np.arange(1, n + 1), k),
-            "condition": labels * n,
-            "score": scores.ravel(),
-            "note": "extra",
-        }
+        {"pid": np.repeat(np.arange(1, n + 1), k), "condition": labels * n, "score": scores.ravel(), "note": "extra"}
     )
 
 
@@ -60,9 +55,7 @@ def test_columns_do_not_come_and_go():
     for view in ("table", "pairs", "descriptives", "corrections", "normality"):
         columns = [getattr(result, view)().columns.tolist() for result in results]
         assert all(names == columns[0] for names in columns), view
-        types = [
-            getattr(result, view)().dtypes.drop(["a", "b"], errors="ignore").tolist() for result in results
-        ]
+        types = [getattr(result, view)().dtypes.drop(["a", "b"], errors="ignore").tolist() for result in results]
         assert all(kinds == types[0] for kinds in types), view
 
 
@@ -107,10 +100,7 @@ def test_whole_scores(kind):
     frame = table()
     whole = np.round(frame["score"] * 2 + 10).to_numpy()
     assert np.unique(whole).size > 4
-    same(
-        analysed(frame.assign(score=whole)),
-        analysed(frame.assign(score=pd.Series(whole.astype(int)).astype(kind))),
-    )
+    same(analysed(frame.assign(score=whole)), analysed(frame.assign(score=pd.Series(whole.astype(int)).astype(kind))))
 
 
 def test_decimals_are_numbers():
@@ -142,9 +132,7 @@ def test_order_of_conditions():
     assert analysed(frame).conditions == ("a", "b", "c", "d")
     numbers = table(labels=[10, 2, 1, 0.5])
     assert analysed(numbers).conditions == (0.5, 1.0, 2.0, 10.0)
-    category = frame.assign(
-        condition=pd.Categorical(frame["condition"], categories=["d", "never", "c", "b", "a"])
-    )
+    category = frame.assign(condition=pd.Categorical(frame["condition"], categories=["d", "never", "c", "b", "a"]))
     result = analysed(category)
     assert result.conditions == ("d", "c", "b", "a")
     assert result.pairs()[["a", "b"]].to_numpy().tolist()[0] == ["d", "c"]
@@ -183,14 +171,7 @@ def test_no_warning_leaves_it():
         warnings.simplefilter("error")
         for frame in (table(), table(k=2), table(n=4, k=6)):
             result = analysed(frame)
-            (
-                result.table(),
-                result.pairs(),
-                result.friedman(),
-                result.normality(),
-                result.mixed_model(),
-                result.apa(),
-            )
+            (result.table(), result.pairs(), result.friedman(), result.normality(), result.mixed_model(), result.apa())
 
 
 # ---- missing cells
@@ -201,9 +182,7 @@ def test_missing_cells_as_rows_not_there_or_as_nan():
     absent = frame.drop(index=[5, 18])
     empty = frame.assign(score=frame["score"].mask(frame.index.isin([5, 18])))
     for gaps in (absent, empty, empty.assign(score=empty["score"].astype("Float64"))):
-        with pytest.raises(
-            ValueError, match=r"subject 2 has no score in condition 'C2'; subject 5 .* 'C3'.*listwise"
-        ):
+        with pytest.raises(ValueError, match=r"subject 2 has no score in condition 'C2'; subject 5 .* 'C3'.*listwise"):
             analysed(gaps)
         result = analysed(gaps, missing="listwise")
         assert result.excluded == (2, 5)
@@ -271,9 +250,7 @@ def test_mauchly_is_refused_for_too_few_subjects(n, k):
     assert f"{n} subjects are too few for {k} conditions" in result.mauchly_reason
     assert result.correction == "greenhouse-geisser"
     assert "cannot be tested" in result.reason
-    assert np.isfinite(
-        [result.F, result.p, result.p_gg, result.p_hf, result.epsilon_gg, result.epsilon_hf]
-    ).all()
+    assert np.isfinite([result.F, result.p, result.p_gg, result.p_hf, result.epsilon_gg, result.epsilon_hf]).all()
     assert f"{n} subjects are too few" in result.apa()
     assert np.isfinite(analysed(table(k, k)).mauchly_p)  # one more subject is enough
 
@@ -342,9 +319,7 @@ def test_within_interval_is_the_paired_one_for_two_conditions():
     result = analysed(table(k=2))
     stat, pair = result.descriptives(), result.pairs()
     half = (stat["ci_high_within"] - stat["mean"]).to_numpy()
-    np.testing.assert_allclose(
-        half, (pair["ci_high"] - pair["mean_difference"])[0] / np.sqrt(2.0), rtol=1e-11
-    )
+    np.testing.assert_allclose(half, (pair["ci_high"] - pair["mean_difference"])[0] / np.sqrt(2.0), rtol=1e-11)
 
 
 def test_within_interval_does_not_see_the_subjects():
@@ -362,9 +337,7 @@ def test_within_interval_does_not_see_the_subjects():
 
 def test_apa_sentence():
     text = analysed(table(24, effect=0.6)).apa()
-    assert re.search(
-        r"F\(3, 69\) = \d+\.\d\d, p < \.001, ηp² = \.\d\d, 90% CI \[\.\d\d, \.\d\d\], ηG² = \.\d\d", text
-    )
+    assert re.search(r"F\(3, 69\) = \d+\.\d\d, p < \.001, ηp² = \.\d\d, 90% CI \[\.\d\d, \.\d\d\], ηG² = \.\d\d", text)
     assert re.search(r"Mauchly's W = \.\d\d, χ²\(5\) = \d+\.\d\d, p = \.\d{3}", text)
     assert "Holm-adjusted" in text
     assert "C1 < C4" in text
@@ -482,9 +455,7 @@ REAL = {  # file, column: F, W, p of W, Greenhouse–Geisser ε, generalized η�
 }  # fmt: skip
 
 
-@pytest.mark.skipif(
-    external_data("autonomy_cl_trust") is None, reason="the real measures are not here (TRUSTLAB_DATA)"
-)
+@pytest.mark.skipif(external_data("autonomy_cl_trust") is None, reason="the real measures are not here (TRUSTLAB_DATA)")
 @pytest.mark.parametrize("measure", REAL, ids=lambda measure: measure[0])
 def test_real_measures(measure):
     """Pan et al. (2024), 24 participants."""

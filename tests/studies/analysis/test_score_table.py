@@ -99,10 +99,7 @@ def test_tables_that_are_refused(name):
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (
-            {"dv": "scores"},
-            r"dv: no column 'scores'; did you mean 'score'\? \(there are pid, condition, score\)",
-        ),
+        ({"dv": "scores"}, r"dv: no column 'scores'; did you mean 'score'\? \(there are pid, condition, score\)"),
         ({"within": "conditon"}, "within: no column 'conditon'; did you mean 'condition'"),
         ({"subject": "PID"}, "subject: no column 'PID'; did you mean 'pid'"),
         ({"dv": None}, "dv: no column None"),
@@ -156,9 +153,7 @@ def test_a_group_of_columns_is_no_column():
         analysed(frame, **(names | {"dv": "run"}))
 
 
-@pytest.mark.parametrize(
-    "frame", [None, [1, 2], {"pid": [1]}, np.zeros((3, 3)), "scores.csv", table()["score"]]
-)
+@pytest.mark.parametrize("frame", [None, [1, 2], {"pid": [1]}, np.zeros((3, 3)), "scores.csv", table()["score"]])
 def test_what_is_no_table(frame):
     with pytest.raises(
         ValueError, match=r"frame must be of class DataFrame, got .*; with a row per subject and condition"
@@ -174,10 +169,7 @@ def test_what_is_no_table(frame):
         ({"correction": "gg"}, "correction must be one of 'auto'.*got 'gg'"),
         ({"alpha": 0.0}, "alpha must lie strictly between 0 and 1"),
         ({"alpha": "5 %"}, "alpha must be a number"),
-        (
-            {"order": ["C1", "C2"]},
-            r"order must list every condition in column 'condition' once, \['C1', 'C2', 'C3'\]",
-        ),
+        ({"order": ["C1", "C2"]}, r"order must list every condition in column 'condition' once, \['C1', 'C2', 'C3'\]"),
         ({"order": ["C1", "C2", "C2", "C3"]}, "order must list"),
         ({"order": "C1"}, "order must list"),
         ({"order": 3}, "order must list"),
@@ -236,11 +228,7 @@ def test_whatever_is_missing_is_named_or_left_out(n, k, data):
     rng = np.random.default_rng(n * 10 + k)
     gone = np.array(data.draw(st.lists(st.booleans(), min_size=n * k, max_size=n * k)))
     frame = pd.DataFrame(
-        {
-            "s": np.repeat(np.arange(n), k),
-            "c": np.tile(np.arange(k), n),
-            "y": np.where(gone, np.nan, rng.random(n * k)),
-        }
+        {"s": np.repeat(np.arange(n), k), "c": np.tile(np.arange(k), n), "y": np.where(gone, np.nan, rng.random(n * k))}
     )
     read = read_scores(frame, "y", "c", "s")
     complete = ~gone.reshape(n, k).any(axis=1)

@@ -17,12 +17,7 @@ def frame():
     scores = rng.normal(0.5, 0.06, (30, 2))
     scores[4, 1], scores[20, 1], scores[3, 0] = 0.95, 0.88, 1.2
     return pd.DataFrame(
-        {
-            "pid": np.repeat(np.arange(1, 31), 2),
-            "scheme": ["M", "TMIG"] * 30,
-            "error": scores.ravel(),
-            "note": "kept",
-        }
+        {"pid": np.repeat(np.arange(1, 31), 2), "scheme": ["M", "TMIG"] * 30, "error": scores.ravel(), "note": "kept"}
     )
 
 

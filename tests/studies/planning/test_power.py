@@ -219,8 +219,7 @@ def test_draws_do_not_depend_on_how_many_are_in_memory(monkeypatch):
     monkeypatch.setattr(simulation, "_CHUNK", 500)
     for name in ("table", "pairs", "claims"):
         pd.testing.assert_frame_equal(
-            getattr(tl.power_analysis([0, 0, 1], graded_covariance(3), **arguments), name)(),
-            getattr(whole, name)(),
+            getattr(tl.power_analysis([0, 0, 1], graded_covariance(3), **arguments), name)(), getattr(whole, name)()
         )
 
 
@@ -250,9 +249,7 @@ def test_epsilon_of_two_conditions_is_one():
 
 
 def test_the_smallest_n_is_that_of_the_noncentral_f():
-    found = tl.smallest_n(
-        0.8, MEANS, graded_covariance(5), effect_size=0.1, test="none", replicates=4000, seed=2
-    )
+    found = tl.smallest_n(0.8, MEANS, graded_covariance(5), effect_size=0.1, test="none", replicates=4000, seed=2)
     exact = next(n for n in range(3, 200) if noncentral_f_power(n, 5, noncentrality(0.1, n, 5)) >= 0.8)
     assert abs(found.n - exact) <= 2
     assert found.ci_low <= noncentral_f_power(found.n, 5, noncentrality(0.1, found.n, 5)) <= found.ci_high
@@ -275,9 +272,7 @@ def test_the_smallest_n_is_the_same_at_every_call_and_what_power_analysis_finds(
 
 
 def test_the_smallest_n_of_a_pair():
-    found = tl.smallest_n(
-        0.8, MEANS, graded_covariance(5), pair=(5, 1), adjust="bonferroni", replicates=2000, seed=2
-    )
+    found = tl.smallest_n(0.8, MEANS, graded_covariance(5), pair=(5, 1), adjust="bonferroni", replicates=2000, seed=2)
     exact = next(n for n in range(3, 400) if noncentral_f_power(n, 2, n * 0.5**2, 0.005) >= 0.8)
     assert abs(found.n - exact) <= 0.05 * exact
     assert found.table()["test"].item() == "5 – 1, bonferroni"

@@ -80,9 +80,7 @@ def test_shrinkage_makes_the_covariance_positive_definite_and_keeps_variances():
 def test_draws_have_the_distribution_and_all_are_models():
     drawn = PUBLISHED.draw(2000, seed=1)
     assert (drawn["redrawn"] > 0).mean() < 0.05
-    z = stats.norm.cdf(
-        (np.log(1.0 / (1.0 - drawn["a_r"])) - PUBLISHED.mean[0]) / np.sqrt(PUBLISHED.covariance[0, 0])
-    )
+    z = stats.norm.cdf((np.log(1.0 / (1.0 - drawn["a_r"])) - PUBLISHED.mean[0]) / np.sqrt(PUBLISHED.covariance[0, 0]))
     assert stats.kstest(z, "uniform").pvalue > 0.01
     total = 0.7857 * 0.2143 / 0.2945**2 - 1.0
     assert stats.kstest(drawn["follow_tsc"], stats.beta(0.7857 * total, 0.2143 * total).cdf).pvalue > 0.01
@@ -144,13 +142,7 @@ def test_sessions_are_read_again_and_have_the_measures(kept):
     assert len(sessions) == 50
     read = pd.DataFrame(
         [
-            (
-                s.metadata.participant,
-                s.metadata.more["trial"],
-                s.metadata.condition,
-                s["p_r"].mean(),
-                s["r"].mean(),
-            )
+            (s.metadata.participant, s.metadata.more["trial"], s.metadata.condition, s["p_r"].mean(), s["r"].mean())
             for s in sessions
         ],
         columns=["participant", "position", "condition", "p_r", "r"],
@@ -214,14 +206,10 @@ def test_reports_say_that_they_are_simulated(kept):
 def test_orders_have_no_effect_unless_rest_is_given(tmp_path):
     names = ["C1", "C3"]
     first = tl.studies.latin_square_design(names, 4, seed=0)
-    second = next(
-        d for s in range(1, 20) if (d := tl.studies.latin_square_design(names, 4, seed=s)).rows != first.rows
-    )
+    second = next(d for s in range(1, 20) if (d := tl.studies.latin_square_design(names, 4, seed=s)).rows != first.rows)
     key = ["participant", "condition"]
     plain = [tl.virtual_study(d, seed=1, laps=1).measures.sort_values(key) for d in (first, second)]
-    carried = [
-        tl.virtual_study(d, seed=1, laps=1, rest=60.0).measures.sort_values(key) for d in (first, second)
-    ]
+    carried = [tl.virtual_study(d, seed=1, laps=1, rest=60.0).measures.sort_values(key) for d in (first, second)]
     np.testing.assert_array_equal(plain[0]["p_r"], plain[1]["p_r"])
     assert (plain[0]["position"].to_numpy() != plain[1]["position"].to_numpy()).any()
     assert (carried[0]["r"].to_numpy() != carried[1]["r"].to_numpy()).any()
@@ -365,10 +353,7 @@ SQUARE = tl.studies.latin_square_design(["C1", "C2"], 4)
         ({"conditions": ["c1", "C2"]}, "got 'c1'; did you mean 'C1'"),
         ({"conditions": ["M", "TMG"]}, "got 'TMG'; did you mean 'TMIG'"),
         ({"conditions": ["C1", None]}, "condition must be one of .*, got None"),
-        (
-            {"conditions": ["C1", "M"]},
-            "C1 of the ground-robot testbed and M of the UAV testbed; make two studies",
-        ),
+        ({"conditions": ["C1", "M"]}, "C1 of the ground-robot testbed and M of the UAV testbed; make two studies"),
         ({"conditions": ["C1"]}, "two or more, each once"),
         ({"conditions": []}, "two or more, each once, got none"),
         ({"conditions": ["C1", "C1"]}, "two or more, each once"),
@@ -385,10 +370,7 @@ SQUARE = tl.studies.latin_square_design(["C1", "C2"], 4)
         ({"design": SQUARE, "n": 10}, "design is for 4 participants, but n = 10"),
         ({"design": tl.studies.latin_square_design(["C1", "C2"], 2)}, "2 participants are too few"),
         ({"design": tl.studies.latin_square_design(["C1", "C2"], ["a", "b"])}, "are numbered"),
-        (
-            {"population": "everyone"},
-            "population must be of class GroundRobotPopulation, got str",
-        ),
+        ({"population": "everyone"}, "population must be of class GroundRobotPopulation, got str"),
         (
             {"population": TeleoperatorPopulation(), "conditions": ["C1", "C2"]},
             "got TeleoperatorPopulation; the conditions are of the ground-robot testbed",

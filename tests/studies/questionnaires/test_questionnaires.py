@@ -50,9 +50,7 @@ def long(frame, items, keys=("pid", "scheme")):
 
 def answered(columns, low, high, step=1):
     return st.lists(
-        st.lists(st.integers(0, (high - low) // step), min_size=columns, max_size=columns),
-        min_size=1,
-        max_size=6,
+        st.lists(st.integers(0, (high - low) // step), min_size=columns, max_size=columns), min_size=1, max_size=6
     ).map(lambda rows: low + step * np.array(rows))
 
 
@@ -105,9 +103,7 @@ def test_weights_per_subject_and_per_condition(tlx):
     own = pd.DataFrame([{"pid": "s2"} | other, {"pid": "s1"} | WEIGHTS])
     scores = score_nasa_tlx(tlx, subject="pid", condition="scheme", weights=own).scores["tlx_weighted"]
     w = np.array([list(WEIGHTS.values())] * 2 + [list(other.values())] * 2)
-    assert scores.to_numpy() == pytest.approx(
-        (w * tlx[list(TLX_SCALES)].to_numpy()).sum(axis=1) / 15, rel=1e-15
-    )
+    assert scores.to_numpy() == pytest.approx((w * tlx[list(TLX_SCALES)].to_numpy()).sum(axis=1) / 15, rel=1e-15)
     both = pd.DataFrame(
         [
             {"pid": who, "scheme": which} | (WEIGHTS if which == "M" else other)
@@ -117,9 +113,7 @@ def test_weights_per_subject_and_per_condition(tlx):
     )
     scores = score_nasa_tlx(tlx, subject="pid", condition="scheme", weights=both).scores["tlx_weighted"]
     w = np.array([list(WEIGHTS.values()), list(other.values())] * 2)
-    assert scores.to_numpy() == pytest.approx(
-        (w * tlx[list(TLX_SCALES)].to_numpy()).sum(axis=1) / 15, rel=1e-15
-    )
+    assert scores.to_numpy() == pytest.approx((w * tlx[list(TLX_SCALES)].to_numpy()).sum(axis=1) / 15, rel=1e-15)
 
 
 def choices_of(order, subject="s1"):
@@ -202,17 +196,9 @@ def test_rescaling_by_name(tlx, rescale, answer, score):
             {},
             "subject 's1', condition 'TMIG', item 'temporal': 23 is not a step of 5",
         ),
-        (
-            lambda f: put(f, 2, "effort", 105),
-            {},
-            "'s2', condition 'M', item 'effort': 105 lies outside 0 to 100",
-        ),
+        (lambda f: put(f, 2, "effort", 105), {}, "'s2', condition 'M', item 'effort': 105 lies outside 0 to 100"),
         (lambda f: put(f, 2, "effort", -5), {}, "-5 lies outside 0 to 100"),
-        (
-            lambda f: put(f, 0, "mental", "high"),
-            {},
-            "subject 's1', condition 'M', item 'mental': the answer is 'high'",
-        ),
+        (lambda f: put(f, 0, "mental", "high"), {}, "subject 's1', condition 'M', item 'mental': the answer is 'high'"),
         (lambda f: put(f, 0, "mental", "80"), {}, "the answer is '80', not a number"),
         (lambda f: put(f, 0, "mental", True), {}, "the answer is True"),
         (lambda f: put(f, 0, "mental", np.inf), {}, "inf lies outside"),
@@ -221,11 +207,7 @@ def test_rescaling_by_name(tlx, rescale, answer, score):
             {},
             "1 answer is missing: subject 's2', condition 'TMIG', item 'physical'",
         ),
-        (
-            lambda f: put(f, 3, "physical", np.nan),
-            {},
-            "missing: subject 's2', condition 'TMIG', item 'physical'",
-        ),
+        (lambda f: put(f, 3, "physical", np.nan), {}, "missing: subject 's2', condition 'TMIG', item 'physical'"),
         (lambda f: f.drop(columns="effort"), {}, "item 'effort': no column 'effort'"),
         (lambda f: f.rename(columns={"effort": "efort"}), {}, "did you mean 'efort'"),
         (lambda f: pd.concat([f, f.iloc[:1]]), {}, "subject 's1', condition 'M', item 'mental' occurs twice"),
@@ -251,11 +233,7 @@ def test_rescaling_by_name(tlx, rescale, answer, score):
         (lambda f: f, {"rescale": ["0-20"]}, "rescale must be one of"),
         (lambda f: f, {"missing": ["refuse"]}, "missing must be one of"),
         (lambda f: f, {"subject": ["pid"]}, "subject must be the name of one column"),
-        (
-            lambda f: f,
-            {"condition": None},
-            "subject 's1', item 'mental' occurs twice; keep one, or say condition=",
-        ),
+        (lambda f: f, {"condition": None}, "subject 's1', item 'mental' occurs twice; keep one, or say condition="),
         (lambda f: f, {"rescale": "1-20"}, "rescale must be one of '0-20'"),
         (lambda f: f, {"rescale": "0-20"}, "80 lies outside 0 to 20"),
         (
@@ -282,10 +260,7 @@ def test_bad_tlx_is_refused(tlx, change, arguments, words):
         (WEIGHTS | {"physical": "0"}, "item 'physical': the answer is '0'"),
         ({"mental": 15}, "weights must have the six scales"),
         (WEIGHTS | {"total": 15}, "weights must have the six scales"),
-        (
-            dict(zip(TLX_SCALES, (5, 5, 5, 0, 0, 0), strict=True)),
-            "the 2 scales chosen least meet each other 1 times",
-        ),
+        (dict(zip(TLX_SCALES, (5, 5, 5, 0, 0, 0), strict=True)), "the 2 scales chosen least meet each other 1 times"),
         ([5, 0, 4, 3, 2, 1], "weights must be of class DataFrame, got list; or give a dict"),
         (pd.DataFrame([WEIGHTS]), "weights has no column 'pid'"),
         (pd.DataFrame([{"pid": "s1"} | WEIGHTS]), "subject 's2': there are no weights"),
@@ -307,10 +282,7 @@ def test_bad_weights_are_refused(tlx, weights, words):
         (lambda f: f.iloc[1:], "subject 's1': 1 of 15 pairs are missing: mental and physical"),
         (lambda f: pd.concat([f, f.iloc[:1]]), "'mental' and 'physical' are compared twice"),
         (lambda f: f.assign(second=f["first"]), "'mental' is compared with itself"),
-        (
-            lambda f: put(f, 0, "chosen", "effort"),
-            "'mental' or 'physical': chosen is 'effort', which is neither",
-        ),
+        (lambda f: put(f, 0, "chosen", "effort"), "'mental' or 'physical': chosen is 'effort', which is neither"),
         (lambda f: put(f, 0, "first", "metal"), "'metal' is not a scale; did you mean 'mental'"),
         (lambda f: f.drop(columns="chosen"), "chosen: no column 'chosen'"),
         (lambda f: put(f, 3, "subject", None), "subject: column 'subject' has no label in row 3"),
@@ -333,9 +305,7 @@ def test_missing_scales_by_the_half_rule(tlx):
     ]
     for scale in ("mental", "temporal"):
         frame = put(frame, 0, scale, None)
-    with pytest.raises(
-        ValueError, match="subject 's1', condition 'M': fewer than half of the 6 items of 'tlx_raw'"
-    ):
+    with pytest.raises(ValueError, match="subject 's1', condition 'M': fewer than half of the 6 items of 'tlx_raw'"):
         score_nasa_tlx(frame, subject="pid", condition="scheme", missing="half_rule")
 
 
@@ -396,9 +366,7 @@ def test_trust_long_numbered_and_missing(trust):
     kw = {"subject": "pid", "condition": "scheme"}
     wanted = score_trust_checklist(trust, **kw)
     numbered = trust.rename(columns={name: k for k, name in enumerate(TRUST_CHECKLIST.items, 1)})
-    pd.testing.assert_frame_equal(
-        score_trust_checklist(numbered, **kw, items=list(range(1, 13))).scores, wanted.scores
-    )
+    pd.testing.assert_frame_equal(score_trust_checklist(numbered, **kw, items=list(range(1, 13))).scores, wanted.scores)
     melted = long(trust, TRUST_CHECKLIST.items)
     args = kw | {"item": "what", "response": "answer"}
     pd.testing.assert_frame_equal(score_trust_checklist(melted, **args).scores, wanted.scores)
@@ -408,9 +376,7 @@ def test_trust_long_numbered_and_missing(trust):
     found = score_trust_checklist(gap, **args, missing="half_rule")
     assert found.missing[["subject", "condition", "item"]].to_numpy().tolist() == [[3, "M", "wary"]]
     row = trust[(trust["pid"] == 3) & (trust["scheme"] == "M")].iloc[0]
-    own = [8 - row[n] for n in TRUST_CHECKLIST.items[:5] if n != "wary"] + [
-        row[n] for n in TRUST_CHECKLIST.items[5:]
-    ]
+    own = [8 - row[n] for n in TRUST_CHECKLIST.items[:5] if n != "wary"] + [row[n] for n in TRUST_CHECKLIST.items[5:]]
     where = (found.scores["pid"] == 3) & (found.scores["scheme"] == "M")
     assert found.scores.loc[where, "trust_sum"].item() == pytest.approx(12 * np.mean(own))
 
@@ -490,8 +456,7 @@ def test_likert_scale_with_subscales():
     assert scale.table()["ac"].tolist() == [True, False, True]
     free = LikertScale("free", ("a",), 0, 1, step=None)
     assert (
-        score_likert(pd.DataFrame({"who": [1], "a": [0.123]}), free, subject="who").scores.loc[0, "free_mean"]
-        == 0.123
+        score_likert(pd.DataFrame({"who": [1], "a": [0.123]}), free, subject="who").scores.loc[0, "free_mean"] == 0.123
     )
 
 
@@ -534,9 +499,7 @@ def test_alpha_of_the_textbook_and_of_pingouin():
     assert found.alpha == pytest.approx(alpha, rel=1e-14)
     assert [found.ci_low, found.ci_high] == pytest.approx(interval, abs=5.1e-4)
     v = frame.to_numpy()
-    assert found.alpha == pytest.approx(
-        1.25 * (1 - v.var(axis=0, ddof=1).sum() / v.sum(axis=1).var(ddof=1)), rel=1e-13
-    )
+    assert found.alpha == pytest.approx(1.25 * (1 - v.var(axis=0, ddof=1).sum() / v.sum(axis=1).var(ddof=1)), rel=1e-13)
     assert found.without["c"] == pytest.approx(pg.cronbach_alpha(frame.drop(columns="c"))[0], rel=1e-14)
     assert list(found.table().columns) == ["n", "items", "alpha", "ci_low", "ci_high"]
 

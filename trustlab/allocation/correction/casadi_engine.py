@@ -23,13 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.allocation.correction.casadi_problem import (
-    SOLVERS,
-    CorrectionModel,
-    CorrectionProgram,
-    Extras,
-    HardRun,
-)
+from trustlab.allocation.correction.casadi_problem import SOLVERS, CorrectionModel, CorrectionProgram, Extras, HardRun
 from trustlab.allocation.correction.dynamics import simulate_correction, suggestion_now
 from trustlab.allocation.correction.incentive import incentive_box
 from trustlab.allocation.correction.plan import CorrectionPlan, CorrectionStatus
@@ -283,9 +277,7 @@ class CasadiEngine:
     def _plan(self, state, inputs, status, message, total) -> CorrectionPlan:
         """Return the plan, as the hard switch has it; `total` is its cost with additions."""
         r, p_r, upper, lower, mode = (float(value) for value in state)
-        run = simulate_correction(
-            self._tsc, r, p_r, lower, upper, int(mode), inputs[1], inputs[0], self._target
-        )
+        run = simulate_correction(self._tsc, r, p_r, lower, upper, int(mode), inputs[1], inputs[0], self._target)
         tsc = float(self._tsc.value(p_r, self._tsc.human.performance(r)))
         return CorrectionPlan(
             c_l=float(inputs[1, 0]),

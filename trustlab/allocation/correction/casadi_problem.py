@@ -437,9 +437,7 @@ class CorrectionProgram:
         after = ca.vertcat(*after, manual) if self.width else ca.vertcat(*after)
         return ca.Function("stage", [z, w, mode, k], [after, cost, rows])
 
-    def solve(
-        self, guess: HardRun, mode: int, thresholds: np.ndarray | None = None
-    ) -> tuple[np.ndarray | None, str]:
+    def solve(self, guess: HardRun, mode: int, thresholds: np.ndarray | None = None) -> tuple[np.ndarray | None, str]:
         """
         Solve from a guess; return the corrections as shares of what (2.41) allows, or None and why there are none.
 
@@ -502,9 +500,7 @@ def _options(solver: str, equal: list[bool], plain: bool, most: int) -> dict:
         return QUIET | {
             "ipopt": {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": most, "max_wall_time": 2.0}
         }
-    inner = (
-        {"hpipm.mode": "robust", "hpipm.iter_max": 60} if solver == "hpipm" else {"piqp": {"max_iter": 60}}
-    )
+    inner = {"hpipm.mode": "robust", "hpipm.iter_max": 60} if solver == "hpipm" else {"piqp": {"max_iter": 60}}
     options = QUIET | QUIET_SQP | {"qpsol": solver, "qpsol_options": QUIET | inner, "max_iter": 15}
     # For given modes (2.43) is one convex quadratic program: full steps, where a line search would stall on rounding.
     return options | ({"max_iter_ls": 0} if plain else {"convexify_strategy": "eigen-clip"})
@@ -531,6 +527,4 @@ def _column(symbol, name: str, value):
     try:
         return ca.vec(symbol(value))
     except (NotImplementedError, TypeError, RuntimeError):  # what CasADi raises for a value it cannot convert
-        raise ValueError(
-            f"{name} must return a CasADi expression or a number, got {type(value).__name__}"
-        ) from None
+        raise ValueError(f"{name} must return a CasADi expression or a number, got {type(value).__name__}") from None

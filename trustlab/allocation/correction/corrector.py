@@ -95,9 +95,7 @@ class ThresholdCorrector:
         known = list(inspect.signature(kind).parameters)[6:]
         unknown = sorted(set(options) - set(known))
         if unknown:
-            raise ValueError(
-                f"the engine {engine!r} has no option {unknown[0]!r}; it has {', '.join(known) or 'none'}"
-            )
+            raise ValueError(f"the engine {engine!r} has no option {unknown[0]!r}; it has {', '.join(known) or 'none'}")
         self.incentive = incentive or incentive_box
         self.engine = kind(tsc, *self.target, self.c_b, self.horizon, self.incentive, **options)
         self._range = (tsc.robot.p_min, tsc.robot.p_max)

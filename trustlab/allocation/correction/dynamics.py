@@ -72,7 +72,5 @@ def simulate_correction(
     for name, start in (("r", r), ("p_r", p_r), ("lower", lower), ("upper", upper)):
         out[name][0] = start
     modes = np.empty(actions_l.size)
-    cost = follow_actions(
-        tsc.constants(), *map(float, target), actions_l, actions_u, *out.values(), modes, float(mode)
-    )
+    cost = follow_actions(tsc.constants(), *map(float, target), actions_l, actions_u, *out.values(), modes, float(mode))
     return out | {"mode": modes, "cost": cost}

@@ -124,9 +124,7 @@ def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions
     if sign[LOWER] == sign[UPPER]:
         for k in range(1, n + 1):
             tight[second, k] = min(tight[second, k], z[first, k])
-    cost += pointwise_best(
-        z[second], tight[second], low, high, goal[second], sign[second], margin, actions[second]
-    )
+    cost += pointwise_best(z[second], tight[second], low, high, goal[second], sign[second], margin, actions[second])
     if not strict:
         return cost, True
     for k in range(1, n + 1):
@@ -144,9 +142,7 @@ def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions
 
 
 @numba.njit(cache=True)
-def search(
-    constants, c_b, target, budget, start, r0, p0, before, standard, steps, thresholds, waiting, states, plan
-):
+def search(constants, c_b, target, budget, start, r0, p0, before, standard, steps, thresholds, waiting, states, plan):
     """
     Search the sequences of modes from r0, p0, the thresholds `start` and the mode before; fill `states` and the actions `plan`.
 
@@ -241,9 +237,7 @@ def search(
         now, meets = np.inf, True
         for attempt in range(1 if plain else 2):
             gap = margin if attempt == 1 else 0.0
-            now, meets = best_paths(
-                z, hold, tight, low, high, tsc, mode, goal, sign, gap, trial, attempt == 1
-            )
+            now, meets = best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, gap, trial, attempt == 1)
             if not plain and attempt == 0:
                 bound = min(bound, now)
         if meets and now < cost:
@@ -265,9 +259,7 @@ def search(
                 at[s] = min(most[s, i - 1] + (high[i - 1] if sign[s] > 0 else -low[i - 1]), goal[s])
             at[j] = min(at[j], sign[j] * tsc[i])
             enough = cost - spent[i - 1]
-            ahead = future_cost(
-                i, n, r[i], p[i], low[i], high[i], other, at, goal, sign, c, c_b, standard, enough
-            )
+            ahead = future_cost(i, n, r[i], p[i], low[i], high[i], other, at, goal, sign, c, c_b, standard, enough)
             searched += 1 + (n - i) // 16
             if ahead < enough:
                 k, held, fresh = i, True, False
@@ -281,9 +273,7 @@ def search(
         for j in (LOWER, UPPER):
             way = sign[j] * (best_lower[n] if j == LOWER else best_upper[n]) - least[j, 0]
             guess[j] = min(least[j, 0] + 1.3 * way + 50.0 * c_b, goal[j])
-        rest = remaining_cost(
-            i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, c_b, standard, guess
-        )
+        rest = remaining_cost(i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, c_b, standard, guess)
         bound = min(bound, max(spent[i - 1] + rest, 0.0))
     return cost, min(bound, cost), sequences, complete, tsc[0], True
 
@@ -317,9 +307,7 @@ class ExactEngine:
 
     name = "exact"
 
-    def __init__(
-        self, tsc, target_lower, target_upper, c_b, horizon, incentive=incentive_box, budget=SEARCHED
-    ):
+    def __init__(self, tsc, target_lower, target_upper, c_b, horizon, incentive=incentive_box, budget=SEARCHED):
         self.horizon, self.budget = horizon, whole_number("budget", budget, most=1_000_000)
         target = np.array([target_lower, target_upper])
         self._problem = tuple(tsc.constants()), float(c_b), target, self.budget
@@ -388,7 +376,5 @@ def _search_with(incentive: Callable, tsc: TscModel, c_b: float) -> Callable:
             f"r = 0.5 for c_b = {c_b}"
         )
     plain = search.py_func
-    own = types.FunctionType(
-        plain.__code__, plain.__globals__ | {"box": compiled}, "search_with_own_incentive"
-    )
+    own = types.FunctionType(plain.__code__, plain.__globals__ | {"box": compiled}, "search_with_own_incentive")
     return numba.njit(own)

@@ -100,9 +100,7 @@ def incentive_bounds(
         inside = (values >= least) & (values <= most)
         if not inside.all():
             where = tuple(map(int, np.unravel_index(int(np.argmin(inside)), inside.shape)))
-            raise ValueError(
-                f"{name} must lie in [{least:g}, {most:g}], but sample {where} is {values[where]}"
-            )
+            raise ValueError(f"{name} must lie in [{least:g}, {most:g}], but sample {where} is {values[where]}")
     performance = np.clip(performance, robot.p_min, robot.p_max)
     low, high = incentive_box(load, performance, c_b, robot.p_min, robot.p_max)
     # Thresholds may always be held; rounding must not exclude that.

@@ -127,9 +127,7 @@ def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
     for way in (1.0, -1.0):
         if sign[LOWER] != way and sign[UPPER] != way:
             continue
-        mean, extra = least_effort(
-            r[before], p[before], mode[before], n - before, limits, way, way * weight, c
-        )
+        mean, extra = least_effort(r[before], p[before], mode[before], n - before, limits, way, way * weight, c)
         if extra == -np.inf:
             return False
         for j in (LOWER, UPPER):

@@ -158,9 +158,7 @@ def all_phases(r, p, mode, k, limits, sign, c):
     p_most = max(p, c.p_r_min + c.b_pr * max(c.p_h_max, 0.0) / (1.0 - c.a_pr)) + 1e-12
     p_least = min(p, c.p_r_min + c.b_pr * min(c.p_h_min, 0.0) / (1.0 - c.a_pr)) - 1e-12
     # Rates are cut at 0 where f leaves [0, 2] because b_pr was rounded: f less what it can be outside by.
-    offset = (
-        max((p_most - c.p_r_min) / span - 1.0, 0.0) if sign > 0 else max((c.p_r_min - p_least) / span, 0.0)
-    )
+    offset = max((p_most - c.p_r_min) / span - 1.0, 0.0) if sign > 0 else max((c.p_r_min - p_least) / span, 0.0)
     first, last, ends = np.full(NODES, -1, np.int64), np.zeros(NODES, np.int64), np.zeros((NODES, 2))
     phases = Phases(first, last, ends, np.empty(POOL), np.empty(POOL))
     queue, queued = np.empty(NODES, np.int64), np.zeros(NODES, np.bool_)

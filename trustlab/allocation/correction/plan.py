@@ -18,9 +18,7 @@ LOWER, UPPER = 0, 1
 class CorrectionStatus(Enum):
     """How a plan came about, and what to do where it is not the optimum."""
 
-    OPTIMAL = (
-        "Optimal: every sequence of modes that the thresholds can bring about was searched or ruled out."
-    )
+    OPTIMAL = "Optimal: every sequence of modes that the thresholds can bring about was searched or ruled out."
     BOUNDED = (
         "The search ended at its budget before all sequences of modes were ruled out; the gap says how much better a "
         "plan can be. Raise budget=, or shorten the horizon, to close it."

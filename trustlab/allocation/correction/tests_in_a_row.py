@@ -108,9 +108,7 @@ class CorrectionRun:
 
         tests = self.data["test"].unique()
         size = (3 * tests.size + 0.5, 3.2)
-        figure, axes = plt.subplots(
-            1, tests.size, sharey=True, squeeze=False, figsize=size, layout="constrained"
-        )
+        figure, axes = plt.subplots(1, tests.size, sharey=True, squeeze=False, figsize=size, layout="constrained")
         for axis, test, letter in zip(axes[0], tests, ascii_lowercase * tests.size, strict=False):
             part = self.data[self.data["test"] == test]
             axis.plot(part["t"], part["tsc"], lw=0.8, color="C0", label="TSC")
@@ -138,9 +136,7 @@ class CorrectionRun:
 
     def __repr__(self) -> str:
         tests = self.data["test"].nunique()
-        return (
-            f"CorrectionRun({tests} tests, {len(self.data)} samples, operator {self.operator}; {self.source})"
-        )
+        return f"CorrectionRun({tests} tests, {len(self.data)} samples, operator {self.operator}; {self.source})"
 
 
 def correct_pattern(

@@ -85,9 +85,7 @@ class InvariantBounds:
         return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high"]).rename_axis("quantity")
 
 
-def invariant_bounds(
-    tsc: TscModel, lower: float, upper: float, cells: int = 32, cycles: int = 200
-) -> InvariantBounds:
+def invariant_bounds(tsc: TscModel, lower: float, upper: float, cells: int = 32, cycles: int = 200) -> InvariantBounds:
     """
     Bound utilization, robot performance and dwell times for every trajectory under rule (2.8).
 
@@ -173,8 +171,6 @@ def _narrowed(found, lower, upper, c, cells, cycles, most):
     if low < 1e-100 or high >= 1.0 or high <= low:
         return found, 0
     budget = max(EFFORT, 20 * most)
-    low, high, over, more = narrow(
-        low, high, found.autonomous.overshoot, lower, upper, c, cells, cycles, most, budget
-    )
+    low, high, over, more = narrow(low, high, found.autonomous.overshoot, lower, upper, c, cells, cycles, most, budget)
     tighter = enclose(low, high, over, lower, upper, c, cells, most)
     return (tighter, more) if more and tighter.code > 0 else (found, 0)

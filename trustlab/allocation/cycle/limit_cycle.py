@@ -125,9 +125,7 @@ class LimitCycle:
         """
         import pandas as pd
 
-        manual, autonomous = (
-            pair or (math.nan, math.nan) for pair in (self.dwell_manual, self.dwell_autonomous)
-        )
+        manual, autonomous = (pair or (math.nan, math.nan) for pair in (self.dwell_manual, self.dwell_autonomous))
         rows = {
             "r": (self.r_low, self.r_high, self.mean_r),
             "P_r": (self.p_r_low, self.p_r_high, self.mean_p_r),
@@ -135,9 +133,7 @@ class LimitCycle:
             "dwell time manual": (*manual, math.nan),
             "dwell time autonomous": (*autonomous, math.nan),
         }
-        return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high", "mean"]).rename_axis(
-            "quantity"
-        )
+        return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high", "mean"]).rename_axis("quantity")
 
     def plot(self, axes=None):
         """

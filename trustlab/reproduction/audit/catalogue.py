@@ -58,9 +58,7 @@ def _studies() -> Iterator[PrintedNumber]:
         for field in ("mean", "sd", "mauchly", "anova", "pairs", "t_test"):
             for entry, text in getattr(study, field).items():
                 exact = field in ("mauchly", "anova") and text.strip().isdecimal()  # degrees of freedom
-                yield PrintedNumber(
-                    f"{name}/{field}.{entry}", where, f"{title}: {field} {entry}", text, exact
-                )
+                yield PrintedNumber(f"{name}/{field}.{entry}", where, f"{title}: {field} {entry}", text, exact)
         for pair in study.significant_without_p:
             yield PrintedNumber(f"{name}/significant.{pair}", where, f"{title}: {pair}", "significantly")
         if study.epsilon:

@@ -86,7 +86,5 @@ def _remark_seven(end: str) -> Check:
 
 def claim_checks(numbers: Numbers) -> list[Check]:
     """Return the checks of the printed percentages and differences, and of Remark 7."""
-    read = [
-        _claim(x.id, reading, after, before, numbers) for x, reading, after, before in claims() if reading
-    ]
+    read = [_claim(x.id, reading, after, before, numbers) for x, reading, after, before in claims() if reading]
     return [*read, *_teleoperation(numbers), _remark_seven("min"), _remark_seven("max")]

@@ -142,7 +142,9 @@ def _participant(p: str, numbers: Numbers) -> list[Check]:
     limit, _, _ = one["TSC_ub"].range(numbers)
     chosen, below = numbers[f"table_2.2/TSC_u/{p}"], ""
     if limit < chosen.value:
-        below = f"With TSC_ub = {limit:.3f} as recomputed, the chosen TSC_u = {chosen.printed} of Table 2.2 lies above it."
+        below = (
+            f"With TSC_ub = {limit:.3f} as recomputed, the chosen TSC_u = {chosen.printed} of Table 2.2 lies above it."
+        )
     upper = upper_limit_check(p)
     minus = Formula(
         "a_T δ_Pr − b_T δ_Ph",
@@ -192,9 +194,7 @@ def _largest_robot_step(column: str, numbers: Numbers) -> Possible:
     least, _ = numbers[id].compatible
     note = why_unchecked(id)
     if least > limit:
-        note = (
-            f"Suspicious: with the parameters as printed, (2.3) moves P_r by at most {limit:.2e} in one step."
-        )
+        note = f"Suspicious: with the parameters as printed, (2.3) moves P_r by at most {limit:.2e} in one step."
     return Possible(id, Formula.of("0", {}), most, note)
 
 

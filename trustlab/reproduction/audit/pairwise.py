@@ -7,16 +7,7 @@ import numpy as np
 from scipy import stats
 
 from trustlab.reproduction.audit.catalogue import conditions_of
-from trustlab.reproduction.audit.verdict import (
-    Finding,
-    Formula,
-    Numbers,
-    Possible,
-    Remark,
-    Row,
-    listing,
-    row_about,
-)
+from trustlab.reproduction.audit.verdict import Finding, Formula, Numbers, Possible, Remark, Row, listing, row_about
 from trustlab.reproduction.printed_number import PrintedNumber
 
 ALPHA = 0.05

@@ -80,9 +80,7 @@ def plot_verdicts(verdicts: pd.DataFrame, ax: Axes | None = None) -> Axes:
         Where to draw; a new figure when not given.
     """
     ax, counts = _axes(ax, 3.0), verdict_counts(verdicts)[list(VERDICTS)]
-    counts.plot.barh(
-        stacked=True, color=COLOURS, width=0.8, ax=ax, xlabel="numbers and statements", ylabel=""
-    )
+    counts.plot.barh(stacked=True, color=COLOURS, width=0.8, ax=ax, xlabel="numbers and statements", ylabel="")
     ax.invert_yaxis()
     ax.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.35, 1.0), frameon=False)
     return ax

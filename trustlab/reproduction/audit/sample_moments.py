@@ -168,9 +168,7 @@ def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Nu
         counts = [rule.removesuffix(" items") for rule in fitting]
         fit, tried = f" {', '.join(counts[:4])} items", f"up to {MOST_ITEMS} items"
         fewest = float(counts[0]) if counts else math.nan
-    found = (
-        f"All means are whole points for{fit}" if fitting else f"Not all means are whole points for {tried}"
-    )
+    found = f"All means are whole points for{fit}" if fitting else f"Not all means are whole points for {tried}"
     reason, expected = f"{unknown} {found}.", _expected_items(measure)
     if expected and expected[0] not in fitting:
         reason = f"Suspicious: not {expected[0]} ({expected[1]}). {reason}"
@@ -187,12 +185,8 @@ def _performance(measure: str, condition: str, id: str, numbers: Numbers) -> Pos
     name, forced = _kind(measure), ""
     if condition == "C3" and name in ("P_r", "r"):
         symbol = "r_" if name == "r" else "P_r"
-        low, high = (
-            np.mean([numbers[f"table_2.2/{symbol}{end}/{p}"].value for p in PARTICIPANTS]) for end in "lu"
-        )
-        forced = (
-            f"The bounds of Table 2.2, which hold in steady state, are {low:.4f} and {high:.4f} on average."
-        )
+        low, high = (np.mean([numbers[f"table_2.2/{symbol}{end}/{p}"].value for p in PARTICIPANTS]) for end in "lu")
+        forced = f"The bounds of Table 2.2, which hold in steady state, are {low:.4f} and {high:.4f} on average."
     if name == "r":
         return Remark(id, f"Measured; a share between 0 and 1. {forced}")
 

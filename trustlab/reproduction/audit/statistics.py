@@ -28,14 +28,7 @@ def chi2_of_epsilon(epsilon: np.ndarray, n: np.ndarray, k: int, greatest: bool) 
         return -mauchly_factor(n, k) * np.log(w)
 
 
-SYMBOLS = {
-    "F": "anova.F",
-    "df1": "anova.df1",
-    "df2": "anova.df2",
-    "n": "n",
-    "p": "mauchly.p",
-    "ε": "epsilon",
-}
+SYMBOLS = {"F": "anova.F", "df1": "anova.df1", "df2": "anova.df2", "n": "n", "p": "mauchly.p", "ε": "epsilon"}
 """What the symbols of formulas stand for within a study."""
 
 

@@ -175,9 +175,7 @@ def feasibility(
     return Feasibility(study, p_adjust, *outcome, left_out, violation, verdict)
 
 
-def prepared(
-    study: PublishedStudy, p_adjust: str, without: Iterable[str]
-) -> tuple[MomentProblem, dict[str, str]]:
+def prepared(study: PublishedStudy, p_adjust: str, without: Iterable[str]) -> tuple[MomentProblem, dict[str, str]]:
     """Return the constraints that are to hold as a problem, and the reasons for those that are left out."""
     found = constraints(study, p_adjust)
     kept = select(found, without)

@@ -15,9 +15,7 @@ INSIDE = 0.02
 """Every end is attained this far inside the printed intervals, as a share of their half-widths."""
 
 
-def feasible_ranges(
-    problem: MomentProblem, rng: np.random.Generator, conditions: tuple[str, ...]
-) -> pd.DataFrame:
+def feasible_ranges(problem: MomentProblem, rng: np.random.Generator, conditions: tuple[str, ...]) -> pd.DataFrame:
     """
     Return the lowest and highest value found of every quantity that is not printed.
 

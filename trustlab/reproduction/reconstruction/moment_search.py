@@ -122,9 +122,7 @@ class MomentProblem:
         """A typical mean and standard deviation, from what is printed."""
         low, high = self.scale
         width = high - low if np.isfinite(high - low) else 1.0
-        mean, sd = (
-            [0.5 * (s.low + s.high) for s in self._cells if s.kind == kind] for kind in ("mean", "sd")
-        )
+        mean, sd = ([0.5 * (s.low + s.high) for s in self._cells if s.kind == kind] for kind in ("mean", "sd"))
         mean = mean or [low + 0.5 * width if np.isfinite(low) else 0.0]
         return float(np.mean(mean)), float(np.mean(sd or [0.2 * width]))
 
@@ -238,9 +236,7 @@ class MomentProblem:
         factor[:, *self._triangle] = x[:, self.k :] * self.typical[1]
         return x[:, : self.k] * self.typical[1], factor
 
-    def _residuals(
-        self, x: np.ndarray, margin: float, width: float, gradient: bool
-    ) -> tuple[np.ndarray, ...]:
+    def _residuals(self, x: np.ndarray, margin: float, width: float, gradient: bool) -> tuple[np.ndarray, ...]:
         """Return how far each row lies outside its interval, in its unit, and the derivatives where wanted."""
         mean, factor = self._unpack(x)
         value, *slopes = self.values(self.statistics(mean, factor), gradient)
@@ -258,9 +254,7 @@ class MomentProblem:
         jacobian = np.concatenate([by_mean, by_factor], axis=2) * self.typical[1] / unit[:, None]
         return residual, np.where(residual[..., None] != 0.0, jacobian, 0.0)
 
-    def _descend(
-        self, x: np.ndarray, margin: float, width: float, iterations: int, enough: int | None
-    ) -> np.ndarray:
+    def _descend(self, x: np.ndarray, margin: float, width: float, iterations: int, enough: int | None) -> np.ndarray:
         """
         Take Levenberg-Marquardt steps on all candidates at once; a candidate stops when nothing is violated.
 

@@ -15,13 +15,7 @@ import pandas as pd
 
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, constraints
-from trustlab.reproduction.reconstruction.feasibility import (
-    Verdict,
-    decide,
-    feasibility,
-    generator,
-    prepared,
-)
+from trustlab.reproduction.reconstruction.feasibility import Verdict, decide, feasibility, generator, prepared
 from trustlab.reproduction.reconstruction.feasible_ranges import feasible_ranges
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
 from trustlab.reproduction.reconstruction.reanalysis import agrees, printed_ends, reanalyse
@@ -212,9 +206,7 @@ def reconstruct_study(
     table = result.table()
     wrong = table.index[~table["agrees"] & (table["left_out"] == "")]
     if len(wrong):
-        raise ReconstructionError(
-            f"{study.name}: the data found do not have {', '.join(wrong)}; try another seed"
-        )
+        raise ReconstructionError(f"{study.name}: the data found do not have {', '.join(wrong)}; try another seed")
     return result
 
 

@@ -171,9 +171,7 @@ def proves_infeasible(problem: MomentProblem, branches: int = 80) -> bool:
             return True
         box = open_parts.pop()
         bounded = np.isfinite(box).all(axis=1)
-        means = [
-            Constraint("mean", "mean", i, low, high, "") for i, (low, high) in enumerate(box) if bounded[i]
-        ]
+        means = [Constraint("mean", "mean", i, low, high, "") for i, (low, high) in enumerate(box) if bounded[i]]
         if _refuted(_Relaxation(replace(problem, found=[*others, *means]))):
             continue
         width = np.where(bounded, box[:, 1] - box[:, 0], 0.0)

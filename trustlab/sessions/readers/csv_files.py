@@ -104,9 +104,7 @@ def _check_header(
     raise SessionError(f"{where}: {what}")
 
 
-def _fast(
-    body: str, selected: Sequence[SourceColumn], layout: TableRule, width: int
-) -> dict[str, np.ndarray] | None:
+def _fast(body: str, selected: Sequence[SourceColumn], layout: TableRule, width: int) -> dict[str, np.ndarray] | None:
     """Return the columns, or None where anything is unusual and `_scan` must find out what."""
     import pyarrow as pa
     import pyarrow.csv

@@ -87,10 +87,7 @@ def _check_names(names: Sequence[str], where: str) -> None:
 
 
 def table_stream(
-    selected: Sequence[SourceColumn],
-    raw: Mapping[str, np.ndarray],
-    recipe: Recipe | None,
-    place: Callable[[int], str],
+    selected: Sequence[SourceColumn], raw: Mapping[str, np.ndarray], recipe: Recipe | None, place: Callable[[int], str]
 ) -> tuple[Stream, dict[str, object]]:
     """Return the stream that the columns of a table make, and notes; `raw` are their numbers in the file's units."""
     columns = {own.name: own.rule.convert(raw[own.name]) if own.rule else raw[own.name] for own in selected}

@@ -9,12 +9,7 @@ from scipy import special
 
 from trustlab.studies.analysis.pairwise import PairwiseBatch, paired_differences
 from trustlab.studies.analysis.score_table import ScoreTable
-from trustlab.studies.analysis.sphericity import (
-    greenhouse_geisser,
-    huynh_feldt,
-    mauchly,
-    orthonormal_contrasts,
-)
+from trustlab.studies.analysis.sphericity import greenhouse_geisser, huynh_feldt, mauchly, orthonormal_contrasts
 
 # Scores analysed in one go.
 _CHUNK = 1 << 20
@@ -161,9 +156,7 @@ def _checked(array: np.ndarray) -> np.ndarray:
         )
     largest = np.abs(scores).max()
     if largest > _GREATEST:
-        raise ValueError(
-            f"a score of size {largest:.3g} is too large: its square overflows; use another unit"
-        )
+        raise ValueError(f"a score of size {largest:.3g} is too large: its square overflows; use another unit")
     return scores
 
 

@@ -167,9 +167,7 @@ def _sums_by_subject(columns: np.ndarray, person: np.ndarray) -> np.ndarray:
     return np.column_stack([np.bincount(person, column)[person] for column in columns.T])
 
 
-def _check_error(
-    table: ScoreTable, score: np.ndarray, design: np.ndarray, person: np.ndarray, size: float
-) -> None:
+def _check_error(table: ScoreTable, score: np.ndarray, design: np.ndarray, person: np.ndarray, size: float) -> None:
     """Refuse scores that are exactly the sum of a subject's level and a condition's."""
     columns = np.column_stack([score, design])
     within = columns - _sums_by_subject(columns, person) / np.bincount(person)[person, None]
@@ -188,9 +186,7 @@ class _Fit(NamedTuple):
     residual_variance: float
 
 
-def _generalized_least_squares(
-    score: np.ndarray, design: np.ndarray, person: np.ndarray, ratio: float
-) -> _Fit:
+def _generalized_least_squares(score: np.ndarray, design: np.ndarray, person: np.ndarray, ratio: float) -> _Fit:
     """Estimate the means for V = I + ratio · 11' within a subject; the deviance is that of the restricted likelihood."""
     counts = np.bincount(person)
     # V⁻¹ = I − ratio/(1 + counts · ratio) · 11' within a subject (Sherman–Morrison): no matrix of all scores is formed.

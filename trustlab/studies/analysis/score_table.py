@@ -180,9 +180,7 @@ def read_scores(
 
     scores = _scores(series["dv"], lambda i: f"{cell_name(cell[i])} (row {row[i]!r})")
     if k < 2:
-        raise ValueError(
-            f"within: column {within!r} has one condition only, {conditions[0]!r}; two are needed"
-        )
+        raise ValueError(f"within: column {within!r} has one condition only, {conditions[0]!r}; two are needed")
     counts = np.bincount(cell, minlength=len(subjects) * k)
     average = f"frame.groupby([{subject!r}, {within!r}], as_index=False)[{dv!r}].mean()"
     _refuse_repeated_cells(cell, counts, cell_name, row, average)

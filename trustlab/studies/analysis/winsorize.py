@@ -147,9 +147,7 @@ def _chosen(conditions: Sequence[Hashable] | None, table: ScoreTable) -> list:
         if condition not in table.conditions:
             hint = did_you_mean(condition, table.conditions)
             known = ", ".join(map(str, table.conditions))
-            raise ValueError(
-                f"conditions: {condition!r} is not in column {table.within!r}{hint} (there are {known})"
-            )
+            raise ValueError(f"conditions: {condition!r} is not in column {table.within!r}{hint} (there are {known})")
     if len(set(conditions)) < len(conditions):
         raise ValueError(f"conditions lists one twice: {list(conditions)}")
     return list(conditions)

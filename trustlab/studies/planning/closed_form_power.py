@@ -33,9 +33,7 @@ def noncentrality(eta2_partial: float, n: int, k: int) -> float:
     return n * (k - 1) * eta2 / (1.0 - eta2)
 
 
-def noncentral_f_power(
-    n: int, k: int, noncentrality: float, alpha: float = 0.05, epsilon: float = 1.0
-) -> float:
+def noncentral_f_power(n: int, k: int, noncentrality: float, alpha: float = 0.05, epsilon: float = 1.0) -> float:
     """
     Return the power of the repeated-measures F with n subjects and k conditions.
 

@@ -28,9 +28,7 @@ def checked_covariance(name: str, values: np.ndarray, size: int | None = None) -
         raise ValueError(f"{name} must be a square matrix of numbers, got {found}")
     matrix = given.astype(float)
     if size is not None and len(matrix) != size:
-        raise ValueError(
-            f"{name} must be {size} × {size}, one row per condition, got {len(matrix)} × {len(matrix)}"
-        )
+        raise ValueError(f"{name} must be {size} × {size}, one row per condition, got {len(matrix)} × {len(matrix)}")
     if not np.isfinite(matrix).all():
         i, j = np.argwhere(~np.isfinite(matrix))[0]
         raise ValueError(f"{name} must be finite, but row {i}, column {j} is {matrix[i, j]}")
@@ -283,9 +281,7 @@ def conditions_from(
     names = list(mean.index) if isinstance(mean, pd.Series) else None
     if isinstance(covariance, pd.DataFrame):
         if list(covariance.index) != list(covariance.columns):
-            raise ValueError(
-                "covariance must have the same conditions in rows and columns, in the same order"
-            )
+            raise ValueError("covariance must have the same conditions in rows and columns, in the same order")
         if names is not None and list(covariance.columns) != names:
             raise ValueError(f"mean has conditions {names}, but covariance {list(covariance.columns)}")
         names, covariance = list(covariance.columns), covariance.to_numpy()

@@ -127,13 +127,9 @@ class GroundRobotPopulation:
         object.__setattr__(self, "p_r_min", finite_number("p_r_min", self.p_r_min))
         try:
             tsc, performance = self.follow
-            pairs = tuple(
-                (finite_number("follow", a), finite_number("follow", b)) for a, b in (tsc, performance)
-            )
+            pairs = tuple((finite_number("follow", a), finite_number("follow", b)) for a, b in (tsc, performance))
         except (TypeError, ValueError):
-            raise ValueError(
-                f"follow must be two pairs of numbers (mean, SD), got {self.follow!r:.100}"
-            ) from None
+            raise ValueError(f"follow must be two pairs of numbers (mean, SD), got {self.follow!r:.100}") from None
         for average, sd in pairs:
             if not (0.0 < average < 1.0 and 0.0 < sd < np.sqrt(average * (1.0 - average))):
                 raise ValueError(

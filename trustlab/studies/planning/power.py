@@ -308,29 +308,17 @@ def _cells(population: Conditions, grid: list[list]) -> list[tuple[int, Conditio
     """Return subjects and population of every cell of n × effect_size × correlation × epsilon."""
     sizes = [whole_number("n", size, most=MOST_N) for size in grid[0]]
     if min(sizes) < 3:
-        raise ValueError(
-            f"n = {min(sizes)} is too small for the design: repeated measures need at least 3 subjects"
-        )
+        raise ValueError(f"n = {min(sizes)} is too small for the design: repeated measures need at least 3 subjects")
     shapes = [population.with_structure(*pair) for pair in product(*grid[2:])]
-    effects = [
-        shape if effect is None else shape.with_effect(effect) for effect, shape in product(grid[1], shapes)
-    ]
+    effects = [shape if effect is None else shape.with_effect(effect) for effect, shape in product(grid[1], shapes)]
     cells = list(product(sizes, effects))
     if len(cells) > MOST_CELLS:
-        raise ValueError(
-            f"{len(cells)} cells are too many for one call, at most {MOST_CELLS}; split the grid"
-        )
+        raise ValueError(f"{len(cells)} cells are too many for one call, at most {MOST_CELLS}; split the grid")
     return cells
 
 
 def _rows(
-    cell: Conditions,
-    n: int,
-    counts: dict,
-    replicates: int,
-    alpha: float,
-    level: float,
-    mask: np.ndarray | None,
+    cell: Conditions, n: int, counts: dict, replicates: int, alpha: float, level: float, mask: np.ndarray | None
 ) -> tuple[list, list, list]:
     """Return the rows of the three tables for one cell, from the counts of its simulated studies."""
     k = len(cell.mean)
@@ -342,9 +330,7 @@ def _rows(
         low, high = clopper_pearson(counts[key], replicates, level)
         return counts[key] / replicates, float(low), float(high), replicates
 
-    omnibus = [
-        (*axes, strength, test, *power(f"F {test}"), exact if test == "none" else np.nan) for test in TESTS
-    ]
+    omnibus = [(*axes, strength, test, *power(f"F {test}"), exact if test == "none" else np.nan) for test in TESTS]
     pairs, together = [], []
     levels = {"none": alpha, "bonferroni": alpha / len(cell.d_z)}  # Holm's has no closed form
     for i, (pair, d_z) in enumerate(zip(combinations(cell.labels, 2), cell.d_z, strict=True)):

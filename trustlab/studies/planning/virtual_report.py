@@ -24,10 +24,7 @@ KEYS = ("participant", "position", "condition", "synthetic")
 
 TEST = ("n", "k", "F", "df1", "df2", "p", "correction", "epsilon_gg")
 EFFECT = ("eta2_partial", "eta2_partial_low", "eta2_partial_high")
-USUAL = {
-    "ground_robot": ("p_r", "p_h", "r", "path_error"),
-    "uav": ("tracking_error", "p_r", "p_h", "hand_force"),
-}
+USUAL = {"ground_robot": ("p_r", "p_h", "r", "path_error"), "uav": ("tracking_error", "p_r", "p_h", "hand_force")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,16 +186,16 @@ class VirtualStudy:
             if self.settings.get("rest") is None
             else "Utilization is carried over from session to session by (2.5); nothing else is."
         )
-        failed = (
-            f" {len(self.failures)} participant(s) failed and are left out." if len(self.failures) else ""
-        )
+        failed = f" {len(self.failures)} participant(s) failed and are left out." if len(self.failures) else ""
         return (
             f"Virtual study on {WORDS[self.testbed]}: {len(self.participants)} simulated operators ({self.population.origin}), "
             f"conditions {', '.join(self.conditions)}; {setting}. No person took part. {carried}{failed}"
         )
 
     def __repr__(self) -> str:
-        return f"VirtualStudy({self.testbed}, {len(self.participants)} simulated operators, {', '.join(self.conditions)})"
+        return (
+            f"VirtualStudy({self.testbed}, {len(self.participants)} simulated operators, {', '.join(self.conditions)})"
+        )
 
     def _repr_html_(self) -> str:
         import html

@@ -133,9 +133,7 @@ def _named(conditions: object, design: object, population: object) -> tuple[str,
         raise ValueError(f"conditions must be a list of names, got {conditions!r:.60}")
     if isinstance(design, LatinSquareDesign):
         if conditions is not None and tuple(conditions) != design.conditions:
-            raise ValueError(
-                f"design has the conditions {design.conditions}, but conditions= says {tuple(conditions)}"
-            )
+            raise ValueError(f"design has the conditions {design.conditions}, but conditions= says {tuple(conditions)}")
         conditions = design.conditions
     else:
         one_of("design", design, ["latin_square"], "a LatinSquareDesign")
@@ -168,13 +166,9 @@ def _designed(design: object, n: int | None, conditions: tuple, seed: int, testb
         if n is not None and n != count:
             raise ValueError(f"design is for {count} participants, but n = {n}")
         if design.participants != tuple(range(1, count + 1)):
-            raise ValueError(
-                "the participants of a virtual study are numbered: make the design with their number"
-            )
+            raise ValueError("the participants of a virtual study are numbered: make the design with their number")
         if count < 3:
-            raise ValueError(
-                f"{count} participants are too few for the design: repeated measures need at least 3"
-            )
+            raise ValueError(f"{count} participants are too few for the design: repeated measures need at least 3")
         return design
     least = participants_needed(len(conditions), 3)
     if n is None:

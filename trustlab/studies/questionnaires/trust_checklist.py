@@ -4,13 +4,7 @@ from typing import Unpack
 
 import pandas as pd
 
-from trustlab.studies.questionnaires.likert import (
-    AnswerColumns,
-    LikertScale,
-    ScaleScores,
-    Subscale,
-    score_likert,
-)
+from trustlab.studies.questionnaires.likert import AnswerColumns, LikertScale, ScaleScores, Subscale, score_likert
 
 _DISTRUST = ("deceptive", "underhanded", "suspicious", "wary", "harmful")
 _TRUST = ("confident", "security", "integrity", "dependable", "reliable", "trust", "familiar")

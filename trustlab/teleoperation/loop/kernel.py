@@ -224,9 +224,7 @@ def reach_out(n, hand, device, now, state):
         goal = state.wish[i] / n.weight  # where the device's output is the wish, r_m = Λ x
         shaking = hand.noise * now.motor[i] * (1.0 + abs(state.wish[i]))
         state.force[i] = device.held_stiffness * goal + shaking + now.pushed[i]
-        state.free_output[i] = haptic.free_output(
-            device, state.device[i], state.device_velocity[i], state.force[i]
-        )
+        state.free_output[i] = haptic.free_output(device, state.device[i], state.device_velocity[i], state.force[i])
 
 
 @numba.njit(cache=True, error_model="numpy", forceinline=True)
@@ -393,9 +391,7 @@ def run_loop(setup, n, hand, auto, vehicle, blend, inputs, delays, arrives, acco
     count, state, T = log.shape[0], states[0], n.sample_time
     device = haptic.held_device(n.mass, n.damping, n.stiffness, n.weight, hand.stiffness, hand.damping, T)
     blocks = Blocks(
-        device,
-        waves.operator_end(n.b, n.beta.low, n.beta.high),
-        waves.robot_end(n.b, n.alpha.low, n.alpha.high),
+        device, waves.operator_end(n.b, n.beta.low, n.beta.high), waves.robot_end(n.b, n.alpha.low, n.alpha.high)
     )
     error, sent = np.zeros((count, 3)), np.zeros((count, 3))
     u_l, u_r = np.zeros((count, 3)), np.zeros((count, 3))

@@ -122,8 +122,7 @@ class LoopSettings:
         if kind == "step":
             return tuple(StepScaling(low, high, None, trust.t_min, trust.t_max) for low, high, trust in pairs)
         return tuple(
-            LogisticScaling(low, high, self.steepness, None, trust.t_min, trust.t_max)
-            for low, high, trust in pairs
+            LogisticScaling(low, high, self.steepness, None, trust.t_min, trust.t_max) for low, high, trust in pairs
         )
 
     def numbers(self, sample_time: float) -> LoopNumbers:

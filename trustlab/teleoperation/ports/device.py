@@ -72,9 +72,7 @@ def _matrix(name: str, value, n: int) -> np.ndarray:
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
-        raise ValueError(
-            f"{name} must be a number, a diagonal or a matrix of numbers, got {value!r}"
-        ) from None
+        raise ValueError(f"{name} must be a number, a diagonal or a matrix of numbers, got {value!r}") from None
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {value!r}")
     if array.ndim == 0:
@@ -82,9 +80,7 @@ def _matrix(name: str, value, n: int) -> np.ndarray:
     elif array.ndim == 1:
         array = np.diag(array)
     if array.shape != (n, n):
-        raise ValueError(
-            f"{name} must be a number, a diagonal or a {n} × {n} matrix, got shape {np.shape(value)}"
-        )
+        raise ValueError(f"{name} must be a number, a diagonal or a {n} × {n} matrix, got shape {np.shape(value)}")
     if np.abs(array - array.T).max() > ROUNDING * np.abs(array).max():
         raise ValueError(f"{name} must be symmetric")
     return array
@@ -183,8 +179,7 @@ class HapticDevice:
     def is_passive(self) -> bool:
         """Whether B ≥ ½(MΛ + ΛM) and K + ΛB ≥ ΛMΛ, up to rounding."""
         return all(
-            np.linalg.eigvalsh(matrix).min() >= -ROUNDING * max(1.0, np.abs(matrix).max())
-            for matrix in self._spare()
+            np.linalg.eigvalsh(matrix).min() >= -ROUNDING * max(1.0, np.abs(matrix).max()) for matrix in self._spare()
         )
 
     def largest_mass(self) -> float:
@@ -280,9 +275,7 @@ class HapticDevice:
         left = self.mass + half * self.damping + half**2 * self.stiffness
         force = f_h - self.force_scaling * f_m
         middle = np.linalg.solve(left, self.mass @ v + half * (force - self.stiffness @ x))
-        supply = (
-            sample_time / self.force_scaling * float((middle + self.weight @ (x + half * middle)) @ force)
-        )
+        supply = sample_time / self.force_scaling * float((middle + self.weight @ (x + half * middle)) @ force)
         return x + sample_time * middle, 2.0 * middle - v, supply
 
     def state_space(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

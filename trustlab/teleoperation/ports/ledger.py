@@ -149,13 +149,9 @@ class EnergyLedger:
         number = whole_number("number", number, least=0)
         values = np.atleast_1d(np.asarray(wave, dtype=float))
         if values.ndim != 1 or not np.isfinite(values).all():
-            raise ValueError(
-                f"packet {number}: wave must be finite numbers, shape (n,), got {values.tolist()}"
-            )
+            raise ValueError(f"packet {number}: wave must be finite numbers, shape (n,), got {values.tolist()}")
         if self._wave is not None and values.shape != self._wave.shape:
-            raise ValueError(
-                f"packet {number}: wave has shape {values.shape}, those before {self._wave.shape}"
-            )
+            raise ValueError(f"packet {number}: wave has shape {values.shape}, those before {self._wave.shape}")
         if number <= self._newest - WINDOW or self._seen[number % WINDOW] == number:
             return False
         self._seen[number % WINDOW] = number

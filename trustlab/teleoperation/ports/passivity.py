@@ -101,9 +101,7 @@ class PassivityController:
     [0.0]
     """
 
-    def __init__(
-        self, sample_time: float, method: str = "cancel", cap: float = np.inf, velocity_floor: float = 0.0
-    ):
+    def __init__(self, sample_time: float, method: str = "cancel", cap: float = np.inf, velocity_floor: float = 0.0):
         self.sample_time = positive("sample_time", sample_time)
         self.method = one_of("method", method, ("cancel", "repay"))
         self.cap = np.inf if cap == np.inf else not_negative("cap", cap)

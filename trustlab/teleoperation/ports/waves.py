@@ -35,17 +35,13 @@ class RobotEnd(NamedTuple):
 @numba.njit(cache=True, error_model="numpy", forceinline=True)
 def operator_end(b, beta_min, beta_max):
     """Return the coefficients at the operator's end for an impedance and the bounds of β."""
-    return OperatorEnd(
-        b, np.sqrt(2.0 * b / beta_max), np.sqrt(2.0 * b * beta_min), np.sqrt(beta_min / beta_max)
-    )
+    return OperatorEnd(b, np.sqrt(2.0 * b / beta_max), np.sqrt(2.0 * b * beta_min), np.sqrt(beta_min / beta_max))
 
 
 @numba.njit(cache=True, error_model="numpy", forceinline=True)
 def robot_end(b, alpha_min, alpha_max):
     """Return the coefficients at the robot's end for an impedance and the bounds of α."""
-    return RobotEnd(
-        b, np.sqrt(2.0 * b / alpha_max), np.sqrt(2.0 * alpha_min / b), np.sqrt(alpha_min / alpha_max)
-    )
+    return RobotEnd(b, np.sqrt(2.0 * b / alpha_max), np.sqrt(2.0 * alpha_min / b), np.sqrt(alpha_min / alpha_max))
 
 
 @numba.njit(cache=True, error_model="numpy", forceinline=True)

@@ -36,8 +36,7 @@ ARRIVED = "error pushed v_l v_r open_force"
 # The operator's end, affine in what is still unknown: r_m = yielded + mobility · push, f_m = held + resistance · r_m.
 SIGNALS = "u_l u_r yielded mobility held resistance channel_force wanted"
 STATE = record(
-    vectors=f"{KEPT} {ARRIVED} {SIGNALS}",
-    numbers="seen_power near_power far_power hand_power device_power device_loss",
+    vectors=f"{KEPT} {ARRIVED} {SIGNALS}", numbers="seen_power near_power far_power hand_power device_power device_loss"
 )
 """What both ends read and leave."""
 
@@ -266,9 +265,7 @@ def run_team(
         for i in range(3):
             state.open_force[i] = 0.0
             for j in range(size):
-                state.open_force[i] += (
-                    vectors[lead, j] * values[j] * solve[j] * (w[i, j] + h * values[j] * z[i, j])
-                )
+                state.open_force[i] += vectors[lead, j] * values[j] * solve[j] * (w[i, j] + h * values[j] * z[i, j])
         robot_side(filters, waves.robot_end(leader.b, 1.0, 1.0), stiffness[lead], state, row)
         team = away = filtered = team_loss = error_loss = 0.0
         for i in range(3):

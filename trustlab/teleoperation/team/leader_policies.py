@@ -16,12 +16,7 @@ class LeaderPolicy(Protocol):
     title: str
 
     def leaders(
-        self,
-        trust: np.ndarray,
-        robots: Sequence[Hashable],
-        step: float,
-        dwell: float,
-        rng: np.random.Generator,
+        self, trust: np.ndarray, robots: Sequence[Hashable], step: float, dwell: float, rng: np.random.Generator
     ) -> np.ndarray:
         """
         Return the number of the leader in each decision interval, shape (M,).
@@ -134,9 +129,7 @@ class GivenSequence:
             object.__setattr__(self, "robots", robots)
             for place, (before, robot) in enumerate(itertools.pairwise(robots), start=1):
                 if robot == before:
-                    raise ValueError(
-                        f"a switch must pick another robot, but robots[{place}] is {robot!r} again"
-                    )
+                    raise ValueError(f"a switch must pick another robot, but robots[{place}] is {robot!r} again")
         if self.times is not None:
             if self.every is not None or self.robots is None:
                 raise ValueError("times need robots, and leave nothing for every to say")
@@ -171,9 +164,7 @@ class GivenSequence:
         chosen = tuple(names) if self.robots is None else self.robots
         for name in chosen:
             if name not in names:
-                raise ValueError(
-                    f"the policy names robot {name!r}, which does not exist; robots are {list(names)}"
-                )
+                raise ValueError(f"the policy names robot {name!r}, which does not exist; robots are {list(names)}")
         numbers, count = np.array([names[name] for name in chosen]), len(trust)
         if self.times is not None:
             starts = np.asarray(self.times)
@@ -249,9 +240,7 @@ POLICIES = {
 }
 """Policies by name."""
 
-SIGNATURE = (
-    "leaders(trust, robots, step, dwell, rng), which returns the number of the leader at each decision"
-)
+SIGNATURE = "leaders(trust, robots, step, dwell, rng), which returns the number of the leader at each decision"
 
 
 def policy_named(policy: str | LeaderPolicy) -> Any:

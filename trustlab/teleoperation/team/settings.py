@@ -67,9 +67,7 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
             raise GraphError(f"a_ij must be 0 or 1 (Section 4.2), but a[{i}, {j}] is {matrix[i, j]}")
         if (matrix != matrix.T).any():
             i, j = np.argwhere(matrix != matrix.T)[0]
-            raise GraphError(
-                f"the graph is directed: a[{i}, {j}] = {matrix[i, j]:g}, a[{j}, {i}] = {matrix[j, i]:g}"
-            )
+            raise GraphError(f"the graph is directed: a[{i}, {j}] = {matrix[i, j]:g}, a[{j}, {i}] = {matrix[j, i]:g}")
         names = tuple(range(len(matrix)))
     if len(names) < 2:
         raise GraphError(f"a team needs two robots or more, got {len(names)}")
@@ -107,11 +105,7 @@ def _trust(rate: float, ratio: float = 1.0) -> TrustModel:
     return TrustModel(rate, ratio * rate)
 
 
-PER_ROBOT: dict[str, Any] = {
-    "scattering": Scattering,
-    "human_to_robot": TrustModel,
-    "robot_to_human": TrustModel,
-}
+PER_ROBOT: dict[str, Any] = {"scattering": Scattering, "human_to_robot": TrustModel, "robot_to_human": TrustModel}
 """Settings that may differ from robot to robot, and their classes."""
 
 
@@ -170,13 +164,9 @@ class TeamSettings:
             for place, one in enumerate(many):
                 of_class(f"{name}[{place}]", one, kind)
                 if kind is TrustModel and (one.p_min, one.p_max) != (0.0, 1.0):
-                    raise ValueError(
-                        f"{name}[{place}]: performance lies between 0 and 1 here, set p_min=0, p_max=1"
-                    )
+                    raise ValueError(f"{name}[{place}]: performance lies between 0 and 1 here, set p_min=0, p_max=1")
                 if kind is Scattering and (one.alpha_min, one.alpha_max) != (1.0, 1.0):
-                    raise ValueError(
-                        f"{name}[{place}]: α is 1 in Chapter 4, got [{one.alpha_min}, {one.alpha_max}]"
-                    )
+                    raise ValueError(f"{name}[{place}]: α is 1 in Chapter 4, got [{one.alpha_min}, {one.alpha_max}]")
             if not many:
                 raise ValueError(f"{name} is empty")
             if not isinstance(given, kind):

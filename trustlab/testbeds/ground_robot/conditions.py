@@ -5,15 +5,7 @@ import pandas as pd
 
 from trustlab.allocation.correction.in_loop import no_correction
 from trustlab.allocation.limits import check_thresholds, threshold_limits
-from trustlab.models.checks import (
-    between,
-    finite_array,
-    finite_number,
-    of_class,
-    one_of,
-    spawned,
-    whole_number,
-)
+from trustlab.models.checks import between, finite_array, finite_number, of_class, one_of, spawned, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
 from trustlab.operators.teleoperator import Teleoperator
@@ -246,11 +238,7 @@ def identification_session(
     ValueError
         If a length is not positive, or another argument is not understood.
     """
-    lengths = [
-        finite_number("manual", manual),
-        finite_number("autonomous", autonomous),
-        *_pair(phase, "phase", True),
-    ]
+    lengths = [finite_number("manual", manual), finite_number("autonomous", autonomous), *_pair(phase, "phase", True)]
     if min(lengths) < SAMPLE_TIME:
         raise ValueError(f"phases must last at least {SAMPLE_TIME} s, got {min(lengths)} s")
     mixed = whole_number("mixed", mixed, least=0, most=MOST_PHASES)
@@ -311,17 +299,13 @@ def _pair(pair, name: str = "thresholds", equal: bool = False) -> tuple[float, f
     return low, high
 
 
-def _task(
-    scheme, forced=False, laps=0, lower=0.0, upper=0.0, model=None, first_mode=1, r0=0.0
-) -> kernel.Task:
+def _task(scheme, forced=False, laps=0, lower=0.0, upper=0.0, model=None, first_mode=1, r0=0.0) -> kernel.Task:
     r0 = between("r0", r0, 0.0, 1.0)
     numbers: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     if model:
         numbers = (model.a_T, model.b_T, model.robot.p_min, model.robot.p_max)
     window = round(WINDOW / SAMPLE_TIME)
-    return kernel.Task(
-        scheme, forced, laps, lower, upper, *numbers, E_MAX, window, SAMPLE_TIME, first_mode, r0
-    )
+    return kernel.Task(scheme, forced, laps, lower, upper, *numbers, E_MAX, window, SAMPLE_TIME, first_mode, r0)
 
 
 def _longest(laps: int, course: Course) -> int:
@@ -364,6 +348,4 @@ def _session(data, operator, condition, seed, **facts) -> Session:
     else:
         facts |= {"seed": int(seed)}
     facts |= {"note": NOTE, "performance": f"(2.4), (2.7), window {WINDOW:g} s"}
-    return Session(
-        data, Metadata(operator.participant, condition, "trustlab.testbeds.ground_robot", True, facts)
-    )
+    return Session(data, Metadata(operator.participant, condition, "trustlab.testbeds.ground_robot", True, facts))

@@ -11,15 +11,7 @@ from trustlab.allocation.correction.tests_in_a_row import CorrectionRun
 from trustlab.models.checks import not_negative, one_of, spawned, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
-from trustlab.testbeds.ground_robot.conditions import (
-    MOST_LAPS,
-    _checked,
-    _drive,
-    _longest,
-    _session,
-    _task,
-    _who,
-)
+from trustlab.testbeds.ground_robot.conditions import MOST_LAPS, _checked, _drive, _longest, _session, _task, _who
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.kernel import OWN, TSC
 from trustlab.testbeds.ground_robot.pioneer import Pioneer

@@ -8,16 +8,7 @@ import numpy as np
 from trustlab.models.checks import finite_array, finite_number, positive
 from trustlab.teleoperation.records import signal
 
-CORNERS = (
-    (0.0, 0.0),
-    (13.0, 0.0),
-    (13.0, 8.5),
-    (8.75, 8.5),
-    (8.75, 4.75),
-    (4.25, 4.75),
-    (4.25, 8.5),
-    (0.0, 8.5),
-)
+CORNERS = ((0.0, 0.0), (13.0, 0.0), (13.0, 8.5), (8.75, 8.5), (8.75, 4.75), (4.25, 4.75), (4.25, 8.5), (0.0, 8.5))
 
 
 FARTHEST = 1e5
@@ -90,9 +81,7 @@ class Course:
     def __post_init__(self):
         corners = signal("corners", self.corners, columns=2, least=3)
         if np.abs(corners).max() > FARTHEST:
-            raise ValueError(
-                f"corners must lie within {FARTHEST:g} m of the origin, got {np.abs(corners).max():g}"
-            )
+            raise ValueError(f"corners must lie within {FARTHEST:g} m of the origin, got {np.abs(corners).max():g}")
         for name in ("radius", "post_spacing", "half_width", "resolution"):
             object.__setattr__(self, name, positive(name, getattr(self, name)))
         around = float(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum())
@@ -144,9 +133,7 @@ class Course:
         rows = []
         for i in range(count):
             x, y, tx, ty = path_point((i + 0.5) * self.length / count, self._path)
-            rows += [
-                (x - side * self.half_width * ty, y + side * self.half_width * tx) for side in (1.0, -1.0)
-            ]
+            rows += [(x - side * self.half_width * ty, y + side * self.half_width * tx) for side in (1.0, -1.0)]
         return np.array(rows)
 
     @property
