@@ -1,0 +1,134 @@
+"""
+Compiled functions whose cache on disk never goes stale.
+
+numba keeps a compiled function beside its source file and compiles it again when that file changes, but not when a
+function that it calls changes in another file: after an update of the package it would go on returning the old numbers
+without a word. Here the place of a module's cache carries a digest of the module's source, of all modules of trustlab
+that it imports, directly or not, and of numba's version; so it is found again only while all of them are unchanged.
+"""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import hashlib
+import os
+import re
+import shutil
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable
+from contextlib import contextmanager
+from pathlib import Path
+
+import numba
+
+__all__ = ["njit"]
+
+PACKAGE = Path(__file__).resolve().parents[1]
+# Every import statement of the package, inside functions as well: "from trustlab.a.b import c, d" or "import trustlab.a".
+IMPORT = re.compile(r"^[ \t]*(?:from (trustlab[\w.]*) import \(?([^)#]*?)\)?|import (trustlab[\w.]+))[ \t]*$", re.M)
+
+
+def njit(function: Callable | None = None, **options: object) -> Callable:
+    """Compile a function in numba's nopython mode and cache it on disk; options are those of `numba.njit`."""
+    if function is None:
+        return functools.partial(njit, **options)
+    folder = _cache_folder(Path(function.__code__.co_filename))
+    if folder is None:
+        return numba.njit(**options)(function)
+    with _numba_caches_in(folder):
+        return numba.njit(cache=True, **options)(function)
+
+
+@contextmanager
+def _numba_caches_in(folder: Path):
+    """Point numba to `folder` while it decides where to cache; whatever the user has set for other packages stays."""
+    ours = {"CACHE_DIR": str(folder), "CACHE_LOCATOR_CLASSES": ""}
+    before = {name: getattr(numba.config, name) for name in ours if hasattr(numba.config, name)}
+    for name in before:
+        setattr(numba.config, name, ours[name])
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(numba.config, name, value)
+
+
+@functools.cache
+def _cache_folder(path: Path) -> Path | None:
+    """Return the folder for compiled functions of a module, without what older versions of it left there."""
+    if not path.is_file():  # a package in a zip archive has no files: compile in every process
+        return None
+    name = ".".join(path.resolve().relative_to(PACKAGE).with_suffix("").parts)
+    folder = _cache_root() / f"{name}-{_digest(path.resolve())}"
+    if not folder.is_dir():
+        for old in folder.parent.glob(f"{name}-*"):
+            shutil.rmtree(old, ignore_errors=True)
+    return folder
+
+
+def _digest(path: Path) -> str:
+    """Return a digest of a module, of all modules of the package that it imports, and of numba's version."""
+    found, waiting = set(), [path]
+    while waiting:
+        one = waiting.pop()
+        if one not in found:
+            found.add(one)
+            waiting += _imported(one)
+    digest = hashlib.sha256(numba.__version__.encode())
+    for one in sorted(found):
+        digest.update(f"{one.relative_to(PACKAGE)}\0".encode() + _source(one))
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _source(path: Path) -> bytes:
+    return path.read_bytes()
+
+
+@functools.cache
+def _imported(path: Path) -> list[Path]:
+    """Return the files of the package that a file imports from."""
+    modules = []
+    for origin, names, module in IMPORT.findall(_source(path).decode()):
+        modules += [module] if module else [origin, *(f"{origin}.{name.strip()}" for name in names.split(","))]
+    bases = {PACKAGE.joinpath(*module.split(".")[1:]) for module in modules}
+    return [file for base in bases for file in (base.with_suffix(".py"), base / "__init__.py") if file.is_file()]
+
+
+@functools.cache
+def _cache_root() -> Path:
+    """Return the first folder that can be written: the one named by the user, the package's own, the user's, a temporary one."""
+    named = os.environ.get("TRUSTLAB_CACHE_DIR")
+    if sys.platform == "darwin":
+        home = "~/Library/Caches"
+    elif sys.platform == "win32":
+        home = os.environ.get("LOCALAPPDATA", "~/AppData/Local")
+    else:
+        home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    # In the user's folder several installations meet: each has a place of its own, else they would sweep each other's.
+    own = hashlib.sha256(str(PACKAGE).encode()).hexdigest()[:12]
+    candidates = [PACKAGE / "__pycache__" / "compiled", Path(os.path.expanduser(home)) / "trustlab" / own]
+    for root in ([Path(named)] if named else []) + candidates:
+        if _writable(root):
+            return root
+    root = Path(tempfile.mkdtemp(prefix="trustlab-"))
+    atexit.register(shutil.rmtree, root, ignore_errors=True)
+    warnings.warn(
+        "trustlab finds no folder that it can write to, so compiled functions are kept for this process only and every "
+        "start compiles them again; name a folder in the environment variable TRUSTLAB_CACHE_DIR",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+    return root
+
+
+def _writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except (OSError, RuntimeError):
+        return False
+    return True
