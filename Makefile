@@ -25,26 +25,19 @@ else
 endif
 	@touch $@
 
-# A compiled kernel is kept beside its file, and numba does not see a change in another file that it calls: when any source
-# is newer than the mark, all of them go. (find -newer is understood by GNU and BSD alike.)
-.PHONY: fresh
-fresh:
-	@if [ ! -e $(VENV)/.compiled ] || [ -n "$$(find trustlab -name '*.py' -newer $(VENV)/.compiled)" ]; then \
-	  find trustlab -name '*.nb[ic]' -delete; touch $(VENV)/.compiled; fi
-
-reports: $(VENV)/.stamp fresh  ## every notebook, run and published under reports/ (PARAMS="-p name value" passes parameters on)
+reports: $(VENV)/.stamp  ## every notebook, run and published under reports/ (PARAMS="-p name value" passes parameters on)
 	$(BIN)/python -m trustlab.publishing --jobs $(JOBS) $(PARAMS)
 
-test: $(VENV)/.stamp fresh  ## formatting, linting, types and every test but the long ones
+test: $(VENV)/.stamp  ## formatting, linting, types and every test but the long ones
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -n $(JOBS) -m "not long"
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m "not long"
 
-test-long: $(VENV)/.stamp fresh  ## the tests that take too long for every time
-	$(BIN)/python -m pytest -n $(JOBS) -m long
+test-long: $(VENV)/.stamp  ## the tests that take too long for every time
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m long
 
-bench: $(VENV)/.stamp fresh  ## benchmarks beside the peers, written under reports/ (ONLY=arx runs one)
+bench: $(VENV)/.stamp  ## benchmarks beside the peers, written under reports/ (ONLY=arx runs one)
 	@$(MAKE) --no-print-directory benchmarks/.venv/.stamp || echo "peers could not be installed; see above"
 	$(BIN)/python -m benchmarks $(ONLY)
 

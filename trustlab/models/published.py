@@ -35,18 +35,10 @@ class ByName(dict):
 
 
 def published_folder() -> Path:
-    """
-    Return the folder of printed tables, data/published of the repository.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the package was installed without its repository.
-    """
-    folder = Path(__file__).resolve().parents[2] / "data" / "published"
-    if not folder.is_dir():
-        raise FileNotFoundError("the printed tables live in data/published of the repository; run from a clone of it")
-    return folder
+    """Return the folder of printed tables: in the installed package, or data/published of the repository."""
+    package = Path(__file__).resolve().parents[1]
+    installed = package / "data" / "published"
+    return installed if installed.is_dir() else package.parent / "data" / "published"
 
 
 def published_table(number: str) -> pd.DataFrame:

@@ -1,0 +1,101 @@
+"""The package as people install it: wheel and sdist are whole, and every README block runs from the wheel elsewhere."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text()
+BLOCKS = re.findall(r"```python\n(.*?)```", README, re.S)
+RECIPE = re.search(r"```toml\n(.*?)```", README, re.S)[1]
+LOG = """stamp,driver,deviation,x,y,stick_v,stick_w
+2000,human,1.5,0,0,1.0,0
+2100,human,1.6,3,4,1.0,0
+2200,robot,1.7,6,8,1.0,90
+"""
+# One worker runs them all, so that the package is built and its functions are compiled once.
+pytestmark = pytest.mark.xdist_group("wheel")
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """Wheel and sdist, built from what git would ship."""
+    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
+    skip = shutil.ignore_patterns("__pycache__", "external", ".ipynb_checkpoints")
+    for name in ("trustlab", "data", "tests", "notebooks", "benchmarks"):
+        shutil.copytree(
+            ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "external", ".venv")
+        )
+    shutil.copytree(ROOT / "reports" / "figures", source / "reports" / "figures", ignore=skip)
+    for path in ROOT.iterdir():
+        if path.is_file():
+            shutil.copy(path, source / path.name)
+    done = subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-d", str(out)],
+        cwd=source,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return {path.suffix: path for path in out.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def installed(built, tmp_path_factory):
+    """A folder with nothing but the wheel's content, installed without dependencies."""
+    site = tmp_path_factory.mktemp("site")
+    with zipfile.ZipFile(built[".whl"]) as wheel:
+        wheel.extractall(site)
+    return site
+
+
+def test_the_wheel_has_everything_that_the_package_reads(built):
+    names = set(zipfile.ZipFile(built[".whl"]).namelist())
+    tracked = [path.relative_to(ROOT) for path in (ROOT / "trustlab").rglob("*") if path.is_file()]
+    expected = {path.as_posix() for path in tracked if "__pycache__" not in path.parts}
+    expected |= {f"trustlab/data/published/{path.name}" for path in (ROOT / "data" / "published").iterdir()}
+    assert expected - names == set()
+    assert not any(name.startswith(("tests/", "benchmarks/")) for name in names)
+
+
+def test_the_sdist_can_be_tested(built):
+    names = {name.split("/", 1)[-1] for name in tarfile.open(built[".gz"]).getnames()}
+    assert {
+        "pyproject.toml",
+        "LICENSE",
+        "README.md",
+        "environment.lock",
+        "Makefile",
+        "tests/conftest.py",
+    } <= names
+    assert {f"data/published/{path.name}" for path in (ROOT / "data" / "published").iterdir()} <= names
+
+
+def test_there_are_blocks():
+    assert len(BLOCKS) >= 8
+
+
+@pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.splitlines()[2][:40])
+def test_block_runs(block, installed, tmp_path):
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    (tmp_path / "my_lab.toml").write_text(RECIPE)
+    for folder in ("p3", "study/p3"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "run1.csv").write_text(LOG)
+    check = f"import trustlab\nassert trustlab.__file__.startswith({str(installed)!r}), trustlab.__file__\n"
+    done = subprocess.run(
+        [sys.executable, "-c", check + block],
+        cwd=tmp_path,
+        env=os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": str(installed)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.strip()
