@@ -68,4 +68,4 @@ clean:  ## remove the environment, the caches and what was generated
 	find trustlab tests benchmarks data notebooks -name __pycache__ -prune -exec rm -rf {} +
 
 help:  ## this list
-	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile

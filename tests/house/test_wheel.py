@@ -30,9 +30,7 @@ def built(tmp_path_factory):
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
     skip = shutil.ignore_patterns("__pycache__", "external", ".ipynb_checkpoints")
     for name in ("trustlab", "data", "tests", "notebooks", "benchmarks"):
-        shutil.copytree(
-            ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "external", ".venv")
-        )
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "external", ".venv"))
     shutil.copytree(ROOT / "reports" / "figures", source / "reports" / "figures", ignore=skip)
     for path in ROOT.iterdir():
         if path.is_file():
@@ -66,7 +64,8 @@ def test_the_wheel_has_everything_that_the_package_reads(built):
 
 
 def test_the_sdist_can_be_tested(built):
-    names = {name.split("/", 1)[-1] for name in tarfile.open(built[".gz"]).getnames()}
+    with tarfile.open(built[".gz"]) as sdist:
+        names = {name.split("/", 1)[-1] for name in sdist.getnames()}
     assert {
         "pyproject.toml",
         "LICENSE",

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import between, finite_array, in_order, positive, whole_number
+from trustlab.models.compiled import njit
 from trustlab.models.uav import TransferFunction, three_axes
 
 DEGREE = 10
@@ -20,7 +20,7 @@ APPENDIX_A = (
 """The vehicle as the state equations of Appendix A have it; (A.1) prints 1.475 and 0.4952 for the same numbers."""
 
 
-@numba.njit(cache=True)
+@njit
 def best_share(weights, states, low, high):
     """
     Return the α in [low, high] of least cost and that cost.
@@ -72,7 +72,7 @@ def best_share(weights, states, low, high):
     return best, least
 
 
-@numba.njit(cache=True)
+@njit
 def _chebyshev(series, x):
     """Return Σ c_m T_m(x) by Clenshaw's recurrence."""
     one = two = 0.0

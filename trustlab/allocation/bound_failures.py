@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import pandas as pd
 
@@ -10,6 +9,7 @@ from trustlab.allocation.cycle.invariant_bounds import InvariantBounds, invarian
 from trustlab.allocation.limits import threshold_limits
 from trustlab.allocation.steady_state import SteadyStateBounds, steady_state_bounds
 from trustlab.models.checks import of_class, whole_number
+from trustlab.models.compiled import njit
 from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc_at
@@ -35,7 +35,7 @@ class Extremes(NamedTuple):
     switches: int
 
 
-@numba.njit(cache=True)
+@njit
 def steady_extremes(r, p_r, lower, upper, c, settling, returns, recorded):
     """
     Simulate (2.8) in the manual mode from r and P_r and return the extremes of `recorded` samples.

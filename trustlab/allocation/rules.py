@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
-import numba
-
 from trustlab.allocation.limits import check_order
 from trustlab.models.checks import finite_number, in_order, not_negative, whole_number
+from trustlab.models.compiled import njit
 from trustlab.models.tsc import threshold_mode
 
 PERFORMANCE_TOLERANCE = 0.05
@@ -13,7 +12,7 @@ PERFORMANCE_TOLERANCE = 0.05
 which a measured performance never meets exactly; 0.05 is half-way to 0.9 (P_max − P_min), where manual is suggested."""
 
 
-@numba.njit(cache=True)
+@njit
 def performance_suggestion(p_r, p_min, p_max, tolerance=PERFORMANCE_TOLERANCE):
     """Return what Algorithm 2 suggests: 0 near P_max, 1 up to P_min + 0.9(P_max − P_min), −1 (nothing) between."""
     if p_r >= p_max - tolerance * (p_max - p_min):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
 from trustlab.allocation.limits import check_thresholds
 from trustlab.models.checks import between, finite_number, whole_number
+from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc_at
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ MOST_STEPS = 100_000_000
 """Longest simulation: 40 bytes are kept of every sample."""
 
 
-@numba.njit(cache=True)
+@njit
 def simulate_rule(start_r, start_p_r, mode, lower, upper, c, r, p_r, p_h, tsc, modes):
     """Fill five columns with the model under rule (2.8); the mode follows from TSC of the same sample."""
     now_r, now_p_r = start_r, start_p_r

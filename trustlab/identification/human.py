@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 
-import numba
 import numpy as np
 
 from trustlab.identification.fit_result import FitResult
@@ -11,6 +10,7 @@ from trustlab.identification.output_error import Problem
 from trustlab.identification.regression import regression, simulated_result
 from trustlab.identification.runs import Run, block_means, joined, read_runs
 from trustlab.identification.structure import UNIT_MARGIN, Coordinate, IdentificationError, Parameter, Structure
+from trustlab.models.compiled import njit
 from trustlab.models.deprecation import warn_renamed
 from trustlab.models.human import HumanModel, performance_curve
 from trustlab.sessions.session import Session
@@ -74,7 +74,7 @@ def fit_human(
 # --- the structure -------------------------------------------------------------------------------------------------
 
 
-@numba.njit(cache=True, inline="always")
+@njit(inline="always")
 def performance_slopes(r, beta):
     """Return the Yerkes–Dodson shape of (2.6) and its derivatives by r and β."""
     if r <= 0.0 or r >= 1.0:
@@ -93,7 +93,7 @@ def performance_slopes(r, beta):
 SLOPES = np.dtype([(name, float) for name in ("a", "beta", "p_min", "p_max", "r0")])
 
 
-@numba.njit(cache=True)
+@njit
 def _simulate_with_slopes(mode, a, beta, p_min, p_max, r0, p_h, by):
     """Run (2.5)-(2.6) and their derivatives by every parameter, into `p_h` and the records `by`."""
     r, r_a, r_0 = r0, 0.0, 1.0  # utilization, and its derivatives by a and r0
@@ -179,7 +179,7 @@ def build_human(a: float, beta: float, p_min: float, p_max: float) -> HumanModel
 # --- the initial guess ---------------------------------------------------------------------------------------------
 
 
-@numba.njit(cache=True)
+@njit
 def solve_pair(s11, s12, s22, t1, t2):
     """Solve normal equations of two unknowns; NaN where they are singular."""
     determinant = s11 * s22 - s12 * s12
@@ -191,7 +191,7 @@ def solve_pair(s11, s12, s22, t1, t2):
 GRID_POINT = np.dtype([(name, float) for name in ("squares", "a", "beta", "p_min", "p_max", "r0")])
 
 
-@numba.njit(cache=True)
+@njit
 def _search_grid(mode, p_h, starts, rates, betas, rests, out):
     """Fill Σ e² and parameters at every grid point with p_max > p_min; `starts` are where runs begin and the end."""
     total = np.sum(p_h**2)

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pandas as pd
 
@@ -22,6 +21,7 @@ from trustlab.identification.regression import equations, regress
 from trustlab.identification.runs import Run, block_means, joined, read_runs
 from trustlab.identification.structure import IdentificationError, LinearForm, Parameter, Structure
 from trustlab.models.checks import one_of, positive
+from trustlab.models.compiled import njit
 from trustlab.models.robot import RobotModel
 from trustlab.sessions.session import Session
 
@@ -109,7 +109,7 @@ def fit_robot(
 SLOPES = np.dtype([(name, float) for name in ("a", "p_min", "p_max", "p_r0")])
 
 
-@numba.njit(cache=True)
+@njit
 def _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by):
     """Run (2.3) under a given P_h, and its derivatives by every parameter, into `p_r` and the records `by`."""
     now, by_a, by_min, by_max, by_0 = p_r0, 0.0, 0.0, 0.0, 1.0
@@ -220,7 +220,7 @@ def check_excitation(runs: list[Run], limits: Mapping, low: str = "p_min", high:
 # --- the initial guess ---------------------------------------------------------------------------------------------
 
 
-@numba.njit(cache=True)
+@njit
 def _best_rate(mode, p_h, p_r, starts, rates, p_h_max):
     """Return the best of some rates, with p_min and p_max; NaN where no rate determines them."""
     least, best_a, best_min, best_max = np.inf, np.nan, np.nan, np.nan

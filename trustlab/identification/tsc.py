@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 
-import numba
 import numpy as np
 
 from trustlab.identification.fit_result import FitResult
@@ -17,6 +16,7 @@ from trustlab.identification.human import (
 from trustlab.identification.robot import build_robot, check_excitation, robot_guess, robot_parameters, simulate_robot
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import Parameter, Structure
+from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
 
@@ -65,7 +65,7 @@ ROBOT = ("robot_a", "robot_p_min", "robot_p_max", "p_r0")
 BEST = OPERATOR.index("human_p_max")
 
 
-@numba.njit(cache=True)
+@njit
 def _through_operator(mode, p_h, by_h, p_h_max, a, gain, out):
     """Write the derivatives of P_r by the operator's parameters and r0, from those of P_h, into `out`, shape (N, 5)."""
     out[:1] = 0.0

@@ -21,19 +21,16 @@ import warnings
 from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numba
 
-__all__ = ["njit"]
-
 PACKAGE = Path(__file__).resolve().parents[1]
 # Every import statement of the package, inside functions as well: "from trustlab.a.b import c, d" or "import trustlab.a".
-IMPORT = re.compile(
-    r"^[ \t]*(?:from (trustlab[\w.]*) import \(?([^)#]*?)\)?|import (trustlab[\w.]+))[ \t]*$", re.M
-)
+IMPORT = re.compile(r"^[ \t]*(?:from (trustlab[\w.]*) import \(?([^)#]*?)\)?|import (trustlab[\w.]+))[ \t]*$", re.M)
 
 
-def njit(function: Callable | None = None, **options: object) -> Callable:
+def njit(function: Callable | None = None, **options: object) -> Any:
     """Compile a function in numba's nopython mode and cache it on disk; options are those of `numba.njit`."""
     if function is None:
         return functools.partial(njit, **options)
@@ -95,13 +92,9 @@ def _imported(path: Path) -> list[Path]:
     """Return the files of the package that a file imports from."""
     modules = []
     for origin, names, module in IMPORT.findall(_source(path).decode()):
-        modules += (
-            [module] if module else [origin, *(f"{origin}.{name.strip()}" for name in names.split(","))]
-        )
+        modules += [module] if module else [origin, *(f"{origin}.{name.strip()}" for name in names.split(","))]
     bases = {PACKAGE.joinpath(*module.split(".")[1:]) for module in modules}
-    return [
-        file for base in bases for file in (base.with_suffix(".py"), base / "__init__.py") if file.is_file()
-    ]
+    return [file for base in bases for file in (base.with_suffix(".py"), base / "__init__.py") if file.is_file()]
 
 
 @functools.cache

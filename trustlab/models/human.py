@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import between, in_order, mode_array, open_unit
+from trustlab.models.compiled import njit
 from trustlab.models.deprecation import warn_renamed
 
 
-@numba.njit(cache=True)
+@njit
 def yerkes_dodson(r, beta):
     """Return (r/β)^β ((1 − r)/(1 − β))^(1 − β): 0 at r = 0 and 1, 1 at r = β."""
     if r <= 0.0 or r >= 1.0:
@@ -18,19 +18,19 @@ def yerkes_dodson(r, beta):
     return np.exp(beta * np.log(r / beta) + (1.0 - beta) * np.log((1.0 - r) / (1.0 - beta)))
 
 
-@numba.njit(cache=True)
+@njit
 def next_utilization(r, mode, a):
     """Return utilization one sample later, (2.5)."""
     return a * r + (1.0 - a) * mode
 
 
-@numba.njit(cache=True)
+@njit
 def performance_at(r, beta, p_min, p_max):
     """Return human performance at utilization r, (2.6)."""
     return (p_max - p_min) * yerkes_dodson(r, beta) + p_min
 
 
-@numba.njit(cache=True)
+@njit
 def performance_range(low, high, beta, p_min, p_max):
     """Return the least and greatest P_h of (2.6) over utilizations in [low, high]."""
     # (2.6) is concave with its maximum at β: the minimum is at an end, and so is the maximum unless β lies between.
@@ -38,7 +38,7 @@ def performance_range(low, high, beta, p_min, p_max):
     return min(at_low, at_high), p_max if low <= beta <= high else max(at_low, at_high)
 
 
-@numba.njit(cache=True)
+@njit
 def human_performance(mode, a, beta, p_min, p_max, r0):
     """Simulate (2.5) from `r0` and evaluate (2.6) at each sample."""
     r = np.empty(mode.size)
@@ -51,7 +51,7 @@ def human_performance(mode, a, beta, p_min, p_max, r0):
     return r, p_h
 
 
-@numba.njit(cache=True)
+@njit
 def performance_curve(r, beta, p_min, p_max):
     """Evaluate (2.6) at each utilization in `r`."""
     p_h = np.empty(r.size)

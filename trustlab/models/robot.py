@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number, in_order, mode_array, open_unit, positive
+from trustlab.models.compiled import njit
 
 
 def gain_of_human_performance(a, p_min, p_max, p_h_max):
@@ -13,13 +13,13 @@ def gain_of_human_performance(a, p_min, p_max, p_h_max):
     return (1.0 - a) * (p_max - p_min) / p_h_max
 
 
-@numba.njit(cache=True)
+@njit
 def next_performance(p_r, p_h, mode, a, b, p_min):
     """Return robot performance one sample later, (2.3)."""
     return a * p_r + (1.0 - a) * p_min + mode * b * p_h
 
 
-@numba.njit(cache=True)
+@njit
 def robot_performance(mode, p_h, a, b, p_min, p_r0):
     """Simulate (2.3) from `p_r0`; the last sample of `mode` and `p_h` does not affect the result."""
     p_r = np.empty(mode.size)

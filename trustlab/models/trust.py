@@ -3,26 +3,26 @@
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import array_between, between, finite_array, finite_number, in_order, positive
+from trustlab.models.compiled import njit
 from trustlab.models.deprecation import warn_renamed
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def trust_step(trust, share, decay, gain):
     """Return trust one sample later, (3.2) or (3.3), all as shares of their ranges; exact for a held performance."""
     return decay * trust + gain * (1.0 - decay) * share
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def logistic_scale(low, high, steepness, midpoint, trust):
     """Return the scale of (3.5) at a trust; tanh, unlike exp, does not overflow far from the midpoint."""
     return low + (high - low) * (0.5 * (1.0 - np.tanh(0.5 * steepness * (trust - midpoint))))
 
 
-@numba.njit(cache=True)
+@njit
 def trust_run(share, decay, gain, start):
     """Run trust, as a share of its range, over performance shares that are each held for one sample."""
     out, now = np.empty(share.size + 1), start

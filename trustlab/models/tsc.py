@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import not_negative
+from trustlab.models.compiled import njit
 from trustlab.models.human import HumanModel, next_utilization, performance_at, performance_range
 from trustlab.models.robot import RobotModel, next_performance
 
@@ -37,25 +37,25 @@ def performance_weights(p_r_min, p_r_max, p_h_min, p_h_max):
     return (p_h_max + p_h_min) / scale, (p_r_max + p_r_min) / scale
 
 
-@numba.njit(cache=True)
+@njit
 def human_at(r, c):
     """Return P_h at utilization r, (2.6)."""
     return performance_at(r, c.beta, c.p_h_min, c.p_h_max)
 
 
-@numba.njit(cache=True)
+@njit
 def human_range(low, high, c):
     """Return the least and greatest P_h over utilizations in [low, high], (2.6)."""
     return performance_range(low, high, c.beta, c.p_h_min, c.p_h_max)
 
 
-@numba.njit(cache=True)
+@njit
 def tsc_at(p_r, p_h, c):
     """Return TSC, (2.1)."""
     return c.a_T * p_r - c.b_T * p_h
 
 
-@numba.njit(cache=True)
+@njit
 def advance(r, p_r, p_h, mode, c):
     """Return r and P_r one sample later, (2.5) and (2.3); p_h is P_h at r."""
     return next_utilization(r, mode, c.a_r), next_performance(p_r, p_h, mode, c.a_pr, c.b_pr, c.p_r_min)
@@ -63,7 +63,7 @@ def advance(r, p_r, p_h, mode, c):
 
 # Inlined before it is optimized, so that loops keep its branches, which the processor predicts: as selections they would make
 # each step wait for the TSC of the one before, and a simulation take twice as long.
-@numba.njit(cache=True, inline="always")
+@njit(inline="always")
 def threshold_mode(tsc, lower, upper, mode):
     """Return the mode of rule (2.8): 0 when TSC ≥ upper, 1 when TSC ≤ lower, else `mode` unchanged."""
     if tsc >= upper:

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import between, finite_number, not_negative, of_class, positive, shown
+from trustlab.models.compiled import njit
 from trustlab.models.human import HumanModel
 from trustlab.models.tsc import TscModel
 
@@ -40,7 +40,7 @@ def check_participant(participant: str | int) -> None:
         raise ValueError(f"participant must be a name or a whole number, got {shown(participant)}")
 
 
-@numba.njit(cache=True)
+@njit
 def driving_style(performance, robot_floor, robot_gain):
     """
     Return cruising speed [m/s], wander [m] and steering activity [rad/s] for a given performance [m/s].
@@ -57,7 +57,7 @@ def driving_style(performance, robot_floor, robot_gain):
     return max(speed, 0.05), max(wander, 0.05), min(activity, 1.0)
 
 
-@numba.njit(cache=True)
+@njit
 def joystick(bearing, speed, gain, easing):
     """Return the commands v, w of a hand that steers towards what it looks at, slower the farther that is aside."""
     return speed * max(1.0 - easing * abs(bearing), 0.2), gain * bearing

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import finite_array, of_class, one_of, positive
+from trustlab.models.compiled import njit
 from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.ports import waves as equations
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts, read_wave
@@ -100,7 +100,7 @@ class Waves(NamedTuple):
     v_r: np.ndarray
 
 
-@numba.njit(cache=True)
+@njit
 def _send(r_m, f_s, near, far, alpha, beta, bounds, delays, arrives, gain, read_out, period, books, waves, f_m, r_s):
     """
     Fill `waves`, f_m and r_s, sample by sample.

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-import numba
 import numpy as np
 
+from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc_at
 
 
@@ -13,7 +13,7 @@ def suggestion_now(tsc: float, lower: float, upper: float) -> int:
     return threshold_mode.py_func(tsc, lower, upper, -1)
 
 
-@numba.njit(cache=True)
+@njit
 def follow_actions(c, target_lower, target_upper, actions_l, actions_u, r, p_r, lower, upper, mode, before):
     """
     Fill r, p_r, lower, upper (N + 1) and mode (N) from their first entries and the actions; return the cost (2.43).

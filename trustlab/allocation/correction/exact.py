@@ -44,6 +44,7 @@ from trustlab.allocation.correction.incentive import box, incentive_box
 from trustlab.allocation.correction.lower_bound import future_cost, remaining_cost
 from trustlab.allocation.correction.plan import LOWER, UPPER, CorrectionPlan, CorrectionStatus
 from trustlab.models.checks import whole_number
+from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscConstants, TscModel, advance, human_at, tsc_at
 
 SEARCHED = 25
@@ -76,7 +77,7 @@ class Solution(NamedTuple):
         return cls(np.empty((5, horizon + 1)), np.empty((2, horizon)))
 
 
-@numba.njit(cache=True)
+@njit
 def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
     """
     Fill z from z[0] with the path that is greatest at every step, given z(k) ≤ hold(k) and steps in [low, high]; return its cost.
@@ -112,7 +113,7 @@ def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
     return cost
 
 
-@numba.njit(cache=True)
+@njit
 def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions, strict):
     """Fill the best paths of both thresholds for one sequence of modes; return cost and whether (2.8) brings it about."""
     n = z.shape[1] - 1
@@ -141,7 +142,7 @@ def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions
     return cost, True
 
 
-@numba.njit(cache=True)
+@njit
 def search(constants, c_b, target, budget, start, r0, p0, before, standard, steps, thresholds, waiting, states, plan):
     """
     Search the sequences of modes from r0, p0, the thresholds `start` and the mode before; fill `states` and the actions `plan`.

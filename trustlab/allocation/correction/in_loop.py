@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from trustlab.allocation.correction.exact import SEARCHED, Solution, Workspace, search
 from trustlab.allocation.correction.plan import LOWER, UPPER
+from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscConstants, TscModel
 
 CORRECTED = np.dtype(
@@ -71,7 +71,7 @@ def no_correction() -> LoopCorrection:
     return LoopCorrection(False, False, nothing, 0.0, np.zeros(2), 1, *room)
 
 
-@numba.njit(cache=True)
+@njit
 def correct_thresholds(correction, k, r, p_r, mode):
     """Log sample k, plan, and move the thresholds on by one step; return c_l and c_u."""
     c, thresholds = TscConstants(*correction.constants), correction.thresholds

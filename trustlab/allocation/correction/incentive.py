@@ -2,10 +2,10 @@
 
 import warnings
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import between, finite_number, positive
+from trustlab.models.compiled import njit
 from trustlab.models.published import published_models
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
@@ -31,7 +31,7 @@ def incentive_box(r, p_r, c_b, p_min, p_max):
     return -0.5 * (r + share) * c_b, 0.5 * ((1.0 - r) + (1.0 - share)) * c_b
 
 
-box = numba.njit(cache=True)(incentive_box)
+box = njit(incentive_box)
 
 
 def incentive_bounds(

@@ -1,10 +1,10 @@
 """Lower bounds of the cost (2.43) from some step on, which no plan can beat: for the exact engine."""
 
-import numba
 import numpy as np
 
 from trustlab.allocation.correction.phase_bound import least_effort
 from trustlab.allocation.correction.plan import LOWER, UPPER
+from trustlab.models.compiled import njit
 from trustlab.models.human import next_utilization
 from trustlab.models.robot import next_performance
 from trustlab.models.tsc import advance, human_at, human_range
@@ -16,7 +16,7 @@ BOX = np.dtype([("r_low", float), ("r_high", float), ("p_low", float), ("p_high"
 """A rectangle of states."""
 
 
-@numba.njit(cache=True)
+@njit
 def future_cost(first, n, r, p, low, high, mode, at, goal, sign, c, c_b, standard, enough):
     """
     Bound the cost from step `first` to n from below, thresholds being at most at `at` (as seen rising) there.
@@ -52,7 +52,7 @@ def future_cost(first, n, r, p, low, high, mode, at, goal, sign, c, c_b, standar
     return cost
 
 
-@numba.njit(cache=True)
+@njit
 def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, path):
     """
     Fill `path` with how far thresholds can be from step `first` to n, whatever the modes, from boxes that enclose r and P_r.
@@ -114,7 +114,7 @@ def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, 
         alive[:] = lives
 
 
-@numba.njit(cache=True)
+@njit
 def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
     """Lower `path` to what whole phases allow, for thresholds up to `ends`; return whether it stays within them."""
     before, limits = first - 1, np.empty((2, 2))
@@ -145,7 +145,7 @@ def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
     return True
 
 
-@numba.njit(cache=True)
+@njit
 def remaining_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, guess):
     """
     Bound the cost from step `first` to n from below: from boxes and, where that is long, from whole phases.

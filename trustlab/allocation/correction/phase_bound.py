@@ -19,10 +19,10 @@ that is on is the last node, START.
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from trustlab.allocation.correction.plan import LOWER, UPPER
+from trustlab.models.compiled import njit
 from trustlab.models.robot import next_performance
 from trustlab.models.tsc import human_at, human_range, tsc_at
 
@@ -58,13 +58,13 @@ class Phases(NamedTuple):
     leave: np.ndarray  # pool: the same where the phase can end there, else infinity
 
 
-@numba.njit(cache=True)
+@njit
 def is_manual(node, mode):
     """Return whether a node's phase is manual; `mode` is that of the phase that is on."""
     return mode == 1.0 if node == START else node >= CELLS
 
 
-@numba.njit(cache=True)
+@njit
 def next_cells(manual, xa, xb, t, keep):
     """Return the nodes, first and last, in which the next phase begins after t samples from r in [xa, xb]."""
     lo, hi = busy(manual, xa, t, keep, 0.0)[1], busy(manual, xb, t, keep, 0.0)[1]
@@ -72,7 +72,7 @@ def next_cells(manual, xa, xb, t, keep):
     return other + max(int((lo - 1e-9) * CELLS), 0), other + min(int((hi + 1e-9) * CELLS), CELLS - 1)
 
 
-@numba.njit(cache=True)
+@njit
 def overshoot_of_any(manual, xa, xb, met, c):
     """
     Bound how far TSC can have passed a threshold at the first sample of a phase, r being in [xa, xb] there.
@@ -96,7 +96,7 @@ def overshoot_of_any(manual, xa, xb, met, c):
     return max(c.a_T * ((1.0 - c.a_pr) * (c.p_r_min - now) + c.b_pr * before) / c.a_pr + c.b_T * bell, 0.0)
 
 
-@numba.njit(cache=True)
+@njit
 def tube(manual, xa, xb, p_low, p_high, ends, most, sign, offset, c, h, known, least, leave):
     """
     Follow one tube until its phase is over for sure; lower `least` and `leave` at each length; return length, known.
@@ -135,7 +135,7 @@ def tube(manual, xa, xb, p_low, p_high, ends, most, sign, offset, c, h, known, l
     return most, known
 
 
-@numba.njit(cache=True)
+@njit
 def busy(manual, x, t, keep, share):
     """Return Σ r over the first t samples of a phase that begins at r = x, and r after it; keep is a_r^t, share its sum."""
     if manual:
@@ -143,7 +143,7 @@ def busy(manual, x, t, keep, share):
     return x * share, x * keep
 
 
-@numba.njit(cache=True)
+@njit
 def edge(manual, xa, xb, t, keep, share, sign, v):
     """Return the least of sign·Σ r + v·(r after − r before) over x in [xa, xb], which is linear in x."""
     sum_a, after_a = busy(manual, xa, t, keep, share)
@@ -151,7 +151,7 @@ def edge(manual, xa, xb, t, keep, share, sign, v):
     return min(sign * sum_a + v * (after_a - xa), sign * sum_b + v * (after_b - xb))
 
 
-@numba.njit(cache=True)
+@njit
 def all_phases(r, p, mode, k, limits, sign, c):
     """Follow the phase that is on, then one from every cell that a phase can begin in; return them and whether all was done."""
     span = c.p_r_max - c.p_r_min
@@ -215,7 +215,7 @@ def all_phases(r, p, mode, k, limits, sign, c):
     return phases, True
 
 
-@numba.njit(cache=True)
+@njit
 def shortest(mode, phases, sign, rho, v, keeps, shares, passes, dist, back, taken):
     """Fill `dist` with the shortest paths from the phase that is on; return whether nothing changes any more (Bellman–Ford)."""
     dist[:] = np.inf
@@ -248,7 +248,7 @@ def shortest(mode, phases, sign, rho, v, keeps, shares, passes, dist, back, take
     return False
 
 
-@numba.njit(cache=True)
+@njit
 def cycle_mean(mode, phases, sign, v, keeps, shares, back, taken):
     """Return the least mean of f over the cycles among the predecessors; infinity where there is none."""
     seen = np.zeros(NODES, np.int64)
@@ -275,7 +275,7 @@ def cycle_mean(mode, phases, sign, v, keeps, shares, back, taken):
     return best
 
 
-@numba.njit(cache=True)
+@njit
 def least_effort(r, p, mode, k, limits, sign, v, c):
     """
     Return ρ and D such that sign·Σ f ≥ ρ K + D over the first K ≤ k samples; D is −inf if unknown.

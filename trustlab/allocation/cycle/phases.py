@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from trustlab.models.compiled import njit
 from trustlab.models.tsc import advance, human_at, tsc_at
 
 CYCLE = np.dtype(
@@ -39,7 +39,7 @@ def longest_phase(c) -> int:
     return int(50.0 / (1.0 - max(c.a_r, c.a_pr))) + 100
 
 
-@numba.njit(cache=True)
+@njit
 def phase(manual, r, p_r, lower, upper, c, most, seen):
     """
     Simulate one phase from its first sample until TSC meets the other threshold.
@@ -67,7 +67,7 @@ def phase(manual, r, p_r, lower, upper, c, most, seen):
     return -1, r, p_r, seen
 
 
-@numba.njit(cache=True)
+@njit
 def settle(r, p_r, lower, upper, c, steps, most, known_r, known_p_r, near):
     """
     Simulate whole cycles, manual phase first, for about `steps` samples or until r and P_r come `near` a known state.
@@ -89,7 +89,7 @@ def settle(r, p_r, lower, upper, c, steps, most, known_r, known_p_r, near):
     return 0, r, p_r
 
 
-@numba.njit(cache=True)
+@njit
 def record(r, p_r, lower, upper, c, cycles, most):
     """Return a row of `CYCLE` for each of so many cycles, and what was seen in all their samples."""
     rows, seen = np.empty(cycles, CYCLE), NOTHING
@@ -101,7 +101,7 @@ def record(r, p_r, lower, upper, c, cycles, most):
     return rows, seen
 
 
-@numba.njit(cache=True)
+@njit
 def return_map(r, lower, upper, c, most):
     """
     Return utilization one cycle later if thresholds are met exactly, between samples; NaN if a phase never ends.

@@ -9,10 +9,10 @@ it is cut along TSC = threshold into one part for each dwell time.
 
 import math
 
-import numba
 import numpy as np
 
 from trustlab.allocation.cycle.propagation import overshoot
+from trustlab.models.compiled import njit
 from trustlab.models.tsc import advance, human_at, tsc_at
 
 R, P = 0, 1
@@ -31,7 +31,7 @@ SLACK = 1e-13
 """By how much TSC may be wrong through rounding; far more than it is."""
 
 
-@numba.njit(cache=True)
+@njit
 def clip(poly, k, along_r, along_p, offset, out):
     """Keep the part of a convex polygon where along_r·r + along_p·P_r + offset ≥ 0; return its number of corners."""
     kept = 0
@@ -56,13 +56,13 @@ def clip(poly, k, along_r, along_p, offset, out):
     return kept if kept > 2 else 0
 
 
-@numba.njit(cache=True)
+@njit
 def slope_at(r, bell, c):
     """Return dP_h/dr of (2.6) from r and P_h − P_h,min there."""
     return bell * (c.beta - r) / (r * (1.0 - r))
 
 
-@numba.njit(cache=True)
+@njit
 def propagate(manual, poly, k, error, target, c, most, out, corners, errors):
     """
     Propagate a polygon of states (r, P_r ± error) through one phase; return how many parts are in `out`, and the samples.
@@ -143,7 +143,7 @@ def propagate(manual, poly, k, error, target, c, most, out, corners, errors):
     return TOO_LONG, most
 
 
-@numba.njit(cache=True)
+@njit
 def propagate_cycle(poly, k, error, lower, upper, c, most, out, corners, errors):
     """Propagate a polygon through a manual and an autonomous phase, as `propagate`."""
     half = np.empty((PARTS, CORNERS, 2))
@@ -162,7 +162,7 @@ def propagate_cycle(poly, k, error, lower, upper, c, most, out, corners, errors)
     return parts, steps
 
 
-@numba.njit(cache=True)
+@njit
 def strip(low, high, over, lower, c, out):
     """Fill `out` with the four corners that enclose all states with r in [low, high] and TSC in [lower − over, lower]."""
     # P_r = (TSC + b_T P_h(r))/a_T is concave in r: from below it is enclosed by its chord, from above by its tangent.
@@ -175,7 +175,7 @@ def strip(low, high, over, lower, c, out):
     out[3, R], out[3, P] = low, (lower + c.b_T * (top - slope * (r - low))) / c.a_T + SLACK
 
 
-@numba.njit(cache=True)
+@njit
 def chord_error(poly, k, c):
     """Return by how much P_h can lie above the chord over the polygon's range of r."""
     low, high = np.inf, -np.inf
@@ -189,7 +189,7 @@ def chord_error(poly, k, c):
     return bend * (high - low) ** 2 / 8.0
 
 
-@numba.njit(cache=True)
+@njit
 def narrow(low, high, over, lower, upper, c, cells, cycles, most, budget):
     """
     Shrink r in [low, high] and overshoot up to `over`, as a manual phase begins, as far as polygons allow.

@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from trustlab.models.compiled import njit
 from trustlab.models.tsc import advance, human_at, human_range, tsc_at
 
 ROUNDING = 1e-12
@@ -44,7 +44,7 @@ class Enclosure(NamedTuple):
 NO_IMAGE = PhaseImage(np.inf, -np.inf, 0.0, np.inf, 0.0, np.inf, -np.inf, np.inf, -np.inf)
 
 
-@numba.njit(cache=True)
+@njit
 def united(a, b):
     """Return the image that encloses two images."""
     return PhaseImage(
@@ -60,7 +60,7 @@ def united(a, b):
     )
 
 
-@numba.njit(cache=True)
+@njit
 def overshoot(manual, low, high, threshold, c):
     """
     Bound by how much TSC can pass a threshold in the step that meets it, from utilizations in [low, high].
@@ -97,7 +97,7 @@ def overshoot(manual, low, high, threshold, c):
     return max(0.0, over) * (1.0 + 1e-9) + ROUNDING
 
 
-@numba.njit(cache=True)
+@njit
 def propagate(manual, low, high, tsc_low, tsc_high, target, c, most):
     """
     Propagate utilizations [low, high] with TSC in [tsc_low, tsc_high] through one phase.
@@ -136,7 +136,7 @@ def propagate(manual, low, high, tsc_low, tsc_high, target, c, most):
     return False, NO_IMAGE
 
 
-@numba.njit(cache=True)
+@njit
 def phase_image(manual, low, high, start, over, target, c, cells, most):
     """Propagate [low, high] through one phase cell by cell, TSC beginning within `over` beyond `start`; as `propagate`."""
     image = NO_IMAGE
@@ -152,7 +152,7 @@ def phase_image(manual, low, high, start, over, target, c, cells, most):
     return True, image
 
 
-@numba.njit(cache=True)
+@njit
 def enclose(low, high, over, lower, upper, c, cells, most):
     """Propagate r in [low, high] with overshoot up to `over` as a manual phase begins through one cycle."""
     ends, manual = phase_image(True, low, high, lower, over, upper, c, cells, most)
@@ -163,7 +163,7 @@ def enclose(low, high, over, lower, upper, c, cells, most):
     return Enclosure(1 if ends else -2, low, high, over, manual, first, last, autonomous)
 
 
-@numba.njit(cache=True)
+@njit
 def nest(lower, upper, c, cells, cycles, most, shrink):
     """
     Shrink the utilizations with which manual phases begin from [0, 1] until a cycle shrinks them by less than `shrink`.

@@ -9,10 +9,10 @@ as arguments this loop is three times slower.
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from trustlab.allocation.blending import best_share
+from trustlab.models.compiled import njit
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.loop.schemes import LOGISTIC, MANUAL, OPERATOR, OPTIMAL, STEP
 from trustlab.teleoperation.ports import device as haptic, guidance, waves
@@ -147,7 +147,7 @@ class Blocks(NamedTuple):
     robot: waves.RobotEnd
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def scale(numbers, trust, step):
     """Return (3.5), or (3.6) where `step`, at a trust that is a share of its range."""
     if step:
@@ -155,13 +155,13 @@ def scale(numbers, trust, step):
     return logistic_scale(numbers.low, numbers.high, numbers.steepness, numbers.midpoint, trust)
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def clip(value, reach):
     """Return value within ± reach."""
     return min(max(value, -reach), reach)
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def steer(n, auto, now, state, row):
     """Set the tracking error, the ideal command u_i and the autonomous one u_a."""
     for i in range(3):
@@ -180,7 +180,7 @@ def steer(n, auto, now, state, row):
             row.u_a[i] = clip(wanted + auto.integral * state.integral[i], auto.reach)
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def allocate(setup, n, hand, now, blend, state, row):
     """Set the scales α and β from what was measured up to the sample before."""
     allocation = setup.allocation
@@ -212,7 +212,7 @@ def allocate(setup, n, hand, now, blend, state, row):
         state.beta = scale(n.beta, state.trust_rh, allocation == STEP)
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def reach_out(n, hand, device, now, state):
     """Set the hand's force from what it sees, and the output that the device would have without feedback."""
     for i in range(3):
@@ -227,7 +227,7 @@ def reach_out(n, hand, device, now, state):
         state.free_output[i] = haptic.free_output(device, state.device[i], state.device_velocity[i], state.force[i])
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def send_one_way(setup, state, row):
     """Send the device's output to a robot from which no force comes back."""
     for i in range(3):
@@ -236,7 +236,7 @@ def send_one_way(setup, state, row):
     row.port_share = 1.0
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def exchange(setup, n, blocks, state, row):
     """
     Solve both ends of the channel, each with the port behind it.
@@ -283,7 +283,7 @@ def exchange(setup, n, blocks, state, row):
     row.port_share = share
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def move(n, hand, blocks, vehicle, now, state, row):
     """Step device and vehicle, and book the energy of every port; return storage and sizes that show divergence."""
     T, device, phi, gamma = n.sample_time, blocks.device, vehicle.phi, vehicle.gamma
@@ -315,20 +315,20 @@ def move(n, hand, blocks, vehicle, now, state, row):
     return stored, near, far
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def performance(n, miss, share, size):
     """Return (3.27) of one partner: its command's distance from the ideal one, and its share of the tracking error."""
     return max(1.0 - miss / n.command_range, 0.0) * max(1.0 - share * size / n.error_range, 0.0)
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def next_trust(trust, model, p):
     """Return trust one sample later for a performance in its own unit; performance beyond its range counts as at its end."""
     share = min(max((p - model.p_min) / (model.p_max - model.p_min), 0.0), 1.0)
     return trust_step(trust, share, model.decay, model.gain)
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def judge(n, state, row):
     """Take performance (3.26)-(3.27) over the window, log it with the trust that it found, and update trust (3.2)-(3.3)."""
     size = miss_h = miss_r = square = 0.0
@@ -353,7 +353,7 @@ def judge(n, state, row):
     state.trust_rh = next_trust(state.trust_rh, n.trust_rh, state.p_h)
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def loop_step(setup, n, hand, auto, blocks, vehicle, blend, now, state, row):
     """Do one sample: change `state`, fill `row`, and return the block that diverged, −1 when none did."""
     steer(n, auto, now, state, row)
@@ -378,7 +378,7 @@ def loop_step(setup, n, hand, auto, blocks, vehicle, blend, now, state, row):
     return -1
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def run_loop(setup, n, hand, auto, vehicle, blend, inputs, delays, arrives, accounts, states, log):
     """
     Run the loop over all inputs, one record of `log` per sample.

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import finite_array, not_negative, positive, whole_number
+from trustlab.models.compiled import njit
 
 ROUNDING = 1e-12
 
@@ -25,7 +25,7 @@ class Device(NamedTuple):
     spare: float  # K + ΛB − ΛMΛ of (3.9)
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def held_device(mass, damping, stiffness, weight, hand_stiffness, hand_damping, sample_time):
     """Return one axis of a device in a hand that is a spring and a damper."""
     held_stiffness, held_damping = stiffness + hand_stiffness, damping + hand_damping
@@ -35,28 +35,28 @@ def held_device(mass, damping, stiffness, weight, hand_stiffness, hand_damping, 
     return Device(sample_time, mass, damping, stiffness, weight, held_stiffness, inertia, lever, spare)
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def midpoint_velocity(device, x, v, force, feedback):
     """Return the velocity at the middle of the sample under the hand's force and the scaled feedback."""
     pull = 2.0 * device.mass * v / device.sample_time - device.held_stiffness * x + force - feedback
     return pull / device.inertia
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def free_output(device, x, v, force):
     """Return the output r_m that the device would have without feedback; the channel's end is solved with it."""
     pull = 2.0 * device.mass * v / device.sample_time - device.held_stiffness * x + force
     return device.lever * pull / device.inertia + device.weight * x
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def device_storage(device, x, v):
     """Return the storage of one axis, (3.9), before static scaling [J]."""
     r = v + device.weight * x
     return 0.5 * (device.mass * r * r + device.spare * x * x)
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def device_loss(device, x_middle, v_middle):
     """Return the power dissipated on one axis at the midpoint, (3.10), before static scaling [W]."""
     damped = (device.damping - device.mass * device.weight) * v_middle**2

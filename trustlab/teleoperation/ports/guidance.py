@@ -1,18 +1,18 @@
 """The guiding force at the robot's port: a spring to the target, and how the passivity controller limits what it does."""
 
-import numba
 import numpy as np
 
+from trustlab.models.compiled import njit
 from trustlab.teleoperation.ports.passivity import activation, demanded
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def guiding_force(stiffness, error):
     """Return the force −k_ffa e that the robot's port feels: the tracking error pulls the robot to its target."""
     return -stiffness * error
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def velocity_share(guard, energy, velocity, force, compliance, sample_time):
     """
     Return the share of the port's velocity that the passivity controller of Theorem 4 lets pass, 1 where it rests.

@@ -1,9 +1,9 @@
 """Reading of delayed waves: an energy ledger that never gives out more than arrived, and the two gains of (3.13)."""
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import positive, whole_number
+from trustlab.models.compiled import njit
 
 HOLD, INTERPOLATED, LEDGER = 0, 1, 2
 READ_OUTS = {"hold": HOLD, "interpolated": INTERPOLATED, "ledger": LEDGER}
@@ -22,7 +22,7 @@ def accounts() -> np.ndarray:
     return both
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def amplitude(energy, balance, pace):
     """
     Return the amplitude in [0, 1] at which the newest wave, of this energy per sample, is read.
@@ -38,7 +38,7 @@ def amplitude(energy, balance, pace):
     return np.sqrt(min(share, balance / energy))
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def read_wave(sent, arrives, k, delay, gain, read_out, sample_time, account, out):
     """
     Read the wave that arrives in sample k, sent `delay` samples before, into `out`.

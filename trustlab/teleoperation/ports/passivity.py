@@ -2,17 +2,17 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import not_negative, one_of, positive
+from trustlab.models.compiled import njit
 from trustlab.teleoperation.records import signal
 
 OFF, CANCEL, REPAY = 0, 1, 2
 METHODS = {"off": OFF, "cancel": CANCEL, "repay": REPAY}
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def demanded(method, energy, power, sample_time):
     """Return the power [W] that the port must take in this sample, or NaN where the controller rests."""
     if method == CANCEL and energy <= 0.0 and power < 0.0:
@@ -22,7 +22,7 @@ def demanded(method, energy, power, sample_time):
     return np.nan
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def activation(power, square, compliance, demand):
     """
     Return w ≥ 0 of the damping that makes a port take the power `demand`, and whether it can.

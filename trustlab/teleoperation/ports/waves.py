@@ -4,10 +4,10 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import finite_number, positive
+from trustlab.models.compiled import njit
 
 
 class OperatorEnd(NamedTuple):
@@ -32,37 +32,37 @@ class RobotEnd(NamedTuple):
 # their Python originals (`.py_func`) on whole arrays.
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def operator_end(b, beta_min, beta_max):
     """Return the coefficients at the operator's end for an impedance and the bounds of β."""
     return OperatorEnd(b, np.sqrt(2.0 * b / beta_max), np.sqrt(2.0 * b * beta_min), np.sqrt(beta_min / beta_max))
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def robot_end(b, alpha_min, alpha_max):
     """Return the coefficients at the robot's end for an impedance and the bounds of α."""
     return RobotEnd(b, np.sqrt(2.0 * b / alpha_max), np.sqrt(2.0 * alpha_min / b), np.sqrt(alpha_min / alpha_max))
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def operator_force(end, r_m, v_l):
     """Return the force f'_m at the operator's end, before its scaling by β."""
     return end.b * r_m + end.arriving * v_l
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def operator_wave(end, r_m, v_l):
     """Return the wave u_l that leaves the operator's end."""
     return end.sent * r_m + end.reflected * v_l
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def robot_velocity(end, f_s, v_r):
     """Return the velocity r'_s at the robot's end, before its scaling by α."""
     return end.arriving * v_r / end.b - f_s / end.b
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def robot_wave(end, f_s, v_r):
     """Return the wave u_r that leaves the robot's end."""
     return end.sent * f_s - end.reflected * v_r

@@ -7,9 +7,9 @@ end of the channel are one compiled function each, between records of STATE and 
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from trustlab.models.compiled import njit
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.ledger import read_wave
@@ -79,7 +79,7 @@ class FilterStep(NamedTuple):
     pole: float  # ω_c T/2
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def push_share(budget, power, pull, stir, square, drag):
     """
     Return the greatest share σ ≤ 1 of a push whose power does not exceed `power`.
@@ -97,7 +97,7 @@ def push_share(budget, power, pull, stir, square, drag):
     return min(2.0 * free / (pull + np.sqrt(pull * pull + 4.0 * stir * free)), 1.0)
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def operator_side(n, device, filters, end, beta, spendable, state, row):
     """
     Solve the operator's end of the channel with filter, device and hand, in closed form, and step the device.
@@ -149,13 +149,13 @@ def operator_side(n, device, filters, end, beta, spendable, state, row):
         state.near_force[i] += passed(filters, force, state.near_force[i])
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def passed(filters, u, held):
     """Return by how much a low-pass filter's state changes over a sample."""
     return 2.0 * filters.pole * (u - held) / (1.0 + filters.pole)
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def robot_side(filters, end, stiffness, state, row):
     """
     Solve the robots' end of the channel with filter and leader: f_s = open_force + stiffness · r_s.
@@ -180,7 +180,7 @@ def robot_side(filters, end, stiffness, state, row):
         state.far_force[i] += passed(filters, row.f_s[i], state.far_force[i])
 
 
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True)
 def filter_wave(filters, wave, held):
     """Filter a wave in place; `held` is the filter's state."""
     for i in range(3):
@@ -188,7 +188,7 @@ def filter_wave(filters, wave, held):
         held[i], wave[i] = 2.0 * middle - held[i], middle
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def run_team(
     n, values, vectors, leads, heads, robots, delays, arrives, accounts, w, z, pushed, every, states, log, modes
 ):  # fmt: skip

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number, positive
+from trustlab.models.compiled import njit
 from trustlab.teleoperation.records import signal
 
 CORNERS = ((0.0, 0.0), (13.0, 0.0), (13.0, 8.5), (8.75, 8.5), (8.75, 4.75), (4.25, 4.75), (4.25, 8.5), (0.0, 8.5))
@@ -15,7 +15,7 @@ FARTHEST = 1e5
 """How far from the origin a corner may lie [m]."""
 
 
-@numba.njit(cache=True)
+@njit
 def nearest_point(x, y, path):
     """Return the nearest point of a closed polyline, its arc length and its distance: x, y, s, e."""
     best, best_x, best_y, best_s = np.inf, 0.0, 0.0, 0.0
@@ -31,7 +31,7 @@ def nearest_point(x, y, path):
     return best_x, best_y, best_s, np.sqrt(best)
 
 
-@numba.njit(cache=True)
+@njit
 def path_point(s, path):
     """Return the point of a closed polyline at arc length `s` and the unit tangent there: x, y, tx, ty."""
     last = path.shape[0] - 1

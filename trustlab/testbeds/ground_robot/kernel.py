@@ -6,12 +6,12 @@ The loop that drives the ground robot: one step of operator, allocation and robo
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from trustlab.allocation.correction.in_loop import correct_thresholds
 from trustlab.allocation.correction.plan import LOWER, UPPER
 from trustlab.allocation.rules import performance_suggestion
+from trustlab.models.compiled import njit
 from trustlab.models.human import next_utilization, performance_at
 from trustlab.models.tsc import threshold_mode
 from trustlab.operators.ground_robot import driving_style, joystick
@@ -69,20 +69,20 @@ class Task(NamedTuple):
     r0: float
 
 
-@numba.njit(cache=True)
+@njit
 def reaction(person, mind):
     """Return the time between a decision and the hand's doing it [s]; its logarithm is normal."""
     return person.reaction_lag * np.exp(person.reaction_spread * mind.standard_normal())
 
 
-@numba.njit(cache=True)
+@njit
 def limited(command, now, largest, step):
     """Return the speed that follows `now`, at most `step` away from it and at most `largest` in size."""
     change = min(max(command - now, -step), step)
     return min(max(now + change, -largest), largest)
 
 
-@numba.njit(cache=True)
+@njit
 def operate(person, robot, dt, before, arc, path, state, hand):
     """
     Move the operator's hand: it acts on where the robot was a delay ago (`before`, a row of the log, at arc length `arc`).
@@ -108,7 +108,7 @@ def operate(person, robot, dt, before, arc, path, state, hand):
     state.w_hand = min(max(state.w_hand, -robot.max_turn_rate), robot.max_turn_rate)
 
 
-@numba.njit(cache=True)
+@njit
 def correct(correction, task, k, t, state):
     """Move the thresholds of the suggestions by one step of (2.40), and the operator's own ones with them if adopted."""
     corrected_l, corrected_u = correction.thresholds[LOWER], correction.thresholds[UPPER]
@@ -126,7 +126,7 @@ def correct(correction, task, k, t, state):
         state.shift_l, state.shift_u = state.shift_l + c_l, state.shift_u + c_u
 
 
-@numba.njit(cache=True)
+@njit
 def own_decision(person, t, state, mind):
     """Let the operator decide by thresholds of TSC of their own (C1)."""
     if state.decided < 0 and threshold_mode(state.tsc, state.lower, state.upper, state.mode) != state.mode:
@@ -134,7 +134,7 @@ def own_decision(person, t, state, mind):
         state.due = t + reaction(person, mind)
 
 
-@numba.njit(cache=True)
+@njit
 def consider(task, person, t, state, mind):
     """Make the suggestion of the scheme (C2–C5), and let the operator decide once per suggestion whether to follow."""
     if task.scheme == TSC:
@@ -156,7 +156,7 @@ def consider(task, person, t, state, mind):
         state.episode_seen = t
 
 
-@numba.njit(cache=True)
+@njit
 def allocate(task, person, scheduled, t, state, mind):
     """Set who drives in this sample."""
     before = state.mode
@@ -179,7 +179,7 @@ def allocate(task, person, scheduled, t, state, mind):
             state.upper = task.upper + state.shift_u + person.upper_spread * mind.standard_normal()
 
 
-@numba.njit(cache=True)
+@njit
 def roll(robot, dt, path, posts, found, state, sensing):
     """Let the robot scan, follow the hand or its own controller, and move; its odometry drifts with distance."""
     est_yaw = state.yaw + state.heading_error
@@ -217,7 +217,7 @@ def roll(robot, dt, path, posts, found, state, sensing):
     state.heading_error += robot.heading_noise * np.sqrt(step) * sensing.standard_normal()
 
 
-@numba.njit(cache=True)
+@njit
 def start(task, path, robot, person, state, hand, mind):
     """Put the robot on the path, rolling, and draw the operator's first thresholds."""
     state.x, state.y, tx, ty = path_point(0.0, path)
@@ -232,7 +232,7 @@ def start(task, path, robot, person, state, hand, mind):
         state.upper += person.upper_spread * mind.standard_normal()
 
 
-@numba.njit(cache=True)
+@njit
 def drive(
     task, schedule, path, posts, robot, person, sensing, hand, mind, states, log, lap_times, correction
 ):  # fmt: skip

@@ -3,19 +3,19 @@
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from trustlab.models.checks import finite_number, not_negative, positive
+from trustlab.models.compiled import njit
 
 
-@numba.njit(cache=True)
+@njit
 def wrapped(angle):
     """Return the angle in (−π, π]."""
     return np.arctan2(np.sin(angle), np.cos(angle))
 
 
-@numba.njit(cache=True)
+@njit
 def scan(x, y, yaw, est_x, est_y, est_yaw, posts, robot, rng, offsets):
     """Compare posts seen with where the estimate has them: mean offset dx, dy, turn of the pattern, number seen."""
     mean_x, mean_y, mean_px, mean_py, seen = 0.0, 0.0, 0.0, 0.0, 0
