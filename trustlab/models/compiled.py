@@ -30,7 +30,7 @@ PACKAGE = Path(__file__).resolve().parents[1]
 IMPORT = re.compile(r"^[ \t]*(?:from (trustlab[\w.]*) import \(?([^)#]*?)\)?|import (trustlab[\w.]+))[ \t]*$", re.M)
 
 
-def njit(function: Callable | None = None, **options: object) -> Any:
+def njit(function: Callable | None = None, **options: Any) -> Any:
     """Compile a function in numba's nopython mode and cache it on disk; options are those of `numba.njit`."""
     if function is None:
         return functools.partial(njit, **options)
