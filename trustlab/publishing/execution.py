@@ -52,6 +52,8 @@ class Kernels:
             async def start_kernel(self, **options: Any) -> None:  # type: ignore[override]  # theirs is an alias
                 own = {"IPYTHONDIR": str(Path(scratch, "ipython"))}  # nobody's own start-up files
                 options |= {"cwd": str(kernels.folder), "env": kernels.environment | own}
+                # At its end a kernel is interrupted first, and would log that as an error.
+                options["extra_arguments"] = [*options.get("extra_arguments", []), "--log-level=CRITICAL"]
                 kernels.running.append(self)
                 await super().start_kernel(**options)
                 if kernels.ended:  # interrupted while this kernel started
