@@ -14,10 +14,10 @@ import trustlab as tl
 from benchmarks.peers.plain_loop import PlainLoop
 from benchmarks.timing import Row, here, in_turns
 from benchmarks.workers import PeerMissingError, Worker
+from trustlab.teleoperation.loop import kernel
 from trustlab.teleoperation.loop.kernel import STATE, run_loop
 from trustlab.teleoperation.loop.settings import STUDIES
 from trustlab.teleoperation.ports.ledger import accounts
-from trustlab.testbeds import uav_tracking
 
 TITLE = "Teleoperation"
 DURATION, PERIOD = 120.0, 0.001
@@ -44,7 +44,7 @@ def captured(**arguments) -> tuple[dict, tl.Session]:
         seen.update(zip(GIVEN, given, strict=True))
         return run_loop(*given)
 
-    with patch.object(uav_tracking, "run_loop", keep):
+    with patch.object(kernel, "run_loop", keep):
         run = tl.simulate_teleoperation(**arguments)
     return seen, run
 
