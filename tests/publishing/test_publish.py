@@ -178,7 +178,7 @@ def test_command_line_tells_of_failure_and_builds_what_was_deleted(world, capsys
     said = capsys.readouterr()
     assert "03_plain … built" in said.out
     assert (checkout.reports / "03_plain.html").is_file()
-    assert "02_bad, cell 3" in said.err
+    assert "02_bad in cell 3" in said.err
     assert "    y = 1 / x" in said.err
     assert "ZeroDivisionError" in said.err
     assert str(checkout.reports / "index.html") in said.out

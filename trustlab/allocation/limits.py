@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from trustlab.models.checks import between, finite_number, in_order, not_negative, of_class
+from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
 
 
@@ -115,12 +116,11 @@ class ThresholdLimits:
         return f"TSC_lb = {self.lower:.4f} and TSC_ub = {self.upper:.4f} at δ_Ph = {self.delta_p_h:.3g}"
 
     def _repr_html_(self) -> str:
+        import pandas as pd
+
         room = "thresholds fit between them" if self.feasible else "no thresholds fit between them (Remark 4)"
-        return (
-            "<table><tr><th>TSC_lb</th><th>TSC_ub</th><th>δ_Ph</th><th>feasible</th></tr>"
-            f"<tr><td>{self.lower:.4f}</td><td>{self.upper:.4f}</td><td>{self.delta_p_h:.3g}</td><td>{self.feasible}: "
-            f"{room}</td></tr></table>"
-        )
+        columns = {"TSC_lb": self.lower, "TSC_ub": self.upper, "δ_Ph": self.delta_p_h, "feasible": self.feasible}
+        return as_html(room, pd.DataFrame([columns]))
 
     def __repr__(self) -> str:
         return (

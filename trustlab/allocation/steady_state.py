@@ -11,6 +11,7 @@ from trustlab.allocation.cycle.phases import longest_phase
 from trustlab.allocation.limits import check_thresholds, step_bounds, threshold_limits
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.models.checks import between
+from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
 
 
@@ -58,7 +59,7 @@ class SteadyStateBounds:
     upper: float = math.nan
 
     def _repr_html_(self) -> str:
-        return f"<p>Bounds as printed, δ_TSC = {self.delta_tsc:.3g}</p>{self.table().to_html(float_format='%.4g')}"
+        return as_html(f"Bounds as printed, δ_TSC = {self.delta_tsc:.3g}", self.table())
 
     def __repr__(self) -> str:
         return (

@@ -1,6 +1,5 @@
 """Choosing thresholds, Algorithm 1 as an optimisation."""
 
-import html
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ from trustlab.allocation.cycle.invariant_bounds import InvariantBounds, invarian
 from trustlab.allocation.cycle.limit_cycle import LimitCycle, limit_cycle
 from trustlab.allocation.limits import ThresholdLimits, check_thresholds, threshold_limits
 from trustlab.models.checks import finite_number, of_class, whole_number
+from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 
 
@@ -63,8 +63,8 @@ class ThresholdChoice:
         return cycle.assign(bound_low=bounds["low"], bound_high=bounds["high"])
 
     def _repr_html_(self) -> str:
-        head = f"<b>TSC_l = {self.lower:.4f}, TSC_u = {self.upper:.4f}</b>. {html.escape(self.message)}"
-        return f"<p>{head}</p>{self.table().to_html(float_format='%.4g')}"
+        title = f"TSC_l = {self.lower:.4f}, TSC_u = {self.upper:.4f}"
+        return as_html(self.message, self.table(), title=title)
 
     def __repr__(self) -> str:
         return (

@@ -11,6 +11,7 @@ from trustlab.identification.residuals import ljung_box, pooled_autocorrelation,
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import Structure
 from trustlab.models.checks import one_of, open_unit, whole_number
+from trustlab.models.html import as_html
 from trustlab.sessions.plots import shade_manual
 
 LABELS = {"p_r": "robot performance $P_r$", "p_h": "human performance $P_h$"}
@@ -292,10 +293,8 @@ class FitResult:
         percent = f"{fit:.2f} %" if isinstance(fit, float) else ", ".join(f"{k} {v:.2f} %" for k, v in fit.items())
         origin = " Synthetic data." if self.synthetic else ""
         samples = sum(run.t.size for run in self.runs)
-        return (
-            f"<p><b>{type(self.model).__name__}</b> by {self.method}: {len(self.runs)} run(s), {samples} samples, "
-            f"fit {percent}.{origin} {self.message}</p>{self.table().to_html(float_format='{:.6g}'.format)}"
-        )
+        words = f"{len(self.runs)} run(s), {samples} samples, fit {percent}.{origin} {self.message}"
+        return as_html(words, self.table(), title=f"{type(self.model).__name__} by {self.method}")
 
 
 def gradient(function: Callable, names: Iterable[str], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ from trustlab.identification.fit_result import FitResult, gradient, parameter_ta
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import IdentificationError, Structure
 from trustlab.models.checks import whole_number
+from trustlab.models.html import as_html
 
 CONDITION_LIMIT = 1e5
 """Up to this condition number (equilibrated) the normal equations are used, beyond it a singular value decomposition."""
@@ -81,7 +82,7 @@ class ArxResult:
         return with_intervals(table, level, self.degrees_of_freedom)
 
     def _repr_html_(self) -> str:
-        return f"<p><b>ARX</b>, {self.residuals.size} equations</p>{self.table().to_html()}"
+        return as_html(f"{self.residuals.size} equations", self.table(), title="ARX")
 
 
 class LeastSquares(NamedTuple):

@@ -33,8 +33,7 @@ def _jobs(text: str) -> int | str:
 
 def _complain(built: Built) -> None:
     failure = built.failure or {}
-    where = f", cell {failure['cell']}" if failure["cell"] is not None else ""
-    words = [f"\n── {built.name}{where} ──", textwrap.indent(failure["source"], "    "), ""]
+    words = [f"\n── {built.name}{built.where} ──", textwrap.indent(failure["source"], "    "), ""]
     print(*words, failure["traceback"], "", sep="\n", file=sys.stderr, flush=True)
 
 

@@ -44,8 +44,7 @@ def _card(checkout: Checkout, notebook: Path, shared: str) -> dict:
     page = checkout.reports / f"{name}.html"
     card = {"title": record.get("title", name), "mark": name[:2], "thumbnail": record.get("thumbnail", "")}
     if failure:
-        where = f" in cell {failure['cell']}" if failure.get("cell") else ""
-        return card | {"failure": failure | {"where": f"failed{where}"}, "facts": name}
+        return card | {"failure": failure, "facts": name}
     if not record or not page.is_file():
         return {"title": name, "mark": name[:2], "facts": name}
     facts = [name, duration(record["seconds"]), f"{record['started'][:16].replace('T', ' ')} UTC"]

@@ -46,6 +46,11 @@ class Built:
     seconds: float = 0.0
     failure: dict | None = None
 
+    @property
+    def where(self) -> str:
+        """The cell that failed, in words; empty where it is none's."""
+        return f" in cell {self.failure['cell']}" if self.failure and self.failure.get("cell") else ""
+
 
 def find_notebooks(checkout: Checkout, names: Iterable[str] = ()) -> list[Path]:
     """Return the files ``NN_*.ipynb`` in order; those that `names` name, in full or by their beginning, or all."""
@@ -175,14 +180,6 @@ def _keep(checkout: Checkout, name: str, result: dict[str, Any], record: dict[st
     return Built(name, "failed" if failure else "built", result["seconds"], failure)
 
 
-def _told(built: Built) -> str:
-    """Return the line of progress of one finished notebook."""
-    if built.failure is None:
-        return f"{built.name} … built in {duration(built.seconds)}"
-    where = f" in cell {built.failure['cell']}" if built.failure["cell"] is not None else ""
-    return f"{built.name} … FAILED{where} after {duration(built.seconds)}"
-
-
 def publish(
     names: Iterable[str] = (),
     *,
@@ -260,7 +257,8 @@ def publish(
                 "parameters": {name: repr(value) for name, value in given[path].items()},
             }
             done[path] = _keep(checkout, path.stem, run.result(), record)
-            say(_told(done[path]))
+            became = f"FAILED{done[path].where} after" if done[path].failure else "built in"
+            say(f"{path.stem} … {became} {duration(done[path].seconds)}")
             if done[path].failure and on_failure:
                 on_failure(done[path])
     except BaseException:  # an interrupt too: no kernel outlives the command

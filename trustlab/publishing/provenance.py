@@ -31,13 +31,7 @@ def commit(root: str | Path) -> str:
 
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages that results depend on, by name."""
-    found = {"python": platform.python_version()}
-    for name in LISTED:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+    return {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in LISTED}
 
 
 def provenance(

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.deprecation import warn_renamed
+from trustlab.models.html import as_html
 from trustlab.sessions.checks import check_column, check_time
 from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.metadata import Metadata
@@ -240,8 +241,8 @@ class Session:
         return plot_session(self, columns)
 
     def _repr_html_(self) -> str:
-        head = f"<b>Session</b>: {self.label}; {len(self)} samples at {self.sample_time:g} s"
-        return f"<p>{head}</p>{self.data.describe().T.to_html(float_format='{:.4g}'.format)}"
+        words = f"{self.label}; {len(self)} samples at {self.sample_time:g} s"
+        return as_html(words, self.data.describe().T, title="Session")
 
     def __repr__(self) -> str:
         more = f"; metadata.more: {', '.join(map(str, self.metadata.more))}" if self.metadata.more else ""

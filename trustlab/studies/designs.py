@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import of_class, spawned, whole_number
+from trustlab.models.html import as_html
 from trustlab.studies.columns import column_of, refuse_missing_labels
 
 
@@ -135,11 +136,9 @@ class DesignBalance:
 
     def _repr_html_(self) -> str:
         words = {True: "balanced", False: "not balanced"}
-        follows = self.carry_over.to_html(float_format="%.0f", na_rep="")
-        return (
-            f"<p>Positions: {words[self.balanced_positions]}</p>{self.positions._repr_html_()}"
-            f"<p>First-order carry-over (row before column): {words[self.balanced_carry_over]}</p>"
-            f"{follows}"
+        follows = f"First-order carry-over (row before column): {words[self.balanced_carry_over]}"
+        return as_html(f"Positions: {words[self.balanced_positions]}", self.positions) + as_html(
+            follows, self.carry_over
         )
 
 
@@ -228,7 +227,7 @@ class LatinSquareDesign:
         return design_balance(self.orders())
 
     def _repr_html_(self) -> str:
-        return f"{self.table()._repr_html_()}<p>{len(self.square)} orders in a square, seed {self.seed}</p>"
+        return as_html(f"{len(self.square)} orders in a square, seed {self.seed}", self.table())
 
 
 def latin_square_design(

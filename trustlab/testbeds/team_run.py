@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from trustlab.models.html import as_html
 from trustlab.sessions.session import Metadata, Session
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ class TeamRun:
         return f"TeamRun({self.label}: {state}, {len(self.switches)} switches in {self.t[-1]:.0f} s)"
 
     def _repr_html_(self) -> str:
-        return self.summary().T.set_axis([""], axis=1).to_html()
+        return as_html("", self.summary().T.set_axis([""], axis=1), title=self.label)
 
     def plot(self, axes=None):
         """

@@ -1,6 +1,7 @@
 """A simulated team as a moving picture without a script: an SVG whose robots, links and force are animated by the SVG itself."""
 
 import html
+from collections.abc import Iterable
 from pathlib import Path
 from string import Template
 
@@ -15,6 +16,7 @@ PICTURE = Path(__file__).with_name("team_picture.svg")
 SIDE, TOP, LEFT = 340, 40, 30
 DIAL_X, DIAL_Y, DIAL = 505, 170, 90
 LEADER, FOLLOWER = "#d55e00", "#0072b2"
+DISCRETE = 'calcMode="discrete"'  # from colour to colour, nothing between
 
 
 def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
@@ -32,14 +34,14 @@ def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
     most = max(float(np.linalg.norm(force, axis=1).max()), 1e-9)
     tip = np.array([DIAL_X, DIAL_Y]) + DIAL * force / most * np.array([1.0, -1.0])
 
-    changes = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1])
+    colours = np.where(number[:, None] == np.arange(len(run.robots)), LEADER, FOLLOWER)
     links = [
         f'<line stroke="#aaa">{_moving(lasting, x1=x[:, i], y1=y[:, i], x2=x[:, j], y2=y[:, j])}</line>'
         for i, j in np.argwhere(np.triu(run.adjacency))
     ]
     robots = [
-        f'<circle cx="{x[0, i]:.1f}" cy="{y[0, i]:.1f}" r="6" stroke="#fff" fill="{LEADER if number[0] == i else FOLLOWER}">'
-        f"{_moving(lasting, cx=x[:, i], cy=y[:, i])}{_turning(number == i, changes, lasting)}</circle>"
+        f'<circle cx="{x[0, i]:.1f}" cy="{y[0, i]:.1f}" r="6" stroke="#fff" fill="{colours[0, i]}">'
+        f"{_moving(lasting, cx=x[:, i], cy=y[:, i])}{_animation('fill', colours[:, i], lasting, DISCRETE)}</circle>"
         for i in range(len(run.robots))
     ]
     return Template(PICTURE.read_text(encoding="utf-8")).substitute(
@@ -73,18 +75,10 @@ def _on_picture(points: np.ndarray, middle: np.ndarray, span: float) -> tuple[np
 
 def _moving(lasting: float, **attributes: np.ndarray) -> str:
     """Return animations of attributes that run through their values."""
-    parts = []
-    for name, values in attributes.items():
-        told = ";".join(f"{value:.1f}" for value in values)
-        parts.append(f'<animate attributeName="{name}" values="{told}" dur="{lasting:g}s" repeatCount="indefinite"/>')
-    return "".join(parts)
+    return "".join(_animation(name, [f"{v:.1f}" for v in values], lasting) for name, values in attributes.items())
 
 
-def _turning(leads: np.ndarray, changes: np.ndarray, lasting: float) -> str:
-    """Return an animation of a robot's colour, which changes as it takes the lead and loses it."""
-    colours = ";".join(LEADER if leads[change] else FOLLOWER for change in changes)
-    moments = ";".join(f"{change / (FRAMES - 1):.4f}" for change in changes)
-    return (
-        f'<animate attributeName="fill" values="{colours}" keyTimes="{moments}" calcMode="discrete" dur="{lasting:g}s" '
-        'repeatCount="indefinite"/>'
-    )
+def _animation(name: str, values: Iterable[str], lasting: float, more: str = "") -> str:
+    """Return an animation of one attribute, without end."""
+    told = ";".join(values)
+    return f'<animate attributeName="{name}" values="{told}" dur="{lasting:g}s" repeatCount="indefinite" {more}/>'

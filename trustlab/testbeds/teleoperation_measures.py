@@ -37,18 +37,21 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
     SessionError
         If a run lacks a column.
     """
-    runs = [sessions] if isinstance(sessions, Session) else list(sessions)
-    if not runs:
-        raise ValueError("sessions is empty: give at least one run of simulate_teleoperation")
-    rows = []
-    for number, run in enumerate(runs):
-        of_class(f"sessions[{number}]", run, Session)
-        run.require(*SIGNALS, *ENERGIES)
-        rows.append(_measures(run))
-    frame = pd.DataFrame(rows)
+    runs = runs_with(sessions, *SIGNALS, *ENERGIES)
+    frame = pd.DataFrame([_measures(run) for run in runs])
     if any(run.metadata.synthetic for run in runs):
         frame.attrs["origin"] = "simulated operators"
     return frame
+
+
+def runs_with(sessions: Session | Iterable[Session], *columns: str) -> list[Session]:
+    """Return the runs, at least one and each with the columns."""
+    runs = [sessions] if isinstance(sessions, Session) else list(sessions)
+    if not runs:
+        raise ValueError("sessions is empty: give at least one run of simulate_teleoperation")
+    for number, run in enumerate(runs):
+        of_class(f"sessions[{number}]", run, Session).require(*columns)
+    return runs
 
 
 def _measures(run: Session) -> dict[str, object]:

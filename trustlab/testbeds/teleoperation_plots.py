@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 from trustlab.models.checks import of_class
 from trustlab.sessions.session import Session
+from trustlab.testbeds.teleoperation_measures import runs_with
 
 SIGNALS = (
     ("performance", {"p_r": "robot $P_r$", "p_h": "operator $P_h$"}),
@@ -42,8 +43,9 @@ def plot_trajectory(session: Session, axes=None):
     """
     import matplotlib.pyplot as plt
 
-    of_class("session", session, Session)
-    session.require(*(f"{stem}_{axis}" for stem in ("reference", "robot") for axis in "xyz"))
+    of_class("session", session, Session).require(
+        *(f"{stem}_{axis}" for stem in ("reference", "robot") for axis in "xyz")
+    )
     if axes is None:
         axes = plt.figure(figsize=(5.6, 4.6)).add_subplot(projection="3d")
     x, y, z = (session[f"reference_{axis}"] for axis in "xyz")
@@ -81,16 +83,14 @@ def plot_signals(session: Session, axes=None):
     """
     import matplotlib.pyplot as plt
 
-    of_class("session", session, Session)
-    session.require(*(name for _, columns in SIGNALS for name in columns))
+    of_class("session", session, Session).require(*(name for _, columns in SIGNALS for name in columns))
     if axes is None:
         figure, axes = plt.subplots(len(SIGNALS), 1, sharex=True, figsize=(7.2, 5.6), layout="constrained")
         figure.suptitle(session.label, fontsize="medium")
     for panel, (title, columns) in zip(axes, SIGNALS, strict=True):
         for (name, label), color, style in zip(columns.items(), (BLUE, RED), ("-", "--"), strict=True):
             panel.plot(session.t, session[name], style, color=color, lw=1.2, label=label)
-        panel.set_ylabel(title)
-        panel.set_ylim(-0.05, 1.05)
+        panel.set(ylabel=title, ylim=(-0.05, 1.05))
         panel.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     axes[-1].set_xlabel("time [s]")
     return axes
@@ -118,8 +118,7 @@ def plot_energies(session: Session, axes=None):
     """
     import matplotlib.pyplot as plt
 
-    of_class("session", session, Session)
-    session.require(*ENERGIES)
+    of_class("session", session, Session).require(*ENERGIES)
     if axes is None:
         figure, axes = plt.subplots(1, 2, figsize=(8.6, 3.4), layout="constrained")
         figure.suptitle(session.label, fontsize="medium")
@@ -156,12 +155,7 @@ def plot_alpha(sessions: Iterable[Session], axes=None):
     import matplotlib.pyplot as plt
     import numpy as np
 
-    runs = [sessions] if isinstance(sessions, Session) else list(sessions)
-    if not runs:
-        raise ValueError("sessions is empty: give at least one run")
-    for number, run in enumerate(runs):
-        of_class(f"sessions[{number}]", run, Session)
-        run.require("alpha")
+    runs = runs_with(sessions, "alpha")
     if axes is None:
         size = (7.2, 1.2 + 1.5 * len(runs))
         axes = plt.subplots(len(runs), 1, sharex=True, figsize=size, layout="constrained")[1]
@@ -170,8 +164,7 @@ def plot_alpha(sessions: Iterable[Session], axes=None):
         raise ValueError(f"there are {len(runs)} runs and {axes.size} axes; give one per run")
     for panel, run in zip(axes, runs, strict=True):
         panel.plot(run.t, run["alpha"], lw=1.0, color=BLUE)
-        panel.set_ylim(-0.05, 1.05)
-        panel.set_ylabel("$α$")
+        panel.set(ylabel="$α$", ylim=(-0.05, 1.05))
         panel.set_title(run.label, fontsize="medium")
     axes[-1].set_xlabel("time [s]")
     return axes

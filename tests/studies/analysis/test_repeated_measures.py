@@ -440,7 +440,7 @@ def test_data_that_were_not_measured_say_so_everywhere(attrs, said):
 def test_html_is_escaped():
     frame = table().rename(columns={"score": "a<b"})
     text = tl.repeated_measures(frame, dv="a<b", within="condition", subject="pid")._repr_html_()
-    assert "<b>a&lt;b</b>" in text
+    assert "<b>a&lt;b by condition</b>" in text
 
 
 REAL = {  # file, column: F, W, p of W, Greenhouse–Geisser ε, generalized η² by R 4.2.2, afex 1.2-1

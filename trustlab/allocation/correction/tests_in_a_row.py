@@ -14,6 +14,7 @@ from trustlab.allocation.correction.incentive import within_range
 from trustlab.allocation.correction.online import OnlineCorrection
 from trustlab.models.checks import between, not_negative, one_of, positive, whole_number
 from trustlab.models.deprecation import warn_renamed
+from trustlab.models.html import as_html
 from trustlab.models.human import next_utilization, performance_at
 from trustlab.models.robot import next_performance
 from trustlab.models.tsc import TscConstants, TscModel, threshold_mode, tsc_at
@@ -131,8 +132,7 @@ class CorrectionRun:
         return axes[0]
 
     def _repr_html_(self) -> str:
-        head = f"<b>Correction run</b>: operator {self.operator}; {self.source}"
-        return f"<p>{head}</p>{self.table().to_html(index=False, float_format='%.4g')}"
+        return as_html(f"operator {self.operator}; {self.source}", self.table(), title="Correction run")
 
     def __repr__(self) -> str:
         tests = self.data["test"].nunique()

@@ -1,6 +1,5 @@
 """Bounds on the switched system that hold for every trajectory: sets of states propagated round the cycle."""
 
-import html
 import math
 from dataclasses import dataclass
 
@@ -8,6 +7,7 @@ from trustlab.allocation.cycle.polygons import narrow
 from trustlab.allocation.cycle.propagation import ROUNDING, enclose, nest
 from trustlab.allocation.limits import check_thresholds
 from trustlab.models.checks import whole_number
+from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 
 EFFORT = 3_000_000
@@ -56,7 +56,7 @@ class InvariantBounds:
     dwell_autonomous_high: float
 
     def _repr_html_(self) -> str:
-        return f"<p>{html.escape(self.reason)}</p>{self.table().to_html(float_format='%.4g')}"
+        return as_html(self.reason, self.table())
 
     def __repr__(self) -> str:
         return (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import math
 import warnings
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import numpy as np
 from trustlab.allocation.cycle.phases import CYCLE, Seen, longest_phase, record, return_map, settle
 from trustlab.allocation.limits import check_thresholds
 from trustlab.models.checks import whole_number
+from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
 
 MOST_CYCLES = 2000
@@ -104,7 +104,7 @@ class LimitCycle:
         return abs(self.slope) < 1.0
 
     def _repr_html_(self) -> str:
-        return f"<p>{html.escape(self.reason)}</p>{self.table().to_html(float_format='%.4g')}"
+        return as_html(self.reason, self.table())
 
     def __repr__(self) -> str:
         if not self.exists:

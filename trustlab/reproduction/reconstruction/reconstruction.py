@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
+from trustlab.models.html import as_html
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, constraints
 from trustlab.reproduction.reconstruction.feasibility import Verdict, decide, feasibility, generator, prepared
@@ -115,7 +116,7 @@ class Reconstruction:
         return ranges
 
     def _repr_html_(self) -> str:
-        return f"<p>{NOTE}</p>" + self.table().to_html()
+        return as_html(NOTE, self.table())
 
 
 def reconstruct(

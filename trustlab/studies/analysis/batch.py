@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
+from trustlab.models.html import as_html
 from trustlab.studies.analysis.pairwise import PairwiseBatch, paired_differences
 from trustlab.studies.analysis.score_table import ScoreTable
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, huynh_feldt, mauchly, orthonormal_contrasts
@@ -124,7 +125,7 @@ class RepeatedMeasuresBatch(Omnibus):
         return f"RepeatedMeasuresBatch({len(self)} studies of {self.n} subjects × {self.k} conditions)"
 
     def _repr_html_(self) -> str:
-        return f"<p>{self!r}</p>{self.table().describe().T.to_html(float_format='%.6g')}"
+        return as_html(repr(self), self.table().describe().T)
 
 
 def _checked(array: np.ndarray) -> np.ndarray:

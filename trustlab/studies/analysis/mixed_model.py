@@ -9,6 +9,7 @@ import pandas as pd
 from scipy import special
 from scipy.optimize import minimize_scalar
 
+from trustlab.models.html import as_html
 from trustlab.studies.analysis.score_table import ScoreTable, read_scores
 from trustlab.studies.analysis.sphericity import orthonormal_contrasts
 
@@ -64,11 +65,7 @@ class MixedModel:
         return pd.DataFrame([row])
 
     def _repr_html_(self) -> str:
-        note = f" ({self.origin})" if self.origin else ""
-        return (
-            f"<p><b>Mixed model, random intercept per subject</b>{note}</p>"
-            f"{self.table().to_html(index=False, float_format='%.6g')}{self.means.to_html(float_format='%.6g')}"
-        )
+        return as_html(self.origin, self.table(), self.means, title="Mixed model, random intercept per subject")
 
 
 def mixed_model(

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import open_unit
+from trustlab.models.html import as_html
 from trustlab.studies.analysis.batch import analyse_table
 from trustlab.studies.analysis.descriptives import describe, t_half_width
 from trustlab.studies.analysis.rank_tests import normality_of_differences, wilcoxon
@@ -109,7 +110,7 @@ class PairedTTest:
         return plot_pair(self, axes)
 
     def _repr_html_(self) -> str:
-        return f"<p>{self.apa()}</p>{self.descriptives()._repr_html_()}{self.table().T._repr_html_()}"
+        return as_html(self.apa(), self.descriptives(), self.table().T)
 
 
 def paired_t_test(

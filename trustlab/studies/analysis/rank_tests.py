@@ -7,6 +7,8 @@ import numpy as np
 import pandas as pd
 from scipy import special, stats
 
+from trustlab.models.html import as_html
+
 
 @dataclass(frozen=True)
 class Friedman:
@@ -26,7 +28,7 @@ class Friedman:
         return pd.DataFrame([vars(self)])
 
     def _repr_html_(self) -> str:
-        return f"<p><b>Friedman</b></p>{self.table().to_html(index=False, float_format='%.6g')}"
+        return as_html("", self.table(), title="Friedman")
 
 
 def friedman(values: np.ndarray) -> Friedman:

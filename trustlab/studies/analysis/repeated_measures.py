@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import one_of, open_unit
+from trustlab.models.html import as_html
 from trustlab.studies.analysis.batch import Omnibus, RepeatedMeasuresBatch, analyse_table
 from trustlab.studies.analysis.descriptives import describe
 from trustlab.studies.analysis.effect_sizes import partial_eta_interval
@@ -231,17 +232,11 @@ class RepeatedMeasures(Omnibus):
         )
 
     def _repr_html_(self) -> str:
-        import html
-
-        note = f" <b>{html.escape(self.origin)}</b>." if self.origin else ""
-        left_out = f" Left out: {', '.join(map(str, self.excluded))}." if self.excluded else ""
-        return (
-            f"<p><b>{html.escape(str(self.dv))}</b> by {html.escape(str(self.within))}: {self.n} subjects × {self.k} "
-            f"conditions.{note}{html.escape(left_out)} {html.escape(' '.join((self.reason, *self.notes)))}</p>"
-            f"{self.corrections().to_html(index=False, float_format='%.6g')}"
-            f"{self.descriptives().to_html(index=False, float_format='%.6g')}"
-            f"{self.pairs().to_html(index=False, float_format='%.6g')}"
-        )
+        left_out = f"Left out: {', '.join(map(str, self.excluded))}." if self.excluded else ""
+        counts = f"{self.n} subjects × {self.k} conditions."
+        words = " ".join(filter(None, (counts, self.origin and f"{self.origin}.", left_out, self.reason, *self.notes)))
+        tables = (self.corrections(), self.descriptives(), self.pairs())
+        return as_html(words, *tables, title=f"{self.dv} by {self.within}")
 
 
 def repeated_measures(

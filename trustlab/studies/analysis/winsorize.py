@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean, finite_array, one_of, positive
+from trustlab.models.html import as_html
 from trustlab.studies.analysis.score_table import ScoreTable, read_scores
 
 # Which values count as outlying, by the name of the rule and its k.
@@ -70,7 +71,7 @@ class Winsorized:
         return f"{len(self.changes)} of {of} {word} winsorized: {'; '.join(parts)}. Rule: {self.rule}."
 
     def _repr_html_(self) -> str:
-        return f"<p>{self.apa()}</p>{self.changes._repr_html_()}"
+        return as_html(self.apa(), self.changes)
 
 
 def _limits(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, float]:

@@ -12,6 +12,7 @@ import pandas as pd
 
 from trustlab.campaign.run import where_to_run
 from trustlab.models.checks import one_of, open_unit, spawned, whole_number
+from trustlab.models.html import as_html
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
 from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, claims_mask, simulated_counts
@@ -167,15 +168,9 @@ class PowerAnalysis:
         )
 
     def _repr_html_(self) -> str:
-        import html
-
-        head = (
-            f"<b>Power</b>, {html.escape(self.origin)}: {self.replicates} per cell, level {self.alpha:g}, "
-            f"{100 * self.level:g} % Monte-Carlo intervals"
-        )
-        parts = [self.omnibus, self.pairwise, self.together]
-        tables = [part.to_html(index=False, float_format="%.4g", max_rows=60) for part in parts if len(part)]
-        return f"<p>{head}</p>{''.join(tables)}"
+        words = f"{self.replicates} per cell, level {self.alpha:g}, {100 * self.level:g} % Monte-Carlo intervals"
+        parts = [part for part in (self.omnibus, self.pairwise, self.together) if len(part)]
+        return as_html(words, *parts, title=f"Power, {self.origin}")
 
 
 def power_analysis(

@@ -9,6 +9,7 @@ import pandas as pd
 
 from trustlab.campaign.run import where_to_run
 from trustlab.models.checks import one_of, open_unit, whole_number
+from trustlab.models.html import as_html
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
@@ -60,7 +61,7 @@ class SmallestN:
         return frame
 
     def _repr_html_(self) -> str:
-        return f"<p>{self.origin}</p>{self.table().to_html(index=False, float_format='%.4g')}"
+        return as_html(self.origin, self.table())
 
 
 def smallest_n(

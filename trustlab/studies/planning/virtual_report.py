@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import one_of
+from trustlab.models.html import as_html
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.designs import LatinSquareDesign
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
@@ -198,10 +199,5 @@ class VirtualStudy:
         )
 
     def _repr_html_(self) -> str:
-        import html
-
         means = self.measures.groupby("condition", observed=True)[list(self.names)].mean().T
-        return (
-            f"<p>{html.escape(self.summary)}</p>{self.table().to_html(index=False, float_format='%.4g')}"
-            f"<p>Means ({ORIGIN})</p>{means[list(self.conditions)].to_html(float_format='%.4g')}"
-        )
+        return as_html(self.summary, self.table()) + as_html(f"Means ({ORIGIN})", means[list(self.conditions)])

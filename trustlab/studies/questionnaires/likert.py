@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import finite_number, of_class, one_of
+from trustlab.models.html import as_html
 from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
 from trustlab.studies.questionnaires.reliability import cronbach_alpha
 
@@ -179,7 +180,7 @@ class ScaleScores:
         return pd.DataFrame(rows, columns=["score", "condition", "n", "items", "alpha", "ci_low", "ci_high"])
 
     def _repr_html_(self) -> str:
-        return f"<p>{self.name}</p>{self.scores._repr_html_()}"
+        return as_html("", self.scores, title=self.name)
 
 
 def missing_answers(answers: pd.DataFrame, parts: Mapping[str, Sequence[str]], rule: str) -> pd.DataFrame:

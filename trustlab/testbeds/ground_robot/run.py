@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.allocation.suggestions import followed_suggestions
+from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Session
@@ -139,8 +140,8 @@ class GroundRobotRun:
         return plot_path(self.session, self.course, start, stop, axes)
 
     def _repr_html_(self) -> str:
-        head = f"<b>Ground-robot run</b>: {self.session.label}; {self.session.metadata.more.get('note', '')}"
-        return f"<p>{head}</p>{self.table().to_html(index=False, float_format='%.4g')}"
+        words = f"{self.session.label}; {self.session.metadata.more.get('note', '')}"
+        return as_html(words, self.table(), title="Ground-robot run")
 
     def __repr__(self) -> str:
         return f"GroundRobotRun({self.session.label}: {self.lap_times.size} laps in {self.session.duration:.0f} s)"
