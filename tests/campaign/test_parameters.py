@@ -69,7 +69,7 @@ def test_a_parameter_may_be_called_n():
     [
         ({"n": 0, "a": (0, 1)}, "n must be"),
         ({"n": 3}, "at least one parameter"),
-        ({"n": 3, "a": (1, 1)}, "low < high"),
+        ({"n": 3, "a": (1, 1)}, "must be below"),
         ({"n": 3, "a": (0, np.nan)}, "finite"),
         ({"n": 3, "a": 5}, "got int"),
         ({"n": 3, "a": []}, "got list"),

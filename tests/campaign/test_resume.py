@@ -121,13 +121,23 @@ def test_gaps_in_the_middle_are_filled(tmp_path):
     pd.testing.assert_frame_equal(first, second)
 
 
-@pytest.mark.skipif(os.name != "posix", reason="elsewhere only the direct parent is watched")
+WORKER = """
+import sys, time
+from multiprocessing.connection import Connection
+from trustlab.campaign.worker import exit_with_parent
+exit_with_parent(Connection(int(sys.argv[1]), writable=False))
+time.sleep(50)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="passes a file descriptor on")
 def test_a_worker_whose_parent_died_before_it_had_started_ends():
-    parent = subprocess.Popen([sys.executable, "-c", ""])
-    parent.wait()
-    code = f"import time; from trustlab.campaign.worker import exit_with_parent as e; e({parent.pid}); time.sleep(50)"
+    read, write = os.pipe()
     environment = os.environ | {"PYTHONPATH": str(Path(tl.__file__).parents[1])}
-    assert subprocess.run([sys.executable, "-c", code], env=environment, timeout=45).returncode == 1
+    worker = subprocess.Popen([sys.executable, "-c", WORKER, str(read)], env=environment, pass_fds=[read])
+    os.close(write)  # as the system does when the parent is killed
+    os.close(read)
+    assert worker.wait(45) == 1
 
 
 def test_what_was_being_written_is_thrown_away(tmp_path):
@@ -218,6 +228,13 @@ def test_damaged_and_foreign_folders_are_refused(tmp_path):
     (folder / "campaign.json").write_text(json.dumps(json.loads(manifest) | {"format": 99}))
     with pytest.raises(CampaignError, match="has format 99"):
         go(folder)
+    forged = [{"runs": "30"}, {"names": [1]}, {"names": "x"}, {"task": []}, {"task": {"a": 1}}, {"seed": {}}]
+    texts = [json.dumps(json.loads(manifest) | one) for one in forged]
+    for text in [*texts, "[]", "5", "[" * 100_000, "\ud800"]:
+        (folder / "campaign.json").write_bytes(text.encode("utf-8", "surrogatepass"))
+        for use in (go, tl.read_campaign):
+            with pytest.raises(CampaignError, match=r"campaign.json cannot be read .*restore it"):
+                use(folder)
     (folder / "campaign.json").unlink()
     with pytest.raises(CampaignError, match=r"half a campaign: \d+ chunks, but campaign.json"):
         go(folder)
@@ -269,6 +286,44 @@ def test_a_full_disk_loses_nothing_that_was_written(tmp_path, monkeypatch):
         go(tmp_path)
     monkeypatch.undo()
     assert go(tmp_path).attrs["resumed"] > 0
+
+
+@pytest.mark.parametrize("name", ["parameters.txt.gz", "campaign.json"])
+def test_a_disk_that_is_full_from_the_start_is_a_sentence(tmp_path, monkeypatch, name):
+    import trustlab.campaign.folder as folder
+
+    def full(path, data, write=folder.write_whole):
+        if path.name == name:
+            raise OSError(28, "No space left on device")
+        write(path, data)
+
+    monkeypatch.setattr(folder, "write_whole", full)
+    with pytest.raises(
+        CampaignError, match=r"cannot write in .*: No space left on device; choose a folder that has room"
+    ):
+        go(tmp_path)
+    monkeypatch.undo()
+    assert len(go(tmp_path)) == 30
+
+
+def test_folders_are_locked_on_windows(tmp_path, monkeypatch):
+    """A stand-in for Windows' msvcrt, which fails with another error than POSIX does."""
+
+    class Msvcrt:
+        LK_NBLCK, held = 2, set()
+
+        def locking(self, descriptor, mode, length):
+            assert (mode, length) == (2, 1)
+            place = os.fstat(descriptor).st_ino
+            if place in self.held:
+                raise PermissionError(13, "Permission denied")
+            self.held.add(place)
+
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setitem(sys.modules, "msvcrt", Msvcrt())
+    assert len(go(tmp_path)) == 30
+    with pytest.raises(CampaignError, match="another process is running a campaign"):
+        go(tmp_path)  # nothing lets go here; Windows does so when the file is closed
 
 
 def test_two_processes_cannot_share_a_folder(tmp_path):

@@ -105,7 +105,7 @@ def test_the_plot_has_a_panel_per_result():
         ({"seed": -1}, "seed must be"),
         ({"ranges": {}}, "ranges must be a dict"),
         ({"ranges": {"x1": (0, 1)}}, "give at least two, got x1 alone"),
-        ({"ranges": BOX | {"x1": (1, 1)}}, "low < high"),
+        ({"ranges": BOX | {"x1": (1, 1)}}, "must be below"),
         ({"ranges": BOX | {"x1": 5}}, r"ranges\['x1'\] must be \(low, high\) or a scipy.stats distribution, got int"),
         ({"results": ["z"]}, "results names 'z', but the task returns y, double, constant, word"),
         ({"results": ["word"]}, "'word' is not a number"),

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from time import monotonic
 from typing import Any
 
@@ -25,21 +26,19 @@ class DaskWorkers(Workers):
         self.client, self.own = _client(cluster)
         self.address = self.client.scheduler.address if self.client.scheduler else "its scheduler"
         self.seen = monotonic()  # when there was last a worker
-        try:
+        with ExitStack() as unless_ready:
+            unless_ready.callback(self.close, [])
             super().__init__(task, seed, "dask", lambda: self.client.get_executor(pure=False))
             from distributed.scheduler import KilledWorker
 
             self.deaths = (*Workers.deaths, KilledWorker)
-            self.client.wait_for_workers(1, timeout=2 * CONNECT)
+            try:
+                self.client.wait_for_workers(1, timeout=2 * CONNECT)
+            except TimeoutError:
+                remedy = f"start some with `dask worker {self.address}`"
+                raise CampaignError(f"the scheduler at {self.address} has no workers; {remedy}") from None
             self.watch()
-        except TimeoutError:
-            self.close([])
-            raise CampaignError(
-                f"the scheduler at {self.address} has no workers; start some with `dask worker {self.address}`"
-            ) from None
-        except BaseException:
-            self.close([])
-            raise
+            unless_ready.pop_all()
 
     def submit(self, first: int, parameters: list[dict]) -> Future:
         """Send a chunk."""

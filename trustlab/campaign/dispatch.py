@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from time import monotonic
 from typing import Any
@@ -62,8 +62,8 @@ class ChunkSizes:
 class Dispatcher:
     """Sends chunks of runs to workers and stores their outcomes; a span is the first run and the one after the last."""
 
-    def __init__(self, workers: Workers, parameters: Sequence[Mapping], store: Any, bar: Any):
-        self.workers, self.parameters, self.store, self.bar = workers, parameters, store, bar
+    def __init__(self, workers: Workers, parameters: Sequence[Mapping], add: Callable, bar: Any):
+        self.workers, self.parameters, self.add, self.bar = workers, parameters, add, bar
         self.under_way: dict[Future, tuple[int, int]] = {}
         self.suspects: deque[tuple[int, int]] = deque()  # spans that were lost when a process died
         self.alone: Future | None = None  # the suspect that is being tried with nothing beside it
@@ -144,7 +144,7 @@ class Dispatcher:
 
     def _store(self, first: int, last: int, outcomes: list[Outcome]) -> None:
         parameters = [self.parameters[i] for i in range(first, last)]
-        self.store.add(first, last, encoded(first, parameters, outcomes))
+        self.add(encoded(first, parameters, outcomes))
         self.failures += sum(outcome.results is None for outcome in outcomes)
         if self.failures:
             self.bar.set_postfix(failed=self.failures, refresh=False)

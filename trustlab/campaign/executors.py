@@ -1,8 +1,11 @@
 """Where chunks run: in this process, in others, or on any `concurrent.futures` executor."""
 
+import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
@@ -91,6 +94,12 @@ class _Loky(Workers):
             self.executor.shutdown(wait=False, kill_workers=True)
 
 
+@functools.cache
+def _lifeline() -> tuple[Connection, Connection]:
+    """Return a pipe, made once for a process: whoever reads from it sees when this process is gone."""
+    return Pipe(duplex=False)
+
+
 def loky_workers(task: Callable, seed: np.random.SeedSequence, count: int) -> Workers:
     """Return processes of this machine: loky's reusable executor."""
     import loky
@@ -101,7 +110,7 @@ def loky_workers(task: Callable, seed: np.random.SeedSequence, count: int) -> Wo
         "timeout": IDLE,
         "env": {name: os.environ.get(name, share) for name in THREADS},
         "initializer": exit_with_parent,
-        "initargs": (os.getpid(),),
+        "initargs": _lifeline()[:1],
     }
     return _Loky(task, seed, "loky", lambda: loky.get_reusable_executor(count, **options), count)
 

@@ -3,10 +3,10 @@
 import contextlib
 import gzip
 import hashlib
-import io
 import json
 import os
 import re
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -24,6 +24,7 @@ FORMAT = 1
 MANIFEST, PARAMETERS, CHUNKS, LOCK = "campaign.json", "parameters.txt.gz", "chunks", ".lock"
 CHUNK = re.compile(r"runs-(\d+)-(\d+)-([0-9a-f]{32})\.parquet")
 PARTIAL = ".partial-"
+ENTRIES = {"format": int, "runs": int, "parameters": str, "names": list, "task": dict, "seed": str}
 OWN = {MANIFEST, PARAMETERS, CHUNKS, LOCK, "parameters.parquet"}  # the last as written before version 0.3
 REMEDY = "restore it, use another folder, or fresh=True to remove what is there"
 
@@ -32,21 +33,20 @@ class Folder:
     """The files of one campaign, opened by one process at a time; `spans` are first run, end and file of each chunk."""
 
     def __init__(self, path: object, identity: dict, parameters: Sequence[Mapping], names: list[str], fresh: bool):
-        self.path, self._lock = _opened(path)
-        try:
+        self.path = folder_path(path)
+        with contextlib.ExitStack() as stack, writing_in(self.path):
+            self.path.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(_held(self.path))
             if fresh:
                 self._clear()
             if (self.path / MANIFEST).exists():
                 self._check_same(identity, parameters, names)
             else:
                 self._create(identity, parameters, names)
-            for place in (self.path, self.path / CHUNKS):
-                for leftover in place.glob(f"*{PARTIAL}*"):  # what was being written when a process ended
-                    leftover.unlink(missing_ok=True)
+            for leftover in self.path.rglob(f"*{PARTIAL}*"):  # what was being written when a process ended
+                leftover.unlink(missing_ok=True)
             self.spans = _spans(self.path, len(parameters))
-        except BaseException:
-            self.close()
-            raise
+            self.close = stack.pop_all().close  # until then, other processes are kept out
 
     def _create(self, identity: dict, parameters: Sequence[Mapping], names: list[str]) -> None:
         """Write parameters first and the manifest last, so that chunks without a manifest are never trusted."""
@@ -109,29 +109,23 @@ class Folder:
         for name in OWN - {CHUNKS, LOCK}:
             (self.path / name).unlink(missing_ok=True)
 
-    def add(self, first: int, last: int, table: pa.Table) -> None:
+    def add(self, table: pa.Table) -> None:
         """Write a finished chunk under a name that holds its digest, complete or not at all."""
+        first = table["run"][0].as_py()
+        last = first + len(table)
         sink = pa.BufferOutputStream()
         pq.write_table(table, sink, compression="zstd")
         data = sink.getvalue().to_pybytes()
         path = self.path / CHUNKS / f"runs-{first:010d}-{last:010d}-{_digest(data)}.parquet"
-        try:
+        safe = "finished chunks before it are safe: make room or restore access, and call again with the same arguments"
+        with writing_in(path.parent, safe):
             write_whole(path, data)
-        except OSError as error:
-            raise CampaignError(
-                f"cannot write {path}: {error.strerror or error}; finished chunks before it are safe: make room or "
-                "restore access, and call again with the same arguments to go on"
-            ) from error
         self.spans.append((first, last, path))
 
-    def tables(self) -> Iterator[pa.Table]:
-        """Yield the finished chunks."""
+    def __iter__(self) -> Iterator[pa.Table]:
+        """Read the finished chunks one after the other."""
         for _, _, path in self.spans:
             yield _read_chunk(path)
-
-    def close(self) -> None:
-        """Let other processes use the folder."""
-        self._lock.close()
 
 
 def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
@@ -203,14 +197,12 @@ def folder_path(path: object) -> Path:
 
 
 @contextlib.contextmanager
-def writing_in(folder: Path) -> Iterator[None]:
+def writing_in(folder: Path, remedy: str = "choose a folder that has room and that you may write to") -> Iterator[None]:
     """Say in which folder the system refused to write."""
     try:
         yield
     except OSError as error:
-        raise CampaignError(
-            f"cannot write in {folder}: {error.strerror or error}; choose a folder that you may write to"
-        ) from error
+        raise CampaignError(f"cannot write in {folder}: {error.strerror or error}; {remedy}") from error
 
 
 def refuse(folder: Path, what: str, names: set[str]) -> None:
@@ -220,24 +212,26 @@ def refuse(folder: Path, what: str, names: set[str]) -> None:
         raise CampaignError(f"{folder} holds {what} ({', '.join(sorted(names)[:3])}{more}); give a new or empty folder")
 
 
-def _opened(path: object) -> tuple[Path, io.IOBase]:
-    """Make a folder if need be and hold it for this process; the system releases it however the process ends."""
-    folder = folder_path(path)
-    with writing_in(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / LOCK).open("a")
-    try:
-        import fcntl
+@contextlib.contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Keep other processes out of a folder; the system lets them in however this process ends."""
+    with (folder / LOCK).open("a") as file:
+        try:
+            if sys.platform == "win32":
+                import msvcrt
 
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        lock.close()
-        raise CampaignError(
-            f"another process is running a campaign in {folder}; wait for it, stop it, or use another folder"
-        ) from None
-    except (ImportError, OSError):  # neither Windows nor every network file system has such locks
-        pass
-    return folder, lock
+                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+            else:
+                import fcntl
+
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError):  # the second on Windows
+            raise CampaignError(
+                f"another process is running a campaign in {folder}; wait for it, stop it, or use another folder"
+            ) from None
+        except OSError:  # not every network file system has locks
+            pass
+        yield
 
 
 def _refuse_foreign(folder: Path) -> None:
@@ -250,10 +244,10 @@ def _manifest(folder: Path) -> dict:
     path = folder / MANIFEST
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        missing = {"format", "runs", "parameters", "names", "task", "seed"} - set(content)
-        if missing:
-            raise ValueError(f"without {', '.join(sorted(missing))}")
-    except (OSError, ValueError, TypeError) as error:
+        wrong = [name for name, kind in ENTRIES.items() if not isinstance(content[name], kind)]
+        if wrong or not all(isinstance(text, str) for text in [*content["names"], *content["task"].values()]):
+            raise ValueError(f"{', '.join(wrong) or 'names or task'} is of another kind than a campaign writes")
+    except (OSError, LookupError, ValueError, TypeError, RecursionError) as error:
         raise CampaignError(f"{path} cannot be read ({type(error).__name__}: {error}); {REMEDY}") from error
     if content["format"] != FORMAT:
         raise CampaignError(
@@ -290,6 +284,7 @@ def _read_chunk(path: Path) -> pa.Table:
         if _digest(data) != digest:
             raise ValueError("its content does not have the digest in its name")
         table = pq.read_table(pa.BufferReader(data))
+        table.select(["failed", "error", "traceback", "returned"])  # KeyError where one is missing
         if not np.array_equal(table["run"].to_numpy(), np.arange(int(first), int(last))):
             raise ValueError("it holds other runs than its name says")
     except (OSError, ValueError, KeyError, pa.ArrowException) as error:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from trustlab.campaign.worker import RESERVED
-from trustlab.models.checks import finite_number, whole_number
+from trustlab.models.checks import in_order, whole_number
 
 
 class ParameterGrid(Sequence):
@@ -33,17 +33,11 @@ class ParameterGrid(Sequence):
         return math.prod(self.shape) * self.repeats
 
     def __getitem__(self, i: Any) -> Any:
-        if isinstance(i, slice):
-            return [self[k] for k in range(*i.indices(len(self)))]
-        n = len(self)
-        i = i.__index__()
-        if not -n <= i < n:
-            raise IndexError(f"run {i} of {n}")
-        at, out = (i % n) // self.repeats, {}
-        for name, values in reversed(self.axes.items()):
-            at, k = divmod(at, len(values))
-            out[name] = values[k]
-        return {name: out[name] for name in self.axes}
+        runs = range(len(self))[i]
+        if isinstance(runs, range):  # a slice
+            return [self[run] for run in runs]
+        at = np.unravel_index(runs // self.repeats, self.shape)
+        return {name: values[k] for (name, values), k in zip(self.axes.items(), at, strict=True)}
 
 
 def _values(name: str, values: Iterable) -> list:
@@ -131,10 +125,7 @@ def interval(name: str, pair: tuple) -> tuple[float, float]:
     """Return the ends of a range as floats, low < high."""
     if len(pair) != 2:
         raise ValueError(f"{name} must be (low, high), got {pair}")
-    low, high = (finite_number(f"{name}[{i}]", x) for i, x in enumerate(pair))
-    if not low < high:
-        raise ValueError(f"{name} must be (low, high) with low < high, got {pair}")
-    return low, high
+    return in_order(f"{name}[0]", pair[0], f"{name}[1]", pair[1])
 
 
 def _drawn(name: str, kind: Any, n: int, rng: np.random.Generator) -> list:
@@ -182,10 +173,6 @@ def checked_names(parameters: Sequence[Mapping]) -> list[str]:
         if not isinstance(name, str) or not name:
             raise ValueError(f"names of parameters must be text, got {name!r} in run 0")
         if name in RESERVED:
-            why = (
-                "every run is given a seed of its own from `seed=`"
-                if name == "seed"
-                else "the table has a column of that name"
-            )
-            raise ValueError(f"a parameter cannot be called {name!r}: {why}; remove or rename it")
+            own = "every run is given a seed of its own" if name == "seed" else "the table has a column of that name"
+            raise ValueError(f"a parameter cannot be called {name!r}: {own}; remove or rename it")
     return names

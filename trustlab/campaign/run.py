@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import os
-import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
@@ -117,31 +117,34 @@ def run_campaign(
         raise ValueError("fresh=True removes a campaign from a folder, but `out` is not given")
     _check_where(n_jobs, cluster, executor)
     began = perf_counter()
-    if out is None:
-        store: Any = _Memory()
-    else:
-        from trustlab.campaign.folder import Folder
-        from trustlab.campaign.identity import seed_text, task_identity
+    with contextlib.ExitStack() as stack:
+        tables: Any = []
+        add, spans = tables.append, []
+        if out is not None:
+            from trustlab.campaign.folder import Folder
+            from trustlab.campaign.identity import seed_text, task_identity
 
-        identity = {"task": task_identity(task), "seed": seed_text(seed), "names": names}
-        store = Folder(out, identity, parameters, names, fresh)
-    try:
-        gaps = _gaps(store.spans, len(parameters))
+            identity = {"task": task_identity(task), "seed": seed_text(seed), "names": names}
+            folder = stack.enter_context(contextlib.closing(Folder(out, identity, parameters, names, fresh)))
+            tables, add, spans = folder, folder.add, folder.spans
+        gaps = _gaps(spans, len(parameters))
         resumed = len(parameters) - sum(last - first for first, last in gaps)
-        workers, busy = None, 0.0
+        where, busy = "none", 0.0
         if gaps:
+            from tqdm import tqdm
+
             from trustlab.campaign.dispatch import Dispatcher
 
             workers = _workers(task, seed, n_jobs, cluster, executor)
-            with _bar(len(parameters), resumed, progress) as bar:
-                busy = Dispatcher(workers, parameters, store, bar).run(gaps)
+            where = workers.name
+            # tqdm takes None as "only on a terminal".
+            disable = None if progress is None else not progress
+            with tqdm(total=len(parameters), initial=resumed, unit="run", disable=disable) as bar:
+                busy = Dispatcher(workers, parameters, add, bar).run(gaps)
         from trustlab.campaign.table import assembled
 
         columns = {name: [values[name] for values in parameters] for name in names}
-        table = assembled(store.tables(), names, columns)
-    finally:
-        store.close()
-    where = workers.name if workers else "none"
+        table = assembled(tables, names, columns)
     times = {"seconds": perf_counter() - began, "seconds_in_runs": busy}
     return _summed(table, resumed, times | {"executor": where})
 
@@ -205,36 +208,10 @@ def _workers(task: Callable, seed: np.random.SeedSequence, n_jobs: int, cluster:
     return InProcess(task, seed) if n_jobs == 1 else loky_workers(task, seed, int(n_jobs))
 
 
-def _bar(total: int, done: int, shown: bool | None) -> Any:
-    """Return a progress bar on stderr, shown by default where that is a terminal."""
-    from tqdm import tqdm
-
-    if shown is None:
-        shown = hasattr(sys.stderr, "isatty") and sys.stderr.isatty()
-    return tqdm(total=total, initial=done, unit="run", disable=not shown)
-
-
-class _Memory:
-    """Chunks of a campaign without a folder, as the tables that a folder would hold."""
-
-    def __init__(self):
-        self.spans, self._tables = [], []
-
-    def add(self, first, last, table):
-        self.spans.append((first, last, None))
-        self._tables.append(table)
-
-    def tables(self):
-        return self._tables
-
-    def close(self):
-        pass
-
-
 def _gaps(spans: list[tuple], runs: int) -> list[tuple[int, int]]:
     """Return first and end of what is still to be run."""
     gaps, end = [], 0
-    for first, last, _ in sorted(spans, key=lambda span: span[0]):
+    for first, last, _ in spans:
         if first > end:
             gaps.append((end, first))
         end = last

@@ -9,11 +9,13 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
+from multiprocessing.connection import Connection
 from numbers import Integral, Real
-from time import perf_counter, sleep
+from time import perf_counter
 from types import CodeType, FunctionType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,28 +42,15 @@ def running_task() -> bool:
     return getattr(_local, "depth", 0) > 0
 
 
-def exit_with_parent(parent: int) -> None:
-    """End this process within a second of the process that started it, even where that one was killed."""
-    direct = os.getppid() == parent
-
-    def lives() -> bool:
-        if direct:
-            return os.getppid() == parent
-        try:
-            os.kill(parent, 0)
-        except OSError:
-            return False
-        return True
+def exit_with_parent(lifeline: Connection) -> None:
+    """End this process when the one that holds the other end of a pipe ends, even where that one is killed."""
 
     def watch() -> None:
-        while lives():
-            sleep(0.5)
+        with suppress(EOFError, OSError):
+            lifeline.recv_bytes()  # nothing is ever sent: it returns when the system closes the other end
         os._exit(1)
 
-    # It is not the direct parent where a launcher stands between the two, or where it was killed while this process
-    # started. On Windows, where launchers are usual, os.kill would end the process instead of asking for it.
-    if direct or os.name == "posix":
-        threading.Thread(target=watch, daemon=True).start()
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def run_seed(seed: np.random.SeedSequence, run: int) -> np.random.SeedSequence:
@@ -190,9 +179,7 @@ def plain(value: object) -> bool | int | float | str | None:
         value = value[()]
     if value is None:
         return None
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    kinds: tuple[tuple[type, Callable], ...] = ((str, str), (Integral, int), (Real, float))
+    kinds: tuple[tuple[Any, Callable], ...] = ((bool | np.bool_, bool), (str, str), (Integral, int), (Real, float))
     for kind, of in kinds:
         if isinstance(value, kind):
             return of(value)
