@@ -17,7 +17,15 @@ def test_numbers_are_the_operators_own(operators):
     assert who.numbers[:4] == (human.a, human.beta, human.p_min, human.p_max)
     for name in OperatorNumbers._fields[4:]:
         assert getattr(who.numbers, name) == getattr(who, name)
-    assert {item.name for item in fields(who)} - set(OperatorNumbers._fields) == {"participant", "human"}
+    beside = {
+        "r0",
+        "learning",
+        "fatigue",
+        "sessions",
+        "load_utilization",
+        "load_switching",
+    }  # for testbeds and questionnaires
+    assert {item.name for item in fields(who)} - set(OperatorNumbers._fields) == {"participant", "human"} | beside
     assert (who.lower, who.lower_spread, who.upper, who.upper_spread) == (0.096, 0.13, 0.51, 0.29)
     assert (who.follow_tsc, who.follow_performance, who.delay) == (0.5, 0.6875, 0.4)
     robot = operators["3"].robot

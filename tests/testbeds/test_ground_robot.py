@@ -18,7 +18,7 @@ from trustlab.allocation.rules import performance_suggestion
 from trustlab.models.tsc import threshold_mode
 from trustlab.operators import operator
 from trustlab.testbeds import Course, Pioneer, drive_modes, identification_session, run_condition
-from trustlab.testbeds.ground_robot.kernel import SETTLING
+from trustlab.testbeds.deciding import SETTLING
 
 matplotlib.use("Agg")
 

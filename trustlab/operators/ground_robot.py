@@ -1,11 +1,11 @@
 """Simulated operators of the ground robot: how well they drive, how fast they react, when they switch."""
 
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import between, finite_number, not_negative, of_class, positive, shown
+from trustlab.models.checks import between, finite_number, not_negative, of_class, positive, shown, whole_number
 from trustlab.models.compiled import njit
 from trustlab.models.human import HumanModel
 from trustlab.models.tsc import TscModel
@@ -25,11 +25,17 @@ MOST = {
     "ignoring_time": 3600.0,
     "lower_spread": 2.0,
     "upper_spread": 2.0,
+    "take_over_lag": 60.0,
 }
 """Largest values of an operator's numbers, far beyond what people do; TSC itself lies in [-1, 1]."""
 
 POSITIVE = ("look_ahead", "steering_gain", "wander_time", "hand_lag")
-SHARES = ("idle_share", "follow_tsc", "follow_performance")
+SHARES = ("idle_share", "follow_tsc", "follow_performance", "r0", "load_utilization", "load_switching")
+RANGES = {"attention_cost": (0.0, 0.5), "trust_bias": (-2.0, 2.0), "learning": (0.0, 0.5), "fatigue": (0.0, 0.05)}
+ASSUMPTIONS = (*RANGES, "take_over_lag", "r0", "load_utilization", "load_switching")
+"""What may be assumed of people beyond the identified models; 0 is off."""
+
+MOST_SESSIONS = 10
 
 
 def check_participant(participant: str | int) -> None:
@@ -89,6 +95,10 @@ class OperatorNumbers(NamedTuple):
     lower_spread: float
     upper: float
     upper_spread: float
+    attention_cost: float
+    trust_bias: float
+    take_over_lag: float
+    skill: float
 
 
 @dataclass(frozen=True)
@@ -133,6 +143,23 @@ class Operator:
         The operator's own thresholds of TSC when free to choose (C1): manual below, autonomous above.
     lower_spread, upper_spread : float
         Standard deviations of the thresholds, which are drawn anew at every switch.
+    attention_cost : float
+        Assumption, as all that follow; 0 is off. Share of performance (2.6) lost while the operator must decide: in all of C1, and
+        in C2 and C4 while a suggestion stands that is not followed yet; at most 0.5.
+    trust_bias : float
+        Perceived minus measured TSC, in [-2, 2]: positive where the operator trusts the robot too much (C1).
+    take_over_lag : float
+        Added to the lag between deciding for the manual mode and switching to it [s]; at most 60 s.
+    r0 : float
+        Utilization at the beginning of a run for which none is given, in [0, 1]; 0 is a rested operator.
+    learning, fatigue : float
+        Change of performance over the sessions of a study: after i of them it is 1 + learning (1 − 2⁻ⁱ) − fatigue i times (2.6). In
+        [0, 0.5] and [0, 0.05].
+    sessions : int
+        i, how many sessions the operator has had before; at most 10.
+    load_utilization, load_switching : float
+        Share of the scale of task load at r = 1, and per switch or judged suggestion a minute (`allocation_answers`), in [0, 1].
+        With both 0 the operator answers no questionnaire.
 
     Raises
     ------
@@ -166,19 +193,29 @@ class Operator:
     upper: float = 0.4
     lower_spread: float = 0.1
     upper_spread: float = 0.1
+    attention_cost: float = 0.0
+    trust_bias: float = 0.0
+    take_over_lag: float = 0.0
+    r0: float = 0.0
+    learning: float = 0.0
+    fatigue: float = 0.0
+    sessions: int = 0
+    load_utilization: float = 0.0
+    load_switching: float = 0.0
 
     def __post_init__(self):
         of_class("human", self.human, HumanModel, "of a TscModel take .human")
         check_participant(self.participant)
         for item in fields(self)[2:]:
-            check = finite_number if item.name in ("lower", "upper", *SHARES) else not_negative
+            check = finite_number if item.name in ("lower", "upper", *SHARES, *RANGES) else not_negative
             check = positive if item.name in POSITIVE else check
             object.__setattr__(self, item.name, check(item.name, getattr(self, item.name)))
         for name, most in MOST.items():
             if getattr(self, name) > most:
                 raise ValueError(f"{name} must be at most {most:g}, got {getattr(self, name):g}")
-        for name in SHARES:
-            between(name, getattr(self, name), 0.0, 1.0)
+        for name, limits in (dict.fromkeys(SHARES, (0.0, 1.0)) | RANGES).items():
+            between(name, getattr(self, name), *limits)
+        object.__setattr__(self, "sessions", whole_number("sessions", self.sessions, least=0, most=MOST_SESSIONS))
         if not self.lower < self.upper:
             raise ValueError(
                 f"own thresholds must have lower below upper, got lower = {self.lower} and upper = {self.upper}"
@@ -188,6 +225,11 @@ class Operator:
                 "an operator drives at a performance (2.7) in m/s, between 0.1 and 1, but human has p_min = "
                 f"{self.human.p_min} and p_max = {self.human.p_max}; rescale the model or fit it to ground-robot sessions"
             )
+
+    @property
+    def skill(self) -> float:
+        """Performance relative to (2.6), as learning and fatigue over sessions leave it: 1 without them."""
+        return 1.0 + self.learning * (1.0 - 0.5**self.sessions) - self.fatigue * self.sessions
 
     @property
     def numbers(self) -> OperatorNumbers:
@@ -202,7 +244,7 @@ def operator(
     lower: tuple[float, float] | None = None,
     upper: tuple[float, float] | None = None,
     follow: tuple[float, float] | None = None,
-    **more: float,
+    **more: Any,
 ) -> Operator:
     """
     Return the operator that a participant's identified model and observed habits make.
@@ -218,7 +260,7 @@ def operator(
         Mean and standard deviation of the participant's own thresholds of TSC, as Table 2.3 prints them.
     follow : (float, float), optional
         Shares of suggestions followed, by TSC and by robot performance, as Table 2.6 prints them, but in [0, 1].
-    **more : float
+    **more : float or int
         Any other argument of `Operator`.
 
     Raises
@@ -242,7 +284,8 @@ def operator(
         except (TypeError, ValueError):
             raise ValueError(f"{name} must be a pair of numbers, got {pair!r}") from None
         more |= dict(zip(keys, (first, second), strict=True))
-    unknown = sorted(set(more) - set(OperatorNumbers._fields[4:]))
+    known = [item.name for item in fields(Operator)[2:]]
+    unknown = sorted(set(more) - set(known))
     if unknown:
-        raise ValueError(f"an Operator has no {unknown[0]!r}; it has {', '.join(OperatorNumbers._fields[4:])}")
+        raise ValueError(f"an Operator has no {unknown[0]!r}; it has {', '.join(known)}")
     return Operator(participant, human, **more)

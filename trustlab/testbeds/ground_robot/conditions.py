@@ -5,12 +5,13 @@ import pandas as pd
 
 from trustlab.allocation.correction.in_loop import no_correction
 from trustlab.allocation.limits import check_thresholds, threshold_limits
-from trustlab.models.checks import between, finite_array, finite_number, of_class, one_of, spawned, whole_number
+from trustlab.models.checks import finite_array, finite_number, of_class, one_of, spawned, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
 from trustlab.operators.teleoperator import Teleoperator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.records import log_of
+from trustlab.testbeds.deciding import CONDITIONS, OWN, SAMPLE_TIME, SCHEDULE, SETTLING, TSC, WINDOW, task_of
 from trustlab.testbeds.ground_robot import kernel
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.participants import (
@@ -22,16 +23,7 @@ from trustlab.testbeds.ground_robot.participants import (
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 from trustlab.testbeds.ground_robot.run import GroundRobotRun
 
-CONDITIONS = {
-    "C1": (kernel.OWN, False),
-    "C2": (kernel.TSC, False),
-    "C3": (kernel.TSC, True),
-    "C4": (kernel.PERFORMANCE, False),
-    "C5": (kernel.PERFORMANCE, True),
-}
-"""Who allocates in each condition of Section 2.4.1.2, and whether suggestions must be followed."""
-
-SAMPLE_TIME, WINDOW, E_MAX = 0.1, 100.0, 2.0
+E_MAX = 2.0
 SLOWEST = 0.15
 MOST_LAPS, MOST_STEPS, MOST_PHASES = 1000, 10_000_000, 10_000
 """Largest runs that are made: ten million samples, 1.2 GB, are nearly twelve days of driving."""
@@ -51,7 +43,7 @@ def run_condition(
     seed: int | np.random.SeedSequence = 0,
     robot: Pioneer | None = None,
     course: Course | None = None,
-    r0: float = 0.0,
+    r0: float | None = None,
     operator: Operator | None = None,
 ) -> GroundRobotRun:
     """
@@ -83,8 +75,8 @@ def run_condition(
         The robot, if not the calibrated one.
     course : Course, optional
         The course, if not the default one.
-    r0 : float
-        Utilization at the beginning, in [0, 1]; 0 is a rested operator.
+    r0 : float, optional
+        Utilization at the beginning, in [0, 1]; that of the operator when not given, 0 (rested) unless assumed otherwise.
     operator : Operator, optional
         The same as an `Operator` given as participant.
 
@@ -117,14 +109,14 @@ def run_condition(
     operator, model, printed = _who(participant, operator, model)
     operator, robot, course = _checked(operator, robot, course)
     laps = whole_number("laps", laps, most=MOST_LAPS)
-    if thresholds is not None and scheme != kernel.TSC:
+    if thresholds is not None and scheme != TSC:
         decides = (
             "the operator's own thresholds, Operator(lower=, upper=), decide"
-            if scheme == kernel.OWN
+            if scheme == OWN
             else "Algorithm 2 decides"
         )
         raise ValueError(f"thresholds have no effect in {condition}, where {decides}; leave them out")
-    if scheme == kernel.TSC:
+    if scheme == TSC:
         if thresholds is None and printed is None:
             raise ValueError(
                 f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and .upper of "
@@ -133,12 +125,19 @@ def run_condition(
         thresholds = check_thresholds(
             model, *_pair(printed if thresholds is None else thresholds), threshold_limits(model, 0.0)
         )
-    lower, upper = (operator.lower, operator.upper) if scheme == kernel.OWN else thresholds or (0.0, 0.0)
-    task = _task(scheme, forced=forced, laps=laps, lower=lower, upper=upper, model=model, r0=r0)
-    data, lap_times = _drive(task, _longest(laps, course), robot, course, operator, seed)
-    facts = {"laps": laps, "settling": kernel.SETTLING} | (
-        {"TSC_l": lower, "TSC_u": upper} if scheme == kernel.TSC else {}
+    lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
+    task = task_of(
+        scheme,
+        E_MAX,
+        forced=forced,
+        laps=laps,
+        lower=lower,
+        upper=upper,
+        model=model,
+        r0=operator.r0 if r0 is None else r0,
     )
+    data, lap_times = _drive(task, _longest(laps, course), robot, course, operator, seed)
+    facts = {"laps": laps, "settling": SETTLING} | ({"TSC_l": lower, "TSC_u": upper} if scheme == TSC else {})
     session = _session(data, operator, condition, seed, **facts)
     return GroundRobotRun(session, course, operator, robot, model, thresholds, lap_times)
 
@@ -193,7 +192,7 @@ def drive_modes(
     if modes.size < 2:
         raise ValueError(f"mode must have at least two samples, zeros and ones, got {modes.size}")
     _steps(modes.size * SAMPLE_TIME, "mode")
-    task = _task(kernel.SCHEDULE, first_mode=int(modes[0]), r0=r0)
+    task = task_of(SCHEDULE, E_MAX, first_mode=int(modes[0]), r0=r0)
     data, _ = _drive(task, modes.size, robot, course, operator, seed, modes.astype(np.int64))
     return _session(data.drop(columns=["tsc", "suggested_mode"]), operator, condition, seed)
 
@@ -299,15 +298,6 @@ def _pair(pair, name: str = "thresholds", equal: bool = False) -> tuple[float, f
     return low, high
 
 
-def _task(scheme, forced=False, laps=0, lower=0.0, upper=0.0, model=None, first_mode=1, r0=0.0) -> kernel.Task:
-    r0 = between("r0", r0, 0.0, 1.0)
-    numbers: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    if model:
-        numbers = (model.a_T, model.b_T, model.robot.p_min, model.robot.p_max)
-    window = round(WINDOW / SAMPLE_TIME)
-    return kernel.Task(scheme, forced, laps, lower, upper, *numbers, E_MAX, window, SAMPLE_TIME, first_mode, r0)
-
-
 def _longest(laps: int, course: Course) -> int:
     """Return how many samples laps may take."""
     return _steps(laps * course.length / SLOWEST, f"{laps} laps of {course.length:.3g} m") + 1
@@ -323,8 +313,7 @@ def _drive(
     rows, done = kernel.drive(
         task,
         np.ones(1, np.int64) if schedule is None else schedule,
-        course.path,
-        course.posts,
+        course.numbers,
         robot.numbers,
         operator.numbers,
         *streams,

@@ -1,6 +1,8 @@
 """The closed course that the ground robot follows, and the guide posts beside it."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,20 +17,87 @@ FARTHEST = 1e5
 """How far from the origin a corner may lie [m]."""
 
 
+class CourseNumbers(NamedTuple):
+    """
+    A `Course` for compiled loops, with tables that spare them most of the search.
+
+    Cell (i, j) of a grid over the course, i · shape_y + j, lists the pieces of the path that may be nearest to a point in it:
+    pieces[first[cell] : first[cell + 1]], in order. begins[m] is a piece at or before arc length m times `stretch`.
+    """
+
+    path: np.ndarray
+    posts: np.ndarray
+    low_x: float
+    low_y: float
+    cell: float
+    shape_x: int
+    shape_y: int
+    first: np.ndarray
+    pieces: np.ndarray
+    begins: np.ndarray
+    stretch: float
+
+
+@njit
+def piece_distance(x, y, path, i):
+    """Return the squared distance of a point from a piece of a polyline, the point nearest to it, and its arc length."""
+    ax, ay, s = path[i, 0], path[i, 1], path[i, 2]
+    ux, uy, length = path[i + 1, 0] - ax, path[i + 1, 1] - ay, path[i + 1, 2] - s
+    share = ((x - ax) * ux + (y - ay) * uy) / (length * length)
+    share = min(max(share, 0.0), 1.0)
+    px, py = ax + share * ux, ay + share * uy
+    return (x - px) ** 2 + (y - py) ** 2, px, py, s + share * length
+
+
 @njit
 def nearest_point(x, y, path):
     """Return the nearest point of a closed polyline, its arc length and its distance: x, y, s, e."""
     best, best_x, best_y, best_s = np.inf, 0.0, 0.0, 0.0
     for i in range(path.shape[0] - 1):
-        ax, ay, s = path[i, 0], path[i, 1], path[i, 2]
-        ux, uy, length = path[i + 1, 0] - ax, path[i + 1, 1] - ay, path[i + 1, 2] - s
-        share = ((x - ax) * ux + (y - ay) * uy) / (length * length)
-        share = min(max(share, 0.0), 1.0)
-        px, py = ax + share * ux, ay + share * uy
-        square = (x - px) ** 2 + (y - py) ** 2
+        square, px, py, s = piece_distance(x, y, path, i)
         if square < best:
-            best, best_x, best_y, best_s = square, px, py, s + share * length
+            best, best_x, best_y, best_s = square, px, py, s
     return best_x, best_y, best_s, np.sqrt(best)
+
+
+@njit
+def nearest_of(x, y, course):
+    """Return the same as `nearest_point`, from the pieces listed for the point's cell alone."""
+    i, j = int(np.floor((x - course.low_x) / course.cell)), int(np.floor((y - course.low_y) / course.cell))
+    if not (0 <= i < course.shape_x and 0 <= j < course.shape_y):
+        return nearest_point(x, y, course.path)
+    here = i * course.shape_y + j
+    best, best_x, best_y, best_s = np.inf, 0.0, 0.0, 0.0
+    for place in range(course.first[here], course.first[here + 1]):
+        square, px, py, s = piece_distance(x, y, course.path, course.pieces[place])
+        if square < best:
+            best, best_x, best_y, best_s = square, px, py, s
+    return best_x, best_y, best_s, np.sqrt(best)
+
+
+@njit
+def near_pieces(path, low_x, low_y, cell, shape_x, shape_y):
+    """Return `first` and `pieces` of `CourseNumbers`: pieces no farther from a cell's middle than the nearest, and its diagonal."""
+    first, pieces = np.zeros(shape_x * shape_y + 1, np.int64), []
+    away = np.empty(path.shape[0] - 1)
+    for here in range(shape_x * shape_y):
+        x, y = low_x + (here // shape_y + 0.5) * cell, low_y + (here % shape_y + 0.5) * cell
+        for i in range(away.size):
+            away[i] = np.sqrt(piece_distance(x, y, path, i)[0])
+        most = away.min() + 1.4143 * cell  # a distance changes by at most half a diagonal within the cell
+        for i in range(away.size):
+            if away[i] <= most:
+                pieces.append(i)
+        first[here + 1] = len(pieces)
+    return first, np.array(pieces)
+
+
+@njit
+def point_at(s, i, path):
+    """Return the point at arc length `s` on piece i of a polyline, and the unit tangent there: x, y, tx, ty."""
+    step = path[i + 1, 2] - path[i, 2]
+    tx, ty = (path[i + 1, 0] - path[i, 0]) / step, (path[i + 1, 1] - path[i, 1]) / step
+    return path[i, 0] + (s - path[i, 2]) * tx, path[i, 1] + (s - path[i, 2]) * ty, tx, ty
 
 
 @njit
@@ -38,9 +107,24 @@ def path_point(s, path):
     length = path[last, 2]
     s = s - np.floor(s / length) * length
     i = min(np.searchsorted(path[:, 2], s, side="right") - 1, last - 1)
-    step = path[i + 1, 2] - path[i, 2]
-    tx, ty = (path[i + 1, 0] - path[i, 0]) / step, (path[i + 1, 1] - path[i, 1]) / step
-    return path[i, 0] + (s - path[i, 2]) * tx, path[i, 1] + (s - path[i, 2]) * ty, tx, ty
+    return point_at(s, i, path)
+
+
+@njit
+def point_ahead(s, course):
+    """Return the same as `path_point`, searching from the piece listed for the stretch of the path."""
+    path = course.path
+    last = path.shape[0] - 1
+    length = path[last, 2]
+    s = s - np.floor(s / length) * length
+    i = course.begins[min(int(s / course.stretch), course.begins.size - 1)]
+    while i < last - 1 and path[i + 1, 2] <= s:
+        i += 1
+    return point_at(s, i, path)
+
+
+MOST_CELLS, MOST_TRIED, MARGIN = 20_000, 10_000_000, 2.0
+"""Cells of a course's grid, cells times pieces of the path, and how far beyond the path the grid reaches [m]."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +219,21 @@ class Course:
             x, y, tx, ty = path_point((i + 0.5) * self.length / count, self._path)
             rows += [(x - side * self.half_width * ty, y + side * self.half_width * tx) for side in (1.0, -1.0)]
         return np.array(rows)
+
+    @cached_property
+    def numbers(self) -> CourseNumbers:
+        """The course as plain numbers and tables."""
+        path = self._path
+        low, high = path[:, :2].min(axis=0) - MARGIN, path[:, :2].max(axis=0) + MARGIN
+        count = max(1, min(MOST_CELLS, MOST_TRIED // len(path)))
+        cell = float(max(np.sqrt(np.prod(high - low) / count), (high - low).max() / count))
+        shape_x, shape_y = (max(1, int(size)) for size in np.floor((high - low) / cell))
+        first, pieces = near_pieces(path, *low, cell, shape_x, shape_y)
+        stretch = self.length / (2 * len(path))
+        begins = np.searchsorted(path[:, 2], stretch * np.arange(2 * len(path)) * (1.0 - 1e-12), side="right") - 1
+        low_x, low_y = map(float, low)
+        tables = first, pieces, np.maximum(begins, 0), stretch
+        return CourseNumbers(path, self._posts, low_x, low_y, cell, shape_x, shape_y, *tables)
 
     @property
     def path(self) -> np.ndarray:

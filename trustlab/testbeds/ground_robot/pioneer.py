@@ -16,19 +16,33 @@ def wrapped(angle):
 
 
 @njit
-def scan(x, y, yaw, est_x, est_y, est_yaw, posts, robot, rng, offsets):
-    """Compare posts seen with where the estimate has them: mean offset dx, dy, turn of the pattern, number seen."""
+def scan(x, y, yaw, est_x, est_y, est_yaw, posts, robot, rng, offsets, used):
+    """
+    Compare posts seen with where the estimate has them: mean offset dx, dy, turn of the pattern, number seen.
+
+    Where the comparison is not `used` it is left out, but the noise is drawn all the same.
+    """
     mean_x, mean_y, mean_px, mean_py, seen = 0.0, 0.0, 0.0, 0.0, 0
+    cos, sin, half = np.cos(yaw), np.sin(yaw), 0.5 * robot.field_of_view
+    edge = np.cos(half) if half < np.pi else -2.0
     for i in range(posts.shape[0]):
         dx, dy = posts[i, 0] - x, posts[i, 1] - y
+        if abs(dx) > 1.001 * robot.scan_range or abs(dy) > 1.001 * robot.scan_range:
+            continue
         distance = np.sqrt(dx * dx + dy * dy)
-        if distance > robot.scan_range:
+        # How far ahead a post stands tells whether it is in view without an angle, but for the very edge of the view.
+        inside = cos * dx + sin * dy - edge * distance
+        if distance > robot.scan_range or inside < -1e-9 * distance:
             continue
-        bearing = wrapped(np.arctan2(dy, dx) - yaw)
-        if abs(bearing) > 0.5 * robot.field_of_view or rng.random() > robot.detection:
+        bearing = 0.0
+        if used or inside < 1e-9 * distance:
+            bearing = wrapped(np.arctan2(dy, dx) - yaw)
+        if abs(bearing) > half or rng.random() > robot.detection:
             continue
-        distance += robot.range_noise * rng.standard_normal()
-        bearing += robot.bearing_noise * rng.standard_normal()
+        far, aside = robot.range_noise * rng.standard_normal(), robot.bearing_noise * rng.standard_normal()
+        if not used:
+            continue
+        distance, bearing = distance + far, bearing + aside
         offsets[seen, 0], offsets[seen, 1] = posts[i, 0], posts[i, 1]
         offsets[seen, 2] = est_x + distance * np.cos(est_yaw + bearing)
         offsets[seen, 3] = est_y + distance * np.sin(est_yaw + bearing)

@@ -10,8 +10,8 @@ from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Session
+from trustlab.testbeds.deciding import DEADLINE
 from trustlab.testbeds.ground_robot.course import Course
-from trustlab.testbeds.ground_robot.kernel import DEADLINE
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 
 STATES = ("followed", "not followed", "withdrawn", "open")

@@ -1,0 +1,148 @@
+"""Who decides when, and what may be assumed of people: off by default, each with the effect that it names.
+
+Oracles: sessions of the version before there were assumptions; closed forms of (2.5) and (2.6); the tables-free search on the
+course's path.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.operators.ground_robot import ASSUMPTIONS
+from trustlab.testbeds import Course, published_operator
+from trustlab.testbeds.deciding import SETTLING
+from trustlab.testbeds.ground_robot.course import nearest_of, nearest_point, path_point, point_ahead
+
+BEFORE = {
+    "C1": {
+        "p_r": 0.31715100466069485,
+        "p_h": 0.37893139816479154,
+        "r": 0.3317508934462086,
+        "tsc": 0.3878040233514946,
+        "path_error": 0.489582297316728,
+        "switches": 3.0,
+        "duration": 388.8,
+    },
+    "C2": {
+        "p_r": 0.31832486827841994,
+        "p_h": 0.37793760334173,
+        "r": 0.332164963113083,
+        "tsc": 0.4150157217742853,
+        "path_error": 0.48375639909407153,
+        "switches": 3.0,
+        "duration": 387.7,
+    },
+    "C3": {
+        "p_r": 0.31836473333407556,
+        "p_h": 0.378612816803832,
+        "r": 0.3307410835475913,
+        "tsc": 0.4083138052806818,
+        "path_error": 0.48528628608537533,
+        "switches": 3.0,
+        "duration": 387.8,
+    },
+    "C4": {
+        "p_r": 0.34397339672417654,
+        "p_h": 0.39129334777810476,
+        "r": 0.5434165617658124,
+        "tsc": 0.6323498100634913,
+        "path_error": 0.3832361077446321,
+        "switches": 1.0,
+        "duration": 371.0,
+    },
+    "C5": {
+        "p_r": 0.3332483024021756,
+        "p_h": 0.387927233399997,
+        "r": 0.4420123394042968,
+        "tsc": 0.5176047720780554,
+        "path_error": 0.4192748817857285,
+        "switches": 3.0,
+        "duration": 382.4,
+    },
+}
+"""Measures of participant 2, four laps, seed 7, before operators had assumptions."""
+
+MODEL = tl.published_models()["2"]
+
+
+def run(condition, seed=7, laps=4, **assumed):
+    who = replace(published_operator(2), **assumed)
+    thresholds = (0.0, 0.35) if condition in ("C2", "C3") else None
+    return tl.run_condition(condition, who, MODEL, thresholds, laps=laps, seed=seed)
+
+
+@pytest.mark.parametrize("condition", BEFORE)
+def test_with_assumptions_off_sessions_are_those_of_before(condition):
+    found = tl.run_condition(condition, participant=2, laps=4, seed=7).measures()
+    assert {name: found[name] for name in BEFORE[condition]} == pytest.approx(BEFORE[condition], rel=1e-12)
+
+
+@pytest.mark.parametrize("course", [Course(), Course(((0, 0), (12, 0), (12, 9), (0, 9)), radius=2.0, resolution=0.4)])
+def test_tables_of_a_course_spare_search_and_change_no_bit(course):
+    numbers, rng = course.numbers, np.random.default_rng(0)
+    low, high = course.path[:, :2].min(axis=0) - 4.0, course.path[:, :2].max(axis=0) + 4.0  # beyond the grid as well
+    for x, y in rng.uniform(low, high, (4000, 2)):
+        assert nearest_of(x, y, numbers) == nearest_point(x, y, numbers.path)
+    corners = numbers.path[1:, 2]
+    for s in np.r_[rng.uniform(-50.0, 150.0, 2000), corners, np.nextafter(corners, -1.0), np.nextafter(corners, 1e9)]:
+        assert point_ahead(s, numbers) == path_point(s, numbers.path)
+
+
+def skill_of(session, before):
+    """P_h as measured relative to that of the run without the assumption, where the operator alone has driven."""
+    alone = slice(200, int(10 * SETTLING))
+    return session["p_h"][alone].mean() / before["p_h"][alone].mean()
+
+
+def test_attention_costs_performance_where_one_must_decide():
+    free, forced = (run(c, attention_cost=0.2).session for c in ("C1", "C3"))
+    assert forced == run("C3").session
+    assert skill_of(free, run("C1").session) == pytest.approx(0.8, abs=0.03)
+
+
+def test_attention_costs_while_a_suggestion_stands_that_may_be_declined():
+    declined = {"follow_tsc": 0.0, "ignoring_time": 3000.0}
+    costly, before = (run("C2", attention_cost=cost, **declined).session for cost in (0.2, 0.0))
+    first = int(np.argmax(before["suggested_mode"] == 0.0))
+    np.testing.assert_array_equal(costly["p_h"][: first + 1], before["p_h"][: first + 1])
+    later = slice(first + 1000, first + 1200)
+    assert costly["p_h"][later].mean() / before["p_h"][later].mean() == pytest.approx(0.8, abs=0.05)
+
+
+def test_bias_shifts_the_thresholds_of_tsc_as_measured():
+    exact = {"lower": -0.2, "upper": 0.5, "lower_spread": 0.0, "upper_spread": 0.0, "reaction_lag": 0.0}
+    shifted = exact | {"lower": -0.3, "upper": 0.4}
+    trusting = run("C1", trust_bias=0.1, **exact).session
+    np.testing.assert_array_equal(trusting["mode"], run("C1", **shifted).session["mode"])
+    assert run("C3", trust_bias=0.1).session == run("C3").session
+
+
+def test_taking_over_late_delays_the_manual_mode_alone():
+    at_once = {"reaction_lag": 0.0}
+    late = run("C3", take_over_lag=5.0, **at_once).suggestions()
+    assert late.loc[late["suggested_mode"] == 0.0, "delay"].max() <= 0.1
+    assert late.loc[late["suggested_mode"] == 1.0, "delay"].dropna().between(5.0, 5.2).all()
+    assert (late["suggested_mode"] == 1.0).any()
+
+
+def test_utilization_begins_at_r0_unless_a_run_says_otherwise():
+    who = replace(published_operator(2), r0=0.6)
+    runs = [tl.run_condition("C4", who, MODEL, laps=1, r0=given) for given in (None, 0.3)]
+    assert [float(run.session["r"][0]) for run in runs] == [0.6, 0.3]
+
+
+def test_learning_and_fatigue_follow_their_formula():
+    who = replace(published_operator(2), learning=0.1, fatigue=0.02)
+    assert [replace(who, sessions=i).skill for i in range(3)] == pytest.approx([1.0, 1.05 - 0.02, 1.075 - 0.04])
+    tired = run("C5", fatigue=0.05, sessions=4).session
+    assert skill_of(tired, run("C5").session) == pytest.approx(0.8, abs=0.03)
+
+
+@pytest.mark.parametrize("name", ASSUMPTIONS)
+def test_assumptions_out_of_range_are_refused(name):
+    for value in (-3.0, 100.0, np.nan, "much"):
+        with pytest.raises(ValueError, match=f"^{name} must"):
+            replace(published_operator(2), **{name: value})
+    assert getattr(published_operator(2), name) == 0.0

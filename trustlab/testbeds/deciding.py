@@ -1,0 +1,170 @@
+"""Who decides when in conditions C1–C5 (Section 2.4.1.2): one step of own thresholds and of suggestions, for all testbeds."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from trustlab.allocation.rules import performance_suggestion
+from trustlab.models.checks import between
+from trustlab.models.compiled import njit
+from trustlab.models.human import performance_at
+from trustlab.models.tsc import TscModel, threshold_mode
+
+SCHEDULE, OWN, TSC, PERFORMANCE = 0, 1, 2, 3
+"""Who allocates: a given sequence of modes, the operator, suggestions by (2.8), suggestions by Algorithm 2."""
+
+CONDITIONS = {
+    "C1": (OWN, False),
+    "C2": (TSC, False),
+    "C3": (TSC, True),
+    "C4": (PERFORMANCE, False),
+    "C5": (PERFORMANCE, True),
+}
+"""Who allocates in each condition of Section 2.4.1.2, and whether suggestions must be followed."""
+
+SAMPLE_TIME, WINDOW = 0.1, 100.0
+"""Of Chapter 2 [s]."""
+
+DEADLINE = 15.0
+"""A suggestion counts as followed when the operator complies within this time [s]."""
+
+SETTLING = 100.0
+"""Nobody switches before this time [s], when the window of (2.4) and (2.7) is full for the first time: means of the first
+few samples, of a robot that has just been put on the path, are far above what they become."""
+
+# Performance summed over the window, utilization, own or suggested thresholds, how far a correction has moved own ones, and
+# when a decision takes effect. −1 stands for no suggestion, no decision under way and no suggestion being considered.
+NUMBERS = "sum_r sum_h p_r p_h tsc r lower upper shift_l shift_u due episode_seen"
+COUNTS, FLAGS = "mode suggested decided episode", "willing"
+
+
+class Task(NamedTuple):
+    """What is to be done, for the compiled loops; scheme is one of SCHEDULE, OWN, TSC and PERFORMANCE."""
+
+    scheme: int
+    forced: bool
+    laps: int
+    lower: float
+    upper: float
+    a_T: float  # noqa: N815
+    b_T: float  # noqa: N815
+    p_min: float
+    p_max: float
+    e_max: float
+    window: int
+    sample_time: float
+    first_mode: int
+    r0: float
+
+
+def task_of(
+    scheme: int,
+    e_max: float,
+    forced: bool = False,
+    laps: int = 0,
+    lower: float = 0.0,
+    upper: float = 0.0,
+    model: TscModel | None = None,
+    first_mode: int = 1,
+    r0: float = 0.0,
+) -> Task:
+    """Return a task; without a model TSC and P_max are 0."""
+    r0 = between("r0", r0, 0.0, 1.0)
+    numbers: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    if model:
+        numbers = (model.a_T, model.b_T, model.robot.p_min, model.robot.p_max)
+    window = round(WINDOW / SAMPLE_TIME)
+    return Task(scheme, forced, laps, lower, upper, *numbers, e_max, window, SAMPLE_TIME, first_mode, r0)
+
+
+@njit
+def begin(task, person, state, mind):
+    """Set utilization and mode at the beginning, and draw the operator's first thresholds."""
+    state.r, state.mode, state.episode_seen = task.r0, task.first_mode, -1e9
+    state.suggested, state.decided, state.episode = -1, -1, -1
+    state.lower, state.upper = task.lower, task.upper
+    if task.scheme == OWN:
+        state.lower += person.lower_spread * mind.standard_normal()
+        state.upper += person.upper_spread * mind.standard_normal()
+
+
+@njit
+def skill_now(task, person, state):
+    """Return human performance (2.6), as experience and the attention that deciding takes leave of it."""
+    skill = person.skill * performance_at(state.r, person.beta, person.p_min, person.p_max)
+    free_to_decline = not task.forced and state.suggested >= 0 and state.suggested != state.mode
+    if task.scheme == OWN or free_to_decline:
+        skill *= 1.0 - person.attention_cost
+    return skill
+
+
+@njit
+def measure(task, k, z_r, z_h, state):
+    """Move performance as measured, (2.4) and (2.7), to the window that ends at sample k, and TSC (2.1) with it."""
+    state.sum_r, state.sum_h = state.sum_r + z_r[k], state.sum_h + z_h[k]
+    if k >= task.window:
+        state.sum_r, state.sum_h = state.sum_r - z_r[k - task.window], state.sum_h - z_h[k - task.window]
+    used = min(k + 1, task.window)
+    state.p_r, state.p_h = state.sum_r / used, state.sum_h / used
+    state.tsc = task.a_T * state.p_r - task.b_T * state.p_h
+
+
+@njit
+def reaction(person, wanted, mind):
+    """Return the time between a decision and the hand's doing it [s]; its logarithm is normal, and taking over adds to it."""
+    late = person.reaction_lag * np.exp(person.reaction_spread * mind.standard_normal())
+    return late + person.take_over_lag if wanted == 1 else late
+
+
+@njit
+def own_decision(person, t, state, mind):
+    """Let the operator decide by thresholds of TSC of their own, and TSC as they perceive it (C1)."""
+    perceived = state.tsc + person.trust_bias
+    if state.decided < 0 and threshold_mode(perceived, state.lower, state.upper, state.mode) != state.mode:
+        state.decided, state.willing = 1 - state.mode, True
+        state.due = t + reaction(person, state.decided, mind)
+
+
+@njit
+def consider(task, person, t, state, mind):
+    """Make the suggestion of the scheme (C2–C5), and let the operator decide once per suggestion whether to follow."""
+    if task.scheme == TSC:
+        standing = state.mode if state.suggested < 0 else state.suggested
+        state.suggested = threshold_mode(state.tsc, state.lower, state.upper, standing)
+        follow = person.follow_tsc
+    else:
+        state.suggested = performance_suggestion(state.p_r, task.p_min, task.p_max)
+        follow = person.follow_performance
+    if state.suggested == state.mode:
+        state.decided, state.episode = -1, -1
+    elif state.suggested >= 0:
+        if state.suggested != state.episode or t - state.episode_seen > DEADLINE:
+            state.willing = task.forced or mind.random() < follow
+            late = reaction(person, state.suggested, mind)
+            if not state.willing:
+                late += DEADLINE + person.ignoring_time * mind.standard_exponential()
+            state.episode, state.decided, state.due = state.suggested, state.suggested, t + late
+        state.episode_seen = t
+
+
+@njit
+def allocate(task, person, scheduled, t, state, mind):
+    """Set who drives in this sample."""
+    before = state.mode
+    if task.scheme == SCHEDULE:
+        state.mode = scheduled
+    elif t < SETTLING:
+        pass
+    elif task.scheme == OWN:
+        own_decision(person, t, state, mind)
+    else:
+        consider(task, person, t, state, mind)
+    if state.decided >= 0 and t >= state.due:
+        if state.willing or state.suggested == state.decided:
+            state.mode = state.decided
+        state.decided = -1
+    if state.mode != before:
+        state.episode = -1
+        if task.scheme == OWN:  # own thresholds are drawn anew at every switch
+            state.lower = task.lower + state.shift_l + person.lower_spread * mind.standard_normal()
+            state.upper = task.upper + state.shift_u + person.upper_spread * mind.standard_normal()
