@@ -1,3 +1,5 @@
+__version__: str
+
 from . import (
     allocation as allocation,
     campaign as campaign,

@@ -1,6 +1,7 @@
 """What counts as another task, and what does not."""
 
 import functools
+import json
 import linecache
 import os
 import subprocess
@@ -209,6 +210,43 @@ def test_a_worker_that_imported_an_earlier_version_imports_it_again(tmp_path, mo
     unpickled_task.cache_clear()
     with pytest.raises(CampaignError, match="cannot be loaded in a worker: ModuleNotFoundError"):
         unpickled_task(*sent)
+
+
+def test_edits_of_other_modules_of_the_tasks_package_are_seen(tmp_path):
+    """Each state of the package is identified by a process of its own, as after a restart."""
+    package = tmp_path / "labmodels"
+    files = {
+        "__init__.py": "",
+        "task.py": "from . import plant\n\ndef task(x, seed):\n    return {'y': plant.step(x)}\n\ndef unused():\n    pass\n",
+        "plant.py": "def step(x):\n    from labmodels.deep.gains import GAIN as g\n    return g * x\n",
+        "deep/__init__.py": "",
+        "deep/gains.py": "from ..constants import BASE\nGAIN = 2 * BASE\n",
+        "constants.py": "import numpy\nimport labmodels.task\nBASE = 1.0\n",  # and back: a circle
+        "other.py": "UNRELATED = 1\n",
+    }
+
+    def identity(**changed):
+        for name, text in (files | changed).items():
+            (package / name).parent.mkdir(parents=True, exist_ok=True)
+            (package / name).write_text(text)
+        script = (
+            "import json; from labmodels.task import task; from trustlab.campaign.identity import task_identity; "
+            "print(json.dumps(task_identity(task)))"
+        )
+        environment = os.environ | {
+            "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
+        return json.loads(subprocess.check_output([sys.executable, "-c", script], env=environment, text=True))
+
+    before = identity()
+    assert {key for key in before if key.startswith("module")} == {
+        f"module labmodels{name}" for name in ("", ".plant", ".deep.gains", ".constants", ".deep")
+    }
+    changed = {"deep/gains.py": files["deep/gains.py"].replace("2", "3"), "other.py": "UNRELATED = 2\n"}
+    assert differences(before, identity(**changed)) == ["module labmodels.deep.gains changed"]
+    commented = {"constants.py": files["constants.py"] + "# a comment\n", "task.py": files["task.py"] + "\nX = 1\n"}
+    assert differences(before, identity(**commented)) == []
 
 
 def test_code_is_the_same_wherever_it_stands():

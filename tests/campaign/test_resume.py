@@ -2,39 +2,108 @@
 
 import json
 import os
-import signal
+import platform
 import subprocess
 import sys
-import time
 import tracemalloc
 from pathlib import Path
 
+import numba
+import numpy as np
 import pandas as pd
-import psutil
 import pytest
 
 import trustlab as tl
 from trustlab.campaign import CampaignError
 
 SCRIPT = """
-import os, sys, time
+import os, random, signal, sys, time, warnings
 import numpy as np
 import trustlab as tl
 
-folder, n_jobs, log = sys.argv[1], int(sys.argv[2]), sys.argv[3]
+place, n_jobs, kills, longest = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4])
+GRID = tl.parameter_grid(x=range(240))
 
-def task(x, seed):
+def task(x, seed, log=place + "/log"):
     with open(log, "a") as file:
         file.write(f"{x}\\n")
-    time.sleep(0.01)
+    time.sleep(float(os.environ.get("PAUSE", 0.0)))
     if x % 50 == 7:
         raise ValueError(f"x = {x}")
     return {"y": np.random.default_rng(seed).normal() + x}
 
+def run(out, n_jobs):
+    return tl.run_campaign(task, GRID, seed=5, n_jobs=n_jobs, out=out)
+
+def logged():
+    ran = set()
+    if os.path.exists(place + "/log"):
+        with open(place + "/log") as file:
+            ran = {int(x) for x in file}
+        os.remove(place + "/log")
+    return ran
+
+def finished(out):
+    try:
+        return set(tl.read_campaign(out)["run"])
+    except tl.campaign.CampaignError as error:
+        assert "holds no campaign" in str(error), error
+        return set()
+
+def alive(session):
+    import psutil
+    for process in psutil.process_iter(["pid", "status"]):
+        try:
+            if process.info["status"] != "zombie" and os.getsid(process.info["pid"]) == session:
+                yield process
+        except ProcessLookupError:
+            pass
+
+def main():
+    warnings.simplefilter("ignore")
+    # Each driver is a fork of this process, which has imported everything already.
+    import loky, pyarrow.parquet, tqdm
+    import trustlab.campaign.dispatch, trustlab.campaign.folder
+    rng, whole, killed, half_way = random.Random(kills), None, 0, 0
+    for campaign in range(kills):
+        out = f"{place}/out{campaign}"
+        saved = set()
+        while killed < kills and len(saved) < len(GRID):
+            killed += 1
+            driver = os.fork()
+            if driver == 0:
+                os.setsid()
+                os.environ["PAUSE"] = "0.01"
+                run(out, n_jobs)
+                os._exit(0)
+            if killed % 2:
+                time.sleep(rng.uniform(0.0, longest))
+            else:  # when it has saved more
+                until = time.monotonic() + 60.0
+                while len(finished(out)) == len(saved) and time.monotonic() < until:
+                    time.sleep(0.005)
+            os.kill(driver, signal.SIGKILL)
+            os.waitpid(driver, 0)
+            until = time.monotonic() + 30.0
+            while (left := list(alive(driver))) and time.monotonic() < until:
+                time.sleep(0.02)
+            assert not left, f"workers stay behind: {left}"
+            before, saved = saved, finished(out)
+            assert before <= saved, "finished runs are gone"
+            half_way += 0 < len(saved) < len(GRID)
+            assert not before & logged(), "what was saved ran again"
+        table = run(out, 1)
+        assert table.attrs["resumed"] == len(saved)
+        if whole is None:
+            whole = tl.run_campaign(task, GRID, seed=5, n_jobs=1)
+        assert table.drop(columns="traceback").equals(whole.drop(columns="traceback"))
+        logged()
+        if killed == kills:
+            break
+    print(killed, half_way)
+
 if __name__ == "__main__":
-    table = tl.run_campaign(task, tl.parameter_grid(x=range(240)), seed=5, n_jobs=n_jobs, out=folder)
-    table.to_pickle(sys.argv[4])
-    print(table.attrs["resumed"])
+    main()
 """
 
 
@@ -42,49 +111,26 @@ def chunks(folder):
     return sorted((Path(folder) / "chunks").glob("*.parquet"))
 
 
-@pytest.mark.parametrize("n_jobs", [1, 2])
-def test_the_driving_process_is_killed_and_restarted(tmp_path, n_jobs):
-    script = tmp_path / "script.py"
-    script.write_text(SCRIPT)
-    folder, log = tmp_path / "out", tmp_path / "log"
-    environment = os.environ | {"PYTHONPATH": str(Path(tl.__file__).parents[1]), "PYTHONWARNINGS": "ignore"}
-
-    def command(where, n, result):
-        return [sys.executable, str(script), str(where), str(n), str(log), str(tmp_path / result)]
-
-    process = subprocess.Popen(command(folder, n_jobs, "never"), env=environment)
-    until = time.monotonic() + 60
-    while len(chunks(folder)) < 4 and time.monotonic() < until and process.poll() is None:
-        time.sleep(0.005)
-    assert process.poll() is None, "it was to be killed half-way"
-    children = psutil.Process(process.pid).children(recursive=True)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    saved = tl.read_campaign(folder)
-    assert 0 < len(saved) < 240
-    assert len(children) >= (n_jobs if n_jobs > 1 else 0)
-    assert psutil.wait_procs(children, timeout=30)[1] == []  # workers do not stay behind
-    again = subprocess.run(
-        command(folder, n_jobs, "b.pkl"), env=environment, check=True, capture_output=True, text=True
-    )
-    assert int(again.stdout) == len(saved)  # all that was written, and nothing else
-    resumed = pd.read_pickle(tmp_path / "b.pkl")
-    counts = pd.Series(log.read_text().split()).astype(int).value_counts()
-    assert set(counts.index) == set(range(240))
-    assert counts.max() <= 2
-    assert not set(counts.index[counts > 1]) & set(saved["run"])  # what was saved did not run again
-    assert (counts > 1).sum() <= 4 * 25  # chunks under way: at most two per process of 0.25 s, the last may run twice
-    import runpy
-
-    argv = sys.argv
-    sys.argv = command(tmp_path / "whole", 1, "a.pkl")[1:]
-    try:
-        task = runpy.run_path(str(script))["task"]
-    finally:
-        sys.argv = argv
-    with pytest.warns(tl.campaign.CampaignWarning, match="5 of 240"):
-        whole = tl.run_campaign(task, tl.parameter_grid(x=range(240)), seed=5, n_jobs=1)
-    pd.testing.assert_frame_equal(whole, resumed, check_exact=True)
+@pytest.mark.skipif(os.name != "posix", reason="forks")
+@pytest.mark.parametrize(
+    ("n_jobs", "kills", "longest"),
+    [
+        (1, 8, 0.4),
+        (2, 2, 3.0),  # while the workers start, and later
+        pytest.param(1, 80, 0.4, marks=pytest.mark.long),
+        pytest.param(2, 20, 3.0, marks=pytest.mark.long),
+    ],
+)
+def test_drivers_killed_at_random_leave_nothing_half_made_and_the_next_goes_on(tmp_path, n_jobs, kills, longest):
+    """Nothing saved is lost or run again, no worker stays, and the table is that of a campaign without kills."""
+    (tmp_path / "script.py").write_text(SCRIPT)
+    environment = os.environ | {"PYTHONPATH": str(Path(tl.__file__).parents[1])}
+    command = [sys.executable, tmp_path / "script.py", tmp_path, n_jobs, kills, longest]
+    done = subprocess.run(list(map(str, command)), env=environment, capture_output=True, text=True, timeout=900)
+    assert done.returncode == 0, done.stderr
+    killed, half_way = map(int, done.stdout.split())
+    assert killed == kills
+    assert half_way > 0
 
 
 def plain(offset=0, scale=2):
@@ -186,6 +232,37 @@ def test_other_parameters_are_refused_with_what_changed(tmp_path, runs, said):
         go(tmp_path, task, runs)
 
 
+def test_other_versions_are_refused_by_name_and_allowed_by_name(tmp_path):
+    first = go(tmp_path)
+    manifest = tmp_path / "campaign.json"
+    now = {"trustlab": tl.__version__, "Python": platform.python_version(), "numpy": np.__version__}
+    now["numba"] = numba.__version__
+    assert json.loads(manifest.read_text())["versions"] == now
+    older = now | {"numpy": "1.26.4", "numba": "0.59.1"}
+    manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"versions": older}))
+    chunks(tmp_path)[0].unlink()
+    with pytest.raises(
+        CampaignError, match=rf"other versions.*: numpy was 1\.26\.4, is {np.__version__}; numba was 0\.59"
+    ):
+        go(tmp_path)
+    with pytest.raises(CampaignError, match=r"numpy was .*other_versions=\['numpy'\]"):
+        go(tmp_path, other_versions=["numba"])
+    table = go(tmp_path, other_versions=["numba", "numpy"])
+    pd.testing.assert_frame_equal(first, table)
+    mixed = tl.read_campaign(tmp_path).attrs["versions"]
+    assert mixed == now | {"numpy": f"1.26.4, {np.__version__}", "numba": f"0.59.1, {numba.__version__}"}
+    with pytest.raises(CampaignError, match=r"numpy was 1\.26\.4, "):
+        go(tmp_path)  # a mixed table is never returned without being asked for
+    assert tl.read_campaign(tmp_path).attrs["versions"] == mixed
+    content = json.loads(manifest.read_text())
+    del content["versions"]  # as campaigns were written at first
+    manifest.write_text(json.dumps(content))
+    with pytest.raises(CampaignError, match="trustlab was not recorded"):
+        go(tmp_path)
+    with pytest.raises(ValueError, match=r"other_versions must be one of .*did you mean 'numpy'"):
+        go(tmp_path, other_versions=["nunpy"])
+
+
 def test_parameters_of_any_kind_are_told_apart(tmp_path, operators):
     def task(model, f, seed):
         return {"b": model.robot.b}
@@ -228,7 +305,15 @@ def test_damaged_and_foreign_folders_are_refused(tmp_path):
     (folder / "campaign.json").write_text(json.dumps(json.loads(manifest) | {"format": 99}))
     with pytest.raises(CampaignError, match="has format 99"):
         go(folder)
-    forged = [{"runs": "30"}, {"names": [1]}, {"names": "x"}, {"task": []}, {"task": {"a": 1}}, {"seed": {}}]
+    forged = [
+        {"runs": "30"},
+        {"names": [1]},
+        {"names": "x"},
+        {"task": []},
+        {"task": {"a": 1}},
+        {"seed": {}},
+        {"versions": {"numpy": 2}},
+    ]
     texts = [json.dumps(json.loads(manifest) | one) for one in forged]
     for text in [*texts, "[]", "5", "[" * 100_000, "\ud800"]:
         (folder / "campaign.json").write_bytes(text.encode("utf-8", "surrogatepass"))
@@ -347,7 +432,7 @@ def test_a_broken_off_campaign_goes_on(tmp_path):
         go(tmp_path, task)
     part = tl.read_campaign(tmp_path)
     assert 0 < len(part) <= 12
-    assert part.attrs == {"runs": 30, "finished": len(part), "failed": 0}
+    assert part.attrs == {"runs": 30, "finished": len(part), "failed": 0, "versions": part.attrs["versions"]}
     stop[0] = -1
     with pytest.raises(CampaignError, match=r"stop in .*was list\[12\], is list\[-1\]"):
         go(tmp_path, task)

@@ -17,14 +17,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from trustlab.campaign.errors import CampaignError
-from trustlab.campaign.identity import cut, differences, parameter_texts
+from trustlab.campaign.identity import cut, differences, parameter_texts, versions
 from trustlab.campaign.table import assembled
 
 FORMAT = 1
 MANIFEST, PARAMETERS, CHUNKS, LOCK = "campaign.json", "parameters.txt.gz", "chunks", ".lock"
 CHUNK = re.compile(r"runs-(\d+)-(\d+)-([0-9a-f]{32})\.parquet")
 PARTIAL = ".partial-"
-ENTRIES = {"format": int, "runs": int, "parameters": str, "names": list, "task": dict, "seed": str}
+ENTRIES = {"format": int, "runs": int, "parameters": str, "names": list, "task": dict, "seed": str, "versions": dict}
 OWN = {MANIFEST, PARAMETERS, CHUNKS, LOCK, "parameters.parquet"}  # the last as written before version 0.3
 REMEDY = "restore it, use another folder, or fresh=True to remove what is there"
 
@@ -32,7 +32,9 @@ REMEDY = "restore it, use another folder, or fresh=True to remove what is there"
 class Folder:
     """The files of one campaign, opened by one process at a time; `spans` are first run, end and file of each chunk."""
 
-    def __init__(self, path: object, identity: dict, parameters: Sequence[Mapping], names: list[str], fresh: bool):
+    def __init__(
+        self, path: object, identity: dict, parameters: Sequence[Mapping], fresh: bool, other_versions: Sequence[str]
+    ):
         self.path = folder_path(path)
         with contextlib.ExitStack() as stack, writing_in(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
@@ -40,15 +42,16 @@ class Folder:
             if fresh:
                 self._clear()
             if (self.path / MANIFEST).exists():
-                self._check_same(identity, parameters, names)
+                self._check_same(identity, parameters)
+                self._check_versions(other_versions)
             else:
-                self._create(identity, parameters, names)
+                self._create(identity, parameters)
             for leftover in self.path.rglob(f"*{PARTIAL}*"):  # what was being written when a process ended
                 leftover.unlink(missing_ok=True)
             self.spans = _spans(self.path, len(parameters))
             self.close = stack.pop_all().close  # until then, other processes are kept out
 
-    def _create(self, identity: dict, parameters: Sequence[Mapping], names: list[str]) -> None:
+    def _create(self, identity: dict, parameters: Sequence[Mapping]) -> None:
         """Write parameters first and the manifest last, so that chunks without a manifest are never trusted."""
         _refuse_foreign(self.path)
         chunks = self.path / CHUNKS
@@ -58,16 +61,37 @@ class Folder:
                 f"{self.path} is half a campaign: {len(list(chunks.glob('*.parquet')))} chunks, but {MANIFEST}, which "
                 f"says of what, is missing; {REMEDY}"
             )
-        lines = b"".join(_lines(parameters, names))
+        lines = b"".join(_lines(parameters, identity["names"]))
         write_whole(self.path / PARAMETERS, gzip.compress(lines, compresslevel=1))
         digest = hashlib.sha256(lines).hexdigest()
         content = {"format": FORMAT, "runs": len(parameters), "parameters": digest, **identity}
+        self._write_manifest(content | {"versions": versions()})
+
+    def _write_manifest(self, content: dict) -> None:
         text = json.dumps(content, indent=1, ensure_ascii=False)
         write_whole(self.path / MANIFEST, text.encode("utf-8", "backslashreplace"))
 
-    def _check_same(self, identity: dict, parameters: Sequence[Mapping], names: list[str]) -> None:
+    def _check_versions(self, accepted: Sequence[str]) -> None:
+        """Raise if results of other versions would be mixed with those of the folder, unless the user accepts it."""
+        content = _manifest(self.path)
+        before = content["versions"]
+        changed = {name: now for name, now in versions().items() if before.get(name) != now}
+        refused = [name for name in changed if name not in accepted]
+        if refused:
+            said = "; ".join(f"{name} was {before.get(name, 'not recorded')}, is {changed[name]}" for name in refused)
+            raise CampaignError(
+                f"{self.path} was begun with other versions, which may give other numbers: {said}. Go on with those, or use "
+                f"another folder, fresh=True to remove what is there, or other_versions={refused} to have both in one table"
+            )
+        for name, now in changed.items():
+            known = before.get(name, "not recorded").split(", ")
+            before[name] = ", ".join(dict.fromkeys([*known, now]))
+        if changed:
+            self._write_manifest(content)
+
+    def _check_same(self, identity: dict, parameters: Sequence[Mapping]) -> None:
         """Raise if the folder holds another campaign, and say what changed."""
-        before = _manifest(self.path)
+        before, names = _manifest(self.path), identity["names"]
         changed = [f"the task changed: {text}" for text in differences(before["task"], identity["task"])]
         if before["seed"] != identity["seed"]:
             changed.append(f"seed was {before['seed']}, is {identity['seed']}")
@@ -141,7 +165,7 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
     -------
     pandas.DataFrame
         The columns of `run_campaign`, one row per finished run, in the order of runs; parameters that are not plain values
-        are text. `attrs` holds runs, finished and failed.
+        are text. `attrs` holds runs, finished, failed, and the versions with which they were run.
 
     Raises
     ------
@@ -158,6 +182,7 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
     else:
         table = pd.DataFrame(columns=["run", *manifest["names"], "failed", "error", "traceback"])
     table.attrs = {"runs": manifest["runs"], "finished": len(table), "failed": int(table["failed"].sum())}
+    table.attrs["versions"] = manifest["versions"]
     return table
 
 
@@ -244,10 +269,14 @@ def _manifest(folder: Path) -> dict:
     path = folder / MANIFEST
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
+        content.setdefault("versions", {})  # which were not recorded at first
         wrong = [name for name, kind in ENTRIES.items() if not isinstance(content[name], kind)]
-        if wrong or not all(isinstance(text, str) for text in [*content["names"], *content["task"].values()]):
-            raise ValueError(f"{', '.join(wrong) or 'names or task'} is of another kind than a campaign writes")
-    except (OSError, LookupError, ValueError, TypeError, RecursionError) as error:
+        texts = [*content["names"], *content["task"].values(), *content["versions"].values()]
+        if wrong or not all(isinstance(text, str) for text in texts):
+            raise ValueError(
+                f"{', '.join(wrong) or 'names, task or versions'} is of another kind than a campaign writes"
+            )
+    except (OSError, LookupError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise CampaignError(f"{path} cannot be read ({type(error).__name__}: {error}); {REMEDY}") from error
     if content["format"] != FORMAT:
         raise CampaignError(

@@ -7,14 +7,19 @@ import inspect
 import io
 import json
 import pickle
+import platform
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from importlib import metadata
+from importlib.util import find_spec, resolve_name
+from pathlib import Path
 from types import CodeType, FunctionType, MethodType
 from typing import Any
 
 import numpy as np
 
+from trustlab import __version__
 from trustlab.campaign.worker import code_digest
 
 PLAIN = (bool, int, float, str, bytes, type(None))
@@ -26,10 +31,50 @@ def task_identity(task: Callable) -> dict[str, str]:
 
     What counts: the source of the function, comments and layout apart, and of functions and classes of its module that it
     uses; default and bound arguments; values it closes over; plain values among the global names it uses (numbers, text,
-    tuples of them). What does not: other modules, files, and global objects that are not plain. Lambdas, wrappers, and
-    functions without source text are known by their compiled code, which changes with Python's version too.
+    tuples of them); other modules of its package that its module imports, directly or not. What does not: other packages,
+    files, and global objects that are not plain. Lambdas, wrappers, and functions without source text are known by their
+    compiled code, which changes with Python's version too.
     """
+    _package_modules.cache_clear()  # files may have been edited since the last campaign
     return _Identity(task).parts
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what computes a task's numbers beside the task itself."""
+    return {
+        "trustlab": __version__,
+        "Python": platform.python_version(),
+        "numpy": np.__version__,
+        "numba": metadata.version("numba"),
+    }
+
+
+@functools.cache
+def _package_modules(module: str) -> dict[str, str]:
+    """Return a digest of each other module of the same package that a module imports, directly or not."""
+    package = module.partition(".")[0]
+    digests: dict[str, str] = {}
+    waiting = [module]
+    while waiting:
+        name = waiting.pop()
+        if name in digests or name.partition(".")[0] != package:
+            continue
+        try:
+            spec = find_spec(name)
+            tree = ast.parse(Path(spec.origin).read_bytes())
+        except (ImportError, AttributeError, TypeError, ValueError, OSError):
+            continue  # a name inside a module, a module without a file, or one without source text
+        digests[name] = hashlib.sha256(ast.unparse(tree).encode("utf-8", "backslashreplace")).hexdigest()[:32]
+        waiting.append(name.rpartition(".")[0])  # packages are imported before what is in them
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                waiting += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                parent = name if spec.submodule_search_locations else spec.parent
+                origin = resolve_name("." * node.level + (node.module or ""), parent)
+                waiting += [origin, *(f"{origin}.{alias.name}" for alias in node.names)]
+    digests.pop(module, None)  # of the task's own module only what it uses counts
+    return digests
 
 
 class _Identity:
@@ -67,6 +112,7 @@ class _Identity:
         if any(function is other for other in self.seen):
             return
         self.seen.append(function)
+        self.parts |= {f"module {name}": digest for name, digest in _package_modules(function.__module__ or "").items()}
         name = _name(function)
         same = sum(_name(other) == name for other in self.seen)
         if same > 1:  # made by the same lines, with other values closed over
@@ -144,7 +190,7 @@ def value_text(value: object) -> str:
     if short and type(value) is dict:
         return "{" + ", ".join(f"{value_text(k)}: {value_text(v)}" for k, v in value.items()) + "}"
     if isinstance(value, FunctionType | functools.partial | MethodType):
-        digest = hashlib.sha256(json.dumps(task_identity(value)).encode()).hexdigest()[:32]
+        digest = hashlib.sha256(json.dumps(_Identity(value).parts).encode()).hexdigest()[:32]
         return f"{_name(value)} {digest}"
     try:
         digest = _pickle_digest(value)
@@ -210,7 +256,7 @@ def differences(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
             said.append(f"{key} is {'new' if old is None else 'gone'}")
         elif key.startswith("source of"):
             said.append(f"{key} changed: {_first_line(old, new)}")
-        elif key.startswith("code of"):
+        elif key.startswith(("code of", "module ")):
             said.append(f"{key} changed")
         else:
             said.append(f"{key} was {cut(old)}, is {cut(new)}")

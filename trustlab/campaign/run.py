@@ -16,7 +16,7 @@ import numpy as np
 from trustlab.campaign.errors import CampaignWarning
 from trustlab.campaign.parameters import checked_names
 from trustlab.campaign.worker import running_task
-from trustlab.models.checks import whole_number
+from trustlab.models.checks import one_of, whole_number
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,6 +35,7 @@ def run_campaign(
     executor: Executor | Callable[[], Executor] | None = None,
     progress: bool | None = None,
     fresh: bool = False,
+    other_versions: Sequence[str] = (),
 ) -> pd.DataFrame:
     """
     Run a task once for each set of parameters and return one table.
@@ -70,6 +71,9 @@ def run_campaign(
         Whether to show runs done, rate and time left on stderr; by default where it is a terminal. In a notebook: True.
     fresh : bool
         Whether to remove an earlier campaign from `out`.
+    other_versions : sequence of str
+        Of "trustlab", "Python", "numpy" and "numba": those that may have another version than the runs in `out` have, so
+        that the table mixes both; `read_campaign` says which. By default each must be the same.
 
     Returns
     -------
@@ -81,7 +85,7 @@ def run_campaign(
     Raises
     ------
     CampaignError
-        If the folder cannot be used, or holds a campaign with another task, parameters or seed (it says what changed); if
+        If the folder cannot be used, or holds a campaign with another task, parameters, seed or versions (it says what changed); if
         the task cannot be sent to workers; if a cluster cannot be reached, or an executor is broken.
     ValueError
         If an argument is not of its kind.
@@ -115,6 +119,8 @@ def run_campaign(
         raise ValueError(f"fresh must be True or False, got {fresh!r}")
     if fresh and out is None:
         raise ValueError("fresh=True removes a campaign from a folder, but `out` is not given")
+    for name in other_versions:
+        one_of("other_versions", name, ("trustlab", "Python", "numpy", "numba"))
     _check_where(n_jobs, cluster, executor)
     began = perf_counter()
     with contextlib.ExitStack() as stack:
@@ -125,7 +131,7 @@ def run_campaign(
             from trustlab.campaign.identity import seed_text, task_identity
 
             identity = {"task": task_identity(task), "seed": seed_text(seed), "names": names}
-            folder = stack.enter_context(contextlib.closing(Folder(out, identity, parameters, names, fresh)))
+            folder = stack.enter_context(contextlib.closing(Folder(out, identity, parameters, fresh, other_versions)))
             tables, add, spans = folder, folder.add, folder.spans
         gaps = _gaps(spans, len(parameters))
         resumed = len(parameters) - sum(last - first for first, last in gaps)

@@ -1,7 +1,7 @@
 """Sobol' indices: how much each uncertain parameter of a task contributes to the variance of its results."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,6 +97,7 @@ def sobol_indices(
     executor: Any = None,
     progress: bool | None = None,
     fresh: bool = False,
+    other_versions: Sequence[str] = (),
 ) -> SobolIndices:
     """
     Estimate first-order and total Sobol' indices of a task's results from one campaign of runs.
@@ -123,7 +124,7 @@ def sobol_indices(
         Level of the intervals, in (0, 1).
     resamples : int
         Resamples of the bootstrap.
-    n_jobs, out, cluster, executor, progress, fresh : int, path, object, Executor, bool, bool
+    n_jobs, out, cluster, executor, progress, fresh, other_versions : optional
         As in `run_campaign`.
 
     Returns
@@ -163,6 +164,7 @@ def sobol_indices(
         executor=executor,
         progress=progress,
         fresh=fresh,
+        other_versions=other_versions,
     )
     wanted = _numeric(table, names, results)
     values = table[wanted].to_numpy(dtype=float).T.reshape(len(wanted), d + 2, n)
