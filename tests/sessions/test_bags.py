@@ -10,6 +10,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from trustlab.sessions import RecipeError, SessionError, read_session, read_sessions, write_session
+from trustlab.sessions.metadata import metadata_to_json
 from trustlab.sessions.recipe import Recipe
 
 START = 1_700_000_000_123_456_789  # [ns]
@@ -314,21 +315,15 @@ def test_missing_pages_of_a_database_would_read_as_zeros(tmp_path, monkeypatch):
 
 
 def test_what_is_missing_from_a_bag_of_ours_is_noticed(tmp_path, monkeypatch):
-    # Negative control: with the count of samples taken out of the metadata's check, half of the messages pass.
+    # Negative control: with a count in the metadata that agrees, the same bag is read.
     session = read_session(errors(tmp_path / "a.mcap", range(40)).write(), recipe=Recipe.from_toml(ERROR))
-    from trustlab.sessions import writers
-
-    messages = writers._messages
-    monkeypatch.setattr(
-        writers,
-        "_messages",
-        lambda *args: (each for each in messages(*args) if each[1] < 20 or each[0] == "/trustlab/metadata"),
-    )
+    to_json = "trustlab.sessions.writers.metadata_to_json"
+    monkeypatch.setattr(to_json, lambda metadata, samples: metadata_to_json(metadata, samples=2 * samples))
     path = write_session(session, tmp_path / "half.mcap")
-    with pytest.raises(SessionError, match=r"'/trustlab/t' has 20 messages where the metadata say 40"):
+    with pytest.raises(SessionError, match=r"'/trustlab/t' has 40 messages where the metadata say 80"):
         read_session(path)
-    monkeypatch.setattr("trustlab.sessions.readers.bags.metadata_from_json", lambda text: (None, {"samples": 20}))
-    assert len(read_session(path)) == 20
+    monkeypatch.setattr("trustlab.sessions.readers.bags.metadata_from_json", lambda text: (None, {"samples": 40}))
+    assert len(read_session(path)) == 40
 
 
 def test_a_count_that_the_index_denies(tmp_path):

@@ -111,7 +111,7 @@ def test_columns_leaves_out_by_name(tmp_path):
 HEAD = "t,mode,p_r\n"
 BAD = {
     "empty": ("", ["the file is empty"]),
-    "blank": (" \n\n", ["the file is empty"]),
+    "blank": (" \n\n", ["line 1", "is empty"]),
     "header only": (HEAD, ["line 1", "no samples"]),
     "one sample": (HEAD + "0,1,1\n", ["at least two samples"]),
     "misspelt": ("t,mode,p_rr\n0,1,1\n1,1,1\n", ["line 1", "'p_rr'", "did you mean 'p_r'", "recipe"]),
@@ -144,7 +144,7 @@ BAD = {
     "utf-16": ("t,mode\n0,1\n".encode("utf-16"), ["UTF-16", "UTF-8"]),
     "comment": ("# my log\nt,mode\n0,1\n1,1\n", ["line 1", "skip_lines"]),
     "metadata": ("# trustlab {broken\nt,mode\n0,1\n1,1\n", ["metadata are damaged"]),
-    "cut": ("# trustlab {}\nt,mode\n0,1\n1,1", ["line 4", "cut short"]),
+    "cut": ("# trustlab {}\nt,mode\n0,1\n1,1", ["last line", "cut short"]),
     "metadata type": ('# trustlab {"synthetic": "no"}\nt,mode\n0,1\n1,1\n', ["synthetic"]),
 }
 

@@ -12,11 +12,7 @@ STEP_TOLERANCE = 0.01
 """How far a time step may differ from the median step, as a share of it, before sampling counts as irregular."""
 
 
-def _row(k: int) -> str:
-    return f"row {k}"
-
-
-def check_rising(t: np.ndarray, place: Callable[[int], str] = _row, remedy: str = "") -> np.ndarray:
+def check_rising(t: np.ndarray, place: Callable[[int], str] = "row {}".format, remedy: str = "") -> np.ndarray:
     """Return the steps of a time axis [s]; raise at the first time that is not finite, repeats or runs backwards."""
     if not np.isfinite(t).all():
         k = int(np.argmax(~np.isfinite(t)))
@@ -31,7 +27,7 @@ def check_rising(t: np.ndarray, place: Callable[[int], str] = _row, remedy: str 
     return steps
 
 
-def check_time(t: np.ndarray, place: Callable[[int], str] = _row, remedy: str = "") -> float:
+def check_time(t: np.ndarray, place: Callable[[int], str] = "row {}".format, remedy: str = "") -> float:
     """Return the sample time [s] of a time axis; raise where it does not rise uniformly, within STEP_TOLERANCE."""
     t = np.asarray(t, dtype=float)
     if t.ndim != 1 or t.size < 2:
@@ -52,7 +48,9 @@ def check_time(t: np.ndarray, place: Callable[[int], str] = _row, remedy: str = 
     return step
 
 
-def check_column(name: str, values: np.ndarray, t: np.ndarray, place: Callable[[int], str] = _row) -> np.ndarray:
+def check_column(
+    name: str, values: np.ndarray, t: np.ndarray, place: Callable[[int], str] = "row {}".format
+) -> np.ndarray:
     """Return a column as floats; raise if its name is unknown, or at its first value that is missing or out of range."""
     if name not in VOCABULARY:
         remedy = "map it with a recipe, leave it out, or see trustlab.sessions.vocabulary()"
@@ -61,7 +59,7 @@ def check_column(name: str, values: np.ndarray, t: np.ndarray, place: Callable[[
     values = np.asarray(values)
     if values.dtype.kind not in "fiub":
         raise SessionError(f"column {name!r} must hold numbers, found {values.dtype}")
-    values = values.astype(float)
+    values = np.asarray(values, dtype=float)
     bad = ~np.isfinite(values)
     why = "is missing or not finite; fill it or cut it out before reading, by a rule that you state"
     if not bad.any():

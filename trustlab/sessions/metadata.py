@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -10,6 +10,8 @@ import numpy as np
 
 from trustlab.models.checks import shown
 from trustlab.sessions.errors import SessionError
+
+_FIELDS = ("participant", "condition", "source", "synthetic")
 
 # The fields with a name of their own, and the types that a file may give them; everything else goes to `more`.
 _TYPES = {
@@ -52,10 +54,21 @@ class Metadata:
         # A MappingProxyType cannot be pickled; the constructor makes it again from a dictionary.
         return (Metadata, (self.participant, self.condition, self.source, self.synthetic, dict(self.more)))
 
+    def changed(self, **changes: Any) -> "Metadata":
+        """
+        Return metadata with entries added or replaced.
+
+        Parameters
+        ----------
+        **changes : object
+            participant, condition, source, synthetic, or any other name, which goes to `more`.
+        """
+        own = {name: changes.pop(name) for name in _FIELDS if name in changes}
+        return replace(self, **own, more={**self.more, **changes})
+
     def as_dict(self) -> dict[str, object]:
         """Return everything in one flat dictionary."""
-        flat = {name: getattr(self, name) for name in ("participant", "condition", "source", "synthetic")}
-        return flat | dict(self.more)
+        return {name: getattr(self, name) for name in _FIELDS} | dict(self.more)
 
 
 def _plain(value: object) -> object:

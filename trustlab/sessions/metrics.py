@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_array, mode_array, one_of, positive
+from trustlab.models.checks import array_between, finite_array, mode_array, one_of, positive
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.metadata import Metadata
 
@@ -53,10 +53,7 @@ def nearness(distance: np.ndarray, largest: float) -> np.ndarray:
     ValueError
         If `largest` is not positive or a distance is negative.
     """
-    distance = finite_array("distance", distance)
-    if (distance < 0.0).any():
-        k = int(np.argmax(distance < 0.0))
-        raise ValueError(f"a deviation cannot be negative, but sample {k} is {distance[k]}")
+    distance = array_between("distance", distance, 0.0, np.inf, "a deviation cannot be negative")
     return 1.0 - distance / positive("largest", largest)
 
 

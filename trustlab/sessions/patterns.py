@@ -4,10 +4,11 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from string import Formatter
 
 from trustlab.models.checks import one_of, shown
 
-_FIELD = re.compile(r"\{([^{}]*)\}")
+_ANYTHING = "[^/]*"
 # The lengths are bounded, so that no digits of a path overflow and no match takes long.
 _TYPES = {"int": (r"\d{1,15}", int), "float": (r"-?\d{1,15}(?:\.\d{1,15})?", float), "str": (r"[^/]+?", str)}
 
@@ -49,25 +50,26 @@ class PathPattern:
         if not isinstance(self.text, str) or not self.text.strip("/ "):
             raise ValueError(f"a pattern must be like 'trial{{trial:int}}.csv', got {shown(self.text)}")
         types: dict[str, type] = {}
-        regex, last = "", 0
-        for found in _FIELD.finditer(self.text):
-            regex += self._literal(self.text[last : found.start()])
-            name, _, kind = found.group(1).partition(":")
+        regex = ""
+        for literal, name, kind, _ in self._parts():
+            regex += _ANYTHING.join(map(re.escape, re.split(r"\*+", literal.replace(os.sep, "/"))))
+            if name is None:
+                continue
             if not name.isidentifier():
-                raise ValueError(f"pattern {self.text!r}: {found.group()!r} needs a name")
+                raise ValueError(f"pattern {self.text!r}: a field needs a name, got {name!r}")
             kind = one_of(f"pattern {self.text!r}: the type of field {name!r}", kind or "str", _TYPES)
             regex += f"(?P={name})" if name in types else f"(?P<{name}>{_TYPES[kind][0]})"
             types.setdefault(name, _TYPES[kind][1])
-            last = found.end()
-        regex += self._literal(self.text[last:])
         object.__setattr__(self, "fields", types)
         object.__setattr__(self, "_regex", re.compile(regex))
         object.__setattr__(self, "depth", self.text.strip("/").count("/") + 1)
 
-    def _literal(self, text: str) -> str:
-        if "{" in text or "}" in text:
-            raise ValueError(f"pattern {self.text!r}: a brace is not closed, or not opened")
-        return "[^/]*".join(re.escape(part) for part in text.replace(os.sep, "/").split("*"))
+    def _parts(self) -> list[tuple]:
+        """Return the texts between the fields, each with the name and the type of the field after it."""
+        try:
+            return list(Formatter().parse(self.text))
+        except ValueError as error:
+            raise ValueError(f"pattern {self.text!r}: a brace is not closed, or not opened ({error})") from None
 
     def match(self, path: str | os.PathLike) -> PathMatch | None:
         """Return the fields of a path whose end fits the pattern, or None; a relative path is made absolute."""
@@ -81,7 +83,7 @@ class PathPattern:
 
     def fill(self, texts: Mapping[str, object]) -> str:
         """Return the pattern with its fields filled in."""
-        return _FIELD.sub(lambda found: str(texts[found.group(1).partition(":")[0]]), self.text)
+        return "".join(literal + str(texts.get(name, "")) for literal, name, _, _ in self._parts())
 
 
 @dataclass(frozen=True)

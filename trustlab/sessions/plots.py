@@ -29,8 +29,8 @@ def plot_session(session, columns: str | list[str] | None = None):
     if columns is None:
         columns = [name for name in ("p_r", "p_h", "r") if name in session] or session.columns
     session.require(*columns)
-    rows, size = len(columns), (8, 1.2 + 1.5 * len(columns))
-    figure, axes = plt.subplots(rows, sharex=True, squeeze=False, figsize=size, layout="constrained")
+    size = (8, 1.2 + 1.5 * len(columns))
+    figure, axes = plt.subplots(len(columns), sharex=True, squeeze=False, figsize=size, layout="constrained")
     for panel, name in zip(axes[:, 0], columns, strict=True):
         panel.plot(session.t, session[name], lw=1)
         unit = "s" if name == "t" else VOCABULARY[name].unit

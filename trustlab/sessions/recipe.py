@@ -70,7 +70,7 @@ import dataclasses
 import os
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -209,7 +209,14 @@ def _list_of(check: Callable, words: str) -> Callable:
 # "robot" is the stem of robot_x, robot_y and robot_z.
 _STEMS = [name[:-2] for name, column in VOCABULARY.items() if name.endswith("_x") and column.unit == "m"]
 position = partial(one_of, allowed=_STEMS)
-axis_names = _list_of(partial(one_of, allowed=("x", "y", "z")), 'some of "x", "y", "z"')
+
+
+def axis_names(name: str, value: object) -> tuple[str, ...]:
+    """Return some of the axes x, y and z, each once."""
+    axes = _list_of(partial(one_of, allowed=("x", "y", "z")), 'some of "x", "y", "z"')(name, value)
+    if len(set(axes)) < len(axes):
+        raise ValueError(f"{name} names an axis twice")
+    return axes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -297,19 +304,10 @@ class _FromPositions(ColumnRule):
     axes: tuple[str, ...] = key(axis_names, hint='the axes that count, some of ["x", "y", "z"]')
     stems: tuple[str, ...]
 
-    def __post_init__(self):
-        if len(set(self.axes)) < len(self.axes):
-            raise ValueError("axes names an axis twice")
-
     @property
     def needs(self) -> tuple[str, ...]:
         """The session columns that this one is computed from: all axes of the first position, then of the second."""
         return tuple(f"{stem}_{axis}" for stem in self.stems for axis in self.axes)
-
-    @staticmethod
-    def norm(parts: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the Euclidean norm; of one axis exactly the absolute value."""
-        return np.abs(parts[0]) if len(parts) == 1 else np.sqrt(sum(part * part for part in parts))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -319,14 +317,14 @@ class Distance(_FromPositions):
     stems: tuple[str, ...] = key(_list_of(position, "two positions"), spelt="distance")
 
     def __post_init__(self):
-        super().__post_init__()
         if len(self.stems) != 2:
             raise ValueError(f"distance is between two positions, got {len(self.stems)}")
 
     def compute(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the column, from those of the session."""
         first, second = self.needs[: len(self.axes)], self.needs[len(self.axes) :]
-        return self.norm([columns[one] - columns[other] for one, other in zip(first, second, strict=True)])
+        apart = [columns[one] - columns[other] for one, other in zip(first, second, strict=True)]
+        return np.linalg.norm(apart, axis=0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -337,7 +335,7 @@ class Travelled(_FromPositions):
 
     def compute(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the column, from those of the session."""
-        moved = self.norm([np.diff(columns[name]) for name in self.needs])
+        moved = np.linalg.norm([np.diff(columns[name]) for name in self.needs], axis=0)
         # Nothing stands before the first sample: it gets the second one's distance.
         return np.r_[moved[:1], moved]
 
@@ -400,7 +398,7 @@ class TableRule:
     header: bool = key(switch, True)
     delimiter: str = key(partial(one_of, allowed=(",", ";", "\t", "|", " ")), ",")
     decimal: str = key(partial(one_of, allowed=(".", ",")), ".")
-    skip_lines: int = key(partial(whole_number, least=0), 0)
+    skip_lines: int = key(partial(whole_number, least=0, most=999_999), 0)
 
     def __post_init__(self):
         if self.decimal == self.delimiter:
@@ -445,13 +443,17 @@ class _Files:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Resampling:
+class Resampling:
+    """How logs come to a uniform time axis, and its sample time [s]."""
+
     method: str = key(resampling_method, hint=f"one of {', '.join(METHODS)}")
     sample_time: float = key(positive, hint="the time between samples [s]")
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Supersedes:
+class Supersedes:
+    """Values of a path field whose sessions are left out, and the values that replace them."""
+
     field: str = key(text, hint="the path field that tells the sessions apart")
     pairs: Mapping[str, str] = key(
         partial(value_map, check=lambda _, value: plain_key(plain(_, value))),
@@ -469,79 +471,61 @@ def _each(name: str, value: object, rule: Callable) -> dict[str, object]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Document:
-    """The top of the file."""
-
-    kind: str = key(partial(one_of, allowed=("table", "bag")), hint='which must be "table" or "bag"')
-    name: str | None = key(text, None)
-    description: str = key(text, "")
-    files: _Files | None = key(_nested(_Files), None)
-    table: TableRule | None = key(_nested(TableRule), None)
-    time: Any = key(any_table, None)
-    resampling: _Resampling | None = key(_nested(_Resampling), None)
-    columns: Mapping[str, ColumnRule] = key(partial(_each, rule=_column_rule), hint="at least one column")
-    metadata: Mapping[str, MetadataRule] | None = key(partial(_each, rule=_metadata_rule), None)
-    header: HeaderRule | None = key(_nested(HeaderRule), None)
-    supersedes: _Supersedes | None = key(_nested(_Supersedes), None)
-
-    def __post_init__(self):
-        if self.kind == "bag" and self.table is not None:
-            raise ValueError('[table] is for kind = "table"')
-        time = TableTime if self.kind == "table" else BagTime
-        object.__setattr__(self, "time", parse(time, self.time or {}, "[time]"))
-
-
-@dataclass(frozen=True)
 class Recipe:
     """
     A recipe, checked.
 
     Parameters
     ----------
-    name : str
-        The recipe's own name.
     kind : {"table", "bag"}
         Which kind of log it reads.
     columns : mapping
         Session column to its rule.
+    name : str, optional
+        The recipe's own name; its source when not given.
     description : str
         One line.
     pattern : PathPattern, optional
         Which files it reads, and what their paths say.
-    table : TableRule
+    table : TableRule, optional
         How a table is written.
-    time : TableTime or BagTime
-        Where time comes from.
-    method : str, optional
-        How to resample.
-    sample_time : float, optional
-        To which sample time [s].
-    metadata : mapping
+    time : mapping, optional
+        The entries of [time]; kept as a TableTime or a BagTime.
+    resampling : Resampling, optional
+        How to resample, and to which sample time [s].
+    metadata : mapping, optional
         Metadata name to its rule, in the order of evaluation.
     header : HeaderRule, optional
         The table with one row per session.
-    superseded : mapping
+    supersedes : Supersedes, optional
         Values of a path field whose sessions are replaced by those of another value.
-    superseded_field : str, optional
-        That field.
-    source : str, optional
+    source : str
         The file it was read from.
     """
 
-    name: str
-    kind: str
-    columns: Mapping[str, ColumnRule]
-    description: str = ""
-    pattern: PathPattern | None = None
-    table: TableRule = field(default_factory=TableRule)
-    time: Any = field(default_factory=lambda: TableTime(unit="s"))  # a TableTime or a BagTime, as `kind` says
-    method: str | None = None
-    sample_time: float | None = None
-    metadata: Mapping[str, MetadataRule] = field(default_factory=dict)
-    header: HeaderRule | None = None
-    superseded: Mapping[str, str] = field(default_factory=dict)
-    superseded_field: str | None = None
-    source: str | None = None
+    kind: str = key(partial(one_of, allowed=("table", "bag")), hint='which must be "table" or "bag"')
+    name: str | None = key(text, None)
+    description: str = key(text, "")
+    pattern: PathPattern | None = key(lambda name, value: _nested(_Files)(name, value).pattern, None, spelt="files")
+    table: TableRule | None = key(_nested(TableRule), None)
+    time: Any = key(any_table, None)
+    resampling: Resampling | None = key(_nested(Resampling), None)
+    columns: Mapping[str, ColumnRule] = key(partial(_each, rule=_column_rule), hint="at least one column")
+    metadata: Mapping[str, MetadataRule] | None = key(partial(_each, rule=_metadata_rule), None)
+    header: HeaderRule | None = key(_nested(HeaderRule), None)
+    supersedes: Supersedes | None = key(_nested(Supersedes), None)
+    source: str = "recipe"
+
+    def __post_init__(self):
+        if self.kind == "bag" and self.table is not None:
+            raise ValueError('[table] is for kind = "table"')
+        time = parse(TableTime if self.kind == "table" else BagTime, self.time or {}, "[time]")
+        filled = {"name": self.name or self.source, "table": self.table or TableRule(), "time": time}
+        for name, value in (filled | {"metadata": self.metadata or {}}).items():
+            object.__setattr__(self, name, value)
+        self._check_columns()
+        self._check_origins()
+        self._check_path_fields()
 
     @classmethod
     def from_toml(cls, text: str, source: str = "recipe") -> Recipe:
@@ -566,27 +550,7 @@ class Recipe:
             except (ValueError, RecursionError) as error:
                 where = "texts need quotes; help(trustlab.sessions.recipe) has every key"
                 raise RecipeError(f"not a TOML file ({error}); {where}") from error
-            top = parse(_Document, document, "recipe")
-            recipe = cls(
-                name=top.name or source,
-                kind=top.kind,
-                columns=top.columns,
-                description=top.description,
-                pattern=top.files.pattern if top.files else None,
-                table=top.table or TableRule(),
-                time=top.time,
-                method=top.resampling.method if top.resampling else None,
-                sample_time=top.resampling.sample_time if top.resampling else None,
-                metadata=top.metadata or {},
-                header=top.header,
-                superseded=top.supersedes.pairs if top.supersedes else {},
-                superseded_field=top.supersedes.field if top.supersedes else None,
-                source=source,
-            )
-            recipe._check_columns()
-            recipe._check_origins()
-            recipe._check_path_fields()
-        return recipe
+            return parse(cls, document, "recipe", source=source)
 
     def _check_columns(self) -> None:
         wrong, word = (TopicField, "topic") if self.kind == "table" else (TableColumn, "column")
@@ -622,7 +586,7 @@ class Recipe:
 
     def _check_path_fields(self) -> None:
         known = list(self.pattern.fields) if self.pattern else []
-        used = [("[supersedes] field", name) for name in [self.superseded_field] if name is not None]
+        used = [("[supersedes] field", self.supersedes.field)] if self.supersedes else []
         if self.header:
             used += [("[header] keys", name) for name in self.header.keys]
             used += [("[header] file", name) for name in self.header.file.fields]

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trustlab.models.checks import one_of, positive
 from trustlab.sessions.errors import RecipeError, SessionError
 from trustlab.sessions.metadata import Metadata
 
 if TYPE_CHECKING:
-    from trustlab.sessions.recipe import ColumnRule
+    from trustlab.sessions.recipe import ColumnRule, Resampling
 
 MAX_SAMPLES = 20_000_000
 """The longest log that is read or made by resampling (five and a half hours at 1 kHz)."""
@@ -60,17 +59,6 @@ class RawLog:
     notes: dict[str, object] = field(default_factory=dict)
 
 
-def check_resampling(method: object, sample_time: object) -> None:
-    """Raise unless method and sample time are both given and valid, or neither is given."""
-    if method is None and sample_time is None:
-        return
-    if method is None or sample_time is None:
-        given, missing = ("sample_time", "resample") if method is None else ("resample", "sample_time")
-        raise ValueError(f'{given} needs {missing} as well, for example resample="linear", sample_time=0.1')
-    one_of("resample", method, METHODS)
-    positive("sample_time", sample_time)
-
-
 def require_common_times(log: RawLog) -> None:
     """Raise where the streams of a log differ in their times, so that only resampling can join them."""
     first = log.streams[0]
@@ -82,12 +70,13 @@ def require_common_times(log: RawLog) -> None:
 
 
 def resample(
-    log: RawLog, method: str, sample_time: float, rules: Mapping[str, ColumnRule]
+    log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return a uniform time axis and the columns of a checked log on it; say so in the log's notes."""
     # Where every stream has samples: from the last first sample to the first last one. A stream that is held has a
     # value beyond its last sample, so that it does not end this interval unless all are held.
     bounding = [stream for stream in log.streams if not stream.held]
+    method, sample_time = resampling.method, resampling.sample_time
     start = max(stream.t[0] for stream in log.streams)
     stop = min(stream.t[-1] for stream in bounding) if bounding else max(s.t[-1] for s in log.streams)
     if len(log.streams) > 1 and stop <= start:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -170,9 +170,7 @@ class Session:
         **changes : object
             participant, condition, source, synthetic, or any other name, which goes to `metadata.more`.
         """
-        fixed = ("participant", "condition", "source", "synthetic")
-        own = {name: changes.pop(name) for name in fixed if name in changes}
-        return Session(self.data, replace(self.metadata, **own, more={**self.metadata.more, **changes}))
+        return Session(self.data, self.metadata.changed(**changes))
 
     def between(self, start: float, stop: float) -> Session:
         """
@@ -268,5 +266,5 @@ def _checked(data: pd.DataFrame) -> pd.DataFrame:
     if data.columns.has_duplicates:
         twice = data.columns[data.columns.duplicated()][0]
         raise SessionError(f"column {twice!r} occurs twice; rename or remove one")
-    columns = {name: check_column(name, data[name].to_numpy(), t) for name in data.columns}
-    return pd.DataFrame(columns, index=pd.Index(t, name="t"))
+    columns = {name: check_column(name, data[name].to_numpy(), t).copy() for name in data.columns}
+    return pd.DataFrame(columns, index=pd.Index(t, name="t"), copy=False)

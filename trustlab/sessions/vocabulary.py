@@ -75,8 +75,8 @@ def vocabulary():
     """
     import pandas as pd
 
-    rows = [(c.name, c.unit, c.low, c.high, c.meaning) for c in VOCABULARY.values()]
-    return pd.DataFrame(rows, columns=["column", "unit", "low", "high", "meaning"]).set_index("column")
+    table = pd.DataFrame(VOCABULARY.values()).rename(columns={"name": "column"}).set_index("column")
+    return table[["unit", "low", "high", "meaning"]]
 
 
 _SIZES = {

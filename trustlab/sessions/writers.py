@@ -3,9 +3,7 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -88,10 +86,8 @@ def _check_target(path: Path, format: str) -> None:
 
 
 def _write_csv(session: Session, place: Path, format: str) -> Path:
-    table = np.column_stack([session.t, session.data.to_numpy()])
-    lines = [COMMENT + metadata_to_json(session.metadata), ",".join(session.keys())]
-    lines += [",".join(map(repr, row)) for row in table.tolist()]  # repr of a float reads back bit for bit
-    place.write_bytes(("\n".join(lines) + "\n").encode())
+    table = session.table().to_csv(index=False, lineterminator="\n")  # written by repr, which reads back bit for bit
+    place.write_bytes(f"{COMMENT}{metadata_to_json(session.metadata)}\n{table}".encode())
     return place
 
 
@@ -113,16 +109,18 @@ def _write_bag(session: Session, place: Path, format: str) -> Path:
     ros1 = format == "bag"
     typestore = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     serialize = typestore.serialize_ros1 if ros1 else typestore.serialize_cdr
-    stamps = _stamps(session.t)
     plugin = rosbag2.StoragePlugin.MCAP if format == "mcap" else rosbag2.StoragePlugin.SQLITE3
     writer = rosbag1.Writer(place) if ros1 else rosbag2.Writer(place, version=8, storage_plugin=plugin)
+    text, number = "std_msgs/msg/String", "std_msgs/msg/Float64"
+    as_text, as_number = typestore.types[text], typestore.types[number]
     with writer:
-        connections = {}
-        for topic, k, message in _messages(session, typestore):
-            kind = message.__msgtype__
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=typestore)
-            writer.write(connections[topic], stamps[k], serialize(message, kind))
+        topic = writer.add_connection(f"{PREFIX}metadata", text, typestore=typestore)
+        metadata = metadata_to_json(session.metadata, samples=len(session))
+        writer.write(topic, 0, serialize(as_text(metadata), text))
+        topics = [writer.add_connection(PREFIX + name, number, typestore=typestore) for name in session]
+        for stamp, *row in zip(_stamps(session.t), *(session[name].tolist() for name in session), strict=True):
+            for topic, value in zip(topics, row, strict=True):
+                writer.write(topic, stamp, serialize(as_number(value), number))
     return next(place.glob("*.mcap")) if format == "mcap" else place
 
 
@@ -134,13 +132,3 @@ def _stamps(t: np.ndarray) -> list[int]:
     if np.isfinite(nanoseconds).all() and nanoseconds[-1] < 4e18 and (np.diff(nanoseconds) >= 1.0).all():
         return nanoseconds.astype(np.int64).tolist()
     return [k * 1_000_000 for k in range(t.size)]
-
-
-def _messages(session: Session, typestore) -> Iterator[tuple[str, int, Any]]:
-    """Yield topic, number of the sample and message."""
-    text, number = typestore.types["std_msgs/msg/String"], typestore.types["std_msgs/msg/Float64"]
-    yield f"{PREFIX}metadata", 0, text(metadata_to_json(session.metadata, samples=len(session)))
-    columns = {f"{PREFIX}{name}": session[name].tolist() for name in session}
-    for k in range(len(session)):
-        for topic, values in columns.items():
-            yield topic, k, number(values[k])

@@ -1,7 +1,7 @@
 """From a raw log to a session: checks, resampling, constant and computed columns, metadata."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from trustlab.sessions.checks import check_column, check_rising, check_time
 from trustlab.sessions.errors import RecipeError, SessionError, source_named
 from trustlab.sessions.metadata import Metadata
 from trustlab.sessions.readers.index import SessionIndex
-from trustlab.sessions.recipe import Constant, MetadataColumn, MetadataRule, Recipe, mapped, plain_key
+from trustlab.sessions.recipe import Constant, MetadataColumn, MetadataRule, Recipe, Resampling, mapped, plain_key
 from trustlab.sessions.resampling import RawLog, require_common_times, resample
 from trustlab.sessions.session import Session
 
@@ -63,20 +63,19 @@ def assemble_session(
     recipe: Recipe | None,
     values: Mapping[str, object],
     wanted: Sequence[str] | None,
-    method: str | None,
-    sample_time: float | None,
+    resampling: Resampling | None,
 ) -> Session:
     """Return the session that a raw log makes: `values` come from `recipe_values`, `wanted` are the columns to keep."""
     rules: Mapping[str, Any] = recipe.columns if recipe else {}
     with source_named(log.source):
-        if method is None:
+        if resampling is None:
             require_common_times(log)
             _check(log, uniform=True)
             t = log.streams[0].t
             columns = {name: each for stream in log.streams for name, each in stream.columns.items()}
         else:
             _check(log, uniform=False)
-            t, columns = resample(log, method, sample_time, rules)
+            t, columns = resample(log, resampling, rules)
         for name, rule in rules.items():
             if isinstance(rule, Constant):
                 columns[name] = np.full(t.size, rule.convert(rule.value))
@@ -87,7 +86,7 @@ def assemble_session(
                 with np.errstate(over="ignore"):  # the session refuses what is not finite
                     columns[name] = rule.compute(columns)
         names = wanted or list(rules or columns)
-        frame = pd.DataFrame({name: columns[name] for name in names}, index=pd.Index(t, name="t"))
+        frame = pd.DataFrame({name: columns[name] for name in names}, index=pd.Index(t, name="t"), copy=False)
         return Session(frame, _metadata(log, recipe, values))
 
 
@@ -102,35 +101,28 @@ def _constant(rule: MetadataColumn, values: Mapping[str, object]) -> float:
 
 
 def _metadata(log: RawLog, recipe: Recipe | None, values: Mapping[str, Any]) -> Metadata:
-    metadata = log.metadata or Metadata()
     own = {name: values[name] for name in (recipe.metadata if recipe else ())}
-    known = {name: own.pop(name) for name in ("participant", "condition", "synthetic") if name in own}
-    if not isinstance(known.get("synthetic", False), bool):
-        raise RecipeError(f"metadata 'synthetic' must be true or false, got {known['synthetic']!r}")
-    return replace(metadata, **known, source=log.source, more={**metadata.more, **log.notes, **own})
+    if not isinstance(own.get("synthetic", False), bool):
+        raise RecipeError(f"metadata 'synthetic' must be true or false, got {own['synthetic']!r}")
+    return (log.metadata or Metadata()).changed(**log.notes | own, source=log.source)
 
 
 def _check(log: RawLog, uniform: bool) -> None:
     """Raise the fault that comes first: in the file where there is one stream, in time where there are several."""
     faults: list[tuple[float, SessionError]] = []
-
-    def attempt(stream, check, *arguments) -> None:
-        try:
-            check(*arguments)
-        except SessionError as error:
-            row = stream.t.size if error.row is None else error.row
-            position = row if len(log.streams) == 1 else float(stream.t[min(row, stream.t.size - 1)])
-            faults.append((position, error))
-
     for stream in log.streams:
         # A fault that ended reading explains irregular times and a short log, which are then not worth a word.
         too_short = len(log.streams) == 1 and stream.t.size < 2
-        if log.fault is None and (uniform or too_short):
-            attempt(stream, check_time, stream.t, stream.place, stream.remedy)
-        else:
-            attempt(stream, check_rising, stream.t, stream.place, stream.remedy)
-        for name, samples in stream.columns.items():
-            attempt(stream, check_column, name, samples, stream.t, stream.place)
+        check = check_time if log.fault is None and (uniform or too_short) else check_rising
+        checks = [partial(check, stream.t, stream.place, stream.remedy)]
+        checks += [partial(check_column, *column, stream.t, stream.place) for column in stream.columns.items()]
+        for check in checks:
+            try:
+                check()
+            except SessionError as error:
+                row = stream.t.size if error.row is None else error.row
+                position = row if len(log.streams) == 1 else float(stream.t[min(row, stream.t.size - 1)])
+                faults.append((position, error))
     if log.fault is not None:
         row = log.streams[0].t.size if log.fault.row is None else log.fault.row
         faults.append((row, log.fault))

@@ -3,10 +3,11 @@
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,11 +27,11 @@ _guard = partial(damage_named, _DAMAGED, "try `ros2 bag reindex` or `rosbag rein
 
 def read_bag(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None) -> RawLog:
     """Return the log in a bag: a stream per topic of the recipe; without a recipe, what `write_session` wrote."""
-    with _open(path) as bag:
+    with _open(path) as reader:
         if recipe is None:
-            return _read_own(bag, wanted, str(path))
+            return _read_own(reader, wanted, str(path))
         rules = [rule for rule in map(recipe.columns.get, wanted) if isinstance(rule, TopicField)]
-        return _read_topics(bag, rules, recipe, str(path))
+        return _read_topics(reader, rules, recipe, str(path))
 
 
 def check_sqlite_path(path: Path) -> None:
@@ -41,46 +42,46 @@ def check_sqlite_path(path: Path) -> None:
             raise SessionError(f"{what}; rename the folder, or use .mcap", str(path))
 
 
-class _Bag:
-    """A bag that is open: its topics, and their messages one by one."""
+def _types(reader) -> dict[str, str]:
+    """Return the topics of an open bag and the types of their messages."""
+    types: dict[str, str] = {}
+    for connection in reader.connections:
+        known = types.setdefault(connection.topic, connection.msgtype)
+        if known != connection.msgtype:
+            types[connection.topic] = f"{known} and {connection.msgtype}"
+    return types
 
-    def __init__(self, reader):
-        self.reader = reader
-        self.types: dict[str, str] = {}
-        for connection in reader.connections:
-            known = self.types.setdefault(connection.topic, connection.msgtype)
-            if known != connection.msgtype:
-                self.types[connection.topic] = f"{known} and {connection.msgtype}"
 
-    def messages(self, topics: Sequence[str]) -> Iterator[tuple[str, int, object]]:
-        """Yield topic, time of receipt [ns] and message, in order of time; check that none is missing."""
-        chosen = [connection for connection in self.reader.connections if connection.topic in topics]
-        expected: Counter[str] = Counter()
-        found: Counter[str] = Counter()
-        for connection in chosen:
-            expected[connection.topic] += connection.msgcount
-        if expected.total() > MAX_SAMPLES:
-            raise SessionError(f"the bag has more than {MAX_SAMPLES} messages on the topics read")
-        for topic, stamp, message in self._decoded(chosen):
-            found[topic] += 1
-            if not abs(stamp) < 2**62:  # differences of stamps must not overflow
-                raise SessionError(f"topic {topic!r}: a message has the time {stamp} ns")
-            yield topic, stamp, message
-        for topic in topics:
-            if found[topic] == 0:
-                raise SessionError(f"topic {topic!r} has no messages; was it being published?")
-            if expected[topic] and found[topic] != expected[topic]:
-                what = f"the bag's index counts {expected[topic]} messages, but {found[topic]} are there"
-                raise SessionError(f"topic {topic!r}: {what}; the bag is damaged or truncated")
+def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
+    """Yield topic, time of receipt [ns] and message, in order of time; check that none is missing."""
+    chosen = [connection for connection in reader.connections if connection.topic in topics]
+    expected: Counter[str] = Counter()
+    found: Counter[str] = Counter()
+    for connection in chosen:
+        expected[connection.topic] += connection.msgcount
+    if expected.total() > MAX_SAMPLES:
+        raise SessionError(f"the bag has more than {MAX_SAMPLES} messages on the topics read")
+    for topic, stamp, message in _decoded(reader, chosen):
+        found[topic] += 1
+        if not abs(stamp) < 2**62:  # differences of stamps must not overflow
+            raise SessionError(f"topic {topic!r}: a message has the time {stamp} ns")
+        yield topic, stamp, message
+    for topic in topics:
+        if found[topic] == 0:
+            raise SessionError(f"topic {topic!r} has no messages; was it being published?")
+        if expected[topic] and found[topic] != expected[topic]:
+            what = f"the bag's index counts {expected[topic]} messages, but {found[topic]} are there"
+            raise SessionError(f"topic {topic!r}: {what}; the bag is damaged or truncated")
 
-    def _decoded(self, connections) -> Iterator[tuple[str, int, object]]:
-        with _guard():  # of what is done with a message, nothing happens in here
-            for connection, stamp, data in self.reader.messages(connections=connections):
-                yield connection.topic, stamp, self.reader.deserialize(data, connection.msgtype)
+
+def _decoded(reader, connections) -> Iterator[tuple[str, int, Any]]:
+    with _guard():  # of what is done with a message, nothing happens in here
+        for connection, stamp, data in reader.messages(connections=connections):
+            yield connection.topic, stamp, reader.deserialize(data, connection.msgtype)
 
 
 @contextmanager
-def _open(path: Path) -> Iterator[_Bag]:
+def _open(path: Path) -> Iterator[Any]:
     with extra("ros"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -92,9 +93,7 @@ def _open(path: Path) -> Iterator[_Bag]:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
     try:
-        with _guard():
-            bag = _Bag(reader)
-        yield bag
+        yield reader
     finally:
         with _guard():
             reader.close()
@@ -112,20 +111,21 @@ def _check_sqlite_size(database: Path) -> None:
         raise SessionError(f"{_DAMAGED} ({database.name} {what}); record it again")
 
 
-def _read_own(bag: _Bag, wanted: Sequence[str] | None, source: str) -> RawLog:
+def _read_own(reader, wanted: Sequence[str] | None, source: str) -> RawLog:
     """Return the log in a bag that `write_session` wrote."""
-    names = [topic.removeprefix(PREFIX) for topic in bag.types if topic.startswith(PREFIX)]
+    types = _types(reader)
+    names = [topic.removeprefix(PREFIX) for topic in types if topic.startswith(PREFIX)]
     if "t" not in names or "metadata" not in names:
-        raise SessionError(f"not written by trustlab, so it needs a recipe (topics: {listed(bag.types)})")
+        raise SessionError(f"not written by trustlab, so it needs a recipe (topics: {listed(types)})")
     names = [name for name in names if name not in ("t", "metadata")]
     for name in wanted or ():
         if name not in names:
             raise SessionError(f"column {name!r} is missing{alternatives(name, names, 'the bag has')}")
     topics: dict[str, list] = {PREFIX + name: [] for name in ["metadata", "t", *(wanted or names)]}
-    for topic, _, message in bag.messages(list(topics)):
+    for topic, _, message in _messages(reader, topics):
         value = getattr(message, "data", None)
         if not isinstance(value, str if topic == f"{PREFIX}metadata" else float):
-            raise SessionError(f"topic {topic!r} holds {bag.types[topic]}, not what trustlab writes")
+            raise SessionError(f"topic {topic!r} holds {types[topic]}, not what trustlab writes")
         topics[topic].append(value)
     metadata, extra = metadata_from_json(topics.pop(f"{PREFIX}metadata")[0])
     for topic, values in topics.items():
@@ -136,23 +136,24 @@ def _read_own(bag: _Bag, wanted: Sequence[str] | None, source: str) -> RawLog:
     return RawLog(source, [Stream(columns.pop("t"), columns, "message {} (from 0)".format)], metadata)
 
 
-def _read_topics(bag: _Bag, rules: Sequence[TopicField], recipe: Recipe, source: str) -> RawLog:
+def _read_topics(reader, rules: Sequence[TopicField], recipe: Recipe, source: str) -> RawLog:
     """Return a stream per topic, timed from the last of the topics' first stamps."""
+    types = _types(reader)
     by_topic: dict[str, list[TopicField]] = {}
     for rule in rules:
         topic = rule.topic
-        if topic not in bag.types:
-            hint = alternatives(topic, bag.types, "it has")
+        if topic not in types:
+            hint = alternatives(topic, types, "it has")
             raise SessionError(f"topic {topic!r} (for {rule.name}) is not in the bag{hint}")
-        if " and " in bag.types[topic]:
-            raise SessionError(f"topic {topic!r} has messages of two types: {bag.types[topic]}")
+        if " and " in types[topic]:
+            raise SessionError(f"topic {topic!r} has messages of two types: {types[topic]}")
         by_topic.setdefault(topic, []).append(rule)
     if not by_topic:
         raise SessionError("none of the columns to read comes from a topic; add one that does")
     stamps: dict[str, list[int]] = {topic: [] for topic in by_topic}
     values: dict[str, list[float]] = {rule.name: [] for rule in rules}
-    for topic, received, message in bag.messages(list(by_topic)):
-        kind = bag.types[topic]
+    for topic, received, message in _messages(reader, by_topic):
+        kind = types[topic]
         where = f"topic {topic!r}, message {len(stamps[topic])} (from 0)"
         by_header = recipe.time.of(topic) == "header"
         stamps[topic].append(_header_stamp(message, kind, where) if by_header else received)

@@ -2,10 +2,15 @@
 
 import csv
 import io
+import itertools
 import math
+import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -18,6 +23,9 @@ from trustlab.sessions.resampling import RawLog
 COMMENT = "# trustlab "
 """The start of the first line of a CSV file whose rest is metadata."""
 
+LONGEST_LINE = 1 << 24
+"""How many characters a line may have."""
+
 _FILL = "fill it or cut it out before reading, by a rule that you state"
 _NOT_A_NUMBER = {"nan", "na", "n/a", "null", "none", "inf", "-inf", "+inf", "infinity", "-infinity", "-"}
 
@@ -29,61 +37,62 @@ def read_csv(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, la
     Faults of the text and of its columns are raised; a fault in a row is handed on in the log, together with the rows
     before it, so that the first fault of the file can be reported.
     """
-    text = _decode(path.read_bytes())
-    stream = io.StringIO(text, newline="")
-    metadata, before = None, layout.skip_lines
-    if text.startswith(COMMENT) and not before:
-        metadata, _ = metadata_from_json(stream.readline()[len(COMMENT) :])
-        before = 1
-        if not text.endswith(("\n", "\r")):  # a file of ours ends its last line
-            line = text.count("\n") + 1
-            raise SessionError(f"line {line}: has no end, so the file was cut short; write it again")
-    else:
-        for _ in range(before):
-            stream.readline()
-    start = stream.tell()
+    opened: Callable[[], BinaryIO] = lambda: path.open("rb")  # noqa: E731
+    lines = _lines(opened)
+    first, metadata, before = next(lines, ""), None, layout.skip_lines
+    if first.startswith(COMMENT) and not before:
+        metadata, before = metadata_from_json(first[len(COMMENT) :])[0], 1
+        _check_end(path)
+    for _ in range(before):
+        first = next(lines, "")
     where = f"line {before + 1}"
-    reader = csv.reader(stream, delimiter=layout.delimiter)
+    reader = csv.reader(itertools.chain([first], lines), delimiter=layout.delimiter)
     try:
-        first = next(reader, [])
+        names = [name.strip() for name in next(reader)]
     except csv.Error as error:
         raise SessionError(f"{where}: not a line of a CSV file ({error})") from error
-    if not first:
+    if not "".join(names):
         raise SessionError(f"{where}: is empty; the column names or the first row should be here")
-    width, line = len(first), before + 1
+    width, basis = len(names), f"the first row has {len(names)}"
     if layout.header:
-        names, basis = [name.strip() for name in first], f"the header names {width}"
-        start, line = stream.tell(), line + reader.line_num
         _check_header(names, layout, recipe, wanted, where)
-    else:
-        names, basis = [""] * width, f"the first row has {width}"
-    selected = select_columns(names, recipe, wanted, where)
-    body = text[start:]
-    if not body.strip():
-        raise SessionError(f"{where}: nothing follows the column names; the log has no samples")
-    raw, fault = _fast(body, selected, layout, width), None
-    place: Callable[[int], str] = lambda k: f"line {line + k}"  # noqa: E731
+        before, basis = before + reader.line_num, f"the header names {width}"
+    selected = select_columns(names if layout.header else [""] * width, recipe, wanted, where)
+    raw, fault = _fast(opened, before, selected, layout, width), None
+    place: Callable[[int], str] = lambda k: f"line {before + 1 + k}"  # noqa: E731
     if raw is None:
-        raw, lines, fault = _scan(body, selected, layout, width, basis, line)
-        place = lambda k: f"line {lines[k]}"  # noqa: E731
+        raw, rows, fault = _scan(opened, before, selected, layout, width, basis)
+        place = lambda k: f"line {rows[k]}"  # noqa: E731
+    if fault is None and not len(raw["t"]):
+        raise SessionError(f"{where}: nothing follows the column names; the log has no samples")
     table, notes = table_stream(selected, raw, recipe, place)
     return RawLog(str(path), [table], metadata, fault, notes)
 
 
-def _decode(data: bytes) -> str:
-    if not data.strip():
-        raise SessionError("the file is empty")
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise SessionError("line 1: the text is UTF-16; save the file as UTF-8")
-    if b"\0" in data:
-        line = data[: data.index(b"\0")].count(b"\n") + 1
-        raise SessionError(f"line {line}: a zero byte; this is binary data, not a CSV file")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data[: error.start].count(b"\n") + 1
-        what = f"byte 0x{data[error.start]:02x} is not UTF-8 text"
-        raise SessionError(f"line {line}: {what}; save the file as UTF-8") from error
+def _lines(opened: Callable[[], BinaryIO]) -> Iterator[str]:
+    """Yield the lines of a text, each with its end; raise at the first that is no text."""
+    with opened() as file, io.TextIOWrapper(file, "utf-8-sig", errors="surrogateescape", newline="") as text:
+        for number, line in enumerate(iter(partial(text.readline, LONGEST_LINE), ""), start=1):
+            if number == 1 and line.startswith(("\udcff\udcfe", "\udcfe\udcff")):
+                raise SessionError("line 1: the text is UTF-16; save the file as UTF-8")
+            if "\0" in line:
+                raise SessionError(f"line {number}: a zero byte; this is binary data, not a CSV file")
+            if len(line) == LONGEST_LINE:
+                raise SessionError(f"line {number}: is longer than {LONGEST_LINE} characters; this is no table")
+            # The decoder hands on a byte that is not UTF-8 as a surrogate, which no text holds.
+            foreign = None if line.isascii() else re.search("[\udc80-\udcff]", line)
+            if foreign:
+                what = f"byte 0x{ord(foreign.group()) - 0xDC00:02x} is not UTF-8 text"
+                raise SessionError(f"line {number}: {what}; save the file as UTF-8")
+            yield line
+
+
+def _check_end(path: Path) -> None:
+    """Raise where a file of ours does not end its last line."""
+    with path.open("rb") as file:
+        file.seek(-1, os.SEEK_END)
+        if file.read() not in b"\r\n":
+            raise SessionError("its last line has no end, so the file was cut short; write it again")
 
 
 def _check_header(
@@ -104,67 +113,79 @@ def _check_header(
     raise SessionError(f"{where}: {what}")
 
 
-def _fast(body: str, selected: Sequence[SourceColumn], layout: TableRule, width: int) -> dict[str, np.ndarray] | None:
-    """Return the columns, or None where anything is unusual and `_scan` must find out what."""
+def _fast(
+    opened: Callable[[], BinaryIO], before: int, selected: Sequence[SourceColumn], layout: TableRule, width: int
+) -> dict[str, np.ndarray] | None:
+    """Return the columns below the first lines, or None where anything is unusual and `_scan` must find out what."""
     import pyarrow as pa
     import pyarrow.csv
 
-    texts = {str(each.position) for each in selected if each.map}
-    if texts & {str(each.position) for each in selected if not each.map}:
-        return None  # one column read as texts and as numbers
     types = {str(each.position): pa.string() if each.map else pa.float64() for each in selected}
+    parts: dict[str, list[np.ndarray]] = {each.name: [np.empty(0)] for each in selected}
+    names = [str(k) for k in range(width)]
     try:
-        table = pyarrow.csv.read_csv(
-            pa.BufferReader(body.encode()),
-            pyarrow.csv.ReadOptions(column_names=[str(k) for k in range(width)], use_threads=False),
-            pyarrow.csv.ParseOptions(delimiter=layout.delimiter, ignore_empty_lines=False),
-            pyarrow.csv.ConvertOptions(
-                include_columns=list(types),
-                column_types=types,
-                null_values=[],
-                strings_can_be_null=False,
-                decimal_point=layout.decimal,
-            ),
-        )
-    except (pa.ArrowException, ValueError, MemoryError):
+        # Block by block, so that the text of a long log is never in memory as a whole.
+        with (
+            opened() as file,
+            pyarrow.csv.open_csv(
+                file,
+                pyarrow.csv.ReadOptions(column_names=names, skip_rows=before, block_size=1 << 22),
+                pyarrow.csv.ParseOptions(delimiter=layout.delimiter, ignore_empty_lines=False),
+                pyarrow.csv.ConvertOptions(
+                    include_columns=list(types),
+                    column_types=types,
+                    null_values=[],
+                    strings_can_be_null=False,
+                    decimal_point=layout.decimal,
+                ),
+            ) as blocks,
+        ):
+            for block in blocks:
+                for each in selected:
+                    parts[each.name].append(_numbers(block.column(str(each.position)), each))
+    except (pa.ArrowException, TypeError, ValueError, MemoryError):  # TypeError: one column as texts and as numbers
         return None
-    raw = {}
-    for each in selected:
-        values = table.column(str(each.position))
-        if each.map:
-            coded = values.combine_chunks().dictionary_encode()  # look every text up once
-            known = [each.map.get(plain_key(text)) for text in coded.dictionary.to_pylist()]
-            if None in known:
-                return None
-            raw[each.name] = np.array(known, dtype=float)[coded.indices.to_numpy(zero_copy_only=False)]
-        else:
-            raw[each.name] = values.to_numpy()
-            if not np.isfinite(raw[each.name]).all():
-                return None
-    return raw
+    return {each.name: np.concatenate(parts.pop(each.name)) for each in selected}
+
+
+def _numbers(values, column: SourceColumn) -> np.ndarray:
+    """Return one column of a block as finite numbers, or raise ValueError."""
+    if column.map:
+        coded = values.dictionary_encode()  # look every text up once
+        known = [column.map.get(plain_key(text), math.nan) for text in coded.dictionary.to_pylist()]
+        numbers = np.array(known, dtype=float)[coded.indices.to_numpy()]
+    else:
+        numbers = values.to_numpy()
+    if not np.isfinite(numbers).all():
+        raise ValueError
+    return numbers
 
 
 def _scan(
-    body: str, selected: Sequence[SourceColumn], layout: TableRule, width: int, basis: str, line: int
-) -> tuple[dict[str, np.ndarray], list[int], SessionError | None]:
+    opened: Callable[[], BinaryIO],
+    before: int,
+    selected: Sequence[SourceColumn],
+    layout: TableRule,
+    width: int,
+    basis: str,
+) -> tuple[dict[str, np.ndarray], array, SessionError | None]:
     """Return columns, line numbers and the first fault, reading row by row: the reference that `_fast` must agree with."""
-    rows: list[list[float]] = []
-    lines: list[int] = []
+    values, lines = array("d"), array("q")
     selected = sorted(selected, key=lambda each: each.position)  # the leftmost fault of a row comes first
     fault = None
     try:
-        for here, row in _rows(body, layout, width, basis, line):
-            rows.append([_cell(each, row, layout, here, len(rows)) for each in selected])
-            lines.append(here)
+        for line, row in _rows(itertools.islice(_lines(opened), before, None), layout, width, basis, before + 1):
+            values.extend([_cell(each, row, layout, line, len(lines)) for each in selected])
+            lines.append(line)
     except SessionError as error:
         fault = error
-    data = np.array(rows, dtype=float).reshape(len(rows), len(selected))
+    data = np.array(values).reshape(len(lines), len(selected))
     return {each.name: data[:, k] for k, each in enumerate(selected)}, lines, fault
 
 
-def _rows(body: str, layout: TableRule, width: int, basis: str, line: int) -> Iterator[tuple[int, list[str]]]:
+def _rows(text: Iterable[str], layout: TableRule, width: int, basis: str, line: int) -> Iterator[tuple[int, list[str]]]:
     """Yield the line number and the cells of every row; empty lines are allowed at the end only."""
-    reader = csv.reader(io.StringIO(body, newline=""), delimiter=layout.delimiter)
+    reader = csv.reader(text, delimiter=layout.delimiter)
     blank = None
     here = line
     try:

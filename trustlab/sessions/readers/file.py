@@ -4,11 +4,12 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from trustlab.models.checks import one_of, positive
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
 from trustlab.sessions.readers.assembly import assemble_session, recipe_values
 from trustlab.sessions.readers.index import SessionIndex
-from trustlab.sessions.recipe import Recipe, TableRule, load_recipe, parse
-from trustlab.sessions.resampling import RawLog, check_resampling
+from trustlab.sessions.recipe import Recipe, Resampling, TableRule, load_recipe, parse
+from trustlab.sessions.resampling import METHODS, RawLog
 from trustlab.sessions.session import Session
 
 _TABLES = (".csv", ".parquet")
@@ -71,11 +72,11 @@ class FileReader:
     """The arguments of `read_session`, checked, for one file or for many."""
 
     def __init__(self, recipe, columns, resample, sample_time, delimiter, decimal):
-        check_resampling(resample, sample_time)
         self.recipe = None if recipe is None else load_recipe(recipe)
-        self.columns, self.method, self.sample_time = columns, resample, sample_time
-        if resample is None and self.recipe is not None:
-            self.method, self.sample_time = self.recipe.method, self.recipe.sample_time
+        self.columns, self.resampling = columns, self.recipe.resampling if self.recipe else None
+        if resample is not None or sample_time is not None:  # either needs the other
+            method, step = one_of("resample", resample, METHODS), positive("sample_time", sample_time)
+            self.resampling = Resampling(method=method, sample_time=step)
         layout = {"delimiter": delimiter, "decimal": decimal}
         self.given = {name: value for name, value in layout.items() if value is not None}
         if self.given and self.recipe is not None:
@@ -108,7 +109,7 @@ class FileReader:
                 log = self._raw_log(path, needed)
             except OSError as error:
                 raise SessionError(f"cannot be read ({error.strerror or error})") from error
-        return assemble_session(log, self.recipe, values, wanted, self.method, self.sample_time)
+        return assemble_session(log, self.recipe, values, wanted, self.resampling)
 
     def _raw_log(self, path: Path, needed: Sequence[str] | None) -> RawLog:
         suffix = path.suffix.lower()

@@ -105,12 +105,10 @@ def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[s
     """Return the files that a recipe reads in a folder, checked against each other and against the header files."""
     sessions = _find(folder, recipe.pattern)
     headers = _find(folder, index.pattern) if index else {}
-    if recipe.superseded:
+    if recipe.supersedes:
         gone = _superseded(folder, recipe, sessions)
-        for found in (sessions, headers):
-            for path, match in list(found.items()):
-                if plain_key(match.fields.get(recipe.superseded_field)) in gone:
-                    del found[path]
+        kept = lambda item: plain_key(item[1].fields.get(recipe.supersedes.field)) not in gone  # noqa: E731
+        sessions, headers = dict(filter(kept, sessions.items())), dict(filter(kept, headers.items()))
     if not sessions and not headers:
         raise SessionError(f"no file in it fits the recipe's pattern {recipe.pattern.text!r}", folder)
     same: dict[tuple, str] = {}
@@ -127,9 +125,9 @@ def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[s
 
 def _superseded(folder: str, recipe: Recipe, sessions: dict[str, PathMatch]) -> set[str]:
     """Return the values of the path field whose sessions are left out, as those that replace them are there."""
-    name = recipe.superseded_field
+    name = recipe.supersedes.field
     present = {plain_key(match.fields[name]) for match in sessions.values()}
-    gone = {old: new for old, new in recipe.superseded.items() if old in present and new in present}
+    gone = {old: new for old, new in recipe.supersedes.pairs.items() if old in present and new in present}
     for old, new in gone.items():
         what = f"the sessions of {name} {old} were superseded by those of {name} {new}"
         warnings.warn(f"{folder}: {what} (recipe {recipe.name!r}) and are left out", stacklevel=4)

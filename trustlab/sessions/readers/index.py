@@ -72,18 +72,16 @@ class SessionIndex:
     def _parse(self, text: str) -> dict[tuple, tuple[int, dict]]:
         reader = csv.reader(io.StringIO(text, newline=""))
         try:
-            lines = [(reader.line_num, cells) for cells in reader]
+            lines = [(reader.line_num, cells) for cells in reader if cells]
         except csv.Error as error:
             raise SessionError(f"line {reader.line_num}: not a line of a CSV file ({error})") from error
-        names = [name.strip() for name in lines[0][1]] if lines else []
+        names = [name.strip() for name in lines.pop(0)[1]] if lines else []
         for column in self.keys.values():
             if names.count(column) != 1:
                 what = "occurs twice" if column in names else f"is missing{did_you_mean(column, names)}"
                 raise SessionError(f"line 1: column {column!r} {what}")
         rows: dict[tuple, tuple[int, dict]] = {}
-        for line, cells in lines[1:]:
-            if not cells:
-                continue
+        for line, cells in lines:
             if len(cells) != len(names):
                 raise SessionError(f"line {line}: has {len(cells)} cells, but the header names {len(names)}")
             row = {name: _typed(cell) for name, cell in zip(names, cells, strict=True)}

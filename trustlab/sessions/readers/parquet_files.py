@@ -29,23 +29,12 @@ def read_parquet(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None
             raise SessionError(f"the file claims {rows} rows; at most {MAX_SAMPLES} are read")
         comment = (schema.metadata or {}).get(b"trustlab")
         metadata = None if comment is None else metadata_from_json(comment.decode("utf-8", "replace"))[0]
-        for each in selected:
-            _check_type(each, schema.field(each.position).type)
         own = {each.name: names[each.position] for each in selected}
         table = file.read(columns=list(dict.fromkeys(own.values())), use_threads=False)
         table.validate(full=True)
         raw = {each.name: _numbers(table.column(own[each.name]), each) for each in selected}
     table, notes = table_stream(selected, raw, recipe, "row {} (from 0)".format)
     return RawLog(str(path), [table], metadata, notes=notes)
-
-
-def _check_type(column: SourceColumn, kind) -> None:
-    import pyarrow as pa
-
-    number = pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)
-    if not number and not column.map:
-        hint = "write seconds since the start as numbers" if pa.types.is_temporal(kind) else "write numbers"
-        raise SessionError(f"column {column.label}: holds {kind}, not numbers; {hint}")
 
 
 def _numbers(values, column: SourceColumn) -> np.ndarray:
@@ -55,7 +44,11 @@ def _numbers(values, column: SourceColumn) -> np.ndarray:
         rows = enumerate(values.to_pylist())
         coded = [mapped(column.map, value, f"row {k} (from 0), column {column.label}") for k, value in rows]
         return np.array(coded, dtype=float)
-    if pa.types.is_boolean(values.type):
+    kind = values.type
+    if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)):
+        hint = "write seconds since the start as numbers" if pa.types.is_temporal(kind) else "write numbers"
+        raise SessionError(f"column {column.label}: holds {kind}, not numbers; {hint}")
+    if pa.types.is_boolean(kind):
         values = values.cast(pa.int8())
     if not pa.types.is_signed_integer(values.type):  # large times stay exact until their start is subtracted
         values = values.cast(pa.float64(), safe=False)

@@ -16,17 +16,13 @@ from trustlab.sessions.vocabulary import VOCABULARY, to_si
 
 @dataclass(frozen=True)
 class SourceColumn:
-    """One column of the file: its name in the session (or "t"), its position from 0, its label in errors, its rule."""
+    """One column of the file: its name in the session (or "t"), its position from 0, its label in errors, its rule and its map."""
 
     name: str
     position: int
     label: str
     rule: TableColumn | None = None
-
-    @property
-    def map(self) -> Mapping[str, float] | None:
-        """Texts to numbers."""
-        return self.rule.map if self.rule else None
+    map: Mapping[str, float] | None = None
 
 
 def select_columns(
@@ -43,7 +39,10 @@ def select_columns(
             _check_names(names, where)
             wanted = [name for name in names if name != "t"]
         keys = {name: name for name in ["t", *wanted]}
-    return [SourceColumn(own, *_find(own, key, names, where), rules.get(own)) for own, key in keys.items()]
+    maps = {name: rule.map for name, rule in rules.items()}
+    return [
+        SourceColumn(own, *_find(own, key, names, where), rules.get(own), maps.get(own)) for own, key in keys.items()
+    ]
 
 
 def _find(name: str, key: str | int, names: Sequence[str], where: str) -> tuple[int, str]:
