@@ -132,6 +132,5 @@ def own_start(run: tl.Session) -> np.ndarray:
         The data.
     """
     guess = TSC.guess(read_runs(run, "mode", "p_h", "p_r"), TSC.limits(fixed=FIXED))
-    del guess["r0"]  # fixed
-    guess["p_r0"] = guess["p_r0"][0]
-    return np.array(list(guess.values()), dtype=float)
+    names = [*(f"human_{name}" for name in HUMAN), *(f"robot_{name}" for name in ROBOT)]  # r0 is fixed
+    return np.array([*(guess[name] for name in names), guess["p_r0"][0]])
