@@ -336,7 +336,7 @@ def run_fits(structure: Structure, runs: list[Run], fitted: list[list[np.ndarray
             run.t,
             inputs={name: run[name] for name in structure.inputs},
             measured={name: run[name] for name in structure.outputs},
-            fitted=dict(zip(structure.outputs, own, strict=True)),
+            fitted={name: values.copy() for name, values in zip(structure.outputs, own, strict=True)},
         )
         for run, own in zip(runs, fitted, strict=True)
     ]

@@ -8,7 +8,7 @@ from trustlab.identification.fit_result import FitResult
 from trustlab.identification.fitting import fit, refuse_options
 from trustlab.identification.output_error import Problem
 from trustlab.identification.regression import regression, simulated_result
-from trustlab.identification.runs import Run, block_means, joined, read_runs
+from trustlab.identification.runs import Run, as_columns, block_means, joined, read_runs
 from trustlab.identification.structure import UNIT_MARGIN, Coordinate, IdentificationError, Parameter, Structure
 from trustlab.models.compiled import njit
 from trustlab.models.deprecation import warn_renamed
@@ -113,16 +113,16 @@ def _simulate_with_slopes(mode, a, beta, p_min, p_max, r0, p_h, by):
         r = a * r + (1.0 - a) * mode[k]
 
 
-def simulate_human(mode: np.ndarray, *parameters: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return P_h and its derivatives by a, beta, p_min, p_max and r0, shape (N, 5)."""
-    p_h, by = np.empty(mode.size), np.empty(mode.size, SLOPES)
-    _simulate_with_slopes(mode, *parameters, p_h, by)
-    return p_h, by.view(float).reshape(mode.size, -1)
+def simulate_human(run: Run, *parameters: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return P_h and the records of its derivatives by a, beta, p_min, p_max and r0, shape (N,) each."""
+    p_h, by = run.scratch("P_h"), run.scratch("of P_h", SLOPES)
+    _simulate_with_slopes(run["mode"], *parameters, p_h, by)
+    return p_h, by
 
 
 def _sensitivities(run: Run, a, beta, p_min, p_max, r0):
-    p_h, by = simulate_human(run["mode"], a, beta, p_min, p_max, r0)
-    return [p_h], [by]
+    p_h, by = simulate_human(run, a, beta, p_min, p_max, r0)
+    return [p_h], [as_columns(by)]
 
 
 def rate_parameter(prefix: str = "") -> Parameter:

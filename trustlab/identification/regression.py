@@ -266,15 +266,16 @@ def simulated_result(
         for run, states in zip(runs, initial, strict=True)
     ]
     fits = run_fits(structure, runs, predicted)
-    states = pd.DataFrame(initial, columns=[one.name for one in structure.initial])
-    states = states.assign(**{f"{name}_stderr": np.nan for name in states.columns})
+    states: dict = {}
+    for one, column in zip(structure.initial, zip(*initial, strict=True), strict=True):
+        states[one.name], states[f"{one.name}_stderr"] = column, np.nan
     sigma = float(np.sqrt(found.residuals @ found.residuals / max(found.degrees_of_freedom, 1)))
     fit = FitResult(
         model=model,
         method=method,
         parameters=table,
         covariance=table_covariance,
-        initial_states=states.set_index(pd.Index([run.label for run in runs], name="run")),
+        initial_states=pd.DataFrame(states, index=pd.Index([run.label for run in runs], name="run")),
         runs=fits,
         noise="white",
         sigma=dict.fromkeys(structure.outputs, sigma),

@@ -18,7 +18,7 @@ from trustlab.identification.fitting import (
 from trustlab.identification.human import HUMAN, decay_rates, range_parameters, rate_parameter, solve_pair, undo_blocks
 from trustlab.identification.output_error import Estimate
 from trustlab.identification.regression import equations, regress
-from trustlab.identification.runs import Run, block_means, joined, read_runs
+from trustlab.identification.runs import Run, as_columns, block_means, joined, read_runs
 from trustlab.identification.structure import IdentificationError, LinearForm, Parameter, Structure
 from trustlab.models.checks import one_of, positive
 from trustlab.models.compiled import njit
@@ -75,9 +75,9 @@ def fit_robot(
     for given in (fixed, bounds):
         if isinstance(given, Mapping) and "p_h_max" in given:
             raise ValueError("p_h_max is not a parameter of the search; give it as fit_robot(..., p_h_max=...)")
-    runs = read_runs(sessions, "mode", "p_h", "p_r")
-    limits = robot_structure(1.0).limits(fixed, bounds)
-    check_data(robot_structure(1.0), runs, limits)
+    runs, any_operator = read_runs(sessions, "mode", "p_h", "p_r"), robot_structure(1.0)
+    limits = any_operator.limits(fixed, bounds)
+    check_data(any_operator, runs, limits)
     if p_h_max is not None:
         operator, best = None, _given_best(runs, p_h_max)
     else:
@@ -132,11 +132,11 @@ def _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by):
         now = a * now + rest * (p_min + gain * drive)
 
 
-def simulate_robot(mode: np.ndarray, p_h: np.ndarray, p_h_max: float, a, p_min, p_max, p_r0):
-    """Return P_r under a given P_h and its derivatives by a, p_min, p_max and P_r at the start, shape (N, 4)."""
-    p_r, by = np.empty(mode.size), np.empty(mode.size, SLOPES)
-    _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by)
-    return p_r, by.view(float).reshape(mode.size, -1)
+def simulate_robot(run: Run, p_h: np.ndarray, p_h_max: float, a, p_min, p_max, p_r0):
+    """Return P_r under a given P_h and the records of its derivatives by a, p_min, p_max and P_r at the start."""
+    p_r, by = run.scratch("P_r"), run.scratch("of P_r", SLOPES)
+    _simulate_with_slopes(run["mode"], p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by)
+    return p_r, by
 
 
 def _input_influence(mode: np.ndarray, a: float, b: float, jacobian: np.ndarray) -> np.ndarray:
@@ -157,8 +157,8 @@ def robot_structure(p_h_max: float) -> Structure:
     """Return the structure of (2.3), driven by the measured P_h, for a known greatest human performance."""
 
     def sensitivities(run, a, p_min, p_max, p_r0):
-        p_r, by = simulate_robot(run["mode"], run["p_h"], p_h_max, a, p_min, p_max, p_r0)
-        return [p_r], [by]
+        p_r, by = simulate_robot(run, run["p_h"], p_h_max, a, p_min, p_max, p_r0)
+        return [p_r], [as_columns(by)]
 
     def from_coefficients(a1, b, c):
         a = -a1

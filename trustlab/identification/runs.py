@@ -1,7 +1,7 @@
 """What identification reads from sessions: columns as arrays, checked once."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -25,6 +25,7 @@ class Run:
     synthetic: bool = False
     participant: object = None
     performance_measure: object = None
+    kept: dict[tuple, np.ndarray] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.columns[name]
@@ -33,6 +34,13 @@ class Run:
     def size(self) -> int:
         """Number of samples."""
         return next(iter(self.columns.values())).size
+
+    def scratch(self, what: str, kind: np.dtype | type = float) -> np.ndarray:
+        """Return an array of shape (N,) to simulate into, the same at every call."""
+        # The system hands out memory page by page: fresh arrays would take longer than the simulation that fills them.
+        if (what, kind) not in self.kept:
+            self.kept[what, kind] = np.empty(self.size, kind)
+        return self.kept[what, kind]
 
 
 def read_runs(sessions: Session | Iterable[Session], *needed: str) -> list[Run]:
@@ -66,6 +74,11 @@ def read_runs(sessions: Session | Iterable[Session], *needed: str) -> list[Run]:
 def joined(runs: list[Run], name: str) -> np.ndarray:
     """Return one column of all runs, one after the other."""
     return np.concatenate([run[name] for run in runs])
+
+
+def as_columns(records: np.ndarray) -> np.ndarray:
+    """Return records of numbers as a matrix, shape (N, fields)."""
+    return records.view(float).reshape(records.size, -1)
 
 
 def block_means(runs: list[Run], budget: int = 500) -> tuple[list[Run], int]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -249,7 +250,7 @@ class Structure:
         if repeated:
             raise ValueError(f"structure {self.name!r} has two parameters called {sorted(repeated)[0]!r}")
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters, then of the initial states."""
         return tuple(one.name for one in (*self.parameters, *self.initial))
@@ -294,7 +295,7 @@ class Structure:
     def _simulated(self, run, values: Mapping[str, float]) -> list[np.ndarray]:
         """Simulate by the user's function and check what it returns."""
         found = self.simulate(run, **values)
-        outputs = [np.asarray(one, dtype=float) for one in (found if isinstance(found, tuple) else (found,))]
+        outputs = [np.array(one, dtype=float) for one in (found if isinstance(found, tuple) else (found,))]
         self._check_shapes("simulate", outputs, [(run.size,)] * len(self.outputs))
         return outputs
 

@@ -14,7 +14,7 @@ from trustlab.identification.human import (
     simulate_human,
 )
 from trustlab.identification.robot import build_robot, check_excitation, robot_guess, robot_parameters, simulate_robot
-from trustlab.identification.runs import Run
+from trustlab.identification.runs import Run, as_columns
 from trustlab.identification.structure import Parameter, Structure
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel
@@ -62,35 +62,46 @@ def fit_tsc(
 
 OPERATOR = ("human_a", "human_beta", "human_p_min", "human_p_max", "r0")
 ROBOT = ("robot_a", "robot_p_min", "robot_p_max", "p_r0")
-BEST = OPERATOR.index("human_p_max")
+
+
+SLOPES = np.dtype([(name, float) for name in (*OPERATOR, *ROBOT)])
 
 
 @njit
-def _through_operator(mode, p_h, by_h, p_h_max, a, gain, out):
-    """Write the derivatives of P_r by the operator's parameters and r0, from those of P_h, into `out`, shape (N, 5)."""
-    out[:1] = 0.0
-    for k in range(mode.size - 1):
+def _through_operator(mode, p_h, by_h, by_r, p_h_max, a, gain, out):
+    """Write the derivatives of P_r into the records `out`: by the operator's parameters from those of P_h, by the robot's as they are."""
+    by_a, by_beta, by_min, by_max, by_r0 = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(mode.size):
+        operator, robot, row = by_h[k], by_r[k], out[k]
+        row.human_a = by_a
+        row.human_beta = by_beta
+        row.human_p_min = by_min
+        row.human_p_max = by_max
+        row.r0 = by_r0
+        row.robot_a = robot.a
+        row.robot_p_min = robot.p_min
+        row.robot_p_max = robot.p_max
+        row.p_r0 = robot.p_r0
         # (2.3) differentiated by x: ∂P_r(k+1) = a ∂P_r(k) + (1 − a) gain M(k) ∂P_h(k), gain = (p_max − p_min)/p_h,max.
         into = (1.0 - a) * gain * mode[k]
-        share = p_h[k] / p_h_max
-        for j in range(by_h.shape[1]):
-            # p_h,max acts through the gain, too.
-            slope = by_h[k, j] - share if j == BEST else by_h[k, j]
-            out[k + 1, j] = a * out[k, j] + into * slope
+        by_a = a * by_a + into * operator.a
+        by_beta = a * by_beta + into * operator.beta
+        by_min = a * by_min + into * operator.p_min
+        # p_h,max acts through the gain, too.
+        by_max = a * by_max + into * (operator.p_max - p_h[k] / p_h_max)
+        by_r0 = a * by_r0 + into * operator.r0
 
 
 def _sensitivities(
     run: Run, human_a, human_beta, human_p_min, human_p_max, robot_a, robot_p_min, robot_p_max, r0, p_r0
 ):
     """Return P_h and P_r with their derivatives, shapes (N, 5) and (N, 9): the simulated operator drives the robot."""
-    mode, split = run["mode"], len(OPERATOR)
-    p_h, by_human = simulate_human(mode, human_a, human_beta, human_p_min, human_p_max, r0)
-    p_r, by_robot = simulate_robot(mode, p_h, human_p_max, robot_a, robot_p_min, robot_p_max, p_r0)
-    by = np.empty((run.size, split + len(ROBOT)))
-    by[:, split:] = by_robot
+    p_h, by_human = simulate_human(run, human_a, human_beta, human_p_min, human_p_max, r0)
+    p_r, by_robot = simulate_robot(run, p_h, human_p_max, robot_a, robot_p_min, robot_p_max, p_r0)
     gain = (robot_p_max - robot_p_min) / human_p_max
-    _through_operator(mode, p_h, by_human, human_p_max, robot_a, gain, by[:, :split])
-    return [p_h, p_r], [by_human, by]
+    by = run.scratch("of P_r by all", SLOPES)
+    _through_operator(run["mode"], p_h, by_human, by_robot, human_p_max, robot_a, gain, by)
+    return [p_h, p_r], [as_columns(by_human), as_columns(by)]
 
 
 def _own(values: Mapping, prefix: str) -> dict:
