@@ -1,26 +1,11 @@
-"""The compiled count of failing bounds against whole simulations of the same sets."""
+"""The count of failing bounds against whole simulations of the same sets."""
 
 import numpy as np
 import pytest
 
 import trustlab as tl
 from trustlab.allocation import bound_failures, simulate_allocation, steady_state_bounds, threshold_limits
-from trustlab.allocation.bound_failures import RECORDED, SETTLING, TOLERANCE, random_set, steady_extremes
-
-
-def test_extremes_are_those_of_the_simulation():
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        model, lower, upper = random_set(rng)
-        seen = steady_extremes(0.3, model.robot.p_min, lower, upper, model.constants(), 4000, 0, 3000)
-        run = simulate_allocation(model, lower, upper, 7000, 0.3)
-        tail, change = run.iloc[4000:], run.diff().iloc[4000:].abs().max()
-        for name in ("r", "p_r", "tsc"):
-            assert getattr(seen, f"{name}_low") == pytest.approx(tail[name].min(), abs=1e-12)
-            assert getattr(seen, f"{name}_high") == pytest.approx(tail[name].max(), abs=1e-12)
-        assert seen.delta_p_r == pytest.approx(change["p_r"], abs=1e-12)
-        assert seen.delta_p_h == pytest.approx(change["p_h"], abs=1e-12)
-        assert seen.switches == run["mode"].diff().iloc[4000:].abs().sum()
+from trustlab.allocation.bound_failures import RECORDED, SETTLING, TOLERANCE, random_set, steady_run
 
 
 def test_invariant_bounds_are_tested_from_the_return_to_manual_control_on_from_which_they_hold():
@@ -38,10 +23,8 @@ def test_invariant_bounds_are_tested_from_the_return_to_manual_control_on_from_w
     assert early.max() > bounds.r_high + TOLERANCE
     later = run["r"].iloc[returns[bounds.cycles - 1] :]
     assert bounds.r_low <= later.min() < later.max() <= bounds.r_high
-    start = r0, model.robot.p_min, lower, upper, model.constants()
-    seen = steady_extremes(*start, settling, bounds.cycles, recorded)
-    part = later.iloc[:recorded]
-    assert (seen.r_low, seen.r_high) == pytest.approx((part.min(), part.max()), abs=1e-12)
+    seen = steady_run(model, lower, upper, r0, settling, recorded, bounds.cycles)["r"].iloc[1:]
+    np.testing.assert_array_equal(seen, later.iloc[:recorded])
 
 
 def test_counts_are_those_of_the_same_sets_one_by_one():

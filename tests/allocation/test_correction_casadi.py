@@ -234,7 +234,7 @@ def test_a_solver_that_returns_nonsense_is_not_believed(monkeypatch):
     monkeypatch.setattr(ours._model, "run", too_far)
     plan = ours.solve(*FAR)
     assert plan.status is CorrectionStatus.FAILED
-    assert "lies outside" in plan.message
+    assert "does not reproduce" in plan.message
     assert plan.c_l == 0.0
 
 

@@ -48,7 +48,7 @@ def test_missing_data_hold_and_the_correction_goes_on(corrector):
     assert steps[40].lower == steps[20].lower
     assert steps[41].lower > steps[40].lower
     assert np.isfinite([step.r for step in steps]).all()
-    assert "goes on when data return" in CorrectionStatus.MISSING.value
+    assert "resumes when data return" in CorrectionStatus.MISSING.value
     table = loop.table()
     assert len(table) == 60
     assert (table["status"] == "MISSING").sum() == 20

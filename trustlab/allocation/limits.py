@@ -4,10 +4,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from trustlab.models.checks import between, finite_number, in_order, not_negative, of_class
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
+
+RANGES = {"r": "r", "P_r": "p_r", "TSC": "tsc"}
+"""Rows of tables of ranges, and how the fields with their ends begin."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +120,6 @@ class ThresholdLimits:
         return f"TSC_lb = {self.lower:.4f} and TSC_ub = {self.upper:.4f} at δ_Ph = {self.delta_p_h:.3g}"
 
     def _repr_html_(self) -> str:
-        import pandas as pd
-
         room = "thresholds fit between them" if self.feasible else "no thresholds fit between them (Remark 4)"
         columns = {"TSC_lb": self.lower, "TSC_ub": self.upper, "δ_Ph": self.delta_p_h, "feasible": self.feasible}
         return as_html(room, pd.DataFrame([columns]))
@@ -166,12 +168,11 @@ def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> Threshold
     return ThresholdLimits(float(lower), float(upper), float(delta_p_h))
 
 
-def check_order(lower: float, upper: float) -> tuple[float, float]:
-    """Return two thresholds as floats if they are finite and in order."""
-    lower, upper = finite_number("lower", lower), finite_number("upper", upper)
-    if not lower < upper:
-        raise ValueError(f"the lower threshold must be below the upper one, got {lower} and {upper}")
-    return lower, upper
+def ranges_table(result: Any, dwell_manual: tuple, dwell_autonomous: tuple) -> pd.DataFrame:
+    """Return the ranges of r, P_r and TSC that a result has, and those of dwell times, one row each."""
+    rows = {name: (getattr(result, f"{it}_low"), getattr(result, f"{it}_high")) for name, it in RANGES.items()}
+    rows |= {"dwell time manual": dwell_manual, "dwell time autonomous": dwell_autonomous}
+    return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high"]).rename_axis("quantity")
 
 
 def check_thresholds(
@@ -179,7 +180,7 @@ def check_thresholds(
 ) -> tuple[float, float]:
     """Return two thresholds as floats if they are finite, in order, and, where limits are given, strictly between them."""
     of_class("tsc", tsc, TscModel)
-    lower, upper = check_order(lower, upper)
+    lower, upper = in_order("lower", lower, "upper", upper)
     if limits is None:
         return lower, upper
     of_class("limits", limits, ThresholdLimits)

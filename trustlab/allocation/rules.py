@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from trustlab.allocation.limits import check_order
 from trustlab.models.checks import finite_number, in_order, not_negative, whole_number
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import threshold_mode
@@ -56,9 +55,9 @@ class ThresholdRule:
     def __setattr__(self, name, value):
         if name in ("lower", "upper"):
             value = finite_number(name, value)
-            pair = {"lower": self.__dict__.get("lower"), "upper": self.__dict__.get("upper")} | {name: value}
-            if None not in pair.values():
-                check_order(**pair)
+            pair = self.__dict__ | {name: value}
+            if "lower" in pair and "upper" in pair:
+                in_order("lower", pair["lower"], "upper", pair["upper"])
         elif name == "mode":
             value = whole_number("mode", value, least=0, most=1)
         else:
@@ -79,7 +78,7 @@ class ThresholdRule:
         ValueError
             If they are not finite or in the wrong order; both stay what they were.
         """
-        lower, upper = check_order(lower, upper)
+        lower, upper = in_order("lower", lower, "upper", upper)
         self.__dict__.update(lower=lower, upper=upper)
 
     def step(self, tsc: float, p_r: float | None = None) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 
 from trustlab.allocation.cycle.limit_cycle import limit_cycle
 from trustlab.allocation.cycle.phases import longest_phase
-from trustlab.allocation.limits import check_thresholds, step_bounds, threshold_limits
+from trustlab.allocation.limits import check_thresholds, ranges_table, step_bounds, threshold_limits
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.models.checks import between
 from trustlab.models.html import as_html
@@ -74,18 +74,10 @@ class SteadyStateBounds:
         Returns
         -------
         pandas.DataFrame
-            Index `quantity` (P_r, r, TSC, dwell time manual, dwell time autonomous); columns low, high.
+            Index `quantity` (r, P_r, TSC, dwell time manual, dwell time autonomous); columns low, high.
         """
-        import pandas as pd
-
-        rows = {
-            "TSC": (self.tsc_low, self.tsc_high),
-            "P_r": (self.p_r_low, self.p_r_high),
-            "r": (self.r_low, self.r_high),
-            "dwell time manual": (self.dwell_manual_low, self.dwell_manual_high),
-            "dwell time autonomous": (math.nan, self.dwell_autonomous),
-        }
-        return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high"]).rename_axis("quantity")
+        manual = self.dwell_manual_low, self.dwell_manual_high
+        return ranges_table(self, manual, (math.nan, self.dwell_autonomous))
 
     def plot(self, sample_time: float = 0.1):
         """

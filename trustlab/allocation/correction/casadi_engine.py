@@ -1,20 +1,20 @@
 """
 The general engine of the correction: nonlinear model predictive control by multiple shooting with CasADi.
 
-The hard switch (2.8) makes the program piecewise: within one sequence of modes it is smooth. The engine goes from one
-sequence to another, and every plan is judged by a run under the hard switch, never by what a solver says it costs.
+The hard switch (2.8) makes the program piecewise smooth: it is smooth within one mode sequence. The engine moves from one
+sequence to the next and judges every plan by a run under the hard switch, never by the cost that a solver reports.
 
-1. Candidates are the last plan moved on by one step, the straight way to the target, and holding the thresholds.
-2. The program for the sequence of modes of the best one is solved, its solution run under (2.8), and so on until the
-   sequence repeats. For (2.43) alone this ends at clipping, from any start: corrections depend on modes before them only,
-   so each round gets at least one more switch right.
-3. Where a switch within the horizon happens (or does not) only because a threshold was moved, holding it back is tried;
-   where that is better, the program is solved with the thresholds kept where (2.8) brings about those modes.
-4. With a positive `switch_width`, one program with the switch smoothed is solved first; its sequence of modes enters as in
-   3. It is needed for costs of r, P_r or the mode: for given modes these do not depend on the corrections at all.
+1. The candidates are the last plan shifted by one step, the fastest way to the target, and holding the thresholds.
+2. The program is solved for the mode sequence of the best candidate, its solution is run under (2.8), and so on until the
+   sequence repeats. For (2.43) alone this ends at clipping, from any start: corrections depend on earlier modes only, so
+   that each round gets at least one more switch right.
+3. Where a switch within the horizon happens, or fails to, only because a threshold was moved, holding it back is tried; if
+   that is cheaper, the program is solved with the thresholds confined to where (2.8) produces those modes.
+4. With a positive `switch_width`, a program with a smoothed switch is solved as well; its mode sequence is treated as in 3.
+   Costs of r, P_r or the mode need it: for a given mode sequence these do not depend on the corrections.
 
-What is exact: the plan is a local optimum among all corrections that bring about its sequence of modes, to the solver's
-tolerance. Which sequence is best is searched, not proved: `cost_lower_bound` is NaN, and engine="exact" proves it for (2.43).
+The plan is a local optimum, to the solver's tolerance, among the corrections that produce its mode sequence. That no other
+sequence is cheaper is not proved: `cost_lower_bound` is NaN. engine="exact" proves it for (2.43).
 """
 
 import math
@@ -34,36 +34,26 @@ DEFAULT_WIDTH = 1e-3
 """Width of the smoothed switch where costs or constraints were added, in units of TSC: below the change of TSC in one step."""
 
 ROUNDS, TRIALS = 8, 4
-"""Most sequences of modes followed, and most switches tried otherwise, per plan."""
+"""Most mode sequences followed, and most switches for which the other outcome is tried, per plan."""
 
 MARGIN = 1e-6
-"""How far, in units of c_b, a threshold that is held back for a switch stays off TSC."""
+"""How far, in units of c_b, a threshold that is held back for a switch stays away from TSC."""
 
 FEASIBLE = 1e-5
-"""By how much an added constraint may be missed, as a share of what one unit of w, or of a scaled state, changes it by."""
+"""By how much an added constraint may be violated, relative to its change per unit of w or of a scaled state."""
 
 
 class Situation(NamedTuple):
-    """Where a plan begins: r, P_r, TSC_u, TSC_l and the mode before; where thresholds may go; what solvers had to say."""
+    """Where a plan begins: r, P_r, TSC_u, TSC_l and the mode before; where thresholds may go; why solvers failed."""
 
     state: np.ndarray
     allowed: np.ndarray
     reasons: list[str]
 
-    @property
-    def before(self) -> int:
-        """The mode before."""
-        return int(self.state[-1])
-
-    @property
-    def message(self) -> str:
-        """What solvers had to say, each thing once."""
-        return "; ".join(dict.fromkeys(self.reasons))
-
 
 class CasadiEngine:
     """
-    Multiple shooting over the horizon; how sequences of modes are found is at the head of this module.
+    Multiple shooting over the horizon; the head of this module says how mode sequences are found.
 
     Parameters
     ----------
@@ -76,18 +66,18 @@ class CasadiEngine:
     horizon : int
         N, steps.
     incentive : callable
-        The bounds of correction, `incentive_box` or a function like it that takes CasADi symbols.
+        The bounds of the corrections: `incentive_box`, or a function like it that accepts CasADi symbols.
     extra_cost : callable, optional
         extra_cost(x, u, k), a scalar added to (2.43) for k = 0 … N − 1, with x = [r, P_r, TSC_u, TSC_l] and u = [c_u, c_l] of
         step k as CasADi symbols; in the unit of (2.43), TSC².
     extra_constraints : callable, optional
         extra_constraints(x, u, k), one or several expressions, each held at or below 0 for k = 0 … N − 1.
     switch_width : float, optional
-        Width of the smoothed switch in units of TSC; 0 does without. 0 for (2.43) alone and DEFAULT_WIDTH with additions,
-        when not given.
+        Width of the smoothed switch in units of TSC; 0 omits it. When not given, 0 for (2.43) alone and DEFAULT_WIDTH with
+        added costs or constraints.
     solver : str, optional
-        "piqp" (when not given), "hpipm", "fatrop" or "ipopt". The smoothed program goes to fatrop, or to IPOPT. Where a
-        solver fails, fatrop is tried before giving up.
+        "piqp" (default), "hpipm", "fatrop" or "ipopt". The smoothed program is solved by IPOPT if chosen, else by fatrop.
+        Where a solver fails, fatrop is tried as well.
 
     Raises
     ------
@@ -127,12 +117,12 @@ class CasadiEngine:
         self._last: np.ndarray | None = None
 
     def reset(self) -> None:
-        """Forget the last plan, from which the next one starts."""
+        """Forget the last plan, which is a candidate for the next one."""
         self._last = None
 
     def solve(self, r: float, p_r: float, lower: float, upper: float, mode: int) -> CorrectionPlan:
         """
-        Return the plan from this state; where no solver succeeds, the thresholds are held and the status says so.
+        Return the plan from this state; if no solver succeeds, the thresholds are held and the status says so.
 
         Parameters
         ----------
@@ -144,34 +134,35 @@ class CasadiEngine:
             Mode before now: 1 manual, 0 autonomous.
         """
         state = np.array([r, p_r, upper, lower, mode], dtype=float)
-        found, message = self._search(state)
+        now = Situation(state, self._model.allowed(upper, lower), [])
+        found = self._search(now)
+        message = "; ".join(dict.fromkeys(now.reasons))
         if found is not None:
             total = found.cost * self._model.c_b**2
             plan = self._plan(state, found.inputs, CorrectionStatus.CONVERGED, message, total)
-            message = self._fault(plan)
-            if not message:
+            if self._repeats(plan, found):
                 self._last = np.hstack([found.w[:, 1:], found.w[:, -1:]])
                 return plan
+            message = "the compiled model does not reproduce the run that the corrections were found in"
         self.reset()
         return self._plan(state, np.zeros((2, self.horizon)), CorrectionStatus.FAILED, message, math.nan)
 
-    def _search(self, state: np.ndarray) -> tuple[HardRun | None, str]:
-        """Return the best plan that a solver stands for, or None, and what there is to say."""
-        model = self._model
-        now = Situation(state, model.allowed(*state[2:4]), [])
-        guess = self._first(now)
+    def _search(self, now: Situation) -> HardRun | None:
+        """Return the best plan that a solver found, or None."""
+        model, guess = self._model, self._first(now)
         if not guess.sound:
-            return None, (
+            now.reasons.append(
                 "the model or the added functions give values that are not finite, or incentives that exclude 0, at a "
                 "predicted state"
             )
+            return None
         free = now.allowed if model.extras.any else None
         found, seen = [], guess
         for _ in range(ROUNDS):
             after = self._solved(guess, free, now)
             if after is None:
                 if seen is guess and not self._sound(guess):
-                    return None, now.message
+                    return None
                 break
             if self._sound(after):
                 if np.array_equal(after.mode, guess.mode):
@@ -180,19 +171,19 @@ class CasadiEngine:
                 seen = min(seen, after, key=self._rank)
             guess = after
         if self._smooth is not None:
-            w, reason = self._smooth.solve(seen, now.before, now.allowed)
+            w, reason = self._smooth.solve(seen, now.state[-1], now.allowed)
             if w is None:
                 now.reasons.append(f"smoothed switch: {reason}")
             else:
-                found += self._settled(model.run(state, w, now.allowed), now)
+                found += self._settled(model.run(now.state, w, now.allowed), now)
         found = found or self._settled(seen, now)
         if not found:
-            return None, now.message or "no sequence of modes settled"
-        best = self._with_switches_held(min(found, key=self._rank), now)
-        return best, now.message
+            now.reasons.append("no mode sequence settled")
+            return None
+        return self._with_switches_held(min(found, key=self._rank), now)
 
     def _first(self, now: Situation) -> HardRun:
-        """Return the best of the last plan, the straight way to the target, and holding."""
+        """Return the best candidate: the last plan, the fastest way to the target, or holding."""
         state, straight = now.state, self._straight(now.state)
         runs = [self._model.run(state, straight, now.allowed)]
         if self._last is not None:
@@ -212,9 +203,9 @@ class CasadiEngine:
         return run.sound and run.worst <= FEASIBLE
 
     def _solved(self, guess: HardRun, thresholds: np.ndarray | None, now: Situation) -> HardRun | None:
-        """Return the hard run of the solution for the modes of `guess`, from the first solver that succeeds."""
+        """Solve for the modes of `guess` and return the hard run of the solution, from the first solver that succeeds."""
         for program in self._programs:
-            w, reason = program.solve(guess, now.before, thresholds)
+            w, reason = program.solve(guess, now.state[-1], thresholds)
             if w is not None:
                 after = self._model.run(now.state, w, now.allowed)
                 if not self._worse(after, guess):
@@ -224,21 +215,21 @@ class CasadiEngine:
         return None
 
     def _worse(self, after: HardRun, guess: HardRun) -> bool:
-        """Return whether a solution is worse than a guess that was admissible and had the same modes."""
+        """Return whether a solution costs more than an admissible guess with the same modes."""
         same = self._sound(guess) and self._sound(after) and np.array_equal(after.mode, guess.mode)
         return same and after.cost > guess.cost + 1e-6 * max(1.0, guess.size)
 
     def _settled(self, run: HardRun, now: Situation) -> list[HardRun]:
-        """Return the best plan with the modes of `run`, which the thresholds are made to bring about, or nothing."""
+        """Return the best plan whose thresholds produce the modes of `run`, or nothing."""
         after = self._solved(run, self._cell(run, now.allowed), now) if run.sound else None
         settled = after is not None and self._sound(after) and np.array_equal(after.mode, run.mode)
         return [after] if settled else []
 
     def _cell(self, run: HardRun, allowed: np.ndarray) -> np.ndarray:
-        """Return where thresholds may go so that (2.8) brings about the modes of `run`."""
+        """Return where thresholds may go so that (2.8) produces the modes of `run`."""
         cell, margin = allowed.copy(), MARGIN * self._model.c_b
         mode, tsc, row = run.mode[1:], run.tsc[1:], _deciding(run)
-        # The manual mode comes with a threshold above TSC, the autonomous mode with one below.
+        # In the manual mode the deciding threshold is above TSC, in the autonomous mode below it.
         k = np.flatnonzero(mode == 1.0)
         cell[0, row[k], k] = np.maximum(cell[0, row[k], k], tsc[k] + margin)
         k = np.flatnonzero(mode == 0.0)
@@ -266,7 +257,7 @@ class CasadiEngine:
         return best
 
     def _moved_switches(self, run: HardRun) -> list[tuple[int, int]]:
-        """Return the steps at which (2.8) decides otherwise than it would for the threshold as it is now, and which one."""
+        """Return the steps at which (2.8) decides differently than under the current thresholds, and which threshold decides."""
         row = _deciding(run)
         now = run.states[2 + row, 0]
         then = run.states[2 + row, np.arange(1, self.horizon)]
@@ -275,7 +266,7 @@ class CasadiEngine:
         return [(int(k) + 1, int(row[k])) for k in steps]
 
     def _plan(self, state, inputs, status, message, total) -> CorrectionPlan:
-        """Return the plan, as the hard switch has it; `total` is its cost with additions."""
+        """Return the plan under the hard switch; `total` is its cost with additions."""
         r, p_r, upper, lower, mode = (float(value) for value in state)
         run = simulate_correction(self._tsc, r, p_r, lower, upper, int(mode), inputs[1], inputs[0], self._target)
         tsc = float(self._tsc.value(p_r, self._tsc.human.performance(r)))
@@ -294,20 +285,11 @@ class CasadiEngine:
             **run,
         )
 
-    def _fault(self, plan: CorrectionPlan) -> str:
-        """Return what is wrong with a plan: (2.41) at its own states, thresholds that cross, values that are not finite."""
-        if not (math.isfinite(plan.cost) and np.isfinite(plan.lower).all() and np.isfinite(plan.upper).all()):
-            return "the plan is not finite"
-        if not (plan.lower[1:] < plan.upper[1:]).all():
-            return f"the thresholds cross at step {1 + int(np.argmin(plan.lower[1:] < plan.upper[1:]))}"
-        low, high = self._model.bounds(plan.r[:-1], plan.p_r[:-1], plan.upper[:-1], plan.lower[:-1])
-        slack = 1e-9 * self._model.c_b
-        for name, actions in (("c_u", plan.actions_u), ("c_l", plan.actions_l)):
-            inside = (actions >= low - slack) & (actions <= high + slack)
-            if not inside.all():
-                k = int(np.argmin(inside))
-                return f"{name} = {actions[k]:.6g} at step {k} lies outside [{low[k]:.6g}, {high[k]:.6g}] of (2.41)"
-        return ""
+    def _repeats(self, plan: CorrectionPlan, found: HardRun) -> bool:
+        """Return whether the compiled model repeats the run that was judged, so that (2.41) holds at the plan's own states."""
+        paths = np.stack([plan.r, plan.p_r, plan.upper, plan.lower])
+        same = np.abs(paths - found.states) <= 1e-9 * self._model.units[:, None]
+        return bool(same.all()) and np.array_equal(plan.mode, found.mode)
 
 
 def _deciding(run: HardRun) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The correction (2.43)-(2.44) in CasADi: one step with what a user adds, the hard rule (2.8), and the nonlinear program."""
+"""The correction (2.43)-(2.44) in CasADi: one step with the user's additions, the hard rule (2.8), and the nonlinear program."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from trustlab.allocation.correction.incentive import incentive_box
 from trustlab.models.tsc import TscModel
 
 TINY = 1e-100
-"""Utilization below which (2.6) is at P_h,min; its second derivative is still finite there."""
+"""Utilization below which (2.6) is taken as P_h,min; its second derivative is still finite there."""
 
 SOLVERS = ("piqp", "hpipm", "fatrop", "ipopt")
 """Solvers by name: sequential quadratic programming on PIQP or HPIPM, or the interior-point methods fatrop and IPOPT."""
@@ -22,13 +22,13 @@ QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False}
 QUIET_SQP = {"print_header": False, "print_iteration": False, "print_status": False}
 
 SLACK = 1e-6
-"""How far, in units of c_b, thresholds may stray in the program from where they may go; the hard rule then cuts them there."""
+"""How far, in units of c_b, thresholds may leave their intervals in the program; the hard run clips them."""
 
 
 @dataclass(frozen=True)
 class Extras:
     """
-    What a user adds to (2.43).
+    What a user adds to (2.43), and the incentives.
 
     Parameters
     ----------
@@ -46,10 +46,9 @@ class Extras:
     incentive: Callable = incentive_box
 
     def __post_init__(self):
-        functions = {"extra_cost": self.cost, "extra_constraints": self.constraints}
-        functions = {name: given for name, given in functions.items() if given is not None}
-        for name, given in (functions | {"incentive": self.incentive}).items():
-            if not callable(given):
+        functions = {"extra_cost": self.cost, "extra_constraints": self.constraints, "incentive": self.incentive}
+        for name, given in functions.items():
+            if not callable(given) and (given is not None or name == "incentive"):
                 raise ValueError(f"{name} must be a function, got {type(given).__name__}")
 
     @property
@@ -60,7 +59,7 @@ class Extras:
 
 class CorrectionModel:
     """
-    Expressions of one step, and the hard rule (2.8) run over the horizon.
+    Expressions of one step, and runs under the hard rule (2.8) over the horizon.
 
     Inputs are c = c̲ + w (c̄ − c̲) with w in [0, 1], so that (2.41) is a constant box; with (2.42), where c̄ − c̲ = c_b, this is
     w = c/c_b + s. Thresholds are z = (threshold − target)/c_b, robot performance is (P_r − P_min)/(P_max − P_min), cost is in c_b².
@@ -76,12 +75,12 @@ class CorrectionModel:
     horizon : int
         N, steps.
     extras : Extras
-        What a user adds.
+        The user's additions.
 
     Raises
     ------
     ValueError
-        If an added function fails, returns the wrong number of values, values that are not finite, or bounds that exclude 0.
+        If an added function fails, or returns a wrong number of values, values that are not finite, or bounds that exclude 0.
     """
 
     def __init__(self, tsc: TscModel, target: tuple[float, float], c_b: float, horizon: int, extras: Extras):
@@ -94,15 +93,12 @@ class CorrectionModel:
         self.symbol = ca.SX
         try:
             self.added = self._added()
-        except _UntraceableError:  # functions of matrices (interpolants, callbacks) know MX alone
+        except _UntraceableError:  # interpolants, callbacks and the like take MX only
             self.symbol = ca.MX
             self.added = self._added()
         self.constraints = self.added.size1_out(1)
         self._check()
         rule = self._rule()
-        x, k = self.symbol.sym("x", 4), self.symbol.sym("k")
-        box = ca.Function("box", [x, k], self.added(x, ca.DM.zeros(2), k)[2:])
-        self._bounds = box.map(horizon)
         self._slopes_over_horizon = self._slopes.map(horizon) if extras.cost is not None else None
         self._over_horizon = rule if horizon == 1 else rule.mapaccum("rule_over_horizon", horizon)
         self._steps = np.arange(horizon, dtype=float)[None, :]
@@ -122,7 +118,7 @@ class CorrectionModel:
             rows = ca.vertcat(*(_column(symbol, "extra_constraints", part) for part in parts))
             if rows.numel() == 0:
                 raise ValueError(
-                    "extra_constraints returned nothing; leave it out, or return expressions to hold at or below 0"
+                    "extra_constraints returned nothing; leave it out, or return expressions to be kept at or below 0"
                 )
         bounds = self._call("incentive", extras.incentive, x[0], x[1], self.c_b, robot.p_min, robot.p_max)
         if not isinstance(bounds, list | tuple) or len(bounds) != 2:
@@ -156,7 +152,7 @@ class CorrectionModel:
             ) from error
 
     def _row_sizes(self, slopes) -> np.ndarray:
-        """Return by how much each constraint changes over the scaled unknowns, at most, so that tolerances mean the same for all."""
+        """Return the greatest change of each constraint per scaled unknown, so that one tolerance suits them all."""
         size = 0.0
         for x in self._places():
             by_x, by_u = (np.abs(np.asarray(value)) for value in slopes(x, [0.0, 0.0], 0))
@@ -182,17 +178,6 @@ class CorrectionModel:
                     f"incentive gives [{low:g}, {high:g}] {where}; as in (2.41), it must bound corrections by "
                     f"c_b = {self.c_b:g} and let thresholds be held"
                 )
-
-    def physical(self, z):
-        """
-        Return [r, P_r, TSC_u, TSC_l] from the scaled state.
-
-        Parameters
-        ----------
-        z : casadi.SX, casadi.MX or numpy.ndarray, shape (4,)
-            r, scaled P_r, scaled TSC_u and TSC_l.
-        """
-        return self.zero + self.units * z
 
     def performance(self, r):
         """
@@ -222,7 +207,7 @@ class CorrectionModel:
         tsc = self.tsc.a_T * x[1] - self.tsc.b_T * p_h
         mode = ca.if_else(tsc >= x[2], 0.0, ca.if_else(tsc <= x[3], 1.0, before))
         _, _, low, high = self.added(x, ca.DM.zeros(2), k)
-        # A threshold that is already where it may not go is held there, so that corrections never leave (2.41).
+        # A threshold that is already outside its interval is held there, so that corrections stay within (2.41).
         least, most = ca.fmin(given[2:4], x[2:]), ca.fmax(given[4:6], x[2:])
         moved = ca.fmin(ca.fmax(x[2:] + low + given[:2] * (high - low), least), most)
         u = moved - x[2:]
@@ -238,12 +223,12 @@ class CorrectionModel:
 
     def steepness(self, run: HardRun) -> float:
         """
-        Return by how much the cost over c_b² changes with one correction at most, at least 1: the objective's scale.
+        Return the greatest slope of the cost over c_b² with respect to a correction, at least 1: the scale of the objective.
 
         Parameters
         ----------
         run : HardRun
-            Where the cost is looked at.
+            Where the slopes are evaluated.
         """
         by_threshold = 2.0 * (run.states[2:, 1:] - self.zero[2:, None]) / self.c_b
         by_input: Any = 0.0
@@ -254,23 +239,9 @@ class CorrectionModel:
         by_input = by_input + np.cumsum(by_threshold[:, ::-1], axis=1)[:, ::-1]
         return max(1.0, float(np.nan_to_num(np.abs(by_input)).max()))
 
-    def bounds(
-        self, r: np.ndarray, p_r: np.ndarray, upper: np.ndarray, lower: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Return the least and the greatest correction over the horizon.
-
-        Parameters
-        ----------
-        r, p_r, upper, lower : numpy.ndarray, shape (N,)
-            States of (2.44) at steps 0 … N − 1.
-        """
-        low, high = self._bounds(np.stack([r, p_r, upper, lower]), self._steps)
-        return np.asarray(low).ravel(), np.asarray(high).ravel()
-
     def allowed(self, upper: float, lower: float) -> np.ndarray:
         """
-        Return where TSC_u and TSC_l may go, between their values now and their targets: least, then greatest, at each step.
+        Return the intervals of TSC_u and TSC_l, from their values now to their targets: least, then greatest, at each step.
 
         Parameters
         ----------
@@ -282,7 +253,7 @@ class CorrectionModel:
 
     def run(self, state: np.ndarray, w: np.ndarray, allowed: np.ndarray) -> HardRun:
         """
-        Run the model under the hard rule (2.8), with the corrections that `w` means along the way.
+        Run the model under the hard rule (2.8), scaling `w` to corrections along the way.
 
         Parameters
         ----------
@@ -291,7 +262,7 @@ class CorrectionModel:
         w : numpy.ndarray, shape (2, N)
             c_u and c_l as shares of what (2.41) allows.
         allowed : numpy.ndarray, shape (2, 2, N)
-            Where the thresholds may go, see `allowed`.
+            The intervals of the thresholds, see `allowed`.
         """
         given = np.concatenate([w, allowed[0], allowed[1]])
         states, seen = (np.asarray(value) for value in self._over_horizon(state, given, self._steps))
@@ -300,24 +271,25 @@ class CorrectionModel:
         low, high = seen[5], seen[6]
         width = high - low
         used = np.where(width > 0.0, (seen[:2] - low) / np.where(width > 0.0, width, 1.0), 0.0)
+        cost = base + float(seen[3].sum())
+        finite, apart = np.isfinite(states).all() and np.isfinite(cost), (states[3] < states[2]).all()
         return HardRun(
             states=np.hstack([state[:4, None], states[:4]]),
             mode=states[4],
             tsc=seen[2],
             inputs=seen[:2],
             w=np.clip(used, 0.0, 1.0),
-            low=low,
-            high=high,
-            cost=base + float(seen[3].sum()),
+            cost=cost,
             size=base + float(np.abs(seen[3]).sum()),
             worst=float(seen[4].max()),
+            sound=bool(finite and apart and (low <= 0.0).all() and (high >= 0.0).all()),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class HardRun:
     """
-    One run under the hard rule.
+    A run under the hard rule.
 
     Parameters
     ----------
@@ -327,12 +299,12 @@ class HardRun:
         Mode and TSC at each step.
     inputs, w : numpy.ndarray, shape (2, N)
         c_u and c_l, and the same as shares of what (2.41) allows.
-    low, high : numpy.ndarray, shape (N,)
-        Least and greatest correction (2.42).
     cost, size : float
-        (2.43) and what the user added, over c_b²; and the same with every term counted as positive.
+        (2.43) and the added cost, over c_b²; and the same with the absolute value of every term.
     worst : float
-        Greatest of the user's constraints, scaled; −1 where there are none.
+        Greatest of the added constraints, scaled; −1 without any.
+    sound : bool
+        Whether all values are finite, thresholds never cross, and the incentives include 0 throughout.
     """
 
     states: np.ndarray
@@ -340,18 +312,10 @@ class HardRun:
     tsc: np.ndarray
     inputs: np.ndarray
     w: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
     cost: float
     size: float
     worst: float
-
-    @property
-    def sound(self) -> bool:
-        """Whether all is finite, thresholds never cross, and corrections may be 0 throughout."""
-        finite = np.isfinite(self.states).all() and np.isfinite(self.cost)
-        apart = (self.states[3, 1:] < self.states[2, 1:]).all()
-        return bool(finite and apart and (self.low <= 0.0).all() and (self.high >= 0.0).all())
+    sound: bool
 
 
 class CorrectionProgram:
@@ -359,16 +323,16 @@ class CorrectionProgram:
     Multiple shooting over the horizon: the states at every step are unknowns, the model (2.44) holds between them.
 
     With `width` 0 the modes are given, one per step; r and P_r then follow from them whatever the corrections, and the
-    solution is exact for that sequence of modes. With a positive width the mode is a fifth state m in [0, 1], the memory
+    solution is exact for that mode sequence. With a positive width the mode is a fifth state m in [0, 1], the memory
     of (2.8): m(k) = (1 − σ((TSC − TSC_u)/width)) (d + (1 − d) m(k − 1)) with d = σ((TSC_l − TSC)/width) and
-    σ(y) = 1/(1 + exp(−y)). Several widths inside the thresholds both σ vanish and m stays as it was; four widths beyond one
-    of them, 98 % of the switch happen in one step. Where TSC turns back less than that beyond a threshold, m stays between 0
-    and 1: the smoothed program is a guess of the modes, and never what a plan is judged by.
+    σ(y) = 1/(1 + exp(−y)). Several widths inside the thresholds both σ vanish and m keeps its value; four widths beyond one
+    of them, 98 % of the switch happens in one step. Where TSC turns back earlier than that, m stays between 0 and 1: the
+    smoothed program only suggests a mode sequence; no plan is judged by it.
 
     Parameters
     ----------
     model : CorrectionModel
-        Model, target and what a user adds.
+        Model, target and the user's additions.
     solver : str
         One of SOLVERS.
     width : float
@@ -418,7 +382,7 @@ class CorrectionProgram:
         tsc, robot, human, c_b = model.tsc, model.tsc.robot, model.tsc.human, model.c_b
         z, w = symbol.sym("z", self.size), symbol.sym("w", 2)
         mode, k = symbol.sym("mode"), symbol.sym("k")
-        x = model.physical(z[:4])
+        x = model.zero + model.units * z[:4]
         p_h = model.performance(z[0])
         manual = mode
         if self.width:
@@ -429,7 +393,7 @@ class CorrectionProgram:
         u = low + w * (high - low)
         cost, rows, _, _ = model.added(x, u, k)
         thresholds = z[2:4] + u / c_b
-        if model.extras.any:  # thresholds do not cross; (2.43) alone never makes them
+        if model.extras.any:  # thresholds must not cross; with (2.43) alone they never do
             apart = (model.target[1] - model.target[0]) / c_b
             rows = ca.vertcat(rows, (thresholds[1] - thresholds[0] - apart + 1e-3) / apart)
         gain = robot.b / (robot.p_max - robot.p_min)
@@ -437,16 +401,16 @@ class CorrectionProgram:
         after = ca.vertcat(*after, manual) if self.width else ca.vertcat(*after)
         return ca.Function("stage", [z, w, mode, k], [after, cost, rows])
 
-    def solve(self, guess: HardRun, mode: int, thresholds: np.ndarray | None = None) -> tuple[np.ndarray | None, str]:
+    def solve(self, guess: HardRun, mode: float, thresholds: np.ndarray | None = None) -> tuple[np.ndarray | None, str]:
         """
-        Solve from a guess; return the corrections as shares of what (2.41) allows, or None and why there are none.
+        Solve from a guess; return the corrections as shares of what (2.41) allows, or None and the reason.
 
         Parameters
         ----------
         guess : HardRun
-            Where to start from. Its modes are the ones given to the program.
-        mode : int
-            Mode before the first step.
+            The starting point; its modes are those given to the program.
+        mode : float
+            Mode before the first step: 1 manual, 0 autonomous.
         thresholds : numpy.ndarray, shape (2, 2, N), optional
             Least, then greatest TSC_u and TSC_l after each step; free when not given.
 
@@ -460,7 +424,7 @@ class CorrectionProgram:
         start[self._at_x[:4]] = (guess.states - model.zero[:, None]) / model.units[:, None]
         start[self._at_w] = guess.w
         if self.width:
-            start[self._at_x[4]] = np.r_[float(mode), guess.mode]
+            start[self._at_x[4]] = np.r_[mode, guess.mode]
         least, most = self._least, self._most
         if thresholds is not None:
             least, most = least.copy(), most.copy()
@@ -468,12 +432,12 @@ class CorrectionProgram:
             least[self._at_x[2:4, 1:]], most[self._at_x[2:4, 1:]] = z[0] - SLACK, z[1] + SLACK
         given = np.concatenate([start[self._at_x[:, 0]], guess.mode, [1.0 / model.steepness(guess)]])
         try:
-            # No multipliers to start from: sqpmethod does not look at complementarity, and would stop at a guess with old ones.
+            # No initial multipliers: sqpmethod does not check complementarity and would stop at the guess if given old ones.
             found = self._solver(x0=start, p=given, lbx=least, ubx=most, lbg=self._least_rows, ubg=0.0)
             stats = self._solver.stats()
         except RuntimeError as error:
             reason = str(error).strip().splitlines()[-1][-200:]
-            # How CasADi passes on that a quadratic program ended without a status.
+            # What CasADi raises when a quadratic program ends without a status.
             if "basic_string" in reason:
                 reason = "a quadratic program within it has no solution"
             return None, f"{self.solver}: {reason}"
@@ -492,7 +456,7 @@ def _sigmoid(y):
 
 
 def _options(solver: str, equal: list[bool], plain: bool, most: int) -> dict:
-    """Return a solver's options: silence, tolerance, and what the structure of the program allows."""
+    """Return a solver's options: no output, tolerances, and the structure of the program."""
     if solver == "fatrop":
         options = {"print_level": 0, "tol": TOLERANCE, "max_iter": most}
         return QUIET | {"structure_detection": "auto", "equality": equal, "fatrop": options}
@@ -507,7 +471,7 @@ def _options(solver: str, equal: list[bool], plain: bool, most: int) -> dict:
 
 
 class _UntraceableError(Exception):
-    """A user's function that does not take scalar symbols."""
+    """A user's function does not accept scalar symbols."""
 
 
 def _scalar(symbol, name: str, value):
@@ -522,9 +486,9 @@ def _column(symbol, name: str, value):
     """Return a user's value as a CasADi column."""
     import casadi as ca
 
-    if value is None or isinstance(value, bool | str | bytes):
-        raise ValueError(f"{name} must return a CasADi expression or a number, got {value!r}")
     try:
+        if isinstance(value, bool):
+            raise TypeError
         return ca.vec(symbol(value))
     except (NotImplementedError, TypeError, RuntimeError):  # what CasADi raises for a value it cannot convert
         raise ValueError(f"{name} must return a CasADi expression or a number, got {type(value).__name__}") from None

@@ -10,8 +10,8 @@ from typing import Any
 from trustlab.allocation.correction.incentive import incentive_box, within_range
 from trustlab.allocation.correction.plan import CorrectionPlan
 from trustlab.allocation.cycle.limit_cycle import limit_cycle
-from trustlab.allocation.limits import check_order, threshold_limits
-from trustlab.models.checks import between, of_class, one_of, positive, shown, whole_number
+from trustlab.allocation.limits import threshold_limits
+from trustlab.models.checks import between, in_order, of_class, one_of, positive, shown, whole_number
 from trustlab.models.tsc import TscModel
 
 ENGINES = {
@@ -22,7 +22,7 @@ ENGINES = {
 
 
 class TargetWarning(UserWarning):
-    """Target thresholds lie outside the limits of Theorem 1, yet the rule keeps switching under them."""
+    """Target thresholds lie outside the limits of Theorem 1, yet simulations under them keep switching."""
 
 
 class ThresholdCorrector:
@@ -44,12 +44,12 @@ class ThresholdCorrector:
     horizon : int
         N, how many steps to look ahead; from 1 to a million.
     engine : {"exact", "casadi"}
-        "exact": branch and bound over the sequences of modes, with a proven lower bound of the cost. "casadi": multiple
-        shooting with a smoothed switch, for your own costs and constraints.
+        "exact": branch and bound over the mode sequences, with a proved lower bound of the cost. "casadi": multiple
+        shooting, for your own costs and constraints.
     incentive : callable, optional
         The bounds of correction in place of (2.42): takes r, p_r, c_b, p_min, p_max and returns the least and the greatest
         correction, in [−c_b, 0] and [0, c_b]. `incentive_box` when not given. The exact engine compiles your function
-        into its search, which takes 5 to 20 s for each corrector.
+        into its search, which takes 5 to 20 s per corrector.
     **options : object
         Options of the engine, see `ExactEngine` and `CasadiEngine`.
 
@@ -86,10 +86,6 @@ class ThresholdCorrector:
         self.tsc = of_class("tsc", tsc, TscModel)
         self.target = check_target(tsc, target)
         self.c_b, self.horizon = positive("c_b", c_b), whole_number("horizon", horizon, most=1_000_000)
-        if incentive is not None and not callable(incentive):
-            raise ValueError(
-                f"incentive must be a function of r, p_r, c_b, p_min, p_max, got {type(incentive).__name__}"
-            )
         module, name = ENGINES[one_of("engine", engine, ENGINES)]
         kind = getattr(importlib.import_module(module), name)
         known = list(inspect.signature(kind).parameters)[6:]
@@ -109,7 +105,7 @@ class ThresholdCorrector:
         r : float
             Utilization now, in [0, 1].
         p_r : float
-            Robot performance now, within the model's range but for rounding.
+            Robot performance now, within the model's range up to rounding.
         lower, upper : float
             TSC_l and TSC_u now, lower < upper, in [−1, 1] as TSC is.
         mode : int
@@ -128,7 +124,7 @@ class ThresholdCorrector:
         began = perf_counter()
         r = between("r", r, 0.0, 1.0)
         p_r = within_range("p_r", p_r, *self._range)
-        lower, upper = check_order(threshold("lower", lower), threshold("upper", upper))
+        lower, upper = threshold_pair("threshold", (lower, upper))
         plan = self.engine.solve(r, p_r, lower, upper, check_mode(mode))
         object.__setattr__(plan, "solve_time", perf_counter() - began)
         return plan
@@ -146,7 +142,7 @@ def check_mode(mode: int) -> int:
 
 
 def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, float]:
-    """Return target thresholds as floats if the rule keeps switching under them; warn where Theorem 1 does not promise it."""
+    """Return target thresholds as floats if the rule keeps switching under them; warn where Theorem 1 does not apply."""
     lower, upper = threshold_pair("target", target)
     limits = threshold_limits(tsc)
     if limits.contains(lower, upper):
@@ -170,18 +166,12 @@ def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, flo
     return lower, upper
 
 
-def threshold(name: str, value: float) -> float:
-    """Return a threshold as a float; TSC lies in [−1, 1] by (2.2), and so do its thresholds."""
-    return between(f"{name}, a threshold of TSC,", value, -1.0, 1.0)
-
-
 def threshold_pair(name: str, pair: tuple[float, float]) -> tuple[float, float]:
-    """Return two thresholds, lower and upper, as floats."""
+    """Return two thresholds, lower and upper, as floats in [−1, 1], where TSC lies by (2.2)."""
     try:
         lower, upper = pair
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be two numbers, lower and upper, got {shown(pair)}") from None
-    lower, upper = threshold(f"the lower {name}", lower), threshold(f"the upper {name}", upper)
-    if not lower < upper:
-        raise ValueError(f"{name} must have the lower threshold below the upper one, got {lower} and {upper}")
-    return lower, upper
+    low, high = f"the lower {name}", f"the upper {name}"
+    in_order(low, lower, high, upper)
+    return between(low, lower, -1.0, 1.0), between(high, upper, -1.0, 1.0)

@@ -44,7 +44,7 @@ def simulate_correction(
     target: tuple[float, float],
 ) -> dict[str, Any]:
     """
-    Simulate (2.44) under given corrections, the switch being the hard one of (2.8).
+    Simulate (2.44) under given corrections and the hard switch (2.8).
 
     Parameters
     ----------

@@ -1,31 +1,35 @@
 """
-The exact engine of the correction: branch and bound over the sequences of modes, (2.43)-(2.44).
+The exact engine of the correction: branch and bound over the mode sequences, (2.43)-(2.44).
 
-Given the modes M(0..N−1), utilization and robot performance follow from (2.44) whatever the corrections are, and with
-them the boxes (2.42). Each threshold is then a path with bounded steps between its value now and its target. Say that
-it rises (a falling one is its mirror image). At step k, (2.8) looks at one threshold only: at TSC_u after the manual
-mode, at TSC_l after the autonomous mode. So a sequence of modes is brought about exactly by paths that, at some
-steps, stay at or below TSC(k) ("held") or get above it ("moved").
+Each threshold is kept between its value now and its target. (2.42)-(2.44) do not ask for this: without it a plan can be
+cheaper, by moving a threshold away from its target first so that a switch comes at a better time. Optimum and lower bound
+are those of the problem with this constraint.
+
+Given the modes M(0..N−1), utilization and robot performance follow from (2.44) whatever the corrections are, and so do
+the boxes (2.42). Each threshold is then a path with bounded steps between its value now and its target. Let it rise; a
+falling one is the mirror image. At step k, (2.8) compares TSC with one threshold only: with TSC_u after the manual mode,
+with TSC_l after the autonomous mode. Hence a mode sequence is produced by exactly those paths that stay at or below TSC(k)
+at some steps ("held") and are above it at others ("moved").
 
 1. Paths with bounded steps under bounds x(k) ≤ h(k) are closed under the pointwise maximum. So one path is above all
    others at every step: tighten h backwards by the greatest step back, then go forward by the greatest step that h
-   allows. It is nearest to the target at every step, so it minimizes every term of (2.43) at once; and if it does not
-   meet the bounds from below, no path does. Without bounds h it is clipping: (target − threshold) cut to the box.
-2. With modes up to k − 1 given, the values that a threshold can have at step k are an interval, which follows step by
-   step. Where TSC(k) lies outside it, the mode is certain; where inside, there are two branches. Depth first, this
-   visits every sequence of modes that the corrections can bring about, clipping first. If there is no second branch,
-   the sequence of modes is the same for all admissible corrections, clipping is optimal and the gap is 0.
-3. A branch is dropped when its bound is not below the best plan: its cost so far, paths from then on at the rate that
-   an autonomous mode for ever (rising; a manual one at the operator's best, falling) would allow, since (2.42) falls
-   in both utilization and performance, and both are least so.
-4. Both thresholds at once: that TSC_l stays below TSC_u couples them only when both rise or both fall, and the pointwise
-   maximum still exists: TSC_u does not look at TSC_l when both rise, TSC_l not at TSC_u when both fall.
-5. Where a held threshold must stay strictly off TSC(k), the minimum is not attained: the plan stays off by a margin
-   of 1e-9 c_b, between 1e-15 and 1e-12, and the lower bound is the cost without the margin.
-6. If the budget of steps runs out, what is left is bounded by boxes: all that is reachable, in each mode, encloses r
-   and P_r in one rectangle, cut by the thresholds' range at each switch; the rates in its best corner bound the cost.
-   Over many switches these boxes grow wide; there whole phases bound how far thresholds can move (`phase_bound`).
-   Both let the thresholds that decide the modes lag behind those that are paid for: that is what is left of the gap.
+   allows. It is nearest to the target at every step, so that it minimizes every term of (2.43) at once; and if it violates
+   a bound from below, so does every path. Without bounds h it is clipping: (target − threshold) clipped to the box.
+2. With modes up to k − 1 given, the values that a threshold can have at step k form an interval, computed step by step.
+   Where TSC(k) lies outside it, the mode is certain; where inside, there are two branches. Depth first, the search
+   visits every mode sequence that the corrections can produce, clipping first. If there is no second branch, all
+   admissible corrections have the same mode sequence, clipping is optimal and the gap is 0.
+3. A branch is pruned when its bound is not below the cost of the best plan. The bound is the cost so far and that of paths
+   which from then on move at the rate that the autonomous mode for ever would allow (rising), or the manual mode at the
+   operator's best (falling): the bounds (2.42) fall in utilization and performance, which are extreme there.
+4. That TSC_l stays below TSC_u couples the thresholds only when both rise or both fall, and the pointwise maximum still
+   exists: TSC_u is not limited by TSC_l when both rise, nor TSC_l by TSC_u when both fall.
+5. Where a held threshold must stay strictly away from TSC(k), the minimum is not attained: the plan keeps a margin of
+   1e-9 c_b, between 1e-15 and 1e-12, and the lower bound is the cost without the margin.
+6. If the budget of steps runs out, the rest is bounded by boxes: one rectangle per mode encloses all reachable r and P_r,
+   cut by the thresholds' range at each switch; the rates in its best corner bound the cost. Over many switches these boxes
+   grow wide; there whole phases bound how far thresholds can move (`phase_bound`). In both bounds the thresholds that decide
+   the modes may differ from those that are charged for, which accounts for the remaining gap.
 
 The lower bound holds up to rounding, about 1e-12 of the cost.
 """
@@ -48,11 +52,11 @@ from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscConstants, TscModel, advance, human_at, tsc_at
 
 SEARCHED = 25
-"""How many times N steps are searched at most, unless told otherwise."""
+"""How many times N steps are searched at most, by default."""
 
 
 class Workspace(NamedTuple):
-    """Room for the search; `search` says what is in the rows."""
+    """Arrays for the search; `search` names their rows."""
 
     steps: np.ndarray  # shape (7, N + 1)
     thresholds: np.ndarray  # shape (6, 2, N + 1)
@@ -60,7 +64,7 @@ class Workspace(NamedTuple):
 
     @classmethod
     def of(cls, horizon: int) -> Workspace:
-        """Return room for N steps."""
+        """Return arrays for N steps."""
         n = horizon + 1
         return cls(np.empty((7, n)), np.empty((6, 2, n)), np.empty(n, np.int64))
 
@@ -73,7 +77,7 @@ class Solution(NamedTuple):
 
     @classmethod
     def of(cls, horizon: int) -> Solution:
-        """Return room for N steps."""
+        """Return arrays for N steps."""
         return cls(np.empty((5, horizon + 1)), np.empty((2, horizon)))
 
 
@@ -82,10 +86,10 @@ def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
     """
     Fill z from z[0] with the path that is greatest at every step, given z(k) ≤ hold(k) and steps in [low, high]; return its cost.
 
-    All is as seen rising. `hold` is tightened in place.
+    The threshold is seen as rising. `hold` is tightened in place.
     """
     n = z.size - 1
-    # Backwards: to be at or below hold(k + 1), a path must be no further above it at k than it can come back in a step.
+    # Backwards: to be at or below hold(k + 1), a path may exceed it at k by one step back at most.
     for k in range(n - 1, 0, -1):
         back = -low[k] if sign > 0 else high[k]
         if hold[k + 1] + back < hold[k]:
@@ -102,7 +106,7 @@ def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
             while z[k] + step > limit:
                 step = np.nextafter(step, -np.inf)
             step = max(step, -back)
-            # Nor does a threshold leave the interval between its start and its target.
+            # Nor may a threshold leave the interval between its start and its target.
             if z[k] + step < z[0]:
                 step = z[0] - z[k]
                 while z[k] + step < z[0]:
@@ -115,10 +119,10 @@ def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
 
 @njit
 def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions, strict):
-    """Fill the best paths of both thresholds for one sequence of modes; return cost and whether (2.8) brings it about."""
+    """Fill the best paths of both thresholds for one mode sequence; return cost and whether (2.8) brings it about."""
     n = z.shape[1] - 1
     tight[:] = hold
-    # Where both rise, TSC_u goes first and limits TSC_l; where both fall, TSC_l limits TSC_u.
+    # Where both rise, TSC_u comes first and limits TSC_l; where both fall, TSC_l limits TSC_u.
     first = LOWER if sign[LOWER] < 0 or sign[LOWER] != sign[UPPER] else UPPER
     second = 1 - first
     cost = pointwise_best(z[first], tight[first], low, high, goal[first], sign[first], margin, actions[first])
@@ -145,18 +149,18 @@ def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions
 @njit
 def search(constants, c_b, target, budget, start, r0, p0, before, standard, steps, thresholds, waiting, states, plan):
     """
-    Search the sequences of modes from r0, p0, the thresholds `start` and the mode before; fill `states` and the actions `plan`.
+    Search the mode sequences from r0, p0, the thresholds `start` and the mode before; fill `states` and the actions `plan`.
 
-    `standard` says that incentives are (2.42), which lower bounds of the cost make use of; `budget` is how many times N steps
-    may be searched. Arrays are those of `Workspace` and `Solution`, one by one, and constants are a plain tuple, as NamedTuples
-    take longer to hand over from Python than many a search lasts. Returns the cost, its lower bound, how many sequences were followed, whether
-    the search was complete, TSC now, and whether incentives stayed within [−c_b, 0] and [0, c_b].
+    `standard` says that the incentives are (2.42), which lower bounds of the cost exploit; `budget` is how many times N steps
+    may be searched. The arrays of `Workspace` and `Solution` are passed one by one and the constants as a plain tuple, because
+    passing NamedTuples from Python takes longer than many a search. Returns the cost, its lower bound, the number of mode
+    sequences followed, whether the search was complete, TSC now, and whether incentives stayed within [−c_b, 0] and [0, c_b].
     """
     c = TscConstants(*constants)
-    # At each step: the state, the box (2.42), TSC and mode of the sequence that is followed, and the least cost so far.
+    # At each step: state, box (2.42), TSC and mode of the sequence that is followed, and the least cost so far.
     r, p, low, high, tsc, mode, spent = steps
-    # Both thresholds as seen rising: how far each must and can have come with the modes so far; what each must not exceed to
-    # bring them about, and the same tightened; and the best path, with its actions.
+    # Both thresholds, seen as rising: the least and the greatest value with the modes so far; the bound that each must not
+    # exceed to produce them, and the same tightened; and the best path, with its actions.
     least, most, hold, tight, z, trial = thresholds
     best_r, best_p, best_lower, best_upper, best_mode = states
     n = r.size - 1
@@ -171,8 +175,8 @@ def search(constants, c_b, target, budget, start, r0, p0, before, standard, step
     cost, bound, sequences, searched, height, k = np.inf, np.inf, 0, 0, 0, 0
     complete, held, fresh = True, False, True
     while True:
-        # Forward from step k to the end: wherever both modes are possible, thresholds move, and the other mode waits.
-        # After a step back (not fresh) the state at k is known, and its threshold is held there instead.
+        # Forward from step k to the end: where both modes are possible, the threshold moves and the other mode waits.
+        # After backtracking (not fresh) the state at k is known, and the threshold is held there instead.
         while k <= n:
             if k > 0 and fresh:
                 r[k], p[k] = advance(r[k - 1], p[k - 1], human_at(r[k - 1], c), mode[k - 1], c)
@@ -200,8 +204,8 @@ def search(constants, c_b, target, budget, start, r0, p0, before, standard, step
                     else:
                         mode[0] = before
                 else:
-                    # (2.8) looks at threshold j. Rising, TSC_u reaches TSC(k) if it is above it (manual stays) and TSC_l if it
-                    # is at or above it (manual begins); falling, TSC_u is at or below it, TSC_l below. θ is TSC(k) as seen rising.
+                    # (2.8) compares TSC(k) with threshold j; θ is TSC(k) seen as rising. A rising TSC_u has moved when it is
+                    # above θ (manual stays), a rising TSC_l when it is at or above θ (manual begins); falling, the converse.
                     j = UPPER if mode[k - 1] == 1.0 else LOWER
                     rising = sign[j] > 0
                     closed = (j == UPPER) == rising
@@ -234,7 +238,7 @@ def search(constants, c_b, target, budget, start, r0, p0, before, standard, step
                 plain = plain and hold[j, i] == goal[j]
         sequences += 1
         searched += n // 2
-        # Without the margin: the least cost, attained or not. With it: a plan that (2.8) is sure to bring about.
+        # Without the margin: the least cost, attained or not. With it: a plan whose modes (2.8) certainly produces.
         now, meets = np.inf, True
         for attempt in range(1 if plain else 2):
             gap = margin if attempt == 1 else 0.0
@@ -246,7 +250,7 @@ def search(constants, c_b, target, budget, start, r0, p0, before, standard, step
             best_r[:], best_p[:], best_mode[:] = r, p, mode
             best_lower[:], best_upper[:] = sign[LOWER] * z[LOWER], sign[UPPER] * z[UPPER]
             plan[:] = trial[:, :n]
-        # Back to the last step that could have gone the other way, unless that cannot be better.
+        # Back to the last step with an untried mode whose bound is below the best cost.
         k = -1
         while height > 0:
             if searched > budget * n:
@@ -268,7 +272,7 @@ def search(constants, c_b, target, budget, start, r0, p0, before, standard, step
         if k < 0:
             break
     if not complete:
-        # The first step that waits: before it all sequences agree, and what follows it is bounded as a whole.
+        # The first step with an untried mode: up to it all sequences agree; everything after it is bounded as a whole.
         i = waiting[0]
         guess = np.empty(2)
         for j in (LOWER, UPPER):
@@ -281,7 +285,7 @@ def search(constants, c_b, target, budget, start, r0, p0, before, standard, step
 
 class ExactEngine:
     """
-    Branch and bound over the sequences of modes; the head of this module says how, and why it is exact.
+    Branch and bound over the mode sequences; the head of this module says how it works and why it is exact.
 
     Parameters
     ----------
@@ -294,16 +298,16 @@ class ExactEngine:
     horizon : int
         N, steps.
     incentive : callable
-        The bounds of correction, `incentive_box` or a function like it that Numba can compile, with values in
-        [−c_b, 0] and [0, c_b]. Your own is compiled into the search here, which takes 5 to 20 s; for it, lower bounds over
-        many switches assume corrections of c_b, so that gaps of long horizons are large.
+        The bounds of the corrections: `incentive_box`, or a function like it that Numba can compile, with values in
+        [−c_b, 0] and [0, c_b]. Your own is compiled into the search, which takes 5 to 20 s; its lower bounds over
+        many switches assume corrections of c_b, so that gaps are large for long horizons.
     budget : int
-        How many times N steps to search at most; more can close a gap, less limits the time.
+        How many times N steps to search at most; more can close a gap, fewer limit the time.
 
     Raises
     ------
     ValueError
-        If the budget is no whole number from 1 to a million, or an incentive of the user's is not as described.
+        If the budget is not a whole number from 1 to a million, or the incentive function is not as described.
     """
 
     name = "exact"
@@ -315,13 +319,13 @@ class ExactEngine:
         self._start = np.empty(2)
         self._standard = incentive is incentive_box
         self._search = search if self._standard else _search_with(incentive, tsc, c_b)
-        # Compiled now, by a plan of one step, so that the first plan of a run does not wait for it.
+        # A plan of one step compiles the search now, so that the first plan of a run does not wait for it.
         self._work = Workspace.of(1)
         self._searched(0.5, tsc.robot.p_min, target_lower, target_upper, 1)
         self._work = Workspace.of(horizon)
 
     def _searched(self, r, p_r, lower, upper, mode):
-        # Written for speed: a plan takes about as long as handing over its arguments.
+        # Written for speed: a plan takes about as long as passing its arguments.
         self._start[LOWER], self._start[UPPER] = lower, upper
         n = self._work.waiting.size
         states, actions = np.empty((5, n)), np.empty((2, n - 1))
@@ -335,7 +339,7 @@ class ExactEngine:
         cost, bound, sequences, complete, tsc, valid = found
         if not valid:
             raise ValueError(
-                "the incentive function left [−c_b, 0] and [0, c_b] or gave NaN at a predicted state; as in (2.41), it "
+                "the incentive function left [−c_b, 0] and [0, c_b] or returned NaN at a predicted state; as in (2.41), it "
                 "must bound corrections by c_b and allow thresholds to be held"
             )
         path_r, path_p, path_lower, path_upper, modes = states
@@ -355,21 +359,21 @@ class ExactEngine:
             cost_lower_bound=bound,
             status=CorrectionStatus.OPTIMAL if complete else CorrectionStatus.BOUNDED,
             engine=self.name,
-            message=f"{sequences} sequences of modes followed",
+            message=f"{sequences} mode sequences followed",
         )
 
 
 def _search_with(incentive: Callable, tsc: TscModel, c_b: float) -> Callable:
-    """Compile the search for a user's own incentives, once they have answered for one state as they should."""
-    compiled = incentive if isinstance(incentive, numba.core.dispatcher.Dispatcher) else numba.njit(incentive)
+    """Compile the search for a user's own incentives, after checking their values at one state."""
     robot = tsc.robot
     try:
+        compiled = incentive if isinstance(incentive, numba.core.dispatcher.Dispatcher) else numba.njit(incentive)
         answer = compiled(0.5, 0.5 * (robot.p_min + robot.p_max), c_b, robot.p_min, robot.p_max)
         low, high = map(float, answer)
     except (numba.core.errors.NumbaError, TypeError, ValueError) as error:
         raise ValueError(
-            "incentive must take r, p_r, c_b, p_min, p_max, return the least and the greatest correction, and be code "
-            f"that Numba compiles (arithmetic, if, min, max): {str(error).splitlines()[0]}"
+            "incentive must be a function of r, p_r, c_b, p_min, p_max that Numba compiles (arithmetic, if, min, max) and "
+            f"that returns the least and the greatest correction: {str(error).splitlines()[0]}"
         ) from None
     if not (-c_b * (1.0 + 1e-9) <= low <= 0.0 <= high <= c_b * (1.0 + 1e-9)):
         raise ValueError(

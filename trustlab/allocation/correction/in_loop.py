@@ -15,14 +15,14 @@ CORRECTED = np.dtype(
         ("upper", float),
         ("cost", float),
         ("bound", float),
-        ("clipped", bool),  # performance was outside the model's range, and planned with as at its end
+        ("clipped", bool),  # performance lay outside the model's range, and its nearest end was used
     ]
 )
-"""What is logged of each sample; NaN where nothing was planned."""
+"""What is logged at each sample; NaN where nothing was planned."""
 
 
 class LoopCorrection(NamedTuple):
-    """What the exact engine needs in a compiled loop; `thresholds` moves on with every correction."""
+    """What the exact engine needs in a compiled loop; `thresholds` is updated by every correction."""
 
     active: bool
     adopted: bool  # whether the operator's own thresholds move along
@@ -46,7 +46,7 @@ def loop_correction(
     adopted: bool = False,
     budget: int = SEARCHED,
 ) -> LoopCorrection:
-    """Return what a loop of so many samples needs to correct thresholds from `start` towards `target` (both checked before)."""
+    """Return what a loop of so many samples needs to correct thresholds from `start` towards `target`, which the caller has checked."""
     log = np.zeros(samples, CORRECTED)
     for name in ("lower", "upper", "cost", "bound"):
         log[name] = np.nan
@@ -65,7 +65,7 @@ def loop_correction(
 
 
 def no_correction() -> LoopCorrection:
-    """Return a correction that is not active, of the same type, for loops that always take one."""
+    """Return an inactive correction of the same type, for loops that run without one."""
     nothing = (0.0,) * len(TscConstants._fields)
     room = np.zeros(2), Workspace.of(1), Solution.of(1), np.zeros(1, CORRECTED)
     return LoopCorrection(False, False, nothing, 0.0, np.zeros(2), 1, *room)
@@ -73,7 +73,7 @@ def no_correction() -> LoopCorrection:
 
 @njit
 def correct_thresholds(correction, k, r, p_r, mode):
-    """Log sample k, plan, and move the thresholds on by one step; return c_l and c_u."""
+    """Log sample k, plan, and correct the thresholds by one step; return c_l and c_u."""
     c, thresholds = TscConstants(*correction.constants), correction.thresholds
     work, best = correction.work, correction.best
     now = min(max(p_r, c.p_r_min), c.p_r_max)

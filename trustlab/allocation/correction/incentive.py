@@ -11,7 +11,7 @@ from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 
 ROUNDING = 1e-9
-"""By which share of its range robot performance may lie outside and still count as at its end."""
+"""By how much, as a share of its range, robot performance may lie outside and still count as the end of the range."""
 
 
 def incentive_box(r, p_r, c_b, p_min, p_max):
@@ -49,7 +49,7 @@ def incentive_bounds(
     r : float or array_like
         Utilization, in [0, 1].
     p_r : float or array_like
-        Robot performance, within its range but for rounding; of a shape that broadcasts with `r`.
+        Robot performance, within its range up to rounding; of a shape that broadcasts with `r`.
     c_b : float
         Largest correction per step; positive.
     model : TscModel or RobotModel, optional
@@ -117,6 +117,6 @@ def within_range(name: str, value: float, least: float, most: float) -> float:
     if not least - slack <= number <= most + slack:
         raise ValueError(
             f"{name} = {number} lies outside the model's range [{least:g}, {most:g}]; check its unit, or identify the "
-            "model again from sessions of this operator"
+            "model anew from this operator's sessions"
         )
     return min(max(number, least), most)

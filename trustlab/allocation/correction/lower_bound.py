@@ -10,7 +10,7 @@ from trustlab.models.robot import next_performance
 from trustlab.models.tsc import advance, human_at, human_range
 
 LONG = 1000
-"""From how many steps on the bound over many switches is worth its time."""
+"""Number of steps from which the bound over many switches is worth its computing time."""
 
 BOX = np.dtype([("r_low", float), ("r_high", float), ("p_low", float), ("p_high", float)])
 """A rectangle of states."""
@@ -19,7 +19,7 @@ BOX = np.dtype([("r_low", float), ("r_high", float), ("p_low", float), ("p_high"
 @njit
 def future_cost(first, n, r, p, low, high, mode, at, goal, sign, c, c_b, standard, enough):
     """
-    Bound the cost from step `first` to n from below, thresholds being at most at `at` (as seen rising) there.
+    Bound the cost from step `first` to n from below, the thresholds being at most `at` at step `first` (seen as rising).
 
     r, P_r and the box [low, high] are those of step `first`, where the mode is `mode`. Stops as soon as the bound reaches
     `enough`.
@@ -31,7 +31,7 @@ def future_cost(first, n, r, p, low, high, mode, at, goal, sign, c, c_b, standar
     cost = (goal[LOWER] - at[LOWER]) ** 2 + (goal[UPPER] - at[UPPER]) ** 2
     r, p = advance(r, p, human_at(r, c), mode, c)
     r_least, r_most, p_least, p_most = r, r, p, p
-    # P_h that adds least and most to P_r: none, as in the autonomous mode, unless performance can be negative.
+    # The P_h that adds least and most to P_r. It adds nothing in the autonomous mode, so that 0 bounds both unless P_h changes sign.
     worst, finest = min(c.p_h_min, 0.0), max(c.p_h_max, 0.0)
     z_lower, z_upper = at[LOWER], at[UPPER]
     up, down = high, -low
@@ -55,10 +55,11 @@ def future_cost(first, n, r, p, low, high, mode, at, goal, sign, c, c_b, standar
 @njit
 def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, path):
     """
-    Fill `path` with how far thresholds can be from step `first` to n, whatever the modes, from boxes that enclose r and P_r.
+    Fill `path` with how far thresholds can have moved from step `first` to n, whatever the modes, from boxes that enclose r and P_r.
 
-    One box per mode of the step before; at each step the part of it that (2.8) lets stay and the part that it lets
-    switch, for thresholds anywhere between their start and the farthest they can have moved, go on as one box each.
+    There is one box for each mode of the step before. At each step (2.8) splits a box into the part that stays in its mode and the
+    part that switches, for thresholds anywhere between their start and the farthest they can have moved; parts with the same
+    mode are enclosed in one box.
     """
     span = c.p_r_max - c.p_r_min
     near = np.empty(2)
@@ -88,13 +89,13 @@ def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, 
                 down = max(down, 0.5 * c_b * (b.r_high + (b.p_high - c.p_r_min) / span))
             else:
                 up, down = c_b, c_b
-            # The threshold that counts, TSC_l in the autonomous mode and TSC_u in the manual one, is between these.
+            # The threshold that decides, TSC_l in the autonomous mode and TSC_u in the manual one, lies between these.
             x_low, x_high = sign[m] * start[m], sign[m] * near[m]
             if x_low > x_high:
                 x_low, x_high = x_high, x_low
             for to in range(2):
                 p_low, p_high = b.p_low, b.p_high
-                # The autonomous mode comes with TSC above TSC_l, or just at TSC_u; the manual mode the other way round.
+                # The autonomous mode requires TSC above TSC_l, or at least TSC_u; the manual mode the converse.
                 if to == 0:
                     p_low = max(p_low, (x_low + c.b_T * h_low) / c.a_T)
                 else:
@@ -116,13 +117,13 @@ def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, 
 
 @njit
 def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
-    """Lower `path` to what whole phases allow, for thresholds up to `ends`; return whether it stays within them."""
+    """Lower `path` to what whole phases allow while thresholds stay within `ends`; return whether they do stay within them."""
     before, limits = first - 1, np.empty((2, 2))
     slopes, offsets = np.zeros(2), np.zeros(2)
     for j in (LOWER, UPPER):
         a, b = sign[j] * start[j], sign[j] * ends[j]
         limits[j] = min(a, b), max(a, b)
-    # Any weight of r is allowed, see `phase_bound`; this one was found to give tight bounds.
+    # Any weight of r is valid, see `phase_bound`; this one gave tight bounds in trials.
     weight = 0.55 / (1.0 - c.a_r)
     for way in (1.0, -1.0):
         if sign[LOWER] != way and sign[UPPER] != way:
@@ -148,10 +149,10 @@ def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
 @njit
 def remaining_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, guess):
     """
-    Bound the cost from step `first` to n from below: from boxes and, where that is long, from whole phases.
+    Bound the cost from step `first` to n from below, by boxes and, over many steps, by whole phases.
 
-    Whole phases need limits of the thresholds. `guess` has how far both may move at most, from a plan: what follows from
-    it is true if it stays within it, by induction over the steps. If it does not, the limits are those of the boxes.
+    The bound by phases needs limits of the thresholds. `guess`, taken from a plan, is how far both move at most: if the bound that
+    follows from it stays within it, it is valid, by induction over the steps. If not, the limits are those of the boxes.
     """
     path = np.empty((2, n + 1))
     reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, path)

@@ -35,15 +35,15 @@ class OnlineStep:
     lower, upper : float
         TSC_l and TSC_u on which the suggestion is based.
     c_l, c_u : float
-        What is added to them for the next sample (2.40); 0 where they are held.
+        The corrections added to them for the next sample (2.40); 0 where they are held.
     r : float
-        Utilization by (2.5) from the modes so far.
+        Utilization from the modes so far, by (2.5).
     cost, cost_lower_bound : float
         Of the plan; NaN where there is none.
     status : CorrectionStatus
-        How this came about; its value is a sentence that says what to do.
+        How the plan was obtained; its value is a sentence that says what to do.
     latency : float
-        Time taken [s].
+        Computing time [s].
     """
 
     sample: int
@@ -62,7 +62,7 @@ class OnlineStep:
 
 class OnlineCorrection:
     """
-    Algorithm 3, sample by sample: suggestions from measured performance, by thresholds that are being corrected.
+    Algorithm 3, sample by sample: suggestions from measured performance, while the thresholds are being corrected.
 
     Parameters
     ----------
@@ -75,13 +75,13 @@ class OnlineCorrection:
     r : float
         Initial utilization, in [0, 1]; 0 is a rested operator.
     outside : {"hold", "nearest"}
-        What to do with robot performance measured outside the model's range: hold the thresholds, or plan with the nearest
-        value of the range. The status says which. TSC and the suggestion take what was measured.
+        What to do when measured robot performance lies outside the model's range: hold the thresholds, or plan with the
+        nearest value in the range. The status says which. TSC and the suggestion use the measured value.
 
     Raises
     ------
     ValueError
-        If an argument is not understood or out of range.
+        If an argument is of the wrong kind or out of range.
 
     Examples
     --------
@@ -114,7 +114,7 @@ class OnlineCorrection:
         Parameters
         ----------
         p_r, p_h : float
-            Robot and human performance as measured; NaN or None where missing: the thresholds are then held and nothing is
+            Measured robot and human performance; NaN or None where missing: the thresholds are then held and nothing is
             suggested.
         mode : int, optional
             Current mode: 1 manual, 0 autonomous; unchanged when not given or NaN.
@@ -126,7 +126,7 @@ class OnlineCorrection:
         Raises
         ------
         ValueError
-            If an argument is no number, or a mode other than 0 or 1; the state stays what it was.
+            If an argument is not a number, or the mode is neither 0 nor 1; the state is left as it was.
         """
         began = perf_counter()
         p_r, p_h = measured("p_r", p_r), measured("p_h", p_h)

@@ -1,20 +1,20 @@
 """
-How fast thresholds can move on average, over many switches: the bound of the exact engine for long horizons.
+Bounds on how fast thresholds can move on average over many switches: for the exact engine and long horizons.
 
 By (2.42) thresholds rise by ½ c_b Σ (2 − f) at most and fall by ½ c_b Σ f, f = r + (P_r − P_min)/(P_max − P_min). Boxes
-round all that is reachable grow wide within a few cycles, so Σ f is bounded phase by phase instead.
+around the reachable states grow wide within a few cycles, so Σ f is bounded phase by phase instead.
 
-1. A phase begins where TSC has just met a threshold, which lies in a known interval. So P_r follows from r up to that
-   interval and one step, and a phase is known by its mode and r at its first sample. r is cut into cells.
+1. A phase begins where TSC has just crossed a threshold, which lies in a known interval. So P_r follows from r up to that
+   interval and one step, and a phase is determined by its mode and r at its first sample. r is divided into cells.
 2. From each cell, and each piece of the threshold's interval, tubes enclose r and P_r until the last sample at which TSC can
-   meet the other threshold. They give, for each length T of the phase, the least Σ f, and the cells in which the next begins.
-3. With any ρ and v, the least Σ (f − ρ) + v (r at its end − r at its beginning) weights the steps from cell to cell. Where
-   no cycle of steps is negative, shortest paths exist, and Σ f ≥ ρ K + D over any K samples, D from the shortest paths
-   and the least of an unfinished phase. ρ is chosen just below the least mean over all cycles; a bad choice of ρ or v
-   makes the bound less tight, never wrong.
+   reach the other threshold. They give the least Σ f for each length T of the phase, and the cells where the next one begins.
+3. For any ρ and v, the least Σ (f − ρ) + v (r at its end − r at its beginning) is the weight of the edge from cell to cell.
+   Where no cycle of edges has negative weight, shortest paths exist, and Σ f ≥ ρ K + D over any K samples, D following from
+   the shortest paths and the least sum of an unfinished phase. ρ is chosen just below the least mean over all cycles; a poor
+   choice of ρ or v loosens the bound but never invalidates it.
 
-A node is a mode with a cell of r: autonomous phases are nodes 0 … CELLS − 1, manual ones CELLS … 2 CELLS − 1, and the phase
-that is on is the last node, START.
+A node is a mode with a cell of r: autonomous phases are nodes 0 … CELLS − 1, manual ones CELLS … 2 CELLS − 1, and the
+current phase is the last node, START.
 """
 
 from typing import NamedTuple
@@ -39,17 +39,17 @@ PIECES = 14
 """Pieces of a threshold's interval; the first the narrowest, each 1.35 times the one before."""
 
 WORK, WORK_EACH = 4_000_000, 100
-"""Samples of tubes followed at most: so many, and so many per step of the horizon; beyond, nothing is proved."""
+"""Most samples of tubes to follow, in all and per step of the horizon; beyond, nothing is proved."""
 
 POOL = 1_500_000
-"""Lengths of phases kept at most, over all cells."""
+"""Most lengths of phases to store, over all cells."""
 
 TIGHT = 1e-9
-"""What comparisons allow for rounding, in units of TSC."""
+"""Tolerance of comparisons for rounding, in units of TSC."""
 
 
 class Phases(NamedTuple):
-    """All phases that can follow the one that is on: for each node its interval of r and, in pools, what each length gives."""
+    """All phases that can follow the current one: for each node its interval of r and, in pools, the sums for each length."""
 
     first: np.ndarray  # where a node's lengths begin in the pools; −1 where no phase begins in it
     last: np.ndarray  # its greatest length
@@ -60,7 +60,7 @@ class Phases(NamedTuple):
 
 @njit
 def is_manual(node, mode):
-    """Return whether a node's phase is manual; `mode` is that of the phase that is on."""
+    """Return whether a node's phase is manual; `mode` is that of the current phase."""
     return mode == 1.0 if node == START else node >= CELLS
 
 
@@ -75,13 +75,13 @@ def next_cells(manual, xa, xb, t, keep):
 @njit
 def overshoot_of_any(manual, xa, xb, met, c):
     """
-    Bound how far TSC can have passed a threshold at the first sample of a phase, r being in [xa, xb] there.
+    Bound how far beyond a threshold TSC can be at the first sample of a phase, r being in [xa, xb] there.
 
     Unlike `overshoot` of the steady cycle this allows for a threshold that moves: `met` is the greatest that a manual phase
     can have begun at, and the least for an autonomous one.
     """
     low, high = human_range(xa, xb, c)
-    # One step of (2.3) and (2.5) backwards from the threshold: how far TSC came in it, at most.
+    # One step of (2.3) and (2.5) backwards from the threshold bounds the change of TSC in it.
     if manual:
         bend = xb * (1.0 / c.a_r - 1.0)
         bell = c.p_h_max - c.p_h_min
@@ -99,7 +99,7 @@ def overshoot_of_any(manual, xa, xb, met, c):
 @njit
 def tube(manual, xa, xb, p_low, p_high, ends, most, sign, offset, c, h, known, least, leave):
     """
-    Follow one tube until its phase is over for sure; lower `least` and `leave` at each length; return length, known.
+    Follow one tube until its phase has certainly ended; lower `least` and `leave` at each length; return length, known.
 
     `least[T]` is the least sign·Σ of performance's share over the first T samples, `leave[T]` the same where the phase can end.
     `h` holds the range of P_h over the phase as far as `known`.
@@ -117,7 +117,7 @@ def tube(manual, xa, xb, p_low, p_high, ends, most, sign, offset, c, h, known, l
         p_high = next_performance(p_high, h[t - 1, HIGH], mode, c.a_pr, c.b_pr, c.p_r_min)
         least[t] = min(least[t], total)
         low, high = tsc_at(p_low, h[t, HIGH], c), tsc_at(p_high, h[t, LOW], c)
-        # The tube goes on with what has not met the threshold yet: TSC on this side of the farthest it can be.
+        # The tube continues with the states whose TSC has not yet passed the farthest value of the threshold.
         if manual:
             if high >= ends[LOW] - TIGHT:
                 leave[t] = min(leave[t], total)
@@ -153,11 +153,11 @@ def edge(manual, xa, xb, t, keep, share, sign, v):
 
 @njit
 def all_phases(r, p, mode, k, limits, sign, c):
-    """Follow the phase that is on, then one from every cell that a phase can begin in; return them and whether all was done."""
+    """Follow the current phase, then one from every cell in which a phase can begin; return them and whether all were followed."""
     span = c.p_r_max - c.p_r_min
     p_most = max(p, c.p_r_min + c.b_pr * max(c.p_h_max, 0.0) / (1.0 - c.a_pr)) + 1e-12
     p_least = min(p, c.p_r_min + c.b_pr * min(c.p_h_min, 0.0) / (1.0 - c.a_pr)) - 1e-12
-    # Rates are cut at 0 where f leaves [0, 2] because b_pr was rounded: f less what it can be outside by.
+    # With a rounded b_pr, f can leave [0, 2] and rates are cut at 0: subtract by how much f can be outside.
     offset = max((p_most - c.p_r_min) / span - 1.0, 0.0) if sign > 0 else max((c.p_r_min - p_least) / span, 0.0)
     first, last, ends = np.full(NODES, -1, np.int64), np.zeros(NODES, np.int64), np.zeros((NODES, 2))
     phases = Phases(first, last, ends, np.empty(POOL), np.empty(POOL))
@@ -190,7 +190,7 @@ def all_phases(r, p, mode, k, limits, sign, c):
         for j in range(1 if start else PIECES):
             low = high = p
             if not start:
-                # Narrow pieces where P_r is least (or greatest): the extreme of the sum is there.
+                # Narrow pieces where P_r is least (or greatest), since the extreme of the sum lies there.
                 one = a + (b - a) * (cuts[j] if sign > 0 else 1.0 - cuts[j + 1])
                 two = a + (b - a) * (cuts[j + 1] if sign > 0 else 1.0 - cuts[j])
                 low = max((one - TIGHT + c.b_T * h[0, LOW]) / c.a_T, p_least)
@@ -217,7 +217,7 @@ def all_phases(r, p, mode, k, limits, sign, c):
 
 @njit
 def shortest(mode, phases, sign, rho, v, keeps, shares, passes, dist, back, taken):
-    """Fill `dist` with the shortest paths from the phase that is on; return whether nothing changes any more (Bellman–Ford)."""
+    """Fill `dist` with the shortest paths from the current phase; return whether they have converged (Bellman–Ford)."""
     dist[:] = np.inf
     dist[START] = 0.0
     back[:], taken[:] = -1, 0
@@ -254,7 +254,7 @@ def cycle_mean(mode, phases, sign, v, keeps, shares, back, taken):
     seen = np.zeros(NODES, np.int64)
     best = np.inf
     for begin in range(NODES):
-        # Back along predecessors until a node is met again: in this walk a cycle, in an earlier one nothing new.
+        # Go back along predecessors until a node repeats: one seen in this walk closes a cycle, one seen earlier gives nothing new.
         node = begin
         while node >= 0 and seen[node] == 0:
             seen[node] = begin + 1
@@ -301,7 +301,7 @@ def least_effort(r, p, mode, k, limits, sign, v, c):
         rho = min(mean, rho) - 1e-4
     if not found:
         return 0.0, -np.inf
-    # What an unfinished phase can add, and v taken back.
+    # Add what an unfinished phase can contribute, and subtract the terms of v.
     worst = np.inf
     for node in range(NODES):
         base = phases.first[node]

@@ -16,33 +16,33 @@ LOWER, UPPER = 0, 1
 
 
 class CorrectionStatus(Enum):
-    """How a plan came about, and what to do where it is not the optimum."""
+    """How a plan was obtained, and what to do where it is not optimal."""
 
-    OPTIMAL = "Optimal: every sequence of modes that the thresholds can bring about was searched or ruled out."
+    OPTIMAL = "Optimal: every mode sequence that admissible corrections can produce was searched or ruled out."
     BOUNDED = (
-        "The search ended at its budget before all sequences of modes were ruled out; the gap says how much better a "
+        "The search exhausted its budget before it had ruled out all mode sequences; the gap bounds how much cheaper another "
         "plan can be. Raise budget=, or shorten the horizon, to close it."
     )
     CONVERGED = (
-        "The solver converged, and rule (2.8) brings about the modes that it was solved for. The plan is an optimum among "
-        "those with these modes, not proved to be one among all: compare with engine='exact' where the cost is (2.43)."
+        "The solver converged, and rule (2.8) produces the mode sequence that it assumed. The plan is a local optimum for "
+        "that sequence and not proved optimal among all: compare with engine='exact' where the cost is (2.43)."
     )
     FAILED = (
-        "The solver failed, so the thresholds are held: the actions are 0. Look at the solver's own message, scale or "
-        "soften added costs and constraints, or use engine='exact'."
+        "The solver failed, so the thresholds are held: the actions are 0. See the plan's message, rescale or soften the "
+        "costs and constraints that were added, or use engine='exact'."
     )
     MISSING = (
         "A measurement is missing (NaN), so the thresholds are held and nothing is suggested. Check the sensor; the "
-        "correction goes on when data return."
+        "correction resumes when data return."
     )
     OUTSIDE = (
         "A measurement lies outside the model's range by more than rounding, so the thresholds are held. Identify the "
-        "model again from sessions of this operator, or pass outside='nearest'."
+        "model anew from this operator's sessions, or pass outside='nearest'."
     )
-    SETTLING = "The window of measured performance is not full yet, so the thresholds are held; the correction begins when it is."
+    SETTLING = "The window of measured performance is not full yet, so the thresholds are held until it is."
     NEAREST = (
-        "A measurement lies outside the model's range; the nearest value of the range was planned with, as asked for."
-        " Identify the model again if this is often so."
+        "A measurement lies outside the model's range; the plan uses the nearest value in the range, as requested. "
+        "Identify the model anew if this happens often."
     )
 
     @property
@@ -59,7 +59,7 @@ class CorrectionPlan:
     Parameters
     ----------
     c_l, c_u : float
-        The action now: what to add to TSC_l and TSC_u, (2.40).
+        The action now: added to TSC_l and TSC_u, (2.40).
     suggestion : int
         What Algorithm 3 suggests now: 0 autonomous, 1 manual, −1 nothing.
     tsc : float
@@ -73,17 +73,17 @@ class CorrectionPlan:
     mode : numpy.ndarray, shape (N,)
         M(0..N−1) by (2.8): 1 manual, 0 autonomous.
     cost : float
-        (2.43) of these actions, the switch being the hard one of (2.8).
+        The cost (2.43) of these actions under the hard switch (2.8).
     cost_lower_bound : float
         No admissible actions cost less than this; NaN where the engine proves nothing.
     status : CorrectionStatus
-        How the plan came about.
+        How the plan was obtained.
     engine : str
         The engine's name.
     solve_time : float
-        Time taken [s]; NaN where not measured.
+        Computing time [s]; NaN where not measured.
     message : str
-        What the solver itself said, if anything.
+        The solver's own message, if any.
     added_cost : float
         What the user's own cost adds to (2.43); 0 where there is none, NaN where no plan was found.
     """
@@ -109,12 +109,12 @@ class CorrectionPlan:
 
     @property
     def cost_with_additions(self) -> float:
-        """(2.43) and what the user's own cost adds to it; the cost where nothing was added."""
+        """The cost (2.43) plus what the user's own cost adds to it."""
         return self.cost + self.added_cost
 
     @property
     def gap(self) -> float:
-        """Cost − cost_lower_bound: how much better any other plan can be at most."""
+        """Cost − cost_lower_bound: by how much another plan can be cheaper, at most."""
         return self.cost - self.cost_lower_bound
 
     @property

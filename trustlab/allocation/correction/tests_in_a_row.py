@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 HABITS = ("following", "lagging", "ignoring")
 """How operators respond to suggestions."""
 
+SIDES = (("lower", "c_l"), ("upper", "c_u"))
+"""Columns of the thresholds, each with that of its corrections."""
+
 
 @dataclass(frozen=True, eq=False)
 class CorrectionRun:
@@ -37,13 +40,13 @@ class CorrectionRun:
         One row per sample: test, t [s] from the start of its test, then r, p_r, p_h, tsc, mode, suggestion, lower,
         upper, c_l, c_u, cost, cost_lower_bound, status, latency [s].
     start, target : (float, float)
-        TSC_l and TSC_u at the beginning, and those wanted.
+        TSC_l and TSC_u at the beginning, and their targets.
     operator : str
         How the operator responds to suggestions.
     source : str
-        Where the data come from; simulated, and of which model or testbed.
+        Where the data come from: simulated, and by which model or testbed.
     sessions : tuple of Session
-        The sessions behind the data, on a testbed; one per test.
+        The sessions that the data were taken from, one per test; on a testbed only.
     """
 
     data: pd.DataFrame
@@ -60,37 +63,25 @@ class CorrectionRun:
         Returns
         -------
         pandas.DataFrame
-            Columns test, lower, upper (thresholds at its end), remaining (share of the way to the target that is left, over
-            both thresholds; NaN where they began there), p_r, r, manual_share (means), switches, held (samples without
+            Columns test, lower, upper (thresholds at its end), remaining (share of the distance to the target that is left,
+            summed over both thresholds; NaN where they began there), p_r, r, manual_share (means), switches, held (samples without
             a plan), largest_gap (of all plans, relative), latency_median, latency_p99 [s].
         """
         import pandas as pd
 
+        data, tests = self.data, self.data.groupby("test", sort=True)
+        table = pd.DataFrame({side: (data[side] + data[c]).groupby(data["test"]).last() for side, c in SIDES})
         way = abs(self.target[0] - self.start[0]) + abs(self.target[1] - self.start[1])
-        rows = []
-        for test, part in self.data.groupby("test", sort=True):
-            last = part.iloc[-1]
-            lower, upper = last["lower"] + last["c_l"], last["upper"] + last["c_u"]
-            left = abs(self.target[0] - lower) + abs(self.target[1] - upper)
-            cost = part["cost"].to_numpy()
-            gap = (cost - part["cost_lower_bound"].to_numpy()) / np.where(cost > 0.0, cost, 1.0)
-            rows.append(
-                {
-                    "test": int(test),
-                    "lower": lower,
-                    "upper": upper,
-                    "remaining": left / way if way > 0.0 else np.nan,
-                    "p_r": part["p_r"].mean(),
-                    "r": part["r"].mean(),
-                    "manual_share": part["mode"].mean(),
-                    "switches": int(np.count_nonzero(np.diff(part["mode"]))),
-                    "held": int(np.isnan(cost).sum()),
-                    "largest_gap": float(np.nanmax(gap)) if np.isfinite(gap).any() else np.nan,
-                    "latency_median": part["latency"].median(),
-                    "latency_p99": part["latency"].quantile(0.99),
-                }
-            )
-        return pd.DataFrame(rows)
+        left = abs(self.target[0] - table["lower"]) + abs(self.target[1] - table["upper"])
+        table["remaining"] = left / way if way > 0.0 else np.nan
+        for name, column in (("p_r", "p_r"), ("r", "r"), ("manual_share", "mode")):
+            table[name] = tests[column].mean()
+        table["switches"] = tests["mode"].agg(lambda mode: np.count_nonzero(np.diff(mode)))
+        table["held"] = tests["cost"].agg(lambda cost: cost.isna().sum())
+        gap = (data["cost"] - data["cost_lower_bound"]) / data["cost"].where(data["cost"] > 0.0, 1.0)
+        table["largest_gap"] = gap.groupby(data["test"]).max()
+        table["latency_median"], table["latency_p99"] = tests["latency"].median(), tests["latency"].quantile(0.99)
+        return table.reset_index()
 
     def plot(self, target: tuple[float, float] | None = None):
         """
@@ -159,10 +150,10 @@ def correct_pattern(
     **options: Any,
 ) -> CorrectionRun:
     """
-    Correct thresholds in receding horizon over several consecutive tests, on the model, Section 2.5 and Fig. 2.18.
+    Correct thresholds with a receding horizon over several consecutive tests, on the model, Section 2.5 and Fig. 2.18.
 
-    Every test begins in the manual mode with the operator rested; thresholds are carried over from test to test. The plans
-    see utilization and performance as they are, not how the operator will react.
+    Every test begins in the manual mode with a rested operator; thresholds carry over from test to test. Each plan starts from
+    the true utilization and performance, but does not anticipate how the operator will respond to suggestions.
 
     Parameters
     ----------
@@ -175,7 +166,7 @@ def correct_pattern(
     tests : int
         How many tests.
     duration : float
-        Length of each [s]; Section 2.5 does not state its own.
+        Length of each test [s]; Section 2.5 does not state its own.
     c_b : float
         Largest correction per step.
     horizon : int
@@ -183,7 +174,7 @@ def correct_pattern(
     engine : str
         As for `ThresholdCorrector`.
     habit : {"following", "lagging", "ignoring"}
-        Follows suggestions at once; follows those that still stand after a lag; or keeps to the thresholds of `start`.
+        Follows suggestions at once; follows those that still stand after a lag; or switches by the thresholds of `start`.
     lag : float
         That lag [s].
     noise : float
@@ -195,7 +186,7 @@ def correct_pattern(
     p_r0 : float, optional
         Robot performance there; the robot's P_min when not given.
     sample_time : float
-        Time between samples [s], for times only.
+        Time between samples [s]; it converts durations to samples.
     incentive : callable, optional
         As for `ThresholdCorrector`.
     **options : object
@@ -209,7 +200,7 @@ def correct_pattern(
     Raises
     ------
     ValueError
-        If an argument is not understood or out of range.
+        If an argument is of the wrong kind or out of range.
     """
     import pandas as pd
 
@@ -248,7 +239,7 @@ def correct_pattern(
 
 
 class Habit:
-    """An operator's response to suggestions: follows them at once, after a lag of `wait` samples, or ignores them."""
+    """An operator's response to suggestions: follow them at once, after a lag of `wait` samples, or not at all."""
 
     def __init__(self, kind: str, own: tuple[float, float], wait: int):
         self.kind, self.own, self.wait = kind, own, wait
@@ -264,7 +255,7 @@ class Habit:
         return self.mode
 
     def hear(self, suggestion: int) -> None:
-        """Count for how long a suggestion has stood; one that agrees with the mode, or another one, begins anew."""
+        """Count for how long a suggestion has stood; the count restarts when it changes or agrees with the mode."""
         if suggestion == self.mode:
             self._wanted, self._stood = -1, 0
         elif suggestion < 0 or suggestion == self._wanted:

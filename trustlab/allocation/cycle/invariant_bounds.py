@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from trustlab.allocation.cycle.polygons import narrow
 from trustlab.allocation.cycle.propagation import ROUNDING, enclose, nest
-from trustlab.allocation.limits import check_thresholds
+from trustlab.allocation.limits import check_thresholds, ranges_table
 from trustlab.models.checks import whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
@@ -73,16 +73,8 @@ class InvariantBounds:
         pandas.DataFrame
             Index `quantity`; columns low, high.
         """
-        import pandas as pd
-
-        rows = {
-            "r": (self.r_low, self.r_high),
-            "P_r": (self.p_r_low, self.p_r_high),
-            "TSC": (self.tsc_low, self.tsc_high),
-            "dwell time manual": (self.dwell_manual_low, self.dwell_manual_high),
-            "dwell time autonomous": (self.dwell_autonomous_low, self.dwell_autonomous_high),
-        }
-        return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high"]).rename_axis("quantity")
+        manual = self.dwell_manual_low, self.dwell_manual_high
+        return ranges_table(self, manual, (self.dwell_autonomous_low, self.dwell_autonomous_high))
 
 
 def invariant_bounds(tsc: TscModel, lower: float, upper: float, cells: int = 32, cycles: int = 200) -> InvariantBounds:

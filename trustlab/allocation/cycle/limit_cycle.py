@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trustlab.allocation.cycle.phases import CYCLE, Seen, longest_phase, record, return_map, settle
-from trustlab.allocation.limits import check_thresholds
+from trustlab.allocation.limits import check_thresholds, ranges_table
 from trustlab.models.checks import whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
@@ -123,17 +123,9 @@ class LimitCycle:
         pandas.DataFrame
             Index `quantity`; columns low, high, mean.
         """
-        import pandas as pd
-
         manual, autonomous = (pair or (math.nan, math.nan) for pair in (self.dwell_manual, self.dwell_autonomous))
-        rows = {
-            "r": (self.r_low, self.r_high, self.mean_r),
-            "P_r": (self.p_r_low, self.p_r_high, self.mean_p_r),
-            "TSC": (self.tsc_low, self.tsc_high, math.nan),
-            "dwell time manual": (*manual, math.nan),
-            "dwell time autonomous": (*autonomous, math.nan),
-        }
-        return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high", "mean"]).rename_axis("quantity")
+        means = {"r": self.mean_r, "P_r": self.mean_p_r}
+        return ranges_table(self, manual, autonomous).assign(mean=lambda table: table.index.map(means).astype(float))
 
     def plot(self, axes=None):
         """
