@@ -7,6 +7,42 @@ from hypothesis import given, strategies as st
 from trustlab.allocation import PerformanceRule, ThresholdRule, simulate_allocation
 
 
+class Copied:
+    """Rule (2.8) written out, with a memory of its own."""
+
+    def __init__(self, lower, upper, mode=1):
+        self.lower, self.upper, self.mode, self.calls = lower, upper, mode, 0
+
+    def step(self, *, tsc, p_r):
+        self.calls += 1
+        if tsc >= self.upper:
+            self.mode = 0
+        elif tsc <= self.lower:
+            self.mode = 1
+        return self.mode
+
+
+class Algorithm2:
+    """Algorithm 2 written out; None where nothing is suggested."""
+
+    def __init__(self, p_min, p_max, tolerance):
+        self.most, self.some = p_max - tolerance * (p_max - p_min), p_min + 0.9 * (p_max - p_min)
+
+    def step(self, tsc, p_r):
+        return 0 if p_r >= self.most else 1 if p_r <= self.some else None
+
+
+class Says:
+    def __init__(self, *answers):
+        self.answers = list(answers)
+
+    def step(self, tsc, p_r):
+        answer = self.answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
 @given(st.lists(st.floats(-1, 1), min_size=1, max_size=60), st.sampled_from([0, 1]))
 def test_threshold_rule_is_the_printed_case_distinction(values, first):
     rule, mode = ThresholdRule(-0.2, 0.3, mode=first), first
@@ -68,3 +104,65 @@ def test_refuses(operators):
         simulate_allocation(model, 0.0, 0.4, steps=10, r0=1.5)
     with pytest.raises(ValueError, match="tolerance"):
         PerformanceRule(0.2, 0.4, tolerance=0.2)
+
+
+@pytest.mark.parametrize("mode", [None, 0, 1])
+def test_a_copy_of_a_rule_gives_the_same_bits(random_model, mode):
+    """A rule in Python is called sample by sample; the built-in rules run compiled."""
+    for seed in range(12):
+        model, lower, upper = random_model(np.random.default_rng(seed))
+        own = {"mode": mode, "steps": 3001 + seed, "r0": 0.3}
+        for first in (0, 1):
+            built_in = ThresholdRule(lower, upper, mode=first)
+            run = simulate_allocation(model, rule=built_in, **own)
+            copied = Copied(lower, upper, first)
+            assert run.equals(simulate_allocation(model, rule=copied, **own))
+            assert copied.calls == len(run)
+            assert built_in == ThresholdRule(lower, upper, mode=first), "a built-in rule is left as it is"
+        assert run.equals(simulate_allocation(model, lower, upper, **own | {"mode": first if mode is None else mode}))
+        numbers = model.robot.p_min, 0.5 * (model.robot.p_min + model.robot.p_max), 0.05
+        run = simulate_allocation(model, rule=PerformanceRule(*numbers), **own)
+        assert run.equals(simulate_allocation(model, rule=Algorithm2(*numbers), **own))
+        assert run["mode"].nunique() == 2
+
+
+def test_a_rule_that_switches_at_every_sample(operators):
+    modes = np.arange(1000) % 2
+    run = simulate_allocation(operators["2"], rule=Says(*modes.tolist()), steps=1000, mode=1)
+    np.testing.assert_array_equal(run["mode"], modes)
+    np.testing.assert_allclose(run["r"], operators["2"].simulate(modes)["r"], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("rule", "says"),
+    [
+        (3, "rule must have a method step.*got 3"),
+        (ThresholdRule, "the class ThresholdRule, not an object"),
+        (lambda tsc, p_r: 1, "rule must have a method step"),
+        (Says(1, 0, None, 0.5), r"None to keep the mode\) at step 3, with TSC = -?[\d.]+ and P_r = [\d.]+.*got 0.5"),
+        (Says("manual"), "at step 0.*got 'manual'"),
+        (Says(2), "from 0 to 1, got 2"),
+        (Says(float("nan")), "whole number"),
+        (Says(True), "got True"),
+        (Says(0, KeyError("gain")), r"rule\.step failed at step 1, with TSC = .*KeyError: 'gain'"),
+        (Says(0), r"rule\.step failed at step 1.*IndexError"),
+        (Copied(0.0, 0.4, mode=7), r"rule\.mode must be"),
+    ],
+)
+def test_rules_that_cannot_be_used_are_named(operators, rule, says):
+    with pytest.raises(ValueError, match=says):
+        simulate_allocation(operators["2"], rule=rule, steps=100)
+
+
+def test_either_thresholds_or_a_rule(operators):
+    for both in ({}, {"lower": 0.0, "rule": ThresholdRule(0.0, 0.4)}, {"lower": 0.0, "upper": 0.4, "rule": Says(1)}):
+        with pytest.raises(ValueError, match=r"either lower= and upper=.*or rule="):
+            simulate_allocation(operators["2"], steps=10, **both)
+    with pytest.raises(ValueError, match="upper must be a number, got None"):
+        simulate_allocation(operators["2"], 0.0, steps=10)
+
+
+def test_the_order_of_arguments_of_algorithm_2_follows_that_of_the_other_rule():
+    with pytest.warns(DeprecationWarning, match=r"PerformanceRule\.step"):
+        assert PerformanceRule(0.24, 0.39).step(0.39) == 0
+    assert PerformanceRule(0.24, 0.39).step(0.1, 0.39) == ThresholdRule(-0.1, 0.1).step(0.1, 0.39) == 0

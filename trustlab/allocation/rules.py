@@ -1,9 +1,12 @@
-"""Rules that say who should drive, step by step: by thresholds of TSC (2.8), and by performance (Algorithm 2)."""
+"""Rules that say who should drive, step by step: by thresholds of TSC (2.8), by performance (Algorithm 2), or a user's own."""
 
+from copy import copy
 from dataclasses import dataclass
+from typing import Any
 
-from trustlab.models.checks import finite_number, in_order, not_negative, whole_number
+from trustlab.models.checks import finite_number, in_order, not_negative, shown, whole_number
 from trustlab.models.compiled import njit
+from trustlab.models.deprecation import warn_renamed
 from trustlab.models.tsc import threshold_mode
 
 PERFORMANCE_TOLERANCE = 0.05
@@ -81,14 +84,14 @@ class ThresholdRule:
         lower, upper = in_order("lower", lower, "upper", upper)
         self.__dict__.update(lower=lower, upper=upper)
 
-    def step(self, tsc: float, p_r: float | None = None) -> int:
+    def step(self, tsc: float | None = None, p_r: float | None = None) -> int:
         """
         Return the mode for this sample and remember it.
 
         Parameters
         ----------
         tsc : float
-            TSC now.
+            TSC now; needed.
         p_r : float, optional
             Robot performance. The rule does not use it; it is accepted so that both rules are called alike, and checked so
             that a NaN in the calling loop does not go unnoticed.
@@ -139,25 +142,65 @@ class PerformanceRule:
             raise ValueError(f"tolerance must be below 0.1, where manual is suggested, got {tolerance}")
         self.__dict__.update(p_min=low, p_max=high, tolerance=tolerance)
 
-    def step(self, p_r: float, tsc: float | None = None) -> int | None:
+    def step(self, tsc: float | None = None, p_r: float | None = None) -> int | None:
         """
         Return the mode suggested, 1 or 0, or None for no suggestion.
 
         Parameters
         ----------
-        p_r : float
-            Robot performance now.
         tsc : float, optional
             TSC. The rule does not use it; it is accepted so that both rules are called alike, and checked so that a NaN in
             the calling loop does not go unnoticed.
+        p_r : float
+            Robot performance now; needed. A single argument without a name is taken for it, with a warning.
 
         Raises
         ------
         ValueError
             If a value given is not a finite number.
         """
+        if p_r is None and tsc is not None:
+            warn_renamed("PerformanceRule.step(p_r)", "step(tsc=…, p_r=…), as every rule has it")
+            p_r, tsc = tsc, None
         p_r = finite_number("p_r, which Algorithm 2 needs,", p_r)
         if tsc is not None:
             finite_number("tsc (unused by Algorithm 2)", tsc)
         found = int(performance_suggestion(p_r, self.p_min, self.p_max, self.tolerance))
         return None if found < 0 else found
+
+
+def begun(rule: object, mode: int | None) -> tuple[Any, int]:
+    """
+    Return a rule and the mode before the first sample: the one given, else `rule.mode`, else 1.
+
+    The rules of this module come back as copies, so that a run leaves them as they are. A rule that has a mode is set to the
+    one given.
+    """
+    if isinstance(rule, type) or not callable(getattr(rule, "step", None)):
+        kind = f"the class {rule.__name__}, not an object made from it" if isinstance(rule, type) else shown(rule)
+        raise ValueError(
+            "rule must have a method step(tsc=…, p_r=…) that returns 1 (manual), 0 (autonomous) or None (keep the mode), "
+            f"as ThresholdRule and PerformanceRule have; got {kind}"
+        )
+    if type(rule) in (ThresholdRule, PerformanceRule):
+        rule = copy(rule)
+    own = whole_number("rule.mode", getattr(rule, "mode", 1), least=0, most=1)
+    mode = own if mode is None else whole_number("mode", mode, least=0, most=1)
+    if hasattr(rule, "mode") and mode != own:
+        try:
+            rule.mode = mode
+        except AttributeError as error:
+            raise ValueError(f"rule.mode is {own} and cannot be set to mode={mode}: {error}; leave mode= out") from None
+    return rule, mode
+
+
+def decision(rule: Any, where: str, tsc: float, p_r: float) -> int | None:
+    """Ask a rule for the mode, 1, 0 or None for the one that is on; `where` is the sample, for errors."""
+    here = f"at {where}, with TSC = {tsc:.6g} and P_r = {p_r:.6g}"
+    try:
+        wanted = rule.step(tsc=tsc, p_r=p_r)
+    except Exception as error:
+        raise ValueError(f"rule.step failed {here}: {type(error).__name__}: {error}") from error
+    if wanted is None:
+        return None
+    return whole_number(f"what rule.step returns (1 manual, 0 autonomous, None to keep the mode) {here}", wanted, 0, 1)
