@@ -7,7 +7,7 @@ from collections.abc import Hashable
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean
+from trustlab.models.checks import did_you_mean, shown
 
 
 def column_of(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = "") -> pd.Series:
@@ -30,10 +30,17 @@ def column_of(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = 
 
 
 def refuse_missing_labels(column: pd.Series, argument: str) -> None:
-    """Refuse a column of labels in which one is missing, and name the first such row."""
+    """Refuse a column of labels in which one is missing or cannot be compared, and name the first such row."""
+    rows = column.index.astype(object)  # plain Python labels, for the errors
+    for row, label in zip(rows, column.tolist(), strict=True):
+        try:
+            hash(label)
+        except TypeError:  # a list, a dictionary, a signalling NaN
+            found = f"{shown(label)} in row {row!r}"
+            raise ValueError(f"{argument}: column {column.name!r} holds {found}, which is no label") from None
     missing = column.isna().to_numpy()
     if missing.any():
-        row = column.index.astype(object)[int(np.argmax(missing))]  # a plain Python label, for the error
+        row = rows[int(np.argmax(missing))]
         raise ValueError(f"{argument}: column {column.name!r} has no label in row {row!r}; each row needs one")
 
 
@@ -43,4 +50,7 @@ def number_or_nan(value: object) -> float:
         return np.nan
     if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real | decimal.Decimal):
         raise TypeError
-    return float(value)
+    try:
+        return float(value)
+    except (OverflowError, ValueError):  # beyond the range of floats, or a signalling NaN
+        raise TypeError from None

@@ -84,7 +84,7 @@ TABLES = {
     "subjects constant": (table().assign(score=np.repeat([0.1, 0.2, 0.3, 0.4, 0.5], 3)), "no subject's scores differ"),
     "no rows": (table().iloc[:0], "no rows"),
     "mixed labels": (changed(7, "condition", 3), "mixes int and str"),
-    "labels that are lists": (table().assign(condition=[["a"]] * 15), "cannot be compared"),
+    "labels that are lists": (table().assign(condition=[["a"]] * 15), "which is no label"),
     "huge": (table().assign(score=lambda f: f["score"] * 1e200), "another unit"),
 }  # fmt: skip
 

@@ -1,6 +1,7 @@
 """Scores against sums written out by hand, closed forms, pingouin and R; every bad answer is named."""
 
 import itertools
+from decimal import Decimal
 import json
 from pathlib import Path
 
@@ -139,7 +140,7 @@ def test_any_fifteen_choices_are_accepted_and_the_scores_stay_in_range(picks, an
     weights = tlx_weights(pd.DataFrame(rows, columns=["subject", "first", "second", "chosen"]))
     assert weights[list(TLX_SCALES)].to_numpy().sum() == 15
     frame = pd.DataFrame(answers, columns=TLX_SCALES).assign(subject="s", condition=range(len(answers)))
-    scores = score_nasa_tlx(frame, subject="subject", condition="condition", weights=weights).scores
+    scores = score_nasa_tlx(frame, subject="subject", condition="condition", weights=weights, scale="0-100").scores
     own = answers * weights[list(TLX_SCALES)].to_numpy()
     assert scores["tlx_weighted"].to_numpy() == pytest.approx(own.sum(axis=1) / 15, abs=1e-12)
     assert scores[["tlx_raw", "tlx_weighted"]].to_numpy().min() >= 0
@@ -168,8 +169,14 @@ def test_landau_condition_equals_brute_force():
 
 
 @pytest.mark.parametrize(
-    ("rescale", "answer", "score"),
+    ("scale", "answer", "score"),
     [
+        ("0-100", 37.5, 37.5),
+        ("0-100", 20, 20.0),
+        ("0-10", 7, 70.0),
+        ("1-7", 1, 0.0),
+        ("1-7", 4, 50.0),
+        ("1-7", 7, 100.0),
         ("0-20", 18, 90.0),
         ("0-20", 0, 0.0),
         ("1-21", 1, 0.0),
@@ -181,16 +188,25 @@ def test_landau_condition_equals_brute_force():
         ("1-20, stretched", 2, 100 / 19),
     ],
 )
-def test_rescaling_by_name(tlx, rescale, answer, score):
+def test_rescaling_by_name(tlx, scale, answer, score):
     frame = tlx.assign(**dict.fromkeys(TLX_SCALES, answer))
-    scores = score_nasa_tlx(frame, subject="pid", condition="scheme", rescale=rescale)
+    scores = score_nasa_tlx(frame, subject="pid", condition="scheme", scale=scale)
     assert scores.scores["tlx_raw"].to_numpy() == pytest.approx(score, abs=1e-12)
     assert scores.answers.to_numpy() == pytest.approx(score, abs=1e-12)
+
+
+def test_the_former_name_of_scale_still_works(tlx):
+    frame = tlx.assign(**dict.fromkeys(TLX_SCALES, 18))
+    with pytest.warns(DeprecationWarning, match="scale="):
+        scores = score_nasa_tlx(frame, subject="pid", condition="scheme", rescale="0-20").scores
+    assert (scores["tlx_raw"] == 90.0).all()
 
 
 @pytest.mark.parametrize(
     ("change", "arguments", "words"),
     [
+        (lambda f: put(f, 0, "mental", 10**400), {}, "subject 's1', condition 'M', item 'mental': the answer is 1000"),
+        (lambda f: put(f, 0, "mental", Decimal("sNaN")), {}, "item 'mental': the answer is Decimal"),
         (
             lambda f: put(f, 1, "temporal", 23),
             {},
@@ -230,18 +246,20 @@ def test_rescaling_by_name(tlx, rescale, answer, score):
         (lambda f: f, {"item": "what"}, "needs both item= and response="),
         (lambda f: f, {"performance": "good"}, "performance must be"),
         (lambda f: f, {"missing": "mean"}, "missing must be one of 'refuse'"),
-        (lambda f: f, {"rescale": ["0-20"]}, "rescale must be one of"),
+        (lambda f: f, {"scale": ["0-20"]}, "scale must be one of"),
         (lambda f: f, {"missing": ["refuse"]}, "missing must be one of"),
         (lambda f: f, {"subject": ["pid"]}, "subject must be the name of one column"),
         (lambda f: f, {"condition": None}, "subject 's1', item 'mental' occurs twice; keep one, or say condition="),
-        (lambda f: f, {"rescale": "1-20"}, "rescale must be one of '0-20'"),
-        (lambda f: f, {"rescale": "0-20"}, "80 lies outside 0 to 20"),
+        (lambda f: f, {"scale": "1-20"}, "scale must be one of '0-100'"),
+        (lambda f: f, {"scale": "0-20"}, "80 lies outside 0 to 20"),
         (
             lambda f: f.assign(**dict.fromkeys(TLX_SCALES, 18)),
             {},
-            "no answer exceeds 18: if the form had another scale, set rescale=",
+            "18 is not a step of 5 .*if the form had another scale, set scale=",
         ),
-        (lambda f: f.assign(**dict.fromkeys(TLX_SCALES, 7.5)), {"rescale": "0-20"}, "7.5 is not a step of 1"),
+        (lambda f: f.assign(**dict.fromkeys(TLX_SCALES, 20)), {}, "no answer exceeds 20, which fits several forms"),
+        (lambda f: f.assign(**dict.fromkeys(TLX_SCALES, 0)), {}, "no answer exceeds 0, which fits several forms"),
+        (lambda f: f.assign(**dict.fromkeys(TLX_SCALES, 7.5)), {"scale": "0-20"}, "7.5 is not a step of 1"),
     ],
 )
 def test_bad_tlx_is_refused(tlx, change, arguments, words):
@@ -463,8 +481,16 @@ def test_likert_scale_with_subscales():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("x", (), 1, 7), "items must be at least one"),
-        (("x", ("a", "a"), 1, 7), "all different"),
+        (("x", (), 1, 7), "items must name at least one item"),
+        (("x", ("a", "a"), 1, 7), "items: 'a' occurs twice"),
+        (("x", ("a", "b"), 1, 7, ("a", "a")), "reversed: 'a' occurs twice"),
+        (("x", ("a",), 1, 7, (), (Subscale("x_mean", ("a",)),)), "subscale 'x_mean': another score has this name"),
+        (("x", ("a",), 1, 7, (), (Subscale("x_sum", ("a",)),)), "subscale 'x_sum': another score has this name"),
+        (("x", ("a",), 1, 7, (), (Subscale("s", ("a",)),) * 2), "subscale 's': another score has this name"),
+        (("x", ("a",), 1, 7, (), (Subscale("s", ("a", "a")),)), "subscale 's': 'a' occurs twice"),
+        (("x", ("a",), 1, 7, (), (Subscale("s", ()),)), "subscale 's' must name at least one item"),
+        (("x", ("a",), 1, 7, (), (Subscale("s", "a"),)), "subscale 's' must be a list of names"),
+        (("x", ("a", "b"), 1, 7, (), (Subscale("s", ("a",), ("b",)),)), "reversed items of subscale 's': 'b' is not"),
         (("x", "ab", 1, 7), "items must be a list of names"),
         (("x", ("a",), 7, 1), "low must lie below high"),
         (("x", ("a",), 1, np.inf), "high must be finite"),

@@ -73,6 +73,14 @@ studies <- list(
   very_large_effect = draw(26, 40, 3, c(0, 10, 30), symmetric(3, 0.9))
 )
 
+# Greenhouse-Geisser epsilon, where car gives none.
+epsilon_of <- function(x) {
+  k <- ncol(x)
+  contrasts <- contr.helmert(k) %*% diag(1 / sqrt(colSums(contr.helmert(k)^2)), k - 1)
+  s <- var(x %*% contrasts)
+  sum(diag(s))^2 / ((k - 1) * sum(s^2))
+}
+
 limit <- function(f, df1, df2, probability) {
   if (pf(f, df1, df2) <= probability) return(0)
   upper <- 1
@@ -104,9 +112,11 @@ analyse <- function(given) {
     w <- unname(other$statistic)
     mauchly_p <- other$p.value
   }
-  tail <- limit(f, df1, df2, 0.95)
-  head <- limit(f, df1, df2, 0.05)
-  total <- df1 + df2 + 1
+  # As the test: degrees of freedom times epsilon; n (k - 1) of them in all, which turns lambda into eta squared.
+  epsilon <- if (has) adjusted["condition", "GG eps"] else epsilon_of(x)
+  tail <- limit(f, epsilon * df1, epsilon * df2, 0.95)
+  head <- limit(f, epsilon * df1, epsilon * df2, 0.05)
+  total <- epsilon * (df1 + df2)
   pairs <- combn(k, 2)
   compared <- apply(pairs, 2, function(ij) {
     found <- t.test(x[, ij[1]], x[, ij[2]], paired = TRUE)

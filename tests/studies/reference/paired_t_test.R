@@ -1,4 +1,5 @@
 # Reference values of tests/studies/test_paired_t_test.py.
+# Differences are ranked to twelve digits, or floating point would separate ties (1.1 - 1.0 and 0.1).
 # Run in this folder: Rscript paired_t_test.R    (R and its package jsonlite; writes paired_t_test.json)
 library(jsonlite)
 
@@ -18,7 +19,7 @@ analyse <- function(x) {
   d <- x$a - x$b
   t95 <- t.test(x$a, x$b, paired = TRUE)
   t90 <- t.test(x$a, x$b, paired = TRUE, conf.level = 0.9)
-  w <- suppressWarnings(wilcox.test(x$a, x$b, paired = TRUE))
+  w <- suppressWarnings(wilcox.test(x$a, x$b, paired = TRUE, digits.rank = 12))
   s <- shapiro.test(d)
   list(
     a = x$a, b = x$b,

@@ -15,8 +15,9 @@ from trustlab.studies.analysis.sphericity import greenhouse_geisser, huynh_feldt
 # Scores analysed in one go.
 _CHUNK = 1 << 20
 
-# Size of scores, and spread of a study's scores, beyond which sums of squares leave double precision.
-_GREATEST, _LEAST = 1e140, 1e-140
+# Size of scores beyond which their squares overflow, spread below which their own digits are lost, and spread below which
+# squares would underflow, so that a study is analysed in a smaller unit.
+_GREATEST, _LEAST, _TINY = 1e140, 1e-290, 1e-100
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +167,9 @@ def _analyse(scores: np.ndarray, first: int) -> dict:
     studies, n, k = scores.shape
     d = k - 1
     largest = np.abs(scores).max(axis=(1, 2))
+    # A power of two, so that no digit changes.
+    unit = np.where(largest < _TINY, np.ldexp(1.0, np.frexp(np.maximum(largest, _LEAST))[1]), 1.0)
+    scores, largest = scores / unit[:, None, None], largest / unit
     rounding = 4.0 * np.finfo(float).eps * largest  # a spread of differences below this is no variance
     grand = scores.mean(axis=(1, 2))
     centred = scores - grand[:, None, None]
@@ -178,11 +182,11 @@ def _analyse(scores: np.ndarray, first: int) -> dict:
     ss_effect = n * ((mean @ contrasts) ** 2).sum(axis=1)
     ss_error = (n - 1) * np.trace(covariance, axis1=1, axis2=2)
     ss_subjects = (residual.sum(axis=2) ** 2).sum(axis=1) / k
-    flat = ss_error <= (n - 1) * d * rounding**2
+    flat = (ss_error <= (n - 1) * d * rounding**2) | (largest * unit < _LEAST)
     if flat.any():
         study = int(np.argmax(flat))
         effect = bool(ss_effect[study] > n * d * rounding[study] ** 2)
-        raise ValueError(f"study {first + study}: {_why_flat(scores[study], effect)}")
+        raise ValueError(f"study {first + study}: {_why_flat(scores[study] * unit[study], effect)}")
     df1, df2 = d, d * (n - 1)
     f = (ss_effect / df1) / (ss_error / df2)
     gg = np.ones(studies) if d == 1 else greenhouse_geisser(covariance)
@@ -190,13 +194,13 @@ def _analyse(scores: np.ndarray, first: int) -> dict:
     hf_cut = np.minimum(hf, 1.0)
     sphericity = mauchly(covariance, n, rounding**2)
     return {
-        "mean": scores.mean(axis=1),
-        "sd": sd,
+        "mean": scores.mean(axis=1) * unit[:, None],
+        "sd": sd * unit[:, None],
         "F": f,
         "p": special.fdtrc(df1, df2, f),
-        "ss_effect": ss_effect,
-        "ss_subjects": ss_subjects,
-        "ss_error": ss_error,
+        "ss_effect": ss_effect * unit**2,
+        "ss_subjects": ss_subjects * unit**2,
+        "ss_error": ss_error * unit**2,
         "mauchly_w": sphericity.w,
         "mauchly_chi2": sphericity.chi2,
         "mauchly_p": sphericity.p,
@@ -208,7 +212,7 @@ def _analyse(scores: np.ndarray, first: int) -> dict:
         "p_hf": special.fdtrc(hf_cut * df1, hf_cut * df2, f),
         "eta2_partial": ss_effect / (ss_effect + ss_error),
         "eta2_generalized": ss_effect / (ss_effect + ss_subjects + ss_error),
-        "pairwise": paired_differences(centred, sd, rounding),
+        "pairwise": paired_differences(centred, sd, rounding).scaled(unit),
     }
 
 

@@ -30,8 +30,16 @@ class PartialEtaInterval:
     level: float
 
 
+# Noncentrality beyond which the noncentral F of SciPy fails; the form for large λ has nine digits there, and η² all of its own.
+_LARGE = 1e9
+
+
 def noncentrality_limit(f: float, df1: float, df2: float, probability: float) -> float:
     """Return the λ ≥ 0 at which P(F′ ≤ f | λ) is `probability`; 0 where it is less even at λ = 0."""
+    # F′ df1/df2 = χ′²(λ)/χ²(df2), where χ′²(λ) = λ + df1 to within √λ: only the denominator is left to vary.
+    large = df1 * (f * float(special.chdtri(df2, probability)) / df2 - 1.0)
+    if large > _LARGE:
+        return large
 
     def excess(noncentrality: float) -> float:
         return float(special.ncfdtr(df1, df2, noncentrality, f)) - probability
@@ -49,8 +57,10 @@ def partial_eta_interval(f: float, df1: float, df2: float, level: float = 0.90) 
     Return the interval of partial η² that inverts the noncentral F distribution.
 
     With λ_low and λ_high such that P(F′ ≥ f | λ_low) = P(F′ ≤ f | λ_high) = (1 − level)/2, the limits are
-    λ / (λ + df1 + df2 + 1) (Steiger, 2004; Smithson, 2003). Some programs put λ + df2 below: take λ from the result
-    for those. The customary level is 0.90: its lower limit is above 0 where the test's p is below 0.05.
+    λ / (λ + df1 + df2): λ = n (k − 1) η²/(1 − η²) in the population (`noncentrality`), and n (k − 1) = df1 + df2. Where
+    the test is corrected, both degrees of freedom are those times ε, and λ is ε times that of the uncorrected F (Box,
+    1954). Steiger (2004) has one more below, for designs between subjects. The customary level is 0.90: its lower limit
+    is above 0 where the test's p is below 0.05.
 
     Parameters
     ----------
@@ -71,5 +81,5 @@ def partial_eta_interval(f: float, df1: float, df2: float, level: float = 0.90) 
     tail = 0.5 * (1.0 - level)
     low = noncentrality_limit(f, df1, df2, 1.0 - tail)
     high = noncentrality_limit(f, df1, df2, tail)
-    total = df1 + df2 + 1.0
+    total = df1 + df2
     return PartialEtaInterval(low / (low + total), high / (high + total), low, high, level)

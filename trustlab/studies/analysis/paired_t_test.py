@@ -43,7 +43,8 @@ class PairedTTest:
     wilcoxon_v, wilcoxon_p : float
         Sum of the ranks of positive differences, zero differences left out, and its two-sided p.
     wilcoxon_method : str
-        "exact" below 50 subjects without ties or zero differences, else "normal approximation, continuity corrected".
+        "exact" below 50 subjects without ties or zero differences, else "normal approximation, continuity corrected"; and
+        whether ties were judged to twelve digits, where floating point separates them.
     rank_biserial : float
         (positive − negative rank sum) over their total.
     shapiro_w, shapiro_p : float
@@ -179,6 +180,6 @@ def paired_t_test(
         shapiro_p=float(normality["p"][0]),
         excluded=excluded,
         scores=scores,
-        **wilcoxon(a - b)._asdict(),
+        **wilcoxon(a - b, np.abs(scores.values).max())._asdict(),
         **test,
     )

@@ -1,6 +1,8 @@
 """All pairs of conditions: paired t-tests, adjusted p-values and standardized differences; arrays of studies at once."""
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -37,6 +39,11 @@ class PairwiseBatch:
         """Return what tables show, by name and in their order."""
         hidden = ("a", "b", "sd_difference")
         return {name: value for name, value in vars(self).items() if name not in hidden}
+
+    def scaled(self, unit: np.ndarray) -> PairwiseBatch:
+        """Return the statistics of scores that are `unit` times as large, shape (studies,)."""
+        lengths = ("mean_difference", "sd_difference", "ci_low", "ci_high")
+        return replace(self, **{name: getattr(self, name) * unit[:, None] for name in lengths})
 
 
 def bonferroni(p: np.ndarray) -> np.ndarray:

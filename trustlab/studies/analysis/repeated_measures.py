@@ -44,7 +44,7 @@ class RepeatedMeasures(Omnibus):
     df1_corrected, df2_corrected, p_corrected : float
         Those of the correction that applies.
     eta2_partial_low, eta2_partial_high : float
-        90 % interval of the partial η².
+        90 % interval of the partial η², from the degrees of freedom of the correction that applies.
     alpha : float
         Level below which a p-value is called significant.
     notes : tuple of str
@@ -247,7 +247,7 @@ def repeated_measures(
     *,
     missing: str = "raise",
     order: Sequence | None = None,
-    correction: str = "auto",
+    correction: str = "greenhouse-geisser",
     alpha: float = 0.05,
 ) -> RepeatedMeasures:
     """
@@ -264,9 +264,10 @@ def repeated_measures(
     order : sequence, optional
         Conditions in the order wanted. By default a categorical column keeps the order of its categories (those that
         occur); numbers are sorted by value and text by alphabet.
-    correction : {"auto", "none", "greenhouse-geisser", "huynh-feldt"}
+    correction : {"greenhouse-geisser", "huynh-feldt", "none", "auto"}
         Which correction `.p_corrected` has. "auto": Greenhouse–Geisser where Mauchly's test rejects sphericity at
-        `alpha` or is not defined, none elsewhere. All three are always in the result.
+        `alpha` or is not defined, none elsewhere; with few subjects its type I error is above `alpha`, as the test misses
+        violations. All three are always in the result.
     alpha : float
         Level of significance.
 
@@ -297,7 +298,7 @@ def repeated_measures(
     why_not = why_no_mauchly(batch.n, batch.k, omnibus["mauchly_w"])
     applied, reason = decide_correction(correction, alpha, batch.k, omnibus["mauchly_p"], gg, why_not)
     epsilon = dict(zip(CORRECTIONS, (1.0, gg, hf), strict=True))[applied]
-    interval = partial_eta_interval(omnibus["F"], df1, df2, 0.90)
+    interval = partial_eta_interval(omnibus["F"], df1 * epsilon, df2 * epsilon, 0.90)
     return RepeatedMeasures(
         **omnibus,
         dv=dv,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of
+from trustlab.models.checks import of_class, one_of, shown
 from trustlab.studies.columns import column_of, number_or_nan, refuse_missing_labels
 
 # Cells or rows that an error lists before it counts the rest.
@@ -81,10 +81,7 @@ def _labels(series: pd.Series, argument: str) -> list:
     refuse_missing_labels(series, argument)
     if isinstance(series.dtype, pd.CategoricalDtype):
         return series.cat.remove_unused_categories().cat.categories.tolist()
-    try:
-        return list(dict.fromkeys(series.tolist()))
-    except TypeError:
-        raise ValueError(f"{argument}: column {series.name!r} holds labels that cannot be compared") from None
+    return list(dict.fromkeys(series.tolist()))
 
 
 def _codes(series: pd.Series, labels: list) -> np.ndarray:
@@ -126,7 +123,7 @@ def _scores(series: pd.Series, where: Callable[[int], str]) -> np.ndarray:
             values[k] = number_or_nan(value)
         except TypeError:
             raise ValueError(
-                f"{start} holds {value!r} for {where(k)}; scores must be numbers "
+                f"{start} holds {shown(value)} for {where(k)}; scores must be numbers "
                 "(text that stands for numbers: convert it with pandas.to_numeric)"
             ) from None
     infinite = np.isinf(values)

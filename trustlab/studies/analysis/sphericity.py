@@ -121,15 +121,16 @@ def decide_correction(
     correction: str, alpha: float, k: int, p: float, epsilon_gg: float, why_not: str
 ) -> tuple[str, str]:
     """
-    Return the correction that applies and the reason in a sentence or two.
+    Return the correction that applies and the reason in a sentence or two; two conditions need none.
 
     "auto" is Greenhouse–Geisser where Mauchly's test rejects sphericity at `alpha` or is not defined (`why_not` says
     why), else none.
     """
-    if correction != "auto":
-        return correction, f"Correction “{correction}” was asked for." + (f" {why_not}" if why_not else "")
     if k == 2:
         return "none", why_not
+    if correction != "auto":
+        applied = f"Correction “{correction}” applies, whatever Mauchly's test says."
+        return correction, f"{applied} {why_not}".strip()
     if why_not:
         return "greenhouse-geisser", f"{why_not} Sphericity cannot be tested and is not assumed."
     if p >= alpha:

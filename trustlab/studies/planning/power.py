@@ -11,11 +11,11 @@ import numpy as np
 import pandas as pd
 
 from trustlab.campaign.run import where_to_run
-from trustlab.models.checks import one_of, open_unit, spawned, whole_number
+from trustlab.models.checks import one_of, open_unit, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
-from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, claims_mask, simulated_counts
+from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, USUAL_TEST, claims_mask, simulated_counts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,7 +106,7 @@ class PowerAnalysis:
         """Where these numbers come from, for headers and captions."""
         return self.conditions.simulated_origin
 
-    def plot(self, against: str | None = None, test: str | Sequence[str] = "auto", axes: Axes | None = None):
+    def plot(self, against: str | None = None, test: str | Sequence[str] = USUAL_TEST, axes: Axes | None = None):
         """
         Plot the power of the omnibus F with its Monte-Carlo intervals; crosses mark the closed form.
 
@@ -114,7 +114,7 @@ class PowerAnalysis:
         ----------
         against : {"n", "effect_size", "correlation", "epsilon"}, optional
             The horizontal axis; by default the first that takes several values. A line per combination of the others.
-        test : {"auto", "none", "greenhouse-geisser", "huynh-feldt"} or sequence of them
+        test : {"greenhouse-geisser", "huynh-feldt", "none", "auto"} or sequence of them
             Which test, or several to compare.
         axes : matplotlib.axes.Axes, optional
             Where to draw.
@@ -233,7 +233,7 @@ def power_analysis(
     level : float
         Coverage of the Monte-Carlo intervals.
     seed : int
-        One child is spawned from it per cell of the grid n × effect_size × correlation × epsilon.
+        Each cell has draws of its own, by its n and its population and not by its place in the grid.
     n_jobs, cluster, executor : int, object, Executor, optional
         Where cells are simulated, as in `run_campaign`; by default in this process. They have no effect on results.
 
@@ -263,7 +263,7 @@ def power_analysis(
     grid = [_listed(name, values) for name, values in zip(AXES, axes, strict=True)]
     cells = _cells(population, grid)
     counted = simulated_counts(
-        [(cell, size, child) for (size, cell), child in zip(cells, spawned(seed, len(cells)), strict=True)],
+        [(cell, size, _draws(seed, size, cell)) for size, cell in cells],
         replicates,
         alpha,
         mask,
@@ -297,6 +297,12 @@ def _listed(name: str, value: Any) -> list:
     if not values:
         raise ValueError(f"{name} is empty: give a number or several")
     return values
+
+
+def _draws(seed: int, n: int, cell: Conditions) -> np.random.SeedSequence:
+    """Return the seed of a cell."""
+    numbers = np.concatenate([cell.mean, cell.covariance.ravel()])
+    return np.random.SeedSequence(seed, spawn_key=(n, *numbers.view(np.uint32).tolist()))
 
 
 def _cells(population: Conditions, grid: list[list]) -> list[tuple[int, Conditions]]:

@@ -12,7 +12,10 @@ from trustlab.studies.analysis.sphericity import CORRECTIONS
 from trustlab.studies.planning.covariances import Conditions
 
 TESTS = (*CORRECTIONS, "auto")
-"""Corrections of the omnibus F; "auto" is that of `repeated_measures`: Greenhouse–Geisser where Mauchly's test rejects."""
+"""Corrections of the omnibus F; "auto" is Greenhouse–Geisser where Mauchly's test rejects."""
+
+USUAL_TEST = "greenhouse-geisser"
+"""The correction that `repeated_measures` makes by default."""
 
 ADJUSTMENTS = {"none": "p", "bonferroni": "p_bonferroni", "holm": "p_holm"}
 """Adjustments of the pairs' p-values, and their names in `PairwiseBatch`."""
@@ -52,7 +55,7 @@ def count_findings(
     Draw studies from a normal population, analyse each, and count those that are significant: a task of `run_campaign`.
 
     Keys: "F test" by `TESTS`; "pair i adjustment", pairs a < b in order; and where `claims` says which pairs are claimed,
-    "claims adjustment" (F under "auto" and every claimed pair in the claimed direction) and "claimed adjustment" (claimed
+    "claims adjustment" (F under `USUAL_TEST` and every claimed pair in the claimed direction) and "claimed adjustment" (claimed
     pairs found, summed over studies). `draws` is the seed: which one belongs to which study size is the caller's choice.
     """
     rng = np.random.default_rng(draws)
@@ -69,16 +72,16 @@ def count_findings(
         # An undefined p of Mauchly's test (n ≤ k − 1) counts as a rejection, as in `repeated_measures`.
         rejected = ~(batch.mauchly_p >= alpha) if k > 2 else np.zeros(studies, dtype=bool)
         p_values = (batch.p, batch.p_gg, batch.p_hf, np.where(rejected, batch.p_gg, batch.p))
-        for test, p in zip(TESTS, p_values, strict=True):
-            counts[f"F {test}"] += int((p < alpha).sum())
-        significant = p_values[-1] < alpha
+        findings = {test: p < alpha for test, p in zip(TESTS, p_values, strict=True)}
+        for test, found in findings.items():
+            counts[f"F {test}"] += int(found.sum())
         for name, attribute in ADJUSTMENTS.items():
             hits = getattr(batch.pairwise, attribute) < alpha
             for i, found in enumerate(hits.sum(axis=0)):
                 counts[f"pair {i} {name}"] += int(found)
             if claims is not None:
                 right = hits & (np.sign(batch.pairwise.mean_difference) == expected)
-                counts[f"claims {name}"] += int((right[:, claims].all(axis=1) & significant).sum())
+                counts[f"claims {name}"] += int((right[:, claims].all(axis=1) & findings[USUAL_TEST]).sum())
                 counts[f"claimed {name}"] += int(right[:, claims].sum())
     return dict(counts)
 

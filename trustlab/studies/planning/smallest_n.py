@@ -14,7 +14,7 @@ from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
 from trustlab.studies.planning.power import LEAST_REPLICATES, MOST_N
-from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, claims_mask, simulated_counts
+from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, USUAL_TEST, claims_mask, simulated_counts
 
 AHEAD = 4
 """How many n are simulated at the same time where there are workers for it."""
@@ -77,7 +77,7 @@ def smallest_n(
     subject: Hashable = "subject",
     order: Sequence | None = None,
     pair: tuple | None = None,
-    test: str = "auto",
+    test: str = USUAL_TEST,
     adjust: str = "holm",
     alpha: float = 0.05,
     replicates: int = 10_000,
@@ -104,7 +104,7 @@ def smallest_n(
         Partial η² of the population; as given when left out.
     pair : (a, b), optional
         Two conditions: the power of their comparison instead of that of F.
-    test : {"auto", "none", "greenhouse-geisser", "huynh-feldt"}
+    test : {"greenhouse-geisser", "huynh-feldt", "none", "auto"}
         Correction of F.
     adjust : {"holm", "bonferroni", "none"}
         Adjustment of the pair's p-value.

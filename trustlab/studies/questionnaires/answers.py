@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, of_class
+from trustlab.models.checks import did_you_mean, of_class, shown
 from trustlab.studies.columns import column_of, number_or_nan, refuse_missing_labels
 
 
@@ -74,6 +74,7 @@ def _long_cells(
     """Yield row, item and answer of every row of a long table."""
     items = {label: name for name, label in columns.items()}
     labels, answers = column_of(frame, "item", item), column_of(frame, "response", response)
+    refuse_missing_labels(labels, "item")
     for row, label, value in zip(rows, labels.array, answers.array, strict=True):
         if label not in items:
             raise ValueError(
@@ -116,7 +117,7 @@ def read_answers(
         try:
             answers[row, name] = number_or_nan(value)
         except TypeError:
-            raise ValueError(f"{answer_name(row, name)}: the answer is {value!r}, not a number") from None
+            raise ValueError(f"{answer_name(row, name)}: the answer is {shown(value)}, not a number") from None
     # One row each, in order of appearance, with the types of the columns.
     labels = frame[keys].drop_duplicates()
     index = pd.Index(labels[subject]) if condition is None else pd.MultiIndex.from_frame(labels)

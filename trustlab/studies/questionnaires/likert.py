@@ -36,6 +36,19 @@ class Subscale:
     reversed: tuple[str, ...] = ()
 
 
+def _check_names(what: str, names: Sequence[str], known: Sequence[str] | None = None, least: int = 1) -> None:
+    """Refuse names of items that are too few, occur twice or are not among those known."""
+    if isinstance(names, str) or not all(isinstance(name, str) and name.strip() for name in names):
+        raise ValueError(f"{what} must be a list of names, got {names!r}")
+    if len(names) < least:
+        raise ValueError(f"{what} must name at least one item")
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise ValueError(f"{what}: {name!r} occurs twice")
+        if known is not None and name not in known:
+            raise ValueError(f"{what}: {name!r} is not one of the items {', '.join(known)}")
+
+
 @dataclass(frozen=True)
 class LikertScale:
     """
@@ -76,19 +89,17 @@ class LikertScale:
     def __post_init__(self):
         if not isinstance(self.name, str) or not self.name.strip():
             raise ValueError(f"name must be a name, got {self.name!r}")
+        _check_names("items", self.items)
+        _check_names("reversed", self.reversed, self.items, least=0)
         for field in ("items", "reversed"):
-            names = getattr(self, field)
-            if isinstance(names, str) or not all(isinstance(word, str) and word.strip() for word in names):
-                raise ValueError(f"{field} must be a list of names, got {names!r}")
-            object.__setattr__(self, field, tuple(names))
-        if not self.items or len(set(self.items)) != len(self.items):
-            raise ValueError(f"items must be at least one, all different, got {self.items}")
-        for what, names in [("reversed", self.reversed)] + [
-            (f"subscale {part.name!r}", (*part.items, *part.reversed)) for part in self.subscales
-        ]:
-            unknown = [name for name in names if name not in self.items]
-            if unknown:
-                raise ValueError(f"{what}: {unknown[0]!r} is not one of the items {', '.join(self.items)}")
+            object.__setattr__(self, field, tuple(getattr(self, field)))
+        taken = [f"{self.name}_mean", f"{self.name}_sum"]
+        for part in self.subscales:
+            if part.name in taken:
+                raise ValueError(f"subscale {part.name!r}: another score has this name; rename one of the two")
+            taken.append(part.name)
+            _check_names(f"subscale {part.name!r}", part.items, self.items)
+            _check_names(f"reversed items of subscale {part.name!r}", part.reversed, part.items, least=0)
         low, high = finite_number("low", self.low), finite_number("high", self.high)
         if not low < high:
             raise ValueError(f"low must lie below high, got {low:g} and {high:g}")

@@ -1,12 +1,13 @@
 """NASA task load index (Hart and Staveland 1988), raw and weighted."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean, of_class, one_of
+from trustlab.models.deprecation import warn_renamed
 from trustlab.studies.columns import column_of, refuse_missing_labels
 from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
 from trustlab.studies.questionnaires.likert import ScaleScores, missing_answers
@@ -14,12 +15,15 @@ from trustlab.studies.questionnaires.likert import ScaleScores, missing_answers
 #: The six scales: demands (mental, physical, temporal), performance (good → poor), effort, frustration.
 TLX_SCALES = ("mental", "physical", "temporal", "performance", "effort", "frustration")
 
-#: Other response scales: lowest and highest answer, what makes 0–100 of it, and this in words.
-TLX_RESCALINGS = {
-    "0-20": (0.0, 20.0, lambda x: 5.0 * x, "5 times the answer"),
-    "1-21": (1.0, 21.0, lambda x: 5.0 * (x - 1.0), "5 times the answer less 1"),
-    "1-20, as intervals": (1.0, 20.0, lambda x: 5.0 * x, "5 times the answer: twenty intervals, 5 to 100"),
-    "1-20, stretched": (1.0, 20.0, lambda x: 100.0 * (x - 1.0) / 19.0, "1 to 20 stretched to 0 to 100"),
+#: Response scales besides 0–100 in steps of 5: lowest and highest answer, step, what makes 0–100 of it, in words.
+TLX_RESCALINGS: dict[str, tuple[float, float, float | None, Callable, str]] = {
+    "0-100": (0.0, 100.0, None, lambda x: x, "as it is, on or between the marks (sliders)"),
+    "0-20": (0.0, 20.0, 1.0, lambda x: 5.0 * x, "5 times the answer"),
+    "1-21": (1.0, 21.0, 1.0, lambda x: 5.0 * (x - 1.0), "5 times the answer less 1"),
+    "1-20, as intervals": (1.0, 20.0, 1.0, lambda x: 5.0 * x, "5 times the answer: twenty intervals, 5 to 100"),
+    "1-20, stretched": (1.0, 20.0, 1.0, lambda x: 100.0 * (x - 1.0) / 19.0, "1 to 20 stretched to 0 to 100"),
+    "0-10": (0.0, 10.0, 1.0, lambda x: 10.0 * x, "10 times the answer"),
+    "1-7": (1.0, 7.0, 1.0, lambda x: 100.0 * (x - 1.0) / 6.0, "1 to 7 stretched to 0 to 100"),
 }
 
 _PAIRS = tuple(itertools.combinations(TLX_SCALES, 2))
@@ -125,21 +129,19 @@ def _weights_of_rows(weights: pd.DataFrame | Mapping, answers: pd.DataFrame) -> 
     return table.loc[list(wanted)].to_numpy(dtype=float)
 
 
-def _on_hundred(answers: pd.DataFrame, rescale: str | None) -> pd.DataFrame:
-    """Return checked answers on the scale 0–100."""
+def _on_hundred(answers: pd.DataFrame, scale: str | None) -> pd.DataFrame:
+    """Return checked answers on the scale 0–100; without a name, answers that another form could have are refused."""
     known = "; ".join(f"{name!r}: {words}" for name, (*_, words) in TLX_RESCALINGS.items())
-    if rescale is None:
-        hint = ""
+    if scale is None:
+        check_answers(answers, 0.0, 100.0, 5.0, f"; if the form had another scale, set scale= to one of {known}")
         top = np.nanmax(answers.to_numpy(), initial=0.0)
         if top <= 21.0:
-            seen = f"no answer exceeds {top:g}: if the form had another scale"
-            hint = f"; {seen}, set rescale= to one of {known}"
-        check_answers(answers, 0.0, 100.0, 5.0, hint)
+            raise ValueError(f"no answer exceeds {top:g}, which fits several forms; set scale= to one of {known}")
         return answers
-    if not isinstance(rescale, str) or rescale not in TLX_RESCALINGS:
-        raise ValueError(f"rescale must be one of {known}; got {rescale!r}")
-    low, high, rule, words = TLX_RESCALINGS[rescale]
-    check_answers(answers, low, high, 1.0, f' (rescale="{rescale}": {words})')
+    if not isinstance(scale, str) or scale not in TLX_RESCALINGS:
+        raise ValueError(f"scale must be one of {known}; got {scale!r}")
+    low, high, step, rule, words = TLX_RESCALINGS[scale]
+    check_answers(answers, low, high, step, f' (scale="{scale}": {words})')
     return rule(answers)
 
 
@@ -152,6 +154,7 @@ def score_nasa_tlx(
     item: str | None = None,
     response: str | None = None,
     weights: pd.DataFrame | Mapping[str, int] | None = None,
+    scale: str | None = None,
     rescale: str | None = None,
     performance: str = "good_to_poor",
     missing: str = "refuse",
@@ -174,8 +177,11 @@ def score_nasa_tlx(
         For a long table: the column that names the scale and the one that holds the answer.
     weights : pandas.DataFrame or dict, optional
         Six weights per subject (and condition, if it has that column), as `tlx_weights` gives them, or one set for all.
+    scale : str, optional
+        The form, a name in TLX_RESCALINGS. When left out, answers must be those of the published form, 0–100 in steps of 5,
+        and fit no other: where none exceeds 21, the form must be named.
     rescale : str, optional
-        A name in TLX_RESCALINGS, if the answers are on another scale than 0–100; answers are never rescaled implicitly.
+        Former name of `scale`.
     performance : {"good_to_poor", "poor_to_good"}
         Direction of the performance scale on the form; "poor_to_good" is recoded as 100 − x.
     missing : str
@@ -197,10 +203,13 @@ def score_nasa_tlx(
     S. G. Hart, L. E. Staveland, Development of NASA-TLX, in: Human Mental Workload, 1988, 139-183.
     """
     one_of("performance", performance, ("good_to_poor", "poor_to_good"))
+    if rescale is not None:
+        warn_renamed("score_nasa_tlx(rescale=…)", "score_nasa_tlx(scale=…)")
+        scale = rescale
     answers = read_answers(
         frame, TLX_SCALES, subject=subject, condition=condition, items=items, item=item, response=response
     )
-    answers = _on_hundred(answers, rescale)
+    answers = _on_hundred(answers, scale)
     gaps = missing_answers(answers, {"tlx_raw": TLX_SCALES}, missing)
     coded = answers.copy()
     if performance == "poor_to_good":

@@ -78,12 +78,15 @@ def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability
     if n < 3:
         raise ValueError(f"alpha needs at least three subjects who answered every item, got {n}")
     for j, name in enumerate(items.columns):
+        if name in items.columns[:j]:
+            raise ValueError(f"item {name!r} occurs twice; keep or rename one of the columns")
         column = items.iloc[:, j]
         if column.dtype.kind not in "iuf" or not np.isfinite(column).all():
             raise ValueError(f"item {name!r} must hold only finite numbers (dtype {column.dtype})")
     numbers = items.astype(float).set_axis(range(k), axis=1).reset_index(drop=True)
     if np.abs(numbers.to_numpy()).max() > 1e100:
         raise ValueError("items are so large that their squares overflow; change their unit")
+    numbers /= np.ldexp(1.0, np.frexp(np.abs(numbers.to_numpy()).max())[1])  # squares of tiny numbers underflow
     if np.ptp(numbers.sum(axis=1)) == 0.0:
         raise ValueError("the items' sum is the same for all subjects: alpha is not defined")
     alpha = float(alpha_of(data=numbers)[0])
