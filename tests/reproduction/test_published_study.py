@@ -89,7 +89,6 @@ def test_a_study_from_a_dictionary_and_from_toml(tmp_path):
         (changed(pairs={"A-C": True}), r"pairs\.A-C"),
         (changed(significant_without_p="A-B"), r"significant_without_p must be a list"),
         (changed(n=2), r"n must be a whole number, 3 or more"),
-        (changed(n=3), r"too few for 3 conditions"),
         (changed(n="20"), r"n must be a whole number"),
         (changed(n=True), r"n must be a whole number"),
         (changed(scale=(7, 1)), r"scale"),

@@ -228,10 +228,9 @@ def _check_design(study: PublishedStudy) -> None:
     _require(isinstance(study.name, str) and study.name, f"name must be a text, got {shown(study.name)}")
     object.__setattr__(study, "n", whole_number("n", study.n, least=3))
     of_class("listed_only", study.listed_only, bool, "it must be true or false")
-    n, k, names = study.n, study.k, ", ".join(study.conditions)
+    k, names = study.k, ", ".join(study.conditions)
     _require(len(set(study.conditions)) == k, f"conditions must differ, got {names}")
     _require(k >= 2, f"at least two conditions are needed, got {k}")
-    _require(n > k, f"n = {n} subjects are too few for {k} conditions; n must exceed their number")
     _require(study.mean, "mean has no condition")
     for key in ("mean", "sd"):
         for condition in getattr(study, key):
@@ -302,6 +301,8 @@ def _check_tests(study: PublishedStudy) -> None:
     eta2 = study.anova.get("eta2", "0")
     _require(printed_interval(eta2)[0] < 1.0, f"anova.eta2 = {eta2} must lie between 0 and 1")
     _require(not study.mauchly or study.k > 2, "mauchly: sphericity always holds for two conditions")
+    few = f"mauchly: n = {study.n} subjects are too few for {study.k} conditions; leave it out"
+    _require(not study.mauchly or study.n >= study.k, few)
     _require(not study.t_test or study.k == 2, f"t_test needs two conditions, got {study.k}")
     _check_epsilon_and_degrees(study)
 

@@ -245,3 +245,55 @@ def test_what_contradicts_is_left_out_of_a_small_study():
     result = reconstruct_study(study, 0)
     assert result.left_out
     assert set(result.table().query("not agrees").index) <= set(result.left_out)
+
+
+# --- edges -----------------------------------------------------------------------------------------------------------
+
+
+def printed(values, digits):
+    """A study as it would print the statistics of data; F and p by the textbook's sums of squares."""
+    n, k = values.shape
+    mean, sd = values.mean(axis=0), values.std(axis=0, ddof=1)
+    effect = n * ((mean - mean.mean()) ** 2).sum() / (k - 1)
+    residual = values - values.mean(axis=1, keepdims=True) - mean + mean.mean()
+    f = effect / ((residual**2).sum() / ((n - 1) * (k - 1)))
+    names = "ABCDEF"[:k]
+    return tl.PublishedStudy.from_dict(
+        {
+            "n": n,
+            "mean": {c: f"{m:.{digits}f}" for c, m in zip(names, mean, strict=True)},
+            "sd": {c: f"{s:.2f}" for c, s in zip(names, sd, strict=True)},
+            "anova": {"F": f"{f:.2f}", "df1": str(k - 1), "df2": str((n - 1) * (k - 1))},
+        }
+    )
+
+
+def edge(name):
+    rng = np.random.default_rng(0)
+    if name == "means printed equal":
+        values = rng.normal(size=(20, 4)) * 0.2 + rng.normal(size=(20, 1)) * 0.2
+        return printed(values - values.mean(axis=0) + 5.0 + np.array([-0.04, 0.03, 0.01, 0.0]), 1)
+    if name == "F of 100,000":
+        values = rng.normal(size=(20, 1)) + rng.normal(size=(20, 3)) * 0.014 + np.array([0.0, 0.6, 1.2])
+        return printed(values, 2)
+    n, k = map(int, name.split(" in "))
+    return printed(rng.normal(size=(n, k)) + 0.5 * np.arange(k), 2)
+
+
+@pytest.mark.parametrize("name", ["means printed equal", "F of 100,000", "3 in 3", "4 in 4", "3 in 5", "4 in 6"])
+def test_true_studies_at_the_edge_are_found(name):
+    study = edge(name)
+    found = reconstruct_study(study)
+    assert found.left_out == {}
+    assert found.table()["agrees"].all()
+    assert found.values.shape == (study.n, study.k)
+
+
+@pytest.mark.parametrize("p", ["1.000", ".999", "1", ">.999"])
+def test_no_difference_at_all_is_no_contradiction(p):
+    study = tl.PublishedStudy.from_dict(
+        {"n": 10, "mean": {"A": "5.0", "B": "5.0"}, "sd": {"A": "1.0", "B": "1.1"}, "t_test": {"t": "0.00", "p": p}}
+    )
+    found = reconstruct_study(study)
+    assert found.left_out == {}
+    assert found.table()["agrees"].all()

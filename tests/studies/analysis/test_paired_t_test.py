@@ -200,3 +200,15 @@ def test_it_is_repeated_measures_of_two_conditions(seed):
         assert pair[name] == getattr(ours, name)
     assert [pair["ci_low"], pair["ci_high"]] == pytest.approx([ours.ci_low, ours.ci_high], rel=1e-14)
     pd.testing.assert_frame_equal(anova.descriptives(), ours.descriptives())
+
+
+def test_ties_do_not_depend_on_the_unit():
+    """0.3 − 0.2 and 0.2 − 0.1 differ in floating point, and are a tie; so are their tenfolds. Oracle: whole numbers."""
+    a, b = np.array([3, 2, 4, 7, 9, 11, 20]), np.array([2, 1, 1, 3, 8, 7, 14])
+    whole = run(frame_of(a, b))
+    for unit in (0.1, 0.01, 1e-20, 0.7e5):
+        found = run(frame_of(a * unit, b * unit))
+        assert found.wilcoxon_p == pytest.approx(whole.wilcoxon_p, rel=1e-12)
+        assert found.wilcoxon_v == whole.wilcoxon_v
+    assert "twelve digits" in run(frame_of(a * 0.1, b * 0.1)).wilcoxon_method
+    assert "twelve digits" not in whole.wilcoxon_method

@@ -487,3 +487,13 @@ def test_assumptions_are_those_of_the_single_tests():
     assert found["p_friedman"] == pytest.approx(stats.friedmanchisquare(*values.T).pvalue)
     assert found["p_anova"] == result.p_corrected
     assert found["mixed_F"] == pytest.approx(result.F, rel=1e-6)
+
+
+@pytest.mark.parametrize("unit", [1e-20, 1e-158, 1e-200])
+def test_tiny_numbers_are_analysed_in_a_unit_of_their_own(unit):
+    usual, tiny = analysed(table(8)), analysed(table(8).assign(score=lambda f: f["score"] * unit))
+    for name in ("F", "p", "mauchly_w", "epsilon_gg", "p_corrected", "eta2_partial", "eta2_generalized"):
+        assert getattr(tiny, name) == pytest.approx(getattr(usual, name), rel=1e-9), name
+    for own, name in ((tiny.normality(), "p"), (tiny.pairs(), "p_holm"), (tiny.pairs(), "d_z")):
+        theirs = usual.normality() if name == "p" else usual.pairs()
+        np.testing.assert_allclose(own[name], theirs[name], rtol=1e-9)

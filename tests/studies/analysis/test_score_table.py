@@ -1,7 +1,10 @@
 """Bad input: every fault is refused, and the error names the subject, the condition, the column or the row."""
 
+from decimal import Decimal
+
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from hypothesis import given, settings, strategies as st
 
@@ -243,3 +246,19 @@ def test_whatever_is_missing_is_named_or_left_out(n, k, data):
     assert np.isfinite(kept.values).all()
     assert kept.subjects == tuple(np.flatnonzero(complete))
     assert sorted(kept.subjects + excluded) == list(range(n))
+
+
+@pytest.mark.parametrize("value", [10**400, 10**5000, Decimal("sNaN")], ids=["10**400", "10**5000", "sNaN"])
+def test_numbers_that_are_no_floats_are_refused_by_name(value):
+    frame = table()
+    frame["score"] = frame["score"].astype(object)
+    frame.loc[frame.index[4], "score"] = value
+    with pytest.raises(ValueError, match=r"dv: column 'score' holds .* for subject .*row"):
+        analysed(frame)
+
+
+@pytest.mark.parametrize("column", ["pid", "condition"])
+def test_labels_of_arrow_lists_are_refused_by_name(column):
+    lists = pd.array([[1]] * len(table()), dtype=pd.ArrowDtype(pa.list_(pa.int64())))
+    with pytest.raises(ValueError, match=f"column '{column}' holds .* in row 0, which is no label"):
+        analysed(table().assign(**{column: lists}))

@@ -1,8 +1,8 @@
 """Scores against sums written out by hand, closed forms, pingouin and R; every bad answer is named."""
 
 import itertools
-from decimal import Decimal
 import json
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -580,3 +580,15 @@ def test_bad_items_are_refused(frame, words):
 def test_confidence_lies_between_0_and_1(confidence):
     with pytest.raises(ValueError, match="confidence"):
         cronbach_alpha(pd.DataFrame({"a": [1, 2, 3], "b": [2, 3, 5]}), confidence)
+
+
+def test_items_of_one_name_are_refused():
+    answers = pd.DataFrame([[1, 2, 3], [2, 2, 4], [3, 1, 5], [2, 4, 4]], columns=["a", "b", "a"])
+    with pytest.raises(ValueError, match="item 'a' occurs twice"):
+        cronbach_alpha(answers)
+
+
+@pytest.mark.parametrize("unit", [1e-20, 1e-160, 1e-250])
+def test_alpha_of_tiny_numbers(unit):
+    answers = pd.DataFrame([[1, 2, 3], [2, 2, 4], [3, 1, 5], [2, 4, 4]], columns=["a", "b", "c"])
+    assert cronbach_alpha(answers * unit).alpha == pytest.approx(cronbach_alpha(answers).alpha, rel=1e-12)

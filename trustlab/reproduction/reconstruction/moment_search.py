@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from trustlab.reproduction.reconstruction.constraints import Constraint
-from trustlab.reproduction.reconstruction.moment_statistics import MomentStatistics
+from trustlab.reproduction.reconstruction.moment_statistics import MomentStatistics, pair_indices
 
 OPEN_UNIT = 0.05
 """Unit of violation of a statement that is open to one side: natural logarithm of a p, or a share of chi-square."""
@@ -194,12 +194,38 @@ class MomentProblem:
         sd = spread * np.exp(0.3 * rng.standard_normal((count, k)))
         for s in self._cells:
             (mean if s.kind == "mean" else sd)[:, s.index] = 0.5 * (s.low + s.high)
+            if s.kind == "mean" and s.index in self._level:
+                mean[:, s.index] = rng.uniform(s.low, s.high, count)
         mean = np.clip(mean, *self.scale)
         common = rng.uniform(0.0, 3.0, (count, 1, 1))
         loading = rng.standard_normal((count, k, k)) + common * np.abs(rng.standard_normal((count, 1, k)))
         covariance = loading @ np.swapaxes(loading, -1, -2) + 0.05 * np.eye(k)
         root = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-        return mean, sd[:, :, None] * np.linalg.cholesky(covariance / (root[:, :, None] * root[:, None, :]))
+        correlation = covariance / (root[:, :, None] * root[:, None, :])
+        share = self._varying_share(mean, sd)
+        factor = np.linalg.cholesky(share * correlation + (1.0 - share))
+        if self.n <= self.k:  # n values have n − 1 degrees of freedom: the covariance is singular
+            factor[:, :, self.n - 1 :] = 0.0
+            factor /= np.linalg.norm(factor, axis=2, keepdims=True)
+        return mean, sd[:, :, None] * factor
+
+    @cached_property
+    def _level(self) -> set[int]:
+        """Conditions with one printed mean although a test says that they differ: no slope leads out of equal means."""
+        centre = {s.index: 0.5 * (s.low + s.high) for s in self._cells if s.kind == "mean"}
+        if len(centre) == self.k and len(set(centre.values())) == 1:
+            return set(centre)
+        first, second = pair_indices(self.k)
+        differ = [s.index for s in self.found if s.kind in ("log_p", "log_adjusted_p") and s.high < 0.0]
+        pairs = [{int(first[q]), int(second[q])} for q in differ]
+        return {i for pair in pairs if pair <= set(centre) and len({centre[i] for i in pair}) == 1 for i in pair}
+
+    def _varying_share(self, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
+        """Return which share of the variances F leaves to vary between conditions, shape (B, 1, 1); 1 unless it is small."""
+        f_ratio = max((s.low for s in self.found if s.kind == "f_ratio"), default=0.0)
+        error = self.n * mean.var(axis=1, ddof=1) / max(f_ratio, 1e-300)
+        share = error / (sd**2).mean(axis=1)
+        return np.where(share < 0.02, np.maximum(share, 1e-12), 1.0)[:, None, None]
 
     def search(
         self,
@@ -227,8 +253,8 @@ class MomentProblem:
 
     @cached_property
     def _triangle(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns of the elements of G."""
-        return np.tril_indices(self.k)
+        """Rows and columns of the elements of G, which has no more columns than n values have degrees of freedom."""
+        return np.tril_indices(self.k, 0, min(self.k, self.n - 1))
 
     def _unpack(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return means and factors of scaled unknowns."""

@@ -20,11 +20,13 @@ def sample_with_moments(
     """
     Draw values, shape (n, k), with given means and covariance GG' (n − 1 in the denominator) within a scale.
 
-    `factor` is G, n exceeds k, and the ends of the scale may be infinite; None where `iterations` projections find none.
+    `factor` is G, of which only the first n − 1 columns may differ from 0; the ends of the scale may be infinite. None where
+    `iterations` projections find none.
     """
+    factor = factor[:, : n - 1]
     low, high = scale
     inset = 1e-4 * (high - low) if np.isfinite(high - low) else 1e-3 * float(np.abs(factor).max())
-    values = mean + rng.standard_normal((n, len(mean))) @ factor.T
+    values = mean + rng.standard_normal((n, factor.shape[1])) @ factor.T
     for _ in range(iterations):
         values = _with_moments(values, mean, factor)
         if values.min() >= low and values.max() <= high:
