@@ -17,11 +17,18 @@ print(repr(float(tl.simulate_allocation(tsc, 0.0, 0.35, steps=5000)["r"].mean())
 """
 
 
-@pytest.fixture
-def copy(tmp_path):
+def package_in(folder):
     """A copy of the package, without anything compiled."""
-    shutil.copytree(ROOT / "trustlab", tmp_path / "trustlab", ignore=shutil.ignore_patterns("__pycache__"))
-    return tmp_path
+    shutil.copytree(ROOT / "trustlab", folder / "trustlab", ignore=shutil.ignore_patterns("__pycache__"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """A copy of the package in which `RUN` has compiled what it needs, and what it printed."""
+    folder = package_in(tmp_path_factory.mktemp("first"))
+    (value, _), _ = run(folder)
+    return folder, value
 
 
 def run(folder, code=RUN, **environment):
@@ -35,41 +42,43 @@ def compiled(folder):
     return {path.relative_to(folder) for path in folder.rglob("*.nbc")}
 
 
-def test_an_edit_of_a_function_in_another_file_is_seen(copy):
-    human = copy / "trustlab" / "models" / "human.py"
-    text = human.read_text()
-    (before, _), _ = run(copy)
-    kept = compiled(copy)
-    assert kept
-    human.write_text(text.replace("if r <= 0.0 or r >= 1.0:", "if r > 0.5:"))
-    (edited, _), _ = run(copy)
-    assert edited != before
-    # What depends on the edited file is swept and compiled again; what does not, as the robot's model, is kept.
-    unchanged = {path.parts[3].rpartition("-")[0] for path in kept & compiled(copy)}
-    assert "models.robot" in unchanged
-    assert not unchanged & {"models.human", "models.tsc", "allocation.simulation"}
-    human.write_text(text)
-    assert run(copy)[0][0] == before
-
-
-def test_a_second_start_compiles_nothing(copy):
-    run(copy)
+def test_a_second_start_compiles_nothing(first):
+    copy, _ = first
     ages = {path: path.stat().st_mtime_ns for path in copy.rglob("*.nbc")}
     run(copy)
     assert {path: path.stat().st_mtime_ns for path in copy.rglob("*.nbc")} == ages
 
 
-def test_the_users_own_setting_of_numba_is_left_alone(copy, tmp_path):
-    (_, shown), _ = run(copy, NUMBA_CACHE_DIR=tmp_path / "theirs")
+def test_the_users_own_setting_of_numba_is_left_alone(first, tmp_path):
+    (_, shown), _ = run(first[0], NUMBA_CACHE_DIR=tmp_path / "theirs")
     assert shown == str(tmp_path / "theirs")
     assert not (tmp_path / "theirs").exists()
 
 
-def test_without_a_folder_to_write_to_it_works_and_says_so_once(copy):
-    (copy / "trustlab" / "__pycache__").mkdir(exist_ok=True)
+def test_without_a_folder_to_write_to_it_works_and_says_so_once(first, tmp_path):
+    copy = package_in(tmp_path)
+    (copy / "trustlab" / "__pycache__").mkdir()
     (copy / "trustlab" / "__pycache__" / "compiled").write_text("in the way")
     (value, _), said = run(copy, HOME=os.devnull, XDG_CACHE_HOME=os.devnull, LOCALAPPDATA=os.devnull)
     assert said.count("TRUSTLAB_CACHE_DIR") == 1
     assert compiled(copy) == set()
-    assert run(copy, TRUSTLAB_CACHE_DIR=copy / "named")[0][0] == value
+    assert value == first[1]
+    assert run(copy, "from trustlab.models.human import yerkes_dodson", TRUSTLAB_CACHE_DIR=copy / "named")[1] == ""
     assert (copy / "named").is_dir()
+
+
+def test_an_edit_of_a_function_in_another_file_is_seen(first):
+    folder, before = first
+    human = folder / "trustlab" / "models" / "human.py"
+    text = human.read_text()
+    kept = compiled(folder)
+    assert kept
+    human.write_text(text.replace("if r <= 0.0 or r >= 1.0:", "if r > 0.5:"))
+    (edited, _), _ = run(folder)
+    assert edited != before
+    # What depends on the edited file is swept and compiled again; what does not, as the robot's model, is kept.
+    unchanged = {path.parts[3].rpartition("-")[0] for path in kept & compiled(folder)}
+    assert "models.robot" in unchanged
+    assert not unchanged & {"models.human", "models.tsc", "allocation.simulation"}
+    human.write_text(text)
+    assert run(folder)[0][0] == before

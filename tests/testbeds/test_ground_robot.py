@@ -377,11 +377,11 @@ def test_sessions_round_trip(tmp_path, runs, suffix):
     assert session.sample_time == 0.1
 
 
-def test_eight_laps_take_less_than_a_second(one, model):
+def test_eight_laps_take_less_than_a_second_of_the_processor(one, model):
     run_condition("C3", one, model, THRESHOLDS)
-    start = time.perf_counter()
+    start = time.process_time()
     run_condition("C3", one, model, THRESHOLDS, seed=1)
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
 
 
 def test_figures_say_that_they_are_synthetic(runs, sessions):
