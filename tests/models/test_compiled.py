@@ -32,7 +32,8 @@ def first(tmp_path_factory):
 
 
 def run(folder, code=RUN, **environment):
-    env = os.environ | {"PYTHONPATH": str(folder)} | {k: str(v) for k, v in environment.items()}
+    inherited = {name: value for name, value in os.environ.items() if name != "TRUSTLAB_CACHE_DIR"}
+    env = inherited | {"PYTHONPATH": str(folder)} | {k: str(v) for k, v in environment.items()}
     done = subprocess.run([sys.executable, "-c", code], env=env, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout.split(), done.stderr

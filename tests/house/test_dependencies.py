@@ -1,0 +1,85 @@
+"""What is imported is declared in pyproject.toml, and what is declared is imported."""
+
+import ast
+import re
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+EXTRAS = PROJECT["project"]["optional-dependencies"]
+# Declared although no file imports them: JupyterLab is started by `make lab`, ipykernel by papermill; the scheduler of
+# `distributed` is Dask's.
+NOT_IMPORTED = {"jupyter", "ipykernel", "dask"}
+
+
+def names(requirements):
+    return {re.match(r"[\w.-]+", line)[0].lower().replace("_", "-") for line in requirements}
+
+
+CORE = names(PROJECT["project"]["dependencies"])
+OPTIONAL = set().union(*(names(lines) for extra, lines in EXTRAS.items() if extra != "all"))
+DEV = names(PROJECT["dependency-groups"]["dev"])
+
+
+def imports(source):
+    """Top-level modules that a file imports: (name, whether it must be there)."""
+    tree = ast.parse(source)
+    guarded = {
+        inner
+        for node in ast.walk(tree)
+        if (isinstance(node, ast.With) and ast.unparse(node.items[0]).startswith("extra("))
+        or (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+        or (isinstance(node, ast.Try) and any("Import" in ast.unparse(h.type or node) for h in node.handlers))
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        modules = []
+        if isinstance(node, ast.Import):
+            modules = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            modules = [node.module]
+        for module in modules:
+            top = module.partition(".")[0]
+            if top not in sys.stdlib_module_names and top not in ("trustlab", "tests", "benchmarks"):
+                yield top, node not in guarded
+
+
+def distributions(folder):
+    """Distributions that the files of a folder import: all, and those imported without `extra` or another guard."""
+    known = packages_distributions()
+    anywhere, needed = set(), set()
+    for path in (ROOT / folder).rglob("*.py"):
+        found: dict[bool, set] = {True: set(), False: set()}
+        for module, must in imports(path.read_text()):
+            found[must] |= {name.lower().replace("_", "-") for name in known.get(module, [module])}
+        anywhere |= found[True] | found[False]
+        needed |= found[True] - found[False]  # one guard in a file is enough
+    return anywhere, needed
+
+
+def test_what_trustlab_imports_is_declared():
+    anywhere, needed = distributions("trustlab")
+    assert anywhere - CORE - OPTIONAL == set()
+    assert needed - CORE == set()
+
+
+def test_what_is_declared_is_imported():
+    assert (CORE | OPTIONAL) - distributions("trustlab")[0] == NOT_IMPORTED
+
+
+@pytest.mark.parametrize("folder", ["tests", "data"])
+def test_what_tests_import_is_declared(folder):
+    assert distributions(folder)[1] - CORE - OPTIONAL - DEV - {"no-such-package"} == set()
+
+
+def test_the_check_sees_what_it_should():
+    source = (
+        "import os, numpy.linalg\nfrom . import a\nwith extra('ros'):\n    import rosbags\n"
+        "def f():\n    import loky\ntry:\n    import IPython\nexcept ImportError:\n    pass\n"
+    )
+    assert dict(imports(source)) == {"numpy": True, "rosbags": False, "loky": True, "IPython": False}
