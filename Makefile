@@ -1,6 +1,6 @@
 # `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
 .DEFAULT_GOAL := help
-.PHONY: reports test test-long lock bench lab data clean help
+.PHONY: environment reports test test-long lock bench lab data clean help
 
 PYTHON ?= python3
 VENV := .venv
@@ -10,9 +10,14 @@ PARAMS ?=
 ONLY ?=
 JOBS ?= auto
 
+# One at a time: the second of two commands in a fresh clone waits, and finds it built.
 $(VENV)/.stamp: environment.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "trustlab needs Python 3.11 or newer; say which with: make PYTHON=python3.12 ..."; exit 1; }
+	@exec 9>.venv.lock; $(PYTHON) -c 'import fcntl; fcntl.flock(9, fcntl.LOCK_EX)'; \
+	  { [ $@ -nt environment.lock ] && [ $@ -nt pyproject.toml ]; } || $(MAKE) --no-print-directory environment
+
+environment:
 	rm -rf $(VENV)
 ifneq ($(UV),)
 	$(UV) venv --quiet --python $(PYTHON) $(VENV)
@@ -23,7 +28,7 @@ else
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r environment.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 endif
-	@touch $@
+	@touch $(VENV)/.stamp
 
 reports: $(VENV)/.stamp  ## every notebook, run and published under reports/ (PARAMS="-p name value" passes parameters on)
 	$(BIN)/python -m trustlab.publishing --jobs $(JOBS) $(PARAMS)

@@ -1,20 +1,26 @@
 """Whole runs on small notebooks, in a checkout of their own."""
 
 import base64
+import contextlib
+import json
+import multiprocessing
 import os
+import selectors
 import signal
 import subprocess
 import sys
 import time
 from html.parser import HTMLParser
+from unittest import mock
 
 import nbformat
+import numpy as np
 import psutil
 import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 from trustlab.publishing.__main__ import main
-from trustlab.publishing.inputs import Checkout
+from trustlab.publishing.inputs import Checkout, input_digest, list_files
 from trustlab.publishing.notebooks import publish
 from trustlab.publishing.report_page import page_faults
 
@@ -133,7 +139,7 @@ def test_index_has_a_card_for_each(world):
     assert "data:image/png;base64," in text
     assert "failed in cell 3" in text
     assert 'href="02_bad.html"' not in text
-    assert '<a href="benchmarks.html">Bench &amp; marks</a>' in text
+    assert '<a href="./benchmarks.html">Bench &amp; marks</a>' in text
     assert text.count(base64.b64encode(b"\x89PNG")[:4].decode()) >= 1
 
 
@@ -229,3 +235,177 @@ def test_interrupt_leaves_neither_report_nor_kernel(tmp_path):
     assert not psutil.pid_exists(int(mark.read_text()))
     assert not list((root / "reports").glob("*.html"))
     assert not list((root / "reports" / ".build").iterdir())
+
+
+def command(root, *words, **variables):
+    """Return the publishing command as a process of its own."""
+    line = [sys.executable, "-m", "trustlab.publishing", "--notebooks", str(root / "notebooks"), *words]
+    return subprocess.Popen(
+        line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | variables, cwd=root
+    )
+
+
+def test_two_commands_at_once_and_a_locale_without_an_ellipsis(tmp_path):
+    root = make(tmp_path)
+    wait = "import pathlib, time\nwhile not pathlib.Path('go').exists(): time.sleep(0.05)"
+    write(root, "01_a", new_markdown_cell("# A"), new_code_cell(wait))
+    both = [command(root, PYTHONIOENCODING="ascii", TRUSTLAB_DATA=str(root / "data")) for _ in range(2)]
+    streams = selectors.DefaultSelector()
+    for one in both:
+        streams.register(one.stdout, selectors.EVENT_READ)
+    second = next(iter(streams.select(timeout=300)))[0].fileobj  # the first says nothing before its notebook is done
+    assert "waiting for its end" in second.readline()
+    (root / "notebooks" / "go").touch()
+    said = [one.communicate(timeout=300) for one in both]
+    assert [one.returncode for one in both] == [0, 0], said
+    assert sorted(out.splitlines()[-1].partition(",")[0] for out, _ in said) == ["1 built", "1 up to date"]
+    assert any("01_a ? built in" in out for out, _ in said)
+
+
+def test_cell_that_takes_longer_than_the_limit_fails_and_its_kernel_ends(tmp_path, capsys):
+    root = make(tmp_path)
+    write(root, "01_slow", new_code_cell("import os, time; open('pid', 'w').write(str(os.getpid())); time.sleep(60)"))
+    assert main(["--notebooks", str(root / "notebooks"), "--timeout", "1"]) == 1
+    assert "the cell took longer than 1 s" in capsys.readouterr().err
+    assert not psutil.pid_exists(int((root / "notebooks" / "pid").read_text()))
+    assert main(["--notebooks", str(root / "notebooks"), "--timeout", "0"]) == 2
+    assert "timeout must be positive" in capsys.readouterr().err
+
+
+def test_what_cannot_be_written_is_a_sentence(tmp_path, capsys):
+    root = make(tmp_path)
+    write(root, "01_a", new_markdown_cell("# A"))
+    words = ["--notebooks", str(root / "notebooks")]
+    (root / "reports").write_text(
+        "a file where the folder should be"
+    )  # as on a read-only file system, root is refused here
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert "--reports" in said
+    (root / "reports").unlink()
+    (root / "reports").mkdir()
+    (root / "reports" / ".01_a.html.partial").symlink_to("/dev/full")
+    assert main(words) == 2
+    assert "No space left on device" in capsys.readouterr().err
+    assert not list((root / "reports").glob("*.html"))
+    assert main(words) == 0
+
+
+@pytest.mark.parametrize(
+    "forged",
+    [
+        "[]",
+        "[" * 100_000,
+        '{"digest": "DIGEST"}',
+        '{"digest": "DIGEST", "failure": "x"}',
+        '{"digest": "DIGEST", "seconds": "x", "started": "x", "sentence": "", "thumbnail": "", "title": ""}',
+        '{"digest": "DIGEST", "sources": "", "seconds": 1.0, "started": "x", "parameters": {}, "thumbnail": "\\"><script>", '
+        '"title": "<script>1</script>", "sentence": "<script>1</script>"}',
+    ],
+)
+def test_forged_record_is_built_again(tmp_path, forged):
+    root = make(tmp_path)
+    write(root, "01_a", new_markdown_cell("# A"))
+    checkout = Checkout.find(root)
+    (root / "reports" / ".build").mkdir(parents=True)
+    (root / "reports" / "01_a.html").write_text("old")
+    digest = input_digest(checkout, root / "notebooks" / "01_a.ipynb")
+    (root / "reports" / ".build" / "01_a.json").write_text(forged.replace("DIGEST", digest))
+    assert publish(checkout=checkout)[0].state == "built"
+    assert not page_faults((root / "reports" / "index.html").read_text())
+
+
+def test_links_in_circles_pipes_and_broken_links_end(tmp_path):
+    root = make(tmp_path)
+    data = root / "data"
+    (data / "a").mkdir()
+    (data / "b").mkdir()
+    (data / "a" / "x.csv").write_text("1")
+    for link, to in {"a/b": "b", "b/a": "a", "up": "..", "self": ".", "again": "a", "gone": "nowhere"}.items():
+        (data / link).symlink_to(data / to)
+    os.mkfifo(data / "pipe")
+    found = [path.relative_to(data).as_posix() for path in list_files(data)]
+    assert found == ["a/x.csv", "again/x.csv", "b/a/x.csv", "published/t.csv"]
+
+
+def whole(root):
+    """Whether no report is half made: each is a complete page, each record can be read."""
+    for page in (root / "reports").glob("*.html"):
+        assert page.read_text().rstrip().endswith("</html>"), page
+    for record in (root / "reports" / ".build").glob("*.json"):
+        json.loads(record.read_text())
+
+
+def killed(root, delays):
+    """Kill the command at given times, and check after each what is there, and that the next run recovers."""
+    for delay in delays:
+        process = command(root, "--force", "--jobs", "2")
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(delay)
+        process.kill()
+        process.communicate()
+        whole(root)
+    checkout = Checkout.find(root)
+    assert {one.state for one in publish(checkout=checkout)} <= {"built", "up to date"}
+    assert {path.name for path in (root / "reports").iterdir()} == {".build", "01_a.html", "02_b.html", "index.html"}
+    assert {path.name for path in (root / "reports" / ".build").iterdir()} == {"01_a.json", "02_b.json"}
+    assert [one.state for one in publish(checkout=checkout)] == ["up to date"] * 2
+    whole(root)
+
+
+def two_notebooks(tmp_path):
+    root = make(tmp_path)
+    for name in ("01_a", "02_b"):
+        write(root, name, new_markdown_cell("# A\n\nWords."), new_code_cell(PICTURE % DOT))
+    return root
+
+
+def killed_while_writing(root):
+    """Kill ten times a process that writes on a slow disk; its notebooks need no run."""
+    publish(checkout=Checkout.find(root))
+    rng = np.random.default_rng(1)
+    context = multiprocessing.get_context("fork")
+    for _ in range(10):
+        child = context.Process(target=rewrite, args=(root,))
+        child.start()
+        child.join(rng.uniform(0.05, 0.4))
+        child.kill()
+        child.join()
+        whole(root)
+    killed(root, [])
+
+
+def rewrite(root):
+    """Publish again and again, the notebooks as if they had run."""
+
+    def slowly(path, text, encoding):
+        with path.open("w", encoding=encoding) as file:
+            for start in range(0, len(text), 1 + len(text) // 20):
+                file.write(text[start : start + 1 + len(text) // 20])
+                file.flush()
+                time.sleep(0.002)
+
+    run = mock.patch("trustlab.publishing.execution.execute", lambda path, *_: nbformat.read(path, as_version=4))
+    with run, mock.patch("pathlib.Path.write_text", slowly):
+        while True:
+            publish(checkout=Checkout.find(root), force=True)
+
+
+@pytest.mark.slow
+def test_ten_kills_leave_nothing_half_made(tmp_path):
+    killed_while_writing(two_notebooks(tmp_path))
+
+
+@pytest.mark.slow
+def test_the_kills_find_a_write_that_is_not_at_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "trustlab.publishing.index_page.replace_file", lambda path, text: path.write_text(text, encoding="utf-8")
+    )
+    with pytest.raises((AssertionError, json.JSONDecodeError)):
+        killed_while_writing(two_notebooks(tmp_path))
+
+
+@pytest.mark.long
+def test_a_hundred_kills_of_the_command_leave_nothing_half_made(tmp_path):
+    killed(two_notebooks(tmp_path), np.random.default_rng(2).uniform(0.5, 6.0, 100))

@@ -412,7 +412,7 @@ def test_goal_time_and_views(tmp_path):
     page = run.animate()
     assert run.animate(tmp_path / "team.html") == tmp_path / "team.html"
     assert (tmp_path / "team.html").read_text() == page
-    assert page._repr_html_().startswith("<iframe srcdoc=")
+    assert page._repr_html_().startswith("<iframe sandbox=")
     assert max(len(repr(page)), len(repr(run)), len(str(run))) < 200
     assert not re.search(r"(src|href)=|https?://|@import|fetch\(", page)
     assert "Synthetic" in page

@@ -1,6 +1,7 @@
 """``python -m trustlab.publishing``: notebooks to reports, from the command line."""
 
 import argparse
+import io
 import signal
 import sys
 import textwrap
@@ -23,6 +24,7 @@ def _arguments(words: list[str] | None) -> argparse.Namespace:
     add("--jobs", default="auto", metavar="N", type=_jobs, help="notebooks run at once; auto: one per CPU")
     add("--notebooks", metavar="DIR", help="folder of the notebooks (default: notebooks)")
     add("--reports", metavar="DIR", help="folder of the reports (default: reports)")
+    add("--timeout", metavar="SECONDS", type=float, help="time limit of each cell (default: none)")
     add("--force", action="store_true", help="build also what is up to date")
     return parser.parse_args(words)
 
@@ -40,6 +42,9 @@ def _complain(built: Built) -> None:
 def main(words: list[str] | None = None) -> int:
     """Publish as the command line says; return 0, 1 if a notebook failed, 2 for a wrong command, 130 if interrupted."""
     options = _arguments(words)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # not every locale has "…"
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: no kernel stays
     clock = time.monotonic()
     try:
@@ -52,11 +57,15 @@ def main(words: list[str] | None = None) -> int:
             parameters=dict(options.p),
             jobs=options.jobs,
             force=options.force,
+            timeout=options.timeout,
             report=lambda line: print(line, flush=True),
             on_failure=_complain,
         )
     except (ModuleNotFoundError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:  # a full disk, a folder that is not to be written
+        print(f"error: {error}; make room, or name another folder with --reports", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("\ninterrupted: every kernel is ended, no report is half made", file=sys.stderr)

@@ -16,6 +16,7 @@ with extra("reports"):
     import nbformat
     import papermill
     from jupyter_client.manager import AsyncKernelManager
+    from nbclient.exceptions import CellTimeoutError
     from nbconvert.filters import strip_ansi
     from nbformat import NotebookNode
     from papermill.exceptions import PapermillExecutionError
@@ -80,8 +81,8 @@ class CellError(ValueError):
         self.traceback = strip_ansi(traceback or words).strip()
 
 
-def execute(path: Path, parameters: dict, kernels: Kernels) -> NotebookNode:
-    """Run a notebook and return it with its outputs."""
+def execute(path: Path, parameters: dict, kernels: Kernels, timeout: float | None = None) -> NotebookNode:
+    """Run a notebook, each cell at most `timeout` seconds, and return it with its outputs."""
     reached: list[tuple[int | None, str]] = [(None, "")]
     # A socket's path has some 100 characters at most; macOS's own folder for temporary files is long.
     with tempfile.TemporaryDirectory(prefix="tl-", dir="/tmp") as scratch:
@@ -93,12 +94,15 @@ def execute(path: Path, parameters: dict, kernels: Kernels) -> NotebookNode:
                 kernel_name="python3",
                 language="python",
                 progress_bar=False,
+                execution_timeout=timeout,
                 kernel_manager_class=kernels.manager(scratch),
                 on_cell_execute=lambda cell, cell_index: reached.append((cell_index, cell.source)),
             )
         except PapermillExecutionError as error:
             words, traceback = f"{error.ename}: {error.evalue}", "\n".join(error.traceback)
             raise CellError(words, error.cell_index, error.source, traceback) from error
+        except CellTimeoutError:
+            raise CellError(f"the cell took longer than {timeout:g} s, the time limit", *reached[-1]) from None
         except Exception as error:  # the kernel died, or never came up
             words = f"{type(error).__name__}: {error}"
             raise CellError(
@@ -120,8 +124,10 @@ def anonymous(text: str, checkout: Checkout) -> str:
     words = {f"{place}/": f"{name}/".removeprefix("./") for place, name in places.items()}
     words |= {str(place): name for place, name in list(places.items())[:2]}
     longest_first = sorted((re.escape(word) for word in words if len(word) > 2), key=len, reverse=True)
-    # embedded pictures come first and stay as they are: base64 may spell anything
-    pattern = "|".join([r"data:image/[^\"]*", r"(?P<cell>[\w.@+~/-]*ipykernel_\d+/\d+\.py)", *longest_first])
+    # Embedded pictures come first and stay as they are: base64 may spell anything. A path begins where nothing of it stands
+    # before: else the time would grow with the square of a long word's length.
+    cell = r"(?P<cell>(?<![\w.@+~/-])[\w.@+~/-]*ipykernel_\d+/\d+\.py)"
+    pattern = "|".join([r"data:image/[^\"]*", cell, *longest_first])
 
     def named(found: re.Match[str]) -> str:
         return "this notebook" if found["cell"] else words.get(found[0], found[0])

@@ -1,18 +1,51 @@
 """The records of reports, and the page that leads to all: a card each, with a picture, a sentence and the time taken."""
 
+import contextlib
 import html
 import json
 import os
 import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from trustlab.models.extras import extra
+from trustlab.models.html import policy
 from trustlab.publishing.inputs import Checkout, input_digest
 from trustlab.publishing.provenance import duration
-from trustlab.publishing.report_page import TEMPLATES, check_page, stylesheet
+from trustlab.publishing.report_page import TEMPLATES, check_page, page_faults, stylesheet
 
 with extra("reports"):
     from jinja2 import Environment, FileSystemLoader
+
+
+KINDS = {
+    **dict.fromkeys(("digest", "sources", "started", "title", "sentence", "thumbnail"), str),
+    "seconds": float,
+    "parameters": dict,
+}
+"""What a record of a report that was built holds."""
+
+
+@contextlib.contextmanager
+def held(checkout: Checkout, say: Callable[[str], object]) -> Iterator[None]:
+    """Keep other commands out of the folder of reports, after waiting for one that is there.
+
+    The system lets the next one in however this process ends.
+    """
+    import fcntl
+
+    records = checkout.reports / ".build"
+    records.mkdir(parents=True, exist_ok=True)
+    folder = os.open(records, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            say(f"another command is writing {checkout.reports}: waiting for its end")
+            fcntl.flock(folder, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(folder)
 
 
 def record_path(checkout: Checkout, name: str) -> Path:
@@ -21,19 +54,25 @@ def record_path(checkout: Checkout, name: str) -> Path:
 
 
 def read_record(checkout: Checkout, name: str) -> dict:
-    """Return the record of a report; empty where there is none, or none that can be read."""
+    """Return the record of a report; empty where there is none, or none that a report leaves: it is built again then."""
     try:
         found = json.loads(record_path(checkout, name).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    if isinstance(found, dict) and isinstance(found.get("failure"), dict):
+        return found
+    built = isinstance(found, dict) and all(isinstance(found.get(key), kind) for key, kind in KINDS.items())
+    return found if built and not page_faults(found["sentence"]) else {}
 
 
 def replace_file(path: Path, text: str) -> None:
     """Write a file at once: whoever reads it meanwhile sees the old one or the new one."""
-    written = path.with_name(f"{path.name}-{os.getpid()}")
-    written.write_text(text, encoding="utf-8")
-    os.replace(written, path)
+    written = path.with_name(f".{path.name}.partial")
+    try:
+        written.write_text(text, encoding="utf-8")
+        os.replace(written, path)
+    finally:
+        written.unlink(missing_ok=True)
 
 
 def _card(checkout: Checkout, notebook: Path, shared: str) -> dict:
@@ -76,6 +115,7 @@ def write_index(checkout: Checkout, notebooks: list[Path], shared: str) -> None:
     # titles are escaped in the template; sentences and style sheet are HTML and CSS of our own
     templates = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=False, trim_blocks=True)
     page = templates.get_template("index.html.j2").render(
+        policy=policy(),
         css=stylesheet(),
         cards=cards,
         others=_others(checkout, {notebook.stem for notebook in notebooks}),

@@ -91,15 +91,21 @@ class Checkout:
 
 
 def list_files(folder: Place, without: Iterable[Place] = ()) -> list[Path]:
-    """Return every file below a folder in order of path; caches, hidden files and the folders `without` are left out."""
-    without = {Path(place) for place in without}
-    found = []
-    for here, folders, files in os.walk(folder, followlinks=True):
-        kept = [name for name in folders if name not in SKIPPED and not name.startswith(".")]
-        folders[:] = [name for name in kept if Path(here, name) not in without]
-        visible = [name for name in files if not name.startswith(".")]
-        found += [Path(here, name) for name in visible if not name.endswith((".pyc", "~"))]
-    return sorted(found)
+    """Return every file below a folder in order of path; caches, hidden files and the folders `without` are left out.
+
+    Links are followed, but not into a folder that the link lies in.
+    """
+    without, found = {Path(place) for place in without}, []
+    root = Path(folder).resolve()
+    above = {Path(folder): {root, *root.parents}}  # folder → itself and what it lies in, links resolved
+    for place, folders, files in os.walk(folder, followlinks=True):
+        here = Path(place)
+        visible = [here / name for name in folders if name not in SKIPPED and not name.startswith(".")]
+        real = {path: path.resolve() for path in visible if path not in without}
+        above |= {path: above[here] | {to} for path, to in real.items() if to not in above[here]}
+        folders[:] = [path.name for path in real if path in above]
+        found += [here / name for name in files if not name.startswith(".") and not name.endswith((".pyc", "~"))]
+    return sorted(path for path in found if path.is_file())  # a pipe would never end, a broken link has no content
 
 
 def file_digest(path: Place) -> str:

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trustlab.models.checks import did_you_mean, shown, whole_number
+from trustlab.models.checks import did_you_mean, positive, shown, whole_number
 from trustlab.models.extras import extra
 from trustlab.publishing.inputs import Checkout, input_digest, shared_digest
 from trustlab.publishing.provenance import duration, provenance
@@ -137,7 +137,9 @@ def _fitting(name: str, given: Any, default: Any, notebook: Path) -> Any:
     return value
 
 
-def _run(checkout: Checkout, path: Path, parameters: dict[str, Any], kernels: Kernels) -> dict[str, Any]:
+def _run(
+    checkout: Checkout, path: Path, parameters: dict[str, Any], kernels: Kernels, timeout: float | None
+) -> dict[str, Any]:
     """Run one notebook and lay out its page; return what is known of it afterwards."""
     from trustlab.publishing.execution import CellError, anonymous, execute
     from trustlab.publishing.report_page import report_html
@@ -147,7 +149,7 @@ def _run(checkout: Checkout, path: Path, parameters: dict[str, Any], kernels: Ke
     used = declared_parameters(path) | parameters
     origin = provenance(checkout, path, used, **result)  # before the run: what it starts from
     try:
-        run = execute(path, parameters, kernels)
+        run = execute(path, parameters, kernels, timeout)
         origin["seconds"] = time.monotonic() - clock
         page, card = report_html(run, path.stem, origin, parameters, checkout.notebooks)
         result |= card | {"page": anonymous(page, checkout)}
@@ -187,6 +189,7 @@ def publish(
     parameters: dict[str, Any] | None = None,
     jobs: int | str = "auto",
     force: bool = False,
+    timeout: float | None = None,
     report: Callable[[str], object] | None = None,
     on_failure: Callable[[Built], object] | None = None,
 ) -> list[Built]:
@@ -206,6 +209,8 @@ def publish(
         Notebooks run at once; ``"auto"`` for the number of CPUs there are.
     force : bool
         Whether to build what is up to date.
+    timeout : float, optional
+        Time limit of each cell [s]; none when not given.
     report : callable, optional
         Gets each line of progress.
     on_failure : callable, optional
@@ -219,57 +224,77 @@ def publish(
     Raises
     ------
     ValueError
-        Before any notebook runs: no such notebook, a parameter no notebook declares, a value of another kind.
+        Before any notebook runs: no such notebook, a parameter no notebook declares, a value of another kind, a time limit
+        that is not positive.
+    OSError
+        If the reports cannot be written.
     ModuleNotFoundError
         If the extra ``reports`` is not installed.
     """
     from loky import cpu_count
 
-    from trustlab.publishing.execution import Kernels
-    from trustlab.publishing.index_page import read_record, write_index
+    from trustlab.publishing.index_page import held, read_record, write_index
 
     checkout = Checkout.find() if checkout is None else checkout
     say = report or (lambda line: None)
     chosen = find_notebooks(checkout, names)
     given = parameters_for(chosen, dict(parameters or {}))
     most = cpu_count() if jobs == "auto" else whole_number("jobs", jobs)
-    (checkout.reports / ".build").mkdir(parents=True, exist_ok=True)
-    shared = shared_digest(checkout)
-    digests = {path: input_digest(checkout, path, given[path], shared) for path in chosen}
+    limit = None if timeout is None else positive("timeout", timeout)
     done = {}
-    for path in chosen:
-        current = read_record(checkout, path.stem).get("digest") == digests[path]
-        if current and not force and (checkout.reports / f"{path.stem}.html").is_file():
-            say(f"{path.stem} … up to date")
-            done[path] = Built(path.stem, "up to date")
-    waiting = [path for path in chosen if path not in done]
-    most = max(1, min(most, len(waiting)))
-    kernels = Kernels(checkout, threads=max(1, cpu_count() // most))
+
+    def finish(path: Path, result: dict[str, Any]) -> None:
+        record = {
+            "digest": digests[path],
+            "sources": input_digest(checkout, path, shared=shared),
+            "parameters": {name: repr(value) for name, value in given[path].items()},
+        }
+        done[path] = built = _keep(checkout, path.stem, result, record)
+        say(f"{path.stem} … {f'FAILED{built.where} after' if built.failure else 'built in'} {duration(built.seconds)}")
+        if built.failure and on_failure:
+            on_failure(built)
+
+    with held(checkout, say):
+        shared = shared_digest(checkout)
+        digests = {path: input_digest(checkout, path, given[path], shared) for path in chosen}
+        for path in chosen:
+            current = read_record(checkout, path.stem).get("digest") == digests[path]
+            if current and not force and (checkout.reports / f"{path.stem}.html").is_file():
+                say(f"{path.stem} … up to date")
+                done[path] = Built(path.stem, "up to date")
+        waiting = {path: given[path] for path in chosen if path not in done}
+        _run_all(checkout, waiting, most, limit, finish)
+        if not names:
+            _remove_orphans(checkout, say)
+        write_index(checkout, find_notebooks(checkout), shared)
+    return [done[path] for path in chosen]
+
+
+def _run_all(
+    checkout: Checkout,
+    waiting: dict[Path, dict],
+    jobs: int,
+    timeout: float | None,
+    finish: Callable[[Path, dict], None],
+) -> None:
+    """Run notebooks with their parameters, `jobs` at once, and hand over what became of each as soon as it is known."""
+    from loky import cpu_count
+
+    from trustlab.publishing.execution import Kernels
+
+    jobs = max(1, min(jobs, len(waiting)))
+    kernels = Kernels(checkout, threads=max(1, cpu_count() // jobs))
     # The work is done in the kernels, which are processes: threads are enough to wait for them.
-    pool = ThreadPoolExecutor(most)
+    pool = ThreadPoolExecutor(jobs)
     try:
-        runs = {pool.submit(_run, checkout, path, given[path], kernels): path for path in waiting}
+        runs = {pool.submit(_run, checkout, path, given, kernels, timeout): path for path, given in waiting.items()}
         for run in as_completed(runs):
-            path = runs[run]
-            record = {
-                "digest": digests[path],
-                "sources": input_digest(checkout, path, shared=shared),
-                "parameters": {name: repr(value) for name, value in given[path].items()},
-            }
-            done[path] = _keep(checkout, path.stem, run.result(), record)
-            became = f"FAILED{done[path].where} after" if done[path].failure else "built in"
-            say(f"{path.stem} … {became} {duration(done[path].seconds)}")
-            if done[path].failure and on_failure:
-                on_failure(done[path])
+            finish(runs[run], run.result())
     except BaseException:  # an interrupt too: no kernel outlives the command
         kernels.end()
         raise
     finally:
         pool.shutdown(cancel_futures=True)
-    if not names:
-        _remove_orphans(checkout, say)
-    write_index(checkout, find_notebooks(checkout), shared)
-    return [done[path] for path in chosen]
 
 
 def _remove_orphans(checkout: Checkout, say: Callable[[str], object]) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trustlab.models.extras import extra
+from trustlab.models.html import policy
 from trustlab.publishing.execution import CellError
 from trustlab.publishing.figures import CAPTION_ID
 from trustlab.publishing.mathml import MathError, to_mathml
@@ -37,8 +38,11 @@ LEFT_OVER = re.compile(r"\[?(<Axes|<matplotlib\.|<Figure|Text\(|\(?array\(\[<Axe
 # $5 and $6 are prices: a dollar that opens a formula is not followed by a space; one that closes it is neither preceded
 # by a space nor followed by a digit.
 FORMULA = r"(?s:(?<![\\$])\$(?![\s$])(?P<math_inline_tex>(?:\\\$|(?!\n\s*\n)[^$`])+?)(?<![\s\\])\$(?![\d$]))"
-FETCHED = ("src", "srcset", "poster", "data", "background", "xlink:href")
-ELSEWHERE = re.compile(r"@import|url\(\s*['\"]?\s*(?!data:|#)", re.IGNORECASE)
+FETCHED = ("src", "srcset", "poster", "data", "background", "xlink:href", "action", "formaction")
+# A backslash may spell any of the others; within a picture "<" ends a style.
+ELSEWHERE = re.compile(r"@import|image-set|\\|<|url\(\s*['\"]?\s*(?!data:|#)", re.IGNORECASE)
+# Sought in the text, not in the tree: parsers disagree about what is within a comment or a style.
+REFUSED = re.compile(r"<(script|iframe|frame|object|embed|base|meta|link|form)\b", re.IGNORECASE)
 NUMBER = re.compile(r"(?:[<>]\s*)?[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|[-+]?inf|\u2013|-")
 
 
@@ -96,7 +100,7 @@ def output_html(markup: str) -> str:
     for style in soup.select("style[scoped]"):  # pandas sends it along with every table
         style.decompose()
     for text in soup.find_all(string=re.compile(FORMULA)):
-        if not text.find_parent(["code", "pre", "style", "script", "textarea", "math"]):
+        if not text.find_parent(_is_verbatim):
             words = html.escape(str(text), quote=False)
             words = re.sub(FORMULA, lambda found: to_mathml(html.unescape(found[1])), words)
             text.replace_with(BeautifulSoup(words, "html.parser"))
@@ -106,6 +110,12 @@ def output_html(markup: str) -> str:
         _style_table(table)
         table.wrap(soup.new_tag("div", attrs={"class": "scroll", "tabindex": "0"}))
     return str(soup)
+
+
+def _is_verbatim(tag: Tag) -> bool:
+    """Whether dollars within an element open no formula."""
+    names = ("code", "pre", "style", "script", "textarea", "math")
+    return tag.name in names or "tex2jax_ignore" in tag.get_attribute_list("class")
 
 
 def _style_table(table: Tag) -> None:
@@ -120,7 +130,8 @@ def _style_table(table: Tag) -> None:
 
 
 def _is_number(cell: Any) -> bool:
-    return cell.name == "td" and NUMBER.fullmatch(cell.get_text(strip=True)) is not None
+    text = cell.get_text(strip=True)
+    return cell.name == "td" and len(text) < 40 and NUMBER.fullmatch(text) is not None
 
 
 def image_uri(output: NotebookNode) -> str:
@@ -217,7 +228,8 @@ def report_html(
         filters={"duration": duration, "image_uri": image_uri, "output_html": output_html, "result": result},
         config=Config({"NbConvertBase": {"display_data_priority": list(SHOWN)}}),
     )
-    resources = {"page": page, "name": name, "origin": origin, "given": given or {}, "css": stylesheet()}
+    resources = {"page": page, "name": name, "origin": origin, "given": given or {}}
+    resources |= {"css": stylesheet(), "policy": policy()}
     try:
         text, _ = exporter.from_notebook_node(notebook, resources)
     except MathError as error:
@@ -233,24 +245,23 @@ def stylesheet() -> str:
 
 
 def page_faults(page: str) -> list[str]:
-    """Return what a page would run or fetch, one phrase each; nothing for a page that is complete in itself."""
-    faults = []
+    """Return what the body of a page would run or fetch, one phrase each; nothing where it is complete in itself.
+
+    The page's policy keeps browsers from all of it but from loading another page; here the author is told.
+    """
     # Without its embedded pictures the page is small.
-    soup = BeautifulSoup(re.sub(r"""(["'])data:image/[^"'>]*\1""", '"data:"', page), "html.parser")
-    for tag in soup.find_all(True):
-        if tag.name in ("script", "iframe", "object", "embed", "base"):
-            faults.append(f"it has a <{tag.name}> element")
+    body = re.sub(r"""(["'])data:image/[^"'>]*\1""", '"data:"', page[max(page.find("</head>"), 0) :])
+    faults = [f"it has a <{name.lower()}> element" for name in REFUSED.findall(body)]
+    for tag in BeautifulSoup(body, "html.parser").find_all(True):
         for name, value in tag.attrs.items():
-            value = "".join(value).strip()
+            value = re.sub(r"[\0-\x20]", "", "".join(value))  # as browsers read addresses
             fetched = name in FETCHED or (name == "href" and tag.name not in ("a", "area"))
             if fetched and value and not value.startswith(("data:", "#")):
                 faults.append(f"its <{tag.name}> would fetch {value[:80]!r}; embed it")
             if name.startswith("on") or value.lower().startswith("javascript:"):
                 faults.append(f"its <{tag.name}> has a script in {name}")
-            if name == "http-equiv" and value.lower() == "refresh":
-                faults.append("it loads another page by itself")
         if ELSEWHERE.search(f"{tag.get('style', '')} {tag.string if tag.name == 'style' else ''}"):
-            faults.append(f"a style of its <{tag.name}> would fetch something")
+            faults.append(f"a style of its <{tag.name}> could fetch something")
     return list(dict.fromkeys(faults))
 
 

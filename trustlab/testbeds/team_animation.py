@@ -8,13 +8,13 @@ from string import Template
 import numpy as np
 
 from trustlab.models.checks import positive
+from trustlab.models.html import policy
 from trustlab.testbeds.team_svg import view
 
 FRAMES, NUMBERS = 1500, 150_000
 """Frames at most, and coordinates in a page at most."""
 
-PAGE = Path(__file__).with_name("team_animation.html")
-"""The page, with places for $TITLE, $NOTE, $RATE and $DATA."""
+PAGE, SCRIPT = Path(__file__).with_name("team_animation.html"), Path(__file__).with_name("team_animation.js")
 
 
 class AnimationPage(str):
@@ -24,7 +24,7 @@ class AnimationPage(str):
 
     def _repr_html_(self) -> str:
         framed = html.escape(self, quote=True)
-        return f'<iframe srcdoc="{framed}" width="100%" height="900" style="border:0"></iframe>'
+        return f'<iframe sandbox="allow-scripts" srcdoc="{framed}" width="100%" height="900" style="border:0"></iframe>'
 
     def __repr__(self) -> str:
         return f"AnimationPage({len(self)} characters of HTML; write it with run.animate(path))"
@@ -74,12 +74,14 @@ def animation_page(run, rate: float = 5.0) -> str:
         f"all within {run.tolerance:g} m after {run.time_to_goal:.1f} s" if run.converged else "not all at the goal"
     )
     note = f"Synthetic: simulated robots, channel and operator; {arrived}."
-    # safe_substitute leaves the one $ of the script, in a regular expression, alone
-    return Template(PAGE.read_text(encoding="utf-8")).safe_substitute(
+    script = SCRIPT.read_text(encoding="utf-8")
+    return Template(PAGE.read_text(encoding="utf-8")).substitute(
         TITLE=html.escape(run.label),
         NOTE=html.escape(note),
         RATE=f"{rate:g}",
-        DATA=json.dumps(data, separators=(",", ":")).replace("</", "<\\/"),
+        POLICY=policy(script),
+        DATA=json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"),  # no tag, no comment begins there
+        SCRIPT=script,
     )
 
 

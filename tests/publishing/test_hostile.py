@@ -1,0 +1,323 @@
+"""Names, logs and outputs that attack: a real browser runs nothing of them and fetches nothing.
+
+Chromium is the oracle: what fires is counted by a variable of the window and by dialogs, what is fetched by the requests
+that are routed. The same markup without escaping and without a policy does fire.
+"""
+
+import dataclasses
+import html
+import importlib
+import pkgutil
+import re
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import networkx as nx
+import numpy as np
+import pandas as pd
+import pytest
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
+
+import trustlab
+import trustlab as tl
+from trustlab.allocation.correction.tests_in_a_row import CorrectionRun
+from trustlab.identification.regression import ArxResult
+from trustlab.models.html import POLICY, as_html
+from trustlab.publishing import report_page
+from trustlab.publishing.execution import anonymous
+from trustlab.publishing.report_page import ReportError, page_faults, report_html
+from trustlab.reproduction.reconstruction.reconstruction import reconstruct_study
+from trustlab.sessions.metadata import Metadata
+from trustlab.sessions.session import Session
+from trustlab.studies.analysis.rank_tests import friedman
+from trustlab.studies.planning.virtual_report import VirtualStudy
+from trustlab.studies.questionnaires.likert import ScaleScores
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+FIRE = "window.top.fired=(window.top.fired||0)+1"
+AWAY = "https://attacker.invalid/"
+ATTACKS = {
+    "image": f'<img src=x onerror="{FIRE}">',
+    "comment": f'<!--><img src=x onerror="{FIRE}">-->',
+    "script": f"</script></style></title></textarea><script>{FIRE}</script>",
+    "form": f'<form action="{AWAY}form"><button id=go>go</button></form>',
+    "formaction": f'<form><button id=go formaction="{AWAY}formaction">go</button></form>',
+    "link": f'<a id=go href="java&#9;script:{FIRE}">go</a>',
+    "refresh": f'<meta http-equiv="Refresh" content="0; url={AWAY}refresh">',
+    "image set": f"<p style=\"background: image-set('{AWAY}set.png' 1x)\">",
+    "escaped url": rf"<p style='background: u\72l({AWAY}url.png)'>",
+    "style in a picture": f'<svg><style><img src=x onerror="{FIRE}"></style></svg>',
+    "preconnect": f'<link rel=stylesheet href="{AWAY}a.css">',
+    "base": f'<base href="{AWAY}"><img src=b.png>',
+    "frame": f'<iframe srcdoc="<script>{FIRE}</script>"></iframe>',
+    "handler": f'" onfocus="{FIRE}" autofocus tabindex="1" x="',
+    "comment and script": f"<!--<script>{FIRE}",
+    "template": "$DATA $TITLE {{ 7 * 7 }} $\\nosuch{x}$",
+}
+NAME = " ".join(ATTACKS.values())
+
+
+@pytest.fixture(scope="module")
+def visit():
+    """Return a function that shows a page in Chromium, presses what can be pressed, and tells what fired and was fetched."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if BROWSER is None:
+        pytest.skip("no Chromium on this machine: nothing walks the pages")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox", "--disable-gpu"])
+        page, asked, dialogs = browser.new_page(), [], []
+        # "No content" leaves the page where it is, so that what came of a press can be read.
+        page.route("**/*", lambda route: (asked.append(route.request.url), route.fulfill(status=204)))
+        page.on("dialog", lambda dialog: (dialogs.append(dialog.message), dialog.dismiss()))
+
+        def visit(text):
+            page.goto("about:blank")
+            asked.clear(), dialogs.clear()
+            page.evaluate("window.fired = 0")
+            page.set_content(text, wait_until="load")
+            page.evaluate("document.querySelectorAll('#go').forEach(one => one.click())")
+            page.wait_for_timeout(30)
+            return SimpleNamespace(
+                fired=page.evaluate("window.fired"), asked=list(asked), dialogs=list(dialogs), page=page
+            )
+
+        yield visit
+        browser.close()
+
+
+def unescaped(text):
+    """The same page with its words as markup; what loads another page would end the walk."""
+    return html.unescape(text).replace(ATTACKS["refresh"], "")
+
+
+def unmoved(seen):
+    return not seen.fired and not seen.asked and not seen.dialogs
+
+
+# every result in the package, made with hostile names ------------------------------------------------------------------
+
+
+def classes_with_html():
+    """Every class of the package that writes HTML, whoever adds it."""
+    found = {}
+    for module in pkgutil.walk_packages(trustlab.__path__, "trustlab."):
+        if module.name.endswith("__main__"):
+            continue
+        for name, kind in vars(importlib.import_module(module.name)).items():
+            if isinstance(kind, type) and kind.__module__ == module.name and "_repr_html_" in vars(kind):
+                found[name] = kind
+    return found
+
+
+def scores():
+    rng = np.random.default_rng(1)
+    rows = [
+        {f"subject {NAME}": f"{NAME} {i}", f"condition {NAME}": f"{NAME} {j}", f"score {NAME}": j + rng.normal()}
+        for i in range(5)
+        for j in range(3)
+    ]
+    frame = pd.DataFrame(rows)
+    frame.attrs.update(reconstructed=True, note=NAME)
+    return frame
+
+
+def session():
+    t = np.arange(40) * 0.1
+    data = pd.DataFrame({"p_r": np.sin(t)}, index=pd.Index(t, name="t"))
+    return Session(data, Metadata(NAME, NAME, NAME, False, {"trial": NAME, "note": NAME}))
+
+
+class Policy:
+    title = NAME
+
+    def leaders(self, trust, robots, step, dwell, rng):
+        return np.zeros(len(trust), int)
+
+
+def team():
+    graph = nx.relabel_nodes(nx.complete_graph(3), {i: f"{NAME} {i}" for i in range(3)})
+    return tl.simulate_team(graph, policy=Policy(), duration=6.0, sample_time=0.01)
+
+
+def virtual_study():
+    measures = pd.DataFrame(
+        [(i, f"{NAME} {j}", 1.0, i + j) for i in range(4) for j in range(2)],
+        columns=["participant", "condition", "position", f"score {NAME}"],
+    )
+    conditions = tuple(measures["condition"].unique())
+    return VirtualStudy(
+        "ground_robot", conditions, None, SimpleNamespace(origin=NAME), measures[["participant"]], measures,
+        measures[:0], {"laps": 1}, None,
+    )  # fmt: skip
+
+
+def columns():
+    return dict(zip(("subject", "within", "dv"), scores().columns, strict=True))
+
+
+MODEL = tl.published_models()["2"]
+
+
+def built():
+    """One result of each class, with hostile names wherever it takes any."""
+    analysis = tl.repeated_measures(scores().drop(index=[0]), missing="listwise", **columns())
+    design = tl.latin_square_design([f"{NAME} {i}" for i in range(4)], [f"{NAME} {i}" for i in range(4)])
+    labels = {"labels": [f"{NAME} {i}" for i in range(2)], "replicates": 100}
+    choice = dataclasses.replace(tl.choose_thresholds(MODEL, points=4), message=NAME)
+    two = scores()[lambda frame: ~frame.iloc[:, 1].str.endswith("2")]
+    run = tl.run_condition("C2", participant=2, laps=3)
+    flight = team()
+    names = [
+        "r",
+        "p_r",
+        "p_h",
+        "tsc",
+        "mode",
+        "suggestion",
+        "lower",
+        "upper",
+        "c_l",
+        "c_u",
+        "cost",
+        "cost_lower_bound",
+        "latency",
+    ]
+    steps = pd.DataFrame(0.5, range(3), names).assign(test=1, t=range(3))
+    data = reconstruct_study(tl.published_studies()["teleop.tracking_error"])
+    ones = np.eye(2)
+    return [
+        analysis, analysis.mixed_model(), tl.paired_t_test(two, **columns()), friedman(np.arange(12.0).reshape(4, 3) % 5),
+        tl.winsorize(scores(), **columns(), outside="iqr", k=0.1, to="next"), tl.repeated_measures_batch(np.random.default_rng(1).normal(size=(2, 5, 3))),
+        ScaleScores(NAME, scores(), scores(), {}, {}, scores()[:0]), design, design.balance(), virtual_study(),
+        tl.power_analysis([0, 1], ones, n=5, **labels), tl.smallest_n(0.5, [0, 3], ones, **labels),
+        session(), dataclasses.replace(run, session=Session(run.session.data, session().metadata)),
+        ArxResult((NAME, "c"), ones[0], ones, np.ones(9), 1, (1,), (1,), True),
+        dataclasses.replace(tl.fit_robot(run.session), message=NAME),
+        choice, choice.limits, choice.cycle, choice.bounds, tl.steady_state_bounds(MODEL, choice.lower, choice.upper),
+        CorrectionRun(steps, (0.1, 0.2), (0.2, 0.3), NAME, NAME),
+        dataclasses.replace(data, left_out=dict.fromkeys(data.table().index, NAME)), flight, flight.animate(),
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def results():
+    return {type(result).__name__: result for result in built()}
+
+
+def test_every_class_that_writes_html_is_walked(results):
+    """A new result is added to `built`, with hostile names wherever it takes any."""
+    assert set(results) == set(classes_with_html())
+    assert sum("onerror" in result._repr_html_() for result in results.values()) >= 18
+
+
+def test_results_show_hostile_names_as_words(visit, results):
+    for name, result in results.items():
+        seen = visit(result._repr_html_())
+        assert unmoved(seen), (name, seen)
+        found = seen.page.evaluate(
+            "document.querySelectorAll('img, script, form, button, meta, link, base, svg').length"
+        )
+        assert found == 0, name
+        assert name != "Session" or NAME in seen.page.evaluate("document.body.textContent")
+
+
+def test_the_same_results_fire_where_nothing_is_escaped(visit, results):
+    seen = visit(unescaped(results["Session"]._repr_html_()))
+    assert seen.fired
+    assert seen.asked
+
+
+def test_the_animation_runs_its_own_script_and_no_other(visit, results):
+    page = str(results["AnimationPage"])
+    seen = visit(page)
+    assert unmoved(seen)
+    assert f"leader: {NAME} 0" in seen.page.evaluate("document.getElementById('told').textContent")
+    assert (
+        visit(page.replace("u003cimg", "x3cimg").replace("<p>", f"<p>{ATTACKS['image']}")).fired == 0
+    )  # the policy holds
+    told = re.sub("<meta[^>]*http-equiv[^>]*>", "", page).replace("<p>", f"<p>{ATTACKS['image']}")
+    assert visit(told).fired
+
+
+# pages --------------------------------------------------------------------------------------------------------------------
+
+ORIGIN = {
+    **dict.fromkeys(("notebook", "commit", "environment_lock", "external_data", "platform", "notebook_sha256"), NAME),
+    "inputs": {NAME: NAME},
+    "parameters": {NAME: NAME},
+    "seeds": {NAME: NAME},
+    "versions": {NAME: NAME},
+    "started": NAME,
+    "seconds": 1.0,
+}
+
+
+def hostile_report(results, *cells):
+    """A report with hostile words in every place that is not markup."""
+    code = new_code_cell(NAME, outputs=[
+        *(new_output("display_data", data={"text/html": result._repr_html_()}) for result in results),
+        new_output("display_data", data={"image/png": "AAAA", "text/plain": NAME}, metadata={"image/png": {"alt": NAME}}),
+        new_output("stream", name="stdout", text=NAME), new_output("stream", name="stderr", text=NAME),
+        new_output("execute_result", data={"text/plain": NAME}), new_output("error", ename=NAME, evalue=NAME, traceback=[NAME]),
+    ])  # fmt: skip
+    title = new_markdown_cell(f"# {html.escape(NAME.replace(ATTACKS['template'], ''))}")
+    notebook = new_notebook(cells=[title, code, *cells])
+    return report_html(notebook, NAME, ORIGIN, {NAME: NAME})
+
+
+def test_a_report_shows_hostile_words_as_words(visit, results):
+    page, _ = hostile_report([results[name] for name in ("Session", "PairedTTest", "TeamRun")])
+    seen = visit(page)
+    assert unmoved(seen), seen
+    assert seen.page.title().startswith("<img src=x onerror")
+    assert visit(unescaped(page.replace(POLICY, ""))).fired
+
+
+# What no parser sees as an element is left to the policy.
+UNSEEN = ("comment", "comment and script", "handler", "template")
+
+
+@pytest.mark.parametrize("attack", [name for name in ATTACKS if name not in UNSEEN])
+def test_markup_that_runs_or_fetches_is_refused(attack):
+    assert page_faults(ATTACKS[attack])
+    output = new_output("display_data", data={"text/html": ATTACKS[attack]})
+    with pytest.raises(ReportError, match="self-contained"):
+        report_html(new_notebook(cells=[new_code_cell("x", outputs=[output])]), "01_a", ORIGIN)
+
+
+def test_the_policy_of_a_report_holds_where_markup_gets_through(visit, monkeypatch):
+    """The author's check is switched off; loading another page is the one thing that no policy forbids."""
+    monkeypatch.setattr(report_page, "check_page", lambda page, what: None)
+    attacks = [attack for name, attack in ATTACKS.items() if name not in ("refresh", "template")]
+    data = [{"text/html": attack} for attack in attacks] + [{"text/markdown": attack} for attack in attacks]
+    cells = [new_code_cell("x", outputs=[new_output("display_data", data=one) for one in data])]
+    page, _ = hostile_report([], *cells, *map(new_markdown_cell, attacks))
+    assert unmoved(visit(page)), visit(page)
+    fired = visit(re.sub("<meta[^>]*http-equiv[^>]*>", "", page))
+    assert fired.fired
+    assert fired.asked
+
+
+def test_dollars_of_a_name_are_no_formula():
+    output = new_output("display_data", data={"text/html": as_html(r"participant $\nosuch$ and $5, $6$")})
+    page, _ = report_html(new_notebook(cells=[new_code_cell("x", outputs=[output])]), "01_a", ORIGIN)
+    assert r"participant $\nosuch$" in page
+
+
+def test_output_of_ten_megabytes_is_made_anonymous_in_linear_time(tmp_path, monkeypatch):
+    """Quadratic time would be an hour; here the clock only tells the two apart."""
+    import time
+
+    checkout = SimpleNamespace(
+        external=tmp_path / "x", root=Path("/somewhere/else"), package=Path("/somewhere/else/trustlab")
+    )
+    for word in ("a/", "ipykernel_1/", "data:image/"):
+        text = (word * (10_000_000 // len(word) + 1))[:10_000_000]
+        begin = time.process_time()
+        anonymous(f"{text} /tmp/ipykernel_17/23.py /somewhere/else/a", checkout)
+        assert time.process_time() - begin < 10.0, word
+    assert (
+        anonymous("in /tmp/ipykernel_17/23.py, line 1 of /somewhere/else/a.py", checkout)
+        == "in this notebook, line 1 of a.py"
+    )
