@@ -20,6 +20,8 @@ from .designs import (
     participants_needed as participants_needed,
     williams_square as williams_square,
 )
+from .factors.effects import factorial_batch as factorial_batch
+from .factors.factorial import FactorialMeasures as FactorialMeasures
 from .planning.closed_form_power import (
     clopper_pearson as clopper_pearson,
     noncentral_f_power as noncentral_f_power,

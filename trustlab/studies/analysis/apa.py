@@ -197,3 +197,22 @@ def apa_pair(result) -> str:
         f"[{apa_number(result.ci_low, digits)}, {apa_number(result.ci_high, digits)}], d_z = {apa_number(result.d_z)}."
         f"{_left_out(result, 'scores')}"
     )
+
+
+def apa_effects(result) -> str:
+    """Return the test of every effect of a factorial analysis as a sentence."""
+    sentences = []
+    for row in result.effects.to_dict("records"):
+        verb = "was" if row["p_corrected"] < result.alpha else "was not"
+        sentences.append(
+            f"{row['effect']} {verb} significant, F({_df(row['df1_corrected'])}, {_df(row['df2_corrected'])}) = "
+            f"{apa_number(row['F'])}, {apa_p(row['p_corrected'])}, ηp² = {apa_number(row['eta2_partial'], below_one=True)}, "
+            f"ηG² = {apa_number(row['eta2_generalized'], below_one=True)}"
+        )
+    factors = [len(levels) for levels in (*result.between.values(), *result.within.values())]
+    kind = "mixed" if result.between else "repeated-measures"
+    return (
+        f"{_origin(result.scores)}A {' × '.join(map(str, factors))} {kind} ANOVA of {result.scores.dv} (N = "
+        f"{len(result.scores.subjects)}, correction: {result.correction}): {'; '.join(sentences)}."
+        f"{_left_out(result, 'cells')}"
+    )

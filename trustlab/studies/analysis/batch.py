@@ -129,7 +129,7 @@ class RepeatedMeasuresBatch(Omnibus):
         return as_html(repr(self), self.table().describe().T)
 
 
-def _checked(array: np.ndarray) -> np.ndarray:
+def checked_scores(array: np.ndarray) -> np.ndarray:
     """Return scores as floats of shape (studies, subjects, conditions), each finite and of a size that can be squared."""
     try:
         given = np.asarray(array)
@@ -162,13 +162,17 @@ def _checked(array: np.ndarray) -> np.ndarray:
     return scores
 
 
+def unit_of(largest: np.ndarray) -> np.ndarray:
+    """Return the unit in which to analyse scores of this size: a power of two, so that no digit changes."""
+    return np.where(largest < _TINY, np.ldexp(1.0, np.frexp(np.maximum(largest, _LEAST))[1]), 1.0)
+
+
 def _analyse(scores: np.ndarray, first: int) -> dict:
     """Return every statistic of some studies; `first` is the number of the first, for errors."""
     studies, n, k = scores.shape
     d = k - 1
     largest = np.abs(scores).max(axis=(1, 2))
-    # A power of two, so that no digit changes.
-    unit = np.where(largest < _TINY, np.ldexp(1.0, np.frexp(np.maximum(largest, _LEAST))[1]), 1.0)
+    unit = unit_of(largest)
     scores, largest = scores / unit[:, None, None], largest / unit
     rounding = 4.0 * np.finfo(float).eps * largest  # a spread of differences below this is no variance
     grand = scores.mean(axis=(1, 2))
@@ -250,7 +254,7 @@ def repeated_measures_batch(array: np.ndarray) -> RepeatedMeasuresBatch:
     Sums of squares come from orthonormal contrasts of the centred scores, so that a large common offset costs no
     digits beyond those that the scores themselves have lost.
     """
-    scores = _checked(array)
+    scores = checked_scores(array)
     studies, n, k = scores.shape
     step = max(1, _CHUNK // (n * k))
     parts = [_analyse(scores[start : start + step], start) for start in range(0, studies, step)]

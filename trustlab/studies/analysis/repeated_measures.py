@@ -1,7 +1,8 @@
 """One-way repeated-measures analysis of a long table: everything that a paper reports about it."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -242,27 +243,35 @@ class RepeatedMeasures(Omnibus):
 def repeated_measures(
     frame: pd.DataFrame,
     dv: Hashable,
-    within: Hashable,
+    within: Hashable | list[Hashable],
     subject: Hashable,
     *,
+    between: Hashable | list[Hashable] | None = None,
+    covariate: Hashable | None = None,
     missing: str = "raise",
-    order: Sequence | None = None,
+    order: Any = None,
     correction: str = "greenhouse-geisser",
     alpha: float = 0.05,
-) -> RepeatedMeasures:
+) -> Any:
     """
-    Analyse one score under several conditions, each of which every subject went through.
+    Analyse one score under several conditions, or in all cells of several factors, each of which every subject went through.
 
     Parameters
     ----------
     frame : pandas.DataFrame
         Long table: one row per subject and condition; other columns are not looked at.
-    dv, within, subject : hashable
-        Columns with the score, the condition and the subject.
+    dv, subject : hashable
+        Columns with the score and the subject.
+    within : hashable or list of hashable
+        The column with the condition, or a list of those of several crossed factors.
+    between : hashable or list of hashable, optional
+        Columns with groups of subjects, each of whom is in one; only by keyword.
+    covariate : hashable, optional
+        A column with one number per subject, which enters about its mean and interacts with the factors within subjects.
     missing : {"raise", "listwise"}
         Whether a missing cell is an error, or its subject is left out (and named in `.excluded`).
-    order : sequence, optional
-        Conditions in the order wanted. By default a categorical column keeps the order of its categories (those that
+    order : sequence or dict, optional
+        Conditions in the order wanted; with several factors, a dict of factor to levels. By default a categorical column keeps the order of its categories (those that
         occur); numbers are sorted by value and text by alphabet.
     correction : {"greenhouse-geisser", "huynh-feldt", "none", "auto"}
         Which correction `.p_corrected` has. "auto": Greenhouse–Geisser where Mauchly's test rejects sphericity at
@@ -273,13 +282,16 @@ def repeated_measures(
 
     Returns
     -------
-    RepeatedMeasures
+    RepeatedMeasures or FactorialMeasures
+        The latter where there are several factors, groups or a covariate: sums of squares of type III, with Greenhouse–Geisser's
+        and Huynh–Feldt's ε for every effect.
 
     Raises
     ------
     ValueError
         If a column is unknown, a label is missing, a score is not a finite number, a cell has several rows or none,
-        there is one condition or fewer than three complete subjects, or scores have no error variance.
+        there is one condition or fewer than three complete subjects, a subject is in two groups, a group has one subject, or
+        scores have no error variance.
 
     Notes
     -----
@@ -287,6 +299,13 @@ def repeated_measures(
     `trustlab.studies.analysis.sphericity.mauchly` for its p-value), `t.test(paired = TRUE)` and `p.adjust` for the pairs,
     `friedman.test`, `shapiro.test`.
     """
+    factors = within if isinstance(within, list) else [within]
+    if len(factors) != 1 or between is not None or covariate is not None:
+        from trustlab.studies.factors.reading import factorial_measures
+
+        groups = between if isinstance(between, list) else [] if between is None else [between]
+        return factorial_measures(frame, dv, factors, subject, groups, covariate, missing, order, correction, alpha)
+    within = factors[0]
     one_of("correction", correction, ("auto", *CORRECTIONS))
     alpha = open_unit("alpha", alpha)
     observed = read_scores(frame, dv, within, subject, order=order)

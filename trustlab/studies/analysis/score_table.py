@@ -90,6 +90,11 @@ def _codes(series: pd.Series, labels: list) -> np.ndarray:
     return np.array([place[label] for label in series.tolist()], dtype=np.intp)
 
 
+def levels_of(series: pd.Series, argument: str, order: Sequence | None = None) -> list:
+    """Return each label of a column once, in the order asked for, else in that of the categories, else sorted."""
+    return _in_order(_labels(series, argument), series, order)
+
+
 def _in_order(labels: list, series: pd.Series, order: Sequence | None) -> list:
     """Return the conditions in the order asked for, else in that of the categories, else sorted."""
     if order is not None:
@@ -164,7 +169,7 @@ def read_scores(
         raise ValueError(f"dv, within and subject must be three columns, got {dv!r}, {within!r}, {subject!r}")
     if len(frame) == 0:
         raise ValueError("frame has no rows")
-    conditions = _in_order(_labels(series["within"], "within"), series["within"], order)
+    conditions = levels_of(series["within"], "within", order)
     subjects = _labels(series["subject"], "subject")
     with suppress(TypeError):  # labels of several types stay in order of appearance: nothing depends on it
         subjects = sorted(subjects)

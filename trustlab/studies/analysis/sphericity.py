@@ -59,7 +59,7 @@ def mauchly_factor(n: Any, k: int) -> Any:
     return n - 1 - (2 * d**2 + d + 2) / (6 * d)
 
 
-def mauchly_p_value(chi2: Any, n: Any, k: int) -> Any:
+def mauchly_p_value(chi2: Any, n: Any, k: int, cells: int | None = None) -> Any:
     """
     Return the p-value of Mauchly's χ² to second order, as R, SPSS, JASP, jamovi and pingouin print it; n ≥ k ≥ 3.
 
@@ -68,14 +68,15 @@ def mauchly_p_value(chi2: Any, n: Any, k: int) -> Any:
     """
     d = k - 1
     df = d * (d + 1) // 2 - 1
-    # Anderson has d in the place of k; the packages named above all put k there, and printed values come from them.
-    cubic = 2 * d**3 + 6 * d**2 + 3 * k + 2
+    # Anderson has d in the place of k; the packages named above all put k there, and printed values come from them. In designs
+    # of several factors R puts the number of all cells there.
+    cubic = 2 * d**3 + 6 * d**2 + 3 * (cells or k) + 2
     w2 = (d + 2) * (d - 1) * (d - 2) * cubic / (288 * (d * mauchly_factor(n, k)) ** 2)
     first = special.chdtrc(df, chi2)
     return np.minimum(first + w2 * (special.chdtrc(df + 4, chi2) - first), 1.0)
 
 
-def mauchly(covariance: np.ndarray, n: int, floor: np.ndarray | float = 0.0) -> Mauchly:
+def mauchly(covariance: np.ndarray, n: int, floor: np.ndarray | float = 0.0, cells: int | None = None) -> Mauchly:
     """
     Test whether contrasts have equal variances and no correlation: W = det M / (tr M / d)^d (Mauchly, 1940).
 
@@ -101,7 +102,7 @@ def mauchly(covariance: np.ndarray, n: int, floor: np.ndarray | float = 0.0) -> 
         singular[doubtful] = eigenvalues[..., 0] <= least
     log_w = np.where(singular, np.nan, log_w)
     chi2 = -mauchly_factor(n, d + 1) * log_w
-    return Mauchly(np.exp(log_w), chi2, df, mauchly_p_value(chi2, n, d + 1), special.chdtrc(df, chi2))
+    return Mauchly(np.exp(log_w), chi2, df, mauchly_p_value(chi2, n, d + 1, cells), special.chdtrc(df, chi2))
 
 
 def why_no_mauchly(n: int, k: int, w: float) -> str:

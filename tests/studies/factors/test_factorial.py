@@ -1,0 +1,296 @@
+"""
+Several factors. Oracles: R (afex, car, emmeans) on published data sets, values in reference/factorial.json made by factorial.R;
+figures printed in books and manuals; sums of squares by cell means written out, to 1e-9; simulation.
+"""
+
+import json
+import re
+from itertools import product
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+import trustlab as tl
+from trustlab.studies import factorial_batch
+
+mpl.use("Agg")
+SETS = json.loads((Path(__file__).parents[1] / "reference" / "factorial.json").read_text())["sets"]
+SAME = ["F", "df1", "df2", "p", "eta2_generalized", "eta2_partial", "ss_effect", "ss_error", "mauchly_w", "mauchly_p"]
+SAME += ["epsilon_gg", "p_gg", "epsilon_hf_untruncated", "p_hf"]
+
+
+def analysed(name, **more):
+    given = SETS[name]
+    frame = pd.DataFrame(given["columns"])
+    columns = {"dv": given["dv"], "within": given["within"], "subject": given["id"]}
+    columns |= {"between": given["between"] or None, "covariate": given["covariate"]}
+    return tl.repeated_measures(frame.sample(frac=1.0, random_state=0), **columns, **more)
+
+
+def label(text):
+    """A level before R made a name of it: "X0.2" was 0.2, "Golden.Rain" had a blank."""
+    return re.sub(r"^X(?=\d)", "", text).replace("Golden.Rain", "Golden Rain")
+
+
+def key(effect, mark):
+    return frozenset(effect.split(mark))
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_every_effect_agrees_with_r(name):
+    if len(SETS[name]["within"]) + len(SETS[name]["between"]) < 2:
+        pytest.skip("one factor: test_against_r.py")
+    rows = {key(row["effect"], " × "): row for row in analysed(name).table().to_dict("records")}
+    assert len(rows) == len(SETS[name]["effects"])
+    for theirs in SETS[name]["effects"]:
+        ours = rows[key(theirs["effect"], ":")]
+        for number in SAME:
+            if number in ("p_gg", "p_hf") and not theirs["epsilon_gg"]:
+                continue  # one degree of freedom: car has no row, or zeros
+            if theirs[number] is not None and not (number == "p_hf" and theirs["epsilon_hf_untruncated"] > 1.0):
+                assert ours[number] == pytest.approx(theirs[number], rel=1e-8, abs=1e-11), (theirs["effect"], number)
+
+
+@pytest.mark.parametrize("name", [name for name in SETS if SETS[name]["pairs"]])
+def test_pairs_agree_with_emmeans(name):
+    result = analysed(name)
+    for theirs in SETS[name]["pairs"]:
+        ours = result.pairs(theirs["factor"], theirs["at"])
+        levels = theirs["level"] if isinstance(theirs["level"], list) else [theirs["level"]] * len(ours)
+        for i, contrast in enumerate(np.atleast_1d(theirs["contrast"])):
+            a, b = (label(x.removeprefix(theirs["factor"])) for x in contrast.split(" - "))
+            here = (ours["a"].astype(str) == a) & (ours["b"].astype(str) == b)
+            if theirs["at"] is not None:
+                here &= ours["level"].astype(str) == label(levels[i])
+            row = ours[here].iloc[0]
+            for number in ("mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"):
+                wanted = np.atleast_1d(theirs[number])[i]
+                assert row[number] == pytest.approx(wanted, rel=1e-8, abs=1e-10), (theirs["factor"], contrast, number)
+
+
+@pytest.mark.parametrize(
+    ("name", "effect", "printed"),
+    [
+        # Maxwell and Delaney (2004), Chapter 12: angle, noise and their interaction.
+        ("Maxwell", "angle", {"F": "40.72", "df1": "2", "df2": "18"}),
+        ("Maxwell", "noise", {"F": "33.77", "df1": "1", "df2": "9"}),
+        ("Maxwell", "angle × noise", {"F": "45.31", "df1": "2", "df2": "18"}),
+        # afex, manual page of aov_car: treatment * gender between, phase and hour within (Greenhouse–Geisser).
+        (
+            "O'Brien and Kaiser (1985), two",
+            "treatment",
+            {"F": "3.94", "ss_effect": "179.73", "ss_error": "228.06"},
+        ),
+        ("O'Brien and Kaiser (1985), two", "phase", {"F": "16.13", "df1_corrected": "1.60", "df2_corrected": "15.99"}),
+        ("O'Brien and Kaiser (1985), two", "hour", {"F": "16.69", "df1_corrected": "1.84", "df2_corrected": "18.41"}),
+    ],
+)
+def test_figures_printed_in_books_and_manuals(name, effect, printed):
+    table = analysed(next(x for x in SETS if x.startswith(name))).table().set_index("effect")
+    for number, text in printed.items():
+        digits = len(text.partition(".")[2])
+        assert f"{table.loc[effect, number]:.{digits}f}" == text, number
+
+
+def two_way(n=10, a=2, b=3, seed=0):
+    cells = pd.MultiIndex.from_product([range(n), [f"a{i}" for i in range(a)], [f"b{i}" for i in range(b)]])
+    frame = cells.to_frame(index=False, name=["who", "A", "B"])
+    return frame.assign(
+        v=np.random.default_rng(seed).standard_normal(len(frame)), side=np.where(frame["who"] < 5, "l", "r")
+    )
+
+
+def run(frame, **more):
+    return tl.repeated_measures(frame, **({"dv": "v", "within": ["A", "B"], "subject": "who"} | more))
+
+
+def by_cell_means(x):
+    """Sums of squares of a two-way study, shape (n, a, b), as textbooks write them: sums over means of cells and margins."""
+    n, a, b = x.shape
+    m = x.mean()
+    ma, mb, ms = x.mean((0, 2)), x.mean((0, 1)), x.mean((1, 2))
+    mab, msa, msb = x.mean(0), x.mean(2), x.mean(1)
+    effect = {
+        "A": n * b * ((ma - m) ** 2).sum(),
+        "B": n * a * ((mb - m) ** 2).sum(),
+        "A × B": n * ((mab - ma[:, None] - mb + m) ** 2).sum(),
+    }
+    rest = x - mab - msa[:, :, None] - msb[:, None, :] + ma[:, None] + mb + ms[:, None, None] - m
+    error = {
+        "A": b * ((msa - ma - ms[:, None] + m) ** 2).sum(),
+        "B": a * ((msb - mb - ms[:, None] + m) ** 2).sum(),
+        "A × B": (rest**2).sum(),
+    }
+    return effect, error, a * b * ((ms - m) ** 2).sum()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sums_of_squares_written_out(seed):
+    x = np.random.default_rng(seed).standard_normal((9, 3, 4)) * 10.0 ** (seed - 2) + 5.0
+    effect, error, subjects = by_cell_means(x)
+    found = factorial_batch(np.stack([x, x + 1.0])).loc[1]
+    for name, ss in effect.items():
+        row = found.loc[name]
+        np.testing.assert_allclose([row["ss_effect"], row["ss_error"]], [ss, error[name]], rtol=1e-9)
+        np.testing.assert_allclose(row["eta2_generalized"], ss / (ss + sum(error.values()) + subjects), rtol=1e-9)
+
+
+def test_batch_and_table_agree_and_pieces_do_not_matter(monkeypatch):
+    frames = [two_way(seed=seed) for seed in range(5)]
+    array = np.stack([frame["v"].to_numpy().reshape(10, 2, 3) for frame in frames])
+    groups = (np.arange(10) >= 5).astype(int)
+    batch = factorial_batch(array, groups=groups)
+    monkeypatch.setattr("trustlab.studies.factors.effects._CHUNK", 120)
+    pd.testing.assert_frame_equal(factorial_batch(array, groups=groups), batch)
+    for s, frame in enumerate(frames):
+        own = run(frame, between="side").table()
+        theirs = batch.loc[s].rename(index=lambda x: x.replace("group", "side")).loc[own["effect"]]
+        for number in ("F", "p", "p_gg", "p_hf", "eta2_generalized"):
+            np.testing.assert_allclose(own[number], theirs[number], rtol=1e-10)
+
+
+def test_simple_effects_are_analyses_of_one_level():
+    """Oracle: one-way analyses of the rows of a level, and SciPy's F between groups."""
+    frame = two_way()
+    found = run(frame).simple_effects("B", at="A").set_index("level")
+    for level, own in frame.groupby("A"):
+        alone = tl.repeated_measures(own, dv="v", within="B", subject="who")
+        row = found.loc[level]
+        np.testing.assert_allclose(row[["F", "p", "p_gg"]].astype(float), [alone.F, alone.p, alone.p_gg], rtol=1e-9)
+    found = run(frame, between="side").simple_effects("side", at="A").set_index("level")
+    for level, own in frame.groupby("A"):
+        means = own.groupby(["side", "who"])["v"].mean()
+        oracle = stats.f_oneway(means["l"], means["r"])
+        np.testing.assert_allclose(found.loc[level, ["F", "p"]].astype(float), oracle, rtol=1e-9)
+    assert run(frame, between="side").simple_effects("B", at="side")["df2"].tolist() == [16, 16]
+
+
+def test_pairs_within_levels_are_paired_t_tests():
+    frame = two_way()
+    pairs = run(frame).pairs("B", at="A")
+    for row in pairs.itertuples():
+        own = frame[frame["A"] == row.level].pivot_table(index="who", columns="B", values="v")
+        oracle = stats.ttest_rel(own[row.a], own[row.b])
+        np.testing.assert_allclose([row.t, row.p], oracle, rtol=1e-9)
+        d = own[row.a] - own[row.b]
+        assert row.d_z == pytest.approx(d.mean() / d.std())
+
+
+@pytest.mark.parametrize("between", [None, "side"])
+def test_type_one_error_and_coverage(between):
+    """Without any effect, F corrected rejects in 5 % of studies; 4,000 studies without sphericity."""
+    rng = np.random.default_rng(1)
+    scores = rng.standard_normal((4000, 12, 2, 4)) * [1.0, 1.0, 1.5, 3.0] + rng.standard_normal((4000, 12, 1, 1))
+    groups = np.arange(12) % 2 if between else None
+    found = factorial_batch(scores, groups=groups)
+    shares = (found["p_gg"] < 0.05).groupby("effect").mean()
+    assert shares.between(0.03, 0.06).all(), shares
+    exact = (found["p"] < 0.05).groupby("effect").mean()["A"]
+    assert abs(exact - 0.05) < 4.0 * np.sqrt(0.05 * 0.95 / 4000)
+
+
+def test_one_factor_in_a_list_is_one_way():
+    frame = two_way()[lambda f: f["A"] == "a0"]
+    one, other = run(frame, within=["B"]), run(frame, within="B")
+    pd.testing.assert_frame_equal(one.table(), other.table())
+
+
+def test_what_a_reader_sees():
+    frame = two_way()
+    frame.attrs["synthetic"] = True
+    result = run(frame, between="side")
+    assert "2 × 2 × 3 mixed ANOVA of v (N = 10, correction: greenhouse-geisser)" in result.apa()
+    assert result.apa().startswith("[synthetic data]")
+    for view in (result.table(), result.pairs("A"), result.descriptives(), result.simple_effects("A", "B")):
+        assert view.attrs["origin"] == "synthetic data"
+    assert "synthetic data" in result._repr_html_()
+    axes = result.plot()
+    assert "synthetic data" in axes.get_title()
+    assert len(axes.get_legend().get_texts()) == 6
+    assert result.descriptives()["n"].tolist() == [5] * 12
+    levels = run(frame, order={"B": ["b2", "b0", "b1"]}).descriptives()["B"].tolist()
+    assert levels[:3] == ["b2", "b0", "b1"]
+
+
+def put(frame, row, column, value):
+    frame = frame.astype({column: object})
+    frame.loc[row, column] = value
+    return frame
+
+
+@pytest.mark.parametrize(
+    ("change", "arguments", "message"),
+    [
+        (lambda f: f.drop(index=7), {}, r"missing cells in 'v': subject 1 has no score in condition \('a0', 'b1'\)"),
+        (
+            lambda f: f[(f["A"] != "a1") | (f["B"] != "b2")],
+            {},
+            r"no participant has a score in cell \('a1', 'b2'\) of A × B",
+        ),
+        (
+            lambda f: put(f, 7, "side", "r"),
+            {"between": "side"},
+            "subject 1 has two values in column 'side', 'l' and 'r'",
+        ),
+        (lambda f: f.assign(A="a0"), {}, "within: column 'A' has one level only, 'a0'"),
+        (lambda f: f.assign(side="l"), {"between": "side"}, "between: column 'side' has one group only"),
+        (
+            lambda f: f.assign(side=np.where(f["who"] == 3, "l", "r")),
+            {"between": "side"},
+            "group 'l' of 'side' has one participant, 3",
+        ),
+        (lambda f: f, {"order": {"A": ["a0", "b0"]}}, "order must list every condition in column 'A'"),
+        (lambda f: f, {"order": {"C": ["a0"]}}, "order: 'C' is not a factor"),
+        (lambda f: f, {"order": ["a0", "a1"]}, "order must be of class dict"),
+        (lambda f: f[f["who"] < 2], {}, "at least three are needed"),
+        (lambda f: f, {"within": ["A", "A"]}, "'A' is named twice"),
+        (lambda f: f, {"within": ["A", "BB"]}, "within: no column 'BB'"),
+        (lambda f: f, {"between": "sides"}, "between: no column 'sides'; did you mean 'side'"),
+        (lambda f: f.assign(age=1.0), {"covariate": "age"}, "covariate: column 'age' is 1 for every participant"),
+        (lambda f: f.assign(age=f.index), {"covariate": "age"}, "covariate: subject 0 has two values in column 'age'"),
+        (lambda f: f.assign(age="old"), {"covariate": "age"}, "column 'age' is 'old' for subject 0"),
+        (lambda f: put(f, 7, "v", "x"), {}, "dv: column 'v' holds 'x' for subject 1"),
+        (lambda f: pd.concat([f, f.iloc[[3]]]), {}, "more than one row"),
+        (lambda f: f.assign(v=0.0), {}, "error variance"),
+        (lambda f: f, {"correction": "gg"}, "correction must be one of"),
+    ],
+)
+def test_bad_tables_are_refused(change, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        run(change(two_way()), **arguments)
+
+
+def test_subjects_with_missing_cells_are_left_out_by_name():
+    result = run(two_way().drop(index=7), missing="listwise")
+    assert result.excluded == (1,)
+    assert result.table()["n"].tolist() == [9] * 3
+    assert "1 subject(s) with missing cells were left out (1)" in result.apa()
+
+
+@pytest.mark.parametrize(("factor", "at"), [("C", None), ("A", "C"), ("A", "A"), ("side", "side")])
+def test_unknown_factors_are_refused(factor, at):
+    with pytest.raises(ValueError, match=r"is not a factor|name two factors"):
+        run(two_way(), between="side").pairs(factor, at)
+
+
+def test_batch_refuses_what_does_not_fit():
+    array = np.random.default_rng(0).standard_normal((2, 6, 2, 2))
+    for arguments, message in (
+        ({"array": array[0, 0]}, "array must have axes"),
+        ({"array": array, "factors": ["A"]}, "factors must name the 2 axes"),
+        ({"array": array, "groups": [0, 1]}, "groups must number the group of each of 6 subjects"),
+        ({"array": array, "groups": range(6)}, "6 subjects in 6 groups"),
+        ({"array": array * np.nan}, "not a finite number"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            factorial_batch(**arguments)
+
+
+def test_all_cells_of_levels_that_are_numbers():
+    frame = two_way().replace({"b0": 0.0, "b1": 0.1, "b2": 0.2}).infer_objects()
+    cells = run(frame).scores.conditions
+    assert cells == tuple(product(("a0", "a1"), (0.0, 0.1, 0.2)))

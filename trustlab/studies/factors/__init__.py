@@ -1,0 +1,1 @@
+"""Designs of several factors: within and between subjects, with covariates, and orders of conditions."""

@@ -1,0 +1,347 @@
+"""Repeated measures with several factors: every effect, simple effects, and pairs within the levels of another factor."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from functools import reduce
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from trustlab.models.checks import one_of
+from trustlab.models.html import as_html
+from trustlab.studies.analysis.effect_sizes import noncentrality_limit
+from trustlab.studies.analysis.pairwise import bonferroni, holm
+from trustlab.studies.analysis.score_table import ScoreTable
+from trustlab.studies.analysis.sphericity import CORRECTIONS, decide_correction, orthonormal_contrasts, why_no_mauchly
+from trustlab.studies.factors.effects import BetweenDesign, effect_tests, tested
+
+
+@dataclass(frozen=True, eq=False)
+class FactorialMeasures:
+    """
+    An analysis of variance with factors within and between subjects.
+
+    Parameters
+    ----------
+    scores : ScoreTable
+        What was analysed; its conditions are the cells of the within-subject factors, as tuples.
+    within, between : dict of Hashable to tuple
+        Factors and their levels; `between` is empty without groups.
+    groups : dict of Hashable to numpy.ndarray
+        For each between-subject factor the level number of every subject.
+    covariate : Hashable or None
+        Column with the covariate, taken about its mean.
+    design : BetweenDesign
+        The regressors of the subjects.
+    effects : pandas.DataFrame
+        What `table` returns.
+    excluded : tuple
+        Subjects left out for missing cells.
+    correction : str
+        The correction asked for.
+    alpha : float
+        Level below which a p-value is called significant.
+    """
+
+    scores: ScoreTable
+    within: Mapping[Hashable, tuple]
+    between: Mapping[Hashable, tuple]
+    groups: Mapping[Hashable, np.ndarray]
+    covariate: Hashable | None
+    design: BetweenDesign
+    effects: pd.DataFrame
+    excluded: tuple
+    correction: str
+    alpha: float
+
+    @property
+    def origin(self) -> str:
+        """What kind of data these are where they were not measured; else empty."""
+        return self.scores.origin
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the test of every effect, sums of squares of type III.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns dv, effect, n, F, df1, df2, p (sphericity assumed), ss_effect, ss_error, mauchly_w, mauchly_p, epsilon_gg,
+            epsilon_hf, epsilon_hf_untruncated, p_gg, p_hf, eta2_partial, eta2_generalized, mauchly_reason, correction,
+            reason, df1_corrected, df2_corrected, p_corrected, eta2_partial_low, eta2_partial_high (90 %), alpha, excluded.
+        """
+        return self.effects.copy()
+
+    def descriptives(self) -> pd.DataFrame:
+        """Return a row per group and cell: the factors' columns, then n, mean, sd, se."""
+        rows = []
+        for group, who in self._groups():
+            for j, cell in enumerate(self.scores.conditions):
+                x = self.scores.values[who, j]
+                sd = x.std(ddof=1) if x.size > 1 else np.nan
+                rows.append((*group, *cell, x.size, x.mean(), sd, sd / np.sqrt(x.size)))
+        return self._labelled(pd.DataFrame(rows, columns=[*self.between, *self.within, "n", "mean", "sd", "se"]))
+
+    def simple_effects(self, factor: Hashable, at: Hashable) -> pd.DataFrame:
+        """
+        Return the effect of one factor at each level of another, with the error term of that level.
+
+        Parameters
+        ----------
+        factor, at : hashable
+            The factor tested, and the one whose levels are held. Other factors are averaged. Groups share one error
+            variance.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns factor, at, level, F, df1, df2, p, epsilon_gg, p_gg, eta2_partial, p_holm (of the corrected p over levels).
+
+        Raises
+        ------
+        ValueError
+            If a factor is unknown or the two are one.
+        """
+        rows = []
+        for level, cells, mean in self._held(factor, at):
+            if factor in self.within:
+                contrasts = self._weights({factor: orthonormal_contrasts(len(self.within[factor]))}, cells)
+                rows_of_design = mean[None]
+            else:
+                contrasts = self._weights({}, cells)
+                rows_of_design = np.diff([self._mean_row({factor: x}) for x in self.between[factor]], axis=0)
+            ss, covariance = tested((self.scores.values @ contrasts)[None], self.design, rows_of_design)
+            d, error = contrasts.shape[1], float(np.trace(covariance[0]))
+            df1, df2 = d * len(rows_of_design), d * self.design.df_error
+            f = float(ss[0]) / len(rows_of_design) / error if error > 0.0 else np.nan
+            epsilon = 1.0 / (d * ((covariance[0] / error) ** 2).sum()) if d > 1 and error > 0.0 else 1.0
+            p, p_gg = special.fdtrc(df1, df2, f), special.fdtrc(df1 * epsilon, df2 * epsilon, f)
+            rows.append((factor, at, level, f, df1, df2, p, epsilon, p_gg, f * df1 / (f * df1 + df2)))
+        columns = ["factor", "at", "level", "F", "df1", "df2", "p", "epsilon_gg", "p_gg", "eta2_partial"]
+        table = pd.DataFrame(rows, columns=columns)
+        return self._labelled(table.assign(p_holm=holm(table["p_gg"].to_numpy())))
+
+    def pairs(self, factor: Hashable, at: Hashable | None = None) -> pd.DataFrame:
+        """
+        Return all pairwise comparisons of one factor's levels, over all cells or within each level of another factor.
+
+        Other factors are averaged with equal weights, groups share one error variance, and every comparison within subjects
+        has the error of its own differences, as in `emmeans` on afex's multivariate model.
+
+        Parameters
+        ----------
+        factor, at : hashable
+            The factor compared and, optionally, the one whose levels are held; p-values are adjusted within each level.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns level (of `at`), a, b, mean_difference (a − b), ci_low, ci_high (95 %, unadjusted), t, df, p,
+            p_bonferroni, p_holm, d_z (mean over the residual standard deviation of the differences; NaN between groups).
+
+        Raises
+        ------
+        ValueError
+            If a factor is unknown or the two are one.
+        """
+        held = self._held(factor, at) if at is not None else [(np.nan, {}, self._mean_row({}))]
+        levels = {**self.within, **self.between}[self._known(factor)]
+        df, tables = self.design.df_error, []
+        for level, cells, mean in held:
+            rows = []
+            for i, j in combinations(range(len(levels)), 2):
+                row, difference = mean, np.zeros((len(levels), 1))
+                difference[[i, j], 0] = 1.0, -1.0
+                if factor in self.within:
+                    y = self.scores.values @ self._weights({factor: difference}, cells)
+                else:
+                    y = self.scores.values @ self._weights({}, cells)
+                    row = self._mean_row({factor: levels[i]}) - self._mean_row({factor: levels[j]})
+                rows.append((level, levels[i], levels[j], *self._estimate(y[:, 0], row, factor in self.within)))
+            columns = ["level", "a", "b", "mean_difference", "ci_low", "ci_high", "t", "d_z"]
+            table = pd.DataFrame(rows, columns=columns)
+            p = 2.0 * special.stdtr(df, -table["t"].abs().to_numpy())
+            tables.append(table.assign(df=df, p=p, p_bonferroni=bonferroni(p), p_holm=holm(p)))
+        order = [
+            "level",
+            "a",
+            "b",
+            "mean_difference",
+            "ci_low",
+            "ci_high",
+            "t",
+            "df",
+            "p",
+            "p_bonferroni",
+            "p_holm",
+            "d_z",
+        ]
+        return self._labelled(pd.concat(tables, ignore_index=True)[order])
+
+    def apa(self) -> str:
+        """Return the sentences for a paper: every effect with its test, corrected as `correction` says, and effect sizes."""
+        from trustlab.studies.analysis.apa import apa_effects
+
+        return apa_effects(self)
+
+    def plot(self, axes=None):
+        """
+        Plot the cell means with 95 % intervals between subjects: the first factor along the axis, a line per other cell.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; a new figure by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        import matplotlib.pyplot as plt
+
+        if axes is None:
+            _, axes = plt.subplots(figsize=(6.0, 3.8), layout="constrained")
+        first, *others = self.within
+        table = self.descriptives()
+        lines = table.groupby([*self.between, *others], sort=False) if self.between or others else [((), table)]
+        for i, (cell, own) in enumerate(lines):
+            reach = special.stdtrit(own["n"] - 1, 0.975) * own["se"]
+            places = np.arange(len(own)) + 0.06 * i
+            label = ", ".join(map(str, cell)) or None
+            axes.errorbar(places, own["mean"], reach, fmt="o-", capsize=4, lw=1.3, label=label)
+        axes.set_xticks(range(len(self.within[first])), [str(level) for level in self.within[first]])
+        axes.set(xlabel=str(first), ylabel=str(self.scores.dv))
+        title = f"means, 95 % intervals between subjects (N = {len(self.scores.subjects)})"
+        axes.set_title(f"{self.origin}: {title}" if self.origin else title, fontsize="small")
+        axes.legend(fontsize="small", title=", ".join(map(str, [*self.between, *others])))
+        return axes
+
+    def _repr_html_(self) -> str:
+        columns = ["effect", "F", "df1_corrected", "df2_corrected", "p_corrected", "eta2_partial", "eta2_generalized"]
+        left_out = f" Left out: {', '.join(map(str, self.excluded))}." if self.excluded else ""
+        about = f"{self.origin} {len(self.scores.subjects)} subjects, correction: {self.correction}.{left_out}".strip()
+        return as_html(about, self.effects[columns], self.descriptives(), title=str(self.scores.dv))
+
+    def _labelled(self, frame: pd.DataFrame) -> pd.DataFrame:
+        if self.origin:
+            frame.attrs["origin"] = self.origin
+        return frame
+
+    def _groups(self) -> list[tuple[tuple, np.ndarray]]:
+        """Return every combination of groups, and which subjects are in it."""
+        names = list(self.between)
+        product = pd.MultiIndex.from_product(self.between.values()) if names else [()]
+        labels = [self.between[name] for name in names]
+        return [
+            (
+                group,
+                np.all(
+                    [self.groups[x] == own.index(g) for x, own, g in zip(names, labels, group, strict=True)], axis=0
+                ),
+            )
+            if names
+            else ((), np.ones(len(self.scores.subjects), dtype=bool))
+            for group in product
+        ]
+
+    def _known(self, factor: Hashable) -> Hashable:
+        if factor not in self.within and factor not in self.between:
+            raise ValueError(f"{factor!r} is not a factor of this design: {[*self.within, *self.between]}")
+        return factor
+
+    def _held(self, factor: Hashable, at: Hashable) -> list[tuple[Hashable, dict, np.ndarray]]:
+        """Return each level of `at` with what it fixes: the level of a within-subject factor, or a row of the design."""
+        if self._known(factor) == self._known(at):
+            raise ValueError(f"factor and at are both {factor!r}; name two factors")
+        if at in self.within:
+            return [(level, {at: level}, self._mean_row({})) for level in self.within[at]]
+        if factor in self.between:
+            raise ValueError(f"{factor!r} and {at!r} are both between subjects; select the rows of a group instead")
+        return [(level, {}, self._mean_row({at: level})) for level in self.between[at]]
+
+    def _weights(self, own: Mapping[Hashable, np.ndarray], held: Mapping[Hashable, Hashable]) -> np.ndarray:
+        """Return weights of the cells: contrasts of some factors, one level of others, the mean over the rest."""
+        parts = []
+        for name, levels in self.within.items():
+            if name in own:
+                parts.append(own[name])
+            elif name in held:
+                parts.append(np.eye(len(levels))[:, [levels.index(held[name])]])
+            else:
+                parts.append(np.full((len(levels), 1), 1.0 / len(levels)))
+        return reduce(np.kron, parts)
+
+    def _mean_row(self, held: Mapping[Hashable, Hashable]) -> np.ndarray:
+        """Return the design's row of a mean: of one level of some between-subject factors, unweighted over the others."""
+        coded = {}
+        for name, levels in self.between.items():
+            k = len(levels)
+            rows = np.vstack([np.eye(k - 1), -np.ones(k - 1)])
+            coded[name] = rows[levels.index(held[name])] if name in held else np.zeros(k - 1)
+        row = np.zeros(self.design.matrix.shape[1])
+        for block, columns in self.design.blocks.items():
+            names = [name for name in self.between if str(name) in block.split(" × ")]
+            if block and not names:
+                continue  # a covariate: its mean is 0
+            row[columns] = reduce(np.multiply.outer, (coded[name] for name in names), np.ones(1)).ravel()
+        return row
+
+    def _estimate(self, y: np.ndarray, row: np.ndarray, paired: bool) -> tuple[float, float, float, float, float]:
+        """Return estimate, interval, t and d_z of one linear combination of the design's coefficients."""
+        x = self.design.matrix
+        inverse = np.linalg.inv(x.T @ x)
+        coefficients = inverse @ x.T @ y
+        sd = np.sqrt(((y - x @ coefficients) ** 2).sum() / self.design.df_error)
+        flat = sd <= 4.0 * np.finfo(float).eps * np.abs(self.scores.values).max()
+        mean, error = float(row @ coefficients), np.nan if flat else float(sd * np.sqrt(row @ inverse @ row))
+        half = special.stdtrit(self.design.df_error, 0.975) * error
+        return mean, mean - half, mean + half, mean / error, mean / sd if paired and not flat else np.nan
+
+
+def analyse_factors(
+    scores: ScoreTable,
+    within: Mapping[Hashable, tuple],
+    between: Mapping[Hashable, tuple],
+    groups: Mapping[Hashable, np.ndarray],
+    design: BetweenDesign,
+    *,
+    covariate: Hashable | None,
+    excluded: tuple,
+    correction: str,
+    alpha: float,
+) -> FactorialMeasures:
+    """Test every effect of complete scores, and apply the correction to each."""
+    one_of("correction", correction, ("auto", *CORRECTIONS))
+    n = len(scores.subjects)
+    sizes = {str(name): len(levels) for name, levels in within.items()}
+    try:
+        tests = effect_tests(scores.values[None], sizes, design).reset_index("effect").reset_index(drop=True)
+    except ValueError as error:
+        raise ValueError(f"dv: column {scores.dv!r}: {str(error).removeprefix('study 0: ')}") from None
+    rows = []
+    for row in tests.to_dict("records"):
+        d = int(row["df2"]) // design.df_error
+        why = why_no_mauchly(design.df_error + 1, d + 1, row["mauchly_w"])
+        applied, reason = decide_correction(correction, alpha, d + 1, row["mauchly_p"], row["epsilon_gg"], why)
+        epsilon = dict(zip(CORRECTIONS, (1.0, row["epsilon_gg"], row["epsilon_hf"]), strict=True))[applied]
+        df1, df2 = epsilon * row["df1"], epsilon * row["df2"]
+        low, high = (noncentrality_limit(row["F"], df1, df2, x) for x in (0.95, 0.05))
+        total = df2 * n / design.df_error  # λ = total · η²/(1 − η²) in the population
+        row |= {
+            "mauchly_reason": why,
+            "correction": applied,
+            "reason": reason,
+            "df1_corrected": df1,
+            "df2_corrected": df2,
+        }
+        row["p_corrected"] = float(special.fdtrc(df1, df2, row["F"]))
+        row |= {"eta2_partial_low": low / (low + total), "eta2_partial_high": high / (high + total)}
+        rows.append({"dv": scores.dv, "n": n} | row | {"alpha": alpha, "excluded": len(excluded)})
+    effects = pd.DataFrame(rows)
+    if scores.origin:
+        effects.attrs["origin"] = scores.origin
+    return FactorialMeasures(scores, within, between, groups, covariate, design, effects, excluded, correction, alpha)
