@@ -107,7 +107,7 @@ def test_tables_that_are_refused(name):
         ({"subject": "PID"}, "subject: no column 'PID'; did you mean 'pid'"),
         ({"dv": None}, "dv: no column None"),
         ({"within": {"condition": 1}}, "within must be the name of one column"),
-        ({"within": np.array({"condition": 1})}, "within must be the name of one column"),
+        ({"within": np.array(["condition"])}, "within must be the name of one column"),
         ({"dv": "pid"}, "must be three columns"),
         ({"subject": "condition"}, "must be three columns"),
     ],
