@@ -105,10 +105,12 @@ from .teleoperation import (
     HapticDevice as HapticDevice,
     PassivityController as PassivityController,
     Scattering as Scattering,
+    Scheme as Scheme,
     channel_run as channel_run,
     tune_transparency as tune_transparency,
 )
 from .testbeds import (
+    TeleoperationLoop as TeleoperationLoop,
     TrackingTask as TrackingTask,
     run_condition as run_condition,
     simulate_team as simulate_team,

@@ -39,7 +39,9 @@ def squares(wave):
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_waves_arrive_as_they_were_sent_and_carry_the_power_of_the_ports(scheme, study):
     ends = STUDIES[study].scattering
-    data = simulate_teleoperation(scheme, study=study, seed=8, duration=20.0, delay_1=0.13, delay_2=0.21).data
+    data = simulate_teleoperation(
+        scheme, study=study, seed=8, duration=20.0, delay_1=0.13, delay_2=0.21, guidance="through_channel"
+    ).data
     u_l, v_l, u_r, v_r = waves(data, ends)
     scale = max(np.abs(wave).max() for wave in (u_l, v_l, u_r, v_r))
     np.testing.assert_allclose(v_r[13:], u_l[:-13], atol=1e-11 * scale)  # constant delay: unit gain (Remark 10)
@@ -63,7 +65,13 @@ def test_the_ledger_keeps_the_channel_passive_under_jitter_and_loss(scheme):
     for seed in range(8):
         lost = np.random.default_rng([71, seed]).uniform(size=(2, 3000)) < 0.3
         data = simulate_teleoperation(
-            scheme, seed=seed, duration=30.0, delay_1=jitter(2 * seed), delay_2=jitter(2 * seed + 1), lost=lost
+            scheme,
+            seed=seed,
+            duration=30.0,
+            delay_1=jitter(2 * seed),
+            delay_2=jitter(2 * seed + 1),
+            lost=lost,
+            guidance="through_channel",
         ).data
         u_l, v_l, u_r, v_r = waves(data, STUDIES["main"].scattering)
         for number, (sent, read) in enumerate(((u_l, v_r), (u_r, v_l))):
@@ -85,7 +93,14 @@ def read_beyond_sent(kind):
     settings = replace(STUDIES["main"], scattering=kind(2.0, 0.9, 1.0, 0.9, 1.0, max_delay_rate=0.5))
     growing = Delay(lambda t: 0.05 + 0.25 * (t % 4.0 + np.abs(t % 4.0 - 2.0) - 2.0), 0.5, "a saw of delays")
     data = simulate_teleoperation(
-        "M", study=settings, seed=4, duration=30.0, delay_1=growing, delay_2=growing, read_out="interpolated"
+        "M",
+        study=settings,
+        seed=4,
+        duration=30.0,
+        delay_1=growing,
+        delay_2=growing,
+        read_out="interpolated",
+        guidance="through_channel",
     ).data
     u_l, _, _, v_r = waves(data, settings.scattering)
     return T * (np.cumsum(squares(v_r)) - np.cumsum(squares(u_l))).max(), T * squares(u_l).max()

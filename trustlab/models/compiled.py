@@ -41,6 +41,15 @@ def njit(function: Callable | None = None, **options: Any) -> Any:
         return numba.njit(cache=True, **options)(function)
 
 
+def cfunc(signature: Any, function: Callable, **options: Any) -> Any:
+    """Compile a function to one that C can call, and cache it on disk; options are those of `numba.cfunc`."""
+    folder = _cache_folder(Path(function.__code__.co_filename))
+    if folder is None:
+        return numba.cfunc(signature, **options)(function)
+    with _numba_caches_in(folder):
+        return numba.cfunc(signature, cache=True, **options)(function)
+
+
 @contextmanager
 def _numba_caches_in(folder: Path):
     """Point numba to `folder` while it decides where to cache; whatever the user has set for other packages stays."""

@@ -39,7 +39,7 @@ def experience(session: Session, study: str | LoopSettings = "main") -> dict[str
     session.require("path_error", "f_h_x", "f_h_y", "f_h_z", "alpha", "p_r", "p_h")
     ends = settings.scattering
     force = np.sqrt(sum(session[f"f_h_{axis}"] ** 2 for axis in "xyz")).mean()
-    holding = settings.stiffness / settings.weight + ends.beta_max * ends.b
+    holding = float(np.mean(np.divide(settings.stiffness, settings.weight))) + ends.beta_max * ends.b
     share = (session["alpha"] - ends.alpha_min) / max(ends.alpha_max - ends.alpha_min, 1e-12)
     total = session["p_h"] + session["p_r"]
     own = np.divide(session["p_h"], total, out=np.full(len(session), 0.5), where=total > 0.0)

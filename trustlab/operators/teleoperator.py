@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import not_negative, one_of, positive, spawned, whole_number
+from trustlab.models.checks import not_negative, one_of, positive, shown, spawned, whole_number
 from trustlab.operators.ground_robot import check_participant
-from trustlab.teleoperation.loop.kernel import HandNumbers
+from trustlab.teleoperation.loop.state import HandNumbers
 
 REACH = {"preliminary": 2.5, "main": 1.0}
 """Largest command [m/s] that operators of each study ask for, above the speed of its target."""
@@ -54,6 +55,11 @@ class Teleoperator:
         By how much α is moved by hand at a time (scheme MMI).
     patience : float
         How long between two such moves [s].
+    law : callable, optional
+        f(state) → command wanted [m/s] on each axis, shape (3,), in place of the proportional law: `state.seen` is the error
+        seen, late by `reaction` and the camera's delay, `state.seen_before` that of the sample before, and `state.sees` is
+        False before the first picture. With f(state, memory) it has 16 numbers of its own. The hand (lag, stiffness, noise)
+        stays as it is.
 
     Raises
     ------
@@ -77,10 +83,13 @@ class Teleoperator:
     noise_time: float = 0.2
     shift: float = 0.1
     patience: float = 3.0
+    law: Any = None
 
     def __post_init__(self):
         check_participant(self.participant)
-        for item in fields(self)[1:]:
+        if not (self.law is None or callable(self.law)):
+            raise ValueError(f"law must be a function of the state, got {shown(self.law)}")
+        for item in fields(self)[1:-1]:
             check = positive if item.name in ("reach", "lag", "noise_time", "patience") else not_negative
             object.__setattr__(self, item.name, check(item.name, getattr(self, item.name)))
         for name, most in (("reaction", 2.0), ("lag", 5.0), ("shift", 1.0)):

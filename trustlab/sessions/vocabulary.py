@@ -54,12 +54,21 @@ VOCABULARY: dict[str, Column] = {
         *_axes("f_m", "N", "force feedback at the haptic device"),
         *_axes("r_s", "m/s", "command at the robot's port, scaled by α"),
         *_axes("f_s", "N", "force feedback at the robot's port"),
-        Column("port_share", "1", "share of the command that the passivity controller lets pass", 0.0, 1.0),
+        *_axes("guide", "N", "force at the haptic device less the channel's own damping: what guidance adds"),
+        Column(
+            "port_share",
+            "1",
+            "share that the passivity controller lets pass, of a port's velocity or of the force",
+            0.0,
+            1.0,
+        ),
         Column("energy_operator", "J", "energy given by the operator's hand so far"),
         Column("energy_device", "J", "energy stored in the haptic device, V_hd"),
         Column("energy_dissipated", "J", "energy dissipated in the haptic device so far"),
         Column("energy_channel", "J", "energy in the channel: what went in less what came out so far"),
         Column("energy_robot", "J", "energy taken by the robot's port so far"),
+        Column("energy_port", "J", "energy taken by the operator's port so far, ∫ r_mᵀ f_m dt"),
+        Column("energy_target", "J", "energy that the moving target gave to the guiding spring so far"),
     ]
 }
 

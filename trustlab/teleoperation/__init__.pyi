@@ -2,6 +2,7 @@ from .channel import ChannelRun as ChannelRun, channel_run as channel_run, switc
 from .delays import (
     Delay as Delay,
     constant_delay as constant_delay,
+    packet_delay as packet_delay,
     random_walk_delay as random_walk_delay,
     recorded_delay as recorded_delay,
 )
@@ -16,7 +17,12 @@ from .filters import (
     sinusoid_energy as sinusoid_energy,
 )
 from .loop.schemes import SCHEMES as SCHEMES, Scheme as Scheme
-from .loop.settings import STUDIES as STUDIES, DivergenceError as DivergenceError, LoopSettings as LoopSettings
+from .loop.settings import (
+    STUDIES as STUDIES,
+    DivergenceError as DivergenceError,
+    LoopSettings as LoopSettings,
+    PartError as PartError,
+)
 from .ports.device import HapticDevice as HapticDevice, PassivityError as PassivityError
 from .ports.ledger import EnergyLedger as EnergyLedger
 from .ports.passivity import PassivityController as PassivityController

@@ -24,11 +24,14 @@ class Delay:
         Ṫ_max, how fast the delay grows at most [s/s].
     title : str
         What it is, for the log.
+    end : float
+        Until when it is known [s].
     """
 
     function: Callable[[np.ndarray], np.ndarray]
     max_rate: float
     title: str
+    end: float = np.inf
 
     def samples(self, count: int, sample_time: float) -> np.ndarray:
         """
@@ -177,11 +180,60 @@ def recorded_delay(t: np.ndarray, delay: np.ndarray, max_rate: float | None = No
             )
         return np.interp(times, t, delay)
 
-    return Delay(trace, rate, "a recorded delay")
+    return Delay(trace, rate, "a recorded delay", float(t[-1]))
+
+
+def packet_delay(sent: np.ndarray, received: np.ndarray) -> Delay:
+    """
+    Return the delay of a real network from a trace of packets, jitter, loss and overtaking included.
+
+    At any time the newest packet that has arrived is read. Between arrivals the delay grows as fast as time, so that the trace
+    needs read_out="ledger", the default, which is passive under any delay.
+
+    Parameters
+    ----------
+    sent : array_like, shape (N,)
+        When each packet was sent [s], in order; 0 is the start of the run.
+    received : array_like, shape (N,)
+        When it arrived [s]; NaN where it never did.
+
+    Raises
+    ------
+    ValueError
+        If the trace runs backwards: a packet sent before the one before it, or received before it was sent.
+    """
+    sent = finite_array("sent", sent)
+    received = np.asarray(received, dtype=float)
+    if received.shape != sent.shape:
+        raise ValueError(f"sent and received need the same number of packets, got {sent.shape} and {received.shape}")
+    for bad, what in (
+        (np.diff(sent, prepend=sent[0]) < 0.0, "sent before the packet before it"),
+        (received < sent, "received before it was sent"),
+    ):
+        if bad.any():
+            k = int(np.argmax(bad))
+            raise ValueError(f"the trace runs backwards: packet {k}, sent at t = {sent[k]:g} s, was {what}")
+    arrived = np.flatnonzero(np.isfinite(received))
+    if not arrived.size:
+        raise ValueError("no packet of the trace ever arrived")
+    order = arrived[np.argsort(received[arrived], kind="stable")]
+    newest = np.maximum.accumulate(sent[order])
+
+    end = float(received[order[-1]])
+
+    def trace(times: np.ndarray) -> np.ndarray:
+        if times[-1] > end:
+            raise ValueError(f"the last packet of the trace arrived at {end:g} s, the run lasts until {times[-1]:g} s")
+        step = times[1] - times[0]
+        last = np.searchsorted(received[order], times + SLACK, side="right") - 1
+        # nothing has been sent that could be read before the first packet; none is read in the sample that it was sent in
+        return np.maximum(times - np.where(last >= 0, newest[last], -step), step)
+
+    return Delay(trace, np.inf, "a delay from a trace of packets", end)
 
 
 def delay_from(name: str, delay, max_rate: float | None = None) -> Delay:
-    """Return what a user gave as a delay: a number, a function of time (with `max_rate`), or a `Delay`."""
+    """Return what a user gave as a delay: a number, a function of time, a trace (sent, received), or a `Delay`."""
     if isinstance(delay, Delay):
         return delay
     if callable(delay):
@@ -189,7 +241,7 @@ def delay_from(name: str, delay, max_rate: float | None = None) -> Delay:
             raise ValueError(f"{name} is a function: say how fast it grows at most with max_rate (3.13)")
         return Delay(lambda t: np.vectorize(delay, otypes=[float])(t), delay_rate("max_rate", max_rate), name)
     try:
-        return constant_delay(delay)
+        return packet_delay(*delay) if isinstance(delay, tuple) and len(delay) == 2 else constant_delay(delay)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
 
@@ -210,7 +262,10 @@ def delays_in_samples(
                 f"{name} grows at up to {delay.max_rate:g} s/s, but f_i is set for max_delay_rate = {max_rate:g}; raise "
                 "max_delay_rate of the scattering, or use read_out='ledger'"
             )
-        delays[i] = delay.samples(count, sample_time) / sample_time
+        try:
+            delays[i] = delay.samples(count, sample_time) / sample_time
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
         if not zero and not delays[i].all():
             raise ValueError(f"{name} must be at least one sample, {sample_time:g} s, got 0")
     if delays.any() and not delays.all():

@@ -21,8 +21,8 @@ from .teleoperation_plots import (
     plot_signals as plot_signals,
     plot_trajectory as plot_trajectory,
 )
+from .tracking_task import TrackingTask as TrackingTask, tracking_vehicle as tracking_vehicle
 from .uav_tracking import (
-    TrackingTask as TrackingTask,
+    TeleoperationLoop as TeleoperationLoop,
     simulate_teleoperation as simulate_teleoperation,
-    tracking_vehicle as tracking_vehicle,
 )

@@ -8,8 +8,9 @@ import pandas as pd
 from trustlab.models.checks import of_class
 from trustlab.sessions.session import Session
 
-SIGNALS = ("path_error", "p_r", "p_h", "alpha", "beta", "port_share", "f_h_x", "f_h_y", "f_h_z")
-ENERGIES = ("energy_operator", "energy_dissipated", "energy_channel", "energy_robot")
+SIGNALS = ("path_error", "p_r", "p_h", "alpha", "beta", "port_share")
+FORCES = ("f_h_x", "f_h_y", "f_h_z", "guide_x", "guide_y", "guide_z")
+ENERGIES = ("energy_operator", "energy_dissipated", "energy_channel", "energy_robot", "energy_port", "energy_target")
 
 
 def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFrame:
@@ -25,10 +26,10 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
     -------
     pandas.DataFrame
         participant, scheme; tracking_error, worst_error (mean and greatest distance to the target [m]); p_r, p_h, alpha, beta
-        (means); alpha_rate (mean |dα/dt| [1/s]); hand_force (mean ‖f_h‖ [N]); energy_operator, energy_dissipated (at the end
-        [J]); energy_channel_min, energy_robot_min (least values [J]); guarded (share of samples in which the passivity
-        controller acted); port_share (mean share of the
-        port's velocity that the controller let pass, 1 where it rests).
+        (means); alpha_rate (mean |dα/dt| [1/s]); hand_force (mean ‖f_h‖ [N]); guidance_felt (mean ‖f_m − β b r_m‖, what the device renders beyond the
+        channel's own damping [N]); energy_operator, energy_dissipated, energy_target (at the end [J]); energy_channel_min,
+        energy_robot_min, energy_port_min (least values [J]); guarded (share of samples in which the passivity controller
+        acted); port_share (mean share that it let pass, 1 where it rests: of the port's velocity, or of the force with a tank).
 
     Raises
     ------
@@ -67,10 +68,13 @@ def _measures(run: Session) -> dict[str, object]:
         "alpha_rate": np.abs(np.diff(run["alpha"])).mean() / run.sample_time,
         "beta": run["beta"].mean(),
         "hand_force": np.sqrt(sum(run[f"f_h_{axis}"] ** 2 for axis in "xyz")).mean(),
+        "guidance_felt": np.sqrt(sum(run[f"guide_{axis}"] ** 2 for axis in "xyz")).mean(),
         "energy_operator": run["energy_operator"][-1],
         "energy_dissipated": run["energy_dissipated"][-1],
+        "energy_target": run["energy_target"][-1],
         "energy_channel_min": run["energy_channel"].min(),
         "energy_robot_min": run["energy_robot"].min(),
+        "energy_port_min": run["energy_port"].min(),
         "guarded": (run["port_share"] < 1.0).mean(),
         "port_share": run["port_share"].mean(),
     }

@@ -1,299 +1,422 @@
 """A UAV that follows a ground robot through a teleoperation loop: a simulated stand-in for Figs. 3.12 and 3.15."""
 
+import sys
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.blending import OptimalBlending
-from trustlab.models.checks import between, finite_number, not_negative, of_class, one_of, positive, spawned
-from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
+from trustlab.models.checks import between, finite_array, finite_number, not_negative, of_class, one_of, spawned
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.channel import lost_waves
 from trustlab.teleoperation.delays import Delay, delays_in_samples, random_walk_delay
-from trustlab.teleoperation.loop import kernel
-from trustlab.teleoperation.loop.schemes import OPTIMAL, Scheme, scheme_named
-from trustlab.teleoperation.loop.settings import DivergenceError, LoopSettings, study_named, vehicle_matrices
+from trustlab.teleoperation.loop import guidance as ways, kernel, setup
+from trustlab.teleoperation.loop.defaults import controller, proportional_law, spring, two_way_trust
+from trustlab.teleoperation.loop.parts import View, part_of
+from trustlab.teleoperation.loop.schemes import Scheme, optimal, scheme_named
+from trustlab.teleoperation.loop.settings import DivergenceError, LoopSettings, PartError, study_named
+from trustlab.teleoperation.loop.state import COLUMNS, HISTORY, INPUT, LOG, PORTS
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.ports.passivity import METHODS
 from trustlab.teleoperation.records import log_of, signal
+from trustlab.testbeds.tracking_task import DELAYS, TASKS, TrackingTask, tracking_vehicle
 
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
+BLOCK = 60.0
+"""How far ahead a loop that is stepped draws what comes from outside [s]; twice as far each time that it runs out."""
 
 
-def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
+@dataclass(eq=False)
+class TeleoperationLoop:
     """
-    Return the UAV of (A.1) under a low-level velocity controller, as Section 3.6 assumes one.
-
-    State feedback u = (ω² r − (ω² − d_0) v − (2ω − d_1) dv/dt)/gain puts both poles at −ω, and at −ω for order one. The
-    printed PD controller of Appendix A does not stabilise (A.1) by itself on x and y.
+    One operator, one robot and what is between them (Fig. 3.1), stepped or run.
 
     Parameters
     ----------
-    bandwidth : float
-        ω [1/s], positive.
-
-    Raises
-    ------
-    ValueError
-        If `bandwidth` is not positive, or above 1000.
-    """
-    omega = between("bandwidth", positive("bandwidth", bandwidth), 0.0, 1e3)
-    return tuple(
-        TransferFunction(omega, (omega,)) if model.order == 1 else TransferFunction(omega**2, (2.0 * omega, omega**2))
-        for model in PRINTED_UAV.values()
-    )
-
-
-@dataclass(frozen=True)
-class TrackingTask:
-    """
-    What the target does and what goes wrong on the way.
-
-    Parameters
-    ----------
-    size_x, size_y : float
-        Half lengths of the closed path [m].
-    speed : float
-        Mean speed of the target [m/s].
-    failure_every, failure_length : float
-        Mean time between losses of the target by the autonomous controller, and how long one lasts [s]; exponential.
-    camera_delay : float
-        How late pictures arrive at the operator and the controller [s].
-    proportional, integral, derivative : float
-        Gains of the hovering PID controller.
-    reach : float
-        Its largest command [m/s].
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite or out of range.
-    """
-
-    size_x: float = 1.5
-    size_y: float = 1.0
-    speed: float = 0.2
-    failure_every: float = 15.0
-    failure_length: float = 4.0
-    camera_delay: float = 0.1
-    proportional: float = 1.0
-    integral: float = 0.1
-    derivative: float = 0.1
-    reach: float = 1.5
-
-    def __post_init__(self):
-        may_be_zero = ("speed", "camera_delay", "proportional", "integral", "derivative")
-        for name in self.__dataclass_fields__:
-            check = not_negative if name in may_be_zero else positive
-            object.__setattr__(self, name, check(name, getattr(self, name)))
-
-    def controller(self, sample_time: float) -> kernel.AutonomyNumbers:
-        """
-        Return the autonomous controller as the compiled loop takes it.
-
-        Parameters
-        ----------
-        sample_time : float
-            T [s].
-        """
-        late = max(round(self.camera_delay / sample_time), 1)
-        ideal = 1.0  # gain of the ideal controller u_i = reference velocity + error
-        return kernel.AutonomyNumbers(self.proportional, self.integral, self.derivative, late, self.reach, ideal)
-
-    def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Return where the UAV should be and how fast that moves: a figure of eight at a height above the floor.
-
-        Parameters
-        ----------
-        t : numpy.ndarray, shape (N,)
-            Times [s].
-        height : float
-            z_d [m].
-        phase : float
-            Where on the path the target begins [rad].
-
-        Returns
-        -------
-        position, velocity : numpy.ndarray, shape (N, 3)
-            In m and m/s.
-        """
-        rate = self.speed / np.sqrt(0.5 * self.size_x**2 + 2.0 * self.size_y**2)  # root mean square speed
-        turn = rate * t + phase
-        position = np.column_stack(
-            [self.size_x * np.sin(turn), self.size_y * np.sin(2 * turn), np.full(t.size, height)]
-        )
-        velocity = np.column_stack(
-            [self.size_x * rate * np.cos(turn), 2 * self.size_y * rate * np.cos(2 * turn), np.zeros(t.size)]
-        )
-        return position, velocity
-
-
-TASKS = {
-    "preliminary": TrackingTask(size_x=6.0, size_y=4.0, speed=0.8, camera_delay=0.2, reach=2.5),
-    "main": TrackingTask(),
-}
-DELAYS = {"preliminary": (0.1, 0.8), "main": (0.03, 0.2)}
-
-
-def simulate_teleoperation(
-    scheme: str = "TMIG",
-    operator: Teleoperator | None = None,
-    study: str | LoopSettings = "main",
-    seed: int | np.random.SeedSequence = 0,
-    duration: float = 120.0,
-    sample_time: float = 0.01,
-    task: TrackingTask | None = None,
-    delay_1: float | Delay | None = None,
-    delay_2: float | Delay | None = None,
-    read_out: str = "ledger",
-    guard: str = "cancel",
-    alpha: np.ndarray | None = None,
-    push: np.ndarray | None = None,
-    vehicle: tuple[TransferFunction, ...] | None = None,
-    lost: np.ndarray | None = None,
-) -> Session:
-    """
-    Simulate one run of a scheme of Section 3.8 or 3.9.
-
-    Parameters
-    ----------
-    scheme : {"M", "MI", "MMI", "TMIG", "TMIS", "OMI"}
-        The scheme.
-    operator : Teleoperator, optional
-        Who holds the device; an average one when not given.
+    scheme : {"M", "MI", "MMI", "TMIG", "TMIS", "OMI"} or Scheme
+        Who sets the scales.
+    operator : Teleoperator or callable, optional
+        Who holds the device; an average one when not given. A function is the law of an average one: see
+        `Teleoperator.law`.
     study : {"preliminary", "main"} or LoopSettings
         Printed settings, or own ones. Task, delays and reach of the operator are those of the study that
         `LoopSettings.study` names, where they are not given.
     seed : int or numpy.random.SeedSequence
         Streams for the path's start, losses of the target, motor noise and delays are spawned from it.
-    duration : float
-        Length [s].
     sample_time : float
         T [s]; 0.01 as printed.
     task : TrackingTask, optional
         The target; the study's own when not given.
-    delay_1, delay_2 : float or Delay, optional
+    delay : float, callable or Delay, optional
+        Delay both ways [s], in place of `delay_1` and `delay_2`.
+    delay_1, delay_2 : float, callable or Delay, optional
         Delay to the robot and back [s]; random walks of the study when not given. Both zero: no channel in between.
+        A pair (sent, received) of times is a trace of packets, see `packet_delay`.
     read_out : {"ledger", "interpolated", "hold"}
         How delayed waves are read, see `channel_run`.
-    guard : {"cancel", "repay", "off"}
-        Passivity controller at the robot's port.
+    guidance : {"at_operator", "through_channel", "tank", "two_port"}
+        How the guiding force reaches the operator. "at_operator": β times the force is rendered at the haptic device, from
+        the camera's picture; it spends energy that the operator's port has earned, and the robot does what the operator
+        commands. "through_channel": as printed, the force is at the robot's port, (3.17)-(3.22). "tank": likewise, as far as a
+        tank of energy at the robot's port pays for it (Franken et al.). "two_port": no waves; velocity and force are
+        sent as they are, both ports are kept passive in the time domain, and drift is made up for (Artigas et al.).
+    guard : {"repay", "cancel", "off"}
+        The passivity controllers of the guidance: "repay" lets no port end a sample below zero; "cancel", as printed, undershoots
+        by at most one sample's power at a time; "off" shows what they are for.
+    tank : float
+        Energy in the tank at the start [J]; for `guidance="tank"`.
+    trust : callable, optional
+        f(state) → (T_hr, T_rh) a sample later; (3.2) and (3.3) when not given. Like every function here, it may take 16
+        numbers of its own as a second argument, and is compiled where numba can, else called in Python.
+    feedback : callable, optional
+        f(state) → guiding force [N], shape (3,); −k_ffa e when not given, e being `state.stretch`.
+    autonomy : callable, optional
+        f(state) → u_a [m/s], shape (3,); the task's PID controller on `state.picture` when not given.
+    vehicle : three TransferFunction, callable or (A, B, C), optional
+        Command to velocity per axis; `tracking_vehicle()` when not given. Or f(state) → position [m] and velocity [m/s] a sample
+        later, shape (3,) each, under `state.command`. Or the matrices of a discrete state space, x' = A x + B u and (position,
+        velocity) = C x', with x = 0 where it starts.
     alpha : array_like, shape (N,), optional
         α given from outside; NaN where the scheme sets it. Scheme OMI sets it by `OptimalBlending` for the vehicle in use
         and the PD part of its controller.
     push : array_like, shape (N, 3), optional
         Force [N] added to the hand's.
-    vehicle : three TransferFunction, optional
-        Command to velocity; `tracking_vehicle()` when not given.
     lost : array_like of bool, shape (2, N), optional
-        Waves that never arrive, to the robot and back.
+        Waves or packets that never arrive, to the robot and back.
 
-    Returns
-    -------
-    Session
-        Every signal and every port's energy; column `alpha` is α, `trust_hr` and `trust_rh` are in units of their trust
-        models. Labelled synthetic.
+    Attributes
+    ----------
+    state
+        The state after the last sample, by name, read and changed in place by the loop.
+    ways : dict of str to str
+        How each part runs: "built-in", "compiled", or "Python: " and why.
 
     Raises
     ------
     ValueError
         If an argument is not understood, before anything runs.
-    DivergenceError
-        If the run grows without bound: the time, the block and its energy are named.
 
     Notes
     -----
-    With guard="cancel", the default, the passivity controller acts in nearly every sample while the target moves: the
-    guiding force is a spring to the target, and a moving target feeds it, which the observer at the port books as energy
-    given away. The controller then stops most of the port's velocity, which is what the operator commands. Comparisons of
-    schemes can depend on it: simulated operators track better in TMIG than in M with the guard, and better in M than in
-    TMIG with guard="off", where the port is not passive. Compare under both before concluding; `port_share`, a column of the
-    session, and `guarded` and `port_share` of `teleoperation_measures` show how much the controller did.
+    C. Saeidi, Chapter 3. S. Franken et al., Bilateral telemanipulation with time delays: a two-layer approach combining
+    passivity and transparency, IEEE Trans. Robotics 27(4), 2011. J. Artigas et al., Position drift compensation in time domain passivity
+    based teleoperation, IROS 2010.
     """
-    chosen, settings = scheme_named(scheme), study_named(study)
-    operator = Teleoperator(reach=REACH[settings.study]) if operator is None else operator
-    task = TASKS[settings.study] if task is None else task
-    of_class("operator", operator, Teleoperator)
-    of_class("task", task, TrackingTask)
-    one_of("read_out", read_out, READ_OUTS)
-    one_of("guard", guard, METHODS)
-    count, sample_time = _samples(duration, sample_time)
-    vehicle = tracking_vehicle() if vehicle is None else three_axes(vehicle)
-    seeds = spawned(seed, 5)
-    delays = _delays(settings, (delay_1, delay_2), read_out, count, sample_time, seeds[3:])
-    arrives = lost_waves(lost, count)
-    inputs = _inputs(settings, task, operator, count, sample_time, seeds, alpha, push)
-    setup = kernel.Setup(chosen.allocation, chosen.bilateral, not delays.any(), READ_OUTS[read_out], METHODS[guard])
-    table, log = log_of(kernel.LOG, count)
-    done, block = kernel.run_loop(
-        setup,
-        settings.numbers(sample_time),
-        operator.numbers(sample_time, task.camera_delay),
-        task.controller(sample_time),
-        vehicle_matrices(vehicle, sample_time),
-        _blending(chosen, vehicle, task, settings),
-        inputs,
-        delays,
-        arrives,
-        accounts(),
-        np.zeros(1, kernel.STATE),
-        log,
-    )
-    t = sample_time * np.arange(count)
-    data = pd.DataFrame(table, index=pd.Index(np.round(t, 9), name="t"), columns=kernel.COLUMNS)
-    if block >= 0:
-        energy = data[["energy_device", "energy_channel", "energy_robot"]].iloc[done - 1, block]
-        raise DivergenceError(
-            f"scheme {scheme} diverged at t = {(done - 1) * sample_time:g} s in the {kernel.BLOCKS[block]} (its energy: "
-            f"{energy:.3g} J); lower k_ffa, the hand's gains or the sample time, or see which guard is off"
+
+    scheme: str | Scheme = "TMIG"
+    operator: Teleoperator | Callable | None = None
+    study: str | LoopSettings = "main"
+    seed: int | np.random.SeedSequence = 0
+    sample_time: float = 0.01
+    task: TrackingTask | None = None
+    delay_1: float | Callable | Delay | None = None
+    delay_2: float | Callable | Delay | None = None
+    read_out: str = "ledger"
+    guard: str = "repay"
+    alpha: np.ndarray | None = None
+    push: np.ndarray | None = None
+    vehicle: tuple | Callable | None = None
+    lost: np.ndarray | None = None
+    guidance: str = "at_operator"
+    tank: float = 0.0
+    trust: Callable | None = None
+    feedback: Callable | None = None
+    autonomy: Callable | None = None
+    delay: float | Callable | Delay | None = None
+
+    def __post_init__(self):
+        self._scheme, self._settings = scheme_named(self.scheme), study_named(self.study)
+        settings, study = self._settings, self._settings.study
+        person = Teleoperator(reach=REACH[study]) if self.operator is None else self.operator
+        if callable(person):
+            person = Teleoperator(reach=REACH[study], law=person)
+        self._person = of_class("operator", person, Teleoperator)
+        self._task = of_class("task", TASKS[study] if self.task is None else self.task, TrackingTask)
+        one_of("read_out", self.read_out, READ_OUTS)
+        one_of("guard", self.guard, METHODS)
+        one_of("guidance", self.guidance, ways.GUIDANCE)
+        self.tank = not_negative("tank", self.tank)
+        T = self.sample_time = between("sample_time", self.sample_time, 1e-5, 0.1)
+        if self.delay is not None and (self.delay_1 is not None or self.delay_2 is not None):
+            raise ValueError("delay is the delay both ways: give it, or delay_1 and delay_2")
+        self._seeds = spawned(self.seed, 5)
+        self._failure: PartError | DivergenceError | None = None
+        self._states, self._accounts = setup.state_of(settings, T), np.concatenate([accounts(), accounts()])
+        self.state = View(self._states)
+        self._row = self._states.view(np.uint8)[: LOG.itemsize].view(float)
+        hand = self._person.numbers(T, self._task.camera_delay)
+        self._setups = setup.setup_of(settings, hand, self._task.controller(T), T)
+        self._fill_setup()
+        self._done = 0
+        self._table, self._log = log_of(LOG, 0)
+        self._history, self._sent = np.zeros(0, HISTORY), np.zeros((2, 0, 3))
+
+    def _fill_setup(self) -> None:
+        """Put guard, tank, vehicle and parts into the constants."""
+        one, given = self._setups[0], tracking_vehicle() if self.vehicle is None else self.vehicle
+        axes, vehicle = setup.vehicle_of(given)
+        if axes:
+            one["vehicle"] = setup.vehicle_matrices(axes, self.sample_time)[0]
+        if self._scheme.shares is optimal:
+            if not axes:
+                raise ValueError("scheme OMI predicts with three TransferFunction: give the vehicle as these")
+            ends, task = self._settings.scattering, self._task
+            gains = (task.proportional, task.derivative)
+            one["blend"] = setup.blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
+        one["guard"], one["read_out"], one["tank"] = METHODS[self.guard], READ_OUTS[self.read_out], self.tank
+        wanted = {
+            "scheme": self._scheme.shares,
+            "trust": self.trust or two_way_trust,
+            "feedback": self.feedback or spring,
+            "autonomy": self.autonomy or controller,
+            "operator": self._person.law or proportional_law,
+            "vehicle": vehicle,
+        }
+        self._parts = {port: part_of(port, part, self.state) for port, part in wanted.items()}
+        self.ways = {port: part.way for port, part in self._parts.items()}
+        way = ways.GUIDANCE[self.guidance] if self._scheme.bilateral else ways.one_way
+        for port, part in ({"guidance": way} | self._parts).items():
+            one["parts"][port] = part.address
+
+    @property
+    def t(self) -> float:
+        """Time that has been simulated [s]."""
+        return self._done * self.sample_time
+
+    def step(self, hand: np.ndarray | None = None):
+        """
+        Advance one sample and return the state.
+
+        Parameters
+        ----------
+        hand : array_like, shape (3,), optional
+            Where a recorded or live hand wants the device to be [m]; the operator's law decides when not given.
+
+        Returns
+        -------
+        View
+            `state`, the same object in every step: everything that a run logs, by name, and what its parts keep.
+            `state.copy()` stays as it is.
+
+        Raises
+        ------
+        PartError
+            If a part raises an error or returns what cannot be.
+        DivergenceError
+            If the run grows without bound.
+        """
+        if self._done == len(self._log):
+            self._reserve(max(2 * self._done, round(BLOCK / self.sample_time)), True)
+        if hand is not None:
+            self._inputs["hand"][self._done] = finite_array("hand", hand, length=3)
+        self._advance(self._done + 1)
+        return self.state
+
+    def run(self, duration: float) -> Session:
+        """
+        Advance until a time and return the whole run.
+
+        Parameters
+        ----------
+        duration : float
+            The time [s], counted from the start of the run.
+
+        Returns
+        -------
+        Session
+            As of `simulate_teleoperation(duration=duration)`, bit for bit.
+
+        Raises
+        ------
+        ValueError
+            If the loop is already beyond that time.
+        PartError
+            If a part raises an error or returns what cannot be.
+        DivergenceError
+            If the run grows without bound.
+        """
+        count = samples(duration, self.sample_time)
+        if count < self._done:
+            raise ValueError(f"the loop is at t = {self.t:g} s already, beyond {duration:g} s; make a new one")
+        if count > len(self._log):
+            self._reserve(count)
+        self._advance(count)
+        return self.session
+
+    @property
+    def session(self) -> Session:
+        """The run so far: every signal and every port's energy, labelled synthetic."""
+        t = np.round(self.sample_time * np.arange(self._done), 9)
+        data = pd.DataFrame(self._table[: self._done], index=pd.Index(t, name="t"), columns=COLUMNS)
+        facts: dict[str, object] = {"study": self._settings.title, "scheme": self._scheme.title, "seed": str(self.seed)}
+        facts |= {"read_out": self.read_out, "guard": self.guard, "guidance": self.guidance, "tank": self.tank}
+        own = [f"{port} {way.split(':')[0]}" for port, way in self.ways.items() if way != "built-in"]
+        facts |= {"parts": ", ".join(own) or "built-in", "note": NOTE}
+        return Session(data, Metadata(self._person.participant, self._scheme.name, __name__, True, facts))
+
+    def _advance(self, stop: int) -> None:
+        """Do the samples before `stop`."""
+        if self._failure is None:
+            self._done, end = kernel.advance(
+                self._done, stop, self._setups, self._states, self._row, self._inputs, self._delays, self._arrives,
+                self._accounts, self._history, self._sent, self._log, self._table,
+            )  # fmt: skip
+            if end == kernel.DONE:
+                return
+            self._failure = self._failed(end)
+            self._failure.session = self.session if self._done > 1 else None
+        raise self._failure from self._failure.__cause__
+
+    def _failed(self, end: int) -> PartError | DivergenceError:
+        """Return the error of a run that ended before its time."""
+        block, t, state = kernel.BLOCKS[end], self.state.t, self.state
+        if block not in self._parts:
+            energies = {"haptic device": "device", "channel": "channel", "robot": "robot"}
+            return DivergenceError(
+                f"scheme {self._scheme.name} diverged at t = {t:g} s in the {block} (its energy: "
+                f"{state[f'energy_{energies[block]}']:.3g} J); lower k_ffa, the hand's gains or the sample time, or see which "
+                "guard is off"
+            )
+        cause = self._parts[block].raised() if state.raised else None
+        if cause is not None and not isinstance(cause, Exception):
+            raise cause  # an interrupt
+        what = f"raised {type(cause).__name__}: {cause}" if cause else "raised an error"
+        if not state.raised:
+            found = " and ".join(f"{name} = {np.round(state[name], 6)}" for name in PORTS[block])
+            what = f"returned {found}; finite numbers are wanted"
+        if block == "scheme":
+            bounds = (f"{n} in [{state[f'{n}_min']:g}, {state[f'{n}_max']:g}]" for n in PORTS[block])
+            what += f"; {' and '.join(bounds)}, for which the channel's ends are set (3.1)"
+        error = PartError(
+            f"the {block} of this loop {what}, at t = {t:g} s; the run so far is in .session of this error"
         )
-    facts = {"study": settings.title, "scheme": chosen.title, "seed": str(seed)}
-    facts |= {"read_out": read_out, "guard": guard, "note": NOTE}
-    about = Metadata(operator.participant, chosen.name, "trustlab.testbeds.uav_tracking", True, facts)
-    return Session(data, about)
+        error.__cause__ = cause
+        return error
+
+    def _reserve(self, count: int, stepped: bool = False) -> None:
+        """Draw what comes from outside for `count` samples, and make room for the log; a stepped loop takes fewer where it must."""
+        if stepped:
+            count = min(count, self._most())
+            if count <= self._done:
+                raise ValueError(
+                    f"alpha, push, lost or a recorded delay ends at t = {self.t:g} s: the loop cannot go beyond"
+                )
+        inputs = _inputs(self._settings, self._task, self._person, count, self.sample_time, self._seeds)
+        inputs["alpha"] = shares = _shares(self.alpha, count)
+        ends = self._settings.scattering
+        ends.check_scales(shares[np.isfinite(shares)], np.array(ends.beta_max))
+        inputs["pushed"] = signal("push", np.zeros((count, 3)) if self.push is None else self.push, count, 3)
+        both = (self.delay_1, self.delay_2) if self.delay is None else (self.delay, self.delay)
+        delays = _delays(self._settings, both, self.read_out, count, self.sample_time, self._seeds[3:])
+        self._arrives = lost_waves(self.lost, count)
+        self._inputs, self._delays = inputs, delays
+        table, log = log_of(LOG, count)
+        table[: self._done] = self._table[: self._done]
+        history, sent = np.zeros(count, HISTORY), np.zeros((2, count, 3))
+        history[: self._done], sent[:, : self._done] = self._history[: self._done], self._sent[:, : self._done]
+        self._table, self._log, self._history, self._sent = table, log, history, sent
+        carried = ways.PACKETS if self.guidance == "two_port" else ways.WAVES
+        if not self._scheme.bilateral:
+            carried = ways.SIGNALS
+        if self.guidance in ("tank", "two_port") and self._scheme.bilateral:
+            self._delays = np.maximum(delays, 1.0)  # packets take a sample at least
+        self._setups["channel"] = carried if self._delays.any() else ways.DIRECT
+
+    def _most(self) -> int:
+        """Return how many samples the arguments that are arrays or traces allow."""
+        lengths = [*np.shape(self.alpha)[:1], *np.shape(self.push)[:1], *np.shape(self.lost)[1:2]]
+        traces = [one.end for one in (self.delay, self.delay_1, self.delay_2) if isinstance(one, Delay)]
+        return min([*lengths, *(int(end / self.sample_time) + 1 for end in traces if np.isfinite(end)), sys.maxsize])
 
 
-def _samples(duration: float, sample_time: float) -> tuple[int, float]:
-    """Return the number of samples and the sample time of a run, checked."""
-    sample_time = between("sample_time", sample_time, 1e-5, 0.1)
+def simulate_teleoperation(
+    scheme: str | Scheme = "TMIG",
+    operator: Teleoperator | Callable | None = None,
+    study: str | LoopSettings = "main",
+    seed: int | np.random.SeedSequence = 0,
+    duration: float = 120.0,
+    sample_time: float = 0.01,
+    task: TrackingTask | None = None,
+    delay_1: float | Callable | Delay | None = None,
+    delay_2: float | Callable | Delay | None = None,
+    read_out: str = "ledger",
+    guard: str = "repay",
+    alpha: np.ndarray | None = None,
+    push: np.ndarray | None = None,
+    vehicle: tuple | Callable | None = None,
+    lost: np.ndarray | None = None,
+    guidance: str = "at_operator",
+    tank: float = 0.0,
+    trust: Callable | None = None,
+    feedback: Callable | None = None,
+    autonomy: Callable | None = None,
+    delay: float | Callable | Delay | None = None,
+) -> Session:
+    """
+    Simulate one run of a scheme of Section 3.8 or 3.9, or of one's own.
+
+    Parameters
+    ----------
+    scheme, operator, study, seed, sample_time, task, delay_1, delay_2, read_out, guard : as of `TeleoperationLoop`
+        Scheme, operator, settings and task, delays and passivity controllers.
+    duration : float
+        Length [s].
+    alpha, push, vehicle, lost, guidance, tank, trust, feedback, autonomy, delay : as of `TeleoperationLoop`
+        Given signals, and parts of the loop that replace its own.
+
+    Returns
+    -------
+    Session
+        Every signal and every port's energy; column `alpha` is α, `trust_hr` and `trust_rh` are in units of their trust
+        models, `guide` is the guiding force at the haptic device where it is rendered there. Labelled synthetic.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood, before anything runs.
+    PartError
+        If a part of one's own raises an error or returns what cannot be: part and time are named, and `.session` of the
+        error is the run so far.
+    DivergenceError
+        If the run grows without bound: the time, the block and its energy are named; likewise.
+
+    Notes
+    -----
+    Printed is guidance="through_channel" with guard="cancel". There the guiding force −k_ffa e stands at the robot's port, whose
+    velocity yields to any force by 1/b: the force drives the robot to its target, with nobody at the device as well
+    (guard="off"). Its energy comes from the moving target (`energy_target`), a port that the passivity controller does not
+    observe; what the controller books as given away by the robot's port, and stops, is mostly this hidden autopilot. So with
+    the guard off a comparison of M and TMIG compares autopilots, and with it the operator feels almost nothing.
+    """
+    loop = TeleoperationLoop(
+        scheme, operator, study, seed, sample_time, task, delay_1, delay_2, read_out, guard, alpha, push, vehicle, lost,
+        guidance, tank, trust, feedback, autonomy, delay,
+    )  # fmt: skip
+    return loop.run(duration)
+
+
+def samples(duration: float, sample_time: float) -> int:
+    """Return the number of samples of a run, checked."""
     duration = finite_number("duration", duration)
     if not 10.0 * sample_time <= duration <= min(1e5, 5e6 * sample_time):
         raise ValueError(
             f"duration must be ten to five million samples of {sample_time:g} s and at most 1e5 s, got {duration}"
         )
-    return round(duration / sample_time), sample_time
+    return round(duration / sample_time)
 
 
-def _inputs(settings, task, operator, count, sample_time, seeds, alpha, push) -> np.ndarray:
-    """Return what comes from outside, records of INPUT: drawn from the seeds where random, checked where a user gave it."""
+def _inputs(settings, task, operator, count, sample_time, seeds) -> np.ndarray:
+    """Return what is drawn from the seeds, records of INPUT; a longer draw begins with the shorter one."""
     start, losses, noise = (np.random.default_rng(child) for child in seeds[:3])
-    t, inputs = sample_time * np.arange(count), np.empty(count, kernel.INPUT)
+    t, inputs = sample_time * np.arange(count), np.empty(count, INPUT)
     position, velocity = task.path(t, settings.height, start.uniform(0.0, 2.0 * np.pi))
     inputs["reference"], inputs["reference_velocity"] = position, velocity
     inputs["detected"] = _losses(task, count, sample_time, losses)
     inputs["motor"] = _coloured(count, operator.noise_time, sample_time, noise)
-    inputs["alpha"] = shares = _shares(alpha, count)
-    settings.scattering.check_scales(shares[np.isfinite(shares)], settings.scattering.beta_max)
-    inputs["pushed"] = signal("push", np.zeros((count, 3)) if push is None else push, count, 3)
+    inputs["hand"] = np.nan
     return inputs
-
-
-def _blending(scheme: Scheme, vehicle, task: TrackingTask, settings: LoopSettings) -> np.ndarray:
-    """Return the cost of Appendix A that sets α in scheme OMI; an empty one in every other scheme."""
-    if scheme.allocation != OPTIMAL:
-        return np.zeros((3, 1, 5, 5))
-    ends = settings.scattering
-    return _cost(vehicle, (task.proportional, task.derivative), ends.alpha_min, ends.alpha_max)
-
-
-@lru_cache(maxsize=64)
-def _cost(vehicle, gains, low: float, high: float) -> np.ndarray:
-    """Return the cost of Appendix A for this vehicle and its controller, the same on three axes."""
-    return OptimalBlending(vehicle, (gains,) * 3, low, high).weights
 
 
 def _losses(task: TrackingTask, count: int, sample_time: float, rng) -> np.ndarray:

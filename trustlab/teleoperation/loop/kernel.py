@@ -1,318 +1,155 @@
 """
-The whole teleoperation loop (Fig. 3.1), compiled: `run_loop` is a plain loop over `loop_step`.
+The whole teleoperation loop (Fig. 3.1), compiled: `advance` does one sample after another.
 
-A step takes one record of INPUT, changes one record of STATE and fills one record of LOG. Whatever is delayed (pictures, waves,
-performance that leaves its window) is looked up by `run_loop`, so that a step needs no history. Records are passed as plain
+A sample changes one record of STATE, of which the first part is the row of the log. Whatever is delayed (pictures, waves,
+performance that leaves its window) is looked up here, so that the parts need no history. Records are passed as plain
 pointers, whereas every array that a compiled function is given costs two atomic reference counts a call: with arrays
 as arguments this loop is three times slower.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
-from trustlab.allocation.blending import best_share
 from trustlab.models.compiled import njit
-from trustlab.models.trust import logistic_scale, trust_step
-from trustlab.teleoperation.loop.schemes import LOGISTIC, MANUAL, OPERATOR, OPTIMAL, STEP
-from trustlab.teleoperation.ports import device as haptic, guidance, waves
+from trustlab.teleoperation.loop.guidance import DIRECT, PACKETS, SIGNALS, WAVES
+from trustlab.teleoperation.loop.parts import call
+from trustlab.teleoperation.loop.state import PORTS
+from trustlab.teleoperation.ports import device as haptic
 from trustlab.teleoperation.ports.ledger import read_wave
-from trustlab.teleoperation.records import columns_of, record
 
-BLOCKS = ("haptic device", "channel", "robot")
+DONE, DEVICE, CHANNEL, ROBOT, SCHEME, TRUST, FEEDBACK, AUTONOMY, OPERATOR, VEHICLE = range(-1, 9)
+"""How a run ends: well, a block diverged, or a part raised an error or returned what cannot be."""
 
-LOG = record(
-    vectors="reference robot velocity device device_velocity r_m f_h f_m r_s f_s u_h u_a u_i",
-    numbers=(
-        "alpha beta p_r p_h trust_hr trust_rh path_error port_share "
-        "energy_operator energy_device energy_dissipated energy_channel energy_robot"
-    ),
-)
-"""A row of the log: the state before the sample and the signals of the sample."""
+BLOCKS = ("haptic device", "channel", "robot", *PORTS)
+"""Names of the blocks and parts, by these numbers."""
 
-COLUMNS = columns_of(LOG)
-
-INPUT = record(vectors="reference reference_velocity motor pushed", numbers="alpha", flags="detected")
-"""
-What comes from outside in one sample: where the robot should be and how fast it should move, noise of the hand, a force
-added to the hand's, α where it is given (NaN elsewhere), and whether the controller's camera finds its target.
-"""
-
-# The state proper: device, vehicle, lagging wish of the hand, integral of the controller, sums of performance over the
-# window, trust as a share of its range, samples since the operator last moved α, energies.
-KEPT = "device device_velocity wish integral position velocity acceleration command"
-# What has arrived by now, set before each step: the error in the picture of operator and camera (and in the picture before),
-# the command where no force comes back, waves, and the performance that leaves the window.
-ARRIVED = "seen seen_before filmed filmed_before arrived v_l v_r"
-# What the parts of a step tell each other and later samples.
-SIGNALS = "error u_l u_r force free_output free_velocity port_velocity guiding"
-STATE = record(
-    vectors=f"{KEPT} {ARRIVED} {SIGNALS}",
-    numbers=(
-        "alpha beta p_r p_h sum_r sum_h trust_hr trust_rh good_r good_h leaving_r leaving_h "
-        "energy_operator energy_dissipated energy_channel energy_robot"
-    ),
-    counts="waited samples",
-    flags="sees finds found_before",
-)
-"""What a step reads and leaves."""
-
-VEHICLE = np.dtype([("phi", float, (3, 3, 3)), ("gamma", float, (3, 3))])
-"""Exact one-sample matrices of (position, velocity, acceleration) per axis."""
-
-
-class ScaleNumbers(NamedTuple):
-    """A scale as a function of trust, (3.5) or (3.6), trust being a share of its range."""
-
-    low: float
-    high: float
-    steepness: float
-    midpoint: float
-
-
-class TrustNumbers(NamedTuple):
-    """A `TrustModel` for one sample time; `start` is a share of the range of trust, `gain` is b/a."""
-
-    decay: float
-    gain: float
-    start: float
-    p_min: float
-    p_max: float
-    t_min: float
-    t_max: float
-
-
-class LoopNumbers(NamedTuple):
-    """Device, channel, guidance, trust and scales as plain numbers; see `LoopSettings`."""
-
-    sample_time: float
-    mass: float
-    damping: float
-    stiffness: float
-    weight: float
-    force_scaling: float
-    b: float
-    gain: float
-    guidance: float
-    alpha: ScaleNumbers
-    beta: ScaleNumbers
-    trust_hr: TrustNumbers
-    trust_rh: TrustNumbers
-    window: int
-    command_range: float
-    error_range: float
-
-
-class HandNumbers(NamedTuple):
-    """The simulated hand and eye: gains on the error seen, delay in samples, lag, impedance, and handling of α."""
-
-    proportional: float
-    derivative: float
-    delay: int
-    decay: float
-    reach: float
-    stiffness: float
-    damping: float
-    noise: float
-    shift: float
-    patience: int
-
-
-class AutonomyNumbers(NamedTuple):
-    """The autonomous controller (PID on what the camera saw `delay` samples ago) and the ideal one."""
-
-    proportional: float
-    integral: float
-    derivative: float
-    delay: int
-    reach: float
-    ideal: float
-
-
-class Setup(NamedTuple):
-    """The scheme and the variants of the channel, as the constants of `schemes`, `ledger` and `passivity`."""
-
-    allocation: int
-    bilateral: bool
-    direct: bool
-    read_out: int
-    guard: int
-
-
-class Blocks(NamedTuple):
-    """The ports, with the coefficients of their equations."""
-
-    device: haptic.Device
-    operator: waves.OperatorEnd
-    robot: waves.RobotEnd
+SLACK = 1e-12
 
 
 @njit(error_model="numpy", forceinline=True)
-def scale(numbers, trust, step):
-    """Return (3.5), or (3.6) where `step`, at a trust that is a share of its range."""
-    if step:
-        return numbers.low if trust >= numbers.midpoint else numbers.high
-    return logistic_scale(numbers.low, numbers.high, numbers.steepness, numbers.midpoint, trust)
+def finite(vector):
+    """Return whether three numbers are finite."""
+    return np.isfinite(vector[0]) and np.isfinite(vector[1]) and np.isfinite(vector[2])
 
 
 @njit(error_model="numpy", forceinline=True)
-def clip(value, reach):
-    """Return value within ± reach."""
-    return min(max(value, -reach), reach)
+def within(share, low, high):
+    """Return whether a scale is within its bounds, up to rounding."""
+    return low * (1.0 - SLACK) <= share <= high * (1.0 + SLACK)
 
 
 @njit(error_model="numpy", forceinline=True)
-def steer(n, auto, now, state, row):
-    """Set the tracking error, the ideal command u_i and the autonomous one u_a."""
-    for i in range(3):
-        state.error[i] = now.reference[i] - state.position[i]
-        row.u_i[i] = now.reference_velocity[i] + auto.ideal * state.error[i]
-        row.u_a[i] = 0.0  # a vehicle that has lost its target hovers
-        if state.finds:
-            rate = 0.0
-            if state.found_before:
-                rate = (state.filmed[i] - state.filmed_before[i]) / n.sample_time
-            wanted = auto.proportional * state.filmed[i] + auto.derivative * rate
-            summed = state.integral[i] + n.sample_time * state.filmed[i]
-            # anti-windup: the integral rests while the command is at its limit
-            if abs(wanted + auto.integral * summed) < auto.reach:
-                state.integral[i] = summed
-            row.u_a[i] = clip(wanted + auto.integral * state.integral[i], auto.reach)
+def newest_packet(arrives, k, delay, account):
+    """Return the number of the newest packet that has arrived by sample k, −1 before the first."""
+    while account.unbooked <= k - delay:
+        if arrives[account.unbooked]:
+            account.latest = account.unbooked
+        account.unbooked += 1
+    return int(account.latest)
 
 
 @njit(error_model="numpy", forceinline=True)
-def allocate(setup, n, hand, now, blend, state, row):
-    """Set the scales α and β from what was measured up to the sample before."""
-    allocation = setup.allocation
-    if not np.isnan(now.alpha):
-        state.alpha = now.alpha
-    elif allocation == MANUAL:
-        state.alpha = n.alpha.high
-    elif allocation == OPERATOR:
-        state.waited += 1
-        if state.waited >= hand.patience:
-            state.waited = 0
-            state.alpha += hand.shift if state.p_h > state.p_r else -hand.shift
-            state.alpha = min(max(state.alpha, n.alpha.low), n.alpha.high)
-    elif allocation == OPTIMAL:
-        ahead = np.empty((3, 5))
+def receive(k, setup, delays, arrives, accounts, history, sent, log, state):
+    """Set what comes out of the channel in sample k."""
+    if setup.channel == DIRECT:
+        return
+    if setup.channel != SIGNALS:
+        far = newest_packet(arrives[0], k, delays[0, k], accounts[2])
+        near = newest_packet(arrives[1], k, delays[1, k], accounts[3])
+        state.known_near = history[far].in_near if far >= 0 else 0.0
+        state.known_far = history[near].in_far if near >= 0 else 0.0
+    if setup.channel == WAVES:
+        gain, read_out, T = setup.loop.gain, setup.read_out, state.sample_time
+        read_wave(sent[0], arrives[0], k, delays[0, k], gain, read_out, T, accounts[0], state.v_r)
+        read_wave(sent[1], arrives[1], k, delays[1, k], gain, read_out, T, accounts[1], state.v_l)
+    elif setup.channel == PACKETS:
         for i in range(3):
-            ahead[i] = (
-                state.command[i] / state.alpha,
-                row.u_a[i],
-                state.error[i],
-                now.reference_velocity[i] - state.velocity[i],
-                -state.acceleration[i],
-            )
-        state.alpha = best_share(blend, ahead, n.alpha.low, n.alpha.high)[0]
+            if far >= 0:
+                state.arrived[i] = log[far].r_m[i]
+            if near >= 0:
+                state.packet_force[i] = log[near].f_s[i]
     else:
-        state.alpha = scale(n.alpha, state.trust_hr, allocation == STEP)
-    state.beta = n.beta.high
-    if allocation in (LOGISTIC, STEP):
-        state.beta = scale(n.beta, state.trust_rh, allocation == STEP)
+        where = k - delays[0, k]
+        first = int(np.floor(where))
+        for i in range(3):
+            if first >= 0:
+                value, later = log[first].r_m[i], log[min(first + 1, k - 1)].r_m[i]
+                state.arrived[i] = value + (where - first) * (later - value)
 
 
 @njit(error_model="numpy", forceinline=True)
-def reach_out(n, hand, device, now, state):
-    """Set the hand's force from what it sees, and the output that the device would have without feedback."""
+def look_up(k, setup, inputs, history, state):
+    """Set what sample k begins with: the target, the pictures of camera and operator, and the performance that leaves."""
+    now = inputs[k]
+    state.t = k * state.sample_time
+    view, camera = k - setup.hand.delay, k - setup.auto.delay
+    state.sees, state.finds = view >= 1, camera >= 1 and inputs[camera].detected
+    state.found_before = state.finds and inputs[camera - 1].detected
+    square = 0.0
     for i in range(3):
-        wanted = 0.0
-        if state.sees:
-            rate = (state.seen[i] - state.seen_before[i]) / n.sample_time
-            wanted = clip(hand.proportional * state.seen[i] + hand.derivative * rate, hand.reach)
-        state.wish[i] = hand.decay * state.wish[i] + (1.0 - hand.decay) * wanted
-        goal = state.wish[i] / n.weight  # where the device's output is the wish, r_m = Λ x
-        shaking = hand.noise * now.motor[i] * (1.0 + abs(state.wish[i]))
-        state.force[i] = device.held_stiffness * goal + shaking + now.pushed[i]
+        state.reference[i], state.reference_velocity[i] = now.reference[i], now.reference_velocity[i]
+        state.pushed[i], state.motor[i], state.hand[i] = now.pushed[i], now.motor[i], now.hand[i]
+        state.error[i] = now.reference[i] - state.robot[i]
+        square += state.error[i] ** 2
+        history[k].error[i] = state.error[i]
+        if view >= 1:
+            state.seen[i], state.seen_before[i] = history[view].error[i], history[view - 1].error[i]
+        if camera >= 1:
+            state.picture[i], state.picture_before[i] = history[camera].error[i], history[camera - 1].error[i]
+    state.path_error = np.sqrt(square)
+    state.samples = min(k + 1, setup.loop.window)
+    if k >= setup.loop.window:
+        old = history[k - setup.loop.window]
+        state.leaving_r, state.leaving_h = old.good_r, old.good_h
+
+
+@njit(error_model="numpy", forceinline=True)
+def reach_out(setup, state):
+    """Set the hand's force, and the output that the device would have without feedback."""
+    hand, given = setup.hand, not np.isnan(state.hand[0])
+    for i in range(3):
+        device = axis(setup.device, i)
+        if given:
+            state.wish[i] = device.weight * state.hand[i]
+        else:
+            state.wish[i] = hand.decay * state.wish[i] + (1.0 - hand.decay) * state.wanted[i]
+        goal = state.wish[i] / device.weight  # where the device's output is the wish, r_m = Λ x
+        shaking = hand.noise * state.motor[i] * (1.0 + abs(state.wish[i]))
+        state.force[i] = device.held_stiffness * goal + shaking + state.pushed[i]
         state.free_output[i] = haptic.free_output(device, state.device[i], state.device_velocity[i], state.force[i])
 
 
 @njit(error_model="numpy", forceinline=True)
-def send_one_way(setup, state, row):
-    """Send the device's output to a robot from which no force comes back."""
-    for i in range(3):
-        row.r_m[i], row.f_m[i], row.f_s[i] = state.free_output[i], 0.0, 0.0
-        row.r_s[i] = state.alpha * (row.r_m[i] if setup.direct else state.arrived[i])
-    row.port_share = 1.0
+def axis(d, i):
+    """Return one axis of the device."""
+    return haptic.Device(
+        d.sample_time[i], d.mass[i], d.damping[i], d.stiffness[i], d.weight[i], d.held_stiffness[i], d.inertia[i],
+        d.lever[i], d.spare[i],
+    )  # fmt: skip
 
 
 @njit(error_model="numpy", forceinline=True)
-def exchange(setup, n, blocks, state, row):
-    """
-    Solve both ends of the channel, each with the port behind it.
-
-    The robot's velocity is r_s = α (free − compliance f_s): the free part is what arrives, and the port yields to the
-    force. Without a channel in between (`direct`), both ends are one system of equations, solved in closed form.
-    """
-    operator, robot, b = blocks.operator, blocks.robot, blocks.operator.b
-    alpha, beta = state.alpha, state.beta
-    # the device's port: r_m = free_output − admittance f_m with f_m = β (b r_m + arriving v_l)
-    admittance = n.force_scaling * blocks.device.lever / blocks.device.inertia
-    loaded = 1.0 + admittance * beta * b
-    through = admittance * beta * operator.arriving / loaded
-    compliance = 1.0 / b
-    echo = 0.0  # what of a wave sent back comes again, without a channel in between
-    if setup.direct:
-        echo = operator.reflected - operator.sent * through
-        compliance = (1.0 - robot.arriving * echo * robot.sent / (1.0 + robot.reflected * echo)) / b
-        for i in range(3):
-            straight = robot.arriving * operator.sent * state.free_output[i] / loaded
-            state.free_velocity[i] = straight / (b * (1.0 + robot.reflected * echo))
-    else:
-        for i in range(3):
-            state.free_velocity[i] = robot.arriving * state.v_r[i] / b
+def book(setup, state):
+    """Book the energy of every port and set the robot's command; return whether device and channel are bounded."""
+    T, scaling, near = state.sample_time, setup.loop.force_scaling, 0.0
+    state.energy_device = 0.0
     for i in range(3):
-        state.guiding[i] = guidance.guiding_force(n.guidance, state.error[i])
-        state.port_velocity[i] = alpha * (state.free_velocity[i] - compliance * state.guiding[i])
-    share = guidance.velocity_share(
-        setup.guard, state.energy_robot, state.port_velocity, state.guiding, alpha * compliance, n.sample_time
-    )
-    for i in range(3):
-        row.r_s[i], row.f_s[i] = state.port_velocity[i], state.guiding[i]
-        if share < 1.0:
-            row.r_s[i] = share * state.port_velocity[i]
-            row.f_s[i] = (state.free_velocity[i] - row.r_s[i] / alpha) / compliance
-        if setup.direct:
-            straight = operator.sent * state.free_output[i] / loaded + echo * robot.sent * row.f_s[i]
-            state.v_r[i] = straight / (1.0 + robot.reflected * echo)
-            state.v_l[i] = waves.robot_wave(robot, row.f_s[i], state.v_r[i])
-        row.r_m[i] = state.free_output[i] / loaded - through * state.v_l[i]
-        row.f_m[i] = beta * waves.operator_force(operator, row.r_m[i], state.v_l[i])
-        state.u_l[i] = waves.operator_wave(operator, row.r_m[i], state.v_l[i])
-        state.u_r[i] = waves.robot_wave(robot, row.f_s[i], state.v_r[i])
-    row.port_share = share
-
-
-@njit(error_model="numpy", forceinline=True)
-def move(n, hand, blocks, vehicle, now, state, row):
-    """Step device and vehicle, and book the energy of every port; return storage and sizes that show divergence."""
-    T, device, phi, gamma = n.sample_time, blocks.device, vehicle.phi, vehicle.gamma
-    stored = near = far = 0.0
-    for i in range(3):
-        x, v = state.device[i], state.device_velocity[i]
-        v_middle = haptic.midpoint_velocity(device, x, v, state.force[i], n.force_scaling * row.f_m[i])
+        device, x, v = axis(setup.device, i), state.device[i], state.device_velocity[i]
+        v_middle = haptic.midpoint_velocity(device, x, v, state.force[i], scaling * state.f_m[i])
         x_middle = x + 0.5 * T * v_middle
-        row.f_h[i] = state.force[i] - hand.stiffness * x_middle - hand.damping * v_middle
-        state.energy_operator += T * row.r_m[i] * row.f_h[i] / n.force_scaling
-        state.energy_channel += T * (row.r_m[i] * row.f_m[i] - row.r_s[i] * row.f_s[i])
-        state.energy_robot += T * row.r_s[i] * row.f_s[i]
-        state.energy_dissipated += T / n.force_scaling * haptic.device_loss(device, x_middle, v_middle)
-        row.u_h[i] = row.r_s[i] / state.alpha
-        row.reference[i] = now.reference[i]
-        row.robot[i], row.velocity[i] = state.position[i], state.velocity[i]
-        row.device[i], row.device_velocity[i] = x, v
-        state.device[i] = x + T * v_middle
-        state.device_velocity[i] = 2.0 * v_middle - v
-        stored += haptic.device_storage(device, state.device[i], state.device_velocity[i]) / n.force_scaling
-        command = row.r_s[i] + (1.0 - state.alpha) * row.u_a[i]
-        s, w, a = state.position[i], state.velocity[i], state.acceleration[i]
-        state.position[i] = phi[i, 0, 0] * s + phi[i, 0, 1] * w + phi[i, 0, 2] * a + gamma[i, 0] * command
-        state.velocity[i] = phi[i, 1, 0] * s + phi[i, 1, 1] * w + phi[i, 1, 2] * a + gamma[i, 1] * command
-        state.acceleration[i] = phi[i, 2, 0] * s + phi[i, 2, 1] * w + phi[i, 2, 2] * a + gamma[i, 2] * command
-        state.command[i] = row.r_s[i]
-        near += row.r_m[i] ** 2 + row.f_m[i] ** 2
-        far += abs(state.position[i]) + abs(state.velocity[i])
-    return stored, near, far
+        state.middle[i] = v_middle
+        state.f_h[i] = state.force[i] - setup.hand.stiffness * x_middle - setup.hand.damping * v_middle
+        state.energy_operator += T * state.r_m[i] * state.f_h[i] / scaling
+        state.energy_port += T * state.r_m[i] * state.f_m[i]
+        state.energy_channel += T * (state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i])
+        state.energy_robot += T * state.r_s[i] * state.f_s[i]
+        state.energy_target -= T * state.pull[i] * state.reference_velocity[i]
+        state.energy_dissipated += T / scaling * haptic.device_loss(device, x_middle, v_middle)
+        after_x, after_v = x + T * v_middle, 2.0 * v_middle - v
+        state.energy_device += haptic.device_storage(device, after_x, after_v) / scaling
+        state.u_h[i] = state.r_s[i] / state.alpha
+        state.command[i] = state.r_s[i] + (1.0 - state.alpha) * state.u_a[i]
+        near += state.r_m[i] ** 2 + state.f_m[i] ** 2
+    return near
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -322,21 +159,13 @@ def performance(n, miss, share, size):
 
 
 @njit(error_model="numpy", forceinline=True)
-def next_trust(trust, model, p):
-    """Return trust one sample later for a performance in its own unit; performance beyond its range counts as at its end."""
-    share = min(max((p - model.p_min) / (model.p_max - model.p_min), 0.0), 1.0)
-    return trust_step(trust, share, model.decay, model.gain)
-
-
-@njit(error_model="numpy", forceinline=True)
-def judge(n, state, row):
-    """Take performance (3.26)-(3.27) over the window, log it with the trust that it found, and update trust (3.2)-(3.3)."""
-    size = miss_h = miss_r = square = 0.0
+def judge(n, state):
+    """Take performance (3.26)-(3.27) over the window."""
+    size = miss_h = miss_r = 0.0
     for i in range(3):
         size += abs(state.error[i])
-        square += state.error[i] ** 2
-        miss_h += abs(row.u_h[i] - row.u_i[i])
-        miss_r += abs(row.u_a[i] - row.u_i[i])
+        miss_h += abs(state.u_h[i] - state.u_i[i])
+        miss_r += abs(state.u_a[i] - state.u_i[i])
     state.good_r = performance(n, miss_r, 1.0 - state.alpha, size)
     state.good_h = performance(n, miss_h, state.alpha, size)
     state.sum_r += state.good_r
@@ -345,88 +174,94 @@ def judge(n, state, row):
     state.sum_h -= state.leaving_h
     # sums of differences may end a rounding error below zero
     state.p_r, state.p_h = max(state.sum_r / state.samples, 0.0), max(state.sum_h / state.samples, 0.0)
-    row.alpha, row.beta, row.p_r, row.p_h = state.alpha, state.beta, state.p_r, state.p_h
-    row.trust_hr = n.trust_hr.t_min + (n.trust_hr.t_max - n.trust_hr.t_min) * state.trust_hr
-    row.trust_rh = n.trust_rh.t_min + (n.trust_rh.t_max - n.trust_rh.t_min) * state.trust_rh
-    row.path_error = np.sqrt(square)
-    state.trust_hr = next_trust(state.trust_hr, n.trust_hr, state.p_r)
-    state.trust_rh = next_trust(state.trust_rh, n.trust_rh, state.p_h)
 
 
 @njit(error_model="numpy", forceinline=True)
-def loop_step(setup, n, hand, auto, blocks, vehicle, blend, now, state, row):
-    """Do one sample: change `state`, fill `row`, and return the block that diverged, −1 when none did."""
-    steer(n, auto, now, state, row)
-    allocate(setup, n, hand, now, blend, state, row)
-    reach_out(n, hand, blocks.device, now, state)
-    if setup.bilateral:
-        exchange(setup, n, blocks, state, row)
-    else:
-        send_one_way(setup, state, row)
-    stored, near, far = move(n, hand, blocks, vehicle, now, state, row)
-    judge(n, state, row)
-    row.energy_operator, row.energy_device = state.energy_operator, stored
-    row.energy_dissipated, row.energy_channel = state.energy_dissipated, state.energy_channel
-    row.energy_robot = state.energy_robot
-    # written as "not <", so that NaN counts as diverged
-    if not stored < 1e9:
-        return 0
-    if not near < 1e18:
-        return 1
-    if not far < 1e9:
-        return 2
-    return -1
+def decide(setup, alpha, state):
+    """Let autonomy, scheme and operator decide; return the part that failed, DONE where none did. α may be given."""
+    parts = setup.parts
+    for i in range(3):
+        state.u_i[i] = state.reference_velocity[i] + setup.auto.ideal * state.error[i]
+    call(parts.autonomy, state, setup)
+    if state.raised or not finite(state.u_a):
+        return AUTONOMY
+    call(parts.scheme, state, setup)
+    if not np.isnan(alpha):
+        state.alpha = alpha
+    bounded = within(state.alpha, state.alpha_min, state.alpha_max)
+    if state.raised or not (bounded and within(state.beta, state.beta_min, state.beta_max)):
+        return SCHEME
+    call(parts.operator, state, setup)
+    if state.raised or not finite(state.wanted):
+        return OPERATOR
+    return DONE
+
+
+@njit(error_model="numpy", forceinline=True)
+def keep(k, state, history, sent):
+    """Keep what later samples look up."""
+    old = history[k]
+    old.good_r, old.good_h, old.in_near, old.in_far = state.good_r, state.good_h, state.in_near, state.in_far
+    for i in range(3):
+        sent[0, k, i], sent[1, k, i] = state.u_l[i], state.u_r[i]
+
+
+@njit(error_model="numpy", forceinline=True)
+def act(setup, state):
+    """Step device, vehicle and trust; return the block or part that failed, DONE where none did."""
+    for i in range(3):
+        state.device[i] += state.sample_time * state.middle[i]
+        state.device_velocity[i] = 2.0 * state.middle[i] - state.device_velocity[i]
+    call(setup.parts.vehicle, state, setup)
+    far = 0.0
+    for i in range(3):
+        far += abs(state.robot[i]) + abs(state.velocity[i])
+    if state.raised or not np.isfinite(far):
+        return VEHICLE
+    if far >= 1e9:
+        return ROBOT
+    call(setup.parts.trust, state, setup)
+    if state.raised or not np.isfinite(state.trust_hr + state.trust_rh):
+        return TRUST
+    return DONE
 
 
 @njit(error_model="numpy")
-def run_loop(setup, n, hand, auto, vehicle, blend, inputs, delays, arrives, accounts, states, log):
+def advance(start, stop, setups, states, row, inputs, delays, arrives, accounts, history, sent, log, table):
     """
-    Run the loop over all inputs, one record of `log` per sample.
+    Do the samples from `start` to before `stop`; return the samples done and how the run ended.
 
-    inputs, shape (N,): records of INPUT. delays, arrives, shape (2, N): delay in samples, and whether the wave sent in a sample
-    arrives at all. vehicle, states, shape (1,): a record of VEHICLE, and one of STATE, zero at the start. blend, shape
-    (3, M, 5, 5): `OptimalBlending.weights`, which set α in scheme OMI. accounts: `ledger.accounts()`. Returns the samples done
-    and the block that diverged (−1: none).
+    setups, states, shape (1,): records of SETUP and STATE. row: the state's part that is logged, as numbers. inputs, history,
+    log, shape (N,): records of INPUT, HISTORY and LOG. sent, shape (2, N, 3): waves by the sample that they were sent in, to
+    the robot and back. table: the log as numbers. delays, arrives, shape (2, N): delay in
+    samples, and whether what is sent in a sample arrives at all. accounts: `ledger.accounts()` for waves, and again
+    for packets of energy.
     """
-    count, state, T = log.shape[0], states[0], n.sample_time
-    device = haptic.held_device(n.mass, n.damping, n.stiffness, n.weight, hand.stiffness, hand.damping, T)
-    blocks = Blocks(
-        device, waves.operator_end(n.b, n.beta.low, n.beta.high), waves.robot_end(n.b, n.alpha.low, n.alpha.high)
-    )
-    error, sent = np.zeros((count, 3)), np.zeros((count, 3))
-    u_l, u_r = np.zeros((count, 3)), np.zeros((count, 3))
-    good_r, good_h = np.zeros(count), np.zeros(count)
-    state.alpha, state.beta = n.alpha.high, n.beta.high
-    state.trust_hr, state.trust_rh = n.trust_hr.start, n.trust_rh.start
-    for i in range(3):
-        state.position[i] = inputs[0].reference[i]
-    for k in range(count):
-        view, camera = k - hand.delay, k - auto.delay
-        state.sees, state.finds = view >= 1, camera >= 1 and inputs[camera].detected
-        state.found_before = state.finds and inputs[camera - 1].detected
+    setup, state = setups[0], states[0]
+    if start == 0:
         for i in range(3):
-            if state.sees:
-                state.seen[i], state.seen_before[i] = error[view, i], error[view - 1, i]
-            if state.finds:
-                state.filmed[i], state.filmed_before[i] = error[camera, i], error[camera - 1, i]
-        if not setup.direct and setup.bilateral:
-            read_wave(u_l, arrives[0], k, delays[0, k], n.gain, setup.read_out, T, accounts[0], state.v_r)
-            read_wave(u_r, arrives[1], k, delays[1, k], n.gain, setup.read_out, T, accounts[1], state.v_l)
-        elif not setup.direct:
-            where = k - delays[0, k]
-            first = int(np.floor(where))
-            for i in range(3):
-                if first >= 0:
-                    later = sent[min(first + 1, k - 1), i]
-                    state.arrived[i] = sent[first, i] + (where - first) * (later - sent[first, i])
-        state.samples = min(k + 1, n.window)
-        if k >= n.window:
-            state.leaving_r, state.leaving_h = good_r[k - n.window], good_h[k - n.window]
-        fault = loop_step(setup, n, hand, auto, blocks, vehicle[0], blend, inputs[k], state, log[k])
-        good_r[k], good_h[k] = state.good_r, state.good_h
-        for i in range(3):
-            error[k, i], sent[k, i] = state.error[i], log[k].r_m[i]
-            u_l[k, i], u_r[k, i] = state.u_l[i], state.u_r[i]
-        if fault >= 0:
-            return k + 1, fault
-    return count, -1
+            state.robot[i] = inputs[0].reference[i]
+    for k in range(start, stop):
+        look_up(k, setup, inputs, history, state)
+        receive(k, setup, delays, arrives, accounts, history, sent, log, state)
+        failed = decide(setup, inputs[k].alpha, state)
+        if failed != DONE:
+            return k, failed
+        reach_out(setup, state)
+        call(setup.parts.guidance, state, setup)
+        if state.raised or not finite(state.guiding):
+            return k, FEEDBACK
+        near = book(setup, state)
+        judge(setup.loop, state)
+        for i in range(row.size):
+            table[k, i] = row[i]
+        keep(k, state, history, sent)
+        # written as "not <", so that NaN counts as diverged
+        if not state.energy_device < 1e9:
+            return k + 1, DEVICE
+        if not near < 1e18:
+            return k + 1, CHANNEL
+        failed = act(setup, state)
+        if failed != DONE:
+            return k + 1, failed
+    return stop, DONE

@@ -1,9 +1,84 @@
-"""The control schemes of Sections 3.8 and 3.9 by name, and the printed settings of both studies."""
+"""The control schemes of Sections 3.8 and 3.9 by name, and schemes of one's own."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 
-MANUAL, LOGISTIC, STEP, OPERATOR, OPTIMAL = 0, 1, 2, 3, 4
+import numpy as np
+
+from trustlab.allocation.blending import best_share
+from trustlab.models.checks import shown
+from trustlab.models.compiled import njit
+from trustlab.models.trust import logistic_scale
+from trustlab.teleoperation.loop.parts import Part
+
+
+@njit(error_model="numpy", forceinline=True)
+def share_of_range(trust, model):
+    """Return trust as a share of its range."""
+    return (trust - model.t_min) / (model.t_max - model.t_min)
+
+
+@njit(error_model="numpy", forceinline=True)
+def logistic(numbers, trust):
+    """Return (3.5) at a trust that is a share of its range."""
+    return logistic_scale(numbers.low, numbers.high, numbers.steepness, numbers.midpoint, trust)
+
+
+@njit(error_model="numpy", forceinline=True)
+def stepped(numbers, trust):
+    """Return (3.6) at a trust that is a share of its range."""
+    return numbers.low if trust >= numbers.midpoint else numbers.high
+
+
+@Part
+def manual(state, setup):
+    """Leave all to the operator: both scales at their upper bounds."""
+    state.alpha, state.beta = state.alpha_max, state.beta_max
+
+
+@Part
+def logistic_by_trust(state, setup):
+    """Set both scales by trust (3.5)."""
+    n = setup.loop
+    state.alpha = logistic(n.alpha, share_of_range(state.trust_hr, n.trust_hr))
+    state.beta = logistic(n.beta, share_of_range(state.trust_rh, n.trust_rh))
+
+
+@Part
+def stepped_by_trust(state, setup):
+    """Set both scales by trust (3.6)."""
+    n = setup.loop
+    state.alpha = stepped(n.alpha, share_of_range(state.trust_hr, n.trust_hr))
+    state.beta = stepped(n.beta, share_of_range(state.trust_rh, n.trust_rh))
+
+
+@Part
+def by_hand(state, setup):
+    """Let the operator move α now and then towards the partner that performs better."""
+    hand = setup.hand
+    state.waited += 1
+    if state.waited >= hand.patience:
+        state.waited = 0
+        state.alpha += hand.shift if state.p_h > state.p_r else -hand.shift
+        state.alpha = min(max(state.alpha, state.alpha_min), state.alpha_max)
+    state.beta = state.beta_max
+
+
+@Part
+def optimal(state, setup):
+    """Set α by Appendix A, from what the operator commanded in the sample before."""
+    ahead = np.empty((3, 5))
+    for i in range(3):
+        ahead[i] = (
+            state.r_s[i] / state.alpha,
+            state.u_a[i],
+            state.error[i],
+            state.reference_velocity[i] - state.velocity[i],
+            -state.acceleration[i],
+        )
+    state.alpha = best_share(setup.blend, ahead, state.alpha_min, state.alpha_max)[0]
+    state.beta = state.beta_max
 
 
 @dataclass(frozen=True)
@@ -14,37 +89,53 @@ class Scheme:
     Parameters
     ----------
     name : str
-        M, MI, MMI, TMIG, TMIS or OMI.
+        M, MI, MMI, TMIG, TMIS, OMI, or your own.
+    shares : callable
+        f(state) → (α, β), called in every sample: α within [state.alpha_min, state.alpha_max], β within [state.beta_min,
+        state.beta_max], the bounds for which the channel's ends are set (3.1). `state` has everything that a run logs, by
+        name, as it is known when the scales are set: t, p_r, p_h, trust_hr, trust_rh, path_error, robot, velocity, … A
+        function f(state, memory) has 16 numbers of its own, zero at the start. It is compiled where numba can, else
+        called in Python.
     title : str
         What it is.
-    allocation : int
-        How α is set: MANUAL (its upper bound), LOGISTIC (3.5), STEP (3.6), OPERATOR (by hand) or OPTIMAL (Appendix A).
-        β follows robot-to-human trust in LOGISTIC and STEP, and stays at its upper bound otherwise.
     bilateral : bool
         Whether forces come back.
+
+    Raises
+    ------
+    ValueError
+        If the name is empty or `shares` cannot be called.
     """
 
     name: str
-    title: str
-    allocation: int
+    shares: Callable | Part
+    title: str = "own scheme"
     bilateral: bool = True
+
+    def __post_init__(self):
+        if not isinstance(self.name, str) or not self.name:
+            raise ValueError(f"name must be a text, got {shown(self.name)}")
+        if not (callable(self.shares) or isinstance(self.shares, Part)):
+            raise ValueError(f"shares must be a function of the state, got {type(self.shares).__name__}")
 
 
 SCHEMES = {
     scheme.name: scheme
     for scheme in (
-        Scheme("M", "manual teleoperation with force feedback", MANUAL),
-        Scheme("MI", "mixed initiative by trust (3.5), without force feedback", LOGISTIC, bilateral=False),
-        Scheme("MMI", "mixed initiative, allocated by hand, with force feedback", OPERATOR),
-        Scheme("TMIG", "mixed initiative by trust, logistic scales (3.5), with force feedback", LOGISTIC),
-        Scheme("TMIS", "mixed initiative by trust, step scales (3.6), with force feedback", STEP),
-        Scheme("OMI", "mixed initiative, optimal allocation (Appendix A), with force feedback", OPTIMAL),
+        Scheme("M", manual, "manual teleoperation with force feedback"),
+        Scheme("MI", logistic_by_trust, "mixed initiative by trust (3.5), without force feedback", bilateral=False),
+        Scheme("MMI", by_hand, "mixed initiative, allocated by hand, with force feedback"),
+        Scheme("TMIG", logistic_by_trust, "mixed initiative by trust, logistic scales (3.5), with force feedback"),
+        Scheme("TMIS", stepped_by_trust, "mixed initiative by trust, step scales (3.6), with force feedback"),
+        Scheme("OMI", optimal, "mixed initiative, optimal allocation (Appendix A), with force feedback"),
     )
 }
 
 
-def scheme_named(name: str) -> Scheme:
-    """Return the scheme of this name; an unknown one is refused with the nearest."""
+def scheme_named(name: str | Scheme) -> Scheme:
+    """Return the scheme of this name, or one's own as it is; an unknown name is refused with the nearest."""
+    if isinstance(name, Scheme):
+        return name
     if isinstance(name, str) and name in SCHEMES:
         return SCHEMES[name]
     likeness = {known: _likeness(str(name).upper(), known) for known in SCHEMES}

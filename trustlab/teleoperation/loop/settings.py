@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from trustlab.models.checks import finite_number, of_class, one_of, positive
+from trustlab.models.checks import finite_array, finite_number, of_class, one_of, positive
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
-from trustlab.models.uav import three_axes
-from trustlab.teleoperation.loop.kernel import VEHICLE, LoopNumbers, ScaleNumbers, TrustNumbers
+from trustlab.sessions.session import Session
+from trustlab.teleoperation.loop.state import LoopNumbers, ScaleNumbers, TrustNumbers
 from trustlab.teleoperation.ports.device import HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
 
@@ -15,7 +15,15 @@ STUDY_NAMES = ("preliminary", "main")
 
 
 class DivergenceError(ArithmeticError):
-    """A run grew without bound; says when, which block, and the energy in it."""
+    """A run grew without bound; says when, which block, and the energy in it. `.session` is the run so far, where it has two samples."""
+
+    session: Session | None = None
+
+
+class PartError(ValueError):
+    """A part of the loop raised an error or returned what cannot be; says which and when. `.session` is the run so far, where it has two samples."""
+
+    session: Session | None = None
 
 
 @dataclass(frozen=True)
@@ -25,8 +33,8 @@ class LoopSettings:
 
     Parameters
     ----------
-    mass, damping, stiffness, weight : float
-        M [kg], B [N s/m], K [N/m] and Λ [1/s] of the haptic device, the same on all axes.
+    mass, damping, stiffness, weight : float or three floats
+        M [kg], B [N s/m], K [N/m] and Λ [1/s] of the haptic device, the same on all axes or axis by axis.
     scattering : Scattering
         Impedance b, bounds of α and β, and Ṫ_max.
     k_ffa : float
@@ -58,10 +66,10 @@ class LoopSettings:
         If a value is out of range; `PassivityError` if the device is too heavy for its gains.
     """
 
-    mass: float
-    damping: float
-    stiffness: float
-    weight: float
+    mass: float | tuple[float, float, float]
+    damping: float | tuple[float, float, float]
+    stiffness: float | tuple[float, float, float]
+    weight: float | tuple[float, float, float]
     scattering: Scattering
     k_ffa: float
     height: float
@@ -78,8 +86,11 @@ class LoopSettings:
     study: str = "main"
 
     def __post_init__(self):
-        for name in ("mass", "damping", "stiffness", "weight", "height"):
-            object.__setattr__(self, name, finite_number(name, getattr(self, name)))
+        for name in ("mass", "damping", "stiffness", "weight"):
+            value = getattr(self, name)
+            each = np.ndim(value) and tuple(finite_array(name, value, length=3).tolist())
+            object.__setattr__(self, name, each or finite_number(name, value))
+        object.__setattr__(self, "height", finite_number("height", self.height))
         for name in ("window", "command_range", "error_range"):
             object.__setattr__(self, name, positive(name, getattr(self, name)))
         of_class("scattering", self.scattering, Scattering)
@@ -134,14 +145,10 @@ class LoopSettings:
         sample_time : float
             T [s].
         """
-        device, (alpha, beta) = self.device(), self.scalings()
+        alpha, beta = self.scalings()
         return LoopNumbers(
             sample_time=sample_time,
-            mass=device.mass[0, 0],
-            damping=device.damping[0, 0],
-            stiffness=device.stiffness[0, 0],
-            weight=device.weight[0, 0],
-            force_scaling=device.force_scaling,
+            force_scaling=self.force_scaling,
             b=self.scattering.b,
             gain=self.scattering.gain,
             guidance=-self.k_ffa if self.printed_sign else self.k_ffa,
@@ -204,25 +211,3 @@ def study_named(study: str | LoopSettings) -> LoopSettings:
     if isinstance(study, LoopSettings):
         return study
     return STUDIES[one_of("study", study, STUDY_NAMES, also="LoopSettings")]
-
-
-def vehicle_matrices(axes, sample_time: float) -> np.ndarray:
-    """
-    Return exact one-sample matrices of (position, velocity, acceleration) for a command held over the sample.
-
-    A record of VEHICLE, shape (1,): `phi` is the state transition per axis, `gamma` the effect of the command. An axis of
-    order 1 leaves its acceleration at zero.
-    """
-    from scipy.linalg import expm
-
-    sample_time, axes = positive("sample_time", sample_time), three_axes(axes)
-    matrices = np.zeros(1, VEHICLE)
-    for i, axis in enumerate(axes):
-        n = axis.order + 1
-        a, b = axis.matrices()
-        # exp of the block matrix [[A, B], [0, 0]] holds both the transition and the integral of the held command
-        block = np.zeros((n + 1, n + 1))
-        block[0, 1], block[1:n, 1:n], block[1:n, n] = 1.0, a, b
-        whole = expm(block * sample_time)
-        matrices["phi"][0, i, :n, :n], matrices["gamma"][0, i, :n] = whole[:n, :n], whole[:n, n]
-    return matrices

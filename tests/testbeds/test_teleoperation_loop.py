@@ -1,0 +1,282 @@
+"""The step interface: same bits as a whole run, parts of one's own, and what happens when one of them fails."""
+
+from functools import partial
+
+import numba
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.teleoperation import SCHEMES, STUDIES, Delay, PartError, packet_delay
+from trustlab.teleoperation.loop.guidance import GUIDANCE
+from trustlab.testbeds import tracking_vehicle
+
+SHORT = 8.0
+
+
+def tmig(state):
+    """TMIG's formula (3.5) written out, trust being in [0, 1]."""
+    alpha = state.alpha_max - (state.alpha_max - state.alpha_min) / (1.0 + np.exp(-10.0 * (state.trust_hr - 0.5)))
+    beta = state.beta_max - (state.beta_max - state.beta_min) / (1.0 + np.exp(-10.0 * (state.trust_rh - 0.5)))
+    return alpha, beta
+
+
+def tmig_as_built_in(state):
+    """The same by tanh, as the package computes it."""
+    low, high = 0.5 * (1.0 - np.tanh(5.0 * (state.trust_hr - 0.5))), 0.5 * (1.0 - np.tanh(5.0 * (state.trust_rh - 0.5)))
+    alpha = state.alpha_min + (state.alpha_max - state.alpha_min) * low
+    return alpha, state.beta_min + (state.beta_max - state.beta_min) * high
+
+
+def columns(session, stem):
+    return session.data[[f"{stem}_{axis}" for axis in "xyz"]].to_numpy()
+
+
+@pytest.mark.parametrize("guidance", GUIDANCE)
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_stepped_and_run_a_loop_has_the_bits_of_a_whole_run(scheme, guidance):
+    whole = tl.simulate_teleoperation(scheme, seed=5, duration=SHORT, guidance=guidance)
+    loop = tl.TeleoperationLoop(scheme, seed=5, guidance=guidance)
+    for _ in range(300):
+        loop.step()
+    assert loop.run(SHORT) == whole
+    assert tl.TeleoperationLoop(scheme, seed=5, guidance=guidance).run(SHORT).data.equals(whole.data)
+
+
+def test_what_is_drawn_further_ahead_changes_nothing():
+    loop = tl.TeleoperationLoop("TMIG", seed=5)
+    for _ in range(6100):  # beyond the first block of 60 s
+        state = loop.step()
+    assert state.t == pytest.approx(60.99)
+    assert loop.session.data.equals(tl.simulate_teleoperation("TMIG", seed=5, duration=61.0).data)
+
+
+@pytest.mark.parametrize("guidance", GUIDANCE)
+def test_tmig_written_by_a_user_is_tmig(guidance):
+    ours = tl.simulate_teleoperation("TMIG", seed=2, duration=20.0, guidance=guidance).data
+    for shares in (tmig, tmig_as_built_in, numba.njit(tmig)):
+        loop = tl.TeleoperationLoop(tl.Scheme("mine", shares), seed=2, guidance=guidance)
+        assert loop.ways["scheme"] == "compiled"
+        np.testing.assert_allclose(loop.run(20.0).data, ours, rtol=0.0, atol=1e-12)
+    assert tl.simulate_teleoperation(
+        tl.Scheme("mine", tmig_as_built_in), seed=2, duration=20.0, guidance=guidance
+    ).data.equals(ours)
+
+
+def test_a_function_that_numba_cannot_compile_runs_in_python_and_the_result_says_so():
+    loop = tl.TeleoperationLoop(tl.Scheme("mine", partial(tmig)), seed=2)
+    assert loop.ways["scheme"].startswith("Python: a partial")
+    run = loop.run(SHORT)
+    assert run.metadata.more["parts"] == "scheme Python"
+    ours = tl.simulate_teleoperation("TMIG", seed=2, duration=SHORT).data
+    np.testing.assert_allclose(run.data, ours, rtol=0.0, atol=1e-12)
+
+
+def law(state, memory):
+    """A PD law that remembers the error by itself."""
+    rate = (state.seen - memory[:3]) / state.sample_time
+    memory[:3] = state.seen
+    if not state.sees or memory[3] < 1.0:  # no rate before the second picture
+        memory[3] += 1.0 if state.sees else 0.0
+        rate = 0.0 * state.seen
+    return np.minimum(np.maximum(1.0 * state.seen + 0.4 * rate, -1.0), 1.0)
+
+
+class Remembering:
+    """The same law as an object with a memory of its own."""
+
+    def __init__(self):
+        self.memory = np.zeros(16)
+
+    def __call__(self, state):
+        return law(state, self.memory)
+
+
+def test_an_operators_law_may_have_a_memory():
+    compiled = tl.simulate_teleoperation("M", law, seed=3, duration=SHORT)
+    assert compiled.metadata.more["parts"] == "operator compiled"
+    kept = tl.simulate_teleoperation("M", tl.Teleoperator(law=Remembering(), reach=1.0), seed=3, duration=SHORT)
+    assert kept.metadata.more["parts"] == "operator Python"
+    np.testing.assert_allclose(kept.data, compiled.data, rtol=0.0, atol=1e-12)
+    own = tl.simulate_teleoperation("M", seed=3, duration=SHORT)
+    np.testing.assert_allclose(columns(compiled, "robot"), columns(own, "robot"), atol=0.02)
+
+
+def test_feedback_autonomy_and_trust_are_exchanged():
+    stiff = tl.simulate_teleoperation("M", seed=1, duration=SHORT, feedback=lambda state: -6.0 * state.stretch)
+    np.testing.assert_allclose(stiff.data, tl.simulate_teleoperation("M", seed=1, duration=SHORT).data, atol=1e-12)
+    idle = tl.simulate_teleoperation("TMIG", seed=1, duration=SHORT, autonomy=lambda state: (0, 0, 0))
+    assert not columns(idle, "u_a").any()
+    fixed = tl.simulate_teleoperation("TMIG", seed=1, duration=SHORT, trust=lambda state: (0.25, 0.75))
+    assert (fixed["trust_hr"][1:] == 0.25).all()
+    assert (fixed["trust_rh"][1:] == 0.75).all()
+
+
+def test_vehicles_as_matrices_and_as_functions_are_the_transfer_functions():
+    period, axes = 0.01, tracking_vehicle()
+    a, b, c = np.zeros((8, 8)), np.zeros((8, 3)), np.zeros((6, 8))
+    place = 0
+    for i, axis in enumerate(axes):  # position and states of each axis, by the series of the exponential
+        n = axis.order + 1
+        block = np.zeros((n + 1, n + 1))
+        block[0, 1], block[1:n, 1:n], block[1:n, n] = 1.0, *axis.matrices()
+        whole = sum(np.linalg.matrix_power(block * period, m) / float(np.prod(range(1, m + 1))) for m in range(12))
+        a[place : place + n, place : place + n], b[place : place + n, i] = whole[:n, :n], whole[:n, n]
+        c[i, place], c[3 + i, place + 1] = 1.0, 1.0
+        place += n
+    ours = tl.simulate_teleoperation("TMIG", seed=4, duration=SHORT).data
+    np.testing.assert_allclose(
+        tl.simulate_teleoperation("TMIG", seed=4, duration=SHORT, vehicle=(a, b, c)).data, ours, atol=1e-10
+    )
+
+    def lag(state):
+        velocity = state.velocity + 0.02 * (state.command - state.velocity)
+        return state.robot + 0.01 * velocity, velocity
+
+    run = tl.simulate_teleoperation("M", seed=4, duration=SHORT, vehicle=lag)
+    moved, speed = columns(run, "robot"), columns(run, "velocity")
+    np.testing.assert_allclose(np.diff(moved, axis=0), 0.01 * speed[1:], atol=1e-14)
+
+
+def test_a_device_axis_by_axis():
+    settings = STUDIES["main"]
+    same = tl.simulate_teleoperation("TMIG", seed=6, duration=SHORT)
+    each = {name: (getattr(settings, name),) * 3 for name in ("mass", "damping", "stiffness", "weight")}
+    from dataclasses import replace
+
+    assert tl.simulate_teleoperation("TMIG", study=replace(settings, **each), seed=6, duration=SHORT) == same
+    heavier = replace(settings, mass=(0.5, 0.5, 0.2))
+    for guidance in GUIDANCE:
+        run = tl.simulate_teleoperation("TMIG", study=heavier, seed=6, duration=20.0, guidance=guidance)
+        power = (columns(run, "r_m") * (columns(run, "f_h") - columns(run, "f_m"))).sum(axis=1)
+        held = run["energy_device"] + run["energy_dissipated"]
+        np.testing.assert_allclose(held, 0.01 * np.cumsum(power), rtol=1e-10, atol=1e-12)
+        assert run["energy_port"].min() > -1e-9
+
+
+def test_a_hand_that_is_given_moves_the_device_there():
+    loop = tl.TeleoperationLoop("M", tl.Teleoperator(noise=0.0, stiffness=500.0), seed=1)
+    for _ in range(300):
+        state = loop.step(hand=(0.03, -0.02, 0.0))
+    np.testing.assert_allclose(state.device, (0.03, -0.02, 0.0), atol=4e-3)
+    with pytest.raises(ValueError, match="hand must have 3 samples"):
+        loop.step(hand=(1.0, 2.0))
+
+
+def test_a_trace_of_packets_is_read_newest_first():
+    sent = np.arange(0.0, 20.0, 0.005)
+    rng = np.random.default_rng(3)
+    received = sent + rng.exponential(0.05, sent.size)
+    received[rng.uniform(size=sent.size) < 0.5] = np.nan
+    late = packet_delay(sent, received).samples(1900, 0.01)
+    for k in range(0, 1900, 37):  # by brute force: the newest of all that have come
+        come = sent[received <= 0.01 * k + 1e-9]
+        newest = come.max() if come.size else -0.01
+        assert late[k] == pytest.approx(max(0.01 * k - newest, 0.01), abs=1e-12)
+    for guidance in GUIDANCE:
+        run = tl.simulate_teleoperation("TMIG", duration=15.0, delay=(sent, received), guidance=guidance)
+        assert run["energy_port"].min() > -1e-9
+
+
+@pytest.mark.parametrize(
+    ("trace", "words"),
+    [
+        (([0.0, 0.2, 0.1], [0.1, 0.3, 0.4]), "delay_1: the trace runs backwards: packet 2, sent at t = 0.1 s"),
+        (([0.0, 0.1], [0.05, 0.05]), "delay_1: .* received before it was sent"),
+        (([0.0, 0.1], [np.nan, np.nan]), "delay_1: no packet"),
+        (([0.0, 0.1], [0.1]), "delay_1: sent and received need the same number"),
+        (([0.0, 0.1], [0.1, 0.2]), "delay_1.*arrived at 0.2 s, the run lasts until"),
+    ],
+)
+def test_a_trace_that_cannot_be_is_refused_by_name_and_time(trace, words):
+    with pytest.raises(ValueError, match=words):
+        tl.simulate_teleoperation(delay_1=trace, delay_2=0.1, duration=5.0)
+
+
+def failing(state):
+    if state.t > 1.0:
+        raise RuntimeError("the hand slipped")
+    return state.seen
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        ({"scheme": tl.Scheme("s", lambda s: (np.nan if s.t > 1 else 0.5, 0.3))}, "scheme .* alpha = nan"),
+        ({"scheme": tl.Scheme("s", lambda s: (0.5 + s.t, 0.3))}, r"alpha in \[0.2, 1\]"),
+        ({"scheme": tl.Scheme("s", lambda s: (0.5, -0.1 * s.t + 0.1))}, r"beta in \[0.05, 0.5\]"),
+        ({"scheme": tl.Scheme("s", lambda s: 1.0 / (s.t - 1.0))}, "scheme .* raised TypeError"),
+        ({"operator": failing}, "operator .* raised RuntimeError: the hand slipped"),
+        ({"operator": partial(failing)}, "operator .* raised RuntimeError: the hand slipped"),
+        (
+            {"operator": lambda s: (s.t / (s.t - 1.0), 0.0, 0.0) if s.t != 0.5 else (1.0, 2.0)},
+            "operator .*three numbers",
+        ),
+        ({"vehicle": lambda s: (s.robot, 0.0 / (1.0 - s.t) + s.velocity)}, "vehicle .* raised ZeroDivisionError"),
+        ({"vehicle": lambda s: (np.log(1.0 - s.t) + s.robot, s.velocity)}, "vehicle .* returned robot = .*nan|inf"),
+        ({"trust": lambda s: (np.nan, 0.5)}, "trust .* trust_hr = nan"),
+        ({"feedback": lambda s: np.full(3, np.inf)}, r"feedback .* guiding = \[inf inf inf\]"),
+        ({"autonomy": lambda s: s.picture[:2]}, "autonomy .* raised ValueError: three numbers"),
+    ],
+)
+def test_a_part_that_fails_is_named_with_its_time_and_the_run_so_far_is_kept(parts, words):
+    loop = tl.TeleoperationLoop(**({"scheme": "TMIG", "seed": 1} | parts))
+    with pytest.raises(PartError, match=words) as caught:
+        loop.run(5.0)
+    assert "at t = " in str(caught.value)
+    if caught.value.session is not None:  # more than one sample was done
+        rows = len(caught.value.session.data)
+        assert caught.value.session == loop.session
+        same = {"scheme": "TMIG", "seed": 1} | parts
+        again = tl.TeleoperationLoop(**same)
+        for _ in range(rows - 1):
+            again.step()
+        assert again.session.data.equals(loop.session.data.iloc[: rows - 1])
+    with pytest.raises(PartError, match=words):
+        loop.step()
+
+
+@pytest.mark.parametrize(
+    ("matrices", "words"),
+    [
+        ((np.eye(6), np.zeros((6, 2)), np.eye(6)), r"B must have shape \(6, 3\), got \(6, 2\)"),
+        ((np.zeros((6, 5)), np.zeros((6, 3)), np.eye(6)), r"A must have shape \(6, 6\)"),
+        ((np.eye(6), np.zeros((6, 3)), np.eye(3, 6)), r"C must have shape \(6, 6\)"),
+        ((np.full((6, 6), np.nan), np.zeros((6, 3)), np.eye(6)), "A must be finite"),
+        ((np.eye(20), np.zeros((20, 3)), np.eye(6, 20)), "at most 13 states"),
+    ],
+)
+def test_a_vehicle_of_wrong_dimensions_is_refused(matrices, words):
+    with pytest.raises(ValueError, match=words):
+        tl.TeleoperationLoop("M", vehicle=matrices)
+
+
+def test_what_a_loop_refuses():
+    with pytest.raises(ValueError, match="give it, or delay_1 and delay_2"):
+        tl.TeleoperationLoop("M", delay=0.1, delay_1=0.1)
+    with pytest.raises(ValueError, match="three TransferFunction"):
+        tl.TeleoperationLoop("OMI", vehicle=lambda state: (state.robot, state.velocity))
+    with pytest.raises(ValueError, match="trust must be a function"):
+        tl.TeleoperationLoop("M", trust=0.5)
+    loop = tl.TeleoperationLoop("M", alpha=np.ones(30))
+    for _ in range(30):
+        loop.step()
+    with pytest.raises(ValueError, match=r"ends at t = 0\.3 s"):
+        loop.step()
+    with pytest.raises(ValueError, match="already, beyond"):
+        loop.run(0.2)
+
+
+def test_an_interrupt_passes_through_a_part_in_python():
+    def stopped(state):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tl.TeleoperationLoop("M", partial(stopped)).run(1.0)
+
+
+def test_delays_as_functions():
+    same = tl.simulate_teleoperation("M", seed=1, duration=SHORT, delay=0.1)
+    assert tl.simulate_teleoperation("M", seed=1, duration=SHORT, delay=lambda t: 0.1) == same
+    given = Delay(lambda t: np.full(t.size, 0.1), 0.0, "mine")
+    assert tl.simulate_teleoperation("M", seed=1, duration=SHORT, delay=given) == same
