@@ -47,7 +47,9 @@ def test_numbers_are_the_operators_own():
     assert numbers.patience == 200
 
 
-@pytest.mark.parametrize("name", [item.name for item in fields(Teleoperator)][1:])
+@pytest.mark.parametrize(
+    "name", [item.name for item in fields(Teleoperator) if item.name not in ("participant", "law")]
+)
 @pytest.mark.parametrize("bad", [np.nan, -1.0, "x", None, np.inf])
 def test_bad_numbers_are_refused(name, bad):
     with pytest.raises(ValueError, match=name):

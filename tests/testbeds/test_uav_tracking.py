@@ -181,8 +181,11 @@ def tracking(scheme, study, seeds=12, **more):
 
 
 @pytest.mark.parametrize("study", STUDIES)
-def test_trust_based_allocation_tracks_better_than_manual_on_the_simulated_operators(study):
-    assert tracking("TMIG", study).mean() < tracking("M", study).mean()
+def test_which_scheme_tracks_better_depends_on_the_printed_guidance_in_one_study(study):
+    printed = {"guidance": "through_channel", "guard": "cancel"}
+    assert tracking("TMIG", study, **printed).mean() < tracking("M", study, **printed).mean()
+    better = tracking("TMIG", study).mean() < tracking("M", study).mean()
+    assert better == (study == "main")  # with the robot left to the operator
 
 
 def test_the_printed_direction_of_the_force_is_active_and_without_a_guard_diverges():

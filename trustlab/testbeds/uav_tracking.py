@@ -13,7 +13,7 @@ from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.channel import lost_waves
 from trustlab.teleoperation.delays import Delay, delays_in_samples, random_walk_delay
 from trustlab.teleoperation.loop import guidance as ways, kernel, setup
-from trustlab.teleoperation.loop.defaults import controller, proportional_law, spring, two_way_trust
+from trustlab.teleoperation.loop.defaults import DEFAULTS
 from trustlab.teleoperation.loop.parts import View, part_of
 from trustlab.teleoperation.loop.schemes import Scheme, optimal, scheme_named
 from trustlab.teleoperation.loop.settings import DivergenceError, LoopSettings, PartError, study_named
@@ -166,15 +166,10 @@ class TeleoperationLoop:
             gains = (task.proportional, task.derivative)
             one["blend"] = setup.blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
         one["guard"], one["read_out"], one["tank"] = METHODS[self.guard], READ_OUTS[self.read_out], self.tank
-        wanted = {
-            "scheme": self._scheme.shares,
-            "trust": self.trust or two_way_trust,
-            "feedback": self.feedback or spring,
-            "autonomy": self.autonomy or controller,
-            "operator": self._person.law or proportional_law,
-            "vehicle": vehicle,
-        }
-        self._parts = {port: part_of(port, part, self.state) for port, part in wanted.items()}
+        own = {"trust": self.trust, "feedback": self.feedback, "autonomy": self.autonomy, "operator": self._person.law}
+        wanted = {"scheme": self._scheme.shares, "vehicle": vehicle}
+        wanted |= {port: DEFAULTS[port] if part is None else part for port, part in own.items()}
+        self._parts = {port: part_of(port, wanted[port], self.state) for port in PORTS}
         self.ways = {port: part.way for port, part in self._parts.items()}
         way = ways.GUIDANCE[self.guidance] if self._scheme.bilateral else ways.one_way
         for port, part in ({"guidance": way} | self._parts).items():

@@ -71,3 +71,7 @@ def next_trust(trust, model, p):
     share = min(max((p - model.p_min) / (model.p_max - model.p_min), 0.0), 1.0)
     span = model.t_max - model.t_min
     return model.t_min + span * trust_step((trust - model.t_min) / span, share, model.decay, model.gain)
+
+
+DEFAULTS = {"trust": two_way_trust, "feedback": spring, "autonomy": controller, "operator": proportional_law}
+"""By the port that each of them serves."""
