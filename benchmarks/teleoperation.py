@@ -15,18 +15,21 @@ from benchmarks.peers.plain_loop import PlainLoop
 from benchmarks.timing import Row, here, in_turns
 from benchmarks.workers import PeerMissingError, Worker
 from trustlab.teleoperation.loop import kernel
-from trustlab.teleoperation.loop.kernel import STATE, run_loop
 from trustlab.teleoperation.loop.settings import STUDIES
-from trustlab.teleoperation.ports.ledger import accounts
+from trustlab.teleoperation.loop.state import LOG
 
 TITLE = "Teleoperation"
 DURATION, PERIOD = 120.0, 0.001
 LATE = 100
 """Delay of the linear case in samples; Drake's block reads its input a sample later than ours, so it is given one less."""
 GIVEN = (
-    "setup", "settings", "hand", "auto", "vehicle", "blend", "inputs", "delays", "arrives", "accounts", "states", "log",
+    "start", "stop", "setups", "states", "row", "inputs", "delays", "arrives", "accounts", "history", "sent", "log",
+    "table",
 )  # fmt: skip
 """Arguments of the compiled loop, in turn."""
+PLAIN = 52
+"""Columns that the peers log: the first ones of ours, without what guidance adds and the target's energy."""
+PRINTED = {"guidance": "through_channel", "guard": "cancel"}
 
 
 def captured(**arguments) -> tuple[dict, tl.Session]:
@@ -38,13 +41,14 @@ def captured(**arguments) -> tuple[dict, tl.Session]:
     **arguments
         Of `simulate_teleoperation`.
     """
-    seen = {}
+    seen, advance = {}, kernel.advance
 
     def keep(*given):
         seen.update(zip(GIVEN, given, strict=True))
-        return run_loop(*given)
+        seen["states"], seen["accounts"] = seen["states"].copy(), seen["accounts"].copy()
+        return advance(*given)
 
-    with patch.object(kernel, "run_loop", keep):
+    with patch.object(kernel, "advance", keep):
         run = tl.simulate_teleoperation(**arguments)
     return seen, run
 
@@ -58,9 +62,11 @@ def again(given: dict) -> np.ndarray:
     given : dict
         Its arguments by name.
     """
-    log = np.empty_like(given["log"])
-    run_loop(*(given | {"accounts": accounts(), "states": np.zeros(1, STATE), "log": log}).values())
-    return log.view(float).reshape(log.size, -1)
+    states, table = given["states"].copy(), np.empty_like(given["table"])
+    row = states.view(np.uint8)[: LOG.itemsize].view(float)
+    fresh = {"states": states, "row": row, "accounts": given["accounts"].copy(), "table": table}
+    kernel.advance(*(given | fresh | {"log": table.view(LOG)[:, 0]}).values())
+    return table
 
 
 def flat(numbers, stem: str = "") -> dict[str, float]:
@@ -69,14 +75,15 @@ def flat(numbers, stem: str = "") -> dict[str, float]:
 
     Parameters
     ----------
-    numbers : NamedTuple
+    numbers : numpy.void
         The constants.
     stem : str
         Name of what they stand in.
     """
     found = {}
-    for name, value in numbers._asdict().items():
-        found |= flat(value, f"{stem}{name}.") if hasattr(value, "_fields") else {f"{stem}{name}": float(value)}
+    for name in numbers.dtype.names:
+        value = numbers[name]
+        found |= flat(value, f"{stem}{name}.") if value.dtype.names else {f"{stem}{name}": float(value)}
     return found
 
 
@@ -89,12 +96,14 @@ def as_arrays(given: dict) -> dict[str, np.ndarray]:
     given : dict
         Arguments of the compiled loop by name.
     """
-    inputs, vehicle = given["inputs"], given["vehicle"]
+    inputs, setup = given["inputs"], given["setups"][0]
     data = {name: inputs[name] for name in ("reference", "detected", "motor", "pushed")}
     data |= {"moving": inputs["reference_velocity"], "delays": given["delays"]}
-    data |= {"phi": vehicle["phi"][0], "gamma": vehicle["gamma"][0]}
-    for name in ("settings", "hand", "auto"):
-        numbers = flat(given[name])
+    data |= {name: setup["vehicle"][name] for name in ("phi", "gamma")}
+    for name, kind in (("settings", "loop"), ("hand", "hand"), ("auto", "auto")):
+        numbers = flat(setup[kind])
+        if kind == "loop":
+            numbers |= {one: float(setup["device"][one][0]) for one in ("mass", "damping", "stiffness", "weight")}
         data[name], data[f"names_{name}"] = np.array([*numbers.values()]), np.array([*numbers])
     return data
 
@@ -126,22 +135,22 @@ def linear_case() -> tuple[dict, dict[str, np.ndarray]]:
     push = sizes * np.sin(rates * PERIOD * np.arange(count)[:, None])
     arguments = {
         "scheme": "M", "operator": still, "study": settings, "duration": DURATION, "sample_time": PERIOD, "task": task,
-        "delay_1": LATE * PERIOD, "delay_2": LATE * PERIOD, "guard": "off", "push": push, "read_out": "interpolated",
+        "delay_1": LATE * PERIOD, "delay_2": LATE * PERIOD, "guard": "off", "guidance": "through_channel", "push": push, "read_out": "interpolated",
     }  # fmt: skip
     given, _ = captured(**arguments)
-    n, hand = given["settings"], given["hand"]
-    phi, gamma = given["vehicle"]["phi"][0], given["vehicle"]["gamma"][0]
+    n, hand = settings.numbers(PERIOD), still.numbers(PERIOD, task.camera_delay)
+    phi, gamma = (given["setups"]["vehicle"][name][0] for name in ("phi", "gamma"))
     reference, moving = given["inputs"]["reference"], given["inputs"]["reference_velocity"]
     into, back = (np.sqrt(2.0 * n.b / top) for top in (n.alpha.high, n.beta.high))
-    stiff, damp = n.stiffness + hand.stiffness, n.damping + hand.damping
-    inertia, tip = 2.0 * n.mass / PERIOD, 1.0 + 0.5 * PERIOD * n.weight
+    stiff, damp = settings.stiffness + hand.stiffness, settings.damping + hand.damping
+    inertia, tip = 2.0 * settings.mass / PERIOD, 1.0 + 0.5 * PERIOD * settings.weight
     drag = n.force_scaling * n.beta.high
 
     def master(state, inputs):
         x, v, force, wave = state[:3], state[3:], inputs[:3], n.gain * inputs[3:]
-        right = inertia * v - stiff * x + force - drag * (n.b * n.weight * x + back * wave)
+        right = inertia * v - stiff * x + force - drag * (n.b * settings.weight * x + back * wave)
         middle = right / (inertia + damp + 0.5 * PERIOD * stiff + drag * n.b * tip)
-        sent = np.sqrt(2.0 * n.b * n.beta.low) * (tip * middle + n.weight * x)
+        sent = np.sqrt(2.0 * n.b * n.beta.low) * (tip * middle + settings.weight * x)
         return x + PERIOD * middle, 2.0 * middle - v, sent + np.sqrt(n.beta.low / n.beta.high) * wave, x
 
     def slave(state, inputs):
@@ -181,14 +190,14 @@ def linear_case() -> tuple[dict, dict[str, np.ndarray]]:
 
 def rows() -> Iterator[Row]:
     """Yield the loop beside NumPy and Drake, and the time of an optimal share."""
-    arguments = {"scheme": "TMIG", "seed": 1, "duration": DURATION, "sample_time": PERIOD}
+    arguments = {"scheme": "TMIG", "seed": 1, "duration": DURATION, "sample_time": PERIOD} | PRINTED
     given, _ = captured(**arguments)
     data = as_arrays(given)
     case = f"Teleoperation loop, 3 axes, {DURATION:.0f} s at 1 kHz"
-    ours = "trustlab run_loop (compiled), every signal and energy logged"
+    ours = "trustlab kernel.advance (compiled), every signal and energy logged"
 
     def loop():
-        return again(given)
+        return again(given)[:, :PLAIN]
 
     plain = PlainLoop(data)
     ours_log, fault = loop(), ""
