@@ -76,7 +76,7 @@ def dense(graph, run, ends, n, leads, delay, vision, kind, start, goal, count, t
     """
     names, adjacency = team_graph(graph)
     size, T = len(names), n["T"]
-    L = np.diag(adjacency.sum(1)) - adjacency
+    L = n.get("coupling", 1.0) * (np.diag(adjacency.sum(1)) - adjacency)
     q, zeta, x, v = start - goal, np.zeros((size, 3)), np.zeros(3), np.zeros(3)
     fil, wave, held = np.zeros((4, 3)), np.zeros((2, 3)), []
     u_l, u_r, sent, seen = (np.zeros((count, 3)) for _ in range(4))
@@ -103,8 +103,8 @@ def dense(graph, run, ends, n, leads, delay, vision, kind, start, goal, count, t
             A, y = np.zeros((2 * size + 9, 2 * size + 9)), np.zeros(2 * size + 9)
             h, b, port = 0.5 * T, end.b, kind == "two-port"
             A[Z, Z], A[Z, Q], y[Z] = np.eye(size), h * L, zeta[:, i]
-            A[Q, Q], A[Q, Z], y[Q] = np.eye(size) + h * L, -h * L, q[:, i]
-            A[size + lead, R] = -h
+            A[Q, Q], A[Q, Z], y[Q] = np.eye(size) + h * L, -h * L.T, q[:, i]
+            A[size + lead, R] = -h * n.get("lead", 1.0)
             push, drag = (n["push"] * error[i], n["drag"])  # M (v_mid − v)/h = push − d r_m − f_m − B v_mid − K x_mid
             A[V, V], A[V, RM], A[V, FM] = n["M"] / h + n["B"] + n["K"] * h, drag, 1.0
             y[V] = n["M"] * v[i] / h + push - n["K"] * x[i]
@@ -118,7 +118,7 @@ def dense(graph, run, ends, n, leads, delay, vision, kind, start, goal, count, t
             A[RS, RS], A[RS, FS], y[RS] = b, 1.0, np.sqrt(2 * b) * v_r[i]
             A[R, R], A[R, RS], A[R, F], y[R] = 1.0, -g, k12, p3
             A[FS, FS], A[FS, RS], A[FS, F], y[FS] = 1.0, -k21, -g, p4
-            A[F, F], A[F, Q], y[F] = 1.0, -L[lead], 0.0
+            A[F, F], A[F, Q], y[F] = 1.0, -n.get("felt", 1.0) * L[lead], 0.0
             s = np.linalg.solve(A, y)
             zeta[:, i], q[:, i] = 2 * s[Z] - zeta[:, i], 2 * s[Q] - q[:, i]
             row[:, i] = s[Q][lead] + goal[i], x[i], s[RM], push - drag * s[RM], s[FM], s[R], s[F]
@@ -132,25 +132,46 @@ def dense(graph, run, ends, n, leads, delay, vision, kind, start, goal, count, t
     return np.array(rows), q + goal, np.array(held)
 
 
-@pytest.mark.parametrize("kind", ["none", "two-port", "waves"])
-def test_kernel_against_a_dense_solver(kind):
+PLAIN = nx.Graph([(0, 1), (1, 2), (2, 3), (1, 3)])
+WEIGHTED = np.array([[0, 2.0, 0, 0], [2.0, 0, 0.3, 1], [0, 0.3, 0, 0.7], [0, 1, 0.7, 0]])
+DIRECTED = np.array([[0, 2.0, 0, 0], [0, 0, 0.3, 1], [0.5, 0, 0, 0.7], [0, 1, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("kind", "graph", "scales"),
+    [
+        ("none", PLAIN, {}),
+        ("two-port", PLAIN, {}),
+        ("waves", PLAIN, {}),
+        ("two-port", WEIGHTED, {}),
+        ("waves", DIRECTED, {}),
+        ("two-port", WEIGHTED, {"coupling": 3.0, "lead": 4.0, "felt": 0.2}),
+        ("none", DIRECTED, {"coupling": 0.5, "lead": 0.3, "felt": 2.0}),
+    ],
+)
+def test_kernel_against_a_dense_solver(kind, graph, scales):
     """Oracle: all unknowns of a step in one linear system, no eigenbasis and no closed form."""
-    T, count, graph = 0.02, 400, nx.Graph([(0, 1), (1, 2), (2, 3), (1, 3)])
+    T, count = 0.02, 400
     rng = np.random.default_rng(8)
     start, goal = rng.normal(size=(4, 3)), np.array([1.0, -2.0, 0.5])
     ends = tuple(Scattering(b, beta_min=low, beta_max=low + 0.7) for b, low in ((1, 0.3), (2, 0.5), (0.5, 1), (3, 0.2)))
     filters = {"none": "none", "two-port": corrected_filter(8.0, 1.5), "waves": WaveFilter(8.0)}[kind]
     run = tl.simulate_team(
         graph, GivenSequence([2, 0, 3], times=[0.0, 2.0, 5.0]), goal, duration=count * T, sample_time=T,
-        settings=TeamSettings(scattering=ends), operator=TeamOperator(reach=1e9, guarded=False, slow_down=False, push=2.0),
+        settings=TeamSettings(
+            scattering=ends, coupling=scales.get("coupling", 1.0), lead_gain=scales.get("lead", 1.0),
+            force_gain=scales.get("felt", 1.0),
+        ),
+        operator=TeamOperator(reach=1e9, guarded=False, slow_down=False, push=2.0),
         delay=0.2, vision_delay=0.3, min_dwell=1.5, filters=filters, start=start, record_every=T,
     )  # fmt: skip
-    n = {"T": T, "M": 0.5, "B": 5.5, "K": 20.0, "Lam": 10.0, "push": 2.0, "drag": 1.0, "cutoff": 8.0}
+    n = scales | {"T": T, "M": 0.5, "B": 5.5, "K": 20.0, "Lam": 10.0, "push": 2.0, "drag": 1.0, "cutoff": 8.0}
     n |= {"k12": 0.5 / 1.5, "k21": 0.5 * 1.5, "keep": np.exp(-0.1 * T)}
     leads = run.data["number"].to_numpy().astype(int)
     assert len(run.switches) == 2
     wanted, _, held = dense(graph, run, ends, n, leads, 10, 15, kind, start, goal, count)
     found = run.data[run.data.columns[:21]].to_numpy()
+    assert len(wanted) == len(found) == count
     np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-9 * np.abs(wanted).max())
     np.testing.assert_allclose(run.data["v_filter"], held if kind == "two-port" else 0.0, rtol=1e-8, atol=1e-9)
 
@@ -460,14 +481,15 @@ class TestBadInput:
         ("graph", "words"),
         [
             (nx.Graph([("a", "b"), ("c", "d")]), "not connected.*{'a', 'b'}; {'c', 'd'}"),
-            (nx.DiGraph([(0, 1)]), "directed"),
-            (np.array([[0, 1], [0, 0]]), "directed"),
+            (nx.DiGraph([(0, 1), (0, 2)]), "no spanning tree"),
+            (np.array([[0, 0, 0], [1, 0, 1], [0, 0, 0]]), "no spanning tree"),
             (nx.Graph([(0, 1), (1, 1)]), "robot 1 has a self-loop"),
             (nx.MultiGraph([(0, 1), (0, 1)]), "parallel"),
-            (nx.Graph([(0, 1, {"weight": 2.0})]), "weight"),
+            (nx.Graph([(0, 1, {"weight": -2.0})]), "between 0 and 1 it is -2"),
+            (nx.Graph([(0, 1, {"weight": "strong"})]), "weight"),
             (nx.path_graph(1), "two robots"),
             (nx.Graph(), "two robots"),
-            (np.array([[0, 0.5], [0.5, 0]]), "0 or 1"),
+            (np.array([[0, np.nan], [np.nan, 0]]), "finite"),
             (np.zeros((2, 3)), "square"),
             ("path", "networkx"),
             (None, "networkx"),
@@ -533,6 +555,8 @@ class TestBadInput:
             ({"scattering": Scattering(1.0, alpha_min=0.5)}, "α is 1"),
             ({"human_to_robot": TrustModel(0.1, 0.1, p_max=2.0)}, "between 0 and 1"),
             ({"performance_time": 0.0}, "performance_time"),
+            ({"coupling": 0.0}, "coupling"),
+            ({"lead_gain": -1.0}, "lead_gain"),
         ):
             with pytest.raises((ValueError, PassivityError), match=words):
                 TeamSettings(**change)

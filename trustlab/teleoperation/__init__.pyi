@@ -27,19 +27,21 @@ from .ports.device import HapticDevice as HapticDevice, PassivityError as Passiv
 from .ports.ledger import EnergyLedger as EnergyLedger
 from .ports.passivity import PassivityController as PassivityController
 from .ports.waves import Scattering as Scattering
+from .team.graphs import (
+    GraphError as GraphError,
+    algebraic_connectivity as algebraic_connectivity,
+    scaled_settings as scaled_settings,
+    team_graph as team_graph,
+)
 from .team.leader_policies import (
+    Decision as Decision,
     GivenSequence as GivenSequence,
     LeaderPolicy as LeaderPolicy,
+    LivePolicy as LivePolicy,
     MostTrusted as MostTrusted,
     RandomLeaders as RandomLeaders,
 )
-from .team.settings import (
-    GraphError as GraphError,
-    TeamOperator as TeamOperator,
-    TeamSettings as TeamSettings,
-    algebraic_connectivity as algebraic_connectivity,
-    team_graph as team_graph,
-)
+from .team.settings import TeamOperator as TeamOperator, TeamSettings as TeamSettings
 from .transparency import (
     Tuning as Tuning,
     dominance as dominance,

@@ -1,5 +1,8 @@
 """A team of robots led to a goal by one operator through whichever of them leads: Chapter 4 as a simulated task."""
 
+from collections.abc import Mapping
+from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +16,9 @@ from trustlab.teleoperation.loop.settings import DivergenceError
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.records import log_of, robot_numbers, signal
 from trustlab.teleoperation.team import kernel
-from trustlab.teleoperation.team.leader_policies import LeaderPolicy, policy_named
-from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, flag, team_graph
+from trustlab.teleoperation.team.graphs import TeamGraph, formation_on, graphs_in_time
+from trustlab.teleoperation.team.leader_policies import Decision, LeaderPolicy, LivePolicy, is_live, policy_named
+from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, flag
 from trustlab.testbeds.team_run import TeamRun
 
 NOTE = "simulated team and operator"
@@ -27,7 +31,7 @@ LARGEST = 200_000_000
 
 def simulate_team(
     graph,
-    policy: str | LeaderPolicy = "most_trusted",
+    policy: str | LeaderPolicy | LivePolicy = "most_trusted",
     goal=(1.0, 2.0, 0.5),
     seed: int | np.random.SeedSequence = 0,
     duration: float = 300.0,
@@ -47,19 +51,28 @@ def simulate_team(
     push: np.ndarray | None = None,
     switch_scattering: bool = True,
     require_connected: bool = True,
+    changes: Mapping | None = None,
 ) -> TeamRun:
     """
     Simulate robots on a graph, (4.19)-(4.24), whose leader an operator steers to a goal.
 
+    As printed, the graph is undirected, its weights are 0 or 1 and it stays; there Lemmas 6 and 7 and Theorem 6 hold, and with any
+    positive weights. A link that is lost takes energy out of V_fs, one that appears brings some (`supply_links` in the log):
+    V_T without it never rises. On a directed graph ζ goes back along the edges (q̇ = Lᵀζ − Lq + …), which is (4.22) where L is
+    symmetric; no storage of the leader's port is known there, so that V_fs and V_T are NaN and nothing is promised.
+
     Parameters
     ----------
-    graph : networkx.Graph or array_like, shape (N, N)
-        Who sees whom: undirected, connected, without self-loops.
-    policy : {"most_trusted", "hysteresis", "sequence", "random"} or LeaderPolicy
+    graph : networkx.Graph, networkx.DiGraph or array_like, shape (N, N)
+        Who sees whom, edges from who sees to who is seen, `weight` a_ij: connected, or with a spanning tree if directed;
+        without self-loops. The leader must be seen by all others, directly or through others.
+    policy : {"most_trusted", "hysteresis", "sequence", "random"}, LivePolicy or LeaderPolicy
         Who leads; decided every 0.1 s, or every sample where samples are longer. One of your own is any object with a
-        `title` and a method `leaders(trust, robots, step, dwell, rng)`, called once: `trust` is (4.1) in every robot at
-        every decision, shape (M, N); `robots` their N names; `step` the time between decisions [s]; `dwell` τ_min [s];
-        `rng` a numpy.random.Generator. It returns M whole numbers from 0 to N − 1, each kept for τ_min at least.
+        `title` and either a method `leader(now)`, called at every decision while the run goes on with a `Decision` (time, trust,
+        positions, who is present, a memory of its own), which returns the number of the leader; or a method
+        `leaders(trust, robots, step, dwell, rng)`, called once: `trust` is (4.1) in every robot at every decision, shape
+        (M, N); `robots` their N names; `step` the time between decisions [s]; `dwell` τ_min [s]; `rng` a
+        numpy.random.Generator; it returns M numbers. Each leads for τ_min at least, unless it leaves the team.
     goal : array_like, shape (3,)
         r_q [m], known to the operator alone.
     seed : int or numpy.random.SeedSequence
@@ -95,7 +108,11 @@ def simulate_team(
     switch_scattering : bool
         Whether the operator's end of the channel is switched with the leader, (4.7); False to see what that is for.
     require_connected : bool
-        Refuse a graph in several parts.
+        Refuse a graph in several parts, or without a spanning tree.
+    changes : dict, optional
+        Time [s] → the graph from the next decision on: links that are lost or appear, robots that leave (in no edge and not
+        among the nodes any more) or join (nodes that were not there before). Use networkx graphs for that, whose robots have
+        names.
 
     Returns
     -------
@@ -109,7 +126,7 @@ def simulate_team(
     DivergenceError
         If the run grows without bound; time and block are named.
     """
-    names, adjacency = team_graph(graph, flag("require_connected", require_connected))
+    names, graphs = graphs_in_time(graph, changes, flag("require_connected", require_connected))
     policy = policy_named(policy)
     settings = TeamSettings() if settings is None else of_class("settings", settings, TeamSettings)
     operator = TeamOperator() if operator is None else of_class("operator", operator, TeamOperator)
@@ -124,36 +141,110 @@ def simulate_team(
     vision, dwell = _vision(vision_delay, greatest, T), _dwell(min_dwell, greatest)
     streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
     q0, zeta0, pushed = _given(start, inner, push, len(names), count, streams[0])
-    trust, leads, decision = _leaders(policy, settings, names, duration, count, T, dwell, streams)
-    heads = leads if flag("switch_scattering", switch_scattering) else np.full(count, leads.item(0))
-    values, vectors, w, z = _modes(adjacency, q0 - goal, zeta0)
-    budget = operator.budget * (1.0 + 0.5 * float(np.sum(w**2) + np.sum(z**2)))
+    plan = _plan(graphs, settings, len(names), duration, count, T, streams[1])
+    budget = operator.budget * (1.0 + 0.5 * float(np.sum((q0 - goal) ** 2) + np.sum(zeta0**2)))
     filtering = _filters(filters, float(np.mean([end.b for end in ends])))
     numbers = _numbers(settings, operator, filtering, T, rate, read_out, vision, budget, q0 - goal, tolerance)
-    rows = -(-count // every)
-    table, log = log_of(kernel.LOG, rows + 1)  # the last row is the kernel's scratch
-    modes = np.empty((rows, 3, len(names)))
-    done, block = kernel.run_team(
-        numbers, values, vectors, leads, heads, _robots(settings, ends, T),
-        delays, np.ones((2, count), bool), accounts(), w, z, pushed, every, np.zeros(1, kernel.STATE), log, modes,
-    )  # fmt: skip
-    if block >= 0:
-        raise _diverged(block, (done - 1) * T)
+    memory = _memory(delays, pushed, q0 - goal, zeta0)
+    live = Leading(policy, graphs, names, plan, dwell, streams[2]) if is_live(policy) else None
+    if live is None:
+        memory.leads[:] = _chosen(policy, plan, graphs, names, dwell, streams[2])[plan.decision]
+    switched = flag("switch_scattering", switch_scattering)
+    robots = _robots(settings, ends, T)
+    table, log, modes = _fly(numbers, robots, memory, graphs, plan, settings, live, switched, goal, every)
+    rows = len(modes)
     log["leader"] += goal
     t = np.round(T * every * np.arange(rows), 9)
     facts = _facts(policy, filtering, numbers, seed, read_out, greatest, vision, dwell)
     data = pd.DataFrame(table[:rows], index=pd.Index(t, name="t"), columns=list(kernel.COLUMNS))
-    positions = (modes @ vectors.T).transpose(0, 2, 1) + goal
-    trust = trust[_intervals(t, decision, len(trust))]
-    return TeamRun(names, adjacency, goal, data, positions, trust, budget, tolerance, facts)
+    positions = modes.transpose(0, 2, 1) + goal
+    trust = plan.trust[_intervals(t, plan.step, len(plan.trust))]
+    later = tuple((graph.since, graph.adjacency) for graph in graphs[1:])
+    return TeamRun(names, graphs[0].adjacency, goal, data, positions, trust, budget, tolerance, facts, later)
 
 
-def _modes(adjacency, distance, zeta) -> tuple[np.ndarray, ...]:
-    """Return eigenvalues and eigenvectors of the Laplacian, and the modes of two arrays of shape (N, 3)."""
-    values, vectors = np.linalg.eigh(np.diag(adjacency.sum(axis=1)) - adjacency)
-    w, z = (np.ascontiguousarray(array.T @ vectors) for array in (distance, zeta))
-    # the least eigenvalue is 0; rounding may make it negative, which would let the mean drift
-    return np.maximum(values, 0.0), np.ascontiguousarray(vectors), w, z
+class Plan(NamedTuple):
+    """When who leads is decided, and what is known of the run before it begins."""
+
+    step: float  # between decisions [s]
+    decision: np.ndarray  # of each sample, shape (K,)
+    graph: np.ndarray  # number of the graph at each decision, shape (M,)
+    trust: np.ndarray  # human-to-robot, (4.1), at each decision, shape (M, N)
+
+
+def _fly(
+    numbers, robots, memory, graphs: list[TeamGraph], plan: Plan, settings, live, switched: bool, goal, every: int
+):
+    """Run the kernel from change to change of the graph, with a live policy from decision to decision; return what is logged."""
+    T, count, size = numbers.sample_time, len(plan.decision), len(robots)
+    rows = -(-count // every)
+    table, log = log_of(kernel.LOG, rows + 1)  # the last row is the kernel's scratch
+    modes, states = np.empty((rows, 3, size)), np.zeros(1, kernel.STATE)
+    team = now = None
+    for first, last in _spans(plan, live is not None):
+        graph = graphs[plan.graph[plan.decision[first]]]
+        if graph is not now:
+            team, now = (
+                _regroup(team, formation_on(graph, settings.coupling, 0.5 * T), settings, memory, states[0]),
+                graph,
+            )
+        if live is not None:
+            where = partial(_positions, team, memory, goal)
+            memory.leads[first:last] = live.choose(plan.decision[first], first * T, where)
+        memory.heads[first:last] = memory.leads[first:last] if switched else memory.leads[0]
+        done, block = kernel.run_team(numbers, team, robots, memory, first, last, every, states, log, modes)
+        if block >= 0:
+            raise _diverged(block, (done - 1) * T)
+        recorded = slice(-(-first // every), -(-last // every))
+        modes[recorded] = modes[recorded] @ team.vectors.T
+        modes[recorded, :, ~graph.present] = np.nan  # a robot that is not in the team is nowhere
+    return table, log, modes
+
+
+def _plan(graphs: list[TeamGraph], settings, robots: int, duration, count, T, rng) -> Plan:
+    """Return when decisions are taken, on which graph, and the trust at each."""
+    step = max(DECISION, T)
+    most = int(np.ceil(duration / step)) + 1
+    trust = _trust(settings, robots, most, step, rng)
+    since = [graph.since for graph in graphs]
+    graph = np.searchsorted(since, step * np.arange(most) + 1e-9, side="right") - 1
+    return Plan(step, _intervals(np.arange(count) * T, step, most), graph, trust)
+
+
+def _spans(plan: Plan, live: bool) -> list[tuple[int, int]]:
+    """Return from which sample to which the kernel runs at a stretch: to the next change of the graph, or the next decision."""
+    until = plan.decision if live else plan.graph[plan.decision]
+    stops = np.flatnonzero(np.diff(until)) + 1
+    return list(pairwise([0, *stops.tolist(), len(plan.decision)]))
+
+
+def _memory(delays, pushed, distance, zeta) -> kernel.Memory:
+    """Return what a run remembers, at its start; w and z are positions until the first formation gives them a basis."""
+    count, size = len(pushed), len(distance)
+    three = [np.zeros((count, 3)) for _ in range(4)]
+    leads, w, z = np.zeros(count, np.int64), distance.T.copy(), zeta.T.copy()
+    return kernel.Memory(
+        leads, leads.copy(), delays, np.ones((2, count), bool), accounts(), pushed, *three,
+        np.zeros(count), np.zeros(count + 1), w, z, np.full(size, 0.5),
+    )  # fmt: skip
+
+
+def _positions(team: kernel.Formation, memory: kernel.Memory, goal: np.ndarray) -> np.ndarray:
+    """Return where the robots are now [m], shape (N, 3)."""
+    return (memory.w @ team.vectors.T).T + goal
+
+
+def _regroup(before: kernel.Formation | None, team: kernel.Formation, settings, memory, state) -> kernel.Formation:
+    """Carry the robots over to the next graph's basis; what V_fs gains or loses by the links is booked as their supply."""
+    if before is not None:
+        held, _ = kernel.storages(before, memory.w, memory.z)
+    for modes in (memory.w, memory.z):
+        positions = modes if before is None else modes @ before.vectors.T
+        modes[:] = positions @ team.vectors
+    if before is not None:
+        gained = kernel.storages(team, memory.w, memory.z)[0] - held
+        state["supply_links"] += settings.force_gain / settings.lead_gain * gained
+    return team
 
 
 def _facts(policy, filtering, numbers, seed, read_out, delay, vision, dwell) -> dict:
@@ -203,14 +294,6 @@ def _vision(vision_delay, delay: float, T: float) -> float:
 def _intervals(t: np.ndarray, decision: float, most: int) -> np.ndarray:
     """Return the decision interval that each time falls into; 1e-9 keeps rounding from moving a boundary."""
     return np.minimum((t / decision + 1e-9).astype(np.int64), most - 1)
-
-
-def _leaders(policy, settings, names, duration, count, T, dwell, streams) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return human-to-robot trust at every decision, who leads in each sample, and the time between decisions [s]."""
-    decision = max(DECISION, T)
-    trust = _trust(settings, len(names), int(np.ceil(duration / decision)) + 1, decision, streams[1])
-    chosen = _chosen(policy, trust, names, decision, dwell, streams[2])
-    return trust, chosen[_intervals(np.arange(count) * T, decision, len(chosen))], decision
 
 
 def _samples(duration, sample_time, record_every, robots: int) -> tuple[int, int, float]:
@@ -268,6 +351,8 @@ def _numbers(
         vision=round(vision / T),
         error_range=max(float(np.linalg.norm(distance, axis=1).max()), tolerance),
         steepness=settings.steepness,
+        lead_gain=settings.lead_gain,
+        force_gain=settings.force_gain,
     )
 
 
@@ -295,18 +380,59 @@ def _trust(settings: TeamSettings, size: int, count: int, step: float, rng) -> n
     return trust
 
 
-def _chosen(policy, trust: np.ndarray, names: tuple, step: float, dwell: float, rng) -> np.ndarray:
-    """Return the policy's leaders, checked: they exist, and stay for τ_min."""
-    leaders = policy.leaders(trust, names, step, dwell, rng)
+def _chosen(policy, plan: Plan, graphs: list[TeamGraph], names: tuple, dwell: float, rng) -> np.ndarray:
+    """Return the leader at each decision as a policy says it before the run, checked."""
+    present = np.array([graph.present for graph in graphs])[plan.graph]
+    trust = np.where(present, plan.trust, -np.inf)
+    leaders = policy.leaders(trust, names, plan.step, dwell, rng)
     chosen = robot_numbers("the policy's answer, one leader per decision,", leaders, len(trust), len(names))
-    switches = np.flatnonzero(np.diff(chosen)) + 1
-    short = np.diff(np.concatenate([[0], switches])) * step < dwell - 1e-6
-    if short.any():
-        k = int(np.argmax(short))
-        raise ValueError(
-            f"the policy switches at t = {switches[k] * step:g} s, less than min_dwell = {dwell:g} s after the switch before"
+    since = None
+    for d in np.flatnonzero(np.diff(chosen, prepend=-1) | np.diff(plan.graph, prepend=-1)):
+        since = _checked(
+            chosen[d], chosen[d - 1] if d else None, since, d * plan.step, graphs[plan.graph[d]], names, dwell
         )
     return chosen
+
+
+def _checked(
+    leader: int, before: int | None, since: float | None, t: float, graph: TeamGraph, names: tuple, dwell: float
+):
+    """Return since when the leader leads; it must be there, be seen by all, and take over from one that has led for τ_min."""
+    if not graph.present[leader]:
+        raise ValueError(f"at t = {t:g} s the policy picks robot {names[leader]!r}, which is not in the team then")
+    if not graph.may_lead[leader]:
+        raise ValueError(
+            f"at t = {t:g} s the policy picks robot {names[leader]!r}, which not all others see, directly or through others, so "
+            f"that it cannot lead them; who can: {[names[i] for i in np.flatnonzero(graph.may_lead)]}"
+        )
+    if leader == before:
+        return since
+    if before is not None and graph.present[before] and t - since < dwell - 1e-6:
+        raise ValueError(
+            f"the policy switches at t = {t:g} s, less than min_dwell = {dwell:g} s after the switch before"
+        )
+    return t
+
+
+class Leading:
+    """A live policy while the run goes on: who leads since when, and what the policy remembers."""
+
+    def __init__(self, policy, graphs: list[TeamGraph], names: tuple, plan: Plan, dwell: float, rng):
+        self.policy, self.graphs, self.names, self.plan, self.dwell, self.rng = policy, graphs, names, plan, dwell, rng
+        self.leader, self.since, self.memory = None, None, {}
+
+    def choose(self, d: int, t: float, where) -> int:
+        """Return the leader from decision number `d` on."""
+        graph = self.graphs[self.plan.graph[d]]
+        trust = np.where(graph.present, self.plan.trust[d], -np.inf)
+        now = Decision(
+            t, self.names, graph.present, trust, self.leader, self.since, self.dwell, self.rng, self.memory, where
+        )
+        answer = self.policy.leader(now)
+        number = robot_numbers(f"the policy's answer at t = {t:g} s", [answer], 1, len(self.names)).item()
+        self.since = _checked(number, self.leader, self.since, t, graph, self.names, self.dwell)
+        self.leader = number
+        return number
 
 
 class Filtering(NamedTuple):

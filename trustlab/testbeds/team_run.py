@@ -52,6 +52,8 @@ class TeamRun:
         Distance to the goal that counts as arrived [m].
     facts : dict
         How the run was made.
+    changes : tuple
+        Later graphs: when each began [s], and its a_ij. Robots that are not in the team have positions of NaN.
     """
 
     robots: tuple
@@ -63,6 +65,7 @@ class TeamRun:
     budget: float
     tolerance: float
     facts: dict
+    changes: tuple = ()
 
     @property
     def t(self) -> np.ndarray:
@@ -77,12 +80,24 @@ class TeamRun:
     @cached_property
     def spread(self) -> np.ndarray:
         """Greatest distance of a robot to the team's centre [m], shape (K,): zero in synchrony."""
-        return np.linalg.norm(self.positions - self.positions.mean(axis=1, keepdims=True), axis=2).max(axis=1)
+        centre = np.nanmean(self.positions, axis=1, keepdims=True)
+        return np.nanmax(np.linalg.norm(self.positions - centre, axis=2), axis=1)
+
+    @cached_property
+    def farthest(self) -> np.ndarray:
+        """Distance to the goal of the robot farthest from it [m], shape (K,)."""
+        return np.nanmax(self.distances, axis=1)
+
+    @cached_property
+    def links(self) -> list[tuple[float, np.ndarray]]:
+        """When each graph began [s], and which robots it links, shape (E, 2)."""
+        graphs = ((0.0, self.adjacency), *self.changes)
+        return [(since, np.argwhere(np.triu(graph + graph.T))) for since, graph in graphs]
 
     @property
     def converged(self) -> bool:
         """Whether every robot is within the tolerance of the goal at the end."""
-        return bool(self.distances[-1].max() < self.tolerance)
+        return bool(self.farthest[-1] < self.tolerance)
 
     @property
     def synchronised(self) -> bool:
@@ -94,7 +109,7 @@ class TeamRun:
         """When the last robot came within the tolerance for good [s]; NaN if not all did."""
         if not self.converged:
             return float("nan")
-        outside = np.flatnonzero(self.distances.max(axis=1) >= self.tolerance)
+        outside = np.flatnonzero(self.farthest >= self.tolerance)
         return float(self.t[outside[-1] + 1]) if outside.size else 0.0
 
     @property
@@ -118,7 +133,7 @@ class TeamRun:
 
         leader_x … are the leader's position at the midpoint of the sample; number is its place in `robots`; push the share σ of
         the operator; v_… the storages of (4.32), v_t their sum; supply_… energy taken in by team, error system, hand, device and
-        filters since the start, lost_… what was dissipated.
+        filters since the start, supply_links what V_fs gained by changes of the graph, lost_… what was dissipated.
         """
         return self.data.copy()
 
@@ -146,7 +161,7 @@ class TeamRun:
 
     def summary(self) -> pd.DataFrame:
         """Return one row: whether and when the team arrived, and what held on the way."""
-        rises = np.diff(self.data["v_t"].to_numpy())
+        rises = np.diff((self.data["v_t"] - self.data["supply_links"]).to_numpy())
         row = {
             "robots": len(self.robots),
             "policy": self.facts["policy"],
@@ -154,7 +169,7 @@ class TeamRun:
             "switches": len(self.switches),
             "converged": self.converged,
             "time_to_goal": self.time_to_goal,
-            "distance": float(self.distances[-1].max()),
+            "distance": float(self.farthest[-1]),
             "spread": float(self.spread[-1]),
             "operator_passive": self.operator_passive,
             "least_v_h": float(self.data["v_h"].min()),

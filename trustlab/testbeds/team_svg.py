@@ -6,6 +6,7 @@ from pathlib import Path
 from string import Template
 
 import numpy as np
+import pandas as pd
 
 from trustlab.models.checks import finite_number, positive
 
@@ -26,7 +27,13 @@ def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
     if not run.t[0] < until <= run.t[-1]:
         raise ValueError(f"until must be after {run.t[0]:g} s and at most {run.t[-1]:g} s, got {until:g}")
     at = np.searchsorted(run.t, np.linspace(run.t[0], until, FRAMES) - 1e-9)
-    points, number = run.positions[at], run.data["number"].to_numpy()[at].astype(int)
+    number = run.data["number"].to_numpy()[at].astype(int)
+    # a robot that joins or leaves waits out of sight where it is first or last seen
+    points = np.stack([pd.DataFrame(axis).ffill().bfill() for axis in run.positions[at].transpose(2, 0, 1)], axis=-1)
+    seen = np.isfinite(run.positions[at, :, 0])
+    since = [since for since, _ in run.links]
+    graph = np.searchsorted(since, run.t[at], side="right") - 1
+    linked = [{tuple(pair) for pair in pairs.tolist()} for _, pairs in run.links]
     force = -run.data[["f_m_x", "f_m_y"]].to_numpy()[at]  # what the device does to the hand
     middle, span = view(points[..., :2], run.goal[:2])
     x, y = _on_picture(points, middle, span)
@@ -36,12 +43,13 @@ def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
 
     colours = np.where(number[:, None] == np.arange(len(run.robots)), LEADER, FOLLOWER)
     links = [
-        f'<line stroke="#aaa">{_moving(lasting, x1=x[:, i], y1=y[:, i], x2=x[:, j], y2=y[:, j])}</line>'
-        for i, j in np.argwhere(np.triu(run.adjacency))
+        f'<line stroke="#aaa">{_moving(lasting, x1=x[:, i], y1=y[:, i], x2=x[:, j], y2=y[:, j])}'
+        f"{_shown(np.array([(i, j) in pairs for pairs in linked])[graph], lasting)}</line>"
+        for i, j in sorted(set().union(*linked))
     ]
     robots = [
         f'<circle cx="{x[0, i]:.1f}" cy="{y[0, i]:.1f}" r="6" stroke="#fff" fill="{colours[0, i]}">'
-        f"{_moving(lasting, cx=x[:, i], cy=y[:, i])}{_animation('fill', colours[:, i], lasting, DISCRETE)}</circle>"
+        f"{_moving(lasting, cx=x[:, i], cy=y[:, i])}{_animation('fill', colours[:, i], lasting, DISCRETE)}{_shown(seen[:, i], lasting)}</circle>"
         for i in range(len(run.robots))
     ]
     return Template(PICTURE.read_text(encoding="utf-8")).substitute(
@@ -62,7 +70,7 @@ def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
 def view(positions: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the middle of a square or cube that shows robots and goal at all times, and how wide it is."""
     seen = np.concatenate([positions.reshape(-1, goal.size), goal[None]])
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    low, high = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
     return 0.5 * (low + high), 1.1 * max(float((high - low).max()), 0.1)
 
 
@@ -76,6 +84,11 @@ def _on_picture(points: np.ndarray, middle: np.ndarray, span: float) -> tuple[np
 def _moving(lasting: float, **attributes: np.ndarray) -> str:
     """Return animations of attributes that run through their values."""
     return "".join(_animation(name, [f"{v:.1f}" for v in values], lasting) for name, values in attributes.items())
+
+
+def _shown(when: np.ndarray, lasting: float) -> str:
+    """Return an animation that hides what is not there all the time."""
+    return "" if when.all() else _animation("opacity", when.astype(int).astype(str), lasting, DISCRETE)
 
 
 def _animation(name: str, values: Iterable[str], lasting: float, more: str = "") -> str:

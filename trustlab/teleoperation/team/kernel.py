@@ -1,8 +1,9 @@
 """
-The teleoperated team (Fig. 4.1), compiled: O(N) per step in the Laplacian's eigenbasis.
+The teleoperated team (Fig. 4.1), compiled: O(N) per step in the Laplacian's eigenbasis, O(N²) on a directed graph.
 
 `run_team` holds what needs arrays: the team's modes, and whatever is looked up in the past. The operator's end and the robots'
-end of the channel are one compiled function each, between records of STATE and LOG.
+end of the channel are one compiled function each, between records of STATE and LOG. All that a run remembers stands in
+`Memory` and STATE, so that a run may pause at any sample: the graph and the leader change between two calls.
 """
 
 from typing import NamedTuple
@@ -22,7 +23,7 @@ LOG = record(
     vectors="leader device r_m f_h f_m r_s f_s",
     numbers=(
         "number beta trust_rh push v_h v_hd v_ch v_fs v_e v_e_delayed v_filter v_t supply_team supply_error supply_hand "
-        "supply_device supply_filter lost_device lost_team lost_error lost_error_delayed"
+        "supply_device supply_filter supply_links lost_device lost_team lost_error lost_error_delayed"
     ),
 )
 """A row of the log: storages before the sample and the signals of the sample."""
@@ -35,8 +36,14 @@ KEPT = "device device_velocity near_velocity near_force far_velocity far_force f
 ARRIVED = "error pushed v_l v_r open_force"
 # The operator's end, affine in what is still unknown: r_m = yielded + mobility · push, f_m = held + resistance · r_m.
 SIGNALS = "u_l u_r yielded mobility held resistance channel_force wanted"
+# Energies since the start: storages that are integrals, supplies and losses; what the log shows under the same names.
+ENERGIES = (
+    "v_h v_ch supply_team supply_error supply_hand supply_device supply_filter supply_links lost_device lost_team lost_error "
+    "lost_error_delayed"
+)
 STATE = record(
-    vectors=f"{KEPT} {ARRIVED} {SIGNALS}", numbers="seen_power near_power far_power hand_power device_power device_loss"
+    vectors=f"{KEPT} {ARRIVED} {SIGNALS}",
+    numbers=f"seen_power near_power far_power hand_power device_power device_loss {ENERGIES}",
 )
 """What both ends read and leave."""
 
@@ -67,6 +74,57 @@ class TeamNumbers(NamedTuple):
     vision: int
     error_range: float
     steepness: float
+    lead_gain: float
+    force_gain: float
+
+
+class Formation(NamedTuple):
+    """
+    The robots on their graph, for one step of the midpoint rule: q = (I + hL + h²LᵀL)⁻¹ (q₀ + hLᵀζ₀ + h g D r_s).
+
+    Undirected graphs are diagonal in the modes of L: `values` and `vectors`, shapes (N,) and (N, N), and `solve`, shape (N,). A
+    directed graph has no such basis: `laplacian`, `solved` = (I + hL + h²LᵀL)⁻¹ and `inner` = h · solved · Lᵀ, shape (N, N), and
+    `felt`, `felt_inner` = L times these, from which the leader's force at rest is one row; `vectors` is then the identity.
+    """
+
+    directed: bool
+    values: np.ndarray
+    vectors: np.ndarray
+    solve: np.ndarray
+    laplacian: np.ndarray
+    solved: np.ndarray
+    inner: np.ndarray
+    felt: np.ndarray
+    felt_inner: np.ndarray
+    stiffness: np.ndarray  # what the team does to a leader's push, shape (N,)
+
+
+class Memory(NamedTuple):
+    """
+    What a run keeps from sample to sample, K samples and N robots; changed in place.
+
+    leads, heads, shape (K,): the robot that leads in each sample, and the one for which the operator's end of the channel is set
+    (the same, unless that end fails to switch). delays, arrives, shape (2, K): in samples, and whether waves arrive. accounts:
+    `ledger.accounts()`. pushed, shape (K, 3): force added to the hand's. waves u_l, u_r, velocities `sent` to the leader and
+    its distance to the goal `seen`, shape (K, 3). lost and held, shapes (K,) and (K + 1,): dissipation and storage of the error
+    system. w, z, shape (3, N): modes of the robots' distance to the goal and of ζ. trust, shape (N,): in the operator, (4.2).
+    """
+
+    leads: np.ndarray
+    heads: np.ndarray
+    delays: np.ndarray
+    arrives: np.ndarray
+    accounts: np.ndarray
+    pushed: np.ndarray
+    u_l: np.ndarray
+    u_r: np.ndarray
+    sent: np.ndarray
+    seen: np.ndarray
+    lost: np.ndarray
+    held: np.ndarray
+    w: np.ndarray
+    z: np.ndarray
+    trust: np.ndarray
 
 
 class FilterStep(NamedTuple):
@@ -188,134 +246,170 @@ def filter_wave(filters, wave, held):
         held[i], wave[i] = 2.0 * middle - held[i], middle
 
 
-@njit(error_model="numpy")
-def run_team(
-    n, values, vectors, leads, heads, robots, delays, arrives, accounts, w, z, pushed, every, states, log, modes
-):  # fmt: skip
-    """
-    Run the team and fill a record of `log` and a row of `modes` every `every` samples; the log's last record is scratch.
+@njit(error_model="numpy", forceinline=True)
+def storages(team, w, z):
+    """Return V_fs and V_e, (4.23) and (4.29); V_fs is a storage on an undirected graph only, elsewhere NaN."""
+    v_fs = v_e = 0.0
+    for i in range(3):
+        for j in range(w.shape[1]):
+            square = w[i, j] ** 2 + z[i, j] ** 2
+            v_e += 0.5 * square
+            if not team.directed:
+                v_fs += 0.5 * team.values[j] * square
+    return np.nan if team.directed else v_fs, v_e
 
-    values, shape (N,), vectors, shape (N, N): eigenvalues and eigenvectors (columns) of the Laplacian. leads, heads, shape
-    (K,): the robot that leads in each sample, and the one for which the operator's end of the channel is set (the same,
-    unless that end fails to switch). robots, shape (N,): records of ROBOT. delays, arrives, shape (2, K): in samples, and
-    whether waves arrive. accounts: `ledger.accounts()`. w, z, shape (3, N): modes of the robots' distance to the goal and of
-    ζ, changed in place. pushed, shape (K, 3): force added to the hand's. states, shape (1,): a record of STATE. Returns
-    the samples done and the block that diverged (−1: none).
+
+@njit(error_model="numpy", forceinline=True)
+def force_at_rest(team, lead, h, w, z, i):
+    """Return the force (4.24) on axis i that the leader would report at the midpoint if it were not driven."""
+    force = 0.0
+    for j in range(w.shape[1]):
+        if team.directed:
+            force += team.felt[lead, j] * w[i, j] + team.felt_inner[lead, j] * z[i, j]
+        else:
+            value = team.values[j]
+            force += team.vectors[lead, j] * value * team.solve[j] * (w[i, j] + h * value * z[i, j])
+    return force
+
+
+@njit(error_model="numpy", forceinline=True)
+def move_modes(team, lead, h, drive, w, z, i):
+    """Step the modes on axis i, the leader driven at `drive`; return its position at the midpoint, ‖Lq‖² and qᵀLq."""
+    at = team_loss = error_loss = 0.0
+    for j in range(w.shape[1]):
+        value = team.values[j]
+        q = team.solve[j] * (w[i, j] + h * (value * z[i, j] + team.vectors[lead, j] * drive))
+        w[i, j] = 2.0 * q - w[i, j]
+        z[i, j] -= 2.0 * h * value * q
+        at += team.vectors[lead, j] * q
+        team_loss += (value * q) ** 2
+        error_loss += value * q * q
+    return at, team_loss, error_loss
+
+
+@njit(error_model="numpy")
+def move_directed(team, lead, h, drive, w, z, i):
+    """Do the same on a directed graph, where w and z are the robots' own q and ζ."""
+    q = team.solved @ w[i] + team.inner @ z[i] + h * drive * team.solved[:, lead]
+    pulled = team.laplacian @ q
+    w[i] = 2.0 * q - w[i]
+    z[i] -= 2.0 * h * pulled
+    return q[lead], np.dot(pulled, pulled), np.dot(q, pulled)
+
+
+@njit(error_model="numpy")
+def run_team(n, team, robots, memory, first, last, every, states, log, modes):
     """
-    count, size, T = leads.size, values.size, n.sample_time
-    h = 0.5 * T
-    u_l, u_r = np.zeros((count, 3)), np.zeros((count, 3))
-    sent, seen, lost, held = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count), np.zeros(count + 1)
-    at, trust = np.zeros(3), np.full(size, 0.5)
+    Run the team from sample `first` to before `last`, with a record of `log` and a row of `modes` every `every` samples.
+
+    The log's last record is scratch. team: a Formation. robots, shape (N,): records of ROBOT. states, shape (1,): a record of
+    STATE. modes, shape (rows, 3, N): of the distance to the goal. Returns the samples done and the block that diverged
+    (−1: none).
+    """
+    m, T = memory, n.sample_time
+    w, z, size, h, g, felt = m.w, m.z, memory.trust.size, 0.5 * T, n.lead_gain, n.force_gain
+    at = np.zeros(3)
     state, spare = states[0], log[log.size - 1]
-    # (I + hL + h²L²) of the midpoint rule is diagonal in the modes; `stiffness` is what the team does to each leader's push
-    solve, stiffness = 1.0 / (1.0 + h * values + h * h * values**2), np.zeros(size)
-    for i in range(size):
-        for j in range(size):
-            stiffness[i] += h * vectors[i, j] ** 2 * values[j] * solve[j]
     device = haptic.held_device(n.mass, n.damping, n.stiffness, n.weight, 0.0, 0.0, T)
     pole = h * n.cutoff
     low_pass = FilterStep(1.0 / (1.0 + pole), pole / (1.0 + pole), n.k12, n.k21, pole)
     port = n.filtering == TWO_PORT
     filters = low_pass if port else FilterStep(0.0, 1.0, 0.0, 0.0, 0.0)
-    v_h = v_ch = v_hd0 = supply_team = supply_error = supply_hand = supply_device = supply_filter = 0.0
-    lost_device = lost_team = lost_error = lost_late = 0.0
-    for k in range(count):
-        lead, recorded = leads[k], k % every == 0
+    for k in range(first, last):
+        lead, recorded = m.leads[k], k % every == 0
         row = log[k // every] if recorded else spare
-        # storage at the start of this sample
-        v_hd = v_fs = v_e = v_filter = 0.0
+        # storage at the start of this sample; energy that enters by the leader's port appears in the team g and g/felt times
+        v_hd = v_filter = 0.0
+        v_fs, v_e = storages(team, w, z)
+        v_fs *= felt / g
+        v_e /= g
         for i in range(3):
             v_hd += haptic.device_storage(device, state.device[i], state.device_velocity[i])
-            for j in range(size):
-                square = w[i, j] ** 2 + z[i, j] ** 2
-                v_fs += 0.5 * values[j] * square
-                v_e += 0.5 * square
             if port:
                 velocities = state.near_velocity[i] ** 2 + state.far_velocity[i] ** 2
                 forces = state.near_force[i] ** 2 + state.far_force[i] ** 2
                 v_filter += (n.k21 * velocities + n.k12 * forces) / n.cutoff
-        if k == 0:
-            v_hd0 = v_hd
-        held[k] = v_e
+        m.held[k] = v_e
         # what the operator sees: the leader of `vision` samples ago, and what it was told to do
         late = k - n.vision
         state.seen_power = square = 0.0
         for i in range(3):
-            state.error[i] = -seen[late, i] if late >= 0 else 0.0
-            state.pushed[i] = pushed[k, i]
+            state.error[i] = -m.seen[late, i] if late >= 0 else 0.0
+            state.pushed[i] = m.pushed[k, i]
             square += state.error[i] ** 2
             if late >= 0:
-                state.seen_power += sent[late, i] * state.error[i]
+                state.seen_power += m.sent[late, i] * state.error[i]
         good = max(1.0 - np.sqrt(square) / n.error_range, 0.0) if late >= 0 and n.push > 0.0 else 0.0
         # the leader's trust in the operator sets β; the trust of all follows how near the goal the leader is
-        leader, told = robots[lead], trust[lead]
+        leader, told = robots[lead], m.trust[lead]
         share = min(max(told, 0.0), 1.0)
         beta = logistic_scale(leader.beta_min, leader.beta_max, n.steepness, 0.5, share)
         for i in range(size):
-            trust[i] = trust_step(trust[i], good, robots[i].decay, robots[i].gain)
-        read_wave(u_l, arrives[0], k, delays[0, k], n.gain, n.read_out, T, accounts[0], state.v_r)
-        read_wave(u_r, arrives[1], k, delays[1, k], n.gain, n.read_out, T, accounts[1], state.v_l)
+            m.trust[i] = trust_step(m.trust[i], good, robots[i].decay, robots[i].gain)
+        read_wave(m.u_l, m.arrives[0], k, m.delays[0, k], n.gain, n.read_out, T, m.accounts[0], state.v_r)
+        read_wave(m.u_r, m.arrives[1], k, m.delays[1, k], n.gain, n.read_out, T, m.accounts[1], state.v_l)
         if n.filtering == WAVES:
             filter_wave(low_pass, state.v_r, state.filtered_r)
             filter_wave(low_pass, state.v_l, state.filtered_l)
-        head = robots[heads[k]]
+        head = robots[m.heads[k]]
         near_end = waves.operator_end(head.b, head.beta_min, head.beta_max)
-        operator_side(n, device, filters, near_end, beta, v_h + n.budget - n.reserve, state, row)
+        operator_side(n, device, filters, near_end, beta, state.v_h + n.budget - n.reserve, state, row)
         for i in range(3):
-            state.open_force[i] = 0.0
-            for j in range(size):
-                state.open_force[i] += vectors[lead, j] * values[j] * solve[j] * (w[i, j] + h * values[j] * z[i, j])
-        robot_side(filters, waves.robot_end(leader.b, 1.0, 1.0), stiffness[lead], state, row)
-        team = away = filtered = team_loss = error_loss = 0.0
-        for i in range(3):
-            at[i] = 0.0
-            if recorded:
+            state.open_force[i] = felt * force_at_rest(team, lead, h, w, z, i)
+        robot_side(filters, waves.robot_end(leader.b, 1.0, 1.0), felt * g * team.stiffness[lead], state, row)
+        if recorded:
+            for i in range(3):
                 for j in range(size):
                     modes[k // every, i, j] = w[i, j]
-            for j in range(size):
-                q = solve[j] * (w[i, j] + h * (values[j] * z[i, j] + vectors[lead, j] * row.r_s[i]))
-                w[i, j] = 2.0 * q - w[i, j]
-                z[i, j] -= T * values[j] * q
-                at[i] += vectors[lead, j] * q
-                team_loss += (values[j] * q) ** 2
-                error_loss += values[j] * q * q
-            team += row.r_s[i] * row.f_s[i]
+        supplied = away = filtered = team_loss = error_loss = 0.0
+        for i in range(3):
+            if team.directed:
+                at[i], pulled, bent = move_directed(team, lead, h, g * row.r_s[i], w, z, i)
+            else:
+                at[i], pulled, bent = move_modes(team, lead, h, g * row.r_s[i], w, z, i)
+            team_loss += felt / g * pulled
+            error_loss += bent / g
+            supplied += row.r_s[i] * row.f_s[i]
             away += row.r_s[i] * at[i]
             filtered += row.r_m[i] * row.f_m[i] - row.r_s[i] * row.f_s[i]
-            u_l[k, i], u_r[k, i] = state.u_l[i], state.u_r[i]
-            sent[k, i], seen[k, i] = row.r_s[i], at[i]
-        lost[k] = error_loss
+            m.u_l[k, i], m.u_r[k, i] = state.u_l[i], state.u_r[i]
+            m.sent[k, i], m.seen[k, i] = row.r_s[i], at[i]
+        m.lost[k] = error_loss
         if recorded:
             for i in range(3):
                 row.leader[i] = at[i]
             row.number, row.beta = lead, beta
             row.trust_rh = leader.t_min + (leader.t_max - leader.t_min) * told
-            row.v_h, row.v_hd, row.v_ch = v_h, v_hd, v_ch
+            row.v_h, row.v_hd, row.v_ch = state.v_h, v_hd, state.v_ch
             row.v_fs, row.v_e, row.v_filter = v_fs, v_e, v_filter
-            row.v_e_delayed = held[late] if late >= 0 else held[0]
-            row.v_t = v_h + n.budget + v_hd + v_hd0 + v_ch + v_fs + row.v_e_delayed + v_filter
-            row.supply_team, row.supply_error, row.supply_hand = supply_team, supply_error, supply_hand
-            row.supply_device, row.supply_filter = supply_device, supply_filter
-            row.lost_device, row.lost_team = lost_device, lost_team
-            row.lost_error, row.lost_error_delayed = lost_error, lost_late
-        v_h += T * (state.seen_power - state.hand_power)
-        v_ch += T * (state.near_power - state.far_power)
-        supply_team += T * team
-        supply_error += T * away
-        supply_hand += T * state.hand_power
-        supply_device += T * state.device_power
-        supply_filter += T * (filtered - state.near_power + state.far_power)
-        lost_device += T * state.device_loss
-        lost_team += T * team_loss
-        lost_error += T * error_loss
+            row.v_e_delayed = m.held[late] if late >= 0 else m.held[0]
+            row.v_t = state.v_h + n.budget + v_hd + state.v_ch + v_fs + row.v_e_delayed + v_filter
+            row.supply_team, row.supply_error, row.supply_hand = (
+                state.supply_team,
+                state.supply_error,
+                state.supply_hand,
+            )
+            row.supply_device, row.supply_filter = state.supply_device, state.supply_filter
+            row.supply_links = state.supply_links
+            row.lost_device, row.lost_team = state.lost_device, state.lost_team
+            row.lost_error, row.lost_error_delayed = state.lost_error, state.lost_error_delayed
+        state.v_h += T * (state.seen_power - state.hand_power)
+        state.v_ch += T * (state.near_power - state.far_power)
+        state.supply_team += T * supplied
+        state.supply_error += T * away
+        state.supply_hand += T * state.hand_power
+        state.supply_device += T * state.device_power
+        state.supply_filter += T * (filtered - state.near_power + state.far_power)
+        state.lost_device += T * state.device_loss
+        state.lost_team += T * team_loss
+        state.lost_error += T * error_loss
         if late >= 0:
-            lost_late += T * lost[late]
+            state.lost_error_delayed += T * m.lost[late]
         # written as "not <", so that NaN counts as diverged
         if not v_hd < 1e12:
             return k + 1, 0
-        if not abs(v_ch) < 1e12:
+        if not abs(state.v_ch) < 1e12:
             return k + 1, 1
         if not v_e < 1e12:
             return k + 1, 2
-    return count, -1
+    return last, -1

@@ -1,8 +1,8 @@
 """Who leads: leader policies as small objects, all with a minimum dwell time, and each switch to another robot."""
 
 import itertools
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -10,8 +10,75 @@ import numpy as np
 from trustlab.models.checks import finite_array, not_negative, one_of, positive
 
 
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """
+    What a live policy decides on.
+
+    Parameters
+    ----------
+    t : float
+        Now [s].
+    robots : tuple
+        Names of all robots that are ever in the team.
+    present : numpy.ndarray, shape (N,)
+        Which are in it now.
+    trust : numpy.ndarray, shape (N,)
+        Human-to-robot trust (4.1) now; −inf in robots that are absent, so that argmax never picks them.
+    leader : int or None
+        The number of who leads; None at the start.
+    since : float
+        Since when [s].
+    dwell : float
+        τ_min [s]: how long a leader stays at least, unless it leaves the team.
+    rng : numpy.random.Generator
+        The run's own stream for policies.
+    memory : dict
+        Empty at the start, the same at all decisions of a run: the policy's state.
+    where : callable
+        Behind `positions`, worked out only when asked for.
+    """
+
+    t: float
+    robots: tuple
+    present: np.ndarray
+    trust: np.ndarray
+    leader: int | None
+    since: float
+    dwell: float
+    rng: np.random.Generator
+    memory: dict = field(repr=False)
+    where: Callable[[], np.ndarray] = field(repr=False)
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Where the robots are [m], shape (N, 3)."""
+        return self.where()
+
+    @property
+    def free(self) -> bool:
+        """Whether another robot may take over: nobody leads, the leader has left, or it has led for τ_min."""
+        return self.leader is None or not self.present[self.leader] or self.t - self.since >= self.dwell - 1e-9
+
+
+class LivePolicy(Protocol):
+    """Anything with a `title` and a method `leader`, called at every decision while the run goes on."""
+
+    title: str
+
+    def leader(self, now: Decision) -> int:
+        """
+        Return the number of the robot that leads from now on.
+
+        Parameters
+        ----------
+        now : Decision
+            Time, trust, who is present, who leads since when; `now.memory` is the policy's to write to.
+        """
+
+
 class LeaderPolicy(Protocol):
-    """Anything with a `title` and a method `leaders`: a policy of one's own needs no more."""
+    """Anything with a `title` and a method `leaders`, called once, before the run: trust (4.1) does not depend on who leads."""
 
     title: str
 
@@ -24,7 +91,7 @@ class LeaderPolicy(Protocol):
         Parameters
         ----------
         trust : numpy.ndarray, shape (M, N)
-            Human-to-robot trust in every robot at every decision.
+            Human-to-robot trust in every robot at every decision; −inf while a robot is not in the team.
         robots : sequence
             The robots' names.
         step : float
@@ -87,7 +154,8 @@ class MostTrusted:
         hold, best = _hold(dwell, step), np.argmax(trust, axis=1)
         out, leader, since = np.empty(len(trust), np.int64), int(best[0]), 0
         for k, candidate in enumerate(best.tolist()):
-            if k - since >= hold and trust[k, candidate] > trust[k, leader] + self.margin:
+            free = k - since >= hold or trust[k, leader] == -np.inf  # who leaves the team leads no more
+            if free and trust[k, candidate] > trust[k, leader] + self.margin:
                 leader, since = candidate, k
             out[k] = leader
         return out
@@ -222,13 +290,17 @@ class RandomLeaders:
         rng : numpy.random.Generator
             Draws leaders and times.
         """
-        count, n = trust.shape
-        out, k, leader = np.empty(count, np.int64), 0, int(rng.integers(n))
+        (count, n), present = trust.shape, trust > -np.inf
+        first = np.flatnonzero(present[0])
+        out, k, leader = np.empty(count, np.int64), 0, int(first[rng.integers(first.size)])
         while k < count:
-            until = k + _hold(dwell * (1.0 + rng.exponential(self.waiting)), step)
+            until = min(k + _hold(dwell * (1.0 + rng.exponential(self.waiting)), step), count)
+            left = np.flatnonzero(~present[k:until, leader])
+            until = k + int(left[0]) if left.size else until
             out[k:until] = leader
-            leader = (leader + 1 + int(rng.integers(n - 1))) % n
-            k = until
+            others = (leader + 1 + np.arange(n - 1)) % n
+            others = others[present[min(until, count - 1), others]]
+            leader, k = int(others[rng.integers(others.size)]), until
         return out
 
 
@@ -241,12 +313,18 @@ POLICIES = {
 """Policies by name."""
 
 SIGNATURE = "leaders(trust, robots, step, dwell, rng), which returns the number of the leader at each decision"
+LIVE = "leader(now), which returns it at one"
 
 
-def policy_named(policy: str | LeaderPolicy) -> Any:
+def is_live(policy) -> bool:
+    """Return whether a policy decides while the run goes on."""
+    return callable(getattr(policy, "leader", None))
+
+
+def policy_named(policy: str | LeaderPolicy | LivePolicy) -> Any:
     """Return a leader policy by name, or an object of one's own as it is."""
-    own = not isinstance(policy, str | type) and callable(getattr(policy, "leaders", None))
+    own = not isinstance(policy, str | type) and (callable(getattr(policy, "leaders", None)) or is_live(policy))
     if own and hasattr(policy, "title"):
         return policy
-    also = f"a LeaderPolicy: an object, not a class, with a title and a method {SIGNATURE}"
+    also = f"an object, not a class, with a title and a method {SIGNATURE}, or a method {LIVE}"
     return POLICIES[one_of("policy", policy, POLICIES, also)]

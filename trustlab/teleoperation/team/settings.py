@@ -1,4 +1,4 @@
-"""A team of robots under one operator: its graph, its blocks, and the simulated operator of (4.30)."""
+"""A team of robots under one operator: its blocks, and the simulated operator of (4.30)."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,89 +18,6 @@ def flag(name: str, value) -> bool:
     return bool(value)
 
 
-class GraphError(ValueError):
-    """A graph that is no team's: directed, with a self-loop, weighted, not connected, or of one robot."""
-
-
-def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray]:
-    """
-    Return the robots' names and the adjacency matrix of Section 4.2.
-
-    Parameters
-    ----------
-    graph : networkx.Graph or array_like, shape (N, N)
-        Undirected, without self-loops, connected, a_ij of 0 or 1; robots of a matrix are named 0 … N − 1.
-    require_connected : bool
-        Refuse a graph in several parts.
-
-    Raises
-    ------
-    GraphError
-        If the graph is none of that; parts, loops and edges are named.
-    """
-    if hasattr(graph, "is_directed") and hasattr(graph, "adjacency"):
-        import networkx
-
-        if graph.is_directed():
-            raise GraphError("the graph is directed; robots must see each other: pass graph.to_undirected()")
-        if graph.is_multigraph():
-            raise GraphError("the graph has parallel edges (a multigraph); pass networkx.Graph(graph)")
-        names = tuple(graph.nodes)
-        for one, other, weight in graph.edges(data="weight", default=1):
-            if weight != 1:
-                raise GraphError(
-                    f"edge {one!r}-{other!r} has weight {weight!r}, but a_ij is 0 or 1 (Section 4.2); remove the weights"
-                )
-        matrix = networkx.to_numpy_array(graph, weight=None)
-    else:
-        try:
-            given = np.asarray(graph)
-            if given.dtype.kind not in "biuf" or given.ndim != 2 or given.shape[0] != given.shape[1]:
-                raise TypeError
-        except (TypeError, ValueError):
-            raise GraphError(
-                f"graph must be a networkx.Graph or a square matrix of 0 and 1, got {type(graph).__name__}"
-            ) from None
-        matrix = given.astype(float)
-        if not np.isin(matrix, (0.0, 1.0)).all():
-            i, j = np.argwhere(~np.isin(matrix, (0.0, 1.0)))[0]
-            raise GraphError(f"a_ij must be 0 or 1 (Section 4.2), but a[{i}, {j}] is {matrix[i, j]}")
-        if (matrix != matrix.T).any():
-            i, j = np.argwhere(matrix != matrix.T)[0]
-            raise GraphError(f"the graph is directed: a[{i}, {j}] = {matrix[i, j]:g}, a[{j}, {i}] = {matrix[j, i]:g}")
-        names = tuple(range(len(matrix)))
-    if len(names) < 2:
-        raise GraphError(f"a team needs two robots or more, got {len(names)}")
-    for i in np.flatnonzero(np.diag(matrix)):
-        raise GraphError(f"robot {names[i]!r} has a self-loop; remove it")
-    if require_connected:
-        from scipy.sparse.csgraph import connected_components
-
-        count, label = connected_components(matrix, directed=False)
-        if count > 1:
-            parts = [[repr(names[i]) for i in np.flatnonzero(label == part)] for part in range(count)]
-            told = "; ".join("{" + ", ".join(part) + "}" for part in parts)
-            raise GraphError(
-                f"the graph is not connected, it has {count} parts: {told}; robots of different parts never meet: add edges, "
-                "or pass require_connected=False to see it"
-            )
-    return names, matrix
-
-
-def algebraic_connectivity(graph) -> float:
-    """
-    Return λ_2 of the Laplacian: how fast the team's differences die out [1/s].
-
-    Parameters
-    ----------
-    graph : networkx.Graph or array_like, shape (N, N)
-        As in `team_graph`; 0 where it is not connected.
-    """
-    matrix = team_graph(graph, require_connected=False)[1]
-    values = np.linalg.eigvalsh(np.diag(matrix.sum(axis=1)) - matrix)
-    return float(max(values[1], 0.0))
-
-
 def _trust(rate: float, ratio: float = 1.0) -> TrustModel:
     return TrustModel(rate, ratio * rate)
 
@@ -113,6 +30,11 @@ PER_ROBOT: dict[str, Any] = {"scattering": Scattering, "human_to_robot": TrustMo
 class TeamSettings:
     """
     Blocks of Fig. 4.1 that are not the graph; Chapter 4 prints no numbers, so that these are ours.
+
+    What limits a large team is (4.22): a velocity r_s of the leader moves the mean of N robots by r_s/N only, and what the leader
+    knows spreads by the slow modes of L. Three gains answer to that: ζ̇ = −c L q, q̇ = c Lᵀζ − c L q + g D r_s and
+    f_s = φ c DᵀL q, with the coupling c, the leader's gain g and the force's gain φ. For any positive three the port stays
+    passive, with V_fs φ/g and V_e/g as storages, so that Lemmas 6 and 7 and Theorem 6 hold as before. See `scaled_settings`.
 
     Parameters
     ----------
@@ -128,6 +50,12 @@ class TeamSettings:
         s of the scaling β(T_rh), as in (3.5); at least 10.
     performance_time : float
         How long a robot's simulated performance lasts before it is drawn anew, on average [s].
+    lead_gain : float
+        g, how many times the velocity at its port the leader drives; 1 as printed.
+    force_gain : float
+        φ, share of the force between the leader and those it sees that the operator feels; 1 as printed.
+    coupling : float
+        c, by which every a_ij is multiplied; 1 as printed.
 
     Raises
     ------
@@ -148,11 +76,15 @@ class TeamSettings:
     robot_to_human: TrustModel | tuple[TrustModel, ...] = field(default_factory=lambda: _trust(0.1))
     steepness: float = 10.0
     performance_time: float = 15.0
+    lead_gain: float = 1.0
+    force_gain: float = 1.0
+    coupling: float = 1.0
 
     def __post_init__(self):
         for name in ("mass", "damping", "stiffness", "weight", "steepness"):
             object.__setattr__(self, name, finite_number(name, getattr(self, name)))
-        object.__setattr__(self, "performance_time", positive("performance_time", self.performance_time))
+        for name in ("performance_time", "lead_gain", "force_gain", "coupling"):
+            object.__setattr__(self, name, positive(name, getattr(self, name)))
         if not self.steepness >= 10.0:
             raise ValueError(f"steepness must be at least 10 (3.5), got {self.steepness}")
         for name, kind in PER_ROBOT.items():
