@@ -221,10 +221,10 @@ def _spans(plan: Plan, live: bool) -> list[tuple[int, int]]:
 def _memory(delays, pushed, distance, zeta) -> kernel.Memory:
     """Return what a run remembers, at its start; w and z are positions until the first formation gives them a basis."""
     count, size = len(pushed), len(distance)
-    three = [np.zeros((count, 3)) for _ in range(4)]
     leads, w, z = np.zeros(count, np.int64), distance.T.copy(), zeta.T.copy()
+    u_l, u_r, sent, seen = np.zeros((4, count, 3))
     return kernel.Memory(
-        leads, leads.copy(), delays, np.ones((2, count), bool), accounts(), pushed, *three,
+        leads, leads.copy(), delays, np.ones((2, count), bool), accounts(), pushed, u_l, u_r, sent, seen,
         np.zeros(count), np.zeros(count + 1), w, z, np.full(size, 0.5),
     )  # fmt: skip
 

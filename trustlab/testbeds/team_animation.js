@@ -1,5 +1,6 @@
 "use strict";
 const by=id=>document.getElementById(id), D=JSON.parse(by("data").textContent), F=D.t.length, N=D.names.length;
+D.q=D.q.map(frame=>frame.map(at=>at||[NaN,NaN,NaN])); // a robot that is not in the team is drawn nowhere
 const slider=by("time"); slider.max=F-1;
 function fit(c,ratio){const r=window.devicePixelRatio||1,w=c.clientWidth||300;c.width=w*r;c.height=w*ratio*r;c.style.height=w*ratio+"px";
  const g=c.getContext("2d");g.setTransform(r,0,0,r,0,0);g.clearRect(0,0,w,w*ratio);g.font="11px system-ui,sans-serif";return [g,w,w*ratio];}
@@ -11,7 +12,7 @@ function scene(id,a,b,f){const [g,w,h]=fit(by(id),1),m=26,s=(w-m-6)/D.span,X=v=>
   if(i){g.moveTo(m,Y(v));g.lineTo(w-6,Y(v));g.fillText(+v.toFixed(6),2,Y(v)+4);}else{g.moveTo(X(v),6);g.lineTo(X(v),h-m);g.fillText(+v.toFixed(6),X(v)-6,h-m+14);}g.stroke();}}
  const P=i=>D.q[f][i],lead=D.lead[f];
  g.strokeStyle="rgba(0,114,178,.18)";g.lineWidth=1;for(let i=0;i<N;i++){g.beginPath();for(let k=Math.max(0,f-150);k<=f;k++)g.lineTo(X(D.q[k][i][a]),Y(D.q[k][i][b]));g.stroke();}
- g.strokeStyle="#aaa";for(const [i,j] of D.links){g.beginPath();g.moveTo(X(P(i)[a]),Y(P(i)[b]));g.lineTo(X(P(j)[a]),Y(P(j)[b]));g.stroke();}
+ g.strokeStyle="#aaa";for(const [i,j] of D.links.filter(l=>l[0]<=D.t[f]).pop()[1]){g.beginPath();g.moveTo(X(P(i)[a]),Y(P(i)[b]));g.lineTo(X(P(j)[a]),Y(P(j)[b]));g.stroke();}
  dot(g,X(D.goal[a]),Y(D.goal[b]),10,null,"#009e73");dot(g,X(D.goal[a]),Y(D.goal[b]),2,"#009e73");
  for(let i=0;i<N;i++)if(i!==lead)dot(g,X(P(i)[a]),Y(P(i)[b]),5,"#0072b2","#fff");
  dot(g,X(P(lead)[a]),Y(P(lead)[b]),7,"#d55e00","#fff");}

@@ -58,7 +58,9 @@ def animation_page(run, rate: float = 5.0) -> str:
     data = {
         "t": _short(t, 3),
         "step": float(t[1] - t[0]) if len(t) > 1 else 1.0,
-        "q": _short(q, 4),
+        "q": [
+            [None if np.isnan(at[0]) else at for at in frame] for frame in _short(q, 4)
+        ],  # null: not in the team then
         "f": _short(force, 4),
         "most": max(float(np.linalg.norm(force, axis=1).max()), 1e-6),
         "lead": run.data["number"].to_numpy()[part].astype(int).tolist(),

@@ -234,6 +234,7 @@ def formation_on(graph: TeamGraph, coupling: float, h: float) -> Formation:
             "in and out of robots are too different; balance them, or add the edges' opposites"
         )
     solved = np.linalg.inv(np.eye(size) + h * L + h * h * L.T @ L)
-    inner, felt = h * solved @ L.T, L @ solved
-    given = (np.ascontiguousarray(array) for array in (L, solved, inner, felt, L @ inner))
-    return Formation(True, np.empty(0), np.eye(size), np.empty(0), *given, h * np.diag(felt).copy())
+    inner = np.ascontiguousarray(h * solved @ L.T)
+    felt, felt_inner = L @ solved, L @ inner
+    stiffness = h * felt.diagonal().copy()
+    return Formation(True, np.empty(0), np.eye(size), np.empty(0), L, solved, inner, felt, felt_inner, stiffness)
