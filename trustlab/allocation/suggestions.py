@@ -4,8 +4,12 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import of_class, positive
+from trustlab.models.compiled import njit
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
+
+STATES = ("followed", "not followed", "withdrawn", "open")
+FOLLOWED, NOT_FOLLOWED, WITHDRAWN, OPEN = range(4)
 
 
 def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFrame:
@@ -44,28 +48,45 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
         if odd.any():
             k = int(np.argmax(odd))
             raise SessionError(f"column {name!r}, t = {session.t[k]:g} s: {session[name][k]} is not one of {allowed}")
-    t, mode, suggested = session.t, session["mode"], session["suggested_mode"]
-    before = np.r_[mode[0], mode[:-1]]
-    # A new suggestion begins when the mode has changed, or the aid has agreed with it, since the last one was shown.
-    breaks = np.cumsum((mode != before) | (suggested == before))
-    episodes: list[list] = []
-    for k in np.flatnonzero((suggested >= 0.0) & (suggested != before)).tolist():
-        last = episodes[-1] if episodes else None
-        same = last and last[1] == suggested[k] and t[k] - t[last[2]] <= deadline
-        if same and breaks[k - 1] == breaks[last[2]]:
-            last[2] = k
-        else:
-            episodes.append([k, suggested[k], k])
-    rows = []
-    for i, (first, wanted, last) in enumerate(episodes):
-        stop = episodes[i + 1][0] if i + 1 < len(episodes) else t.size
-        there = np.flatnonzero(mode[first:stop] == wanted)
-        delay = t[first + there[0]] - t[first] if there.size else np.nan
-        if delay <= deadline + 1e-9:
-            state = "followed"
-        elif t[last] - t[first] >= deadline - 1e-9:
-            state = "not followed"
-        else:
-            state = "withdrawn" if t[-1] - t[first] >= deadline else "open"
-        rows.append((t[first], wanted, delay, state == "followed", state))
+    rows = [
+        (start, float(wanted), delay, state == FOLLOWED, STATES[state])
+        for start, wanted, delay, state in suggestion_episodes(
+            session.t, session["mode"], session["suggested_mode"], deadline
+        )
+    ]
     return pd.DataFrame(rows, columns=["start", "suggested_mode", "delay", "followed", "state"])
+
+
+@njit
+def suggestion_episodes(t, mode, suggested, deadline):
+    """Return start, suggested mode, delay until it was taken (or NaN) and state of every suggestion, as `followed_suggestions`."""
+    first, last = [k for k in range(0)], [k for k in range(0)]
+    broken = False  # whether the mode has changed, or the aid has agreed with it, since the last one was shown
+    for k in range(t.size):
+        before = mode[max(k - 1, 0)]
+        if suggested[k] >= 0.0 and suggested[k] != before:
+            same = len(first) > 0 and suggested[first[-1]] == suggested[k] and t[k] - t[last[-1]] <= deadline
+            if same and not broken:
+                last[-1] = k
+            else:
+                first.append(k)
+                last.append(k)
+            broken = False
+        elif mode[k] != before or suggested[k] == before:
+            broken = True
+    found = []
+    for i in range(len(first)):
+        start, wanted, delay = first[i], suggested[first[i]], np.nan
+        stop = first[i + 1] if i + 1 < len(first) else t.size
+        for k in range(start, stop):
+            if mode[k] == wanted:
+                delay = t[k] - t[start]
+                break
+        if delay <= deadline + 1e-9:
+            state = FOLLOWED
+        elif t[last[i]] - t[start] >= deadline - 1e-9:
+            state = NOT_FOLLOWED
+        else:
+            state = WITHDRAWN if t[-1] - t[start] >= deadline else OPEN
+        found.append((t[start], wanted, delay, state))
+    return found
