@@ -60,7 +60,7 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
 @njit
 def suggestion_episodes(t, mode, suggested, deadline):
     """Return start, suggested mode, delay until it was taken (or NaN) and state of every suggestion, as `followed_suggestions`."""
-    first, last = [k for k in range(0)], [k for k in range(0)]
+    first, last = list(range(0)), list(range(0))
     broken = False  # whether the mode has changed, or the aid has agreed with it, since the last one was shown
     for k in range(t.size):
         before = mode[max(k - 1, 0)]

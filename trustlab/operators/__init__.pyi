@@ -1,4 +1,4 @@
-from .answers import simulated_answers as simulated_answers
+from .answers import allocation_answers as allocation_answers, simulated_answers as simulated_answers
 from .ground_robot import (
     Operator as Operator,
     OperatorNumbers as OperatorNumbers,

@@ -1,8 +1,13 @@
 """Simulated answers to questionnaires: an explicit assumption about what a run feels like, not a model of people."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from trustlab.models.checks import of_class, whole_number
+from trustlab.models.compiled import njit
+from trustlab.models.tsc import TscModel, threshold_mode
+from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.settings import LoopSettings, study_named
 
@@ -111,3 +116,49 @@ def simulated_answers(
         share = min(max(drive + offset, 0.0), 1.0)
         answers[name] = low + step * round(share * (high - low) / step)
     return answers
+
+
+def allocation_answers(
+    mode: np.ndarray, tsc: np.ndarray, means: Mapping[str, float], judged: float, operator: Operator, model: TscModel
+) -> dict[str, float]:
+    """
+    Return answers after a run under C1–C5 that follow, by assumption, from utilization, switching, performance and agreement.
+
+    Task load is load = load_utilization · mean r + load_switching · (switches or suggestions judged a minute), at most 1; relative
+    performance p = (mean P_r − P_r,min)/(P_r,max − P_r,min), cut to [0, 1]; agreement the share of time in which the mode is the one
+    that the operator's own thresholds, on TSC as perceived, would have chosen. Nothing is drawn and no answer of people went into this.
+
+    Parameters
+    ----------
+    mode, tsc : numpy.ndarray, shape (N,)
+        Of the run.
+    means : mapping of str to float
+        p_r, r and duration [s] of the run.
+    judged : float
+        How many decisions the operator made: switches in C1, suggestions in C2 and C4, none where they are forced.
+    operator : Operator
+        With load_utilization and load_switching.
+    model : TscModel
+        For P_r,min and P_r,max.
+
+    Returns
+    -------
+    dict of str to float
+        tlx, 100 load; satisfaction, 1 + 6 · ½(1 − load + p); trust, 1 + 6 · ½(p + agreement).
+    """
+    load = operator.load_utilization * means["r"] + operator.load_switching * 60.0 * judged / means["duration"]
+    load, robot = min(load, 1.0), model.robot
+    relative = min(max((means["p_r"] - robot.p_min) / (robot.p_max - robot.p_min), 0.0), 1.0)
+    agreement = agreeing(mode, tsc + operator.trust_bias, operator.lower, operator.upper)
+    satisfaction, trust = 0.5 * (1.0 - load + relative), 0.5 * (relative + agreement)
+    return {"tlx": 100.0 * load, "satisfaction": 1.0 + 6.0 * satisfaction, "trust": 1.0 + 6.0 * trust}
+
+
+@njit
+def agreeing(mode, tsc, lower, upper):
+    """Return the share of samples whose mode is that of rule (2.8) with these thresholds, begun in the same mode."""
+    own, count = int(mode[0]), 0
+    for k in range(mode.size):
+        own = threshold_mode(tsc[k], lower, upper, own)
+        count += own == mode[k]
+    return count / mode.size

@@ -1,3 +1,4 @@
+from .condition_run import ConditionRun as ConditionRun
 from .ground_robot.conditions import (
     drive_modes as drive_modes,
     identification_session as identification_session,
@@ -22,6 +23,7 @@ from .teleoperation_plots import (
     plot_trajectory as plot_trajectory,
 )
 from .tracking_task import TrackingTask as TrackingTask, tracking_vehicle as tracking_vehicle
+from .uav_following.people import FollowingPopulation as FollowingPopulation, following_operator as following_operator
 from .uav_tracking import (
     TeleoperationLoop as TeleoperationLoop,
     simulate_teleoperation as simulate_teleoperation,

@@ -1,14 +1,16 @@
 """Who decides when in conditions C1–C5 (Section 2.4.1.2): one step of own thresholds and of suggestions, for all testbeds."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.allocation.rules import performance_suggestion
-from trustlab.models.checks import between
+from trustlab.models.checks import between, finite_number
 from trustlab.models.compiled import njit
 from trustlab.models.human import performance_at
 from trustlab.models.tsc import TscModel, threshold_mode
+from trustlab.operators.ground_robot import Operator
 
 SCHEDULE, OWN, TSC, PERFORMANCE = 0, 1, 2, 3
 """Who allocates: a given sequence of modes, the operator, suggestions by (2.8), suggestions by Algorithm 2."""
@@ -75,6 +77,70 @@ def task_of(
         numbers = (model.a_T, model.b_T, model.robot.p_min, model.robot.p_max)
     window = round(WINDOW / SAMPLE_TIME)
     return Task(scheme, forced, laps, lower, upper, *numbers, e_max, window, SAMPLE_TIME, first_mode, r0)
+
+
+def suggested_by_tsc(condition: str) -> bool:
+    """Return whether suggestions come from thresholds of TSC: in C2 and C3."""
+    return CONDITIONS[condition][0] == TSC
+
+
+def planned(
+    condition: str,
+    operator: Operator,
+    model: TscModel,
+    thresholds: tuple[float, float] | None,
+    e_max: float,
+    laps: int,
+    r0: float | None,
+) -> tuple[Task, tuple[float, float] | None]:
+    """Return the task of a condition, and the thresholds of its suggestions, checked; they must be given in C2 and C3 only."""
+    scheme, forced = CONDITIONS[condition]
+    if thresholds is not None and scheme != TSC:
+        decides = (
+            "the operator's own thresholds, Operator(lower=, upper=), decide"
+            if scheme == OWN
+            else "Algorithm 2 decides"
+        )
+        raise ValueError(f"thresholds have no effect in {condition}, where {decides}; leave them out")
+    if scheme == TSC:
+        if thresholds is None:
+            raise ValueError(
+                f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and .upper of "
+                "trustlab.choose_thresholds(model), or those of Table 2.2"
+            )
+        thresholds = check_thresholds(model, *number_pair(thresholds), threshold_limits(model, 0.0))
+    lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
+    r0 = operator.r0 if r0 is None else r0
+    return task_of(scheme, e_max, forced, laps, lower, upper, model, r0=r0), thresholds
+
+
+def number_pair(pair, name: str = "thresholds", equal: bool = False) -> tuple[float, float]:
+    """Return two finite numbers, the first below the second or, where that is allowed, equal to it."""
+    try:
+        low, high = pair
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be two numbers, lower and upper, got {pair!r}") from None
+    low, high = finite_number(f"the lower of {name}", low), finite_number(f"the upper of {name}", high)
+    if low > high or (low == high and not equal):
+        raise ValueError(f"{name} must be in order, lower then upper, got {low} and {high}")
+    return low, high
+
+
+def sample_times(count: int) -> np.ndarray:
+    """Return the times of so many samples [s]."""
+    return np.round(np.arange(count) * SAMPLE_TIME, 6)
+
+
+def tsc_facts(thresholds: tuple[float, float] | None) -> dict[str, float]:
+    """Return thresholds as metadata, where there are any."""
+    return {} if thresholds is None else dict(zip(("TSC_l", "TSC_u"), thresholds, strict=True))
+
+
+def seed_facts(seed: int | np.random.SeedSequence) -> dict[str, Any]:
+    """Return a seed as metadata."""
+    if isinstance(seed, np.random.SeedSequence):
+        return {"seed": str(seed.entropy), "spawn_key": ".".join(map(str, seed.spawn_key))}
+    return {"seed": int(seed)}
 
 
 @njit

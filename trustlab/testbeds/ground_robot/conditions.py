@@ -4,14 +4,27 @@ import numpy as np
 import pandas as pd
 
 from trustlab.allocation.correction.in_loop import no_correction
-from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.models.checks import finite_array, finite_number, of_class, one_of, spawned, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
 from trustlab.operators.teleoperator import Teleoperator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.records import log_of
-from trustlab.testbeds.deciding import CONDITIONS, OWN, SAMPLE_TIME, SCHEDULE, SETTLING, TSC, WINDOW, task_of
+from trustlab.testbeds.condition_run import ConditionRun, condition_measures
+from trustlab.testbeds.deciding import (
+    CONDITIONS,
+    SAMPLE_TIME,
+    SCHEDULE,
+    SETTLING,
+    WINDOW,
+    number_pair,
+    planned,
+    sample_times,
+    seed_facts,
+    suggested_by_tsc,
+    task_of,
+    tsc_facts,
+)
 from trustlab.testbeds.ground_robot import kernel
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.participants import (
@@ -22,8 +35,10 @@ from trustlab.testbeds.ground_robot.participants import (
 )
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 from trustlab.testbeds.ground_robot.run import GroundRobotRun
+from trustlab.testbeds.uav_following.run import fly_condition
 
 E_MAX = 2.0
+TESTBEDS = ("ground_robot", "uav", "uav_following")
 SLOWEST = 0.15
 MOST_LAPS, MOST_STEPS, MOST_PHASES = 1000, 10_000_000, 10_000
 """Largest runs that are made: ten million samples, 1.2 GB, are nearly twelve days of driving."""
@@ -39,15 +54,16 @@ def run_condition(
     participant: int | str | Operator | None = None,
     model: TscModel | None = None,
     thresholds: tuple[float, float] | None = None,
-    laps: int = 8,
+    laps: int | None = None,
     seed: int | np.random.SeedSequence = 0,
     robot: Pioneer | None = None,
     course: Course | None = None,
     r0: float | None = None,
     operator: Operator | None = None,
-) -> GroundRobotRun:
+    testbed: str = "ground_robot",
+) -> ConditionRun:
     """
-    Drive laps under one of the conditions C1–C5 of Section 2.4.1.2.
+    Drive laps, or fly after a leader, under one of the conditions C1–C5 of Section 2.4.1.2.
 
     C1: the operator allocates by thresholds of TSC of their own. C2, C3: suggestions by (2.8), free to follow and
     forced. C4, C5: suggestions by Algorithm 2, free and forced. TSC (2.1) and the suggestions come from performance as
@@ -67,10 +83,10 @@ def run_condition(
     thresholds : (float, float), optional
         TSC_l and TSC_u of (2.8), in C2 and C3 only; for a printed participant those of Table 2.2 when not given. In C1
         the operator's own thresholds, `Operator.lower` and `.upper`, decide; in C4 and C5 Algorithm 2.
-    laps : int
-        How many laps; at least one, at most 1000.
+    laps : int, optional
+        How many laps of the ground robot; at least one, at most 1000; 8, as printed, when not given.
     seed : int or numpy.random.SeedSequence
-        Three streams are spawned from it: the robot's sensing, the operator's hand, and the operator's decisions.
+        Streams are spawned from it: the robot's sensing, the operator's hand, the operator's decisions, and the leader's start.
     robot : Pioneer, optional
         The robot, if not the calibrated one.
     course : Course, optional
@@ -79,11 +95,15 @@ def run_condition(
         Utilization at the beginning, in [0, 1]; that of the operator when not given, 0 (rested) unless assumed otherwise.
     operator : Operator, optional
         The same as an `Operator` given as participant.
+    testbed : {"ground_robot", "uav"}
+        The ground robot of Section 2.4.1, or the UAV of Section 2.4.2 that follows a leader for six minutes: there participants
+        are the seeded operators 1 to 20 of `following_operator`, or an `Operator` with a model in shares of 1.
 
     Returns
     -------
-    GroundRobotRun
-        With `.session`, `.measures()`, `.laps()`, `.suggestions()`, `.plot()` and `.plot_path()`.
+    ConditionRun
+        With `.session`, `.measures()`, `.suggestions()` and `.plot()`; of the ground robot a `GroundRobotRun`, which has `.laps()`
+        and `.plot_path()` besides.
 
     Raises
     ------
@@ -105,41 +125,47 @@ def run_condition(
     >>> run.session.metadata.synthetic
     True
     """
-    scheme, forced = CONDITIONS[one_of("condition", condition, CONDITIONS)]
+    if one_of("testbed", testbed, TESTBEDS) != "ground_robot":
+        idle = {"laps": laps, "robot": robot, "course": course}
+        for name, value in idle.items():
+            if value is not None:
+                raise ValueError(f"{name} has no effect on the UAV testbed; leave it out")
+        return fly_condition(condition, participant, model, thresholds, seed, r0, operator)
+    one_of("condition", condition, CONDITIONS)
     operator, model, printed = _who(participant, operator, model)
     operator, robot, course = _checked(operator, robot, course)
-    laps = whole_number("laps", laps, most=MOST_LAPS)
-    if thresholds is not None and scheme != TSC:
-        decides = (
-            "the operator's own thresholds, Operator(lower=, upper=), decide"
-            if scheme == OWN
-            else "Algorithm 2 decides"
-        )
-        raise ValueError(f"thresholds have no effect in {condition}, where {decides}; leave them out")
-    if scheme == TSC:
-        if thresholds is None and printed is None:
-            raise ValueError(
-                f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and .upper of "
-                "trustlab.choose_thresholds(model), or those of Table 2.2"
-            )
-        thresholds = check_thresholds(
-            model, *_pair(printed if thresholds is None else thresholds), threshold_limits(model, 0.0)
-        )
-    lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
-    task = task_of(
-        scheme,
-        E_MAX,
-        forced=forced,
-        laps=laps,
-        lower=lower,
-        upper=upper,
-        model=model,
-        r0=operator.r0 if r0 is None else r0,
-    )
+    laps = whole_number("laps", 8 if laps is None else laps, most=MOST_LAPS)
+    thresholds = thresholds if thresholds is not None or not suggested_by_tsc(condition) else printed
+    task, thresholds = planned(condition, operator, model, thresholds, E_MAX, laps, r0)
     data, lap_times = _drive(task, _longest(laps, course), robot, course, operator, seed)
-    facts = {"laps": laps, "settling": SETTLING} | ({"TSC_l": lower, "TSC_u": upper} if scheme == TSC else {})
-    session = _session(data, operator, condition, seed, **facts)
-    return GroundRobotRun(session, course, operator, robot, model, thresholds, lap_times)
+    facts = {"laps": laps, "settling": SETTLING} | tsc_facts(thresholds)
+    session = _session(_frame(data), operator, condition, seed, **facts)
+    return GroundRobotRun(
+        session=session,
+        course=course,
+        operator=operator,
+        robot=robot,
+        model=model,
+        thresholds=thresholds,
+        lap_times=lap_times,
+    )
+
+
+def measured_condition(
+    condition: str,
+    operator: Operator,
+    model: TscModel,
+    thresholds: tuple[float, float],
+    laps: int,
+    seed: np.random.SeedSequence,
+    r0: float | None,
+    course: Course,
+) -> tuple[dict[str, float], float]:
+    """Return the measures of `run_condition` with the calibrated robot, and the last utilization, without making a session."""
+    task, _ = planned(condition, operator, model, thresholds if suggested_by_tsc(condition) else None, E_MAX, laps, r0)
+    log, lap_times = _drive(task, _longest(laps, course), Pioneer(), course, operator, seed)
+    measures = condition_measures(log, sample_times(log.size), condition, operator, model, lap_times)
+    return measures, float(log["r"][-1])
 
 
 def drive_modes(
@@ -194,7 +220,7 @@ def drive_modes(
     _steps(modes.size * SAMPLE_TIME, "mode")
     task = task_of(SCHEDULE, E_MAX, first_mode=int(modes[0]), r0=r0)
     data, _ = _drive(task, modes.size, robot, course, operator, seed, modes.astype(np.int64))
-    return _session(data.drop(columns=["tsc", "suggested_mode"]), operator, condition, seed)
+    return _session(_frame(data).drop(columns=["tsc", "suggested_mode"]), operator, condition, seed)
 
 
 def identification_session(
@@ -237,7 +263,11 @@ def identification_session(
     ValueError
         If a length is not positive, or another argument is not understood.
     """
-    lengths = [finite_number("manual", manual), finite_number("autonomous", autonomous), *_pair(phase, "phase", True)]
+    lengths = [
+        finite_number("manual", manual),
+        finite_number("autonomous", autonomous),
+        *number_pair(phase, "phase", True),
+    ]
     if min(lengths) < SAMPLE_TIME:
         raise ValueError(f"phases must last at least {SAMPLE_TIME} s, got {min(lengths)} s")
     mixed = whole_number("mixed", mixed, least=0, most=MOST_PHASES)
@@ -287,27 +317,14 @@ def _checked(operator, robot, course) -> tuple[Operator, Pioneer, Course]:
     return operator, robot, course
 
 
-def _pair(pair, name: str = "thresholds", equal: bool = False) -> tuple[float, float]:
-    try:
-        low, high = pair
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be two numbers, lower and upper, got {pair!r}") from None
-    low, high = finite_number(f"the lower of {name}", low), finite_number(f"the upper of {name}", high)
-    if low > high or (low == high and not equal):
-        raise ValueError(f"{name} must be in order, lower then upper, got {low} and {high}")
-    return low, high
-
-
 def _longest(laps: int, course: Course) -> int:
     """Return how many samples laps may take."""
     return _steps(laps * course.length / SLOWEST, f"{laps} laps of {course.length:.3g} m") + 1
 
 
-def _drive(
-    task, most, robot, course, operator, seed, schedule=None, correction=None
-) -> tuple[pd.DataFrame, np.ndarray]:
+def _drive(task, most, robot, course, operator, seed, schedule=None, correction=None) -> tuple[np.ndarray, np.ndarray]:
     """Return the log of at most `most` samples, and when laps ended; all that are wanted must be done by then."""
-    table, log = log_of(kernel.LOG, most)
+    _, log = log_of(kernel.LOG, most)
     lap_times = np.empty(task.laps)
     streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
     rows, done = kernel.drive(
@@ -327,14 +344,15 @@ def _drive(
             f"only {done} of {task.laps} laps were done in {most * SAMPLE_TIME:.0f} s (an average of {SLOWEST} m/s would "
             "do): this robot or operator does not keep to the course; check their parameters"
         )
-    t = pd.Index(np.round(np.arange(rows) * task.sample_time, 6), name="t")
-    return pd.DataFrame(table[:rows], index=t, columns=kernel.COLUMNS), lap_times[:done]
+    return log[:rows], lap_times[:done]
+
+
+def _frame(log: np.ndarray) -> pd.DataFrame:
+    """Return a log of the ground robot as a table over time."""
+    table = log.view(float).reshape(log.size, len(kernel.COLUMNS))
+    return pd.DataFrame(table, index=pd.Index(sample_times(log.size), name="t"), columns=kernel.COLUMNS)
 
 
 def _session(data, operator, condition, seed, **facts) -> Session:
-    if isinstance(seed, np.random.SeedSequence):
-        facts |= {"seed": str(seed.entropy), "spawn_key": ".".join(map(str, seed.spawn_key))}
-    else:
-        facts |= {"seed": int(seed)}
-    facts |= {"note": NOTE, "performance": f"(2.4), (2.7), window {WINDOW:g} s"}
+    facts |= seed_facts(seed) | {"note": NOTE, "performance": f"(2.4), (2.7), window {WINDOW:g} s"}
     return Session(data, Metadata(operator.participant, condition, "trustlab.testbeds.ground_robot", True, facts))

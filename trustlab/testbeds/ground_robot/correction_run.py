@@ -12,7 +12,16 @@ from trustlab.models.checks import not_negative, one_of, spawned, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
 from trustlab.testbeds.deciding import OWN, TSC, task_of
-from trustlab.testbeds.ground_robot.conditions import E_MAX, MOST_LAPS, _checked, _drive, _longest, _session, _who
+from trustlab.testbeds.ground_robot.conditions import (
+    E_MAX,
+    MOST_LAPS,
+    _checked,
+    _drive,
+    _frame,
+    _longest,
+    _session,
+    _who,
+)
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 
@@ -113,7 +122,8 @@ def run_correction(
             limits = (limits[0] + now[0] - start[0], limits[1] + now[1] - start[1])
         task = task_of(scheme, E_MAX, forced=forced, laps=laps, lower=limits[0], upper=limits[1], model=model, r0=r0)
         plan = loop_correction(model, now, corrector.target, corrector.c_b, corrector.horizon, most, adopted)
-        data, _ = _drive(task, most, robot, course, operator, child, correction=plan)
+        log, _ = _drive(task, most, robot, course, operator, child, correction=plan)
+        data = _frame(log)
         facts = {"laps": laps, "habit": habit, "test": test, "TSC_ld": target[0], "TSC_ud": target[1]}
         sessions.append(_session(data, operator, f"correction, {habit}", child, **facts))
         parts.append(_rows(test, data, plan.log[: len(data)], plan.thresholds))

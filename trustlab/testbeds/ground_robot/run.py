@@ -1,51 +1,37 @@
 """What a run of the ground robot hands back: the session, its measures and its figures."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.suggestions import followed_suggestions
-from trustlab.models.html import as_html
-from trustlab.models.tsc import TscModel
-from trustlab.operators.ground_robot import Operator
-from trustlab.sessions.session import Session
-from trustlab.testbeds.deciding import DEADLINE
+from trustlab.testbeds.condition_run import ConditionRun
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 
-STATES = ("followed", "not followed", "withdrawn", "open")
 
-
-@dataclass(frozen=True, eq=False)
-class GroundRobotRun:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class GroundRobotRun(ConditionRun):
     """
     One simulated run on the ground-robot testbed.
 
     Parameters
     ----------
-    session : Session
-        Everything logged at 10 Hz; its metadata say that it is synthetic.
+    session, operator, model, thresholds : Session, Operator, TscModel, (float, float) or None
+        As for a `ConditionRun`.
     course : Course
         Where.
-    operator : Operator
-        Who.
     robot : Pioneer
         What.
-    model : TscModel
-        The model behind TSC and the suggestions.
-    thresholds : (float, float) or None
-        TSC_l and TSC_u, where given.
     lap_times : numpy.ndarray, shape (laps,)
         When each lap ended [s].
     """
 
-    session: Session
+    title: ClassVar[str] = "Ground-robot run"
+
     course: Course
-    operator: Operator
     robot: Pioneer
-    model: TscModel
-    thresholds: tuple[float, float] | None
     lap_times: np.ndarray
 
     def laps(self) -> pd.DataFrame:
@@ -66,60 +52,6 @@ class GroundRobotRun:
             }
         )
 
-    def suggestions(self) -> pd.DataFrame:
-        """Return the suggestions shown: columns start [s], suggested_mode, delay [s], followed, state (`followed_suggestions`)."""
-        return followed_suggestions(self.session, DEADLINE)
-
-    def measures(self) -> dict[str, float]:
-        """
-        Return the outcome measures of the run.
-
-        Returns
-        -------
-        dict of str to float
-            p_r, p_h, r, tsc: means; path_error [m], speed [m/s], manual_share: means; switches, laps: numbers;
-            duration, lap_time [s]: of the run, and the mean of its laps; suggestions: how many were to be followed or
-            not; followed_percent: share of them followed within 15 s, NaN without any.
-        """
-        session = self.session
-        states = self.suggestions()["state"]
-        decided = int(states.isin(STATES[:2]).sum())
-        followed = 100.0 * float((states == "followed").sum()) / decided if decided else np.nan
-        means = {name: float(session[name].mean()) for name in ("p_r", "p_h", "r", "tsc", "path_error")}
-        return means | {
-            "speed": float(session["step_distance"].mean()) / session.sample_time,
-            "manual_share": float(session["mode"].mean()),
-            "switches": int(np.count_nonzero(np.diff(session["mode"]))),
-            "laps": int(self.lap_times.size),
-            "duration": session.duration,
-            "lap_time": float(self.lap_times[-1] / self.lap_times.size),
-            "suggestions": decided,
-            "followed_percent": followed,
-        }
-
-    def table(self) -> pd.DataFrame:
-        """Return participant, condition, synthetic and the measures in one row."""
-        meta = self.session.metadata
-        who = {"participant": meta.participant, "condition": meta.condition, "synthetic": meta.synthetic}
-        return pd.DataFrame([who | self.measures()])
-
-    def plot(self, bounds: dict[str, tuple[float, float]] | None = None):
-        """
-        Plot P_r, r, P_h and TSC against time, as Fig. 2.9 does.
-
-        Parameters
-        ----------
-        bounds : dict of str to (float, float), optional
-            Lower and upper bounds to draw, by column: p_r, r, p_h or tsc; for tsc the thresholds when not given.
-
-        Returns
-        -------
-        numpy.ndarray of matplotlib.axes.Axes, shape (4,)
-        """
-        from trustlab.testbeds.ground_robot.plots import plot_run
-
-        return plot_run(self, bounds)
-
     def plot_path(self, start: float = 0.0, stop: float | None = None, axes=None):
         """
         Plot the desired path and where the robot went under manual and autonomous control, as Fig. 2.2 does.
@@ -138,10 +70,6 @@ class GroundRobotRun:
         from trustlab.testbeds.ground_robot.plots import plot_path
 
         return plot_path(self.session, self.course, start, stop, axes)
-
-    def _repr_html_(self) -> str:
-        words = f"{self.session.label}; {self.session.metadata.more.get('note', '')}"
-        return as_html(words, self.table(), title="Ground-robot run")
 
     def __repr__(self) -> str:
         return f"GroundRobotRun({self.session.label}: {self.lap_times.size} laps in {self.session.duration:.0f} s)"

@@ -25,6 +25,9 @@ STATE = record(numbers=f"{MOVING} {NUMBERS}", counts=COUNTS, flags=FLAGS)
 MEAN_1, MEAN_2 = 2.0 * np.sqrt(2.0 / np.pi), np.sqrt(np.pi / 2.0)
 """Means of |x| + |y| and of √(x² + y²) for x and y normal with unit variance."""
 
+STRETCH = 1.2
+"""By how much the delays of eye, hand and vehicle stretch the distance from the leader; found by simulating."""
+
 
 class Flight(NamedTuple):
     """The testbed's constants for the compiled loop, and the vehicle's exact matrices over one sample, the same on x and y."""
@@ -60,11 +63,11 @@ def imperfection(performance, person, flight, e_max):
     Return the standard deviations per axis of wander [m] and shaking [m/s] of a hand that performs so well.
 
     A command u_i + gain · wander + shaking has the quality `performance` (mean 1-norm of the deviation), and flies, the
-    vehicle taken as an integrator, at the mean distance e_max (1 − (robot_floor + robot_gain · performance)) from the leader;
+    vehicle taken as an integrator and delays by STRETCH, at the mean distance e_max (1 − (robot_floor + robot_gain · performance)) from the leader;
     both as far as one of them can be met with the other.
     """
     command = ((1.0 - performance) * flight.u_max / MEAN_1) ** 2
-    error = (e_max * (1.0 - person.robot_floor - person.robot_gain * performance) / MEAN_2) ** 2
+    error = (e_max * (1.0 - person.robot_floor - person.robot_gain * performance) / (STRETCH * MEAN_2)) ** 2
     slow, fast = flight.gain * flight.wander_time, flight.gain * flight.shake_time
     by_wander, by_shaking = slow / (1.0 + slow), fast / (1.0 + fast) / flight.gain**2
     wander = (error - by_shaking * command) / (by_wander - by_shaking * flight.gain**2)
@@ -82,7 +85,10 @@ def noise(before, keep, rng):
 def operate(task, person, flight, rates, seen, row, state, hand):
     """Move the operator's hand: it acts on the ideal command of a delay ago (`seen`, a row of the log)."""
     wander, shaking = imperfection(skill_now(task, person, state), person, flight, task.e_max)
-    state.wander_x, state.wander_y = noise(state.wander_x, rates.wander, hand), noise(state.wander_y, rates.wander, hand)
+    state.wander_x, state.wander_y = (
+        noise(state.wander_x, rates.wander, hand),
+        noise(state.wander_y, rates.wander, hand),
+    )
     state.shake_x, state.shake_y = noise(state.shake_x, rates.shake, hand), noise(state.shake_y, rates.shake, hand)
     state.hand_x = seen.u_i_x + rates.hand * (state.hand_x - seen.u_i_x)
     state.hand_y = seen.u_i_y + rates.hand * (state.hand_y - seen.u_i_y)

@@ -142,7 +142,7 @@ def _one(rng: np.random.Generator) -> dict[str, float]:
         values = {"a_r": 1.0 - np.exp(-z["ln tau_r"]), "beta": special.expit(z["logit beta"])}
         values |= {"p_h_min": z["p_h_max"] - np.exp(z["ln (p_h_max - p_h_min)"]), "p_h_max": z["p_h_max"]}
         values |= {"a_pr": 1.0 - np.exp(-z["ln tau_pr"]), "p_r_min": P_R_MIN, "p_r_max": z["p_r_max"]}
-        if not (0.1 < values["p_h_min"] and values["p_h_max"] < 0.98 and P_R_MIN + 0.05 < values["p_r_max"] < 0.95):
+        if not (values["p_h_min"] > 0.1 and values["p_h_max"] < 0.98 and P_R_MIN + 0.05 < values["p_r_max"] < 0.95):
             continue
         human = HumanModel(values["a_r"], values["beta"], values["p_h_min"], values["p_h_max"])
         robot = RobotModel(values["a_pr"], values["p_r_min"], values["p_r_max"], human.p_max)
@@ -158,19 +158,20 @@ def _one(rng: np.random.Generator) -> dict[str, float]:
 
 
 @cache
-def following_operator(participant: int) -> tuple[Operator, TscModel, tuple[float, float]]:
+def following_operator(participant: int | str) -> tuple[Operator, TscModel, tuple[float, float]]:
     """
     Return one of the twenty seeded operators with their model and thresholds of TSC.
 
     Parameters
     ----------
-    participant : int
-        1 to 20.
+    participant : int or str
+        1 to 20, or "1" to "20".
 
     Raises
     ------
     ValueError
         If there is no such participant.
     """
-    who = whole_number("participant", participant, most=PARTICIPANTS)
+    given = int(participant) if isinstance(participant, str) and participant.isdecimal() else participant
+    who = whole_number("participant", given, most=PARTICIPANTS)
     return FollowingPopulation.person(FollowingPopulation().draw(who, seed=0).to_dict("records")[-1])

@@ -1,0 +1,114 @@
+"""What a run under one of the conditions C1–C5 hands back, on whichever testbed: session, measures, suggestions, answers."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+
+from trustlab.allocation.suggestions import FOLLOWED, NOT_FOLLOWED, followed_suggestions, suggestion_episodes
+from trustlab.models.html import as_html
+from trustlab.models.tsc import TscModel
+from trustlab.operators.answers import allocation_answers
+from trustlab.operators.ground_robot import Operator
+from trustlab.sessions.session import Session
+from trustlab.testbeds.deciding import CONDITIONS, DEADLINE, OWN, SAMPLE_TIME
+
+MEANS = ("p_r", "p_h", "r", "tsc", "path_error")
+
+
+def condition_measures(
+    log: Any, t: np.ndarray, condition: str, operator: Operator, model: TscModel, lap_times: np.ndarray | None = None
+) -> dict[str, float]:
+    """Return the outcome measures of a run from its log, anything with columns by name, as `ConditionRun.measures`."""
+    found = {name: float(log[name].mean()) for name in MEANS}
+    if lap_times is not None:
+        found["speed"] = float(log["step_distance"].mean()) / SAMPLE_TIME
+    found |= {"manual_share": float(log["mode"].mean()), "switches": int(np.count_nonzero(np.diff(log["mode"])))}
+    laps: dict[str, float] = {}
+    if lap_times is not None:
+        found["laps"] = int(lap_times.size)
+        laps = {"lap_time": float(lap_times[-1] / lap_times.size)}
+    found |= {"duration": float(t[-1] - t[0])} | laps
+    states = [state for _, _, _, state in suggestion_episodes(t, log["mode"], log["suggested_mode"], DEADLINE)]
+    followed, decided = states.count(FOLLOWED), states.count(FOLLOWED) + states.count(NOT_FOLLOWED)
+    found |= {"suggestions": decided, "followed_percent": 100.0 * followed / decided if decided else np.nan}
+    if operator.load_utilization or operator.load_switching:
+        scheme, forced = CONDITIONS[condition]
+        judged = 0 if forced else found["switches"] if scheme == OWN else decided
+        found |= allocation_answers(log["mode"], log["tsc"], found, judged, operator, model)
+    return found
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ConditionRun:
+    """
+    One simulated run under one of the conditions C1–C5.
+
+    Parameters
+    ----------
+    session : Session
+        Everything logged at 10 Hz; its metadata say that it is synthetic.
+    operator : Operator
+        Who.
+    model : TscModel
+        The model behind TSC and the suggestions.
+    thresholds : (float, float) or None
+        TSC_l and TSC_u, where given.
+    """
+
+    title: ClassVar[str] = "UAV that follows a leader"
+
+    session: Session
+    operator: Operator
+    model: TscModel
+    thresholds: tuple[float, float] | None
+
+    def suggestions(self) -> pd.DataFrame:
+        """Return the suggestions shown: columns start [s], suggested_mode, delay [s], followed, state (`followed_suggestions`)."""
+        return followed_suggestions(self.session, DEADLINE)
+
+    def measures(self) -> dict[str, float]:
+        """
+        Return the outcome measures of the run.
+
+        Returns
+        -------
+        dict of str to float
+            p_r, p_h, r, tsc: means; path_error [m], speed [m/s] (ground robot), manual_share: means; switches, laps (ground robot):
+            numbers; duration, lap_time [s] (ground robot): of the run, and the mean of its laps; suggestions: how many were to be
+            followed or not; followed_percent: share of them followed within 15 s, NaN without any; tlx, satisfaction, trust where the
+            operator answers (`allocation_answers`).
+        """
+        condition, lap_times = str(self.session.metadata.condition), getattr(self, "lap_times", None)
+        return condition_measures(self.session, self.session.t, condition, self.operator, self.model, lap_times)
+
+    def table(self) -> pd.DataFrame:
+        """Return participant, condition, synthetic and the measures in one row."""
+        meta = self.session.metadata
+        who = {"participant": meta.participant, "condition": meta.condition, "synthetic": meta.synthetic}
+        return pd.DataFrame([who | self.measures()])
+
+    def plot(self, bounds: dict[str, tuple[float, float]] | None = None):
+        """
+        Plot P_r, r, P_h and TSC against time, as Fig. 2.9 does.
+
+        Parameters
+        ----------
+        bounds : dict of str to (float, float), optional
+            Lower and upper bounds to draw, by column: p_r, r, p_h or tsc; for tsc the thresholds when not given.
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes, shape (4,)
+        """
+        from trustlab.testbeds.ground_robot.plots import plot_run
+
+        return plot_run(self, bounds)
+
+    def _repr_html_(self) -> str:
+        words = f"{self.session.label}; {self.session.metadata.more.get('note', '')}"
+        return as_html(words, self.table(), title=self.title)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.session.label}: {self.session.duration:.0f} s)"

@@ -1,0 +1,145 @@
+"""Runs of the UAV that follows a leader under conditions C1–C5: a simulated stand-in for the testbed of Fig. 2.10."""
+
+from functools import cache
+
+import numpy as np
+import pandas as pd
+
+from trustlab.models.checks import of_class, one_of, spawned
+from trustlab.models.tsc import TscModel
+from trustlab.operators.ground_robot import Operator
+from trustlab.sessions.session import Metadata, Session
+from trustlab.teleoperation.records import log_of
+from trustlab.testbeds.condition_run import ConditionRun, condition_measures
+from trustlab.testbeds.deciding import (
+    CONDITIONS,
+    SAMPLE_TIME,
+    SETTLING,
+    WINDOW,
+    Task,
+    planned,
+    sample_times,
+    seed_facts,
+    suggested_by_tsc,
+    tsc_facts,
+)
+from trustlab.testbeds.uav_following import kernel
+from trustlab.testbeds.uav_following.people import P_R_MIN, following_operator
+from trustlab.testbeds.uav_tracking import TrackingTask, tracking_vehicle
+
+DURATION = 360.0
+"""Length of a test, as printed [s]."""
+
+E_MAX, U_MAX = 1.0, 3.0
+"""Deviations that count as performance 0, from the leader [m] and of the command [m/s]; not printed."""
+
+GAIN = 0.35
+"""Of the ideal command, the leader's velocity + gain · error [1/s]."""
+
+LEADER = TrackingTask(size_x=6.0, size_y=4.0, speed=0.3)
+NOTE = "simulated stand-in for the UAV testbed of Fig. 2.10"
+
+
+@cache
+def flight() -> kernel.Flight:
+    """Return the testbed's constants; left alone, the autopilot settles at the robot performance P_R_MIN."""
+    ((v_v, v_a), (a_v, a_a)), (v_u, a_u) = tracking_vehicle()[0].discrete(SAMPLE_TIME)
+    return kernel.Flight(
+        u_max=U_MAX,
+        gain=GAIN,
+        wander_time=6.0,
+        shake_time=0.1,
+        drift=E_MAX * (1.0 - P_R_MIN) / kernel.MEAN_2,
+        drift_time=40.0,
+        anchoring_time=2.0,
+        v_v=v_v,
+        v_a=v_a,
+        v_u=v_u,
+        a_v=a_v,
+        a_a=a_a,
+        a_u=a_u,
+    )
+
+
+def fly_condition(
+    condition: str,
+    participant: int | str | Operator | None = None,
+    model: TscModel | None = None,
+    thresholds: tuple[float, float] | None = None,
+    seed: int | np.random.SeedSequence = 0,
+    r0: float | None = None,
+    operator: Operator | None = None,
+) -> ConditionRun:
+    """
+    Fly after a leader for six minutes under one of the conditions C1–C5: `run_condition` with testbed="uav".
+
+    Performance is the window mean over 100 s of (e_max − e)/e_max and of 1 − ‖u_i − u_h‖₁/Δu_max (Section 2.4.2, where the
+    deviation itself is printed). While the operator flies, the autopilot knows where the leader is; left alone, it drifts away.
+
+    Parameters
+    ----------
+    condition, participant, model, thresholds, seed, r0, operator
+        As for `run_condition`; model and thresholds of a seeded operator are their own when not given.
+
+    Returns
+    -------
+    ConditionRun
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood or would have no effect.
+
+    Notes
+    -----
+    Simulated: no person took part. What is not printed (e_max, Δu_max, the leader's path, ranges of performance) is plausible,
+    not measured.
+    """
+    one_of("condition", condition, CONDITIONS)
+    own = None
+    if operator is not None and participant is not None:
+        raise ValueError("give either participant= or operator=, not both")
+    someone = operator if participant is None else participant
+    if someone is None:
+        raise ValueError("who flies? give participant=, 1 to 20, or an Operator with model=")
+    if not isinstance(someone, Operator):
+        someone, own_model, own = following_operator(someone)
+        model = own_model if model is None else model
+    model = of_class("model", model, TscModel)
+    if thresholds is None and suggested_by_tsc(condition):
+        thresholds = own
+    task, thresholds = planned(condition, someone, model, thresholds, E_MAX, 0, r0)
+    log = _fly(task, someone, seed)
+    facts = {"duration": DURATION, "settling": SETTLING} | tsc_facts(thresholds) | seed_facts(seed)
+    facts |= {
+        "note": NOTE,
+        "performance": f"Section 2.4.2, e_max {E_MAX:g} m, Δu_max {U_MAX:g} m/s, window {WINDOW:g} s",
+    }
+    table = log.view(float).reshape(log.size, len(kernel.LOG.names))
+    data = pd.DataFrame(table, index=pd.Index(sample_times(log.size), name="t"), columns=kernel.LOG.names)
+    about = Metadata(someone.participant, condition, "trustlab.testbeds.uav_following", True, facts)
+    return ConditionRun(session=Session(data, about), operator=someone, model=model, thresholds=thresholds)
+
+
+def measured_flight(
+    condition: str,
+    operator: Operator,
+    model: TscModel,
+    thresholds: tuple[float, float],
+    seed: np.random.SeedSequence,
+    r0: float | None,
+) -> tuple[dict[str, float], float]:
+    """Return the measures of `fly_condition`, and the last utilization, without making a session."""
+    task, _ = planned(condition, operator, model, thresholds if suggested_by_tsc(condition) else None, E_MAX, 0, r0)
+    log = _fly(task, operator, seed)
+    return condition_measures(log, sample_times(log.size), condition, operator, model), float(log["r"][-1])
+
+
+def _fly(task: Task, operator: Operator, seed: int | np.random.SeedSequence) -> np.ndarray:
+    """Return the log of one test."""
+    _, log = log_of(kernel.LOG, round(DURATION / SAMPLE_TIME))
+    *streams, start = (np.random.default_rng(child) for child in spawned(seed, 4))
+    position, velocity = LEADER.path(sample_times(log.size), 0.0, start.uniform(0.0, 2.0 * np.pi))
+    states = np.zeros(1, kernel.STATE)
+    kernel.follow(task, flight(), position, velocity, operator.numbers, *streams, states, log)
+    return log
