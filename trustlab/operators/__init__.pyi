@@ -1,5 +1,6 @@
 from .answers import allocation_answers as allocation_answers, simulated_answers as simulated_answers
 from .ground_robot import (
+    ASSUMPTIONS as ASSUMPTIONS,
     Operator as Operator,
     OperatorNumbers as OperatorNumbers,
     driving_style as driving_style,

@@ -1,11 +1,12 @@
 """Simulated operators of the ground robot: how well they drive, how fast they react, when they switch."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import between, finite_number, not_negative, of_class, positive, shown, whole_number
+from trustlab.models.checks import between, finite_number, not_negative, of_class, one_of, positive, shown, whole_number
 from trustlab.models.compiled import njit
 from trustlab.models.human import HumanModel
 from trustlab.models.tsc import TscModel
@@ -236,6 +237,16 @@ class Operator:
         """The operator as plain numbers."""
         human = (self.human.a, self.human.beta, self.human.p_min, self.human.p_max)
         return OperatorNumbers(*human, *(getattr(self, name) for name in OperatorNumbers._fields[4:]))
+
+
+def checked_assumptions(assumptions: Mapping[str, Any]) -> dict[str, float]:
+    """Return assumptions about operators by name, each within its range."""
+    if not isinstance(assumptions, Mapping):
+        raise ValueError(f"assumptions must map names to numbers, got {shown(assumptions)}")
+    for name in assumptions:
+        one_of("an assumption", name, ASSUMPTIONS)
+    anyone = Operator("anyone", HumanModel(0.999, 0.8, 0.4, 0.5), **assumptions)
+    return {name: getattr(anyone, name) for name in assumptions}
 
 
 def operator(

@@ -198,7 +198,7 @@ class GroundRobotPopulation:
         """
         import matplotlib.pyplot as plt
 
-        from trustlab.testbeds.ground_robot.conditions import SAMPLE_TIME
+        from trustlab.testbeds.deciding import SAMPLE_TIME
 
         models = [model for label, model in published_models().items() if label != "pilot"]
         own = published_table("2.3").astype(float)

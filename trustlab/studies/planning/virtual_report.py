@@ -13,8 +13,15 @@ from trustlab.models.html import as_html
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.designs import LatinSquareDesign
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
+from trustlab.testbeds.uav_following.people import FollowingPopulation
 
-WORDS = {"ground_robot": "the ground-robot testbed", "uav": "the UAV testbed"}
+Population = GroundRobotPopulation | FollowingPopulation | TeleoperatorPopulation
+
+WORDS = {
+    "ground_robot": "the ground-robot testbed",
+    "uav": "the UAV testbed",
+    "uav_following": "the testbed of the UAV that follows a leader",
+}
 """How messages call the testbeds."""
 
 ORIGIN = "simulated operators"
@@ -25,7 +32,10 @@ KEYS = ("participant", "position", "condition", "synthetic")
 
 TEST = ("n", "k", "F", "df1", "df2", "p", "correction", "epsilon_gg")
 EFFECT = ("eta2_partial", "eta2_partial_low", "eta2_partial_high")
-USUAL = {"ground_robot": ("p_r", "p_h", "r", "path_error"), "uav": ("tracking_error", "p_r", "p_h", "hand_force")}
+USUAL = {
+    **dict.fromkeys(("ground_robot", "uav_following"), ("p_r", "p_h", "r", "path_error")),
+    "uav": ("tracking_error", "p_r", "p_h", "hand_force"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +45,13 @@ class VirtualStudy:
 
     Parameters
     ----------
-    testbed : {"ground_robot", "uav"}
-        The testbed.
+    testbed : {"ground_robot", "uav", "uav_following"}
+        The testbed; "uav_following" is that of C1 to C5 on the UAV.
     conditions : tuple of str
         Its conditions, as given.
     design : LatinSquareDesign
         The order of conditions of every participant.
-    population : GroundRobotPopulation or TeleoperatorPopulation
+    population : GroundRobotPopulation, FollowingPopulation or TeleoperatorPopulation
         The population from which operators were drawn.
     participants : pandas.DataFrame
         Their parameters as drawn, a row each.
@@ -50,7 +60,7 @@ class VirtualStudy:
     failures : pandas.DataFrame
         Participants whose sessions could not be run: participant, error. They have no rows in `measures`.
     settings : dict
-        seed, laps or duration [s], rest [s].
+        seed, laps or duration [s], rest [s], assumptions, where given.
     folder : pathlib.Path or None
         Where sessions, measures and participants were written.
     """
@@ -58,7 +68,7 @@ class VirtualStudy:
     testbed: str
     conditions: tuple[str, ...]
     design: LatinSquareDesign
-    population: GroundRobotPopulation | TeleoperatorPopulation
+    population: Population
     participants: pd.DataFrame
     measures: pd.DataFrame
     failures: pd.DataFrame
@@ -182,11 +192,14 @@ class VirtualStudy:
     def summary(self) -> str:
         """What was simulated, in a sentence or two."""
         setting = ", ".join(f"{name} {value}" for name, value in self.settings.items() if value is not None)
+        assumed = self.settings.get("assumptions", {})
         carried = (
-            "Every session begins rested: orders have no effect on results."
+            "Every session begins with the same utilization"
             if self.settings.get("rest") is None
-            else "Utilization is carried over from session to session by (2.5); nothing else is."
+            else "Utilization is carried over from session to session by (2.5)"
         )
+        lasting = assumed.get("learning") or assumed.get("fatigue")
+        carried += "; learning or fatigue goes on." if lasting else "; nothing else lasts from session to session."
         failed = f" {len(self.failures)} participant(s) failed and are left out." if len(self.failures) else ""
         return (
             f"Virtual study on {WORDS[self.testbed]}: {len(self.participants)} simulated operators ({self.population.origin}), "

@@ -1,33 +1,45 @@
 """A whole study with simulated operators: from its design to its statistics."""
 
 import os
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import pandas as pd
 
 from trustlab.campaign.run import run_campaign, where_to_run
 from trustlab.models.checks import finite_number, not_negative, of_class, one_of, whole_number
+from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
 from trustlab.studies.planning.virtual_folder import Folder
 from trustlab.studies.planning.virtual_participant import run_participant
-from trustlab.studies.planning.virtual_report import KEYS, ORIGIN, WORDS, VirtualStudy
+from trustlab.studies.planning.virtual_report import KEYS, ORIGIN, WORDS, Population, VirtualStudy
 from trustlab.teleoperation.loop.schemes import SCHEMES
-from trustlab.testbeds.ground_robot.conditions import CONDITIONS, MOST_LAPS
+from trustlab.testbeds.deciding import CONDITIONS
+from trustlab.testbeds.ground_robot.conditions import MOST_LAPS
+from trustlab.testbeds.uav_following.people import FollowingPopulation
 
-TESTBEDS = {"ground_robot": tuple(CONDITIONS), "uav": tuple(SCHEMES)}
+TESTBEDS = {"ground_robot": tuple(CONDITIONS), "uav": tuple(SCHEMES), "uav_following": tuple(CONDITIONS)}
 MAIN_SCHEMES = ("M", "OMI", "MMI", "TMIG")
-PRINTED_N = {"ground_robot": 20, "uav": 32}
+PRINTED_N = {"ground_robot": 20, "uav": 32, "uav_following": 20}
+POPULATIONS: dict[str, type] = {
+    "ground_robot": GroundRobotPopulation,
+    "uav": TeleoperatorPopulation,
+    "uav_following": FollowingPopulation,
+}
 
 
 def virtual_study(
     design: str | LatinSquareDesign = "latin_square",
     n: int | None = None,
     conditions: Sequence[str] | None = None,
-    population: GroundRobotPopulation | TeleoperatorPopulation | None = None,
+    population: Population | None = None,
     seed: int = 0,
     *,
+    testbed: str | None = None,
+    assumptions: Mapping[str, float] | None = None,
     laps: int | None = None,
     duration: float | None = None,
     rest: float | None = None,
@@ -49,22 +61,28 @@ def virtual_study(
         Orders of conditions: a complete balanced Latin square drawn from the seed, or a design with its conditions and
         participants (numbered from 1).
     n : int, optional
-        Participants; they must fill whole squares. As many as the dissertation's study invited, or the next whole squares.
+        Participants; they must fill whole squares, or, for an odd number of conditions, half of the last one, which leaves carry-over
+        unbalanced. As many as the dissertation's study invited, or the next whole squares.
     conditions : sequence of str, optional
-        C1 to C5 on the ground-robot testbed, or M, MI, MMI, TMIG, TMIS, OMI on the UAV testbed; all of the former, or the latter's
-        M, OMI, MMI and TMIG for a `TeleoperatorPopulation`.
-    population : GroundRobotPopulation or TeleoperatorPopulation, optional
-        From whom operators are drawn; `GroundRobotPopulation.published()` or `TeleoperatorPopulation()` by default.
+        C1 to C5 (ground robot, or a UAV that follows a leader), or M, MI, MMI, TMIG, TMIS, OMI (teleoperation of a UAV); all of the
+        former, or M, OMI, MMI and TMIG for a `TeleoperatorPopulation`.
+    population : GroundRobotPopulation, FollowingPopulation or TeleoperatorPopulation, optional
+        From whom operators are drawn; `GroundRobotPopulation.published()`, `FollowingPopulation()` or `TeleoperatorPopulation()` by
+        default.
     seed : int
         Of the design, of the people and of all runs. With the same seed, the people of a smaller study are the first of a
         larger one.
+    testbed : {"ground_robot", "uav"}, optional
+        Where C1 to C5 are run, the testbed of Section 2.4.1 (by default) or of Section 2.4.2; schemes of Chapter 3 are of "uav".
+    assumptions : mapping of str to float, optional
+        For C1 to C5, what is assumed of all operators: any of `trustlab.operators.ASSUMPTIONS` by name.
     laps : int, optional
         Laps of each run of the ground robot; 8, as printed.
     duration : float, optional
-        Length of each run of the UAV [s]; 120.
+        Length of each run of teleoperation [s]; 120.
     rest : float, optional
-        Ground robot only: pause between sessions [s], in which utilization decays by (2.5) from its value at the end of the
-        session before. When it is left out, every session begins with r = 0.
+        C1 to C5 only: pause between sessions [s], in which utilization decays by (2.5) from its value at the end of the
+        session before. When it is left out, every session begins with the operator's r0, 0 unless assumed otherwise.
     n_jobs, cluster, executor : int, object, Executor, optional
         Where participants are simulated, as in `run_campaign`; by default in this process. They have no effect on results.
     out : path-like, optional
@@ -87,13 +105,15 @@ def virtual_study(
     -----
     CampaignWarning
         If participants' runs failed; they are listed in `.failures`.
+    UserWarning
+        If the design leaves carry-over unbalanced.
     """
     seed = whole_number("seed", seed, least=0)
     conditions = _named(conditions, design, population)
-    testbed = next(name for name, known in TESTBEDS.items() if conditions[0] in known)
+    testbed = _testbed(testbed, conditions, population)
     population = _fitting(population, testbed)
     design = _designed(design, n, conditions, seed, testbed)
-    settings = _settings(testbed, laps, duration, rest)
+    settings = _settings(testbed, laps, duration, rest, assumptions)
     people = population.draw(len(design.participants), seed)
     folder = None if out is None else Folder(out, design)
     own = {"study": population.study} if isinstance(population, TeleoperatorPopulation) else {}
@@ -119,7 +139,7 @@ def virtual_study(
         people,
         _tidy(done[~failed], design, conditions),
         done.loc[failed, ["participant", "error"]].reset_index(drop=True),
-        {"seed": seed} | settings,
+        {"seed": seed} | {name: value for name, value in settings.items() if value != {}},
         None if folder is None else folder.path,
     )
     if folder is not None:
@@ -139,23 +159,37 @@ def _named(conditions: object, design: object, population: object) -> tuple[str,
         one_of("design", design, ["latin_square"], "a LatinSquareDesign")
     if conditions is None:
         return MAIN_SCHEMES if isinstance(population, TeleoperatorPopulation) else TESTBEDS["ground_robot"]
-    known = [name for group in TESTBEDS.values() for name in group]
+    known = [*CONDITIONS, *SCHEMES]
     names = tuple(one_of("condition", name, known) for name in conditions)
     if len(names) < 2 or len(set(names)) < len(names):
         raise ValueError(f"conditions must be two or more, each once, got {', '.join(names) or 'none'}")
-    own = {testbed: [name for name in names if name in group] for testbed, group in TESTBEDS.items()}
+    pair = {"ground_robot": tuple(CONDITIONS), "uav": tuple(SCHEMES)}
+    own = {testbed: [name for name in names if name in group] for testbed, group in pair.items()}
     if all(own.values()):
         mixed = " and ".join(f"{', '.join(group)} of {WORDS[testbed]}" for testbed, group in own.items())
         raise ValueError(f"a study runs on one testbed, but conditions are {mixed}; make two studies")
     return names
 
 
-def _fitting(population: object, testbed: str) -> GroundRobotPopulation | TeleoperatorPopulation:
+def _testbed(testbed: str | None, conditions: tuple[str, ...], population: object) -> str:
+    """Return the testbed that conditions, population and argument agree on."""
+    known = [name for name, group in TESTBEDS.items() if conditions[0] in group]
+    if testbed is None:
+        return "uav_following" if isinstance(population, FollowingPopulation) else known[0]
+    one_of("testbed", testbed, TESTBEDS)
+    found = [name for name in known if testbed in (name, name.partition("_following")[0])]
+    if not found:
+        raise ValueError(
+            f"conditions {', '.join(conditions)} do not run on the testbed {testbed!r}, but on {' or '.join(known)}"
+        )
+    return found[0]
+
+
+def _fitting(population: object, testbed: str) -> Population:
     """Return a population of operators of the testbed."""
     if population is None:
-        return GroundRobotPopulation.published() if testbed == "ground_robot" else TeleoperatorPopulation()
-    wanted = {"ground_robot": GroundRobotPopulation, "uav": TeleoperatorPopulation}[testbed]
-    return of_class("population", population, wanted, f"the conditions are of {WORDS[testbed]}")
+        return GroundRobotPopulation.published() if testbed == "ground_robot" else POPULATIONS[testbed]()
+    return of_class("population", population, POPULATIONS[testbed], f"the conditions are of {WORDS[testbed]}")
 
 
 def _designed(design: object, n: int | None, conditions: tuple, seed: int, testbed: str) -> LatinSquareDesign:
@@ -173,24 +207,41 @@ def _designed(design: object, n: int | None, conditions: tuple, seed: int, testb
     least = participants_needed(len(conditions), 3)
     if n is None:
         n = participants_needed(len(conditions), PRINTED_N[testbed])
-    if n < max(3, participants_needed(len(conditions))):
+    if n < max(3, len(conditions)):
         raise ValueError(
             f"n = {n} is too small for the design: a balanced Latin square of {len(conditions)} conditions needs {least} "
             "participants"
         )
-    return latin_square_design(conditions, n, seed=seed)
+    k = len(conditions)
+    if k % 2 == 0 or n % (2 * k) != k:
+        return latin_square_design(conditions, n, seed=seed)
+    # The first k orders of a square for odd k are a Latin square by themselves: every condition once at every position.
+    whole = latin_square_design(conditions, n + k, seed=seed)
+    half = tuple(row for row in whole.rows[n - k :] if row <= k)
+    warnings.warn(
+        f"{n} participants fill half of the last square: each of the {k} conditions stands equally often at every position, but does "
+        f"not follow every other one equally often; {n + k} participants would balance both",
+        stacklevel=3,
+    )
+    return replace(whole, participants=tuple(range(1, n + 1)), rows=whole.rows[: n - k] + half)
 
 
-def _settings(testbed: str, laps: int | None, duration: float | None, rest: float | None) -> dict:
+def _settings(
+    testbed: str, laps: int | None, duration: float | None, rest: float | None, assumptions: Mapping[str, float] | None
+) -> dict:
     """Return the settings of all runs; raise where one would have no effect."""
-    idle = {"laps": laps, "rest": rest} if testbed == "uav" else {"duration": duration}
+    idle: dict[str, object] = {"laps": laps, "rest": rest, "assumptions": assumptions}
+    if testbed != "uav":
+        idle = {"duration": duration, "laps": None if testbed == "ground_robot" else laps}
     for name, value in idle.items():
         if value is not None:
             raise ValueError(f"{name} has no effect on {WORDS[testbed]}; leave it out")
     if testbed == "uav":
         return {"duration": 120.0 if duration is None else finite_number("duration", duration)}
     laps = 8 if laps is None else whole_number("laps", laps, most=MOST_LAPS)
-    return {"laps": laps, "rest": None if rest is None else not_negative("rest", rest)}
+    settings = {"laps": laps} if testbed == "ground_robot" else {}
+    assumed = checked_assumptions({} if assumptions is None else assumptions)
+    return settings | {"rest": None if rest is None else not_negative("rest", rest), "assumptions": assumed}
 
 
 def _tidy(done: pd.DataFrame, design: LatinSquareDesign, conditions: tuple[str, ...]) -> pd.DataFrame:

@@ -8,9 +8,9 @@ from trustlab.sessions.session import Session
 from trustlab.testbeds.ground_robot.course import Course
 
 PANELS = {
-    "p_r": "robot performance\n$P_r$ [m/s]",
+    "p_r": "robot performance\n$P_r$",
     "r": "human utilization\n$r$",
-    "p_h": "human performance\n$P_h$ [m/s]",
+    "p_h": "human performance\n$P_h$",
     "tsc": "TSC",
 }
 
@@ -71,7 +71,7 @@ def plot_run(run, bounds: dict[str, tuple[float, float]] | None = None):
 
     Parameters
     ----------
-    run : GroundRobotRun
+    run : ConditionRun
         What to plot.
     bounds : dict of str to (float, float), optional
         Lower and upper bounds to draw, by column.
@@ -88,7 +88,7 @@ def plot_run(run, bounds: dict[str, tuple[float, float]] | None = None):
     import matplotlib.pyplot as plt
 
     if not hasattr(run, "session"):
-        raise ValueError(f"run must be a GroundRobotRun, got {type(run).__name__}")
+        raise ValueError(f"run must be a ConditionRun, got {type(run).__name__}")
     session = run.session
     try:
         bounds = dict(bounds if bounds is not None else {})
@@ -100,6 +100,7 @@ def plot_run(run, bounds: dict[str, tuple[float, float]] | None = None):
     if run.thresholds is not None:
         bounds.setdefault("tsc", run.thresholds)
     figure, axes = plt.subplots(len(PANELS), 1, sharex=True, figsize=(8.0, 7.6), layout="constrained")
+    unit = " [m/s]" if "v_command" in session else ""  # on the UAV testbed performance is a share
     for panel, (name, label) in zip(axes, PANELS.items(), strict=True):
         panel.plot(session.t, session[name], lw=1.2, color="#0072b2")
         values = np.r_[session[name], bounds.get(name, ())]
@@ -107,7 +108,7 @@ def plot_run(run, bounds: dict[str, tuple[float, float]] | None = None):
         panel.set_ylim(values.min() - margin, values.max() + margin)
         for bound in bounds.get(name, ()):
             panel.axhline(bound, ls="--", lw=1.0, color="#d55e00")
-        panel.set_ylabel(label)
+        panel.set_ylabel(label + unit * (name in ("p_r", "p_h")))
         shade_manual(panel, session.t, session["mode"])
     axes[-1].set(xlabel="time [s]", xlim=(session.t[0], session.t[-1]))
     lines = "; dashed: " + ("thresholds" if set(bounds) == {"tsc"} else "bounds") if bounds else ""
