@@ -1,7 +1,6 @@
 """One simulated participant of a virtual study: every condition in their order, measured and, if asked for, written."""
 
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ from trustlab.sessions.writers import write_session
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
 from trustlab.testbeds.deciding import SAMPLE_TIME, suggested_by_tsc
 from trustlab.testbeds.ground_robot.conditions import measured_condition, run_condition
-from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures
 from trustlab.testbeds.uav_following.people import FollowingPopulation
 from trustlab.testbeds.uav_following.run import measured_flight
@@ -18,12 +16,6 @@ from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
 PERSONS = {"ground_robot": GroundRobotPopulation.person, "uav_following": FollowingPopulation.person}
 """What makes an operator of a row of the population's draw, by testbed."""
-
-
-@cache
-def _course() -> Course:
-    """Return the default course, made once per process."""
-    return Course()
 
 
 def session_file(participant: int, position: int, condition: str) -> str:
@@ -96,7 +88,7 @@ class _Allocated:
             self.carried = last * self.model.human.a ** (self.settings["rest"] / SAMPLE_TIME)
 
     def session(self, condition: str, position: int, seed: np.random.SeedSequence):
-        own = {} if self.testbed != "ground_robot" else {"laps": self.settings["laps"], "course": _course()}
+        own = {} if self.testbed != "ground_robot" else {"laps": self.settings["laps"]}
         if suggested_by_tsc(condition):
             own["thresholds"] = self.thresholds
         run = run_condition(**self._arguments(condition, position), seed=seed, testbed=self.testbed, **own)
@@ -106,7 +98,7 @@ class _Allocated:
     def measures(self, condition: str, position: int, seed: np.random.SeedSequence) -> dict[str, float]:
         arguments = self._arguments(condition, position) | {"thresholds": self.thresholds, "seed": seed}
         if self.testbed == "ground_robot":
-            measures, last = measured_condition(**arguments, laps=self.settings["laps"], course=_course())
+            measures, last = measured_condition(**arguments, laps=self.settings["laps"])
         else:
             measures, last = measured_flight(**arguments)
         self._rested(last)

@@ -26,7 +26,7 @@ from trustlab.testbeds.deciding import (
     tsc_facts,
 )
 from trustlab.testbeds.ground_robot import kernel
-from trustlab.testbeds.ground_robot.course import Course
+from trustlab.testbeds.ground_robot.course import Course, default_course
 from trustlab.testbeds.ground_robot.participants import (
     participant_label,
     published_model,
@@ -159,9 +159,9 @@ def measured_condition(
     laps: int,
     seed: np.random.SeedSequence,
     r0: float | None,
-    course: Course,
 ) -> tuple[dict[str, float], float]:
-    """Return the measures of `run_condition` with the calibrated robot, and the last utilization, without making a session."""
+    """Return the measures of `run_condition` with its defaults, and the last utilization, without making a session."""
+    course = default_course()
     task, _ = planned(condition, operator, model, thresholds if suggested_by_tsc(condition) else None, E_MAX, laps, r0)
     log, lap_times = _drive(task, _longest(laps, course), Pioneer(), course, operator, seed)
     measures = condition_measures(log, sample_times(log.size), condition, operator, model, lap_times)
@@ -310,7 +310,7 @@ def _steps(seconds: float, what: str) -> int:
 
 
 def _checked(operator, robot, course) -> tuple[Operator, Pioneer, Course]:
-    robot, course = Pioneer() if robot is None else robot, Course() if course is None else course
+    robot, course = Pioneer() if robot is None else robot, default_course() if course is None else course
     of_class("operator", operator, Operator, MAKE_OPERATOR)
     of_class("robot", robot, Pioneer)
     of_class("course", course, Course)

@@ -1,7 +1,7 @@
 """The closed course that the ground robot follows, and the guide posts beside it."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -43,8 +43,10 @@ def piece_distance(x, y, path, i):
     """Return the squared distance of a point from a piece of a polyline, the point nearest to it, and its arc length."""
     ax, ay, s = path[i, 0], path[i, 1], path[i, 2]
     ux, uy, length = path[i + 1, 0] - ax, path[i + 1, 1] - ay, path[i + 1, 2] - s
-    share = ((x - ax) * ux + (y - ay) * uy) / (length * length)
-    share = min(max(share, 0.0), 1.0)
+    along, whole = (x - ax) * ux + (y - ay) * uy, length * length
+    share = 0.0 if along <= 0.0 else 1.0
+    if 0.0 < along < whole:  # a division takes longer than all the rest, and few pieces need it
+        share = min(along / whole, 1.0)
     px, py = ax + share * ux, ay + share * uy
     return (x - px) ** 2 + (y - py) ** 2, px, py, s + share * length
 
@@ -273,3 +275,9 @@ class Course:
         one = finite_array("x", one)
         points = np.column_stack([one, finite_array("y", other, length=one.size)])
         return np.array([nearest_point(px, py, self._path)[3] for px, py in points])
+
+
+@cache
+def default_course() -> Course:
+    """Return the default course, whose tables are made once per process."""
+    return Course()

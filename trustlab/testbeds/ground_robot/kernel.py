@@ -77,7 +77,7 @@ def limited(command, now, largest, step):
     return min(max(now + change, -largest), largest)
 
 
-@njit
+@njit(inline="always")
 def operate(task, person, robot, rates, before, arc, course, state, hand):
     """
     Move the operator's hand: it acts on where the robot was a delay ago (`before`, a row of the log, at arc length `arc`).
@@ -119,7 +119,7 @@ def correct(correction, task, k, t, state):
         state.shift_l, state.shift_u = state.shift_l + c_l, state.shift_u + c_u
 
 
-@njit
+@njit(inline="always")
 def roll(robot, rates, dt, course, found, state, sensing):
     """Let the robot scan, follow the hand or its own controller, and move; its odometry drifts with distance."""
     est_yaw = state.yaw + state.heading_error

@@ -34,15 +34,14 @@ def scan(x, y, yaw, est_x, est_y, est_yaw, posts, robot, rng, offsets, used):
         inside = cos * dx + sin * dy - edge * distance
         if distance > robot.scan_range or inside < -1e-9 * distance:
             continue
-        bearing = 0.0
-        if used or inside < 1e-9 * distance:
-            bearing = wrapped(np.arctan2(dy, dx) - yaw)
-        if abs(bearing) > half or rng.random() > robot.detection:
+        if inside < 1e-9 * distance and abs(wrapped(np.arctan2(dy, dx) - yaw)) > half:
+            continue
+        if rng.random() > robot.detection:
             continue
         far, aside = robot.range_noise * rng.standard_normal(), robot.bearing_noise * rng.standard_normal()
         if not used:
             continue
-        distance, bearing = distance + far, bearing + aside
+        distance, bearing = distance + far, wrapped(np.arctan2(dy, dx) - yaw) + aside
         offsets[seen, 0], offsets[seen, 1] = posts[i, 0], posts[i, 1]
         offsets[seen, 2] = est_x + distance * np.cos(est_yaw + bearing)
         offsets[seen, 3] = est_y + distance * np.sin(est_yaw + bearing)

@@ -72,7 +72,8 @@ def imperfection(performance, person, flight, e_max):
     by_wander, by_shaking = slow / (1.0 + slow), fast / (1.0 + fast) / flight.gain**2
     wander = (error - by_shaking * command) / (by_wander - by_shaking * flight.gain**2)
     wander = min(max(wander, 0.0), command / flight.gain**2)
-    return person.noise * np.sqrt(wander), person.noise * np.sqrt(command - flight.gain**2 * wander)
+    shaking = max(command - flight.gain**2 * wander, 0.0)
+    return person.noise * np.sqrt(wander), person.noise * np.sqrt(shaking)
 
 
 @njit

@@ -36,6 +36,9 @@ E_MAX, U_MAX = 1.0, 3.0
 GAIN = 0.35
 """Of the ideal command, the leader's velocity + gain · error [1/s]."""
 
+DRIFT_TIME = 40.0
+"""Correlation time of the autopilot's belief of where the leader is [s]."""
+
 LEADER = TrackingTask(size_x=6.0, size_y=4.0, speed=0.3)
 NOTE = "simulated stand-in for the UAV testbed of Fig. 2.10"
 
@@ -44,13 +47,14 @@ NOTE = "simulated stand-in for the UAV testbed of Fig. 2.10"
 def flight() -> kernel.Flight:
     """Return the testbed's constants; left alone, the autopilot settles at the robot performance P_R_MIN."""
     ((v_v, v_a), (a_v, a_a)), (v_u, a_u) = tracking_vehicle()[0].discrete(SAMPLE_TIME)
+    followed = GAIN * DRIFT_TIME / (1.0 + GAIN * DRIFT_TIME)  # share of the drift's variance that the vehicle follows
     return kernel.Flight(
         u_max=U_MAX,
         gain=GAIN,
         wander_time=6.0,
         shake_time=0.1,
-        drift=E_MAX * (1.0 - P_R_MIN) / kernel.MEAN_2,
-        drift_time=40.0,
+        drift=E_MAX * (1.0 - P_R_MIN) / (kernel.MEAN_2 * np.sqrt(followed)),
+        drift_time=DRIFT_TIME,
         anchoring_time=2.0,
         v_v=v_v,
         v_a=v_a,

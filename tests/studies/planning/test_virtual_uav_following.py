@@ -1,0 +1,115 @@
+"""Virtual studies of the UAV that follows a leader, and of assumptions about people.
+
+Oracles: runs one by one; the counts of a Latin square; textbook sums of squares; the formula of the answers.
+"""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import trustlab as tl
+from trustlab.studies import GroundRobotPopulation
+from trustlab.testbeds import FollowingPopulation
+
+CONDITIONS = ["C1", "C2", "C3", "C4", "C5"]
+ASSUMED = {"attention_cost": 0.1, "load_utilization": 0.5, "load_switching": 0.1}
+
+
+@pytest.fixture(scope="module")
+def study():
+    return tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav", seed=0, assumptions=ASSUMED)
+
+
+def test_measures_are_those_of_the_runs_one_by_one(study):
+    assert len(study.measures) == 50
+    values = FollowingPopulation().draw(10, seed=0).to_dict("records")[3]
+    operator, model, thresholds = FollowingPopulation.person(values)
+    people = tl.Operator(**{**vars(operator), **ASSUMED})
+    seeds = np.random.SeedSequence(0).spawn(10)[3].spawn(5)
+    for place, condition in enumerate(CONDITIONS):
+        given = thresholds if condition in ("C2", "C3") else None
+        run = tl.run_condition(condition, people, model, given, testbed="uav", seed=seeds[place])
+        row = study.measures.query("participant == 4 and condition == @condition").iloc[0]
+        assert {name: row[name] for name in run.measures()} == pytest.approx(run.measures(), rel=0, abs=0, nan_ok=True)
+
+
+def test_all_anovas_and_the_t_test_of_the_printed_study(study):
+    wide = study.measures.pivot_table("p_r", "participant", "condition", observed=True).to_numpy(float)
+    n, k = wide.shape
+    grand = wide.mean()
+    between = n * ((wide.mean(axis=0) - grand) ** 2).sum() / (k - 1)
+    rest = wide - wide.mean(axis=0) - wide.mean(axis=1, keepdims=True) + grand
+    assert pytest.approx(between / ((rest**2).sum() / ((n - 1) * (k - 1)))) == study.analysis("p_r").F
+    for dv in ("p_r", "r", "p_h", "tlx", "satisfaction", "trust"):
+        assert study.analysis(dv).n == 10
+    followed = study.measures.pivot_table("followed_percent", "participant", "condition", observed=True)[["C2", "C4"]]
+    assert followed.notna().any().all()
+
+
+def test_answers_follow_their_formula(study):
+    row = study.measures.query("participant == 2 and condition == 'C1'").iloc[0]
+    load = 0.5 * row["r"] + 0.1 * 60.0 * row["switches"] / row["duration"]
+    assert row["tlx"] == pytest.approx(100.0 * load)
+    forced = study.measures.query("participant == 2 and condition == 'C5'").iloc[0]
+    assert forced["tlx"] == pytest.approx(50.0 * forced["r"])
+    assert study.measures[["satisfaction", "trust"]].apply(lambda answers: answers.between(1.0, 7.0)).all(axis=None)
+    assert "tlx" not in tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav").names
+
+
+def test_half_a_square_is_said_to_be_unbalanced():
+    with pytest.warns(
+        UserWarning, match="5 participants fill half of the last square.*10 participants would balance both"
+    ):
+        half = tl.virtual_study(n=5, conditions=CONDITIONS, testbed="uav", seed=1)
+    balance = half.design.balance()
+    assert balance.balanced_positions
+    assert not balance.balanced_carry_over
+    assert half.design.participants == (1, 2, 3, 4, 5)
+    with pytest.raises(ValueError, match="do not fill whole squares"):
+        tl.virtual_study(n=7, conditions=CONDITIONS, testbed="uav")
+
+
+def test_same_seed_same_table_serial_or_parallel(study):
+    again = tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav", seed=0, assumptions=ASSUMED, n_jobs=2)
+    pd.testing.assert_frame_equal(study.measures, again.measures, check_exact=True)
+
+
+def test_order_matters_where_people_learn_or_tire():
+    calm, tired = (
+        tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav", seed=2, assumptions=assumed).measures
+        for assumed in ({}, {"fatigue": 0.05})
+    )
+    first = calm["position"] == 1
+    pd.testing.assert_frame_equal(calm[first], tired[first], check_exact=True)
+    last = calm["position"] == 5
+    assert (tired[last]["p_h"].to_numpy() < calm[last]["p_h"].to_numpy() - 0.05).all()
+
+
+def test_sessions_are_written_and_read_again(tmp_path):
+    kept = tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav", out=tmp_path / "study")
+    sessions = kept.sessions()
+    assert len(sessions) == 50
+    assert {session.metadata.more["testbed"] for session in sessions} == {"uav_following"}
+    plain = tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav")
+    pd.testing.assert_frame_equal(kept.measures, plain.measures, check_exact=True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"assumptions": {"atention_cost": 0.1}}, "an assumption must be one of .*did you mean 'attention_cost'"),
+        ({"assumptions": {"attention_cost": 2.0}}, r"attention_cost must lie in \[0, 0.5\], got 2.0"),
+        ({"assumptions": [0.1]}, "assumptions must map names to numbers"),
+        ({"testbed": "sea"}, "testbed must be one of"),
+        (
+            {"testbed": "ground_robot", "conditions": ["M", "MI"]},
+            "do not run on the testbed 'ground_robot', but on uav",
+        ),
+        ({"laps": 2}, "laps has no effect on the testbed of the UAV that follows a leader"),
+        ({"population": GroundRobotPopulation.published()}, "population must be of class FollowingPopulation"),
+        ({"conditions": ["M", "MI"], "assumptions": {}}, "assumptions has no effect on the UAV testbed"),
+    ],
+)
+def test_bad_input(arguments, says):
+    with pytest.raises(ValueError, match=says):
+        tl.virtual_study(**({"n": 10, "conditions": CONDITIONS, "testbed": "uav"} | arguments))

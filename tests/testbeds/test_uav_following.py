@@ -1,0 +1,152 @@
+"""The UAV that follows a leader (Section 2.4.2): its measures, its operators, its conditions.
+
+Oracles: the measures of the sessions room on the log after the fact; (2.5) and (2.6); the rules called one by one; the closed
+form of what a hand's imperfection comes to.
+"""
+
+from dataclasses import replace
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.allocation.rules import performance_suggestion
+from trustlab.models.tsc import threshold_mode
+from trustlab.testbeds import FollowingPopulation, following_operator
+from trustlab.testbeds.deciding import CONDITIONS, SETTLING
+from trustlab.testbeds.uav_following.kernel import MEAN_1
+from trustlab.testbeds.uav_following.run import DURATION, E_MAX, GAIN, U_MAX, measured_flight
+
+PEOPLE = [FollowingPopulation.person(row) for row in FollowingPopulation().draw(12, seed=1).to_dict("records")]
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return {name: tl.run_condition(name, testbed="uav", participant=2, seed=0) for name in CONDITIONS}
+
+
+def test_measures_are_those_of_the_log(runs):
+    who, model, _ = following_operator(2)
+    for run in runs.values():
+        session = run.session
+        assert len(session) == 10 * DURATION
+        again = session.with_performance(window=100.0, measure="uav_tracking", e_max=E_MAX, u_max=U_MAX, axes="xy")
+        for name in ("p_r", "p_h"):
+            np.testing.assert_allclose(session[name], again[name], atol=1e-11)
+        np.testing.assert_allclose(session["tsc"], model.value(session["p_r"], session["p_h"]), atol=1e-12)
+        np.testing.assert_allclose(session["r"], who.human.simulate(session["mode"])[0], atol=1e-12)
+        apart = [session[f"reference_{axis}"] - session[f"robot_{axis}"] for axis in "xy"]
+        np.testing.assert_allclose(session["path_error"], np.hypot(*apart), atol=1e-12)
+        assert session.metadata.synthetic
+        assert run.measures()["p_r"] == session["p_r"].mean()
+
+
+def test_suggestions_are_those_of_the_rules(runs):
+    for name, (_, forced) in CONDITIONS.items():
+        run, now = runs[name], 1
+        after = run.session.t >= SETTLING
+        shown = run.session["suggested_mode"]
+        assert (shown[~after] == -1.0).all()
+        if name in ("C2", "C3"):
+            assert run.thresholds == following_operator(2)[2]
+            for tsc, given in zip(run.session["tsc"][after], shown[after], strict=True):
+                now = threshold_mode(tsc, *run.thresholds, now)
+                assert given == now
+        elif name != "C1":
+            robot = run.model.robot
+            expected = [performance_suggestion(p, robot.p_min, robot.p_max) for p in run.session["p_r"][after]]
+            np.testing.assert_array_equal(shown[after], expected)
+        if forced:
+            assert set(run.suggestions()["state"]) <= {"followed", "open", "withdrawn"}
+
+
+def flown(operator, model):
+    """Two flights by hand alone: own thresholds that no TSC meets."""
+    alone = {"lower": 8.0, "upper": 9.0, "lower_spread": 0.0, "upper_spread": 0.0, "r0": operator.human.beta}
+    who = replace(operator, **alone)
+    return [tl.run_condition("C1", who, model, testbed="uav", seed=seed).session for seed in range(2)]
+
+
+def test_hands_are_as_good_as_their_model_says():
+    short = []
+    for who, model, _ in PEOPLE:
+        for session in flown(who, model):
+            late = slice(1000, None)
+            assert session["mode"].all()
+            skill = who.human.performance(session["r"])[late]
+            quality = 1.0 - sum(np.abs(session[f"u_i_{a}"] - session[f"u_h_{a}"]) for a in "xy")[late] / U_MAX
+            assert quality.mean() == pytest.approx(skill.mean(), abs=0.012)
+            near = 1.0 - session["path_error"][late].mean() / E_MAX
+            short.append(near - (who.robot_floor + who.robot_gain * skill.mean()))
+    assert abs(np.mean(short)) < 0.06
+
+
+def test_left_alone_the_autopilot_drifts_away():
+    who, model, _ = PEOPLE[0]
+    at_once = replace(who, reaction_lag=0.0, lower=-9.0, upper=-8.0, lower_spread=0.0, upper_spread=0.0)
+    sessions = [tl.run_condition("C1", at_once, model, testbed="uav", seed=seed).session for seed in range(40)]
+    assert all(session["mode"][1001:].max() == 0.0 for session in sessions)
+    near = 1.0 - np.mean([session["path_error"] for session in sessions], axis=0) / E_MAX
+    course = [near[k : k + 300].mean() for k in (950, 1300, 1700)]
+    assert course == sorted(course, reverse=True)
+    assert near[2600:].mean() == pytest.approx(who.robot_floor, abs=0.08)
+
+
+def test_a_hand_without_noise_follows_closely():
+    who, model, _ = PEOPLE[0]
+    (session, _), (noisy, _) = flown(replace(who, noise=0.0), model), flown(who, model)
+    assert session["path_error"].mean() < 0.25 * noisy["path_error"].mean()
+    spread = (1.0 - session["p_h"][-1]) * U_MAX / MEAN_1
+    assert spread < 0.1 * GAIN
+
+
+def test_twenty_people_by_number():
+    people = [following_operator(i) for i in range(1, 21)]
+    assert [who.participant for who, _, _ in people] == list(range(1, 21))
+    assert len({who.human.beta for who, _, _ in people}) == 20
+    assert following_operator("7")[0] == following_operator(7)[0]
+    assert FollowingPopulation().draw(3, seed=5).equals(FollowingPopulation().draw(9, seed=5).head(3))
+    table = FollowingPopulation().table().set_index("quantity")
+    drawn = FollowingPopulation().draw(400, seed=2)
+    assert drawn["p_r_max"].mean() == pytest.approx(table.loc["p_r_max", "mean"], abs=0.02)
+
+
+def test_same_seed_same_run_and_measures_without_a_session(runs):
+    who, model, thresholds = following_operator(2)
+    again = tl.run_condition("C2", who, model, thresholds, testbed="uav", seed=0)
+    assert again.session == runs["C2"].session
+    child = np.random.SeedSequence(3).spawn(1)[0]
+    whole = tl.run_condition("C4", who, model, testbed="uav", seed=child)
+    measures, last = measured_flight("C4", who, model, thresholds, child, None)
+    assert measures == whole.measures()
+    assert last == whole.session["r"][-1]
+
+
+def test_figures_and_tables_say_that_they_are_synthetic(runs):
+    axes = runs["C3"].plot()
+    assert "synthetic" in axes[0].figure.get_suptitle()
+    assert "[m/s]" not in axes[0].get_ylabel()
+    assert bool(runs["C3"].table()["synthetic"].all())
+    assert "simulated stand-in" in runs["C3"]._repr_html_()
+    plt.close("all")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"participant": 21}, "participant must be a whole number, from 1 to 20, got 21"),
+        ({"participant": "pilot"}, "participant must be a whole number, from 1 to 20"),
+        ({"participant": None}, "who flies"),
+        ({"operator": PEOPLE[0][0]}, "either participant= or operator="),
+        ({"participant": PEOPLE[0][0]}, "model must be of class TscModel"),
+        ({"testbed": "sea"}, "testbed must be one of"),
+        ({"laps": 3}, "laps has no effect on the UAV testbed"),
+        ({"condition": "C1", "thresholds": (0.0, 0.2)}, "thresholds have no effect in C1"),
+        ({"condition": "TMIG"}, "condition must be one of"),
+        ({"r0": 2.0}, "r0 must lie in"),
+    ],
+)
+def test_bad_input(change, says):
+    with pytest.raises(ValueError, match=says):
+        tl.run_condition(**({"condition": "C3", "testbed": "uav", "participant": 2} | change))
