@@ -70,11 +70,14 @@ from .reproduction import (
     audit as audit,
     compare as compare,
     feasibility as feasibility,
+    model_effects as model_effects,
+    printed_effects as printed_effects,
     published_models as published_models,
     published_studies as published_studies,
     published_table as published_table,
     reconstruct as reconstruct,
     reconstruct_study as reconstruct_study,
+    simulated_effects as simulated_effects,
 )
 from .sessions import (
     Metadata as Metadata,

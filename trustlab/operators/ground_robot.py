@@ -9,6 +9,7 @@ import numpy as np
 from trustlab.models.checks import between, finite_number, not_negative, of_class, one_of, positive, shown, whole_number
 from trustlab.models.compiled import njit
 from trustlab.models.human import HumanModel
+from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 
 MOST = {
@@ -300,3 +301,28 @@ def operator(
     if unknown:
         raise ValueError(f"an Operator has no {unknown[0]!r}; it has {', '.join(known)}")
     return Operator(participant, human, **more)
+
+
+def model_of(values: dict[str, float]) -> TscModel:
+    """Return the model of one row of a population's draw."""
+    human = HumanModel(values["a_r"], values["beta"], values["p_h_min"], values["p_h_max"])
+    return TscModel(RobotModel(values["a_pr"], values["p_r_min"], values["p_r_max"], human.p_max), human)
+
+
+def person_of(values: dict[str, float]) -> tuple[Operator, TscModel, tuple[float, float]]:
+    """Return the simulated operator, model and thresholds of TSC of one row of a population's draw."""
+    model = model_of(values)
+    one = operator(
+        int(values["participant"]),
+        model,
+        lower=(values["lower"], values["lower_spread"]),
+        upper=(values["upper"], values["upper_spread"]),
+        follow=(values["follow_tsc"], values["follow_performance"]),
+    )
+    return one, model, (values["tsc_l"], values["tsc_u"])
+
+
+def share_drawn(mean: float, sd: float, rng: np.random.Generator) -> float:
+    """Return a share drawn from the beta distribution with this mean and standard deviation."""
+    total = mean * (1.0 - mean) / sd**2 - 1.0
+    return float(rng.beta(mean * total, (1.0 - mean) * total))

@@ -12,6 +12,8 @@ from .comparison import (
     recompute as recompute,
     smallest_change as smallest_change,
 )
+from .effects import model_effects as model_effects, printed_effects as printed_effects
+from .effects_simulated import simulated_effects as simulated_effects
 from .published import published_models as published_models, published_table as published_table
 from .published_study import (
     PublishedStudy as PublishedStudy,

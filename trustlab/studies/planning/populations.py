@@ -10,11 +10,9 @@ from scipy import special
 
 from trustlab.allocation.limits import threshold_limits
 from trustlab.models.checks import finite_array, finite_number, one_of, positive, whole_number
-from trustlab.models.human import HumanModel
 from trustlab.models.published import published_models, published_table
-from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
-from trustlab.operators.ground_robot import Operator, operator
+from trustlab.operators.ground_robot import Operator, model_of, person_of, share_drawn
 from trustlab.operators.teleoperator import RANGES, REACH, Teleoperator
 from trustlab.studies.planning.covariances import checked_covariance
 
@@ -45,11 +43,6 @@ def _stream(seed: int, who: int) -> np.random.Generator:
     """Return the random numbers of one person, so that a smaller sample is the beginning of a larger one."""
     root = [whole_number("seed", seed, least=0), PEOPLE]
     return np.random.default_rng(np.random.SeedSequence(root, spawn_key=(who,)))
-
-
-def _model(values: dict[str, float]) -> TscModel:
-    human = HumanModel(values["a_r"], values["beta"], values["p_h_min"], values["p_h_max"])
-    return TscModel(RobotModel(values["a_pr"], values["p_r_min"], values["p_r_max"], human.p_max), human)
 
 
 def _coordinates(label: str) -> np.ndarray:
@@ -256,10 +249,7 @@ class GroundRobotPopulation:
         return frame
 
     def _one(self, who: int, rng: np.random.Generator, root: np.ndarray) -> dict:
-        shares = []
-        for average, sd in self.follow:
-            total = average * (1.0 - average) / sd**2 - 1.0
-            shares.append(float(rng.beta(average * total, (1.0 - average) * total)))
+        shares = [share_drawn(average, sd, rng) for average, sd in self.follow]
         more = {"follow_tsc": shares[0], "follow_performance": shares[1]}
         for tries in range(MOST_TRIES):
             coordinates = self.mean + root @ rng.standard_normal(len(COORDINATES))
@@ -290,7 +280,7 @@ class GroundRobotPopulation:
             "lower_spread": float(np.exp(z[8])),
             "upper_spread": float(np.exp(z[9])),
         }
-        limits = threshold_limits(_model(values), 0.0)
+        limits = threshold_limits(model_of(values), 0.0)
         low = limits.lower + float(special.expit(z[10])) * (limits.upper - limits.lower)
         high = low + float(special.expit(z[11])) * (limits.upper - low)
         own = -1.0 <= values["lower"] < values["upper"] <= 1.0
@@ -313,15 +303,7 @@ class GroundRobotPopulation:
         ValueError
             If they make no model or operator.
         """
-        model = _model(values)
-        one = operator(
-            int(values["participant"]),
-            model,
-            lower=(values["lower"], values["lower_spread"]),
-            upper=(values["upper"], values["upper_spread"]),
-            follow=(values["follow_tsc"], values["follow_performance"]),
-        )
-        return one, model, (values["tsc_l"], values["tsc_u"])
+        return person_of(values)
 
 
 @dataclass(frozen=True)

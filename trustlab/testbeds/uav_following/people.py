@@ -9,11 +9,9 @@ from scipy import special
 
 from trustlab.allocation.limits import threshold_limits
 from trustlab.models.checks import whole_number
-from trustlab.models.human import HumanModel
 from trustlab.models.published import published_models, published_table
-from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
-from trustlab.operators.ground_robot import Operator, operator
+from trustlab.operators.ground_robot import Operator, model_of, person_of, share_drawn
 
 PARTICIPANTS = 20
 """How many operators go by a number; as many people took part in the study of Section 2.4.2."""
@@ -118,25 +116,13 @@ class FollowingPopulation:
         values : dict
             The row.
         """
-        human = HumanModel(values["a_r"], values["beta"], values["p_h_min"], values["p_h_max"])
-        model = TscModel(RobotModel(values["a_pr"], values["p_r_min"], values["p_r_max"], human.p_max), human)
-        one = operator(
-            int(values["participant"]),
-            model,
-            lower=(values["lower"], values["lower_spread"]),
-            upper=(values["upper"], values["upper_spread"]),
-            follow=(values["follow_tsc"], values["follow_performance"]),
-        )
-        return one, model, (values["tsc_l"], values["tsc_u"])
+        return person_of(values)
 
 
 def _one(rng: np.random.Generator) -> dict[str, float]:
     """Return the parameters of one operator, drawn until they make a model and thresholds in order."""
     known = _borrowed() | LEVELS
-    shares = {}
-    for name, (mean, sd) in FOLLOWED.items():
-        total = mean * (1.0 - mean) / sd**2 - 1.0
-        shares[name] = float(rng.beta(mean * total, (1.0 - mean) * total))
+    shares = {name: share_drawn(*pair, rng) for name, pair in FOLLOWED.items()}
     for _ in range(MOST_TRIES):
         z = {name: float(mean + sd * rng.standard_normal()) for name, (mean, sd) in known.items()}
         values = {"a_r": 1.0 - np.exp(-z["ln tau_r"]), "beta": special.expit(z["logit beta"])}
@@ -144,9 +130,7 @@ def _one(rng: np.random.Generator) -> dict[str, float]:
         values |= {"a_pr": 1.0 - np.exp(-z["ln tau_pr"]), "p_r_min": P_R_MIN, "p_r_max": z["p_r_max"]}
         if not (values["p_h_min"] > 0.1 and values["p_h_max"] < 0.98 and P_R_MIN + 0.05 < values["p_r_max"] < 0.95):
             continue
-        human = HumanModel(values["a_r"], values["beta"], values["p_h_min"], values["p_h_max"])
-        robot = RobotModel(values["a_pr"], values["p_r_min"], values["p_r_max"], human.p_max)
-        limits = threshold_limits(TscModel(robot, human), 0.0)
+        limits = threshold_limits(model_of(values), 0.0)
         at = {name: limits.lower + z[name] * (limits.upper - limits.lower) for name in z if name[:3] in ("own", "TSC")}
         inside = limits.lower < at["TSC_l"] < at["TSC_u"] < limits.upper
         if inside and -1.0 <= at["own lower"] < at["own upper"] <= 1.0:

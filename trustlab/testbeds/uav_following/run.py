@@ -23,9 +23,9 @@ from trustlab.testbeds.deciding import (
     suggested_by_tsc,
     tsc_facts,
 )
+from trustlab.testbeds.tracking_task import TrackingTask, tracking_vehicle
 from trustlab.testbeds.uav_following import kernel
 from trustlab.testbeds.uav_following.people import P_R_MIN, following_operator
-from trustlab.testbeds.uav_tracking import TrackingTask, tracking_vehicle
 
 DURATION = 360.0
 """Length of a test, as printed [s]."""

@@ -1,0 +1,138 @@
+"""Printed, predicted and simulated effects.
+
+Oracles: numbers read off the printed tables by hand; the exact limit cycle; differences of a virtual study's measures.
+"""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import trustlab as tl
+from trustlab.reproduction.effects import COLUMNS
+from trustlab.reproduction.effects_simulated import SILENT
+
+BY_HAND = {
+    # contrast: printed, least and greatest that rounding allows, p
+    "table_2.5/p_r/C3-C1": (0.011, 0.010, 0.012, np.nan),  # 0.329 − 0.318
+    "table_2.5/p_r/C5-C3": (0.019, 0.018, 0.020, np.nan),  # 0.348 − 0.329
+    "table_2.5/r/C2-C1": (-0.015, -0.016, -0.014, np.nan),
+    "table_2.4/satisfaction/C2-C1": (0.05, -0.005, 0.105, np.nan),  # 3.9 − 3.85: 3.9 has one decimal
+    "table_2.6/followed_percent/C2-C4": (14.68, 14.67, 14.69, np.nan),
+    "uav/p_r/C2-C1": (0.054, 0.053, 0.055, 0.016),
+    "uav/p_r/C3-C1": (0.058, 0.057, 0.059, 0.0005),
+    "uav/tlx/C3-C1": (-10.083, -10.084, -10.082, 0.003),
+    "uav/followed_percent/C2-C4": (23.42, 23.41, 23.43, 0.001),
+    "teleop/error/TMIG-MMI": (-0.078, -0.0835, -0.0725, 0.002),  # 0.51 − 0.588
+    "table_3.1/tlx/TMIG-M": (-23.91, -23.92, -23.90, np.nan),
+    "abstract/p_r/C3-C1": (np.nan, 0.0, np.inf, np.nan),
+}
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    return tl.simulated_effects({"attention_cost": 0.05}, n=10, seed=1).set_index("id")
+
+
+def test_printed_effects_are_those_read_by_hand():
+    frame = tl.printed_effects()
+    assert list(frame.columns) == COLUMNS
+    assert frame["id"].is_unique
+    assert 60 <= len(frame) <= 80
+    rows = frame.set_index("id")
+    for id, expected in BY_HAND.items():
+        found = rows.loc[id, ["printed", "low", "high", "p"]].astype(float)
+        np.testing.assert_allclose(found, expected, atol=1e-12, err_msg=id)
+    sized = frame[frame["printed"].notna()]
+    assert ((sized["low"] < sized["printed"]) & (sized["printed"] < sized["high"])).all()
+
+
+def test_all_three_have_the_same_rows(simulated):
+    printed, model = tl.printed_effects(), tl.model_effects()
+    assert list(model["id"]) == list(printed["id"]) == list(simulated.index)
+    pd.testing.assert_frame_equal(model[COLUMNS], printed)
+    for frame, value in ((model, "model"), (simulated, "simulated")):
+        assert (frame["reason"].eq("") == frame[value].notna()).all()
+    assert simulated["simulated"].notna().sum() >= 40
+    assert simulated.attrs["origin"] == "simulated operators"
+    assert (simulated.loc[simulated["simulated"].isna(), "reason"] == SILENT).all()
+    assert simulated.loc[simulated["simulated"].isna(), "agrees"].isna().all()
+
+
+def test_the_model_predicts_what_its_exact_cycles_are():
+    rows = tl.model_effects().set_index("id")
+    means = []
+    for label, model in list(tl.published_models().items())[1:]:
+        own, chosen = tl.published_table("2.3")[label], tl.published_table("2.2")[label]
+        cycles = [
+            tl.limit_cycle(model, float(low), float(high), starts=1)
+            for low, high in (
+                (own["TSC_l", "mean"], own["TSC_u", "mean"]),
+                (chosen["TSC_l"], chosen["TSC_u"]),
+            )
+        ]
+        means.append([(c.mean_p_r, c.mean_r) for c in cycles])
+    (own_p_r, own_r), (p_r, r) = np.transpose(means, (1, 2, 0))
+    assert rows.loc["table_2.5/p_r/C3-C1", "model"] == pytest.approx((p_r - own_p_r).mean(), abs=3e-4)
+    assert rows.loc["table_2.5/r/C3-C1", "model"] == pytest.approx((r - own_r).mean(), abs=3e-3)
+    assert (p_r < own_p_r).sum() == 4  # suggested thresholds give four of five people a lower mean than their own
+    assert rows.loc["table_2.5/p_r/C3-C1", "model"] < 0.0 < rows.loc["table_2.5/p_r/C3-C1", "low"]
+    assert "which suggestions people follow" in rows.loc["table_2.5/p_r/C2-C1", "reason"]
+
+
+def test_what_r_and_p_h_explain_of_table_2_5():
+    # (2.3) on average: P_r − P_r,min = (P_r,max − P_r,min)/P_h,max · mean of r P_h; C1 alone lies on it, C2 to C5 above.
+    means, parameters = tl.published_table("2.5").astype(float), tl.published_table("2.1").astype(float)
+    slope = (parameters.loc["P_r_max"] - parameters.loc["P_r_min"]).mean() / parameters.loc["P_h_max"].mean()
+    rest = means["P_r_mean"] - 0.24 - slope * means["r_mean"] * means["P_h_mean"]
+    np.testing.assert_allclose(rest, [-0.001, 0.013, 0.012, 0.011, 0.013], atol=6e-4)
+
+
+def test_simulated_effects_are_differences_of_a_virtual_study(simulated):
+    study = tl.virtual_study(
+        n=10, conditions=["C1", "C2", "C3", "C4", "C5"], testbed="uav", seed=1, assumptions={"attention_cost": 0.05}
+    )
+    wide = study.measures.pivot_table("p_r", "participant", "condition", observed=True)
+    difference = (wide["C3"] - wide["C1"]).to_numpy()
+    row = simulated.loc["uav/p_r/C3-C1"]
+    assert row["simulated"] == pytest.approx(difference.mean(), abs=1e-15)
+    assert row["se"] == pytest.approx(difference.std(ddof=1) / np.sqrt(10))
+    assert row["agrees"] == bool(abs(row["simulated"] - row["printed"]) <= 0.001 + 2.0 * row["se"])
+
+
+def test_with_workload_people_answer_and_scales_are_those_printed():
+    assumed = {"load_utilization": 0.5, "load_switching": 0.05}
+    frame = tl.simulated_effects(assumed, n=10, seed=0, only="table_2.4").set_index("id")
+    assert frame["simulated"].notna().all()
+    study = tl.virtual_study(n=10, seed=0, assumptions=assumed)
+    wide = study.measures.pivot_table("satisfaction", "participant", "condition", observed=True)
+    seven = (wide["C3"] - wide["C1"]).mean()
+    assert frame.loc["table_2.4/satisfaction/C3-C1", "simulated"] == pytest.approx(seven * 4.0 / 6.0)
+
+
+def test_same_seed_same_table_serial_or_parallel():
+    frames = [tl.simulated_effects({"r0": 0.6}, n=10, seed=4, only="uav", n_jobs=jobs) for jobs in (None, 2)]
+    pd.testing.assert_frame_equal(*frames, check_exact=True)
+
+
+def test_attention_raises_c3_over_c1():
+    plain, costly = (
+        tl.simulated_effects({"attention_cost": cost}, n=20, seed=3, only="uav").set_index("id")["simulated"]
+        for cost in (0.0, 0.2)
+    )
+    for id in ("uav/p_r/C3-C1", "uav/p_h/C3-C1"):
+        assert costly[id] > plain[id] + 0.01
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"assumptions": {"trust": 0.1}}, "an assumption must be one of 'attention_cost'"),
+        ({"assumptions": {"trust_bias": 3.0}}, r"trust_bias must lie in \[-2, 2\]"),
+        ({"n": 2}, "n must be a whole number, 3 or more"),
+        ({"seed": -1}, "seed must be a whole number"),
+        ({"only": "table_2.2"}, "only must be one of"),
+    ],
+)
+def test_bad_input(arguments, says):
+    with pytest.raises(ValueError, match=says):
+        tl.simulated_effects(**arguments)

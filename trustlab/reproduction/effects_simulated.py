@@ -1,0 +1,151 @@
+"""Every printed effect in simulated people, under named assumptions about them."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from trustlab.campaign.run import run_campaign, where_to_run
+from trustlab.models.checks import one_of, whole_number
+from trustlab.operators.answers import simulated_answers
+from trustlab.operators.ground_robot import checked_assumptions
+from trustlab.reproduction.effects import COLUMNS, Effect, effects
+from trustlab.studies.designs import participants_needed
+from trustlab.studies.planning.populations import TeleoperatorPopulation
+from trustlab.studies.planning.virtual_study import virtual_study
+from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES
+from trustlab.testbeds.uav_tracking import simulate_teleoperation
+
+ALLOCATION = {"table_2.4": "ground_robot", "table_2.5": "ground_robot", "table_2.6": "ground_robot", "uav": "uav"}
+"""Testbeds of the studies under C1–C5."""
+
+TELEOPERATION = {
+    "table_3.1": ("preliminary", ("M", "MI", "MMI", "TMIG", "TMIS"), 5),
+    "teleop": ("main", ("M", "OMI", "MMI", "TMIG"), 7),
+}
+"""Settings, schemes and points of the scale of satisfaction of the studies of Chapter 3."""
+
+SILENT = "simulated operators answer no questionnaire unless load_utilization or load_switching is assumed"
+FIVE_POINTS = 4.0 / 6.0
+"""Satisfaction was answered from 1 to 5 in Section 2.4.1, and is simulated from 1 to 7."""
+
+
+def simulated_effects(
+    assumptions: Mapping[str, float] | None = None,
+    n: int = 20,
+    seed: int = 0,
+    *,
+    only: str | None = None,
+    n_jobs: int | None = None,
+) -> pd.DataFrame:
+    """
+    Return every printed effect beside what simulated people do under named assumptions.
+
+    Studies under C1–C5 are virtual studies on the two testbeds; those of Chapter 3 are runs of `simulate_teleoperation` with
+    `simulated_answers`, which no assumption enters. All conditions are within subjects.
+
+    Parameters
+    ----------
+    assumptions : mapping of str to float, optional
+        Any of `trustlab.operators.ASSUMPTIONS`; none, everything off, by default.
+    n : int
+        Participants of every study; filled up to whole Latin squares under C1–C5.
+    seed : int
+        Of all people and runs.
+    only : {"table_2.4", "table_2.5", "table_2.6", "uav", "table_3.1", "teleop"}, optional
+        The study to simulate; all of them when not given. Rows of other studies are then left out.
+    n_jobs : int, optional
+        Processes, as for `run_campaign`; no effect on results.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns id, where, measure, contrast, printed, low, high, p as `printed_effects`; simulated, the mean difference; se, its
+        standard error over participants; agrees, whether simulated ± 2 se meets what is printed, from low to high (missing where
+        nothing is simulated); reason, why not. `attrs["origin"]` says that it is simulated.
+
+    Raises
+    ------
+    ValueError
+        If an assumption is unknown or out of range, or n is below 3.
+    """
+    assumed = checked_assumptions({} if assumptions is None else assumptions)
+    n, seed = whole_number("n", n, least=3), whole_number("seed", seed, least=0)
+    if only is not None:
+        one_of("only", only, [*ALLOCATION, *TELEOPERATION])
+    measures: dict[str, pd.DataFrame] = {}
+    rows = []
+    for effect in effects():
+        if only is not None and effect.study != only:
+            continue
+        place = ALLOCATION.get(effect.study, effect.study)
+        if place not in measures:
+            measures[place] = _measured(place, assumed, n, seed, n_jobs)
+        rows.append((*effect[: len(COLUMNS)], *_compared(effect, measures[place])))
+    frame = pd.DataFrame(rows, columns=[*COLUMNS, "simulated", "se", "agrees", "reason"])
+    frame["agrees"] = frame["agrees"].astype("boolean")
+    frame.attrs = {"origin": "simulated operators", "assumptions": assumed, "n": n, "seed": seed}
+    return frame
+
+
+def _measured(place: str, assumed: dict[str, float], n: int, seed: int, n_jobs: int | None) -> pd.DataFrame:
+    """Return the measures of a study: participant, condition and a column per measure."""
+    if place in TELEOPERATION:
+        return _teleoperated(place, n, seed, n_jobs)
+    people = participants_needed(5, n)
+    study = virtual_study(n=people, seed=seed, testbed=place, assumptions=assumed, n_jobs=n_jobs, progress=False)
+    frame = study.measures.astype({"condition": str})
+    if place == "ground_robot" and "satisfaction" in frame:
+        frame["satisfaction"] = 1.0 + FIVE_POINTS * (frame["satisfaction"] - 1.0)
+    return frame
+
+
+def _teleoperated(place: str, n: int, seed: int, n_jobs: int | None) -> pd.DataFrame:
+    """Return error and answers of so many teleoperators under all schemes of a study of Chapter 3."""
+    study, schemes, points = TELEOPERATION[place]
+    people = TeleoperatorPopulation(study).draw(n, seed).to_dict("records")
+    fixed = {"study": study, "schemes": " ".join(schemes), "points": points, "answers": seed}
+    where = where_to_run(n_jobs, None, None)
+    done = run_campaign(teleoperate, [fixed | row for row in people], seed=seed, progress=False, **where)
+    done = done[~done["failed"].to_numpy(bool)]
+    names = ("error", "tlx", "satisfaction", "trust")
+    parts = [
+        done[["participant", *(f"{scheme}/{name}" for name in names)]].set_axis(["participant", *names], axis=1)
+        for scheme in schemes
+    ]
+    return pd.concat([part.assign(condition=scheme) for part, scheme in zip(parts, schemes, strict=True)])
+
+
+def teleoperate(
+    study: str, schemes: str, points: int, answers: int, seed: np.random.SeedSequence, **person: Any
+) -> dict[str, float]:
+    """Fly all schemes and answer after each: a task of `run_campaign`."""
+    found, operator = {}, TeleoperatorPopulation.person(person)
+    for scheme, child in zip(schemes.split(), seed.spawn(len(schemes.split())), strict=True):
+        session = simulate_teleoperation(scheme, operator, study, seed=child)
+        given = simulated_answers(session, study, int(person["participant"]), answers, points)
+        found |= {
+            f"{scheme}/error": float(session["path_error"].mean()),
+            f"{scheme}/tlx": float(np.mean([given[scale] for scale in TLX_SCALES])),
+            f"{scheme}/satisfaction": float(np.mean([given[item] for item in ("satisfaction", "comfort", "control")])),
+            f"{scheme}/trust": given["trust"],
+        }
+    return found
+
+
+def _compared(effect: Effect, measures: pd.DataFrame) -> tuple[float, float, object, str]:
+    """Return the mean difference over participants, its standard error, whether it agrees, and why there is none."""
+    if effect.measure not in measures:
+        return math.nan, math.nan, pd.NA, SILENT
+    after, before = (
+        measures[measures["condition"] == condition].set_index("participant")[effect.measure]
+        for condition in effect.conditions
+    )
+    difference = (after - before).dropna()
+    if len(difference) < 3:
+        return math.nan, math.nan, pd.NA, f"only {len(difference)} participants have the measure in both conditions"
+    mean, se = float(difference.mean()), float(difference.sem())
+    agrees = effect.low <= mean + 2.0 * se and mean - 2.0 * se <= effect.high
+    return mean, se, agrees, ""
