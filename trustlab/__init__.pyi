@@ -91,6 +91,7 @@ from .studies import (
     cronbach_alpha as cronbach_alpha,
     design_balance as design_balance,
     latin_square_design as latin_square_design,
+    order_effects as order_effects,
     paired_t_test as paired_t_test,
     power_analysis as power_analysis,
     repeated_measures as repeated_measures,

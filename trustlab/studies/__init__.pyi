@@ -22,6 +22,7 @@ from .designs import (
 )
 from .factors.effects import factorial_batch as factorial_batch
 from .factors.factorial import FactorialMeasures as FactorialMeasures
+from .factors.order_effects import OrderEffects as OrderEffects, order_effects as order_effects
 from .planning.closed_form_power import (
     clopper_pearson as clopper_pearson,
     noncentral_f_power as noncentral_f_power,
