@@ -225,9 +225,7 @@ def _differences(values: np.ndarray, codes: np.ndarray, conditions: list) -> pd.
     y = (values - values.mean()).ravel()
     parts = _regressors(codes, len(conditions))
     full = np.column_stack(list(parts.values()))
-    if (
-        np.linalg.matrix_rank(full) < full.shape[1] - 1
-    ):  # one column is lost, as the subjects' columns add up to the constant
+    if np.linalg.matrix_rank(full) < full.shape[1]:
         del parts["carry_over"]
     start = parts["subject"].shape[1] + parts["position"].shape[1]
     x = np.column_stack(list(parts.values()))
