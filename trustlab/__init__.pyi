@@ -88,8 +88,10 @@ from .sessions import (
     write_session as write_session,
 )
 from .studies import (
+    bayes_factor as bayes_factor,
     cronbach_alpha as cronbach_alpha,
     design_balance as design_balance,
+    equivalence as equivalence,
     latin_square_design as latin_square_design,
     order_effects as order_effects,
     paired_t_test as paired_t_test,

@@ -20,6 +20,8 @@ from .designs import (
     participants_needed as participants_needed,
     williams_square as williams_square,
 )
+from .evidence.bayes import bayes_factor as bayes_factor, intraclass_correlation as intraclass_correlation
+from .evidence.equivalence import equivalence as equivalence, simultaneous_intervals as simultaneous_intervals
 from .factors.effects import factorial_batch as factorial_batch
 from .factors.factorial import FactorialMeasures as FactorialMeasures
 from .factors.order_effects import OrderEffects as OrderEffects, order_effects as order_effects

@@ -1,0 +1,1 @@
+"""Evidence beyond a significant difference: equivalence, Bayes factors, simultaneous intervals, agreement."""

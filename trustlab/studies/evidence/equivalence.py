@@ -1,0 +1,153 @@
+"""Whether conditions are as good as each other: two one-sided tests, and intervals of all differences at once."""
+
+from collections.abc import Hashable, Sequence
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from trustlab.models.checks import one_of, open_unit, positive, spawned, whole_number
+from trustlab.studies.analysis.batch import analyse_table
+from trustlab.studies.analysis.pairwise import holm, paired_differences
+from trustlab.studies.analysis.repeated_measures import RepeatedMeasures
+from trustlab.studies.analysis.score_table import complete_scores, read_scores
+
+UNITS = ("raw", "d_z")
+
+
+def equivalence(
+    frame: pd.DataFrame,
+    dv: Hashable,
+    within: Hashable,
+    subject: Hashable,
+    *,
+    bound: float,
+    units: str = "raw",
+    order: Sequence | None = None,
+    missing: str = "raise",
+    alpha: float = 0.05,
+) -> pd.DataFrame:
+    """
+    Test every pair of conditions for equivalence: two one-sided paired t-tests against ± the smallest effect of interest.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        One row per subject and condition.
+    dv, within, subject : hashable
+        Columns with the score, the condition and the subject.
+    bound : float
+        Smallest difference that would matter; positive.
+    units : {"raw", "d_z"}
+        Whether `bound` is in units of the score, or in standard deviations of the differences as estimated from these data.
+    order : sequence, optional
+        Conditions in the order wanted.
+    missing : {"raise", "listwise"}
+        Whether a missing cell is an error, or its subject is left out; `.attrs["excluded"]` names them.
+    alpha : float
+        Level of both tests.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row per pair: a, b, n, mean_difference (a − b), low, high (the bounds in units of the score), t_low, p_low (against
+        differences at or below `low`), t_high, p_high, df, p (the greater of the two), p_holm, ci_low, ci_high (level 1 − 2 alpha;
+        inside the bounds where p < alpha), equivalent (p < alpha, unadjusted).
+
+    Raises
+    ------
+    ValueError
+        If the table is refused (see `trustlab.studies.analysis.score_table`), every subject has the same difference, or an
+        argument is out of range.
+
+    References
+    ----------
+    D. Lakens, Equivalence tests: a practical primer, Social Psychological and Personality Science 8 (2017) 355-362.
+    """
+    from statsmodels.stats.weightstats import ttost_paired
+
+    bound, alpha = positive("bound", bound), open_unit("alpha", alpha)
+    if alpha >= 0.5:
+        raise ValueError(f"alpha must be below 0.5 for an interval of level 1 − 2 alpha, got {alpha}")
+    one_of("units", units, UNITS)
+    scores, excluded = complete_scores(read_scores(frame, dv, within, subject, order=order), missing)
+    pairs, n = analyse_table(scores).pairwise, len(scores.subjects)
+    rows = []
+    for q, (i, j) in enumerate(zip(pairs.a, pairs.b, strict=True)):
+        a, b, sd = scores.conditions[i], scores.conditions[j], float(pairs.sd_difference[0, q])
+        if sd == 0.0:
+            raise ValueError(
+                f"dv: every subject has the same difference between {a!r} and {b!r}; there is no error to test with"
+            )
+        reach = bound if units == "raw" else bound * sd
+        p, (t_low, p_low, df), (t_high, p_high, _) = ttost_paired(
+            scores.values[:, i], scores.values[:, j], -reach, reach
+        )
+        mean = float(pairs.mean_difference[0, q])
+        half = special.stdtrit(df, 1.0 - alpha) * sd / np.sqrt(n)
+        tests = (t_low, p_low, t_high, p_high, df, p)
+        rows.append((a, b, n, mean, -reach, reach, *map(float, tests), mean - half, mean + half, bool(p < alpha)))
+    names = ["a", "b", "n", "mean_difference", "low", "high", "t_low", "p_low", "t_high", "p_high", "df", "p"]
+    table = pd.DataFrame(rows, columns=[*names, "ci_low", "ci_high", "equivalent"])
+    table.insert(len(names), "p_holm", holm(table["p"].to_numpy()))
+    table.attrs = {"excluded": excluded} | ({"origin": scores.origin} if scores.origin else {})
+    return table
+
+
+def simultaneous_intervals(
+    result: RepeatedMeasures, method: str = "max_t", level: float = 0.95, *, draws: int = 20_000, seed: int = 0
+) -> pd.DataFrame:
+    """
+    Return intervals of all pairwise differences that hold together with a given probability.
+
+    Parameters
+    ----------
+    result : RepeatedMeasures
+        The analysis, of one factor.
+    method : {"max_t", "bonferroni"}
+        "max_t" takes the quantile of the greatest |t| of all pairs over simulated normal studies without effects, with the
+        covariance of these data (Tukey's idea without sphericity).
+    level : float
+        Probability that all intervals hold.
+    draws : int
+        Simulated studies.
+    seed : int
+        Seed of the draws.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns a, b, mean_difference, ci_low, ci_high, critical_t, and for "max_t" p_simultaneous (share of simulated studies
+        with a greater |t| anywhere).
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+    """
+    one_of("method", method, ("max_t", "bonferroni"))
+    level, draws = open_unit("level", level), whole_number("draws", draws, least=1000, most=10**6)
+    table = result.pairs()[["a", "b", "mean_difference", "t"]]
+    errors = result.batch.pairwise.sd_difference[0] / np.sqrt(result.n)
+    critical = special.stdtrit(result.n - 1, 1.0 - 0.5 * (1.0 - level) / len(table))
+    if method == "max_t":
+        greatest = _greatest_t(np.cov(result.scores.values.T), result.n, draws, seed)
+        critical = float(np.quantile(greatest, level))
+        table["p_simultaneous"] = [(greatest >= abs(t)).mean() if np.isfinite(t) else np.nan for t in table["t"]]
+    table.insert(3, "ci_low", table["mean_difference"] - critical * errors)
+    table.insert(4, "ci_high", table["mean_difference"] + critical * errors)
+    return table.drop(columns="t").assign(critical_t=critical)
+
+
+def _greatest_t(covariance: np.ndarray, n: int, draws: int, seed: int) -> np.ndarray:
+    """Return the greatest |t| over all pairs of conditions in each of many studies without effects."""
+    rng, k = np.random.default_rng(spawned(seed, 1)[0]), len(covariance)
+    values, vectors = np.linalg.eigh(covariance)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))).T  # the covariance may be singular
+    found = []
+    for start in range(0, draws, 1000):
+        scores = rng.standard_normal((min(1000, draws - start), n, k)) @ root
+        studies = len(scores)
+        pairs = paired_differences(scores, scores.std(axis=1, ddof=1), np.zeros(studies))
+        found.append(np.nanmax(np.abs(pairs.t), axis=1))
+    return np.concatenate(found)
