@@ -245,11 +245,11 @@ def test_the_uav_testbed_measures_what_teleoperation_measures_does():
 def test_memory_does_not_grow_with_runs(monkeypatch):
     arguments = {"conditions": ["C1", "C5"], "seed": 1, "laps": 1}
     tl.virtual_study(n=4, **arguments)  # compiled, imported
-    whole, held = one_participant.run_condition, []
+    whole, held = one_participant.measured_condition, []
 
-    def holding(*given, **options):
-        held.append(whole(*given, **options))
-        return held[-1]
+    def holding(condition, operator, **options):
+        held.append(tl.run_condition(condition, operator, options["model"], laps=1))
+        return whole(condition, operator, **options)
 
     def peak(n):
         tracemalloc.start()
@@ -261,7 +261,7 @@ def test_memory_does_not_grow_with_runs(monkeypatch):
 
     session = 15 * 8 * 900  # bytes of one lap
     assert peak(24) - peak(4) < 10 * session  # 40 sessions more
-    monkeypatch.setattr(one_participant, "run_condition", holding)
+    monkeypatch.setattr(one_participant, "measured_condition", holding)
     assert peak(24) - peak(4) > 30 * session
 
 
@@ -289,14 +289,14 @@ def test_participants_run_on_any_executor():
 
 
 def test_a_participant_who_fails_is_listed_and_left_out(monkeypatch):
-    whole = one_participant.run_condition
+    whole = one_participant.measured_condition
 
-    def failing(condition, someone, *more, **options):
-        if someone.participant == 2 and condition == "C4":
+    def failing(condition, operator, **options):
+        if operator.participant == 2 and condition == "C4":
             raise ValueError("the joystick came off")
-        return whole(condition, someone, *more, **options)
+        return whole(condition, operator, **options)
 
-    monkeypatch.setattr(one_participant, "run_condition", failing)
+    monkeypatch.setattr(one_participant, "measured_condition", failing)
     with pytest.warns(CampaignWarning, match="joystick came off"):
         study = tl.virtual_study(n=4, conditions=["C1", "C4"], seed=1, laps=1)
     assert study.failures["participant"].tolist() == [2]

@@ -77,7 +77,7 @@ class _Allocated:
     def __init__(self, testbed: str, values: dict[str, float], settings: dict):
         self.testbed, self.settings, self.carried = testbed, settings, None
         someone, self.model, self.thresholds = PERSONS[testbed](values)
-        self.person = replace(someone, **settings["assumptions"])
+        self.person = replace(someone, **settings.get("assumptions", {}))
 
     def _arguments(self, condition: str, position: int) -> dict:
         person = replace(self.person, sessions=position - 1)

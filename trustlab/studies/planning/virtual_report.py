@@ -198,8 +198,12 @@ class VirtualStudy:
             if self.settings.get("rest") is None
             else "Utilization is carried over from session to session by (2.5)"
         )
-        lasting = assumed.get("learning") or assumed.get("fatigue")
-        carried += "; learning or fatigue goes on." if lasting else "; nothing else lasts from session to session."
+        if assumed.get("learning") or assumed.get("fatigue"):
+            carried += "; people learn or tire from session to session."
+        elif self.settings.get("rest") is None:
+            carried += ": orders have no effect on results."
+        else:
+            carried += "; nothing else is."
         failed = f" {len(self.failures)} participant(s) failed and are left out." if len(self.failures) else ""
         return (
             f"Virtual study on {WORDS[self.testbed]}: {len(self.participants)} simulated operators ({self.population.origin}), "
