@@ -31,12 +31,14 @@ endif
 	@touch $(VENV)/.stamp
 
 reports: $(VENV)/.stamp  ## every notebook, run and published under reports/ (PARAMS="-p name value" passes parameters on)
+	$(BIN)/python -m trustlab.publishing.compile_kernels
 	$(BIN)/python -m trustlab.publishing --jobs $(JOBS) $(PARAMS)
 
 test: $(VENV)/.stamp  ## formatting, linting, types and every test but the long ones
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/python -m trustlab.publishing.compile_kernels
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m "not long"
 
 test-long: $(VENV)/.stamp  ## the tests that take too long for every time

@@ -1,0 +1,32 @@
+"""
+Compile the large kernels in two processes at once: `python -m trustlab.publishing.compile_kernels`.
+
+`make test` and `make reports` begin with it, because parallel tests and notebooks would otherwise compile the same kernels
+at the same time. Where they are compiled already, it does no more than load them.
+"""
+
+from collections.abc import Callable
+
+import networkx as nx
+import numpy as np
+
+import trustlab as tl
+
+
+def _ground_robot() -> None:
+    tl.run_condition("C3", participant=2, laps=1, seed=0)  # with the correction engine, which is in its kernel
+
+
+def _the_rest() -> None:
+    tl.simulate_teleoperation("TMIG", seed=0, duration=1.0)
+    tl.simulate_team(nx.cycle_graph(4), policy="most_trusted", goal=(1.0, 2.0, 0.5), seed=0)
+    tl.invariant_bounds(tl.published_models()["2"], 0.0, 0.35)
+
+
+def _call(share: Callable, seed: np.random.SeedSequence) -> dict:
+    share()
+    return {"compiled": True}
+
+
+if __name__ == "__main__":
+    tl.run_campaign(_call, [{"share": _ground_robot}, {"share": _the_rest}], n_jobs=2)
