@@ -8,6 +8,7 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
+import statsmodels.formula.api as smf
 from scipy import stats
 
 import trustlab as tl
@@ -497,3 +498,50 @@ def test_tiny_numbers_are_analysed_in_a_unit_of_their_own(unit):
     for own, name in ((tiny.normality(), "p"), (tiny.pairs(), "p_holm"), (tiny.pairs(), "d_z")):
         theirs = usual.normality() if name == "p" else usual.pairs()
         np.testing.assert_allclose(own[name], theirs[name], rtol=1e-9)
+
+
+# ---- by ranks
+
+
+def test_wilcoxon_pairs_are_those_of_scipy():
+    frame = table(14, 3, seed=3)
+    found = analysed(frame).pairs(method="wilcoxon")
+    wide = frame.pivot_table(index="pid", columns="condition", values="score")
+    for row in found.itertuples():
+        oracle = stats.wilcoxon(wide[row.a], wide[row.b], method="exact")
+        assert row.p == pytest.approx(oracle.pvalue)
+        assert row.median_difference == pytest.approx((wide[row.a] - wide[row.b]).median())
+        assert row.method == "exact"
+    order = found["p"].sort_values()
+    assert found["p_holm"][order.index[0]] == pytest.approx(min(3 * order.iloc[0], 1.0))
+
+
+def test_conover_is_the_anova_of_ranks():
+    """Oracle: paired comparisons with the error of a two-way analysis of the ranks, by statsmodels."""
+    frame = table(10, 4, seed=4).assign(score=lambda f: f["score"].round(0))
+    ranks = frame.groupby("pid")["score"].rank()
+    fit = smf.ols("rank ~ C(pid) + C(condition)", frame.assign(rank=ranks)).fit()
+    found = analysed(frame).pairs(method="conover")
+    for row in found.itertuples():
+        a, b = (f"C(condition)[T.{x}]" for x in (row.a, row.b))
+        test = fit.t_test(f"{b}" if a not in fit.params else f"{a} - {b}")
+        assert abs(row.t) == pytest.approx(abs(float(test.tvalue.item())))
+        assert row.p == pytest.approx(float(test.pvalue))
+    assert (found["df"] == 27).all()
+
+
+def test_equal_scores_have_no_wilcoxon_test():
+    frame = table(8, 3)
+    same = frame.assign(score=np.where(frame["condition"] == "C2", frame["score"].shift(1), frame["score"]))
+    found = analysed(same).pairs(method="wilcoxon").set_index(["a", "b"]).loc[("C1", "C2")]
+    assert np.isnan(found["p"])
+    assert found["method"] == "not defined"
+    with pytest.raises(ValueError, match="method must be one of"):
+        analysed(frame).pairs(method="rank")
+
+
+def test_rating_items_are_noted():
+    frame = table(12)
+    rated = analysed(frame.assign(score=np.clip(np.round(4 + frame["score"]), 1, 7)))
+    assert any("whole numbers" in note and "wilcoxon" in note for note in rated.notes)
+    assert not any("whole numbers" in note for note in analysed(frame).notes)

@@ -72,6 +72,30 @@ def wilcoxon(differences: np.ndarray, largest: float) -> Wilcoxon:
     return Wilcoxon(v, float(found.pvalue), method, (2.0 * v - total) / total)
 
 
+def rank_pairs(values: np.ndarray, a: np.ndarray, b: np.ndarray, method: str) -> pd.DataFrame:
+    """
+    Compare every pair of conditions a, b by ranks: a row per pair, the statistic, p, and what else the method gives.
+
+    "wilcoxon" is the signed-rank test of each pair; NaN where no subject's scores differ. "conover" follows Friedman's test: t of
+    the mean ranks of all conditions on (n − 1)(k − 1) degrees of freedom (Conover, 1999, Section 5.8).
+    """
+    if method == "wilcoxon":
+        largest, nothing = np.abs(values).max(), Wilcoxon(np.nan, np.nan, "not defined", np.nan)
+        differences = [values[:, i] - values[:, j] for i, j in zip(a, b, strict=True)]
+        found = [wilcoxon(d, largest) if np.ptp([*d, 0.0]) > 1e-12 * largest else nothing for d in differences]
+        table = pd.DataFrame(found).set_axis(["V", "p", "method", "rank_biserial"], axis=1)
+        return table.assign(median_difference=[np.median(d) for d in differences])
+    n, k = values.shape
+    ranks = stats.rankdata(values, axis=1)
+    mean = ranks.mean(axis=0)
+    df = (n - 1) * (k - 1)
+    error = ((ranks - mean) ** 2).sum() / df  # the sum of a subject's ranks is the same for all
+    t = (mean[a] - mean[b]) / np.sqrt(2.0 * error / n) if error > 0.0 else np.full(a.size, np.nan)
+    return pd.DataFrame(
+        {"mean_rank_difference": mean[a] - mean[b], "t": t, "df": df, "p": 2.0 * special.stdtr(df, -np.abs(t))}
+    )
+
+
 def normality_of_differences(values: np.ndarray, a: np.ndarray, b: np.ndarray) -> pd.DataFrame:
     """
     Apply the Shapiro–Wilk test to the differences of every pair of conditions a, b: a row W, p per pair.

@@ -13,11 +13,13 @@ from trustlab.studies.analysis.batch import Omnibus, RepeatedMeasuresBatch, anal
 from trustlab.studies.analysis.descriptives import describe
 from trustlab.studies.analysis.effect_sizes import partial_eta_interval
 from trustlab.studies.analysis.mixed_model import MixedModel, fit_mixed_model
-from trustlab.studies.analysis.pairwise import holm
-from trustlab.studies.analysis.rank_tests import Friedman, friedman, normality_of_differences
+from trustlab.studies.analysis.pairwise import bonferroni, holm
+from trustlab.studies.analysis.rank_tests import Friedman, friedman, normality_of_differences, rank_pairs
 from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, read_scores, same_for_all
 from trustlab.studies.analysis.sphericity import CORRECTIONS, decide_correction, why_no_mauchly
 
+# Different whole numbers up to which scores are taken for those of one rating item, such as 0 to 10.
+_MOST_STEPS = 11
 _DESIGN = ("dv", "within", "subject", "conditions", "subjects", "excluded")
 _UNTABLED = (*_DESIGN, "notes", "scores", "observed", "batch")
 _OF_CONDITIONS = ("F", "p", "epsilon_gg", "p_gg", "epsilon_hf", "p_hf", "eta2_partial", "eta2_generalized")
@@ -139,16 +141,29 @@ class RepeatedMeasures(Omnibus):
         """
         return self._labelled(describe(self.scores))
 
-    def pairs(self) -> pd.DataFrame:
+    def pairs(self, method: str = "t") -> pd.DataFrame:
         """
         Return all pairwise comparisons, a before b in the order of the conditions.
+
+        Parameters
+        ----------
+        method : {"t", "wilcoxon", "conover"}
+            Paired t-tests; or, after Friedman's test, Wilcoxon's signed-rank tests or Conover's t of the mean ranks.
 
         Returns
         -------
         pandas.DataFrame
-            Columns a b mean_difference (a − b) ci_low ci_high (95 %, unadjusted) t df p p_bonferroni p_holm d_z d_av.
+            For "t", columns a b mean_difference (a − b) ci_low ci_high (95 %, unadjusted) t df p p_bonferroni p_holm d_z d_av.
+            For "wilcoxon", a b V p method rank_biserial median_difference p_bonferroni p_holm; p is NaN where no subject's scores
+            differ. For "conover", a b mean_rank_difference t df p p_bonferroni p_holm.
         """
+        one_of("method", method, ("t", "wilcoxon", "conover"))
         found = self.batch.pairs().drop(columns="study")
+        if method != "t":
+            pairwise = self.batch.pairwise
+            tests = rank_pairs(self.scores.values, pairwise.a, pairwise.b, method)
+            p = tests["p"].to_numpy()
+            found = pd.concat([found[["a", "b"]], tests.assign(p_bonferroni=bonferroni(p), p_holm=holm(p))], axis=1)
         labels = pd.Index(self.conditions, tupleize_cols=False)
         return self._labelled(found.assign(a=labels.take(found["a"]), b=labels.take(found["b"])))
 
@@ -356,6 +371,12 @@ def _notes(scores: ScoreTable, excluded: tuple, batch: RepeatedMeasuresBatch) ->
         notes.append(
             f"Every subject has the same score (SD = 0) in {', '.join(map(repr, constant))}: a limit of the scale, or a "
             "fault of the data? Tests with that condition rest on the variance of the other conditions alone."
+        )
+    steps = np.unique(scores.values)
+    if steps.size <= _MOST_STEPS and np.array_equal(steps, np.round(steps)):
+        notes.append(
+            f"Scores are whole numbers from {steps[0]:g} to {steps[-1]:g}, as of a rating item, whose steps need not be equal: see "
+            'friedman() and pairs(method="wilcoxon") for tests by ranks.'
         )
     flat = np.flatnonzero(np.isnan(batch.pairwise.t[0]))
     if flat.size:
