@@ -237,6 +237,32 @@ class TeamRun:
                 axis.axvline(at, color="0.85", lw=0.6, zorder=0)
         return axes
 
+    def plot_distance(self, axis=None, label: str | None = None):
+        """
+        Plot the distance to the goal of the robot farthest from it.
+
+        Parameters
+        ----------
+        axis : matplotlib.axes.Axes, optional
+            Where; a new figure when not given.
+        label : str, optional
+            For a legend.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        if axis is None:
+            import matplotlib.pyplot as plt
+
+            axis = plt.subplots(figsize=(8.0, 3.2), layout="constrained")[1]
+            axis.set_title(self.label, fontsize="medium")
+        axis.semilogy(self.t, np.maximum(self.farthest, 1e-9), label=label)
+        if len(axis.lines) == 1:
+            axis.axhline(self.tolerance, color="0.5", ls="--", lw=0.8)
+        axis.set(xlabel="time [s]", ylabel="greatest distance\nto the goal [m]")
+        return axis
+
     def animate(self, path: str | Path | None = None, rate: float = 5.0) -> Path | AnimationPage:
         """
         Return an animation as one HTML page without anything from outside, or write it to a file.
