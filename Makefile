@@ -17,7 +17,7 @@ $(VENV)/.stamp: environment.lock pyproject.toml
 	@exec 9>.venv.lock; $(PYTHON) -c 'import fcntl; fcntl.flock(9, fcntl.LOCK_EX)'; \
 	  { [ $@ -nt environment.lock ] && [ $@ -nt pyproject.toml ]; } || $(MAKE) --no-print-directory environment
 
-environment:
+environment:  ## build .venv again from environment.lock
 	rm -rf $(VENV)
 ifneq ($(UV),)
 	$(UV) venv --quiet --python $(PYTHON) $(VENV)
