@@ -1,7 +1,10 @@
 """Pages, inputs and figures, without running anything."""
 
+import csv
 import dataclasses
+import io
 import os
+from pathlib import Path
 
 import matplotlib as mpl
 import nbformat
@@ -13,6 +16,8 @@ from trustlab.publishing.inputs import Checkout, input_digest
 from trustlab.publishing.notebooks import declared_parameters, find_notebooks, parameters_for, parse_value
 from trustlab.publishing.provenance import commit, provenance
 from trustlab.publishing.report_page import ReportError, page_faults, report_html
+
+NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 
 ORIGIN = {
     "notebook": "01_a.ipynb",
@@ -112,7 +117,7 @@ def test_code_is_folded_and_hidden_where_tagged():
     cells[1].metadata["tags"] = ["hide"]
     cells[1].outputs = [new_output("stream", name="stderr", text="\x1b[31mwatch out\x1b[0m")]
     page, _ = page_of(*cells)
-    assert "<summary>code</summary>" in page
+    assert page.count("<summary>Code of this section</summary>") == 1
     assert "visible" in page
     assert "secret" not in page
     assert '<aside class="note">' in page
@@ -146,7 +151,7 @@ def test_wide_table_scrolls_and_numbers_line_up():
             html='<table border="1"><thead><tr><th>a</th><th>b</th></tr></thead><tr><td>x</td><td>-1.5e-3</td></tr></table>'
         )
     )
-    assert '<div class="scroll" tabindex="0"><table border="1">' in page
+    assert '<div aria-label="table" class="scroll" role="region" tabindex="0"><table border="1">' in page
     assert '<td class="number">-1.5e-3</td>' in page
     assert '<th class="number">b</th>' in page
 
@@ -260,3 +265,81 @@ def test_captions_say_that_data_are_synthetic():
     assert marks == ["Synthetic data: pilot, seed 1"]
     with pytest.raises(ValueError, match="svg"):
         figures.use_house_style("pdf")
+
+
+VERDICTS = {"reproduced", "differs", "rebuilt", "not checkable", "diagram only"}
+
+
+def finder():
+    with (NOTEBOOKS / "finder.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_finder_has_every_figure_table_theorem_and_study():
+    from trustlab.reproduction.published_study import published_studies
+
+    wanted = {f"Fig. {chapter}.{n}" for chapter, last in ((2, 18), (3, 22), (4, 5)) for n in range(1, last + 1)}
+    wanted |= {f"Table 2.{n}" for n in range(1, 7)} | {"Table 3.1"}
+    wanted |= (
+        {f"Theorem {n}" for n in range(1, 7)} | {f"Proposition {n}" for n in range(1, 4)} | set(published_studies())
+    )
+    entries = [row["entry"] for row in finder()]
+    assert set(entries) == wanted
+    assert len(entries) == len(wanted)
+
+
+@pytest.mark.parametrize("row", finder(), ids=lambda row: row["entry"])
+def test_finder_leads_to_a_section_and_says_why(row):
+    assert row["verdict"] in VERDICTS
+    assert row["why"] or row["verdict"] in ("reproduced", "diagram only")
+    if row["report"]:
+        cells = nbformat.read(NOTEBOOKS / f"{row['report']}.ipynb", as_version=4).cells
+        heads = [
+            line.lstrip("# ") for cell in cells if cell.cell_type == "markdown" for line in cell.source.splitlines()
+        ]
+        assert row["section"] in heads
+    else:
+        assert row["entry"] == "Proposition 2"
+
+
+def test_answer_is_on_top_headline_on_the_index_and_reports_are_linked():
+    answer = shown(markdown="**It holds.** See report 06 and report 77, not `report 06`.")
+    answer.metadata["tags"] = ["answer"]
+    notebook = new_notebook(cells=[new_markdown_cell("# A\n\nWords."), new_markdown_cell("## B"), answer])
+    page, card = report_html(notebook, "01_a", ORIGIN, None, NOTEBOOKS)
+    assert page.index("It holds.") < page.index("Words.")
+    assert card["headline"] == "It holds."
+    assert '<a href="06_audit.html">report 06</a> and report 77' in page
+    assert "<code>report 06</code>" in page
+    assert card["anchors"] == {"A": "a", "B": "b"}
+
+
+def test_figure_has_a_numbered_caption_and_says_what_is_drawn():
+    with mpl.rc_context():
+        figures.use_house_style()
+        figure = mpl.figure.Figure()
+        axes = figure.subplots()
+        axes.plot([0, 1], label="measured")
+        axes.set(xlabel="time [s]", ylabel=r"performance $P_r$ [m/s]", title="one run")
+        axes.legend()
+        figures.caption(axes, "What it means.")
+        drawing = io.StringIO()
+        figure.savefig(drawing, format="svg")
+    output = new_output("display_data", data={"image/svg+xml": drawing.getvalue()})
+    page, _ = page_of(new_code_cell("x", outputs=[output]), new_code_cell("x", outputs=[output]))
+    assert "<figcaption>Figure 1. What it means.</figcaption>" in page
+    assert "<figcaption>Figure 2. What it means.</figcaption>" in page
+    assert 'alt="one run; performance P_r [m/s] against time [s]; showing measured."' in page
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "written"),
+    [("p", "0.0", "&lt; .001"), ("p_holm", "4e-5", "&lt; .001"), ("p", "0.032", "0.032"), ("p_r", "0.0", "0.0")],
+)
+def test_p_is_written_as_papers_do(name, value, written):
+    page, _ = page_of(
+        shown(html=f"<table><thead><tr><th>{name}</th></tr></thead><tbody><tr><td>{value}</td></tr></tbody></table>")
+    )
+    cell = page[page.index("<td") : page.index("</td>")]
+    assert cell.endswith(f">{written}")
+    assert written == value or f'data-value="{value}"' in cell

@@ -1,18 +1,20 @@
 """The records of reports, and the page that leads to all: a card each, with a picture, a sentence and the time taken."""
 
 import contextlib
+import csv
 import html
 import json
 import os
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from urllib.parse import quote
 
 from trustlab.models.extras import extra
 from trustlab.models.html import policy
 from trustlab.publishing.inputs import Checkout, input_digest
 from trustlab.publishing.provenance import duration
-from trustlab.publishing.report_page import TEMPLATES, check_page, page_faults, stylesheet
+from trustlab.publishing.report_page import TEMPLATES, check_page, page_faults, script, stylesheet
 
 with extra("reports"):
     from jinja2 import Environment, FileSystemLoader
@@ -62,7 +64,7 @@ def read_record(checkout: Checkout, name: str) -> dict:
     if isinstance(found, dict) and isinstance(found.get("failure"), dict):
         return found
     built = isinstance(found, dict) and all(isinstance(found.get(key), kind) for key, kind in KINDS.items())
-    return found if built and not page_faults(found["sentence"]) else {}
+    return found if built and not page_faults(f"{found['sentence']}{found.get('headline', '')}") else {}
 
 
 def replace_file(path: Path, text: str) -> None:
@@ -91,6 +93,8 @@ def _card(checkout: Checkout, notebook: Path, shared: str) -> dict:
     return card | {
         "link": page.name,
         "sentence": record.get("sentence", ""),
+        "headline": record.get("headline", ""),
+        "data": record.get("data", ""),
         "facts": " · ".join(facts),
         "stale": record.get("sources") != input_digest(checkout, notebook, shared=shared),
     }
@@ -107,6 +111,19 @@ def _others(checkout: Checkout, names: set[str]) -> list[tuple[str, str]]:
     return found
 
 
+def _finder(checkout: Checkout) -> list[dict[str, str]]:
+    """Return what became of each figure, table, theorem and study of the dissertation, linked to where a report shows it."""
+    listed = checkout.notebooks / "finder.csv"
+    if not listed.is_file():
+        return []
+    with listed.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        anchor = read_record(checkout, row["report"]).get("anchors", {}).get(row["section"], "")
+        row["link"] = quote(f"{row['report']}.html") + (f"#{anchor}" if anchor else "") if row["report"] else ""
+    return rows
+
+
 def write_index(checkout: Checkout, notebooks: list[Path], shared: str) -> None:
     """Write ``index.html`` with a card for every notebook; `shared` is the `shared_digest` of the checkout."""
     cards = [_card(checkout, notebook, shared) for notebook in notebooks]
@@ -115,7 +132,9 @@ def write_index(checkout: Checkout, notebooks: list[Path], shared: str) -> None:
     # titles are escaped in the template; sentences and style sheet are HTML and CSS of our own
     templates = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=False, trim_blocks=True)
     page = templates.get_template("index.html.j2").render(
-        policy=policy(),
+        policy=policy(script()),
+        script=script(),
+        finder=_finder(checkout),
         css=stylesheet(),
         cards=cards,
         others=_others(checkout, {notebook.stem for notebook in notebooks}),

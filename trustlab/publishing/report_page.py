@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import base64
+import contextlib
 import html
 import re
 from pathlib import Path
@@ -11,8 +11,8 @@ from typing import Any
 from trustlab.models.extras import extra
 from trustlab.models.html import policy
 from trustlab.publishing.execution import CellError
-from trustlab.publishing.figures import CAPTION_ID
 from trustlab.publishing.mathml import MathError, to_mathml
+from trustlab.publishing.pictures import IMAGES, drawn_words, given_words, image_uri
 from trustlab.publishing.provenance import duration
 
 with extra("reports"):
@@ -29,7 +29,6 @@ TEMPLATES = Path(__file__).parent / "templates"
 CONTENTS_FROM = 5
 """Number of headings from which a page has a list of contents."""
 
-IMAGES = ("image/svg+xml", "image/png", "image/jpeg")
 SHOWN = ("text/html", "text/markdown", "text/latex", *IMAGES, "application/javascript", "text/plain")
 """Forms of an output, the best first: a page shows one of them."""
 
@@ -44,6 +43,11 @@ ELSEWHERE = re.compile(r"@import|image-set|\\|<|url\(\s*['\"]?\s*(?!data:|#)", r
 # Sought in the text, not in the tree: parsers disagree about what is within a comment or a style.
 REFUSED = re.compile(r"<(script|iframe|frame|object|embed|base|meta|link|form)\b", re.IGNORECASE)
 NUMBER = re.compile(r"(?:[<>]\s*)?[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|[-+]?inf|\u2013|-")
+
+
+LINKABLE = re.compile(r"(?s)<(a|pre|code|h\d)\b.*?</\1>|<[^>]*>|\b[Rr]eport (?P<number>\d\d)\b")
+P_VALUE = re.compile(r"p([ _](gg|hf|holm|bonferroni|corrected|adjusted|value|uncorrected|mauchly))?")
+LEAST_P = 0.001
 
 
 class ReportError(CellError):
@@ -76,7 +80,7 @@ class _Renderer(IPythonRenderer):
         repeated = sum(re.fullmatch(re.escape(slug) + r"(-\d+)?", anchor) is not None for anchor in taken)
         anchor = f"{slug}-{repeated + 1}" if repeated else slug
         self.headings.append((level, anchor, text))
-        link = f'<a class="anchor" href="#{anchor}" aria-hidden="true">#</a>'
+        link = f'<a class="anchor" href="#{anchor}" aria-hidden="true" tabindex="-1">#</a>'
         return f'<h{level} id="{anchor}">{text}{link}</h{level}>\n'
 
 
@@ -108,7 +112,9 @@ def output_html(markup: str) -> str:
         image["alt"] = ""
     for table in soup.find_all("table"):
         _style_table(table)
-        table.wrap(soup.new_tag("div", attrs={"class": "scroll", "tabindex": "0"}))
+        table.wrap(
+            soup.new_tag("div", attrs={"class": "scroll", "tabindex": "0", "role": "region", "aria-label": "table"})
+        )
     return str(soup)
 
 
@@ -127,21 +133,24 @@ def _style_table(table: Tag) -> None:
     numeric += [name for head in heads for name, cell in zip(head, below, strict=False) if _is_number(cell)]
     for cell in numeric:
         cell["class"] = " ".join([*cell.get_attribute_list("class"), "number"])
+    names = [name.get_text(strip=True) for name in heads[-1]] if heads else []
+    for row in rows:
+        for name, cell in zip(names, row, strict=False):
+            if P_VALUE.fullmatch(name) and _is_number(cell):
+                _as_papers_write(cell)
+
+
+def _as_papers_write(cell: Tag) -> None:
+    """Write a p-value below .001 as papers do; what is saved as CSV keeps its digits."""
+    text = cell.get_text(strip=True)
+    with contextlib.suppress(ValueError):
+        if float(text) < LEAST_P:
+            cell["data-value"], cell.string = text, "< .001"
 
 
 def _is_number(cell: Any) -> bool:
     text = cell.get_text(strip=True)
     return cell.name == "td" and len(text) < 40 and NUMBER.fullmatch(text) is not None
-
-
-def image_uri(output: NotebookNode) -> str:
-    """Return an output's picture as a data URI, or an empty string."""
-    data = output.get("data", {})
-    kind = next((kind for kind in IMAGES if kind in data), None)
-    if kind is None:
-        return ""
-    text = base64.b64encode(data[kind].encode()).decode() if "svg" in kind else "".join(data[kind].split())
-    return f"data:{kind};base64,{text}"
 
 
 def result(text: str) -> str:
@@ -155,6 +164,8 @@ class Page:
     def __init__(self, notebook: NotebookNode, folder: str | Path):
         self.notebook, self.folder = notebook, folder
         self.headings: list[Heading] = []
+        self.code: list[str] = []
+        self.answer, self.figures = "", 0
         self.index: int | None = None
         self.attachments = None
 
@@ -171,16 +182,47 @@ class Page:
         """Return Markdown as HTML, its headings noted for the contents."""
         return markdown_html(source, self.headings, self.attachments, self.folder)
 
-    def alt(self, output: NotebookNode) -> str:
-        """Return what a figure shows: by its metadata, its caption, or else the heading above it."""
-        given = [output.metadata, *(output.metadata.get(kind, {}) for kind in IMAGES)]
-        words = next((entry["alt"] for entry in given if entry.get("alt")), "")
-        drawing = output.data.get("image/svg+xml", "")
-        group = re.search(rf'<g id="{CAPTION_ID}">(.*?)</g>\s*(?:</g>|</svg>)', drawing, re.DOTALL)
-        if not words and group:  # Matplotlib writes each line of text as a comment beside its outlines
-            words = " ".join(re.findall(r"<!--(.*?)-->", group[1], re.DOTALL))
-        above = plain(self.headings[-1][2]) if self.headings else "result"
-        return " ".join((words or f"Figure: {above}").split())
+    def figure(self, output: NotebookNode) -> dict[str, str]:
+        """Return picture, words for who does not see it, and numbered caption of a figure."""
+        self.figures += 1
+        above = plain(self.headings[-1][2]) if self.headings else "Result"
+        given, drawn = given_words(output), drawn_words(output)
+        caption = f"Figure {self.figures}. {given or above}"
+        return {"uri": image_uri(output), "alt": drawn or given or f"Figure: {above}", "caption": caption}
+
+    def keep_code(self, code: str) -> str:
+        """Keep a cell's code for the fold at the end of its section."""
+        self.code.append(code)
+        return ""
+
+    def fold(self, source: str = "# ") -> str:
+        """Return the code kept so far, folded, where a section ends: before a heading, and at the end of the page."""
+        if not self.code or not re.match("#{1,3} ", source.lstrip()):
+            return ""
+        code, self.code = "".join(self.code), []
+        return f"<details class='code'><summary>Code of this section</summary>{code}</details>"
+
+    def keep_answer(self, output: str) -> str:
+        """Keep the outputs of a cell tagged ``answer`` for the box below the title."""
+        self.answer += output
+        return ""
+
+    def opened(self, content: str, contents: str) -> str:
+        """Return the page's content with the answer and the list of contents below its title."""
+        box = f'<section class="answer" aria-label="In short">{self.answer}</section>' if self.answer else ""
+        title, end, rest = content.partition("</h1>")
+        linked = self.linked(f"{box}{contents}{rest or title}")
+        return f"{title}{end}{linked}" if end else linked
+
+    def linked(self, markup: str) -> str:
+        """Return markup in which "report 05" is a link to that report."""
+        names = {path.name[:2]: path.stem for path in Path(self.folder).glob("[0-9][0-9]_*.ipynb")}
+
+        def link(found: re.Match[str]) -> str:
+            name = names.get(found["number"] or "")
+            return f'<a href="{name}.html">{found[0]}</a>' if name else found[0]
+
+        return LINKABLE.sub(link, markup)
 
     def refuse_script(self) -> None:
         """Refuse an output that needs JavaScript."""
@@ -219,8 +261,8 @@ class Page:
 
 def report_html(
     notebook: NotebookNode, name: str, origin: dict, given: dict | None = None, folder: str | Path = ""
-) -> tuple[str, dict[str, str]]:
-    """Return an executed notebook as one self-contained page, and its title, sentence and thumbnail for the index."""
+) -> tuple[str, dict[str, Any]]:
+    """Return an executed notebook as one self-contained page, and what the index shows of it."""
     page = Page(notebook, folder)
     exporter = HTMLExporter(
         template_file="report.html.j2",
@@ -229,19 +271,30 @@ def report_html(
         config=Config({"NbConvertBase": {"display_data_priority": list(SHOWN)}}),
     )
     resources = {"page": page, "name": name, "origin": origin, "given": given or {}}
-    resources |= {"css": stylesheet(), "policy": policy()}
+    resources |= {"css": stylesheet(), "script": script(), "policy": policy(script())}
     try:
         text, _ = exporter.from_notebook_node(notebook, resources)
     except MathError as error:
         raise ReportError(str(error), page.index) from error
     check_page(text, "report")
-    return text, {"title": page.title or name, "sentence": page.sentence, "thumbnail": page.thumbnail}
+    about = notebook.metadata.get("trustlab", {})
+    headline = re.search(r"<strong>(.*?)</strong>", page.answer, re.DOTALL)
+    card = {"title": page.title or name, "sentence": page.sentence, "thumbnail": page.thumbnail}
+    card |= {"headline": headline[1] if headline else "", "data": str(about.get("data", ""))}
+    return text, card | {"anchors": {plain(text): anchor for _, anchor, text in page.headings}}
 
 
 def stylesheet() -> str:
     """Return the style sheet of reports and index, with the colours of code."""
     own = (TEMPLATES / "report.css").read_text(encoding="utf-8")
-    return own + HtmlFormatter(style="friendly", nobackground=True).get_style_defs(".highlight")
+    light, dark = (HtmlFormatter(style=style, nobackground=True) for style in ("friendly", "github-dark"))
+    defs = dark.get_style_defs(".highlight")
+    return f"{own}{light.get_style_defs('.highlight')}\n@media screen and (prefers-color-scheme: dark) {{{defs}}}"
+
+
+def script() -> str:
+    """Return the script of reports and index, which sorts, filters, unfolds and saves tables."""
+    return (TEMPLATES / "report.js").read_text(encoding="utf-8")
 
 
 def page_faults(page: str) -> list[str]:
