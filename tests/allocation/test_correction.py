@@ -23,10 +23,14 @@ def corrector(model=PILOT, target=TARGET, **more):
         return tl.ThresholdCorrector(model, target, **more)
 
 
-def by_hand(model, r, p_r, lower, upper, mode, target, c_b, steps):
-    """Clip (target − threshold) to (2.42) step by step, in plain Python, the switch as in (2.8)."""
+def by_hand(model, r, p_r, lower, upper, mode, target, c_b, steps, lowering=0):
+    """
+    Clip (target − threshold) to (2.42) step by step, in plain Python, the switch as in (2.8).
+
+    In the first steps, as many as `lowering`, TSC_u is lowered as far as (2.42) allows instead.
+    """
     rows, cost, robot, human = [], 0.0, model.robot, model.human
-    for _ in range(steps):
+    for k in range(steps):
         p_h = human.p_min
         if 0 < r < 1:
             share = (r / human.beta) ** human.beta * ((1 - r) / (1 - human.beta)) ** (1 - human.beta)
@@ -36,6 +40,7 @@ def by_hand(model, r, p_r, lower, upper, mode, target, c_b, steps):
         part = (p_r - robot.p_min) / (robot.p_max - robot.p_min)
         low, high = -0.5 * (r + part) * c_b, 0.5 * (1 - r + 1 - part) * c_b
         c_l, c_u = (min(max(a - b, low), high) for a, b in zip(target, (lower, upper), strict=True))
+        c_u = low if k < lowering else c_u
         lower, upper = lower + c_l, upper + c_u
         cost += (lower - target[0]) ** 2 + (upper - target[1]) ** 2
         rows.append((c_l, c_u, mode))
@@ -57,6 +62,21 @@ def test_without_a_choice_of_modes_the_plan_is_clipping(start, target):
     np.testing.assert_allclose(plan.actions_l, rows[:, 0], rtol=1e-9, atol=1e-20)
     np.testing.assert_allclose(plan.actions_u, rows[:, 1], rtol=1e-9, atol=1e-20)
     np.testing.assert_array_equal(plan.mode, rows[:, 2])
+
+
+def test_the_bound_is_for_thresholds_between_start_and_target():
+    """The example of `ThresholdCorrector`: (2.42)-(2.44) as printed allow a cheaper plan, which leaves that interval."""
+    state, target, c_b, steps = (0.97, 0.389, 0.2149, 0.645, 1), (0.29, 0.72), 1e-2, 100
+    plan = ExactEngine(PILOT, *target, c_b, steps).solve(*state)
+    rows, cost = by_hand(PILOT, *state, target, c_b, steps, lowering=2)
+    assert plan.status is CorrectionStatus.OPTIMAL
+    assert "between its value now and its target" in plan.status.value
+    assert plan.cost == plan.cost_lower_bound == pytest.approx(0.8477, abs=5e-5)
+    assert cost == pytest.approx(0.5998, abs=5e-5)
+    assert (rows[:2, 1] < 0.0).all()
+    again = simulate_correction(PILOT, *state, rows[:, 0], rows[:, 1], target)
+    assert again["cost"] == pytest.approx(cost, rel=1e-12)
+    assert again["upper"].min() < state[3] < target[1]
 
 
 def test_holding_back_can_beat_clipping():

@@ -119,7 +119,7 @@ def test_the_printed_upper_bound_is_left():
 def test_thresholds_that_are_never_reached_are_not_guaranteed(operators):
     bounds = invariant_bounds(operators["1"], 0.15, 0.9)
     assert not bounds.guaranteed
-    assert "manual phase may never end" in bounds.reason
+    assert "from full load (r = 1) the mode stays manual" in bounds.reason
     assert bounds.dwell_manual_high == np.inf
     with pytest.raises(ValueError, match="must be below"):
         invariant_bounds(operators["1"], 0.5, 0.1)

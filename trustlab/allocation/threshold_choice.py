@@ -7,6 +7,7 @@ import pandas as pd
 
 from trustlab.allocation.cycle.invariant_bounds import InvariantBounds, invariant_bounds
 from trustlab.allocation.cycle.limit_cycle import LimitCycle, limit_cycle
+from trustlab.allocation.cycle.phases import resampled, watched
 from trustlab.allocation.limits import ThresholdLimits, check_thresholds, threshold_limits
 from trustlab.models.checks import finite_number, of_class, whole_number
 from trustlab.models.html import as_html
@@ -151,7 +152,8 @@ def choose_thresholds(tsc: TscModel, delta_p_h: float = 0.0, margin: float = 0.1
     span = limits.upper - limits.lower
     grid = np.linspace(limits.lower + margin * span, limits.upper - margin * span, points)
     pairs = [(lower, upper) for i, lower in enumerate(grid) for upper in grid[i + 1 :]]
-    cycles = [limit_cycle(tsc, *pair, starts=1) for pair in pairs]
+    survey = resampled(tsc)
+    cycles = [limit_cycle(survey, *pair, starts=1) for pair in watched(pairs, "choose thresholds")]
     names = ["lower", "upper", "r_low", "r_high", "mean_r", "p_r_high", "mean_p_r"]
     rows = [[getattr(cycle, name) for name in names] for cycle in cycles if cycle.exists]
     table = pd.DataFrame(rows, columns=names)
@@ -173,6 +175,8 @@ def choose_thresholds(tsc: TscModel, delta_p_h: float = 0.0, margin: float = 0.1
     cycle = limit_cycle(tsc, lower, upper)
     bounds = invariant_bounds(tsc, lower, upper)
     message += _beside_limits(tsc, lower, upper, limits)
+    if survey is not tsc:
+        message += " Candidates were compared at a longer sample time, as the model's time constants are very long."
     return ThresholdChoice(lower, upper, cycle, bounds, limits, encloses, message, table, tsc)
 
 

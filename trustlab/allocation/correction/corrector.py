@@ -64,6 +64,15 @@ class ThresholdCorrector:
         If the target lies outside the limits of Theorem 1, but its exact cycle exists from every start: the theorem is
         sufficient, not necessary, and the thresholds that Section 2.5 prints for the pilot operator are such a case.
 
+    Notes
+    -----
+    That a threshold stays between its value now and its target is a condition beyond (2.42)-(2.44). It keeps corrections from
+    moving an operator's thresholds the wrong way, and plans and lower bounds of the cost are those of the problem with it.
+    Without it a plan can cost less: a threshold that first moves away from its target can bring on a switch which widens the
+    bounds (2.42) of all later corrections. For the pilot operator at r = 0.97 and P_r = 0.389 in the manual mode, thresholds
+    0.2149 and 0.645, target (0.29, 0.72), c_b = 0.01 and N = 100, the optimum with the condition costs 0.8477, while lowering
+    TSC_u for two steps first costs 0.5998 in all.
+
     Examples
     --------
     >>> import trustlab as tl

@@ -3,7 +3,7 @@ The exact engine of the correction: branch and bound over the mode sequences, (2
 
 Each threshold is kept between its value now and its target. (2.42)-(2.44) do not ask for this: without it a plan can be
 cheaper, by moving a threshold away from its target first so that a switch comes at a better time. Optimum and lower bound
-are those of the problem with this constraint.
+are those of the problem with this constraint; `ThresholdCorrector` has an example.
 
 Given the modes M(0..N−1), utilization and robot performance follow from (2.44) whatever the corrections are, and so do
 the boxes (2.42). Each threshold is then a path with bounded steps between its value now and its target. Let it rise; a

@@ -18,7 +18,10 @@ LOWER, UPPER = 0, 1
 class CorrectionStatus(Enum):
     """How a plan was obtained, and what to do where it is not optimal."""
 
-    OPTIMAL = "Optimal: every mode sequence that admissible corrections can produce was searched or ruled out."
+    OPTIMAL = (
+        "Optimal among plans that keep each threshold between its value now and its target: every mode sequence that they can "
+        "produce was searched or ruled out."
+    )
     BOUNDED = (
         "The search exhausted its budget before it had ruled out all mode sequences; the gap bounds how much cheaper another "
         "plan can be. Raise budget=, or shorten the horizon, to close it."
@@ -75,7 +78,9 @@ class CorrectionPlan:
     cost : float
         The cost (2.43) of these actions under the hard switch (2.8).
     cost_lower_bound : float
-        No admissible actions cost less than this; NaN where the engine proves nothing.
+        No admissible actions that keep each threshold between its value now and its target cost less than this; NaN where
+        the engine proves nothing. (2.42)-(2.44) do not ask for that, and without it a plan can cost less: see
+        `ThresholdCorrector`.
     status : CorrectionStatus
         How the plan was obtained.
     engine : str
@@ -114,7 +119,7 @@ class CorrectionPlan:
 
     @property
     def gap(self) -> float:
-        """Cost − cost_lower_bound: by how much another plan can be cheaper, at most."""
+        """Cost − cost_lower_bound: by how much another plan that keeps to the same intervals can be cheaper, at most."""
         return self.cost - self.cost_lower_bound
 
     @property

@@ -3,14 +3,15 @@
 import math
 from dataclasses import dataclass
 
-from trustlab.allocation.cycle.polygons import narrow
+from trustlab.allocation.cycle.phases import EFFORT, endless_phase
+from trustlab.allocation.cycle.polygons import REST, narrow
 from trustlab.allocation.cycle.propagation import ROUNDING, enclose, nest
 from trustlab.allocation.limits import check_thresholds, ranges_table
 from trustlab.models.checks import whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 
-EFFORT = 3_000_000
+POLYGON_EFFORT = 3_000_000
 """Samples through which polygons may be propagated, or twenty of the longest phases if that is more."""
 
 
@@ -24,9 +25,9 @@ class InvariantBounds:
     Parameters
     ----------
     guaranteed : bool
-        Whether every trajectory is shown to keep switching; where not, the bounds are the trivial ones.
+        Whether every trajectory is shown to keep switching within these bounds; where not, they are the trivial ones.
     reason : str
-        What was shown.
+        What was shown; where the rule stops switching, from which state.
     cycles : int
         After how many returns to manual control the bounds hold.
     r_low, r_high : float
@@ -84,7 +85,8 @@ def invariant_bounds(tsc: TscModel, lower: float, upper: float, cells: int = 32,
     At a switch TSC equals its threshold up to the overshoot of one step, so that the state lies in an interval of r with an
     interval of TSC. Both are propagated through a manual and an autonomous phase in interval arithmetic; starting from
     r in [0, 1] the intervals nest, and their limit encloses every trajectory after as many cycles. Once they
-    stop shrinking they are cut into polygons of r and P_r, which keep track of how the two move together.
+    stop shrinking they are cut into polygons of r and P_r, which keep track of how the two move together. Where TSC tends to
+    a limit between the thresholds in one of the modes, trajectories that begin there never switch, and nothing is guaranteed.
 
     Parameters
     ----------
@@ -109,22 +111,29 @@ def invariant_bounds(tsc: TscModel, lower: float, upper: float, cells: int = 32,
     """
     lower, upper = check_thresholds(tsc, lower, upper)
     cells, cycles = whole_number("cells", cells), whole_number("cycles", cycles)
+    endless = endless_phase(tsc, lower, upper)
+    if endless:
+        return _trivial(tsc, endless)
     c = tsc.constants()
-    most = int(60.0 / (1.0 - max(c.a_r, c.a_pr))) + 100
+    most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * cells))) + 100
     # Coarse intervals first: polygons narrow them much faster than further cycles of intervals would.
-    found, more, settled = nest(lower, upper, c, cells, (cycles + 1) // 2, most, 0.05), 0, True
-    done = found.code
+    found, _ = nest(lower, upper, c, cells, (cycles + 1) // 2, most, 0.05)
+    done, more, settled = found.code, 0, True
     if 0 < done < cycles - 1:
         tighter, more = _narrowed(found, lower, upper, c, cells, cycles - done - 1, most)
         settled = more < cycles - done - 1
     if more:
         found, done = tighter, done + more + 1
     elif done > 0:
-        found = nest(lower, upper, c, cells, cycles, most, 1e-3)
+        found, settled = nest(lower, upper, c, cells, cycles, most, 1e-3)
         done = found.code
-        settled = done < cycles
     if done < 0:
-        return _trivial(tsc, "a manual" if done == -1 else "an autonomous")
+        phase = "a manual" if done == -1 else "an autonomous"
+        return _trivial(
+            tsc,
+            f"every phase ends, but {phase} phase from some utilization was not shown to do so within {most} samples; fewer "
+            "cells= allow longer phases",
+        )
     manual, autonomous = found.manual, found.autonomous
     # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per sample is far more than that.
     slack = max(manual.dwell_high, autonomous.dwell_high) * ROUNDING
@@ -147,11 +156,10 @@ def invariant_bounds(tsc: TscModel, lower: float, upper: float, cells: int = 32,
     )
 
 
-def _trivial(tsc: TscModel, phase: str) -> InvariantBounds:
-    """Return the bounds that hold where a phase may never end."""
+def _trivial(tsc: TscModel, reason: str) -> InvariantBounds:
+    """Return the bounds that hold where phases are not known to end."""
     ceiling = float(tsc.robot.steady_state(1.0, tsc.human.p_max))
     anything, dwell = (-math.inf, math.inf), (1.0, math.inf)
-    reason = f"{phase} phase may never end from some utilization"
     return InvariantBounds(False, reason, 0, 0.0, 1.0, tsc.robot.p_min, ceiling, *anything, *dwell, *dwell)
 
 
@@ -160,9 +168,9 @@ def _narrowed(found, lower, upper, c, cells, cycles, most):
     # An autonomous phase follows a manual one of at least one sample, and has at most as many as the intervals leave room for.
     low = max(found.low, (1.0 - c.a_r) * c.a_r**found.autonomous.dwell_high * (1.0 - 1e-9))
     high = min(found.high, c.a_r + ROUNDING)
-    if low < 1e-100 or high >= 1.0 or high <= low:
+    if low < REST or high >= 1.0 or high <= low:
         return found, 0
-    budget = max(EFFORT, 20 * most)
+    budget = max(POLYGON_EFFORT, 20 * most)
     low, high, over, more = narrow(low, high, found.autonomous.overshoot, lower, upper, c, cells, cycles, most, budget)
     tighter = enclose(low, high, over, lower, upper, c, cells, most)
     return (tighter, more) if more and tighter.code > 0 else (found, 0)

@@ -8,14 +8,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.allocation.cycle.phases import CYCLE, Seen, longest_phase, record, return_map, settle
+from trustlab.allocation.cycle.phases import (
+    CYCLE,
+    EFFORT,
+    Seen,
+    endless_phase,
+    longest_phase,
+    record,
+    resampled,
+    return_map,
+    settle,
+    watched,
+)
 from trustlab.allocation.limits import check_thresholds, ranges_table
 from trustlab.models.checks import whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
 
 MOST_CYCLES = 2000
-"""Cycles that are recorded of a motion that does not repeat."""
+"""Cycles that are recorded of a motion that does not repeat, if they are no more than EFFORT samples."""
+
+FEWEST_CYCLES = 24
+"""Cycles that are recorded first."""
 
 REPEATED = 1e-9
 """How near, in r and P_r, a trajectory must come to a motion that repeats to count as drawn to it."""
@@ -37,8 +51,8 @@ class LimitCycle:
     exists : bool
         Whether the rule keeps switching, from some start at least.
     always : bool
-        Whether it keeps switching from every start that was simulated: evidence, not proof. `InvariantBounds.guaranteed`
-        is the proof.
+        Whether it keeps switching from every start: false where there are states from which a mode stays for ever, which
+        the limits of TSC in either mode tell exactly, and where a simulated start stopped.
     reason : str
         What happens where it does not; else how the cycle was found.
     r_low, r_high : float
@@ -188,27 +202,31 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
     -------
     LimitCycle
         With `exists` False where the rule stops switching from every start, and why; `always` False where it does from
-        some.
+        some, and `reason` says from which.
 
     Raises
     ------
     ValueError
-        If `tsc` is not a TscModel, the thresholds are not finite or in the wrong order, or `starts` is not a whole
-        number ≥ 1.
+        If `tsc` is not a TscModel, the thresholds are not finite or in the wrong order, `starts` is not a whole
+        number ≥ 1, or a time constant exceeds two million samples.
 
     Notes
     -----
-    The result rests on the starts that were simulated. Which of several coexisting motions a trajectory settles to depends on
+    But for `always`, the result rests on the starts that were simulated, within EFFORT samples. Which of several coexisting motions a trajectory settles to depends on
     fractions of a step, so that one with a small basin can be missed. For every trajectory, whatever its start, there is
     `invariant_bounds`, whose ranges hold for motions that are missed here as well.
     """
     lower, upper = check_thresholds(tsc, lower, upper)
     starts = whole_number("starts", starts)
     c = tsc.constants()
-    motions = Motions(c, lower, upper)
-    for r, p_r in _initial_states(tsc, lower, starts, motions):
+    motions, followed = Motions(c, lower, upper), 0
+    for r, p_r in watched(_initial_states(tsc, lower, starts, motions), "limit cycle", starts + 1):
+        if motions.spent > EFFORT:
+            break
         motions.follow(r, p_r)
+        followed += 1
     found, stopped = motions.found, motions.stopped
+    endless = endless_phase(tsc, lower, upper)
     stays = ""
     if stopped:
         code, r, p_r = stopped[0]
@@ -223,14 +241,18 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
     seen = [motion.seen for motion in found]
     periods = {motion.period for motion in found}
     period = periods.pop() if len(periods) == 1 else None
-    slope, unique = _return_map(float(rows["r"].mean()), lower, upper, c, motions.most)
+    slope, unique = _return_map(float(rows["r"].mean()), lower, upper, resampled(tsc).constants())
     how = _how(found, rows, period)
     if stopped:
-        how += f"; but from {len(stopped)} of {starts + 1} starts it {stays}"
+        how += f"; but from {len(stopped)} of {followed} starts it {stays}"
+    elif endless:
+        how += f"; but {endless}"
+    if followed < starts + 1:
+        how += f"; {followed} of {starts + 1} starts were simulated, in about {EFFORT:.0e} samples"
     return LimitCycle(
         exists=True,
         reason=how,
-        always=not stopped,
+        always=not stopped and not endless,
         r_low=float(rows["r"].min()),
         r_high=float(rows["r_switch"].max()),
         p_r_low=min(one.p_r_low for one in seen),
@@ -299,23 +321,26 @@ class Motions:
     def __init__(self, c: TscConstants, lower: float, upper: float):
         self.found: list[Motion] = []
         self.stopped: list[tuple[int, float, float]] = []
-        self.most = longest_phase(c)
+        self.most, self.spent = longest_phase(c), 0.0
         self._system = lower, upper, c
         self._repeating = np.empty(0, CYCLE)
 
     def follow(self, r: float, p_r: float) -> None:
         """Simulate until transients have decayed, and keep the motion if it is new."""
         known = np.ascontiguousarray(self._repeating["r"]), np.ascontiguousarray(self._repeating["p_r"])
-        code, r, p_r = settle(r, p_r, *self._system, self.most, self.most, *known, REPEATED)
+        code, r, p_r, samples = settle(r, p_r, *self._system, self.most, self.most, *known, REPEATED)
+        self.spent += samples
         if code < 0:
             self.stopped.append((code, r, p_r))
         if code != 0 or any(motion.passes(r, p_r) for motion in self.found if motion.period is None):
             return
-        rows, seen = record(r, p_r, *self._system, 24, self.most)
+        rows, seen = record(r, p_r, *self._system, FEWEST_CYCLES, self.most)
         period = _period(rows)
         if period is None:
-            rows, seen = record(r, p_r, *self._system, MOST_CYCLES, self.most)
+            cycles = min(MOST_CYCLES, max(FEWEST_CYCLES, int(EFFORT / seen.samples * FEWEST_CYCLES)))
+            rows, seen = record(r, p_r, *self._system, cycles, self.most)
             period = _period(rows)
+            self.spent += seen.samples
         if period is not None:
             rows, seen = record(r, p_r, *self._system, period, self.most)
         motion = Motion(rows, seen, period)
@@ -343,8 +368,9 @@ def _how(found: list[Motion], rows: np.ndarray, period: int | None) -> str:
     return f"repeats after {period} cycle(s)" if period else f"does not repeat within {len(rows)} cycles"
 
 
-def _return_map(middle: float, lower: float, upper: float, c: TscConstants, most: int) -> tuple[float, bool]:
+def _return_map(middle: float, lower: float, upper: float, c: TscConstants) -> tuple[float, bool]:
     """Return the slope of the return map without overshoot about `middle`, and whether it has one fixed point."""
+    most = longest_phase(c)
     ends = np.geomspace(1e-15, 0.015, 16)
     grid = np.r_[ends, np.linspace(0.0, 1.0, 65)[1:-1], 1.0 - ends[::-1]]
     gap = np.array([return_map(x, lower, upper, c, most) for x in grid]) - grid

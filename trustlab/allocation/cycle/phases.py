@@ -1,11 +1,19 @@
 """The model under rule (2.8), one phase after another: samples under one mode from a switch to the next."""
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from trustlab.models.compiled import njit
-from trustlab.models.tsc import advance, human_at, tsc_at
+from trustlab.models.tsc import TscModel, advance, human_at, tsc_at
+
+EFFORT = 100_000_000
+"""Most samples that one search for a steady cycle, or for bounds, simulates: some seconds. What it leaves out, results say."""
+
+COARSE, FEW = 10_000, 20
+"""Time constants [samples] to which models with slow utilization are resampled for surveys, and least for the faster process."""
 
 CYCLE = np.dtype(
     [
@@ -36,7 +44,56 @@ NOTHING = Seen(np.inf, -np.inf, np.inf, -np.inf, 0.0, 0.0, 0.0)
 
 def longest_phase(c) -> int:
     """Return a number of samples after which a phase that has not ended never will: e⁻⁵⁰ of the transient is left."""
-    return int(50.0 / (1.0 - max(c.a_r, c.a_pr))) + 100
+    slowest = 1.0 / (1.0 - max(c.a_r, c.a_pr))
+    if not 50.0 * slowest < EFFORT:
+        raise ValueError(
+            f"the model's time constant of {slowest:.3g} samples is too long: 50 of them are simulated sample by sample, at most "
+            f"{EFFORT:.0e} samples; describe the model at a longer sample time (a^m for both a, and b_pr accordingly)"
+        )
+    return int(50.0 * slowest) + 100
+
+
+def resampled(tsc: TscModel) -> TscModel:
+    """Return the model at a longer sample time where its time constants are very long, else the model itself."""
+    robot, human = tsc.robot, tsc.human
+    times = sorted(1.0 / (1.0 - a) for a in (robot.a, human.a))
+    m = int(min(times[1] / COARSE, times[0] / FEW))
+    if m < 2:
+        return tsc
+    a = robot.a**m
+    return TscModel(replace(robot, a=a, b=robot.b * (1.0 - a) / (1.0 - robot.a)), replace(human, a=human.a**m))
+
+
+def endless_phase(tsc: TscModel, lower: float, upper: float) -> str:
+    """
+    Return from where one mode stays for ever under rule (2.8); nothing where every phase ends, whatever its first state.
+
+    In the autonomous mode r → 0 and P_r → P_r,min, so that TSC tends to a limit: it falls to a TSC_l above the limit from
+    everywhere, and to one below it, or at it, never from r = 0 and P_r ≥ P_r,min. In the manual mode likewise, with r → 1.
+    """
+    robot, human = tsc.robot, tsc.human
+    slack = 1e-12 / (1.0 - robot.a)  # rounding stalls P_r so near its limit
+    rest = float(tsc.value(robot.p_min, human.p_min))
+    if lower <= rest + slack:
+        return f"from rest (r = 0) the mode stays autonomous: TSC settles at {rest:.6g} without falling to TSC_l = {lower:.6g}"
+    # Rounding stalls r below 1 by about 2⁻⁵²/b_r, where (2.6) can be far above its value at 1.
+    ends = [float(human.performance(r)) for r in (1.0, max(1.0 - 2.0**-52 / human.b, human.beta))]
+    load, stalled = (float(tsc.value(robot.steady_state(1.0, p_h), p_h)) for p_h in ends)
+    if upper >= load - slack:
+        return f"from full load (r = 1) the mode stays manual: TSC settles at {load:.6g} without rising to TSC_u = {upper:.6g}"
+    if upper >= stalled - slack:
+        return (
+            f"the mode may stay manual: as r tends to 1, TSC passes {stalled:.6g} only within rounding, and TSC_u = {upper:.6g} "
+            "is above"
+        )
+    return ""
+
+
+def watched(steps: Iterable, what: str, total: int | None = None) -> Any:
+    """Return steps of a long computation, with a progress bar on a terminal once it has taken two seconds."""
+    from tqdm import tqdm
+
+    return tqdm(steps, what, total, leave=False, delay=2.0, disable=None)
 
 
 @njit
@@ -72,21 +129,21 @@ def settle(r, p_r, lower, upper, c, steps, most, known_r, known_p_r, near):
     """
     Simulate whole cycles, manual phase first, for about `steps` samples or until r and P_r come `near` a known state.
 
-    Returns −1 or −2 if a manual or an autonomous phase never ends, 1 at a known state, else 0; and r and P_r.
+    Returns −1 or −2 if a manual or an autonomous phase never ends, 1 at a known state, else 0; r and P_r; and the samples.
     """
     done = 0
     while done < steps:
         for i in range(known_r.size):
             if abs(r - known_r[i]) < near and abs(p_r - known_p_r[i]) < near:
-                return 1, r, p_r
+                return 1, r, p_r, done
         manual, r, p_r, _ = phase(True, r, p_r, lower, upper, c, most, NOTHING)
         if manual < 0:
-            return -1, r, p_r
+            return -1, r, p_r, done + most
         autonomous, r, p_r, _ = phase(False, r, p_r, lower, upper, c, most, NOTHING)
         if autonomous < 0:
-            return -2, r, p_r
+            return -2, r, p_r, done + most
         done += manual + autonomous
-    return 0, r, p_r
+    return 0, r, p_r, done
 
 
 @njit

@@ -27,6 +27,9 @@ PARTS = 64
 TOO_LONG, TOO_WIDE, TOO_MANY = -1, -2, -3
 """Why a polygon could not be propagated: its phase does not end, tangents do not fit it, or it falls into too many parts."""
 
+REST = 1e-100
+"""Utilization below which polygons are not used: the squares of (2.6)'s denominators would underflow."""
+
 SLACK = 1e-13
 """By how much TSC may be wrong through rounding; far more than it is."""
 
@@ -89,7 +92,7 @@ def propagate(manual, poly, k, error, target, c, most, out, corners, errors):
     keep_r, keep_p, tangent = 1.0, 1.0, 0.0
     parts = 0
     for n in range(most):
-        if r <= 0.0 or r >= 1.0:
+        if r <= REST or r >= 1.0:
             return TOO_WIDE, n
         p_h = human_at(r, c)
         bell = p_h - c.p_h_min
@@ -181,7 +184,7 @@ def chord_error(poly, k, c):
     low, high = np.inf, -np.inf
     for j in range(k):
         low, high = min(low, poly[j, R]), max(high, poly[j, R])
-    if low <= 0.0 or high >= 1.0:
+    if low <= REST or high >= 1.0:
         return c.p_h_max - c.p_h_min
     bend = 0.0
     for r in (low, high):

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trustlab.allocation.cycle.phases import EFFORT, watched
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import advance, human_at, human_range, tsc_at
 
@@ -163,29 +164,27 @@ def enclose(low, high, over, lower, upper, c, cells, most):
     return Enclosure(1 if ends else -2, low, high, over, manual, first, last, autonomous)
 
 
-@njit
 def nest(lower, upper, c, cells, cycles, most, shrink):
     """
     Shrink the utilizations with which manual phases begin from [0, 1] until a cycle shrinks them by less than `shrink`.
 
+    Returns the enclosure, and whether it was settled so before the cycles or EFFORT ran out.
+
     What encloses every trajectory after k cycles encloses it after k + 1 as well as its image does: the intersection.
     """
-    low, high = 0.0, 1.0
+    low, high, left, settled, j = 0.0, 1.0, EFFORT, False, 0
     over = overshoot(False, 0.0, 1.0, lower, c)
-    for j in range(cycles):
+    for j in watched(range(cycles), "invariant bounds"):
         found = enclose(low, high, over, lower, upper, c, cells, most)
         if found.code < 0:
-            return found
+            return found, False
         after = found.autonomous
         new_low, new_high = max(low, after.r_low - ROUNDING), min(high, after.r_high + ROUNDING)
         settled = (high - low) - (new_high - new_low) <= shrink * (high - low) and j > 0
         low, high, over = new_low, new_high, min(over, after.overshoot)
-        if settled:
+        left -= cells * (found.manual.dwell_high + after.dwell_high)
+        if settled or left < 0:
             break
     # Once more, so that all that is reported belongs to the utilizations found.
     found = enclose(low, high, over, lower, upper, c, cells, most)
-    if found.code < 0:
-        return found
-    return Enclosure(
-        j + 1, low, high, over, found.manual, found.autonomous_low, found.autonomous_high, found.autonomous
-    )
+    return (found._replace(code=j + 1), settled) if found.code > 0 else (found, False)

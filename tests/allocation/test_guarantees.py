@@ -1,0 +1,165 @@
+"""
+What holds for every trajectory, against brute force: the system written out in NumPy, from adversarial starts.
+
+Starts are r at 0 and 1, P_r at both ends of its range, and both modes; they share no code with the package.
+"""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.allocation import invariant_bounds, limit_cycle
+
+STARTS = list(itertools.product((0.0, 1.0), (0.0, 1.0), (0.0, 1.0)))
+STEPS = 6000
+
+
+def random_pair(rng):
+    """A fast model with thresholds inside and outside the limits of TSC, as often one as the other."""
+    h_min, r_min = rng.uniform(0.2, 0.5), rng.uniform(0.1, 0.4)
+    h_max, r_max = h_min * (1 + rng.uniform(0.02, 0.5)), r_min * (1 + rng.uniform(0.1, 1.0))
+    human = tl.HumanModel(1 - 10 ** rng.uniform(-1.8, -1.0), rng.uniform(0.3, 0.95), h_min, h_max)
+    model = tl.TscModel(tl.RobotModel(1 - 10 ** rng.uniform(-1.6, -0.7), r_min, r_max, h_max), human)
+    a_T, b_T = weights(model)
+    rest = a_T * r_min - b_T * h_min
+    load = a_T * (r_min + (r_max - r_min) * h_min / h_max) - b_T * h_min
+    while True:
+        lower, upper = rest + rng.normal() * 0.1, load + rng.normal() * 0.1
+        if min(abs(lower - rest), abs(upper - load)) > 1e-3 and upper - lower > 0.02:
+            return model, lower, upper
+
+
+def weights(model):
+    r, h = model.robot, model.human
+    scale = r.p_max * h.p_max - r.p_min * h.p_min
+    return (h.p_max + h.p_min) / scale, (r.p_max + r.p_min) / scale
+
+
+def brute_force(cases):
+    """When each case, from each start, switched to manual and to autonomous last, and its range of r and P_r in the last third."""
+    rows = []
+    for model, lower, upper in cases:
+        r, h = model.robot, model.human
+        rows.append((r.a, r.b, r.p_min, r.p_max, h.a, h.beta, h.p_min, h.p_max, *weights(model), lower, upper))
+    table = np.repeat(np.array(rows).T[:, :, None], len(STARTS), axis=2)
+    a, b, p_low, p_high, a_r, beta, h_low, h_high, a_T, b_T, lower, upper = table
+    load, share, mode = (np.broadcast_to(column, a.shape).copy() for column in np.array(STARTS).T[:, None, :])
+    p_r, last = p_low + share * (p_high - p_low), np.zeros((2, *a.shape))
+    ranges = [np.full(a.shape, np.inf), np.full(a.shape, -np.inf), np.full(a.shape, np.inf), np.full(a.shape, -np.inf)]
+    for k in range(STEPS):
+        p_h = h_low + (h_high - h_low) * (load / beta) ** beta * ((1 - load) / (1 - beta)) ** (1 - beta)
+        tsc = a_T * p_r - b_T * p_h
+        after = np.where(tsc >= upper, 0.0, np.where(tsc <= lower, 1.0, mode))
+        for to in (0, 1):
+            last[to][(after != mode) & (after == to)] = k
+        mode = after
+        if k > 2 * STEPS // 3:
+            for j, values in enumerate((load, load, p_r, p_r)):
+                ranges[j] = (np.maximum if j % 2 else np.minimum)(ranges[j], values)
+        p_r = a * p_r + (1 - a) * p_low + mode * b * p_h
+        load = np.clip(a_r * load + (1 - a_r) * mode, 0.0, 1.0)
+    return last, ranges
+
+
+def check(count, seed):
+    rng = np.random.default_rng(seed)
+    cases = [random_pair(rng) for _ in range(count)]
+    last, (r_low, r_high, p_low, p_high) = brute_force(cases)
+    keeps = (last > 2 * STEPS // 3).all(axis=(0, 2))
+    kept, stopped, often = 0, 0, 0
+    for k, case in enumerate(cases):
+        bounds = invariant_bounds(*case, cells=4, cycles=30)
+        cycle = limit_cycle(*case, starts=2)
+        if bounds.guaranteed:
+            assert keeps[k], (case, bounds.reason)
+            assert bounds.r_low <= r_low[k].min() + 1e-9
+            assert r_high[k].max() - 1e-9 <= bounds.r_high
+            assert bounds.p_r_low <= p_low[k].min() + 1e-9
+            assert p_high[k].max() - 1e-9 <= bounds.p_r_high
+            kept += 1
+        elif "the mode stays" in bounds.reason:
+            assert not keeps[k], (case, bounds.reason)
+            stopped += 1
+        if "may stay" in bounds.reason:  # rounding decides
+            assert not cycle.always
+        else:
+            assert cycle.always == keeps[k], (case, cycle.reason)
+        often += cycle.exists and not cycle.always
+        if cycle.exists and not cycle.always:
+            assert "stay" in cycle.reason
+    return kept, stopped, often
+
+
+def test_what_is_guaranteed_holds_from_adversarial_starts():
+    kept, stopped, often = check(100, seed=1)
+    assert min(kept, stopped) > 10
+    assert often > 5, "pairs under which a cycle exists and other starts never switch"
+
+
+@pytest.mark.long
+def test_what_is_guaranteed_holds_from_adversarial_starts_5000():
+    kept, stopped, often = check(5000, seed=2)
+    assert min(kept, stopped) > 1000
+    assert often > 200
+
+
+def test_the_pilot_below_the_lower_limit(operators):
+    """The pair of the pilot operator at which a cycle exists, but a rested operator's robot keeps control for ever."""
+    pilot = operators["pilot"]
+    run = tl.simulate_allocation(pilot, -0.51, 0.3, 50_000, r0=0.0, mode=0)
+    assert (run["mode"] == 0.0).all()
+    bounds, cycle = invariant_bounds(pilot, -0.51, 0.3), limit_cycle(pilot, -0.51, 0.3)
+    assert not bounds.guaranteed
+    assert "from rest (r = 0) the mode stays autonomous: TSC settles at -0.4909" in bounds.reason
+    assert cycle.exists
+    assert not cycle.always
+    assert "stays autonomous" in cycle.reason
+    with pytest.raises(ValueError, match=r"does not keep switching.*from rest"):
+        tl.ThresholdCorrector(pilot, (-0.51, 0.3))
+
+
+def test_at_the_limits_themselves_nothing_is_guaranteed(operators):
+    """
+    TSC only tends to its limit: with a threshold there, a trajectory may come ever nearer and never switch.
+
+    Near full load (2.6) is so steep that r, which rounding keeps from 1 by 1e-13, leaves TSC below its limit by 0.0015.
+    """
+    model = operators["2"]
+    a_T, b_T = weights(model)
+    robot, human = model.robot, model.human
+    rest = a_T * robot.p_min - b_T * human.p_min
+    load = a_T * (robot.p_min + robot.b * human.p_min / (1 - robot.a)) - b_T * human.p_min
+    for pair, inside in (((rest, 0.2), (rest + 1e-4, 0.2)), ((0.0, load), (0.0, load - 0.01))):
+        assert not invariant_bounds(model, *pair).guaranteed
+        assert not limit_cycle(model, *pair).always
+        assert limit_cycle(model, *inside).always
+
+
+def test_utilization_that_underflows(operators):
+    """r falls below 1e-170 in autonomous phases that take hundreds of its time constants: no division by zero."""
+    human = tl.HumanModel(0.5, 0.3, 0.3, 0.4)
+    for a in (0.999, 0.9995, 0.9998):
+        model = tl.TscModel(tl.RobotModel(a, 0.2, 0.4, 0.4), human)
+        rest = model.value(0.2, 0.3)
+        run = tl.simulate_allocation(model, rest + 0.05, rest + 0.3, 60_000)
+        assert run["r"].min() < 1e-170
+        bounds = invariant_bounds(model, rest + 0.05, rest + 0.3)
+        assert bounds.guaranteed
+        assert bounds.r_low <= run["r"].iloc[30_000:].min()
+
+
+def test_slow_models_take_seconds_and_say_what_was_left_out():
+    robot = tl.RobotModel(0.996, 0.24, 0.39, 0.4602)
+    slow = tl.TscModel(robot, tl.HumanModel(1 - 1e-6, 0.74, 0.391, 0.4602))
+    cycle = limit_cycle(slow, 0.02, 0.45)
+    assert cycle.exists
+    assert "of 49 starts were simulated, in about 1e+08 samples" in cycle.reason
+    slower = tl.TscModel(robot, tl.HumanModel(1 - 1e-8, 0.74, 0.391, 0.4602))
+    with pytest.raises(ValueError, match=r"time constant of 1e\+08 samples is too long"):
+        limit_cycle(slower, 0.02, 0.45)
+    both = tl.TscModel(tl.RobotModel(1 - 1e-6, 0.24, 0.39, 0.4602), slow.human)
+    bounds = invariant_bounds(both, 0.02, 0.45)
+    assert not bounds.guaranteed
+    assert "not shown to do so within 1562600 samples" in bounds.reason
