@@ -153,7 +153,7 @@ def choose_thresholds(tsc: TscModel, delta_p_h: float = 0.0, margin: float = 0.1
     grid = np.linspace(limits.lower + margin * span, limits.upper - margin * span, points)
     pairs = [(lower, upper) for i, lower in enumerate(grid) for upper in grid[i + 1 :]]
     survey = resampled(tsc)
-    cycles = [limit_cycle(survey, *pair, starts=1) for pair in watched(pairs, "choose thresholds")]
+    cycles = [limit_cycle(survey, low, high, starts=1) for low, high in watched(pairs, "choose thresholds")]
     names = ["lower", "upper", "r_low", "r_high", "mean_r", "p_r_high", "mean_p_r"]
     rows = [[getattr(cycle, name) for name in names] for cycle in cycles if cycle.exists]
     table = pd.DataFrame(rows, columns=names)

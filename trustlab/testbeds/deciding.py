@@ -1,5 +1,6 @@
 """Who decides when in conditions C1–C5 (Section 2.4.1.2): one step of own thresholds and of suggestions, for all testbeds."""
 
+import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -124,6 +125,17 @@ def number_pair(pair, name: str = "thresholds", equal: bool = False) -> tuple[fl
     if low > high or (low == high and not equal):
         raise ValueError(f"{name} must be in order, lower then upper, got {low} and {high}")
     return low, high
+
+
+def warn_if_too_short(longest: float) -> None:
+    """Warn where runs of at most `longest` seconds end before anybody may switch."""
+    if longest <= SETTLING:
+        warnings.warn(
+            f"nobody may switch in the first {SETTLING:g} s, when the window of measured performance fills, and no run lasts longer "
+            f"than {longest:.0f} s: all conditions are the same but for noise; take more laps",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def sample_times(count: int) -> np.ndarray:

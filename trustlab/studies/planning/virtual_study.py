@@ -17,7 +17,7 @@ from trustlab.studies.planning.virtual_folder import Folder
 from trustlab.studies.planning.virtual_participant import run_participant
 from trustlab.studies.planning.virtual_report import KEYS, ORIGIN, WORDS, Population, VirtualStudy
 from trustlab.teleoperation.loop.schemes import SCHEMES
-from trustlab.testbeds.deciding import CONDITIONS
+from trustlab.testbeds.deciding import CONDITIONS, warn_if_too_short
 from trustlab.testbeds.ground_robot.conditions import MOST_LAPS
 from trustlab.testbeds.uav_following.people import FollowingPopulation
 
@@ -106,7 +106,7 @@ def virtual_study(
     CampaignWarning
         If participants' runs failed; they are listed in `.failures`.
     UserWarning
-        If the design leaves carry-over unbalanced.
+        If the design leaves carry-over unbalanced, if sessions of C1 to C5 are too short for anybody to switch, or if nobody did.
     """
     seed = whole_number("seed", seed, least=0)
     conditions = _named(conditions, design, population)
@@ -142,6 +142,10 @@ def virtual_study(
         {"seed": seed} | {name: value for name, value in settings.items() if value != {}},
         None if folder is None else folder.path,
     )
+    if testbed != "uav":
+        warn_if_too_short(float(study.measures["duration"].max()))
+        if not study.measures["switches"].any():
+            warnings.warn("nobody switched in any session: the conditions differ by noise only", stacklevel=2)
     if folder is not None:
         folder.finish(study)
     return study

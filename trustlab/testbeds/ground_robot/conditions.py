@@ -1,9 +1,12 @@
 """A robot on a course, an operator, and who drives: a simulated stand-in for the Stage testbed of Fig. 2.1."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 
 from trustlab.allocation.correction.in_loop import no_correction
+from trustlab.allocation.rules import begun, decision
 from trustlab.models.checks import finite_array, finite_number, of_class, one_of, spawned, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
@@ -24,6 +27,7 @@ from trustlab.testbeds.deciding import (
     suggested_by_tsc,
     task_of,
     tsc_facts,
+    warn_if_too_short,
 )
 from trustlab.testbeds.ground_robot import kernel
 from trustlab.testbeds.ground_robot.course import Course, default_course
@@ -50,7 +54,7 @@ NOTE = "simulated stand-in for the Stage testbed of Fig. 2.1"
 
 
 def run_condition(
-    condition: str,
+    condition: str | None = None,
     participant: int | str | Operator | None = None,
     model: TscModel | None = None,
     thresholds: tuple[float, float] | None = None,
@@ -61,6 +65,8 @@ def run_condition(
     r0: float | None = None,
     operator: Operator | None = None,
     testbed: str = "ground_robot",
+    rule: Any = None,
+    mode: int | None = None,
 ) -> ConditionRun:
     """
     Drive laps, or fly after a leader, under one of the conditions C1–C5 of Section 2.4.1.2.
@@ -72,8 +78,8 @@ def run_condition(
 
     Parameters
     ----------
-    condition : {"C1", "C2", "C3", "C4", "C5"}
-        The condition.
+    condition : {"C1", "C2", "C3", "C4", "C5"}, optional
+        The condition; either this or `rule`.
     participant : int, str or Operator
         Who drives: the stand-in for a printed participant, 1 to 5, "1" to "5" or "pilot" (`published_operator`), or any
         `Operator`.
@@ -98,6 +104,12 @@ def run_condition(
     testbed : {"ground_robot", "uav"}
         The ground robot of Section 2.4.1, or the UAV of Section 2.4.2 that follows a leader for six minutes: there participants
         are the seeded operators 1 to 20 of `following_operator`, or an `Operator` with a model in shares of 1.
+    rule : object, optional
+        Who drives the ground robot, in place of a condition: an object with a method step(tsc=…, p_r=…), as for
+        `simulate_allocation`. It is called every 0.1 s, from the time on at which the window is full, with TSC and P_r as measured,
+        and what it returns is the mode at once, without a reaction.
+    mode : int, optional
+        With a rule only: the first mode, 1 manual or 0 autonomous; `rule.mode` or else 1 when not given.
 
     Returns
     -------
@@ -109,7 +121,12 @@ def run_condition(
     ------
     ValueError
         If an argument is not understood or would have no effect, thresholds lie outside the limits of Theorem 1 at
-        δ_Ph = 0 (which are quoted), or the laps are not finished at 0.15 m/s on average.
+        δ_Ph = 0 (which are quoted), the laps are not finished at 0.15 m/s on average, or a rule fails or returns something else.
+
+    Warns
+    -----
+    UserWarning
+        If the run ends before the window is full, so that nobody could switch and all conditions are the same.
 
     Notes
     -----
@@ -121,23 +138,34 @@ def run_condition(
 
     Examples
     --------
-    >>> run = run_condition("C3", participant=2, laps=1, seed=1)
+    >>> run = run_condition("C3", participant=2, laps=2, seed=1)
     >>> run.session.metadata.synthetic
     True
     """
     if one_of("testbed", testbed, TESTBEDS) != "ground_robot":
-        idle = {"laps": laps, "robot": robot, "course": course}
+        idle = {"laps": laps, "robot": robot, "course": course, "rule": rule, "mode": mode}
         for name, value in idle.items():
             if value is not None:
                 raise ValueError(f"{name} has no effect on the UAV testbed; leave it out")
         return fly_condition(condition, participant, model, thresholds, seed, r0, operator)
-    one_of("condition", condition, CONDITIONS)
     operator, model, printed = _who(participant, operator, model)
     operator, robot, course = _checked(operator, robot, course)
     laps = whole_number("laps", 8 if laps is None else laps, most=MOST_LAPS)
-    thresholds = thresholds if thresholds is not None or not suggested_by_tsc(condition) else printed
-    task, thresholds = planned(condition, operator, model, thresholds, E_MAX, laps, r0)
-    data, lap_times = _drive(task, _longest(laps, course), robot, course, operator, seed)
+    if rule is None:
+        one_of("condition", condition, CONDITIONS, "rule=")
+        if mode is not None:
+            raise ValueError("mode has no effect without rule=: the conditions begin in the manual mode; leave it out")
+        thresholds = thresholds if thresholds is not None or not suggested_by_tsc(condition) else printed
+        task, thresholds = planned(condition, operator, model, thresholds, E_MAX, laps, r0)
+        data, lap_times = _drive(task, _longest(laps, course), robot, course, operator, seed)
+    else:
+        if condition is not None or thresholds is not None:
+            raise ValueError("condition and thresholds have no effect beside rule=, which decides; leave them out")
+        rule, mode = begun(rule, mode)
+        r0, condition = operator.r0 if r0 is None else r0, f"rule {type(rule).__name__}"
+        task = task_of(SCHEDULE, E_MAX, laps=laps, model=model, first_mode=mode, r0=r0)
+        data, lap_times = _driven_by(rule, task, _longest(laps, course), robot, course, operator, seed)
+    warn_if_too_short(data.size * SAMPLE_TIME)
     facts = {"laps": laps, "settling": SETTLING} | tsc_facts(thresholds)
     session = _session(_frame(data), operator, condition, seed, **facts)
     return GroundRobotRun(
@@ -345,6 +373,27 @@ def _drive(task, most, robot, course, operator, seed, schedule=None, correction=
             "do): this robot or operator does not keep to the course; check their parameters"
         )
     return log[:rows], lap_times[:done]
+
+
+def _driven_by(rule, task, most, robot, course, operator, seed) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the log of laps as a rule decides, and when they ended.
+
+    The laps are driven again after each switch: with the same streams of noise, nothing before it changes.
+    """
+    schedule, said = np.full(most, task.first_mode), np.full(most, -1.0)
+    k, switched = round(SETTLING / SAMPLE_TIME), True
+    while switched:
+        log, lap_times = _drive(task, most, robot, course, operator, seed, schedule)
+        switched = False
+        while k < log.size and not switched:
+            wanted = decision(rule, f"t = {k * SAMPLE_TIME:.1f} s", float(log["tsc"][k]), float(log["p_r"][k]))
+            if wanted is not None:
+                said[k], switched = wanted, wanted != schedule[k]
+                schedule[k:] = wanted
+            k += 1
+    log["suggested_mode"] = said[: log.size]
+    return log, lap_times
 
 
 def _frame(log: np.ndarray) -> pd.DataFrame:

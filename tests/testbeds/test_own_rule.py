@@ -1,0 +1,80 @@
+"""
+A rule of one's own on the ground robot, and studies in which nobody can switch.
+
+Oracles: the rule applied to what was logged gives the modes that were driven, and these modes, driven as given, give the same log.
+"""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.testbeds import drive_modes, published_operator
+
+
+class Relay:
+    def __init__(self, low=0.28, high=0.32):
+        self.low, self.high, self.calls = low, high, 0
+
+    def step(self, *, tsc, p_r):
+        self.calls += 1
+        return 1 if p_r < self.low else 0 if p_r > self.high else None
+
+
+def test_a_rule_decides_from_what_is_measured():
+    rule = Relay()
+    run = tl.run_condition(rule=rule, participant=2, laps=4, seed=3)
+    log = run.session
+    modes, now = [], 1
+    for k, (t, p_r) in enumerate(zip(log.t, log["p_r"], strict=True)):
+        if t > 99.95:
+            now = 1 if p_r < 0.28 else 0 if p_r > 0.32 else now
+        modes.append(now)
+        assert log["mode"][k] == now
+    assert rule.calls == np.sum(log.t > 99.95)
+    assert np.count_nonzero(np.diff(modes)) >= 2
+    again = drive_modes(np.array(modes), published_operator(2), seed=3)
+    for name in ("p_r", "p_h", "r", "path_error", "robot_x", "yaw"):
+        np.testing.assert_array_equal(again[name], log[name])
+    assert log.metadata.condition == "rule Relay"
+    assert log.metadata.synthetic
+    assert run.measures()["followed_percent"] == 100.0
+
+
+def test_the_rules_of_the_package_are_rules_too():
+    thresholds = tl.ThresholdRule(0.0, 0.35, mode=0)
+    runs = [tl.run_condition(rule=thresholds, participant=2, laps=3, seed=1, mode=first) for first in (None, 1)]
+    assert [run.session["mode"][0] for run in runs] == [0.0, 1.0]
+    assert thresholds.mode == 0
+    run = tl.run_condition(rule=tl.PerformanceRule(0.24, 0.35), participant=2, laps=3, seed=1)
+    assert run.session["mode"][0] == 1.0
+
+
+def test_rules_that_fail_say_when():
+    class Late:
+        def step(self, tsc, p_r):
+            raise RuntimeError("out of data")
+
+    for more, says in (
+        ({"rule": Late()}, r"rule.step failed at t = 100.0 s, with TSC = .*RuntimeError: out of data"),
+        ({"rule": 3}, "rule must have a method step"),
+        ({"rule": Relay(), "condition": "C3"}, "no effect beside rule="),
+        ({"rule": Relay(), "thresholds": (0.0, 0.3)}, "no effect beside rule="),
+        ({"rule": Relay(), "testbed": "uav", "laps": None}, "rule has no effect on the UAV testbed"),
+        ({"condition": "C3", "mode": 0}, "mode has no effect without rule="),
+        ({}, "condition must be one of .*or rule="),
+    ):
+        with pytest.raises(ValueError, match=says):
+            tl.run_condition(**{"participant": 2, "laps": 2} | more)
+
+
+def test_runs_in_which_nobody_can_switch_warn():
+    with pytest.warns(UserWarning, match="nobody may switch in the first 100 s.*take more laps"):
+        tl.run_condition("C3", participant=2, laps=1)
+    with pytest.warns(UserWarning, match="nobody"):
+        tl.virtual_study(n=4, conditions=["C1", "C3"], laps=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        study = tl.virtual_study(n=4, conditions=["C1", "C3"], laps=3)
+    assert study.measures["switches"].sum() > 0
