@@ -93,6 +93,7 @@ from .studies import (
     design_balance as design_balance,
     equivalence as equivalence,
     latin_square_design as latin_square_design,
+    mixed_model as mixed_model,
     order_effects as order_effects,
     paired_t_test as paired_t_test,
     power_analysis as power_analysis,

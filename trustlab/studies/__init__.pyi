@@ -24,6 +24,7 @@ from .evidence.bayes import bayes_factor as bayes_factor, intraclass_correlation
 from .evidence.equivalence import equivalence as equivalence, simultaneous_intervals as simultaneous_intervals
 from .factors.effects import factorial_batch as factorial_batch
 from .factors.factorial import FactorialMeasures as FactorialMeasures
+from .factors.formula_model import FormulaModel as FormulaModel
 from .factors.order_effects import OrderEffects as OrderEffects, order_effects as order_effects
 from .planning.closed_form_power import (
     clopper_pearson as clopper_pearson,

@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -69,30 +69,59 @@ class MixedModel:
 
 
 def mixed_model(
-    frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable, *, order: Sequence | None = None
-) -> MixedModel:
+    frame: pd.DataFrame | str,
+    dv: Any = None,
+    within: Hashable = None,
+    subject: Hashable = None,
+    *,
+    order: Sequence | None = None,
+    data: pd.DataFrame | None = None,
+    groups: Hashable = None,
+    random: str = "1",
+    bootstrap: int = 0,
+    seed: int = 0,
+) -> Any:
     """
-    Fit a random intercept per subject to a long table; cells may be missing.
+    Fit a random intercept per subject to a long table, or a mixed model by formula; cells may be missing.
 
     Parameters
     ----------
-    frame : pandas.DataFrame
-        One row per subject and condition; a missing cell is an absent row or a missing score.
+    frame : pandas.DataFrame or str
+        One row per subject and condition, where a missing cell is an absent row or a missing score; or a formula such as
+        "error ~ autonomy * trial", followed by its table: ``mixed_model("error ~ autonomy", table, groups="subject")``.
     dv, within, subject : hashable
-        Columns with the score, the condition and the subject.
+        Columns with the score, the condition and the subject; without a formula.
     order : sequence, optional
-        Conditions in the order wanted.
+        Conditions in the order wanted; without a formula.
+    data : pandas.DataFrame, optional
+        The table of a formula, one row per trial; rows with missing values are refused.
+    groups : hashable
+        With a formula: the column whose groups have random effects.
+    random : str
+        With a formula: the random effects of a group, "1" for intercepts, "1 + trial" for intercepts and correlated slopes.
+    bootstrap : int
+        With a formula: data sets simulated to test each term. No kept Python library has Satterthwaite's or Kenward and Roger's degrees
+        of freedom; the likelihood ratio's own p is asymptotic and too small with few groups.
+    seed : int
+        Of the bootstrap.
 
     Returns
     -------
-    MixedModel
+    MixedModel or FormulaModel
+        The latter with a formula.
 
     Raises
     ------
     ValueError
         If the table is refused (see `trustlab.studies.analysis.score_table.read_scores`), fewer than three subjects have a
-        score, a condition has fewer than two, or nothing is left to estimate the error from.
+        score, a condition has fewer than two, or nothing is left to estimate the error from; with a formula, if it does not fit
+        the table, its effects are not estimable, a value is missing or no maximum of the likelihood is found.
     """
+    if isinstance(frame, str):
+        from trustlab.studies.factors.formula_model import formula_model
+
+        table = dv if data is None and isinstance(dv, pd.DataFrame) else data
+        return formula_model(frame, table, groups, random, bootstrap, seed)
     return fit_mixed_model(read_scores(frame, dv, within, subject, order=order))
 
 

@@ -1,0 +1,236 @@
+"""Mixed models by formula: trials, covariates, random slopes and missing cells; by statsmodels, tested by likelihood ratios."""
+
+import warnings
+from collections.abc import Hashable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from trustlab.models.checks import of_class, spawned, whole_number
+from trustlab.models.html import as_html
+from trustlab.studies.columns import column_of, refuse_missing_labels
+
+
+@dataclass(frozen=True, eq=False)
+class FormulaModel:
+    """
+    A linear mixed model, fixed effects by a formula, random effects of groups.
+
+    Parameters
+    ----------
+    formula, random : str
+        Fixed effects with the score, and random effects, as given.
+    groups : hashable
+        Column with the groups (subjects).
+    n, observations : int
+        Groups and rows.
+    coefficients, tests, variances : pandas.DataFrame
+        What `coefficients_table`, `table` and `random_effects` return.
+    log_likelihood : float
+        Maximum of the likelihood (not restricted).
+    singular : bool
+        Whether a random variance is estimated as zero, or a correlation as ±1.
+    draws : int
+        Simulated data sets of the parametric bootstrap; 0 without it.
+    origin : str
+        What kind of data these are where they were not measured; else empty.
+    """
+
+    formula: str
+    random: str
+    groups: Hashable
+    n: int
+    observations: int
+    coefficients: pd.DataFrame
+    tests: pd.DataFrame
+    variances: pd.DataFrame
+    log_likelihood: float
+    singular: bool
+    draws: int
+    origin: str
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the likelihood-ratio test of every term, against the model without it and without what contains it.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns term, chi2, df, p_chi2 (asymptotic: too small with few groups), p_bootstrap (share of data sets simulated from the
+            model without the term whose χ² is as large, (count + 1)/(draws + 1); NaN without a bootstrap).
+        """
+        return self.tests.copy()
+
+    def coefficients_table(self) -> pd.DataFrame:
+        """Return the fixed effects by restricted maximum likelihood: name estimate se z p ci_low ci_high (95 %, normal)."""
+        return self.coefficients.copy()
+
+    def random_effects(self) -> pd.DataFrame:
+        """Return variances and correlations of the random effects and the residual variance: name, variance, sd, then correlations."""
+        return self.variances.copy()
+
+    def _repr_html_(self) -> str:
+        how = "likelihood ratios, asymptotic" + (f" and by {self.draws} simulated data sets" if self.draws else "")
+        found = f"{self.origin} {self.observations} rows of {self.n} groups; {how}".strip()
+        return as_html(
+            found, self.tests, self.coefficients, self.variances, title=f"{self.formula}, random {self.random}"
+        )
+
+
+def formula_model(
+    formula: str, data: pd.DataFrame, groups: Hashable, random: str = "1", bootstrap: int = 0, seed: int = 0
+) -> FormulaModel:
+    """Fit a mixed model by formula; the arguments are those of `mixed_model`."""
+    from formulaic.errors import FormulaicError
+
+    of_class("formula", formula, str)
+    of_class("random", random, str, 'such as "1" (intercepts) or "1 + trial" (and slopes)')
+    frame = of_class("data", data, pd.DataFrame, "give the table after the formula, or as data=").reset_index(drop=True)
+    if formula.count("~") != 1:
+        raise ValueError(f"formula must be “score ~ terms”, got {formula!r}")
+    bootstrap = whole_number("bootstrap", bootstrap, least=0, most=100_000)
+    refuse_missing_labels(column_of(frame, "groups", groups), "groups")
+    codes, labels = pd.factorize(frame[groups])
+    if len(labels) < 3:
+        raise ValueError(f"groups: column {groups!r} has {len(labels)} groups; at least three are needed")
+    try:
+        y, x, z, terms = _matrices(formula, random, frame)
+    except (FormulaicError, NameError, KeyError, SyntaxError) as error:
+        raise ValueError(
+            f"formula {formula!r} with random {random!r}: {error} (columns are {', '.join(map(str, frame))})"
+        ) from None
+    if np.linalg.matrix_rank(x) < x.shape[1]:
+        raise ValueError(
+            f"formula {formula!r}: its {x.shape[1]} columns are linearly dependent; an effect is not estimable"
+        )
+    if not np.ptp(y):
+        raise ValueError(f"formula {formula!r}: every score is {y[0]:g}")
+    centre, scale = y.mean() if "Intercept" in x.columns else 0.0, y.std()
+    y = (y - centre) / scale  # so that the search does not see the unit
+    full, restricted = _fitted(y, x, z, codes), _fitted(y, x, z, codes, reml=True)
+    tests = [
+        _test(name, terms, y, x, z, codes, bootstrap, child)
+        for (name, _), child in zip(terms.items(), spawned(seed, len(terms)), strict=True)
+    ]
+    names = list(x.columns)
+    estimate, se = scale * restricted.fe_params, scale * restricted.bse_fe
+    estimate = estimate + centre * np.array([name == "Intercept" for name in names])
+    ratio = estimate / se
+    coefficients = pd.DataFrame(
+        {"name": names, "estimate": estimate, "se": se, "z": ratio, "p": 2.0 * special.ndtr(-np.abs(ratio))}
+    )
+    half = special.ndtri(0.975) * se
+    coefficients = coefficients.assign(ci_low=estimate - half, ci_high=estimate + half)
+    covariance = scale**2 * np.atleast_2d(restricted.cov_re)
+    origin = data.attrs.get("origin", "synthetic data" if data.attrs.get("synthetic") is True else "")
+    table = pd.DataFrame(tests, columns=["term", "chi2", "df", "p_chi2", "p_bootstrap"])
+    for part in (table, coefficients):
+        part.attrs |= {"origin": origin} if origin else {}
+    eigenvalues = np.linalg.eigvalsh(covariance)
+    return FormulaModel(
+        formula,
+        random,
+        groups,
+        len(labels),
+        len(y),
+        coefficients,
+        table,
+        _variances(list(z.columns), covariance, scale**2 * restricted.scale),
+        float(full.llf - len(y) * np.log(scale)),
+        bool(eigenvalues[0] < 1e-6 * scale**2),
+        bootstrap,
+        origin,
+    )
+
+
+def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
+    """Return score, regressors of fixed and of random effects, and for every term its columns; no row is left out in silence."""
+    from formulaic import model_matrix
+
+    found = model_matrix(formula, frame, na_action="ignore")
+    y, x = found.lhs, found.rhs
+    z = model_matrix(random, frame, na_action="ignore")
+    if y.shape[1] != 1:
+        raise ValueError(f"formula {formula!r}: the score must be one column of numbers")
+    together = np.column_stack([np.asarray(part, dtype=float) for part in (y, x, z)])
+    bad = ~np.isfinite(together).all(axis=1)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise ValueError(
+            f"data: {int(bad.sum())} rows have a value that is missing or not finite, row {row} first; leave them out"
+        )
+    terms = {str(term): list(columns) for term, columns in x.model_spec.term_indices.items() if str(term) != "1"}
+    numbers = [pd.DataFrame(np.asarray(part, dtype=float), columns=list(part.columns)) for part in (x, z)]
+    return together[:, 0], *numbers, terms
+
+
+def _fitted(y: np.ndarray, x: pd.DataFrame, z: pd.DataFrame, codes: np.ndarray, reml: bool = False):
+    """Return the best fit from two starts: statsmodels' own can end at a variance of zero that is not the maximum."""
+    from statsmodels.regression.mixed_linear_model import MixedLM, MixedLMParams
+
+    model = MixedLM(y, x.to_numpy(), codes, exog_re=z.to_numpy())
+    beta = np.linalg.lstsq(x.to_numpy(), y, rcond=None)[0]
+    fits = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a variance at its boundary, which the result says by itself
+        for start in (None, MixedLMParams.from_components(beta, cov_re=np.eye(z.shape[1]))):
+            try:
+                fits.append(model.fit(start_params=start, reml=reml, method=["bfgs", "lbfgs", "powell"]))
+            except np.linalg.LinAlgError:
+                continue
+    fits = [fit for fit in fits if np.isfinite(fit.llf)]
+    if not fits:
+        raise ValueError(
+            "the likelihood of the mixed model has no maximum that could be found; give fewer random effects"
+        )
+    return max(fits, key=lambda fit: fit.llf)
+
+
+def _test(
+    name: str,
+    terms: dict,
+    y: np.ndarray,
+    x: pd.DataFrame,
+    z: pd.DataFrame,
+    codes: np.ndarray,
+    draws: int,
+    seed: np.random.SeedSequence,
+) -> tuple:
+    """Return the likelihood-ratio test of a term, asymptotic and by simulation from the model without it."""
+    own = set(name.split(":"))
+    above = [i for other, columns in terms.items() if own < set(other.split(":")) for i in columns]
+    full = x.drop(columns=x.columns[above])
+    reduced = x.drop(columns=x.columns[[*above, *terms[name]]])
+
+    def statistic(score: np.ndarray, null) -> float:
+        return max(2.0 * (_fitted(score, full, z, codes).llf - null.llf), 0.0)
+
+    null = _fitted(y, reduced, z, codes)
+    chi2, df = statistic(y, null), full.shape[1] - reduced.shape[1]
+    p_bootstrap = np.nan
+    if draws:
+        rng, count = np.random.default_rng(seed), codes.max() + 1
+        values, vectors = np.linalg.eigh(np.atleast_2d(null.cov_re))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        larger = 0
+        for _ in range(draws):
+            effects = rng.standard_normal((count, z.shape[1])) @ root.T
+            noise = np.sqrt(null.scale) * rng.standard_normal(y.size)
+            score = reduced.to_numpy() @ null.fe_params + (z.to_numpy() * effects[codes]).sum(axis=1) + noise
+            larger += statistic(score, _fitted(score, reduced, z, codes)) >= chi2
+        p_bootstrap = (larger + 1.0) / (draws + 1.0)
+    return name, chi2, df, float(special.chdtrc(df, chi2)), p_bootstrap
+
+
+def _variances(names: list[str], covariance: np.ndarray, residual: float) -> pd.DataFrame:
+    """Return the random effects in a table."""
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correlation = covariance / np.outer(sd, sd)
+    table = pd.DataFrame({"name": [*names, "residual"], "variance": [*np.diag(covariance), residual]})
+    table["sd"] = np.sqrt(table["variance"].clip(lower=0.0))
+    for j, name in enumerate(names):
+        table[f"correlation with {name}"] = [*correlation[:, j], np.nan]
+    return table
