@@ -114,15 +114,7 @@ def formula_model(
         _test(name, terms, y, x, z, codes, bootstrap, child)
         for (name, _), child in zip(terms.items(), spawned(seed, len(terms)), strict=True)
     ]
-    names = list(x.columns)
-    estimate, se = scale * restricted.fe_params, scale * restricted.bse_fe
-    estimate = estimate + centre * np.array([name == "Intercept" for name in names])
-    ratio = estimate / se
-    coefficients = pd.DataFrame(
-        {"name": names, "estimate": estimate, "se": se, "z": ratio, "p": 2.0 * special.ndtr(-np.abs(ratio))}
-    )
-    half = special.ndtri(0.975) * se
-    coefficients = coefficients.assign(ci_low=estimate - half, ci_high=estimate + half)
+    coefficients = _coefficients(restricted, list(x.columns), centre, scale)
     covariance = scale**2 * np.atleast_2d(restricted.cov_re)
     origin = data.attrs.get("origin", "synthetic data" if data.attrs.get("synthetic") is True else "")
     table = pd.DataFrame(tests, columns=["term", "chi2", "df", "p_chi2", "p_bootstrap"])
@@ -143,6 +135,15 @@ def formula_model(
         bootstrap,
         origin,
     )
+
+
+def _coefficients(fit, names: list[str], centre: float, scale: float) -> pd.DataFrame:
+    """Return the fixed effects in the unit of the score, with z tests and intervals."""
+    estimate = scale * fit.fe_params + centre * np.array([name == "Intercept" for name in names])
+    se = scale * fit.bse_fe
+    p, half = 2.0 * special.ndtr(-np.abs(estimate / se)), special.ndtri(0.975) * se
+    columns = {"name": names, "estimate": estimate, "se": se, "z": estimate / se, "p": p}
+    return pd.DataFrame(columns | {"ci_low": estimate - half, "ci_high": estimate + half})
 
 
 def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
