@@ -9,6 +9,7 @@ import trustlab as tl
 from trustlab.operators.answers import experience, simulated_answers
 from trustlab.operators.teleoperator import RANGES, REACH, Teleoperator, graded_teleoperators
 from trustlab.sessions.session import Metadata, Session
+from trustlab.testbeds.tracking_task import TrackingTask
 
 RUN = tl.simulate_teleoperation("TMIG", seed=1, duration=20.0)
 
@@ -63,6 +64,99 @@ def test_bad_numbers_are_refused(name, bad):
 def test_bad_populations_are_refused(arguments, words):
     with pytest.raises(ValueError, match=words):
         graded_teleoperators(*arguments)
+
+
+def test_laws_by_name():
+    with pytest.raises(ValueError, match="law must be one of 'proportional', 'crossover', or a function of the state"):
+        Teleoperator(law="Crossover2")
+    people = graded_teleoperators(40, seed=3, adapts=True)
+    assert {person.law for person in people} == {"crossover"}
+    for person in people:
+        assert person.crossover * (person.reaction + person.lag + 0.3) == pytest.approx(0.6)
+
+
+class TestSight:
+    """What the operator sees, against the logged path; T = 0.01 s, reaction 0.25 s and camera 0.1 s: 35 samples."""
+
+    TASK = TrackingTask(failure_every=1e9)
+    LATE = 35
+
+    @pytest.mark.parametrize("preview", [0.0, 0.35, 1.0])
+    def test_preview_shows_the_path_ahead(self, preview):
+        loop = tl.TeleoperationLoop("M", Teleoperator(preview=preview), seed=4, task=self.TASK)
+        states = [loop.step().copy() for _ in range(300)]
+        run = loop.session.data
+        ahead = round(preview / 0.01)
+        for k in (100, 180):
+            path, robot = (run[[f"{name}_{axis}" for axis in "xyz"]].to_numpy() for name in ("reference", "robot"))
+            expected = path[k - self.LATE + ahead] - robot[k - self.LATE]
+            np.testing.assert_allclose(states[k].seen, expected, atol=1e-12)
+
+    def test_a_target_that_leaves_the_picture_is_lost_to_eye_and_controller(self):
+        task = TrackingTask(failure_every=1e9, view=0.1, integral=0.0)
+        loop = tl.TeleoperationLoop("MI", Teleoperator(), seed=4, task=task, push=np.full((3000, 3), 2.0))
+        states, run = [loop.step().copy() for _ in range(3000)], loop.session.data
+        error = run[["reference_x", "reference_y"]].to_numpy() - run[["robot_x", "robot_y"]].to_numpy()
+        inside = (np.abs(error) <= 0.1).all(axis=1)
+        assert 100 < inside.sum() < 2900, inside.sum()
+        for k in range(self.LATE + 1, 3000, 7):
+            assert states[k].sees == inside[k - self.LATE], k
+            assert states[k].finds == inside[k - 10], k
+            if not inside[k - self.LATE]:
+                last = np.flatnonzero(inside[: k - self.LATE + 1])[-1]
+                np.testing.assert_allclose(states[k].seen[:2], error[last], atol=1e-12)
+            if not inside[k - 10]:
+                np.testing.assert_array_equal(states[k].u_a, 0.0)
+        wide = tl.simulate_teleoperation("MI", Teleoperator(), seed=4, duration=30.0, task=self.TASK)
+        assert wide["path_error"].max() < 1.0  # negative control: nobody loses anything
+
+
+class TestCompensation:
+    def test_it_scales_what_the_hand_does(self):
+        """Oracle: without noise, force or delay of the channel the device is linear in what is wanted."""
+        arguments = {"seed": 2, "duration": 5.0, "delay": 0.0, "guard": "off", "task": TrackingTask(failure_every=1e9)}
+        loops = [
+            tl.TeleoperationLoop(
+                "M", Teleoperator(compensation=factor, noise=0.0), feedback=lambda state: (0.0, 0.0, 0.0),
+                **{name: value for name, value in arguments.items() if name != "duration"},
+            )
+            for factor in (1.0, 1.5)
+        ]  # fmt: skip
+        one, more = ([loop.step().copy() for _ in range(60)] for loop in loops)
+        for plain, scaled in zip(one[36:38], more[36:38], strict=True):  # the first pictures, of the same path
+            np.testing.assert_allclose(scaled.wanted, 1.5 * plain.wanted, rtol=1e-9)
+            assert np.abs(plain.wanted).max() > 0.0
+
+    @pytest.mark.parametrize("alpha", [0.3, 1.0])
+    def test_who_adapts_keeps_the_crossover(self, alpha):
+        """The gain from the error seen to what the robot is told: ω_c whatever α, where a fixed gain is scaled by the channel."""
+        gains = {}
+        for law in ("crossover", "proportional"):
+            person = Teleoperator(law=law, crossover=0.8, proportional=0.8, derivative=0.0, noise=0.0, reach=5.0)
+            loop = tl.TeleoperationLoop(
+                "M",
+                person,
+                seed=6,
+                delay=0.0,
+                alpha=np.full(11_000, alpha),
+                guard="off",
+                feedback=lambda state: (0.0, 0.0, 0.0),
+            )
+            rows = [loop.step().copy() for _ in range(11_000)][6000:]
+            seen = np.array([row.seen for row in rows])[:, :2].ravel()
+            told = np.array([row.r_s for row in rows])[:, :2].ravel()
+            gains[law] = float(np.sqrt(np.mean(told**2) / np.mean(seen**2)))
+        assert gains["crossover"] == pytest.approx(0.8, rel=0.15)  # less what lag and device take
+        assert gains["proportional"] < 0.7 * gains["crossover"]
+
+
+def test_skill_makes_a_difference_to_who_adapts():
+    """Mean error of the third of least and of most skill; with fixed gains reaction and lag alone change next to nothing."""
+    people = graded_teleoperators(12, seed=1, adapts=True)
+    errors = [
+        tl.simulate_teleoperation("M", one, seed=i, duration=60.0)["path_error"].mean() for i, one in enumerate(people)
+    ]
+    assert np.mean(errors[-4:]) < 0.9 * np.mean(errors[:4])
 
 
 def made(error, force, alpha, p_h, p_r, condition="TMIG"):

@@ -7,4 +7,8 @@ from .ground_robot import (
     joystick as joystick,
     operator as operator,
 )
-from .teleoperator import REACH as REACH, Teleoperator as Teleoperator, graded_teleoperators as graded_teleoperators
+from .teleoperator import (
+    REACH as REACH,
+    Teleoperator as Teleoperator,
+    graded_teleoperators as graded_teleoperators,
+)

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import not_negative, one_of, positive, shown, spawned, whole_number
+from trustlab.models.checks import not_negative, one_of, positive, spawned, whole_number
 from trustlab.operators.ground_robot import check_participant
+from trustlab.teleoperation.loop.defaults import LAWS
 from trustlab.teleoperation.loop.state import HandNumbers
 
 REACH = {"preliminary": 2.5, "main": 1.0}
@@ -42,9 +43,9 @@ class Teleoperator:
     reaction : float
         Time from what happens to what the hand wants [s]; the camera's delay comes on top.
     lag : float
-        Time constant of the hand's wish [s].
+        Neuromuscular lag: time constant of the hand's wish [s].
     reach : float
-        Largest command wanted [m/s] on each axis.
+        Largest command wanted [m/s] on each axis, before `compensation`.
     stiffness, damping : float
         Of the hand [N/m], [N s/m].
     noise : float
@@ -55,11 +56,23 @@ class Teleoperator:
         By how much α is moved by hand at a time (scheme MMI).
     patience : float
         How long between two such moves [s].
-    law : callable, optional
-        f(state) → command wanted [m/s] on each axis, shape (3,), in place of the proportional law: `state.seen` is the error
+    compensation : float
+        By how much the hand moves more than it should, to make up for the scales of the channel: 1 not at all. The main study's
+        channel passes at least 2√β̲ = 0.447 of a command, which 2.24 makes up for.
+    preview : float
+        How far ahead the operator sees the target's path [s].
+    law : {"proportional", "crossover"} or callable
+        "proportional": `proportional` and `derivative` on the error seen, the same on any channel. "crossover": people keep the
+        open loop near its crossover an integrator with a delay, ω_c e^(−τs)/s, whatever they control; the robot is an integrator
+        already, so that the gain on the error is ω_c over the scale of the channel, which they learn as the ratio of the root mean
+        squares of r_s and r_m. Or f(state) → command wanted [m/s] on each axis, shape (3,), in place of the proportional law: `state.seen` is the error
         seen, late by `reaction` and the camera's delay, `state.seen_before` that of the sample before, and `state.sees` is
         False before the first picture. With f(state, memory) it has 16 numbers of its own. The hand (lag, stiffness, noise)
         stays as it is.
+    crossover : float
+        ω_c [rad/s] of the law of that name; the loop is stable below π/2 over the whole delay of eye, hand and channel.
+    adaptation : float
+        Time constant of what that law learns of the channel [s].
 
     Raises
     ------
@@ -68,7 +81,8 @@ class Teleoperator:
 
     Notes
     -----
-    The defaults are plausible, not measured, and were not chosen for any outcome.
+    The defaults are plausible, not measured, and were not chosen for any outcome. Crossover model: D. T. McRuer and H. R. Jex, A
+    review of quasi-linear pilot models, IEEE Trans. Human Factors in Electronics 8(3), 1967.
     """
 
     participant: str | int = "simulated"
@@ -83,16 +97,23 @@ class Teleoperator:
     noise_time: float = 0.2
     shift: float = 0.1
     patience: float = 3.0
-    law: Any = None
+    compensation: float = 1.0
+    preview: float = 0.0
+    law: Any = "proportional"
+    crossover: float = 1.2
+    adaptation: float = 10.0
 
     def __post_init__(self):
         check_participant(self.participant)
-        if not (self.law is None or callable(self.law)):
-            raise ValueError(f"law must be a function of the state, got {shown(self.law)}")
-        for item in fields(self)[1:-1]:
-            check = positive if item.name in ("reach", "lag", "noise_time", "patience") else not_negative
+        if not callable(self.law):
+            one_of("law", self.law, LAWS, also="a function of the state")
+        for item in fields(self)[1:]:
+            if item.name == "law":
+                continue
+            above_zero = ("reach", "lag", "noise_time", "patience", "compensation", "crossover", "adaptation")
+            check = positive if item.name in above_zero else not_negative
             object.__setattr__(self, item.name, check(item.name, getattr(self, item.name)))
-        for name, most in (("reaction", 2.0), ("lag", 5.0), ("shift", 1.0)):
+        for name, most in (("reaction", 2.0), ("lag", 5.0), ("shift", 1.0), ("preview", 10.0)):
             if getattr(self, name) > most:
                 raise ValueError(f"{name} must not exceed {most}, got {getattr(self, name)}")
 
@@ -110,6 +131,9 @@ class Teleoperator:
         return HandNumbers(
             self.proportional,
             self.derivative,
+            self.compensation,
+            self.crossover,
+            sample_time / max(self.adaptation, sample_time),
             max(round((self.reaction + camera_delay) / sample_time), 1),
             math.exp(-sample_time / self.lag),
             self.reach,
@@ -121,7 +145,11 @@ class Teleoperator:
         )
 
 
-def graded_teleoperators(n: int, seed: int = 0, study: str = "main") -> list[Teleoperator]:
+MARGIN, ON_THE_WAY = 0.6, 0.3
+"""Of operators who adapt: ω_c over their whole delay [rad], of which the camera and the channel take some [s]."""
+
+
+def graded_teleoperators(n: int, seed: int = 0, study: str = "main", adapts: bool = False) -> list[Teleoperator]:
     """
     Return simulated operators of graded skill.
 
@@ -137,6 +165,9 @@ def graded_teleoperators(n: int, seed: int = 0, study: str = "main") -> list[Tel
         Seed of u; operator i has a stream of its own.
     study : {"preliminary", "main"}
         Sets the largest command.
+    adapts : bool
+        Operators whose law is "crossover", with ω_c = 0.6 rad over reaction, lag and 0.3 s of camera and channel: who is quicker
+        can follow more closely. Without it the gains are so low that reaction, lag and noise hardly matter.
 
     Returns
     -------
@@ -164,5 +195,7 @@ def graded_teleoperators(n: int, seed: int = 0, study: str = "main") -> list[Tel
             for (name, (low, high)), share in zip(RANGES.items(), shares, strict=True)
         }
         patience = float(2.0 + 2.0 * draws[-1])
+        if adapts:
+            skill |= {"law": "crossover", "crossover": MARGIN / (skill["reaction"] + skill["lag"] + ON_THE_WAY)}
         people.append(Teleoperator(i + 1, reach=REACH[study], patience=patience, **skill))
     return people

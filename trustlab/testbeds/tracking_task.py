@@ -52,6 +52,10 @@ class TrackingTask:
         Gains of the hovering PID controller.
     reach : float
         Its largest command [m/s].
+    view : float
+        Half the width of the camera's picture [m], which shows operator and controller the target from above; infinite when
+        not given. A target that leaves it is lost until it is back: the operator looks where it was last seen, the controller
+        hovers.
 
     Raises
     ------
@@ -69,10 +73,13 @@ class TrackingTask:
     integral: float = 0.1
     derivative: float = 0.1
     reach: float = 1.5
+    view: float = float("inf")
 
     def __post_init__(self):
         may_be_zero = ("speed", "camera_delay", "proportional", "integral", "derivative")
         for name in self.__dataclass_fields__:
+            if name == "view" and self.view == float("inf"):
+                continue
             check = not_negative if name in may_be_zero else positive
             object.__setattr__(self, name, check(name, getattr(self, name)))
 
@@ -87,7 +94,7 @@ class TrackingTask:
         """
         late = max(round(self.camera_delay / sample_time), 1)
         ideal = 1.0  # gain of the ideal controller u_i = reference velocity + error
-        return AutonomyNumbers(self.proportional, self.integral, self.derivative, late, self.reach, ideal)
+        return AutonomyNumbers(self.proportional, self.integral, self.derivative, late, self.reach, self.view, ideal)
 
     def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -13,7 +13,7 @@ from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.channel import lost_waves
 from trustlab.teleoperation.delays import Delay, delays_in_samples, random_walk_delay
 from trustlab.teleoperation.loop import guidance as ways, kernel, setup
-from trustlab.teleoperation.loop.defaults import DEFAULTS
+from trustlab.teleoperation.loop.defaults import DEFAULTS, LAWS
 from trustlab.teleoperation.loop.parts import View, part_of
 from trustlab.teleoperation.loop.schemes import Scheme, optimal, scheme_named
 from trustlab.teleoperation.loop.settings import DivergenceError, LoopSettings, PartError, study_named
@@ -166,8 +166,9 @@ class TeleoperationLoop:
             gains = (task.proportional, task.derivative)
             one["blend"] = setup.blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
         one["guard"], one["read_out"], one["tank"] = METHODS[self.guard], READ_OUTS[self.read_out], self.tank
-        own = {"trust": self.trust, "feedback": self.feedback, "autonomy": self.autonomy, "operator": self._person.law}
-        wanted = {"scheme": self._scheme.shares, "vehicle": vehicle}
+        own = {"trust": self.trust, "feedback": self.feedback, "autonomy": self.autonomy}
+        law = self._person.law
+        wanted = {"scheme": self._scheme.shares, "vehicle": vehicle, "operator": law if callable(law) else LAWS[law]}
         wanted |= {port: DEFAULTS[port] if part is None else part for port, part in own.items()}
         self._parts = {port: part_of(port, wanted[port], self.state) for port in PORTS}
         self.ways = {port: part.way for port, part in self._parts.items()}
@@ -293,7 +294,9 @@ class TeleoperationLoop:
     def _reserve(self, count: int, stepped: bool = False) -> None:
         """Draw what comes from outside for `count` samples, and make room for the log; a stepped loop takes fewer where it must."""
         if stepped:
-            count = min(count, self._most())
+            arrays = any(one is not None for one in (self.alpha, self.push, self.lost))
+            # arrays are as long as the run that they are meant for
+            count = self._most() if arrays else min(count, self._most())
             if count <= self._done:
                 raise ValueError(
                     f"alpha, push, lost or a recorded delay ends at t = {self.t:g} s: the loop cannot go beyond"
@@ -406,8 +409,10 @@ def _inputs(settings, task, operator, count, sample_time, seeds) -> np.ndarray:
     """Return what is drawn from the seeds, records of INPUT; a longer draw begins with the shorter one."""
     start, losses, noise = (np.random.default_rng(child) for child in seeds[:3])
     t, inputs = sample_time * np.arange(count), np.empty(count, INPUT)
-    position, velocity = task.path(t, settings.height, start.uniform(0.0, 2.0 * np.pi))
+    phase = start.uniform(0.0, 2.0 * np.pi)
+    position, velocity = task.path(t, settings.height, phase)
     inputs["reference"], inputs["reference_velocity"] = position, velocity
+    inputs["ahead"] = task.path(t + operator.preview, settings.height, phase)[0] - position
     inputs["detected"] = _losses(task, count, sample_time, losses)
     inputs["motor"] = _coloured(count, operator.noise_time, sample_time, noise)
     inputs["hand"] = np.nan

@@ -1,5 +1,7 @@
 """The parts that a loop has where the user gives no other: autonomy, operator's law, force feedback, vehicle and trust."""
 
+import numpy as np
+
 from trustlab.models.compiled import njit
 from trustlab.models.trust import trust_step
 from trustlab.teleoperation.loop.parts import Part
@@ -31,13 +33,43 @@ def controller(state, setup):
 
 @Part
 def proportional_law(state, setup):
-    """Set the command that the operator wants, in proportion to the error seen and its rate."""
+    """
+    Set the command that the operator wants, in proportion to the error seen and its rate.
+
+    While the target is out of the picture it is looked for where it was last seen.
+    """
     hand = setup.hand
     for i in range(3):
-        state.wanted[i] = 0.0
+        wanted = hand.proportional * state.seen[i]
         if state.sees:
-            rate = (state.seen[i] - state.seen_before[i]) / state.sample_time
-            state.wanted[i] = clip(hand.proportional * state.seen[i] + hand.derivative * rate, hand.reach)
+            wanted += hand.derivative * ((state.seen[i] - state.seen_before[i]) / state.sample_time)
+        state.wanted[i] = hand.compensation * clip(wanted, hand.reach)
+
+
+FLOOR = 0.05
+"""Speed of the hand [m/s] above which an operator notices what the channel makes of it."""
+
+
+@Part
+def crossover_law(state, setup):
+    """
+    Set the command wanted by an operator who keeps the crossover of the whole loop where it was, whatever the channel's scale.
+
+    The scale is the ratio of the root mean squares of what the channel gives and takes, which delays do not change.
+    """
+    hand, memory, taken, given = setup.hand, state.operator_memory, 0.0, 0.0
+    for i in range(3):
+        taken += state.r_m[i] ** 2
+        given += state.r_s[i] ** 2
+    memory[0] += hand.learned * (taken - memory[0])
+    memory[1] += hand.learned * (given - memory[1])
+    scale = np.sqrt((memory[1] + FLOOR**2) / (memory[0] + FLOOR**2))  # 1 until the hand has moved
+    for i in range(3):
+        state.wanted[i] = hand.compensation * clip(hand.crossover * state.seen[i], hand.reach) / scale
+
+
+LAWS = {"proportional": proportional_law, "crossover": crossover_law}
+"""How operators act on the error that they see, by name."""
 
 
 @Part
@@ -73,5 +105,5 @@ def next_trust(trust, model, p):
     return model.t_min + span * trust_step((trust - model.t_min) / span, share, model.decay, model.gain)
 
 
-DEFAULTS = {"trust": two_way_trust, "feedback": spring, "autonomy": controller, "operator": proportional_law}
+DEFAULTS = {"trust": two_way_trust, "feedback": spring, "autonomy": controller}
 """By the port that each of them serves."""

@@ -77,13 +77,22 @@ def receive(k, setup, delays, arrives, accounts, history, sent, log, state):
 
 
 @njit(error_model="numpy", forceinline=True)
+def pictured(error, widest):
+    """Return whether the target is in the camera's picture, x and y seen from above."""
+    return abs(error[0]) <= widest and abs(error[1]) <= widest
+
+
+@njit(error_model="numpy", forceinline=True)
 def look_up(k, setup, inputs, history, state):
     """Set what sample k begins with: the target, the pictures of camera and operator, and the performance that leaves."""
     now = inputs[k]
     state.t = k * state.sample_time
     view, camera = k - setup.hand.delay, k - setup.auto.delay
-    state.sees, state.finds = view >= 1, camera >= 1 and inputs[camera].detected
-    state.found_before = state.finds and inputs[camera - 1].detected
+    widest = setup.auto.picture
+    state.sees = view >= 1 and pictured(history[view].error, widest)
+    state.finds = camera >= 1 and inputs[camera].detected and pictured(history[camera].error, widest)
+    before = camera - 1
+    state.found_before = state.finds and inputs[before].detected and pictured(history[before].error, widest)
     square = 0.0
     for i in range(3):
         state.reference[i], state.reference_velocity[i] = now.reference[i], now.reference_velocity[i]
@@ -91,8 +100,9 @@ def look_up(k, setup, inputs, history, state):
         state.error[i] = now.reference[i] - state.robot[i]
         square += state.error[i] ** 2
         history[k].error[i] = state.error[i]
-        if view >= 1:
-            state.seen[i], state.seen_before[i] = history[view].error[i], history[view - 1].error[i]
+        if state.sees:  # else the operator remembers where the target was last seen
+            state.seen[i] = history[view].error[i] + inputs[view].ahead[i]
+            state.seen_before[i] = history[view - 1].error[i] + inputs[view - 1].ahead[i]
         if camera >= 1:
             state.picture[i], state.picture_before[i] = history[camera].error[i], history[camera - 1].error[i]
     state.path_error = np.sqrt(square)

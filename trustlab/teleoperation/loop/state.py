@@ -35,10 +35,10 @@ LOG = np.dtype(
 
 COLUMNS = columns_of(LOG)
 
-INPUT = record(vectors="reference reference_velocity motor pushed hand", numbers="alpha", flags="detected")
+INPUT = record(vectors="reference reference_velocity ahead motor pushed hand", numbers="alpha", flags="detected")
 """
-What comes from outside in one sample: where the robot should be and how fast it should move, noise of the hand, a force
-added to the hand's, where the hand wants to be and α where they are given (NaN elsewhere), and whether the controller's
+What comes from outside in one sample: where the robot should be and how fast it should move, how far the target moves on
+within the operator's preview, noise of the hand, a force added to the hand's, where the hand wants to be and α where they are given (NaN elsewhere), and whether the controller's
 camera finds its target.
 """
 
@@ -116,6 +116,9 @@ class HandNumbers(NamedTuple):
 
     proportional: float
     derivative: float
+    compensation: float
+    crossover: float
+    learned: float  # share of what is new in what an operator knows of the channel, per sample
     delay: int
     decay: float
     reach: float
@@ -127,13 +130,14 @@ class HandNumbers(NamedTuple):
 
 
 class AutonomyNumbers(NamedTuple):
-    """The autonomous controller (PID on what the camera saw `delay` samples ago) and the ideal one."""
+    """The autonomous controller (PID on what the camera saw `delay` samples ago), half its picture's width, and the ideal one."""
 
     proportional: float
     integral: float
     derivative: float
     delay: int
     reach: float
+    picture: float
     ideal: float
 
 
