@@ -69,7 +69,7 @@ def test_bad_populations_are_refused(arguments, words):
 def test_laws_by_name():
     with pytest.raises(ValueError, match="law must be one of 'proportional', 'crossover', or a function of the state"):
         Teleoperator(law="Crossover2")
-    people = graded_teleoperators(40, seed=3, adapts=True)
+    people = graded_teleoperators(40, seed=3, law="crossover")
     assert {person.law for person in people} == {"crossover"}
     for person in people:
         assert person.crossover * (person.reaction + person.lag + 0.3) == pytest.approx(0.6)
@@ -152,7 +152,7 @@ class TestCompensation:
 
 def test_skill_makes_a_difference_to_who_adapts():
     """Mean error of the third of least and of most skill; with fixed gains reaction and lag alone change next to nothing."""
-    people = graded_teleoperators(12, seed=1, adapts=True)
+    people = graded_teleoperators(12, seed=1, law="crossover")
     errors = [
         tl.simulate_teleoperation("M", one, seed=i, duration=60.0)["path_error"].mean() for i, one in enumerate(people)
     ]

@@ -103,6 +103,13 @@ def whole_number(name: str, value: Any, least: int = 1, most: int | None = None)
     return number
 
 
+def flag(name: str, value: Any) -> bool:
+    """Return True or False; nothing else counts as either."""
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} must be True or False, got {shown(value)}")
+    return bool(value)
+
+
 def one_of(name: str, value: Any, allowed: Iterable[str], also: str = "") -> str:
     """Return a word that is among those allowed; `also` says what else an argument may be, for the error only."""
     allowed = list(allowed)

@@ -149,7 +149,7 @@ MARGIN, ON_THE_WAY = 0.6, 0.3
 """Of operators who adapt: ω_c over their whole delay [rad], of which the camera and the channel take some [s]."""
 
 
-def graded_teleoperators(n: int, seed: int = 0, study: str = "main", adapts: bool = False) -> list[Teleoperator]:
+def graded_teleoperators(n: int, seed: int = 0, study: str = "main", law: str = "proportional") -> list[Teleoperator]:
     """
     Return simulated operators of graded skill.
 
@@ -165,9 +165,9 @@ def graded_teleoperators(n: int, seed: int = 0, study: str = "main", adapts: boo
         Seed of u; operator i has a stream of its own.
     study : {"preliminary", "main"}
         Sets the largest command.
-    adapts : bool
-        Operators whose law is "crossover", with ω_c = 0.6 rad over reaction, lag and 0.3 s of camera and channel: who is quicker
-        can follow more closely. Without it the gains are so low that reaction, lag and noise hardly matter.
+    law : {"proportional", "crossover"}
+        As of `Teleoperator`. With "crossover" ω_c is 0.6 rad over reaction, lag and 0.3 s of camera and channel: who is quicker
+        can follow more closely. With "proportional" the gains are so low that reaction, lag and noise hardly matter.
 
     Returns
     -------
@@ -186,6 +186,7 @@ def graded_teleoperators(n: int, seed: int = 0, study: str = "main", adapts: boo
     """
     n, seed = whole_number("n", n, most=100_000), whole_number("seed", seed, least=0)
     one_of("study", study, REACH)
+    one_of("law", law, LAWS)
     people = []
     for i, child in enumerate(spawned(seed, n)):
         draws = np.random.default_rng(child).uniform(size=len(RANGES) + 1)
@@ -195,7 +196,6 @@ def graded_teleoperators(n: int, seed: int = 0, study: str = "main", adapts: boo
             for (name, (low, high)), share in zip(RANGES.items(), shares, strict=True)
         }
         patience = float(2.0 + 2.0 * draws[-1])
-        if adapts:
-            skill |= {"law": "crossover", "crossover": MARGIN / (skill["reaction"] + skill["lag"] + ON_THE_WAY)}
-        people.append(Teleoperator(i + 1, reach=REACH[study], patience=patience, **skill))
+        skill["crossover"] = MARGIN / (skill["reaction"] + skill["lag"] + ON_THE_WAY)
+        people.append(Teleoperator(i + 1, reach=REACH[study], patience=patience, law=law, **skill))
     return people

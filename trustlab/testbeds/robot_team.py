@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import between, finite_array, finite_number, of_class, one_of, positive, spawned
+from trustlab.models.checks import between, finite_array, finite_number, flag, of_class, one_of, positive, spawned
 from trustlab.models.trust import trust_run
 from trustlab.teleoperation.delays import Delay, delays_in_samples
 from trustlab.teleoperation.filters import TwoPortFilter, WaveFilter, corrected_filter, passivity_margin, printed_filter
@@ -18,7 +18,7 @@ from trustlab.teleoperation.records import log_of, robot_numbers, signal
 from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.graphs import TeamGraph, formation_on, graphs_in_time
 from trustlab.teleoperation.team.leader_policies import Decision, LeaderPolicy, LivePolicy, is_live, policy_named
-from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, flag
+from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings
 from trustlab.testbeds.team_run import TeamRun
 
 NOTE = "simulated team and operator"

@@ -53,8 +53,8 @@ class TrackingTask:
     reach : float
         Its largest command [m/s].
     view : float
-        Half the width of the camera's picture [m], which shows operator and controller the target from above; infinite when
-        not given. A target that leaves it is lost until it is back: the operator looks where it was last seen, the controller
+        Half the width of the camera's picture [m], which shows operator and controller the target from above; without bound
+        when not given (10⁶ m). A target that leaves it is lost until it is back: the operator looks where it was last seen, the controller
         hovers.
 
     Raises
@@ -73,15 +73,14 @@ class TrackingTask:
     integral: float = 0.1
     derivative: float = 0.1
     reach: float = 1.5
-    view: float = float("inf")
+    view: float = 1e6
 
     def __post_init__(self):
         may_be_zero = ("speed", "camera_delay", "proportional", "integral", "derivative")
         for name in self.__dataclass_fields__:
-            if name == "view" and self.view == float("inf"):
-                continue
             check = not_negative if name in may_be_zero else positive
             object.__setattr__(self, name, check(name, getattr(self, name)))
+        between("view", self.view, 0.0, 1e6)
 
     def controller(self, sample_time: float) -> AutonomyNumbers:
         """

@@ -5,17 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import finite_number, not_negative, of_class, positive
+from trustlab.models.checks import finite_number, flag, not_negative, of_class, positive
 from trustlab.models.trust import TrustModel
 from trustlab.teleoperation.ports.device import HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
-
-
-def flag(name: str, value) -> bool:
-    """Return True or False; nothing else counts as either."""
-    if not isinstance(value, bool | np.bool_):
-        raise ValueError(f"{name} must be True or False, got {value!r}")
-    return bool(value)
 
 
 def _trust(rate: float, ratio: float = 1.0) -> TrustModel:
