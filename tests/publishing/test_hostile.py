@@ -329,3 +329,34 @@ def test_output_of_ten_megabytes_is_made_anonymous_in_linear_time(tmp_path, monk
         anonymous("in /tmp/ipykernel_17/23.py, line 1 of /somewhere/else/a.py", checkout)
         == "in this notebook, line 1 of a.py"
     )
+
+
+def test_tables_sort_filter_unfold_and_save_within_the_page_at_three_widths(visit):
+    table = pd.DataFrame({"name": [f"n{i}n" for i in range(40)], "p": [0.0395 - i / 1000 for i in range(40)]})
+    wide = pd.DataFrame(np.ones((3, 40)), columns=[f"column {i}" for i in range(40)])
+    data = [{"text/html": table.to_html(index=False)}, {"text/html": wide.to_html()}]
+    cells = [
+        new_markdown_cell("# A\n\nWords."),
+        new_code_cell("x", outputs=[new_output("display_data", data=d) for d in data]),
+    ]
+    text, _ = report_html(new_notebook(cells=cells), "01_a", ORIGIN | {"commit": "abc"})
+    seen = visit(text)
+    page = seen.page
+    shown = "[...document.querySelector('table').tBodies[0].rows].filter(r => r.getClientRects().length)"
+    first = f"{shown}[0].cells[0].textContent"
+    assert unmoved(seen)
+    assert page.evaluate(f"{shown}.length") == 15
+    page.click("text=show all 40 rows")
+    assert page.evaluate(f"{shown}.length") == 40
+    page.click("th button:text-is('p')")
+    assert page.evaluate(first) == "n39n"  # the least p, written "< .001"
+    assert page.evaluate(f"{shown}.at(-1).cells[0].textContent") == "n0n"
+    page.fill("input[type=search]", "n7n")
+    assert page.evaluate(f"{shown}.map(r => r.cells[0].textContent)") == ["n7n"]
+    with page.expect_download() as saved:
+        page.click("text=CSV >> nth=0")
+    assert "n7n" in Path(saved.value.path()).read_text()
+    assert not seen.asked
+    for width in (390, 1280, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
