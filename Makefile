@@ -1,6 +1,6 @@
 # `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
 .DEFAULT_GOAL := help
-.PHONY: environment reports test test-long lock bench lab data clean help
+.PHONY: environment reports test test-long lock bench lab data calibration clean help
 
 PYTHON ?= python3
 VENV := .venv
@@ -64,6 +64,9 @@ lab: $(VENV)/.stamp  ## JupyterLab in notebooks/
 
 data: $(VENV)/.stamp  ## write data/sessions/ again from its seeds
 	$(BIN)/python data/sessions/make_sessions.py
+
+calibration: $(VENV)/.stamp  ## simulate the studies behind data/calibration/ again; goes on where it was stopped
+	$(BIN)/python data/calibration/make_calibration.py
 
 lock:  ## resolve environment.lock again (needs uv)
 	uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 \

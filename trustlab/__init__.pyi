@@ -68,6 +68,7 @@ from .operators import (
 from .reproduction import (
     PublishedStudy as PublishedStudy,
     audit as audit,
+    calibrate as calibrate,
     compare as compare,
     feasibility as feasibility,
     model_effects as model_effects,

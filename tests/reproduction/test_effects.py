@@ -30,7 +30,7 @@ BY_HAND = {
 
 @pytest.fixture(scope="module")
 def simulated():
-    return tl.simulated_effects({"attention_cost": 0.05}, n=10, seed=1).set_index("id")
+    return tl.simulated_effects({"attention_cost": 0.05}, n=4, seed=1).set_index("id")
 
 
 def test_printed_effects_are_those_read_by_hand():

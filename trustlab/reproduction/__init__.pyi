@@ -6,6 +6,12 @@ from .audit.plots import (
     plot_verdicts as plot_verdicts,
     verdict_counts as verdict_counts,
 )
+from .calibration import (
+    Calibration as Calibration,
+    calibrate as calibrate,
+    read_calibration as read_calibration,
+    write_calibration as write_calibration,
+)
 from .comparison import (
     compare as compare,
     matching_digits as matching_digits,

@@ -1,0 +1,346 @@
+"""
+What must be true of people for a study's printed effects to hold at once: approximate Bayesian computation over assumptions.
+
+A table of simulated studies, each under assumptions drawn from a prior, is made as a campaign. Linear regressions of every
+assumption on the effects give summaries, one per assumption (Fearnhead and Prangle 2012); the simulated studies nearest to the
+printed one in these are kept, and their assumptions moved along a local regression to where the printed summaries lie (Beaumont,
+Zhang and Balding 2002), on the probit scale of the prior's range.
+"""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from trustlab.campaign.run import run_campaign, where_to_run
+from trustlab.models.checks import between, in_order, one_of, whole_number
+from trustlab.models.compiled import _digest
+from trustlab.models.html import as_html
+from trustlab.operators.ground_robot import checked_assumptions
+from trustlab.reproduction import effects_simulated
+from trustlab.reproduction.effects import Effect, effects
+from trustlab.reproduction.effects_simulated import ALLOCATION, simulated_effects
+
+PRIORS = {
+    "attention_cost": (0.0, 0.3),
+    "trust_bias": (-0.4, 0.4),
+    "take_over_lag": (0.0, 10.0),
+    "r0": (0.0, 1.0),
+    "load_utilization": (0.0, 1.0),
+    "load_switching": (0.0, 0.2),
+}
+"""Ranges of the uniform priors. Learning and fatigue cancel in a balanced design and are left out."""
+
+LEAST_PER_SUMMARY = 5
+"""Simulations that must be kept for every coefficient of the local regression."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """
+    Which assumptions about people reproduce a study's printed effects at once, within this model of operators.
+
+    Parameters
+    ----------
+    study : str
+        The study.
+    priors : dict of str to (float, float)
+        Ranges of the uniform priors.
+    simulations : pandas.DataFrame
+        The simulated studies: a column per assumption and per effect, by id.
+    posterior : pandas.DataFrame
+        A sample of assumptions, a row each.
+    kept : numpy.ndarray of int
+        Rows of `simulations` that the sample was made from.
+    settings : dict
+        n (participants of each simulated study), seed, simulations, accepted, left_out (failed, or without some effect).
+    """
+
+    study: str
+    priors: dict[str, tuple[float, float]]
+    simulations: pd.DataFrame
+    posterior: pd.DataFrame
+    kept: np.ndarray
+    settings: dict
+
+    def table(self) -> pd.DataFrame:
+        """Return assumption, prior_low, prior_high, median, low, high (95 %), contraction (1 − variance over the prior's)."""
+        rows = []
+        for name, (low, high) in self.priors.items():
+            values = self.posterior[name]
+            contraction = 1.0 - 12.0 * values.var() / (high - low) ** 2
+            rows.append((name, low, high, values.median(), *values.quantile([0.025, 0.975]), contraction))
+        names = ["assumption", "prior_low", "prior_high", "median", "low", "high", "contraction"]
+        return pd.DataFrame(rows, columns=names)
+
+    def checks(self) -> pd.DataFrame:
+        """
+        Return every effect beside what simulated studies give, under the prior and near the posterior.
+
+        Returns
+        -------
+        pandas.DataFrame
+            id, printed; prior_low, prior_high: the range of all simulated studies; low, high: the central 95 % of those kept;
+            reached: whether any simulated study goes as far as the printed effect. Where none does, it is out of reach whatever people
+            are like, within these priors and this model of operators. Effects that no simulated study has are left out.
+        """
+        rows = []
+        for effect in observed_effects(self.study):
+            if effect.id not in self.simulations:
+                continue
+            values = self.simulations[effect.id]
+            near = values.iloc[self.kept].quantile([0.025, 0.975])
+            reached = bool(values.min() <= effect.high and values.max() >= effect.low)
+            rows.append((effect.id, effect.printed, values.min(), values.max(), *near, reached))
+        return pd.DataFrame(rows, columns=["id", "printed", "prior_low", "prior_high", "low", "high", "reached"])
+
+    def plot(self):
+        """
+        Plot the posterior of every assumption over its prior.
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes
+        """
+        import matplotlib.pyplot as plt
+
+        size = (2.2 * len(self.priors), 2.6)
+        figure, axes = plt.subplots(1, len(self.priors), squeeze=False, layout="constrained", figsize=size)
+        for axis, (name, (low, high)) in zip(axes[0], self.priors.items(), strict=True):
+            axis.hist(self.posterior[name], bins=20, range=(low, high), density=True, color="#0072b2")
+            axis.axhline(1.0 / (high - low), color="black", ls="--", lw=1.0)
+            axis.set(xlabel=name.replace("_", " "), yticks=[])
+        figure.suptitle(f"{self.study}: posterior (simulated operators); dashed: prior", fontsize="medium")
+        return axes[0]
+
+    def _repr_html_(self) -> str:
+        words = f"{self.settings['simulations']} simulated studies of {self.settings['n']} simulated operators each"
+        return as_html(words, self.table(), self.checks(), title=f"Calibration of {self.study}")
+
+
+def calibrate(
+    study: str = "uav",
+    simulations: int = 1000,
+    n: int = 20,
+    seed: int = 0,
+    *,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    accepted: float = 0.15,
+    out: str | os.PathLike | None = None,
+    n_jobs: int | None = None,
+    cluster: Any = None,
+    executor: Any = None,
+    progress: bool | None = None,
+) -> Calibration:
+    """
+    Return which assumptions about people reproduce all printed effects of a study at once.
+
+    Parameters
+    ----------
+    study : {"uav", "table_2.5", "table_2.4", "table_2.6"}
+        The study, as the ids of `printed_effects` begin.
+    simulations : int
+        How many studies to simulate, each under assumptions drawn from the priors.
+    n : int
+        Participants of each, as many as the printed study had, up to whole Latin squares; the scatter of small studies is part of
+        what the printed effects are compared with.
+    seed : int
+        Of all draws; simulation i is the same in a larger table.
+    priors : mapping of str to (float, float), optional
+        Ranges of uniform priors by assumption (`trustlab.operators.ASSUMPTIONS`).
+    accepted : float
+        Share of the simulated studies, nearest to the printed one, from which the posterior is made.
+    out : path-like, optional
+        A folder for the finished simulations; a call with the same arguments goes on where a killed one stopped.
+    n_jobs, cluster, executor, progress : int, object, Executor, bool, optional
+        As for `run_campaign`; no effect on results.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    ValueError
+        If an assumption is unknown or out of range, a prior has no mass, or the simulations are too few for `accepted`.
+
+    References
+    ----------
+    P. Fearnhead and D. Prangle, J. R. Stat. Soc. B 74 (2012) 419-474. M. A. Beaumont, W. Zhang and D. J. Balding, Genetics 162
+    (2002) 2025-2035.
+    """
+    one_of("study", study, ALLOCATION)
+    ranges = checked_priors(PRIORS if priors is None else priors)
+    simulations, seed = whole_number("simulations", simulations), whole_number("seed", seed, least=0)
+    accepted = between("accepted", accepted, 0.0, 1.0)
+    needed = LEAST_PER_SUMMARY * (len(ranges) + 1)
+    if accepted * simulations < needed:
+        raise ValueError(
+            f"{simulations} simulations are too few for accepted = {accepted:g}: {len(ranges)} assumptions need {needed} simulations to "
+            f"be kept, so {int(np.ceil(needed / max(accepted, 1e-9)))} in all; finished ones in out= are kept for such a call"
+        )
+    ids = [effect.id for effect in observed_effects(study)]
+    runs = [{"study": study, "n": n} | draw for draw in prior_draws(ranges, simulations, seed)]
+    done = run_campaign(
+        simulated_study, runs, seed=seed, out=out, progress=progress, **where_to_run(n_jobs, cluster, executor)
+    )
+    whole = done[~done["failed"].to_numpy(bool)]
+    ids = [id for id in ids if whole[id].notna().any()]  # questionnaires are not answered under all assumptions
+    whole = whole.dropna(subset=ids).reset_index(drop=True)
+    if len(whole) < needed:
+        raise ValueError(
+            f"only {len(whole)} of {simulations} simulated studies have every effect, and {needed} are needed"
+        )
+    settings = {"n": n, "seed": seed, "simulations": simulations, "accepted": accepted}
+    settings |= {"left_out": simulations - len(whole)}
+    return calibrated(study, ranges, whole[[*ranges, *ids]].astype(float), settings)
+
+
+def calibrated(
+    study: str, ranges: dict[str, tuple[float, float]], simulations: pd.DataFrame, settings: dict
+) -> Calibration:
+    """Return the calibration that a table of simulated studies makes."""
+    observed = [effect for effect in observed_effects(study) if effect.id in simulations]
+    sample, kept = posterior_sample(
+        simulations[list(ranges)],
+        simulations[[effect.id for effect in observed]].to_numpy(float),
+        np.array([effect.printed for effect in observed]),
+        ranges,
+        settings["accepted"],
+        settings["seed"],
+    )
+    return Calibration(study, ranges, simulations, sample, kept, settings)
+
+
+def write_calibration(calibration: Calibration, folder: str | os.PathLike) -> None:
+    """
+    Write a calibration's simulated studies to a folder: <study>.csv, and <study>.json with priors, settings and source digest.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What to write.
+    folder : path-like
+        Where; made if it is not there.
+    """
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    about = {"study": calibration.study, "priors": calibration.priors, "settings": calibration.settings}
+    about |= {"origin": "simulated operators", "source_digest": source_digest()}
+    (place / f"{calibration.study}.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    calibration.simulations.to_csv(place / f"{calibration.study}.csv", index=False)
+
+
+def read_calibration(study: str, folder: str | os.PathLike) -> Calibration:
+    """
+    Return a calibration that `write_calibration` wrote; the posterior is made anew from the simulated studies.
+
+    Parameters
+    ----------
+    study : str
+        The study.
+    folder : path-like
+        Where it was written.
+
+    Raises
+    ------
+    ValueError
+        If the folder has none of this study.
+    """
+    table, about = (Path(folder) / f"{study}.{ending}" for ending in ("csv", "json"))
+    if not (table.is_file() and about.is_file()):
+        raise ValueError(f"{folder} holds no calibration of {study!r}: `make calibration` writes data/calibration")
+    facts = json.loads(about.read_text(encoding="utf-8"))
+    priors = {name: tuple(pair) for name, pair in facts["priors"].items()}
+    return calibrated(study, priors, pd.read_csv(table), facts["settings"])
+
+
+def source_digest() -> str:
+    """Return a digest of all source that simulated effects come from: that of a written calibration differs after a change."""
+    return _digest(Path(effects_simulated.__file__).resolve())
+
+
+def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Return ranges of priors, each with mass and within what an operator allows."""
+    if not isinstance(priors, Mapping) or not priors:
+        raise ValueError(f"priors must map at least one assumption to (low, high), got {priors!r:.60}")
+    found = {}
+    for name, pair in priors.items():
+        try:
+            low, high = pair
+        except (TypeError, ValueError):
+            raise ValueError(f"the prior of {name} must be two numbers, low and high, got {pair!r:.60}") from None
+        found[name] = in_order(f"the prior's low end of {name}", low, "its high end", high)
+    for end in (0, 1):
+        checked_assumptions({name: pair[end] for name, pair in found.items()})
+    return found
+
+
+def prior_draws(ranges: dict[str, tuple[float, float]], count: int, seed: int) -> list[dict[str, float]]:
+    """Return draws from uniform priors, a dictionary each; the first of a longer list are those of a shorter one."""
+    low, high = np.transpose(list(ranges.values()))
+    rng = np.random.default_rng([seed, 0x7072696F])
+    return [dict(zip(ranges, row, strict=True)) for row in rng.uniform(low, high, (count, len(ranges))).tolist()]
+
+
+def simulated_study(study: str, n: int, seed: np.random.SeedSequence, **assumptions: float) -> dict[str, float]:
+    """Simulate one study and return its effects by id: a task of `run_campaign`."""
+    frame = simulated_effects(assumptions, n, int(seed.generate_state(1)[0]), only=study)
+    return {row.id: row.simulated for row in frame.itertuples() if not np.isnan(row.printed)}
+
+
+def posterior_sample(
+    drawn: pd.DataFrame,
+    simulated: np.ndarray,
+    observed: np.ndarray,
+    ranges: dict[str, tuple[float, float]],
+    accepted: float,
+    seed: int,
+) -> tuple[pd.DataFrame, np.ndarray]:
+    """
+    Return a sample of the posterior, and which simulations it was made from.
+
+    Parameters
+    ----------
+    drawn : pandas.DataFrame
+        Assumptions of the simulations, a row each.
+    simulated : numpy.ndarray, shape (simulations, effects)
+        Their effects.
+    observed : numpy.ndarray, shape (effects,)
+        The effects to explain.
+    ranges : dict of str to (float, float)
+        Of the uniform priors.
+    accepted : float
+        Share of the simulations that are kept.
+    seed : int
+        Of the resampling by weight.
+    """
+    low, high = np.transpose([ranges[name] for name in drawn])
+    eps = 1e-9
+    theta = special.ndtri(np.clip((drawn.to_numpy(float) - low) / (high - low), eps, 1.0 - eps))
+    scale = np.maximum(simulated.std(axis=0), 1e-12)
+    centred = np.column_stack([np.ones(len(theta)), (simulated - observed) / scale])
+    coefficients = np.linalg.lstsq(centred, theta, rcond=None)[0]
+    summaries = centred @ coefficients  # of the observed effects, which are zero here: the first row of coefficients
+    away = (summaries - coefficients[0]) / np.maximum(summaries.std(axis=0), 1e-12)
+    distance = np.sqrt((away**2).sum(axis=1))
+    kept = np.argsort(distance, kind="stable")[: max(round(accepted * len(theta)), LEAST_PER_SUMMARY * (len(low) + 1))]
+    weight = 1.0 - (distance[kept] / (distance[kept].max() * (1.0 + 1e-9))) ** 2
+    design = np.column_stack([np.ones(kept.size), away[kept]])
+    root = np.sqrt(weight)[:, None]
+    slopes = np.linalg.lstsq(root * design, root * theta[kept], rcond=None)[0][1:]
+    moved = theta[kept] - away[kept] @ slopes
+    rng = np.random.default_rng([seed, 0x706F7374])
+    chosen = rng.choice(kept.size, size=4 * kept.size, p=weight / weight.sum())
+    return pd.DataFrame(low + (high - low) * special.ndtr(moved[chosen]), columns=drawn.columns), kept
+
+
+def observed_effects(study: str) -> list[Effect]:
+    """Return the effects of a study whose size is printed."""
+    return [effect for effect in effects() if effect.study == study and not np.isnan(effect.printed)]
