@@ -1,12 +1,9 @@
 """Calibration of assumptions about people.
 
 Oracles: simulation-based calibration (Talts et al. 2018: with truths drawn from the prior, their ranks in the posterior are uniform), on
-a linear model and, leave-one-out, on the simulated studies that the repository holds; those studies, simulated again.
+a linear model; the campaign's own files.
 """
 
-from pathlib import Path
-
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -14,16 +11,10 @@ from scipy import stats
 
 import trustlab as tl
 from trustlab.reproduction import read_calibration, write_calibration
-from trustlab.reproduction.calibration import posterior_sample, prior_draws, simulated_study
+from trustlab.reproduction.calibration import posterior_sample
 
-DATA = Path(__file__).parents[2] / "data" / "calibration"
 RANGES = {"a": (0.0, 1.0), "b": (-1.0, 1.0), "c": (0.0, 2.0)}
 TWO = {"attention_cost": (0.0, 0.3), "r0": (0.0, 1.0)}
-
-
-@pytest.fixture(scope="module")
-def stored():
-    return read_calibration("uav", DATA)
 
 
 def ranks(drawn, simulated, ranges, accepted, rows):
@@ -58,35 +49,6 @@ def test_a_posterior_that_is_too_narrow_is_found_out():
     found = ranks(drawn, simulated, RANGES, 0.15, range(200))
     narrow = 0.5 + 2.0 * (found - 0.5)  # as if the spread were half
     assert all(stats.kstest(narrow[name].clip(0.0, 1.0), "uniform").pvalue < 0.01 for name in RANGES)
-
-
-def test_ranks_of_the_truth_are_uniform_on_simulated_studies(stored):
-    names, effects = list(stored.priors), list(stored.simulations.columns[len(stored.priors) :])
-    rows = np.random.default_rng(1).choice(len(stored.simulations), 150, replace=False)
-    table = stored.simulations
-    found = ranks(table[names], table[effects].to_numpy(), stored.priors, stored.settings["accepted"], rows)
-    for name in names:
-        assert stats.kstest(found[name], "uniform").pvalue > 0.002, name
-
-
-def test_a_part_of_the_stored_studies_is_simulated_again(stored):
-    settings, effects = stored.settings, stored.simulations.columns[len(stored.priors) :]
-    seeds = np.random.SeedSequence(settings["seed"]).spawn(3)
-    for draw, seed in zip(prior_draws(stored.priors, 3, settings["seed"]), seeds, strict=True):
-        row = stored.simulations[np.isclose(stored.simulations["attention_cost"], draw["attention_cost"], rtol=1e-12)]
-        again = simulated_study(stored.study, settings["n"], seed, **draw)
-        np.testing.assert_allclose(row[effects].to_numpy()[0], [again[id] for id in effects], rtol=1e-9)
-
-
-def test_reports_of_the_stored_calibration(stored):
-    table, checks = stored.table(), stored.checks()
-    assert ((table["low"] >= table["prior_low"]) & (table["high"] <= table["prior_high"])).all()
-    assert ((table["low"] <= table["median"]) & (table["median"] <= table["high"])).all()
-    assert ((checks["prior_low"] <= checks["low"]) & (checks["high"] <= checks["prior_high"])).all()
-    assert set(checks["id"]) <= set(tl.printed_effects()["id"])
-    assert "simulated operators" in stored._repr_html_()
-    assert "simulated" in stored.plot()[0].figure.get_suptitle()
-    plt.close("all")
 
 
 def test_a_calibration_goes_on_where_it_stopped_and_is_read_again(tmp_path):
