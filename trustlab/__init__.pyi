@@ -100,6 +100,7 @@ from .studies import (
     power_analysis as power_analysis,
     repeated_measures as repeated_measures,
     repeated_measures_batch as repeated_measures_batch,
+    report as report,
     score_likert as score_likert,
     score_nasa_tlx as score_nasa_tlx,
     score_satisfaction as score_satisfaction,
