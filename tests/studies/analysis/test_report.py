@@ -69,3 +69,9 @@ def test_latex_has_no_sign_that_it_would_misread(tmp_path):
 def test_another_ending_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"must be one of '\.html', '\.tex', '\.docx'"):
         one_way().write(tmp_path / "results.rtf")
+
+
+def test_levels_that_are_numbers_stay_as_they_are(tmp_path):
+    frame = frame_of().replace({"M": 0.0, "TMIG": 0.125}).infer_objects()
+    found = tl.report(frame, dv="error", within=["scheme", "task"], subject="who").write(tmp_path / "results.html")
+    assert pd.read_html(io.StringIO(found.read_text()))[0]["scheme"].tolist() == [0.0, 0.0, 0.125, 0.125]

@@ -141,7 +141,9 @@ def report(
     result = repeated_measures(frame, dv, within, subject, **options)
     one_way = isinstance(result, RepeatedMeasures)
     tests = result.table().assign(effect=str(result.within)) if one_way else result.table()
-    tables = {"Descriptive statistics": result.descriptives(), "Analysis of variance": tests[list(_TESTS)]}
+    factors = ["condition"] if one_way else [*result.between, *result.within]
+    moments = result.descriptives().astype(dict.fromkeys(factors, str))  # levels that are numbers are not rounded
+    tables = {"Descriptive statistics": moments, "Analysis of variance": tests[list(_TESTS)]}
     if one_way:
         tables["Pairwise comparisons"] = result.pairs()
     else:
@@ -155,9 +157,7 @@ def _printed(table: pd.DataFrame, digits: int) -> pd.DataFrame:
     """Return a table with the columns and roundings of a paper."""
     shown_columns = [name for name in table if name in _PAIRS] if "a" in table else list(table)
     if "mean" in table:
-        shown_columns = [
-            name for name in table if name in _MOMENTS or table[name].dtype.kind not in "fi" or name == "condition"
-        ]
+        shown_columns = [name for name in table if name in _MOMENTS or table[name].dtype.kind not in "fi"]
     own = table[shown_columns].rename(columns=_MOMENTS if "mean" in table else {})
     own = own.rename(columns={"p_corrected": "p"})  # so that it is printed as a p-value
     return apa_table(own, digits).rename(columns=_HEADS).astype(str)
