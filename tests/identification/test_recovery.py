@@ -167,8 +167,8 @@ def test_autocorrelated_noise_widens_the_intervals(operators, make_session, swit
         drift[k] = 0.99 * drift[k - 1] + 0.0004 * rng.standard_normal()
     session = clean.with_columns(p_h=clean["p_h"] + drift)
     robust, white = tl.fit_human(session), tl.fit_human(session, noise="white")
-    assert robust.noise == "hac"
+    assert robust.noise == "correlated"
     assert white.noise == "white"
     assert "not white" in robust.message
-    assert 'use noise="hac"' in white.message
+    assert 'use noise="auto"' in white.message
     assert (robust.table()["stderr"] > 3.0 * white.table()["stderr"]).all()

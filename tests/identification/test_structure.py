@@ -16,7 +16,7 @@ from statsmodels.stats.sandwich_covariance import S_hac_simple
 import trustlab as tl
 from trustlab.identification.human import HUMAN
 from trustlab.identification.residuals import hac_lags
-from trustlab.identification.robot import robot_structure
+from trustlab.identification.robot_structure import robot_structure
 from trustlab.identification.runs import read_runs
 from trustlab.identification.tsc import TSC
 

@@ -52,7 +52,7 @@ def test_coloured_noise_gets_wider_errors():
     slow = np.convolve(rng.normal(0.0, 0.02, v.size), np.ones(20), mode="same")
     fit = fit_transfer_function(u, v + slow, T, order=1)
     white = fit_transfer_function(u, v + slow, T, order=1, noise="white")
-    assert fit.noise == "hac"
+    assert fit.noise == "correlated"
     assert fit.parameters["stderr"]["gain"] > 1.5 * white.parameters["stderr"]["gain"]
     assert fit_transfer_function(u, v + rng.normal(0.0, 0.05, v.size), T, order=1).noise == "white"
 

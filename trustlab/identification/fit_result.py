@@ -26,7 +26,11 @@ def with_intervals(table: pd.DataFrame, level: float, degrees_of_freedom: float)
 
 @dataclass(frozen=True, eq=False)
 class RunFit:
-    """One run, measured and fitted: time [s], inputs and outputs by name, shape (N,) each."""
+    """
+    One run, measured and fitted: time [s], inputs and outputs by name, shape (N,) each.
+
+    `prediction_errors` are what a noise model leaves of measured minus fitted: the same where noise is white.
+    """
 
     label: str
     synthetic: bool
@@ -34,11 +38,17 @@ class RunFit:
     inputs: dict[str, np.ndarray]
     measured: dict[str, np.ndarray]
     fitted: dict[str, np.ndarray]
+    prediction_errors: dict[str, np.ndarray]
 
     @property
     def mode(self) -> np.ndarray:
         """Manual share."""
         return self.inputs["mode"]
+
+    def only(self, output: str) -> "RunFit":
+        """Return the run with one of its outputs."""
+        own = ({output: every[output]} for every in (self.measured, self.fitted, self.prediction_errors))
+        return RunFit(self.label, self.synthetic, self.t, self.inputs, *own)
 
     def residual(self, output: str) -> np.ndarray:
         """Return measured minus fitted."""
@@ -64,8 +74,8 @@ class FitResult:
         Index run; for each initial state its value and stderr.
     runs : list of RunFit
         Measured and fitted outputs.
-    noise : {"white", "hac"}
-        What the standard errors allow for: white residuals, or autocorrelated ones too.
+    noise : {"white", "correlated", "hac"}
+        What the standard errors allow for; see `fit`.
     sigma : dict of float
         Standard deviation of the residuals, by output.
     cost : float
@@ -152,15 +162,16 @@ class FitResult:
         name = self.outputs[0] if output is None else one_of("output", output, self.outputs)
         return [run.residual(name) for run in self.runs]
 
-    def _residuals_for(self, lags: int, output: str | None) -> list[np.ndarray]:
-        """Return the residuals of an output whose runs are all longer than `lags`."""
-        residuals = self.residuals(output)
+    def _errors_for(self, lags: int, output: str | None) -> list[np.ndarray]:
+        """Return the prediction errors of an output whose runs are all longer than `lags`."""
+        name = self.outputs[0] if output is None else one_of("output", output, self.outputs)
+        residuals = [run.prediction_errors[name] for run in self.runs]
         whole_number("lags (below the length of the shortest run)", lags, 1, min(r.size for r in residuals) - 1)
         return residuals
 
     def residual_correlations(self, lags: int = 25, output: str | None = None) -> pd.DataFrame:
         """
-        Return auto- and cross-correlation of the residuals with their 99 % bands.
+        Return auto- and cross-correlation of the prediction errors with their 99 % bands.
 
         Parameters
         ----------
@@ -176,7 +187,7 @@ class FitResult:
             the first input at k − lag: mode for the models of the dissertation) and band: ± 2.58/√n for white
             residuals.
         """
-        residuals = self._residuals_for(lags, output)
+        residuals = self._errors_for(lags, output)
         auto = pooled_autocorrelation(residuals, lags)
         inputs = [next(iter(run.inputs.values())) for run in self.runs]
         cross = pooled_cross_correlation(residuals, inputs, lags)
@@ -186,7 +197,7 @@ class FitResult:
 
     def whiteness(self, lags: int = 25) -> pd.DataFrame:
         """
-        Test the residuals for whiteness (Ljung–Box).
+        Test the prediction errors for whiteness (Ljung–Box).
 
         Parameters
         ----------
@@ -200,7 +211,7 @@ class FitResult:
         """
         rows = {}
         for name in self.outputs:
-            residuals = self._residuals_for(lags, name)
+            residuals = self._errors_for(lags, name)
             samples = sum(run.size for run in residuals)
             rows[name] = ljung_box(pooled_autocorrelation(residuals, lags), samples)
         table = pd.DataFrame.from_dict(rows, orient="index", columns=["statistic", "df", "p"])
@@ -327,8 +338,15 @@ def parameter_table(
     return table, pd.DataFrame(known[np.ix_(kept, kept)], index=labels, columns=labels.rename(None))
 
 
-def run_fits(structure: Structure, runs: list[Run], fitted: list[list[np.ndarray]]) -> list[RunFit]:
-    """Put every run beside its fitted outputs."""
+def run_fits(
+    structure: Structure, runs: list[Run], fitted: list[list[np.ndarray]], errors: list[list[np.ndarray]] | None = None
+) -> list[RunFit]:
+    """Put every run beside its fitted outputs and prediction errors, which are given by output, then by run."""
+    if errors is None:
+        errors = [
+            [run[name] - own[j] for run, own in zip(runs, fitted, strict=True)]
+            for j, name in enumerate(structure.outputs)
+        ]
     return [
         RunFit(
             run.label,
@@ -337,6 +355,7 @@ def run_fits(structure: Structure, runs: list[Run], fitted: list[list[np.ndarray
             inputs={name: run[name] for name in structure.inputs},
             measured={name: run[name] for name in structure.outputs},
             fitted={name: values.copy() for name, values in zip(structure.outputs, own, strict=True)},
+            prediction_errors={name: errors[j][i] for j, name in enumerate(structure.outputs)},
         )
-        for run, own in zip(runs, fitted, strict=True)
+        for i, (run, own) in enumerate(zip(runs, fitted, strict=True))
     ]

@@ -6,12 +6,14 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
+from trustlab.identification.diagnosis import doubted
 from trustlab.identification.fit_result import FitResult, parameter_table, run_fits
-from trustlab.identification.output_error import NOISES, Estimate, Problem, estimate
+from trustlab.identification.logged import as_logged, averaged, undo_window, window_means
+from trustlab.identification.output_error import NOISES, NOT_WHITE, Estimate, Problem, estimate
 from trustlab.identification.regression import regress
-from trustlab.identification.runs import Run, joined, read_runs
+from trustlab.identification.runs import HowLogged, Run, joined, read_runs
 from trustlab.identification.structure import IdentificationError, Parameter, Structure
-from trustlab.models.checks import of_class, one_of
+from trustlab.models.checks import of_class, one_of, positive
 from trustlab.sessions.session import Session
 
 HALF_WIDTH = float(special.ndtri(0.975))
@@ -26,6 +28,12 @@ def fit(
     bounds: Mapping[str, tuple] | None = None,
     noise: str = "auto",
     guess: Mapping[str, float] | None = None,
+    *,
+    window: float | None = None,
+    step: float | None = None,
+    mode_delay: bool = False,
+    stamp_error: float | None = None,
+    robust: bool = True,
 ) -> FitResult:
     """
     Identify any structure from sessions: parameters are shared, initial states are each session's own.
@@ -44,11 +52,25 @@ def fit(
         Values to hold, by name.
     bounds : mapping, optional
         (low, high) by name, None for an open side.
-    noise : {"auto", "white", "hac"}
-        What standard errors allow for: white residuals, or autocorrelated ones (Newey–West); "auto" chooses by a
-        Ljung–Box test at 0.001.
+    noise : {"auto", "white", "correlated", "hac"}
+        What the likelihood and the standard errors allow for: white noise; an AR(1) process under white noise, of each
+        output (also what process noise of a first-order state looks like), by the prediction errors of its Kalman filter;
+        or, in the standard errors alone, any autocorrelation that dies out (Newey–West). "auto" goes from the first to the
+        second, and on to the third, where a Ljung–Box test at 0.001 rejects what comes before.
     guess : mapping, optional
         Where the search starts, by name, in place of the structure's own guess.
+    window : float, optional
+        Length W [s] of the moving mean that the outputs are, as `with_performance` computes it; 0 if they are none. What
+        each session says when not given.
+    step : float, optional
+        The model's step [s], to which the rates belong, if shorter than the log's: a whole number of steps per sample.
+    mode_delay : bool
+        Whether to estimate how much later than its stamp the mode acts [s], as a further parameter `mode_delay`.
+    stamp_error : float, optional
+        Standard deviation of the mode's time stamps [s], independent from switch to switch; it widens the intervals. When
+        not given 0.29 samples, the error of a rounded time, for sessions that were resampled, 0 for others.
+    robust : bool
+        Whether to leave out samples that jump far away from the model (dropouts); the message counts them.
 
     Returns
     -------
@@ -65,19 +87,43 @@ def fit(
         If an argument is not understood, or the simulation returns something other than finite outputs.
     """
     of_class("structure", structure, Structure)
+    how = HowLogged(window, step, mode_delay, stamp_error, robust)
     one_of("method", method, ("output_error", "regression"))
-    limits = structure.limits(fixed, bounds)
-    runs = read_runs(sessions, *structure.inputs, *structure.outputs)
-    check_data(structure, runs, limits)
+    runs = read_runs(sessions, *structure.inputs, *structure.outputs, how=how)
     if method == "regression":
-        refuse_options(method, fixed, bounds, noise)
+        check_data(structure, runs, structure.limits(fixed, bounds))
+        refuse_options(method, fixed, bounds, noise, how)
         return regress(structure, runs, method)
-    return result(estimate_runs(structure, runs, limits, noise, guess))
+    return fit_runs(structure, runs, fixed, bounds, noise, guess, how)
 
 
-def refuse_options(method: str, fixed: Mapping | None, bounds: Mapping | None, noise: str) -> None:
+def fit_runs(
+    structure: Structure,
+    runs: list[Run],
+    fixed: Mapping | None,
+    bounds: Mapping | None,
+    noise: str,
+    guess: Mapping | None,
+    how: HowLogged,
+) -> FitResult:
+    """Identify a structure from runs that have been read, by the output-error method."""
+    structure = _with_log(structure, runs, how.step, how.mode_delay)
+    limits = structure.limits(fixed, bounds)
+    check_data(structure, runs, limits)
+    return result(estimate_runs(structure, runs, limits, noise, guess, how.robust))
+
+
+def _with_log(structure: Structure, runs: list[Run], step: float | None, mode_delay: bool) -> Structure:
+    """Return the structure as these logs show it."""
+    ratio = 1.0 if step is None else runs[0].sample_time / positive("step", step)
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+        raise ValueError(f"step = {step:g} s does not divide the log's sample time, {runs[0].sample_time:g} s")
+    return structure if step is None and not mode_delay else as_logged(structure, round(ratio), mode_delay)
+
+
+def refuse_options(method: str, fixed: Mapping | None, bounds: Mapping | None, noise: str, how: HowLogged) -> None:
     """Refuse the options that only the output-error method has a use for."""
-    if fixed or bounds or noise != "auto":
+    if fixed or bounds or noise != "auto" or how.step or how.mode_delay:
         raise ValueError(
             f'method "{method}" is plain least squares; to fix or bound a parameter, or choose its noise, use '
             '"output_error"'
@@ -106,14 +152,57 @@ def check_data(structure: Structure, runs: list[Run], limits: Mapping) -> None:
 
 
 def estimate_runs(
-    structure: Structure, runs: list[Run], limits: Mapping, noise: str = "auto", guess: Mapping | None = None
+    structure: Structure,
+    runs: list[Run],
+    limits: Mapping,
+    noise: str = "auto",
+    guess: Mapping | None = None,
+    robust: bool = True,
 ) -> Estimate:
     """Make the initial guess and run the output-error method."""
     one_of("noise", noise, NOISES)
-    start = structure.guess(runs, limits) if structure.guess is not None else {}
     if guess is not None:
         structure.check_names(guess, "guess")
-        start = {**start, **guess}
+    if all(run.window == 1 for run in runs):
+        problem, start = _begun(structure, runs, limits, guess, [runs], False)
+        return estimate(problem, start, limits, noise, robust)
+    # Noise may be in what the window averages, or come on top of the means: the likelihoods of both decide. Means of a
+    # linear model are what the means of its inputs give, but for the beginning: good enough to start from.
+    undone = [averaged(run, structure.outputs, undo_window) for run in runs]
+    driven = [averaged(run, structure.inputs, window_means) for run in runs]
+    found = []
+    for unwindow in (True, False):
+        problem, start = _begun(structure, runs, limits, guess, [undone, driven], unwindow)
+        found.append(estimate(problem, start, limits, "white", robust=False))
+    best = min(found, key=lambda one: one.problem.deviance(one.normal.squares))
+    return estimate(best.problem, best.theta, limits, noise, robust)
+
+
+def _begun(
+    structure: Structure,
+    runs: list[Run],
+    limits: Mapping,
+    guess: Mapping | None,
+    views: list[list[Run]],
+    unwindow: bool,
+) -> tuple[Problem, np.ndarray]:
+    """Return the problem and where its search starts: the best of what the structure guesses from each view of the runs."""
+    begun = []
+    for view in views:
+        start = _completed(
+            structure, limits, structure.guess(view, limits) if structure.guess is not None else {}, guess
+        )
+        problem = Problem(structure, runs, start, unwindow)
+        begun.append((problem, problem.vector(start)))
+    if len(begun) == 1:
+        return begun[0]
+    values = [problem.normal(start).value for problem, start in begun]
+    return begun[int(np.nanargmin(values))]
+
+
+def _completed(structure: Structure, limits: Mapping, guessed: Mapping, guess: Mapping | None) -> dict:
+    """Return a starting value for every name: the user's, the structure's, the parameter's own, or the middle of its bounds."""
+    start = {**guessed, **(guess or {})}
     for parameter in (*structure.parameters, *structure.initial):
         low, high = limits[parameter.name]
         value = start.get(parameter.name, parameter.guess)
@@ -124,8 +213,7 @@ def estimate_runs(
                 )
             value = 0.5 * (low + high)
         start[parameter.name] = value
-    problem = Problem(structure, runs, start)
-    return estimate(problem, problem.vector(start), limits, noise)
+    return start
 
 
 def found_table(found: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -168,7 +256,11 @@ def result(found: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame] | None = N
                 f"{parameter.name} is weakly determined by these data ({value:.4g} ± {HALF_WIDTH * stderr:.2g}); "
                 f"{parameter.hint}, or fix it."
             )
-    sentences += [*_of_the_initial_states(found), *_of_the_runs(problem.runs), *_of_the_noise(found)]
+    guess = (
+        None if structure.guess is not None else dict(zip(structure.names, found.theta[problem.where[0]], strict=True))
+    )
+    doubts = list(doubted(found, lambda runs: estimate_runs(structure, runs, found.limits, "white", guess, False)))
+    sentences += [*_of_the_initial_states(found), *_of_the_runs(problem), *_of_the_noise(found), *doubts]
     # NaN for what was fixed; rows of what a bound holds are NaN already.
     stderr = np.sqrt(np.where(found.fixed, np.nan, np.diag(found.covariance)))
     states = {}
@@ -176,17 +268,22 @@ def result(found: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame] | None = N
         where = slice(shared + j, None, problem.own)
         states[parameter.name], states[f"{parameter.name}_stderr"] = found.theta[where], stderr[where]
     values = dict(zip(structure.names, found.theta[:shared].tolist(), strict=False))
+    try:
+        model = values if structure.model is None else structure.model(**values)
+    except IdentificationError as error:
+        # What is wrong with the data may be why no model comes of them.
+        raise IdentificationError(" ".join([str(error), *doubts]), error.parameters) from error
     return FitResult(
-        model=values if structure.model is None else structure.model(**values),
+        model=model,
         method="output_error",
         parameters=table,
         covariance=covariance,
         initial_states=pd.DataFrame(states, index=pd.Index([run.label for run in problem.runs], name="run")),
-        runs=run_fits(structure, problem.runs, [outputs for outputs, _ in problem.latest]),
+        runs=run_fits(structure, problem.runs, problem.fitted(), problem.residuals()),
         noise=found.noise,
         sigma=dict(zip(structure.outputs, found.sigma.tolist(), strict=True)),
         cost=0.5 * float(found.normal.squares.sum()),
-        success=bool(found.search.converged and not weak),
+        success=bool(found.search.converged and not weak and not doubts),
         message=" ".join(sentences),
         degrees_of_freedom=float(problem.counts.sum() - found.free.size),
     )
@@ -209,25 +306,42 @@ def _of_the_initial_states(found: Estimate) -> Iterator[str]:
                 yield f"{parameter.name} = {bound:g}, {meaning}, in {held} of {len(problem.runs)} run(s)."
 
 
-def _of_the_runs(runs: list[Run]) -> Iterator[str]:
+def _of_the_runs(problem: Problem) -> Iterator[str]:
     """Say what a reader should know of the data themselves."""
-    people = {run.participant for run in runs}
+    people = {run.participant for run in problem.runs}
     if len(people) > 1:
         yield f"{len(people)} participants share one set of parameters; fit them one by one unless that is meant."
-    measures = sorted({str(run.performance_measure) for run in runs if run.performance_measure})
-    if measures:
-        yield (
-            f"Performance is measured over a moving window ({', '.join(measures)}): rises and decays faster than the "
-            "window are the window's own."
-        )
+    windows = sorted({run.window * run.sample_time for run in problem.runs if run.window > 1})
+    if windows:
+        where = "in the values that are averaged" if problem.unwindow else "in the means"
+        spans = " and ".join(f"{window:g} s" for window in windows)
+        yield f"The outputs are fitted as means over a moving window of {spans}, with noise {where}."
+    for j, name in enumerate(problem.structure.outputs):
+        lost = [
+            (run.t[own][0], own.sum()) for run, own in zip(problem.runs, problem.missing[j], strict=True) if own.any()
+        ]
+        if lost:
+            yield (
+                f"{sum(count for _, count in lost)} samples of {name} are far from the model all of a sudden, the first at "
+                f"{lost[0][0]:g} s (dropouts?); they are left out, robust=False keeps them."
+            )
 
 
 def _of_the_noise(found: Estimate) -> Iterator[str]:
     """Say what the standard errors allow for."""
-    white = found.whiteness_p >= 1e-3
-    test = f"Residuals are not white (Ljung–Box p = {found.whiteness_p:.2g})"
-    if found.noise == "hac":
+    white = found.simple_p >= NOT_WHITE
+    test = f"Residuals are not white (Ljung–Box p = {found.simple_p:.2g})"
+    if found.noise == "correlated":
+        step = found.problem.runs[0].sample_time
+        parts = [
+            f"{name} has {100.0 * share:.3g} % of its noise correlated over {-step / np.log(kept):.3g} s"
+            for name, (share, kept) in zip(found.problem.structure.outputs, found.problem.noise, strict=True)
+            if share > 0.0 and kept > 0.0
+        ]
+        left = ", and standard errors for what correlation is left" if found.sandwiched else ""
+        yield f"{'The fit allows' if white else f'{test}: the fit allows'} for correlated noise ({'; '.join(parts)}){left}."
+    elif found.noise == "hac":
         begin = "Standard errors" if white else f"{test}: standard errors"
         yield f"{begin} allow for autocorrelation."
     elif not white:
-        yield f'{test}: these standard errors are too small; use noise="hac".'
+        yield f'{test}: these standard errors are too small; use noise="auto".'

@@ -1,6 +1,7 @@
 """Identification of human utilization and performance, (2.5)-(2.6): structure, sensitivities, initial guess, `fit_human`."""
 
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -8,8 +9,15 @@ from trustlab.identification.fit_result import FitResult
 from trustlab.identification.fitting import fit, refuse_options
 from trustlab.identification.output_error import Problem
 from trustlab.identification.regression import regression, simulated_result
-from trustlab.identification.runs import Run, as_columns, block_means, joined, read_runs
-from trustlab.identification.structure import UNIT_MARGIN, Coordinate, IdentificationError, Parameter, Structure
+from trustlab.identification.runs import HowLogged, Run, as_columns, block_means, joined, read_runs
+from trustlab.identification.structure import (
+    MODEL_STEP,
+    UNIT_MARGIN,
+    Coordinate,
+    IdentificationError,
+    Parameter,
+    Structure,
+)
 from trustlab.models.compiled import njit
 from trustlab.models.deprecation import warn_renamed
 from trustlab.models.human import HumanModel, performance_curve
@@ -28,6 +36,7 @@ def fit_human(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple] | None = None,
     noise: str = "auto",
+    **logged: Any,
 ) -> FitResult:
     """
     Identify the human model (2.5)-(2.6) from sessions: a, beta, p_min, p_max, and r at the start of every session.
@@ -44,9 +53,10 @@ def fit_human(
         Values to hold, by name: a, beta, p_min, p_max, r0.
     bounds : mapping, optional
         (low, high) by name, None for an open side.
-    noise : {"auto", "white", "hac"}
-        What standard errors allow for: white residuals, or autocorrelated ones (Newey–West); "auto" chooses by a
-        Ljung–Box test at 0.001.
+    noise : {"auto", "white", "correlated", "hac"}
+        What the standard errors allow for; see `fit`.
+    **logged
+        window, step, mode_delay, stamp_error, robust: how the log shows the model; see `fit`.
 
     Returns
     -------
@@ -66,9 +76,10 @@ def fit_human(
         warn_renamed('fit_human(method="arx")', 'fit_human(method="regression")')
         method = "regression"
     if method == "regression":
-        refuse_options(method, fixed, bounds, noise)
-        return _fit_at_logged_utilization(sessions)
-    return fit(HUMAN, sessions, method, fixed, bounds, noise)
+        how = HowLogged(**logged)
+        refuse_options(method, fixed, bounds, noise, how)
+        return _fit_at_logged_utilization(sessions, how)
+    return fit(HUMAN, sessions, method, fixed, bounds, noise, **logged)
 
 
 # --- the structure -------------------------------------------------------------------------------------------------
@@ -296,18 +307,19 @@ HUMAN = Structure(
     guess=human_guess,
     model=build_human,
     derived={"b": lambda at: 1.0 - at["a"]},
+    step=MODEL_STEP,
 )
 
 
 # --- least squares at the logged utilization -----------------------------------------------------------------------
 
 
-def _fit_at_logged_utilization(sessions) -> FitResult:
+def _fit_at_logged_utilization(sessions, how: HowLogged) -> FitResult:
     """Fit (2.5) to the logged utilization and (2.6) to performance against it."""
     from scipy import linalg, optimize
 
     try:
-        runs = read_runs(sessions, "mode", "p_h", "r")
+        runs = read_runs(sessions, "mode", "p_h", "r", how=how)
     except ValueError as error:
         raise IdentificationError(
             'method "regression" needs the logged utilization, column r, because (2.6) is not linear in its '

@@ -1,26 +1,49 @@
 """The output-error (prediction-error) method for any structure: likelihood, search, covariance."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trustlab.identification.least_squares import Minimum, NormalEquations, minimise
-from trustlab.identification.residuals import hac_lags, hac_matrix, sandwich, whiteness_p
+from trustlab.identification.logged import counts, undo_window, window_means
+from trustlab.identification.residuals import (
+    Noise,
+    fit_noise,
+    hac_lags,
+    hac_matrix,
+    outliers,
+    prediction_errors,
+    robust_deviation,
+    sandwich,
+    whiteness_p,
+)
 from trustlab.identification.runs import Run, joined
 from trustlab.identification.structure import IdentificationError, Structure
 
-NOISES = ("auto", "white", "hac")
+NOISES = ("auto", "white", "correlated", "hac")
+
+NOT_WHITE = 1e-3
+"""p value of the Ljung–Box test below which residuals do not count as white."""
 
 SINGULAR = 1e-10
 """Smallest eigenvalue of the information matrix, scaled to unit diagonal, that still counts as information."""
 
 
 class Problem:
-    """A structure with the runs that it is to explain; the full vector holds the parameters, then each run's initial states."""
+    """
+    A structure with the runs that it is to explain; the full vector holds the parameters, then each run's initial states.
 
-    def __init__(self, structure: Structure, runs: list[Run], guess: Mapping):
-        self.structure, self.runs = structure, runs
+    The likelihood is that of the prediction errors: of the residuals where noise is white, else of what a Kalman filter
+    leaves of them. With `unwindow` the noise is in the values that the window means are made of, and they are compared.
+    """
+
+    def __init__(self, structure: Structure, runs: list[Run], guess: Mapping, unwindow: bool = False):
+        self.structure, self.runs, self.unwindow = structure, runs, unwindow
+        self.noise = [Noise()] * len(structure.outputs)
+        self.missing = [[np.zeros(run.size, dtype=bool) for run in runs] for _ in structure.outputs]
+        self.errors: list = [[]] * len(runs)  # prediction errors and their derivatives at the latest point
+        self.outliers, self.logs = 0, 0.0
         self.shared, self.own = len(structure.parameters), len(structure.initial)
         one_run = [one.coordinate(guess) for one in (*structure.parameters, *structure.initial)]
         self.coordinates = one_run[: self.shared] + one_run[self.shared :] * len(runs)
@@ -62,14 +85,18 @@ class Problem:
         """Accumulate the likelihood's gradient and Gauss–Newton matrix over all runs."""
         p, outputs = theta.size, len(self.structure.outputs)
         squares, gradients, matrices = np.zeros(outputs), np.zeros((outputs, p)), np.zeros((outputs, p, p))
-        for i, run in enumerate(self.runs):
-            simulated, jacobians = self.predict(i, theta)
-            for j, name in enumerate(self.structure.outputs):
-                error = run[name] - simulated[j]
+        self.logs = 0.0
+        for i in range(len(self.runs)):
+            self.predict(i, theta)
+            self.errors[i] = []
+            for j in range(outputs):
+                (error, jacobian), logs = self.whitened(i, j, *self.differences(i, j))
+                self.errors[i].append((error, jacobian))
+                self.logs += logs
                 squares[j] += error @ error
                 where = self.where[i][self.moved[j]]
-                gradients[j, where] += error @ jacobians[j]
-                matrices[j][where[:, None], where] += jacobians[j].T @ jacobians[j]
+                gradients[j, where] += error @ jacobian
+                matrices[j][where[:, None], where] += jacobian.T @ jacobian
         # With the variance of each output estimated as Σ e²/n, the likelihood is Σ n ln(Σ e²) but for a constant, and
         # its derivatives weight each output by n/Σ e²: no output needs a weight from the user.
         weights = self.weights(squares)
@@ -77,16 +104,84 @@ class Problem:
         exact = bool((squares <= 1e-6 * self.floors).all())
         return NormalEquations(value, weights @ gradients, np.einsum("i,ijk", weights, matrices), squares, exact)
 
+    def differences(self, run: int, output: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return measured minus simulated at the latest point, and the derivatives: of window means, or of what they are made of."""
+        (simulated, jacobian), window = (one[output] for one in self.latest[run]), self.runs[run].window
+        measured = self.runs[run][self.structure.outputs[output]]
+        if window == 1:
+            return measured - simulated, jacobian
+        if self.unwindow:
+            return undo_window(measured, window) - simulated, jacobian
+        return measured - self.seen(run, simulated), self.seen(run, jacobian)
+
+    def seen(self, run: int, values: np.ndarray) -> np.ndarray:
+        """Return simulated values as they are compared with the log: averaged over the window where noise is in the means."""
+        window = self.runs[run].window
+        return values if window == 1 or self.unwindow else window_means(values, window)
+
+    def fitted(self) -> list[list[np.ndarray]]:
+        """Return the outputs at the latest point as the log would have them, by run."""
+        return [
+            [one if run.window == 1 else window_means(one, run.window) for one in outputs]
+            for run, (outputs, _) in zip(self.runs, self.latest, strict=True)
+        ]
+
+    def whitened(self, run: int, output: int, *columns: np.ndarray) -> tuple[list[np.ndarray], float]:
+        """Return columns of one run's output as a Kalman filter leaves them, and the log determinant of the noise's covariance."""
+        missing, noise = self.missing[output][run], self.noise[output]
+        if noise == Noise() and not self.outliers:
+            return list(columns), 0.0
+        whole, logs = prediction_errors(np.column_stack(columns), missing, noise)
+        ends = np.cumsum([1 if one.ndim == 1 else one.shape[1] for one in columns])
+        parts = np.split(whole, ends[:-1], axis=1)
+        return [part[:, 0] if one.ndim == 1 else part for part, one in zip(parts, columns, strict=True)], logs
+
+    def leave_out(self) -> bool:
+        """Count outliers among the residuals as missing; return whether there are any that were not known."""
+        found, few = [], True
+        for j, known in enumerate(self.missing):
+            own = [self.differences(i, j)[0] for i in range(len(self.runs))]
+            scale = robust_deviation([error[~lost] for error, lost in zip(own, known, strict=True)])
+            found.append([outliers(error, scale) for error in own])
+            few = few and sum(one.sum() for one in found[-1]) < 0.25 * sum(run.size for run in self.runs)
+        same = all(
+            np.array_equal(*pair)
+            for now, old in zip(found, self.missing, strict=True)
+            for pair in zip(now, old, strict=True)
+        )
+        # More than a quarter are no outliers: the model does not describe these data.
+        if same or not few:
+            return False
+        self.missing, self.outliers = found, sum(int(one.sum()) for own in found for one in own)
+        self.counts = np.array([sum(float((~lost).sum()) for lost in own) for own in found])
+        return True
+
+    def fit_noise(self, free: np.ndarray) -> None:
+        """Take the noise model of each output that its residuals show at the latest point; `free` parameters are estimated."""
+        for j in range(len(self.noise)):
+            parts = []
+            for i in range(len(self.runs)):
+                error, jacobian = self.differences(i, j)
+                where = self.where[i][self.moved[j]]
+                used = np.isin(where, free)
+                places = np.r_[0, 1 + np.searchsorted(free, where[used])]
+                parts.append((np.column_stack([error, jacobian[:, used]]), self.missing[j][i], places))
+            self.noise[j] = fit_noise(parts, self.counts[j])
+
+    def deviance(self, squares: np.ndarray) -> float:
+        """Return minus twice the logarithm of the greatest likelihood, but for a constant of the data."""
+        # The means of n values have 1/n times the density of the values themselves.
+        of_window = sum(np.log(counts(run.size, run.window)).sum() for run in self.runs) if self.unwindow else 0.0
+        value = self.counts @ np.log((squares + self.floors) / self.counts)
+        return float(value) + self.logs - 2.0 * len(self.noise) * float(of_window)
+
     def weights(self, squares: np.ndarray) -> np.ndarray:
         """Return the weight n/Σ e² of every output."""
         return self.counts / (squares + self.floors)
 
     def residuals(self) -> list[list[np.ndarray]]:
-        """Return measured minus predicted at the latest point, by output, then by run."""
-        return [
-            [run[name] - outputs[j] for run, (outputs, _) in zip(self.runs, self.latest, strict=True)]
-            for j, name in enumerate(self.structure.outputs)
-        ]
+        """Return the prediction errors at the latest point, by output, then by run."""
+        return [[errors[j][0] for errors in self.errors] for j in range(len(self.structure.outputs))]
 
     def search_normal(self, x: np.ndarray) -> NormalEquations:
         """Return `normal` in the coordinates of the search."""
@@ -115,10 +210,12 @@ class Estimate:
     A search's result as parameters, in the order of the problem's full vector; `normal` is taken there.
 
     `covariance` is 0 in rows of fixed parameters and NaN in rows of those at a bound; `inverse` is the inverse of
-    `normal.matrix`, the information matrix, for the `free` ones.
+    `normal.matrix`, the information matrix, for the `free` ones. `simple_p` is the p value of the whiteness test before
+    the noise was modelled, `whiteness_p` after; `sandwiched` where the covariance allows for what is left.
     """
 
     problem: Problem
+    limits: Mapping
     theta: np.ndarray
     covariance: np.ndarray
     fixed: np.ndarray
@@ -126,7 +223,9 @@ class Estimate:
     normal: NormalEquations
     inverse: np.ndarray
     whiteness_p: float
+    simple_p: float
     noise: str
+    sandwiched: bool
 
     @property
     def free(self) -> np.ndarray:
@@ -145,36 +244,69 @@ class Estimate:
         return np.sqrt(self.normal.squares / np.maximum(counts - self.free.size / counts.size, 1.0))
 
 
-def estimate(problem: Problem, start: np.ndarray, limits: Mapping, noise: str = "auto") -> Estimate:
-    """Search from `start` within the limits of every name, then give covariance and diagnostics."""
+def estimate(
+    problem: Problem, start: np.ndarray, limits: Mapping, noise: str = "auto", robust: bool = True
+) -> Estimate:
+    """Search from `start` within the limits of every name, leave out outliers, model the noise, then give covariance and diagnostics."""
     low, high = (problem.vector({name: pair[side] for name, pair in limits.items()}) for side in (0, 1))
     fixed = low == high
-    search = problem.search(start, low, high)
-    at_bound, theta = search.at_bound, problem.from_search(search.x)
-    # The way to the search coordinate and back rounds: what is fixed or at a bound gets its exact value.
-    theta[fixed] = low[fixed]
-    theta[at_bound] = np.clip(theta, low, high)[at_bound]
-    normal = problem.normal(theta)
+
+    def search(start):
+        found = problem.search(start, low, high)
+        theta = problem.from_search(found.x)
+        # The way to the search coordinate and back rounds: what is fixed or at a bound gets its exact value.
+        theta[fixed] = low[fixed]
+        theta[found.at_bound] = np.clip(theta, low, high)[found.at_bound]
+        return found, theta, problem.normal(theta)
+
+    found, theta, normal = search(start)
+    _check_finite(problem, theta, normal)
+    for _ in range(5):
+        if not robust or _exact(problem, normal).all() or not problem.leave_out():
+            break
+        found, theta, normal = search(theta)
+    simple_p = _whiteness(problem, normal)
+    if noise == "correlated" or (noise == "auto" and simple_p < NOT_WHITE):
+        # The noise model belongs to the residuals, and these to the parameters: three rounds settle both.
+        for _ in range(3):
+            problem.fit_noise(np.flatnonzero(~fixed & ~found.at_bound))
+            found, theta, normal = search(theta)
+    free = np.flatnonzero(~fixed & ~found.at_bound)
+    inverse = _inverse(normal.matrix, free, problem)
+    p_value = _whiteness(problem, normal)
+    modelled = any(one != Noise() for one in problem.noise)
+    sandwiched = noise == "hac" or (noise in ("auto", "correlated") and p_value < NOT_WHITE)
+    # The inverse information matrix is the covariance for white residuals; else it is the bread of a sandwich.
+    meat = _meat(problem, normal.squares)[np.ix_(free, free)] if sandwiched else None
+    covariance = np.zeros((theta.size, theta.size))
+    covariance[found.at_bound, :] = covariance[:, found.at_bound] = np.nan
+    covariance[np.ix_(free, free)] = sandwich(inverse, meat, problem.counts.sum())
+    covariance[np.ix_(free, free)] += _of_stamps(problem, theta, inverse, free, normal.squares)
+    allowed_for = "correlated" if modelled else "hac" if sandwiched else "white"
+    return Estimate(
+        problem, limits, theta, covariance, fixed, found, normal, inverse, p_value, simple_p, allowed_for, sandwiched
+    )
+
+
+def _exact(problem: Problem, normal: NormalEquations) -> np.ndarray:
+    """Return for every output whether its residuals are rounding: there is no noise to call white or not."""
+    return normal.squares <= 1e-4 * problem.floors
+
+
+def _whiteness(problem: Problem, normal: NormalEquations) -> float:
+    """Return the least p value of the Ljung–Box tests of all outputs."""
+    exact = _exact(problem, normal)
+    return float(min(1.0 if exact[j] else whiteness_p(own) for j, own in enumerate(problem.residuals())))
+
+
+def _check_finite(problem: Problem, theta: np.ndarray, normal: NormalEquations) -> None:
+    """Refuse to go on from a simulation that is not finite."""
     if not normal.finite:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(problem.names, theta, strict=True))
         raise ValueError(
             f"structure {problem.structure.name!r} simulates values that are not finite at {values}; start elsewhere "
             "with guess={...} or narrow the bounds"
         )
-    free = np.flatnonzero(~fixed & ~at_bound)
-    inverse = _inverse(normal.matrix, free, problem)
-    residuals = problem.residuals()
-    # Residuals of an exact fit are rounding: there is no noise to call white or not.
-    exact = normal.squares <= 1e-4 * problem.floors
-    p_value = min(1.0 if exact[j] else whiteness_p(own) for j, own in enumerate(residuals))
-    robust = noise == "hac" or (noise == "auto" and p_value < 1e-3)
-    # The inverse information matrix is the covariance for white residuals; else it is the bread of a sandwich.
-    meat = _meat(problem, residuals, normal.squares)[np.ix_(free, free)] if robust else None
-    covariance = np.zeros((theta.size, theta.size))
-    covariance[at_bound, :] = covariance[:, at_bound] = np.nan
-    covariance[np.ix_(free, free)] = sandwich(inverse, meat, problem.counts.sum())
-    allowed_for = "hac" if robust else "white"
-    return Estimate(problem, theta, covariance, fixed, search, normal, inverse, float(p_value), allowed_for)
 
 
 def _inverse(matrix: np.ndarray, free: np.ndarray, problem: Problem) -> np.ndarray:
@@ -211,15 +343,39 @@ def _why(problem: Problem) -> str:
     return "several values explain them equally well; " + " and ".join(ranges)
 
 
-def _meat(problem: Problem, residuals: list, squares: np.ndarray) -> np.ndarray:
+def _of_stamps(
+    problem: Problem, theta: np.ndarray, inverse: np.ndarray, free: np.ndarray, squares: np.ndarray
+) -> np.ndarray:
+    """Return what errors of the mode's stamps, independent from switch to switch, add to the covariance."""
+    weights, added = problem.weights(squares), np.zeros((free.size, free.size))
+    for i, run in enumerate(problem.runs):
+        if run.stamp_error == 0.0 or "mode" not in run.columns:
+            continue
+        mode, values = run["mode"], dict(zip(problem.structure.names, theta[problem.where[i]], strict=True))
+        for k in np.flatnonzero(np.diff(mode > 0.5)) + 1:
+            # One switch a sample later, and what the estimates make of it.
+            moved = mode.copy()
+            moved[k] = mode[k - 1]
+            late = replace(run, columns={**run.columns, "mode": moved}, kept={})
+            outputs, by_all = problem.structure.predict(late, values)[0], np.zeros(theta.size)
+            for j, (_, jacobian) in enumerate(problem.errors[i]):
+                change = problem.seen(i, outputs[j] - problem.latest[i][0][j]) / run.sample_time
+                (change,), _ = problem.whitened(i, j, change)
+                by_all[problem.where[i][problem.moved[j]]] += weights[j] * (change @ jacobian)
+            shift = run.stamp_error * inverse @ by_all[free]
+            added += np.outer(shift, shift)
+    return added
+
+
+def _meat(problem: Problem, squares: np.ndarray) -> np.ndarray:
     """Return the long-run covariance of the likelihood's scores, summed over runs."""
     weights, size = problem.weights(squares), len(problem.names)
     meat = np.zeros((size, size))
-    lags = max(hac_lags(own) for own in residuals)
+    lags = max(hac_lags(own) for own in problem.residuals())
     for i, run in enumerate(problem.runs):
         where = problem.where[i]
         scores = np.zeros((run.size, where.size))
-        for j, jacobian in enumerate(problem.latest[i][1]):
-            scores[:, problem.moved[j]] += weights[j] * jacobian * residuals[j][i][:, None]
+        for j, (error, jacobian) in enumerate(problem.errors[i]):
+            scores[:, problem.moved[j]] += weights[j] * jacobian * error[:, None]
         meat[np.ix_(where, where)] += hac_matrix(scores, lags)
     return meat

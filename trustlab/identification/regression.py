@@ -284,7 +284,10 @@ def simulated_result(
         message=caution,
         degrees_of_freedom=float(found.degrees_of_freedom),
     )
-    if np.all(fit.fit_percent > 0.0):
+    if any(run.window > 1 for run in runs):
+        doubt = "Performance is logged as means over a window, which these equations take for the values themselves; use output_error."
+    elif not np.all(fit.fit_percent > 0.0):
+        doubt = "The simulated model explains less than the mean does; do not use the numbers."
+    else:
         return fit
-    doubt = "The simulated model explains less than the mean does; do not use the numbers."
     return replace(fit, success=False, message=f"{caution} {doubt}")

@@ -1,10 +1,17 @@
-"""What a model leaves unexplained: correlations, whiteness, and covariances that allow for autocorrelated noise."""
+"""What a model leaves unexplained: outliers, correlations, whiteness, and what allows for autocorrelated noise: a Kalman filter, a sandwich."""
+
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
+from trustlab.models.compiled import njit
+
 LAGS = 25
 """Lags of the Ljung–Box test that chooses between white and robust standard errors."""
+
+FAR = 6.0
+"""Robust standard deviations beyond which a sudden residual counts as an outlier: of white noise one sample in 5·10⁸ is."""
 
 
 def pooled_autocorrelation(residuals: list[np.ndarray], lags: int) -> np.ndarray:
@@ -89,3 +96,100 @@ def sandwich(bread: np.ndarray, meat: np.ndarray | None, samples: float) -> np.n
     # 1985, HC1, and Stata's newey), so that both agree where residuals are white.
     factor = samples / max(samples - len(bread), 1.0)
     return factor * (bread if meat is None else bread @ meat @ bread)
+
+
+class Noise(NamedTuple):
+    """AR(1) noise under white noise: its share of the variance and its correlation from one sample to the next."""
+
+    share: float = 0.0
+    kept: float = 0.0
+
+
+@njit
+def _filter(values, missing, share, kept, errors):
+    """Write the Kalman filter's prediction errors down the columns, scaled to one variance; return Σ ln of the scales squared."""
+    rest, drive = 1.0 - share, share * (1.0 - kept * kept)
+    state, variance, logs = np.zeros(values.shape[1]), share, 0.0
+    for k in range(values.shape[0]):
+        if missing[k]:
+            # Nothing was measured: the state is only predicted.
+            errors[k] = 0.0
+            state *= kept
+            variance = kept * kept * variance + drive
+            continue
+        total = variance + rest
+        scale, gain = 1.0 / np.sqrt(total), kept * variance / total
+        logs += np.log(total)
+        for j in range(values.shape[1]):
+            error = values[k, j] - state[j]
+            errors[k, j] = scale * error
+            state[j] = kept * state[j] + gain * error
+        variance = kept * kept * variance * rest / total + drive
+    return logs
+
+
+def prediction_errors(values: np.ndarray, missing: np.ndarray, noise: Noise) -> tuple[np.ndarray, float]:
+    """Return columns, shape (N, p), whitened by the Kalman filter of a noise model, and the log determinant of its covariance."""
+    errors = np.empty(values.shape)
+    return errors, _filter(values, missing, *noise, errors)
+
+
+def fit_noise(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], samples: float) -> Noise:
+    """
+    Return the noise model of greatest restricted likelihood.
+
+    A part is one run: residual and derivatives side by side, shape (N, 1 + p); what is missing; and where the columns stand
+    among those of all runs. Restricted (Patterson & Thompson 1971, *Biometrika* 58, 545-554): the parameters are solved
+    for at every noise model, and what they take from the residuals is allowed for.
+    """
+    from scipy import optimize
+
+    size = 1 + max(int(where.max()) for *_, where in parts)
+
+    def lack(at):
+        noise = _noise(at)
+        gram, logs = np.zeros((size, size)), 0.0
+        for values, missing, where in parts:
+            errors, own = prediction_errors(values, missing, noise)
+            gram[np.ix_(where, where)] += errors.T @ errors
+            logs += own
+        scale = np.sqrt(np.maximum(np.diag(gram)[1:], 1e-300))
+        roots, vectors = np.linalg.eigh(gram[1:, 1:] / np.outer(scale, scale))
+        known = roots > 1e-10
+        along = (gram[0, 1:] / scale) @ vectors[:, known]
+        squares = max(gram[0, 0] - along @ (along / roots[known]), 1e-300)
+        return (samples - known.sum()) * np.log(squares) + logs + np.log(roots[known]).sum() + 2.0 * np.log(scale).sum()
+
+    starts = [(-np.log1p(-kept), logit) for kept in (0.3, 0.9, 0.99, 0.999) for logit in (-3.0, 0.0, 3.0)]
+    best = np.array(min(starts, key=lack))
+    simplex = best + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.5]])
+    options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.02, "maxfev": 80}
+    found = optimize.minimize(lack, best, method="Nelder-Mead", options=options)
+    return _noise(found.x)
+
+
+def _noise(at) -> Noise:
+    """Return the noise model at coordinates without bounds: −ln(1 − kept) and the log odds of the share."""
+    share = 1.0 / (1.0 + np.exp(-np.clip(at[1], -12.0, 12.0)))
+    return Noise(float(share), float(np.clip(-np.expm1(-at[0]), 0.0, 1.0 - 1e-6)))
+
+
+def outliers(error: np.ndarray, scale: float) -> np.ndarray:
+    """Return which residuals are far off, in stretches that begin or end with a jump, as dropouts do and a wrong model does not."""
+    far = np.abs(error) > FAR * scale
+    if not far.any():
+        return far
+    edges = np.diff(far.astype(int), prepend=0, append=0)
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    jumps = np.abs(np.diff(error, prepend=0.0, append=0.0)) > FAR * scale
+    out = np.zeros(error.size, dtype=bool)
+    for start, end in zip(starts, ends, strict=True):
+        out[start:end] = jumps[start] or jumps[end]
+    return out
+
+
+def robust_deviation(errors: list[np.ndarray]) -> float:
+    """Return the standard deviation that the median of the absolute residuals implies for Gaussian ones."""
+    whole = np.abs(np.concatenate(errors))
+    # A few thousand samples tell it to a few per cent.
+    return 1.4826 * float(np.median(whole[:: 1 + whole.size // 4000]))

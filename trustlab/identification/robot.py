@@ -1,7 +1,8 @@
-"""Identification of robot performance, (2.3): structure, sensitivities, initial guess, `fit_robot` and its errors."""
+"""Identification of robot performance, (2.3): `fit_robot` and its errors."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,19 +11,20 @@ from trustlab.identification.fit_result import FitResult, parameter_table
 from trustlab.identification.fitting import (
     check_data,
     estimate_runs,
+    fit_runs,
     found_table,
     refuse_options,
     result,
     weak_parameters,
 )
-from trustlab.identification.human import HUMAN, decay_rates, range_parameters, rate_parameter, solve_pair, undo_blocks
+from trustlab.identification.human import HUMAN
 from trustlab.identification.output_error import Estimate
-from trustlab.identification.regression import equations, regress
-from trustlab.identification.runs import Run, as_columns, block_means, joined, read_runs
-from trustlab.identification.structure import IdentificationError, LinearForm, Parameter, Structure
+from trustlab.identification.regression import regress
+from trustlab.identification.robot_structure import robot_structure
+from trustlab.identification.runs import HowLogged, Run, joined, read_runs
+from trustlab.identification.structure import IdentificationError
+from trustlab.identification.tsc import TSC
 from trustlab.models.checks import one_of, positive
-from trustlab.models.compiled import njit
-from trustlab.models.robot import RobotModel
 from trustlab.sessions.session import Session
 
 
@@ -33,6 +35,7 @@ def fit_robot(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple] | None = None,
     noise: str = "auto",
+    **logged: Any,
 ) -> FitResult:
     """
     Identify the robot model (2.3) from sessions: a, p_min, p_max, and P_r at the start of every session.
@@ -51,10 +54,13 @@ def fit_robot(
         Values to hold, by name: a, p_min, p_max, p_r0.
     bounds : mapping, optional
         (low, high) by name, None for an open side.
-    noise : {"auto", "white", "hac"}
-        What standard errors allow for: white residuals, or autocorrelated ones (Newey–West); "auto" chooses by a
-        Ljung–Box test at 0.001. White noise of the input p_h, estimated from its first differences, is allowed for
-        in either case.
+    noise : {"auto", "white", "correlated", "hac"}
+        What the standard errors allow for; see `fit`. White noise of the input p_h, estimated from its first
+        differences, is allowed for in any case.
+    **logged
+        window, step, mode_delay, stamp_error, robust: how the log shows the model; see `fit`.
+        With a window, a finer step or a delay the measured P_h is not what drives
+        the robot: the fitted operator takes its place, as in `fit_tsc`.
 
     Returns
     -------
@@ -70,12 +76,18 @@ def fit_robot(
     ValueError
         If an argument is not understood.
     """
+    how = HowLogged(**logged)
     if one_of("method", method, ("output_error", "arx")) == "arx":
-        refuse_options(method, fixed, bounds, noise)
+        refuse_options(method, fixed, bounds, noise, how)
     for given in (fixed, bounds):
         if isinstance(given, Mapping) and "p_h_max" in given:
             raise ValueError("p_h_max is not a parameter of the search; give it as fit_robot(..., p_h_max=...)")
-    runs, any_operator = read_runs(sessions, "mode", "p_h", "p_r"), robot_structure(1.0)
+    runs, any_operator = (
+        read_runs(sessions, "mode", "p_h", "p_r", how=how),
+        robot_structure(1.0),
+    )
+    if method == "output_error" and (how.step or how.mode_delay or any(run.window > 1 for run in runs)):
+        return _driven_by_the_operator(runs, p_h_max, fixed, bounds, noise, how)
     limits = any_operator.limits(fixed, bounds)
     check_data(any_operator, runs, limits)
     if p_h_max is not None:
@@ -90,7 +102,7 @@ def fit_robot(
         tables = _tables_with_best(values, ["estimated"] * 3, covariance, best, operator)
         fit = replace(fit, parameters=tables[0], covariance=tables[1])
     else:
-        found = estimate_runs(structure, runs, limits, noise)
+        found = estimate_runs(structure, runs, limits, noise, robust=how.robust)
         covariance, shared = np.nan_to_num(found.covariance), np.zeros(found.theta.size)
         # Robust errors see the noise of P_h already: filtered by (2.3), it is part of the residuals' autocorrelation.
         if found.noise == "white" and found.free.size:
@@ -104,161 +116,38 @@ def fit_robot(
     return fit if operator is None else _flag_weak_operator(fit, operator)
 
 
-# --- the structure -------------------------------------------------------------------------------------------------
-
-SLOPES = np.dtype([(name, float) for name in ("a", "p_min", "p_max", "p_r0")])
-
-
-@njit
-def _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by):
-    """Run (2.3) under a given P_h, and its derivatives by every parameter, into `p_r` and the records `by`."""
-    now, by_a, by_min, by_max, by_0 = p_r0, 0.0, 0.0, 0.0, 1.0
-    gain = (p_max - p_min) / p_h_max
-    rest = 1.0 - a
-    for k in range(mode.size):
-        p_r[k] = now
-        row = by[k]
-        row.a = by_a
-        row.p_min = by_min
-        row.p_max = by_max
-        row.p_r0 = by_0
-        # (2.3) as P_r(k+1) = a P_r(k) + (1 − a)(p_min + gain M(k) P_h(k)), differentiated by each parameter in turn.
-        drive = mode[k] * p_h[k]
-        share = drive / p_h_max
-        by_a = a * by_a + now - p_min - gain * drive
-        by_min = a * by_min + rest * (1.0 - share)
-        by_max = a * by_max + rest * share
-        by_0 = a * by_0
-        now = a * now + rest * (p_min + gain * drive)
-
-
-def simulate_robot(run: Run, p_h: np.ndarray, p_h_max: float, a, p_min, p_max, p_r0):
-    """Return P_r under a given P_h and the records of its derivatives by a, p_min, p_max and P_r at the start."""
-    p_r, by = run.scratch("P_r"), run.scratch("of P_r", SLOPES)
-    _simulate_with_slopes(run["mode"], p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by)
-    return p_r, by
-
-
-def _input_influence(mode: np.ndarray, a: float, b: float, jacobian: np.ndarray) -> np.ndarray:
-    """Return LᵀJ, shape (N, p), where L maps a change of P_h to the change of simulated P_r (2.3)."""
-    from scipy import signal
-
-    # L[k, i] = b M(i) a^(k−1−i) for i < k: one backward recursion per column instead of an N × N matrix.
-    tail = signal.lfilter([0.0, 1.0], [1.0, -a], jacobian[::-1], axis=0)[::-1]
-    return b * mode[:, None] * tail
-
-
-def robot_parameters(prefix: str = "") -> tuple[Parameter, ...]:
-    """Return a, p_min and p_max of (2.3)."""
-    return (rate_parameter(prefix), *range_parameters(prefix))
-
-
-def robot_structure(p_h_max: float) -> Structure:
-    """Return the structure of (2.3), driven by the measured P_h, for a known greatest human performance."""
-
-    def sensitivities(run, a, p_min, p_max, p_r0):
-        p_r, by = simulate_robot(run, run["p_h"], p_h_max, a, p_min, p_max, p_r0)
-        return [p_r], [as_columns(by)]
-
-    def from_coefficients(a1, b, c):
-        a = -a1
-        p_min = c / (1.0 - a)
-        return a, p_min, p_min + b / (1.0 - a) * p_h_max
-
-    linear = LinearForm(
-        coefficients=("a1", "b1", "c"),
-        equations=lambda run: equations(run["p_r"], (run["mode"] * run["p_h"])[:, None], 1, (1,), (1,), True),
-        parameters=from_coefficients,
-        initial=lambda run: (float(run["p_r"][0]),),
-        caution=(
-            "Least squares on one-step predictions: measurement noise on p_r biases a towards 0, and these standard "
-            "errors do not show it; compare output_error."
-        ),
+def _driven_by_the_operator(
+    runs: list[Run],
+    p_h_max: float | None,
+    fixed: Mapping | None,
+    bounds: Mapping | None,
+    noise: str,
+    how: HowLogged,
+) -> FitResult:
+    """Fit operator and robot together and return what belongs to the robot."""
+    robot_structure(1.0).limits(fixed, bounds)  # refuses names and values in the robot's own words
+    held, bounded = (
+        {name if name == "p_r0" else f"robot_{name}": value for name, value in (given or {}).items()}
+        for given in (fixed, bounds)
     )
-    return Structure(
-        "robot model (2.3)",
-        parameters=robot_parameters(),
-        initial=(Parameter("p_r0"),),
-        inputs=("mode", "p_h"),
-        outputs=("p_r",),
-        sensitivities=sensitivities,
-        guess=lambda runs, limits: robot_guess(runs, limits, p_h_max),
-        model=lambda **values: build_robot(**values, p_h_max=p_h_max),
-        check=check_excitation,
-        linear=linear,
+    if p_h_max is not None:
+        held["human_p_max"] = _given_best(runs, p_h_max)
+    whole = fit_runs(TSC, runs, held, bounded, noise, None, how)
+    rows = {"robot_a": "a", "robot_p_min": "p_min", "robot_p_max": "p_max", "human_p_max": "p_h_max", "robot_b": "b"}
+    names = rows | ({"mode_delay": "mode_delay"} if "mode_delay" in whole.parameters.index else {})
+    parameters = whole.parameters.loc[list(names)].rename(names)
+    parameters.loc["p_h_max", "status"] = "given" if p_h_max is not None else parameters.loc["p_h_max", "status"]
+    kept = [name for name in names if name in whole.covariance.index]
+    return replace(
+        whole,
+        model=whole.model.robot,  # type: ignore[attr-defined]
+        parameters=parameters,
+        covariance=whole.covariance.loc[kept, kept].rename(index=names, columns=names),
+        initial_states=whole.initial_states[["p_r0", "p_r0_stderr"]],
+        runs=[run.only("p_r") for run in whole.runs],
+        sigma={"p_r": whole.sigma["p_r"]},
+        cost=0.5 * float(sum(np.sum(run.residual("p_r") ** 2) for run in whole.runs)),
     )
-
-
-def build_robot(a: float, p_min: float, p_max: float, p_h_max: float) -> RobotModel:
-    """Return the model, or say what about the data contradicts (2.3)."""
-    if not p_max > p_min:
-        raise IdentificationError(
-            "robot performance does not rise under manual control in these data (the fit has p_max = "
-            f"{p_max:.4g}, not above p_min = {p_min:.4g}), so (2.3) does not describe them",
-            ("p_min", "p_max"),
-        )
-    return RobotModel(float(a), float(p_min), float(p_max), float(p_h_max))
-
-
-def check_excitation(runs: list[Run], limits: Mapping, low: str = "p_min", high: str = "p_max") -> None:
-    """Refuse data in which nothing separates the least from the greatest robot performance."""
-    modes = joined(runs, "mode")
-    held = {name for name in (low, high) if limits[name][0] == limits[name][1]}
-    # A mode that never changes leaves one steady state: under manual control either limit fixes the other, but an
-    # autonomous robot says nothing of p_max.
-    if np.ptp(modes) > 0.0 or (held and (modes[0] > 0.0 or high in held)):
-        return
-    lost = (high,) if modes[0] == 0.0 else (low, high)
-    raise IdentificationError(
-        f"these data do not determine {' and '.join(lost)}: mode never changes (it is {modes[0]:g} throughout); log at "
-        "least one switch between manual and autonomous control, or fix a parameter, for example "
-        f"fixed={{{lost[0]!r}: ...}}",
-        lost,
-    )
-
-
-# --- the initial guess ---------------------------------------------------------------------------------------------
-
-
-@njit
-def _best_rate(mode, p_h, p_r, starts, rates, p_h_max):
-    """Return the best of some rates, with p_min and p_max; NaN where no rate determines them."""
-    least, best_a, best_min, best_max = np.inf, np.nan, np.nan, np.nan
-    for a in rates:
-        # P_r = p_min low + p_max high + what is left of the first sample is linear in p_min and p_max: solved for.
-        s11 = s12 = s22 = t1 = t2 = total = 0.0
-        for i in range(starts.size - 1):
-            low, high, left = 0.0, 0.0, p_r[starts[i]]
-            for k in range(starts[i], starts[i + 1]):
-                y = p_r[k] - left
-                s11 += low * low
-                s12 += low * high
-                s22 += high * high
-                t1 += low * y
-                t2 += high * y
-                total += y * y
-                share = mode[k] * p_h[k] / p_h_max
-                low += (1.0 - a) * (1.0 - share - low)
-                high += (1.0 - a) * (share - high)
-                left *= a
-        p_min, p_max = solve_pair(s11, s12, s22, t1, t2)
-        squares = total - p_min * t1 - p_max * t2
-        if np.isfinite(p_min) and squares < least:
-            least, best_a, best_min, best_max = squares, a, p_min, p_max
-    return best_a, best_min, best_max
-
-
-def robot_guess(runs: list[Run], limits: Mapping, p_h_max: float) -> dict[str, float | np.ndarray]:
-    """Return starting values of a, p_min, p_max and, for every run, p_r0, from a coarse search on block means."""
-    means, length = block_means(runs)
-    starts = np.cumsum([0, *(run.size for run in means)])
-    rates = decay_rates(max(run.size for run in runs), length, limits["a"])
-    mode, p_h, p_r = (joined(means, name) for name in ("mode", "p_h", "p_r"))
-    a, p_min, p_max = _best_rate(mode, p_h, p_r, starts, rates, p_h_max)
-    if not np.isfinite(a):
-        a, p_min, p_max = rates[rates.size // 2], p_r.min(), p_r.max()
-    first = np.array([run["p_r"][0] for run in means])
-    return {"a": undo_blocks(a, length), "p_min": p_min, "p_max": p_max, "p_r0": first}
 
 
 # --- the operator's greatest performance, and the errors that come of it -------------------------------------------
@@ -299,6 +188,15 @@ def _fit_operator(runs: list[Run]) -> Estimate:
 def _parameter(found: Estimate, name: str) -> float:
     """Return one estimate."""
     return float(found.theta[found.problem.names.index(name)])
+
+
+def _input_influence(mode: np.ndarray, a: float, b: float, jacobian: np.ndarray) -> np.ndarray:
+    """Return LᵀJ, shape (N, p), where L maps a change of P_h to the change of simulated P_r (2.3)."""
+    from scipy import signal
+
+    # L[k, i] = b M(i) a^(k−1−i) for i < k: one backward recursion per column instead of an N × N matrix.
+    tail = signal.lfilter([0.0, 1.0], [1.0, -a], jacobian[::-1], axis=0)[::-1]
+    return b * mode[:, None] * tail
 
 
 def _input_noise(found: Estimate, best: float, operator: Estimate | None) -> tuple[np.ndarray, np.ndarray]:

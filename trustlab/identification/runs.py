@@ -1,12 +1,14 @@
 """What identification reads from sessions: columns as arrays, checked once."""
 
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from trustlab.identification.structure import IdentificationError
-from trustlab.models.checks import of_class
+from trustlab.models.checks import not_negative, of_class
 from trustlab.sessions.session import Session
 
 HOW_TO_GET = (
@@ -25,6 +27,8 @@ class Run:
     synthetic: bool = False
     participant: object = None
     performance_measure: object = None
+    window: int = 1
+    stamp_error: float = 0.0
     kept: dict[tuple, np.ndarray] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -35,6 +39,11 @@ class Run:
         """Number of samples."""
         return next(iter(self.columns.values())).size
 
+    @property
+    def sample_time(self) -> float:
+        """Time between samples [s]."""
+        return float(self.t[-1] - self.t[0]) / (self.size - 1)
+
     def scratch(self, what: str, kind: np.dtype | type = float) -> np.ndarray:
         """Return an array of shape (N,) to simulate into, the same at every call."""
         # The system hands out memory page by page: fresh arrays would take longer than the simulation that fills them.
@@ -43,8 +52,24 @@ class Run:
         return self.kept[what, kind]
 
 
-def read_runs(sessions: Session | Iterable[Session], *needed: str) -> list[Run]:
-    """Take the columns that a fit needs out of one or several sessions with the same sample time."""
+class HowLogged(NamedTuple):
+    """How a log shows a model, as the user states it: see `fit`; None for what each session says."""
+
+    window: float | None = None
+    step: float | None = None
+    mode_delay: bool = False
+    stamp_error: float | None = None
+    robust: bool = True
+
+
+def read_runs(sessions: Session | Iterable[Session], *needed: str, how: HowLogged | None = None) -> list[Run]:
+    """
+    Take the columns that a fit needs out of one or several sessions with the same sample time.
+
+    What `how` leaves open each session says: the window, 0 for none; and that it was resampled, so that a switch of mode
+    may have been anywhere within its sample.
+    """
+    how = how or HowLogged()
     # A table, a mapping or a path can be iterated over too, but what comes out says nothing of the mistake.
     several = isinstance(sessions, Iterable) and not isinstance(sessions, (Session, str, bytes, Mapping))
     given: list = list(sessions) if several and not hasattr(sessions, "columns") else [sessions]
@@ -66,9 +91,39 @@ def read_runs(sessions: Session | Iterable[Session], *needed: str) -> list[Run]:
             session.metadata.synthetic,
             session.metadata.participant,
             session.metadata.more.get("performance"),
+            own,
+            _stamp_error(session, how.stamp_error),
         )
-        for session in given
+        for session, own in zip(given, _windows(given, how.window, needed), strict=True)
     ]
+
+
+def _stamp_error(session: Session, given: float | None) -> float:
+    """Return the standard deviation of the mode's time stamps [s]."""
+    if given is not None:
+        return not_negative("stamp_error", given)
+    return session.sample_time / np.sqrt(12.0) if "resampled" in session.metadata.more else 0.0
+
+
+def _windows(sessions: list[Session], window: float | None, needed: tuple[str, ...]) -> list[int]:
+    """Return the window of each session's performance columns in samples, 1 for none; warn where nothing is said of it."""
+    stated = [session.metadata.more.get("performance_window") if window is None else window for session in sessions]
+    unsaid = [s for s, own in zip(sessions, stated, strict=True) if own is None and not s.metadata.synthetic]
+    if unsaid and {"p_r", "p_h"} & set(needed):
+        warnings.warn(
+            f"{unsaid[0].label}: nothing says whether p_r and p_h are means over a moving window, as (2.4) and (2.7) are, "
+            "and a fit that takes means for the values themselves is wrong: state window=… [s], or window=0 if they are no "
+            "means (in a recipe: performance_window = …; Session.with_performance notes its own)",
+            stacklevel=4,
+        )
+    for session, own in zip(sessions, stated, strict=True):
+        if own and session.metadata.more.get("performance_cut"):
+            raise IdentificationError(
+                f"{session.label} was cut after its performance was averaged, so that its first means hold what is no "
+                "longer there; cut the log first, then call with_performance"
+            )
+    widths = [not_negative("window", own or 0.0) for own in stated]
+    return [max(1, round(own / session.sample_time)) for own, session in zip(widths, sessions, strict=True)]
 
 
 def joined(runs: list[Run], name: str) -> np.ndarray:

@@ -16,6 +16,10 @@ DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
 """Relative step of central differences: truncation (∝ step²) and rounding (∝ 1/step) are then about equal."""
 
 
+MODEL_STEP = 0.1
+"""Step [s] of the dissertation's models."""
+
+
 class IdentificationError(ValueError):
     """
     The data do not identify a model.
@@ -210,6 +214,8 @@ class Structure:
         ``check(runs, limits)`` raises `IdentificationError` if the data cannot identify the structure.
     linear : LinearForm, optional
         The structure as a linear regression.
+    step : float, optional
+        The model's own step [s]: a fit to a log with samples further apart is doubted unless it states a step.
 
     Raises
     ------
@@ -230,6 +236,7 @@ class Structure:
     derived: Mapping[str, Callable] = field(default_factory=dict)
     check: Callable | None = None
     linear: LinearForm | None = None
+    step: float | None = None
 
     how_to_get = "build one with trustlab.Structure(name, parameters=…, outputs=…, simulate=…)"
 

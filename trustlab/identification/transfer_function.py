@@ -65,9 +65,8 @@ def fit_transfer_function(
         T [s].
     order : {1, 2}
         Order of the denominator.
-    noise : {"auto", "white", "hac"}
-        What the standard errors allow for: white residuals, autocorrelated ones (Newey–West), or the second where a
-        Ljung–Box test rejects the first at 0.001.
+    noise : {"auto", "white", "correlated", "hac"}
+        What the standard errors allow for; see `fit`.
 
     Returns
     -------

@@ -1,6 +1,7 @@
 """Identification of robot and operator together, (2.3), (2.5) and (2.6): structure, sensitivities, `fit_tsc`."""
 
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +14,15 @@ from trustlab.identification.human import (
     initial_utilization,
     simulate_human,
 )
-from trustlab.identification.robot import build_robot, check_excitation, robot_guess, robot_parameters, simulate_robot
+from trustlab.identification.robot_structure import (
+    build_robot,
+    check_excitation,
+    robot_guess,
+    robot_parameters,
+    simulate_robot,
+)
 from trustlab.identification.runs import Run, as_columns
-from trustlab.identification.structure import Parameter, Structure
+from trustlab.identification.structure import MODEL_STEP, IdentificationError, Parameter, Structure
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
@@ -26,6 +33,7 @@ def fit_tsc(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple] | None = None,
     noise: str = "auto",
+    **logged: Any,
 ) -> FitResult:
     """
     Identify robot and operator together: one likelihood for p_r and p_h, the robot driven by the fitted operator.
@@ -39,9 +47,10 @@ def fit_tsc(
         r0, p_r0.
     bounds : mapping, optional
         (low, high) by name, None for an open side.
-    noise : {"auto", "white", "hac"}
-        What standard errors allow for: white residuals, or autocorrelated ones (Newey–West); "auto" chooses by a
-        Ljung–Box test at 0.001.
+    noise : {"auto", "white", "correlated", "hac"}
+        What the standard errors allow for; see `fit`.
+    **logged
+        window, step, mode_delay, stamp_error, robust: how the log shows the model; see `fit`.
 
     Returns
     -------
@@ -51,18 +60,20 @@ def fit_tsc(
     Raises
     ------
     IdentificationError
-        If the data do not determine a parameter; it is named.
+        If the data do not determine a parameter, which is named, or the fitted ranges give no a_T and b_T of (2.2).
     SessionError
         If a column is missing.
     ValueError
         If an argument is not understood.
     """
-    return fit(TSC, sessions, fixed=fixed, bounds=bounds, noise=noise)
+    return fit(TSC, sessions, fixed=fixed, bounds=bounds, noise=noise, **logged)
 
 
 OPERATOR = ("human_a", "human_beta", "human_p_min", "human_p_max", "r0")
 ROBOT = ("robot_a", "robot_p_min", "robot_p_max", "p_r0")
 
+
+RANGES = ("human_p_min", "human_p_max", "robot_p_min", "robot_p_max")
 
 SLOPES = np.dtype([(name, float) for name in (*OPERATOR, *ROBOT)])
 
@@ -120,7 +131,13 @@ def _guess(runs: list[Run], limits: Mapping) -> dict:
 
 def _build(**values) -> TscModel:
     operator = build_human(**_own(values, "human_"))
-    return TscModel(build_robot(**_own(values, "robot_"), p_h_max=operator.p_max), operator)
+    robot = build_robot(**_own(values, "robot_"), p_h_max=operator.p_max)
+    try:
+        return TscModel(robot, operator)
+    except ValueError as error:
+        raise IdentificationError(
+            f"the fitted ranges of performance give no a_T and b_T of (2.2): {error}", RANGES
+        ) from error
 
 
 TSC = Structure(
@@ -137,4 +154,5 @@ TSC = Structure(
         "robot_b": lambda at: (1.0 - at["robot_a"]) * (at["robot_p_max"] - at["robot_p_min"]) / at["human_p_max"],
     },
     check=lambda runs, limits: check_excitation(runs, limits, "robot_p_min", "robot_p_max"),
+    step=MODEL_STEP,
 )

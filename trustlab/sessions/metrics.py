@@ -232,7 +232,7 @@ def with_performance(
         equations = "(3.26), (3.27)"
     p_r, p_h = (window_mean(values, session.sample_time, window) for values in (p_r, p_h))
     note = f"{equations}, window {window:g} s"
-    return session.with_columns(p_r=p_r, p_h=p_h).with_metadata(performance=note)
+    return session.with_columns(p_r=p_r, p_h=p_h).with_metadata(performance=note, performance_window=float(window))
 
 
 def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:

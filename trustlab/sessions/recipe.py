@@ -9,6 +9,7 @@ for by name.
 
     name = "my_lab"                 # the recipe's own name
     description = "..."             # one line, free
+    performance_window = 100        # where columns p_r and p_h are moving means: over how many seconds
     kind = "table"                  # "table": CSV or Parquet; "bag": ROS 1 or ROS 2
 
     [files]                         # needed by read_sessions and by metadata that come from paths
@@ -495,6 +496,8 @@ class Recipe:
         How to resample, and to which sample time [s].
     metadata : mapping, optional
         Metadata name to its rule, in the order of evaluation.
+    performance_window : float, optional
+        Length of the moving mean that the columns p_r and p_h are [s].
     header : HeaderRule, optional
         The table with one row per session.
     supersedes : Supersedes, optional
@@ -512,6 +515,7 @@ class Recipe:
     resampling: Resampling | None = key(_nested(Resampling), None)
     columns: Mapping[str, ColumnRule] = key(partial(_each, rule=_column_rule), hint="at least one column")
     metadata: Mapping[str, MetadataRule] | None = key(partial(_each, rule=_metadata_rule), None)
+    performance_window: float | None = key(positive, None)
     header: HeaderRule | None = key(_nested(HeaderRule), None)
     supersedes: Supersedes | None = key(_nested(Supersedes), None)
     source: str = "recipe"
@@ -521,7 +525,10 @@ class Recipe:
             raise ValueError('[table] is for kind = "table"')
         time = parse(TableTime if self.kind == "table" else BagTime, self.time or {}, "[time]")
         filled = {"name": self.name or self.source, "table": self.table or TableRule(), "time": time}
-        for name, value in (filled | {"metadata": self.metadata or {}}).items():
+        metadata = dict(self.metadata or {})
+        if self.performance_window is not None:
+            metadata["performance_window"] = MetadataRule(value=self.performance_window)
+        for name, value in (filled | {"metadata": metadata}).items():
             object.__setattr__(self, name, value)
         self._check_columns()
         self._check_origins()

@@ -193,7 +193,10 @@ class Session:
             what = f"no two samples lie between {start} s and {stop} s"
             extent = f"the session runs from {self.t[0]:g} s to {self.t[-1]:g} s"
             raise SessionError(f"{what}; {extent}", self.metadata.source)
-        return Session(part, self.metadata)
+        cut = Session(part, self.metadata)
+        # A window mean needs what lies before it: fits must know that these do not begin where the averaging did.
+        averaged = "performance_window" in self.metadata.more and part.index[0] > self.data.index[0]
+        return cut.with_metadata(performance_cut=True) if averaged else cut
 
     def with_performance(self, window: float = 100.0, measure: str = "ground_robot", **scales: Any) -> Session:
         """

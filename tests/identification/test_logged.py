@@ -1,0 +1,291 @@
+"""
+Fits of what was logged: window means, late or early modes, coarse, sparse, interrupted and correlated data.
+
+Oracles: the parameters that the data were made with; means written as loops; Cholesky factors of the dense covariance for the
+Kalman filter; `with_performance` of the sessions' own room for the window.
+"""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, strategies as st
+
+import trustlab as tl
+from trustlab.identification.logged import undo_window, window_means
+from trustlab.identification.residuals import Noise, prediction_errors
+from trustlab.sessions.metrics import window_mean
+
+SCRIPT = Path(__file__).parents[2] / "notebooks" / "noise_settings.py"
+NAMES = ("human_a", "human_beta", "human_p_min", "human_p_max", "robot_a", "robot_p_min", "robot_p_max")
+
+
+@pytest.fixture(scope="module")
+def settings():
+    spec = importlib.util.spec_from_file_location("noise_settings", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def truth(model):
+    human, robot = model.human, model.robot
+    return pd.Series([human.a, human.beta, human.p_min, human.p_max, robot.a, robot.p_min, robot.p_max], NAMES)
+
+
+def closed_loop(model, rng, lower=0.05, upper=0.35, steps=20_000):
+    """(2.8) on the noisy performances, as a loop; mode, P_r and P_h."""
+    r, p_r, mode, rows = 0.3, 0.3, 1.0, []
+    human, robot = model.human, model.robot
+    for noise in 0.003 * rng.standard_normal((steps, 2)):
+        bell = (r / human.beta) ** human.beta * ((1 - r) / (1 - human.beta)) ** (1 - human.beta)
+        p_h = (human.p_max - human.p_min) * bell + human.p_min
+        tsc = model.a_T * (p_r + noise[0]) - model.b_T * (p_h + noise[1])
+        mode = 0.0 if tsc >= upper else 1.0 if tsc <= lower else mode
+        rows.append((mode, p_r, p_h))
+        p_r = robot.a * p_r + (1 - robot.a) * robot.p_min + mode * robot.b * p_h
+        r = human.a * r + (1 - human.a) * mode
+    return np.array(rows).T
+
+
+def windowed(model, window, seed, loop="open", where="before", noise=0.003, mode=None):
+    """A session whose performances are means over a window, with white noise before averaging or on the means."""
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 7]))
+    if loop == "closed":
+        mode, p_r, p_h = closed_loop(model, rng)
+    else:
+        mode = np.repeat([1.0, 0.0] * 4, 2500) if mode is None else mode
+        run = model.simulate(mode, 0.3, 0.3)
+        p_r, p_h = run["p_r"].to_numpy(), run["p_h"].to_numpy()
+    columns = {"mode": mode}
+    for name, values in (("p_r", p_r), ("p_h", p_h)):
+        error = noise * rng.standard_normal(values.size)
+        columns[name] = window_mean(values + error * (where == "before"), 0.1, window) + error * (where == "after")
+    frame = pd.DataFrame(columns, index=pd.Index(0.1 * np.arange(mode.size), name="t"))
+    return tl.Session(frame, tl.Metadata(synthetic=True, more={"performance_window": window}))
+
+
+# --- the window ---------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(1, 60), st.integers(1, 40), st.integers(0, 2**32 - 1))
+def test_window_means_are_those_of_sessions_and_can_be_undone(size, window, seed):
+    values = np.random.default_rng(seed).standard_normal((size, 3))
+    means = window_means(values, window)
+    for k in range(size):
+        np.testing.assert_allclose(means[k], values[max(0, k + 1 - window) : k + 1].mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(means[:, 0], window_mean(values[:, 0], 0.1, 0.1 * window), atol=1e-12)
+    np.testing.assert_allclose(undo_window(means, window), values, atol=1e-10)
+
+
+@pytest.mark.parametrize("window", [10.0, 100.0])
+def test_exact_windowed_data_give_the_parameters_back(operators, window):
+    model = operators["pilot"]
+    session, expected = windowed(model, window, 0, noise=0.0), truth(operators["pilot"])
+    joint, robot, human = tl.fit_tsc(session), tl.fit_robot(session), tl.fit_human(session)
+    for fit in (joint, robot, human):
+        assert fit.success, fit.message
+        assert f"window of {window:g} s" in fit.message
+    np.testing.assert_allclose(joint.table().loc[list(NAMES), "value"], expected, rtol=1e-6)
+    found = robot.table()["value"]
+    np.testing.assert_allclose(
+        found[["a", "p_min", "p_max", "p_h_max"]], [*expected.iloc[4:], expected.iloc[3]], rtol=1e-6
+    )
+    assert list(found.index) == ["a", "p_min", "p_max", "p_h_max", "b"]
+    assert robot.outputs == ("p_r",)
+    np.testing.assert_allclose(human.table()["value"].iloc[:4], expected.iloc[:4], rtol=1e-6)
+    # What is fitted is the mean that with_performance would have made of the fitted model.
+    run = joint.model.simulate(
+        session["mode"], joint.initial_states["r0"].iloc[0], joint.initial_states["p_r0"].iloc[0]
+    )
+    np.testing.assert_allclose(joint.runs[0].fitted["p_r"], window_mean(run["p_r"], 0.1, window), atol=1e-9)
+
+
+def covered(model, sessions, **options):
+    """z scores and coverage of all parameters over sessions; fits that report no success are left out."""
+    z, inside, expected = [], [], truth(model)
+    for session in sessions:
+        fit = tl.fit_tsc(session, **options)
+        if fit.success:
+            table = fit.table().loc[list(NAMES)]
+            z.append((table["value"] - expected) / table["stderr"])
+            inside.append((table["ci_low"] <= expected) & (expected <= table["ci_high"]))
+    return pd.DataFrame(z), pd.DataFrame(inside)
+
+
+@pytest.mark.parametrize(("loop", "where", "window"), [("open", "after", 100.0), ("closed", "before", 30.0)])
+def test_intervals_of_windowed_logs(operators, loop, where, window):
+    """A short version of the long test below: 8 seeds, z scores of seven parameters."""
+    model = operators["pilot"]
+    z, inside = covered(model, (windowed(model, window, seed, loop, where) for seed in range(8)))
+    assert len(z) >= 7
+    assert 0.6 < np.sqrt((z**2).to_numpy().mean()) < 1.5
+    assert inside.to_numpy().mean() > 0.85
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("window", [10.0, 30.0, 100.0])
+@pytest.mark.parametrize("loop", ["open", "closed"])
+@pytest.mark.parametrize("where", ["before", "after"])
+def test_intervals_of_windowed_logs_cover_the_truth(operators, loop, where, window):
+    """200 seeds: coverage 90 to 97 % (one sd of the share is 1.5 %, so that the ends have some of it), bias at most 0.3 sd."""
+    model = operators["pilot"]
+    z, inside = covered(model, (windowed(model, window, seed, loop, where) for seed in range(200)))
+    assert len(z) > 190
+    assert inside.mean().between(0.90, 0.985).all(), inside.mean()
+    assert (z.mean().abs() < 0.3).all(), z.mean()
+
+
+def test_a_window_that_is_not_stated_is_named(operators):
+    """Negative control: the same data without a word of the window are fitted wrongly, and the fit says so."""
+    model = operators["pilot"]
+    session = windowed(model, 30.0, 0, where="after").with_metadata(performance_window=0.0)
+    fit = tl.fit_robot(session, p_h_max=model.robot.p_h_max)
+    assert not fit.success
+    assert "give window=30" in fit.message
+    row = fit.table().loc["a"]
+    assert not row["ci_low"] <= model.robot.a <= row["ci_high"]
+    # Noise that is averaged shows any window.
+    fit = tl.fit_human(windowed(model, 70.0, 0), window=0.0)
+    assert not fit.success
+    assert "give window=70" in fit.message
+
+
+def test_a_log_of_a_lab_that_says_nothing_of_its_window_is_warned_of_once(operators, make_session, switching):
+    session = make_session(operators["pilot"], switching[:6000], noise=0.003).with_metadata(synthetic=False)
+    with pytest.warns(UserWarning, match=r"state window=… \[s\], or window=0") as caught:
+        tl.fit_human([session, session])
+    assert len(caught) == 1
+    assert tl.fit_human(session, window=0.0).success
+
+
+def test_recipes_and_sessions_say_the_window(tmp_path, operators):
+    session = windowed(operators["pilot"], 30.0, 0)
+    session.data.reset_index().to_csv(tmp_path / "log.csv", index=False)
+    recipe = 'kind = "table"\nperformance_window = 30\n[time]\nunit = "s"\n[columns]\n' + "".join(
+        f'{name} = {{ column = "{name}" }}\n' for name in ("mode", "p_r", "p_h")
+    )
+    (tmp_path / "lab.toml").write_text(recipe)
+    read = tl.read_session(tmp_path / "log.csv", recipe=tmp_path / "lab.toml")
+    assert read.metadata.more["performance_window"] == 30
+    assert tl.fit_human(read).model.a == pytest.approx(tl.fit_human(session).model.a, abs=1e-5)
+    with pytest.raises(tl.IdentificationError, match="cut the log first"):
+        tl.fit_human(session.between(100.0, 900.0))
+
+
+def test_a_structure_of_ones_own_has_a_window_for_free():
+    def decay(run, rate, start):
+        return 0.2 + start * np.exp(-rate * run.t)
+
+    structure = tl.Structure(
+        "decay", [tl.Parameter("rate", 0.0, 0.2), tl.Parameter("start", 0.0, 1.0)], outputs="p_r", simulate=decay
+    )
+    t = 0.1 * np.arange(3000)
+    values = 0.2 + 0.1 * np.exp(-0.02 * t) + 0.003 * np.random.default_rng(0).standard_normal(t.size)
+    frame = pd.DataFrame({"mode": 1.0, "p_r": window_mean(values, 0.1, 20.0)}, index=pd.Index(t, name="t"))
+    fit = tl.fit(structure, tl.Session(frame), window=20.0)
+    assert abs(fit.model["rate"] - 0.02) < 3.0 * fit.parameters.loc["rate", "stderr"] < 0.002
+    wrong = tl.fit(structure, tl.Session(frame), window=0.0, noise="white")
+    assert abs(wrong.model["start"] - 0.1) > 5.0 * wrong.parameters.loc["start", "stderr"]
+
+
+def test_regressions_doubt_windowed_columns(operators):
+    fit = tl.fit_robot(windowed(operators["pilot"], 30.0, 0), method="arx", p_h_max=0.4602)
+    assert not fit.success
+    assert "means over a window" in fit.message
+
+
+# --- noise --------------------------------------------------------------------------------------------------------
+
+
+def test_the_kalman_filter_whitens_like_a_cholesky_factor():
+    rng, size, share, kept = np.random.default_rng(0), 60, 0.3, 0.9
+    values, missing = rng.standard_normal((size, 3)), rng.random(size) < 0.2
+    errors, logs = prediction_errors(values, missing, Noise(share, kept))
+    lag = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
+    covariance = share * kept**lag + (1.0 - share) * np.eye(size)
+    there = ~missing
+    factor = np.linalg.cholesky(covariance[np.ix_(there, there)])
+    np.testing.assert_allclose(errors[there], np.linalg.solve(factor, values[there]), atol=1e-12)
+    assert not errors[missing].any()
+    assert logs == pytest.approx(2.0 * np.log(np.diag(factor)).sum(), rel=1e-12)
+
+
+@pytest.mark.parametrize("setting", ["dropouts to 0", "mode stamped 1 s early", "logged at 1 Hz"])
+def test_what_a_log_may_do_is_allowed_for(settings, setting):
+    """Short version of the long test below: the options of the setting, z scores over three seeds."""
+    make, options = settings.SETTINGS[setting]
+    sessions = [
+        tl.Session(make(np.random.default_rng(seed)), tl.Metadata(synthetic=True))
+        for seed in np.random.SeedSequence(5).spawn(3)
+    ]
+    z, _ = covered(tl.published_models()["pilot"], sessions, **options)
+    assert len(z) == 3
+    assert np.abs(z.to_numpy()).max() < 4.5
+    plain = tl.fit_tsc(sessions[0])
+    if "delay" in str(options) and setting != "logged at 1 Hz":
+        delay = tl.fit_tsc(sessions[0], **options).table().loc["mode_delay"]
+        assert delay["ci_low"] - 0.05 < 1.0 < delay["ci_high"] + 0.05
+        assert not plain.success
+        assert "mode_delay=True" in plain.message
+    elif options:
+        assert not plain.success
+        assert "state step=0.1" in plain.message
+    else:
+        assert "dropouts?" in plain.message
+
+
+def test_the_robot_alone_takes_the_options_too(settings, operators):
+    make, options = settings.SETTINGS["mode stamped 1 s early"]
+    session = tl.Session(make(np.random.default_rng(1)), tl.Metadata(synthetic=True))
+    table = tl.fit_robot(session, **options).table()
+    assert list(table.index) == ["a", "p_min", "p_max", "p_h_max", "b", "mode_delay"]
+    assert table.loc["mode_delay", "value"] == pytest.approx(1.0, abs=0.2)
+    assert table.loc["a", "ci_low"] - 1e-5 < operators["pilot"].robot.a < table.loc["a", "ci_high"] + 1e-5
+    assert not tl.fit_robot(session).success
+    with pytest.raises(ValueError, match="does not divide"):
+        tl.fit_robot(session, step=0.03)
+    with pytest.raises(ValueError, match="fixed names 'betta'"):
+        tl.fit_robot(session, fixed={"betta": 1.0}, mode_delay=True)
+
+
+def test_coarse_numbers_and_slow_noise_are_doubted(settings, operators, make_session, switching):
+    make, _ = settings.SETTINGS["quantised at 0.01"]
+    session = tl.Session(make(np.random.default_rng(1)), tl.Metadata(synthetic=True))
+    fit = tl.fit_human(session)
+    assert not fit.success
+    assert "logged in steps of 0.01" in fit.message
+    clean = make_session(operators["pilot"], switching, noise=0.003)
+    walk = np.cumsum(3e-4 * np.random.default_rng(0).standard_normal(len(clean)))
+    drifting = tl.fit_human(clean.with_columns(p_h=clean["p_h"] + walk))
+    assert not drifting.success
+    assert "too few for an honest interval" in drifting.message
+
+
+def test_stamps_that_are_not_exact_widen_the_intervals(operators, make_session, switching):
+    session = make_session(operators["pilot"], switching, noise=0.003)
+    exact, rough = (tl.fit_human(session, stamp_error=error).table()["stderr"] for error in (0.0, 0.5))
+    assert (rough > exact).all()
+    resampled = tl.fit_human(session.with_metadata(resampled="previous at 0.1 s")).table()["stderr"]
+    same = tl.fit_human(session, stamp_error=0.1 / np.sqrt(12.0)).table()["stderr"]
+    pd.testing.assert_series_equal(resampled, same)
+
+
+def test_ranges_that_give_no_weights_are_an_identification_error(operators, make_session, switching):
+    session = make_session(operators["pilot"], switching, noise=0.003)
+    with pytest.raises(tl.IdentificationError, match="give no a_T and b_T") as caught:
+        tl.fit_tsc(session.with_columns(p_r=session["p_r"] - 0.5))
+    assert "robot_p_min" in caught.value.parameters
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("way", ["default", "options"])
+def test_ten_settings_cover_the_truth_or_say_that_they_do_not(settings, way):
+    """100 seeds of each: where a fit reports success, its intervals cover each parameter in 90 % (two sd of the share are 6 %)."""
+    for setting in settings.SETTINGS:
+        rows = pd.DataFrame([settings.covers(seed, setting) for seed in np.random.SeedSequence(11).spawn(100)])
+        if f"{way}_success" in rows:
+            good = rows[rows[f"{way}_success"] == 1.0]
+            assert len(good) < 10 or good[[f"{way}_{name}" for name in NAMES]].mean().min() >= 0.84, setting
