@@ -105,6 +105,7 @@ SETTINGS: dict[str, tuple[Callable, dict]] = {
 }
 """How a session is made from a random generator, and the options that a fit of it takes in the column "with options"."""
 
+WAYS = ("before", "default", "options")
 TRUTH = ("human_a", "human_beta", "human_p_min", "human_p_max", "robot_a", "robot_p_min", "robot_p_max")
 
 
@@ -124,12 +125,30 @@ def fits(setting: str, seed: np.random.SeedSequence) -> Iterator[tuple[str, obje
 
 
 def covers(seed: np.random.SeedSequence, setting: str) -> dict[str, float]:
-    """Return for each way of fitting whether it reports success, and the share of parameters whose interval covers the truth."""
-    expected, row = truth(), {}
-    for name, fit in fits(setting, seed):
-        table = fit.table().loc[list(TRUTH)]
-        row[f"{name}_success"] = float(fit.success)
-        for parameter in TRUTH:
-            inside = table.loc[parameter, "ci_low"] <= expected[parameter] <= table.loc[parameter, "ci_high"]
-            row[f"{name}_{parameter}"] = float(inside)
+    """Return for each way of fitting whether it reports success, and which parameters its intervals cover; a task of a campaign."""
+    row = {f"{way}_{what}": np.nan for way in WAYS for what in ("success", *TRUTH)}
+    for way, fit in fits(setting, seed):
+        table, expected = fit.table().loc[list(TRUTH)], truth()
+        if way != "options":
+            # Without a step of its own the rates belong to the log's.
+            steps = round((fit.runs[0].t[1] - fit.runs[0].t[0]) / 0.1)
+            expected[["human_a", "robot_a"]] **= steps
+        known = table["status"].ne("weak").all() if way == "before" else fit.success
+        inside = (table["ci_low"] <= expected) & (expected <= table["ci_high"])
+        row |= {f"{way}_success": float(known)} | {f"{way}_{name}": float(inside[name]) for name in TRUTH}
     return row
+
+
+def summary(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return per setting and way the share of successes, and the mean and least coverage of the parameters where there are any."""
+    table = {}
+    for setting, own in rows.groupby("setting", sort=False):
+        for way in WAYS:
+            good = own[own[f"{way}_success"] == 1.0][[f"{way}_{name}" for name in TRUTH]].mean()
+            values = {
+                "success": own[f"{way}_success"].mean(),
+                "mean coverage": good.mean(),
+                "least coverage": good.min(),
+            }
+            table[setting] = table.get(setting, {}) | {(way, name): value for name, value in values.items()}
+    return pd.DataFrame.from_dict(table, orient="index").rename_axis("setting")

@@ -113,8 +113,8 @@ def _window(found: Estimate, refit: Callable[[list[Run]], Estimate]) -> Iterator
     if best[0] > GAIN:
         outputs = " and ".join(problem.structure.outputs)
         yield (
-            f"The residuals are explained by a window of {best[1]:g} s: {outputs} look like means over it; give "
-            f"window={best[1]:g}, or what the log's makers say."
+            f"The residuals are explained by a window of {best[1]:g} s, if the log has means over it in place of {outputs}: "
+            f"give window={best[1]:g}, or what the log's makers say."
         )
 
 
