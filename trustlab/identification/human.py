@@ -55,7 +55,7 @@ def fit_human(
         (low, high) by name, None for an open side.
     noise : {"auto", "white", "correlated", "hac"}
         What the standard errors allow for; see `fit`.
-    **logged
+    **logged : float or bool
         window, step, mode_delay, stamp_error, robust: how the log shows the model; see `fit`.
 
     Returns

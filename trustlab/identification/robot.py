@@ -57,7 +57,7 @@ def fit_robot(
     noise : {"auto", "white", "correlated", "hac"}
         What the standard errors allow for; see `fit`. White noise of the input p_h, estimated from its first
         differences, is allowed for in any case.
-    **logged
+    **logged : float or bool
         window, step, mode_delay, stamp_error, robust: how the log shows the model; see `fit`.
         With a window, a finer step or a delay the measured P_h is not what drives
         the robot: the fitted operator takes its place, as in `fit_tsc`.
