@@ -285,7 +285,7 @@ def result(found: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame] | None = N
         cost=0.5 * float(found.normal.squares.sum()),
         success=bool(found.search.converged and not weak and not doubts),
         message=" ".join(sentences),
-        degrees_of_freedom=float(problem.counts.sum() - found.free.size),
+        degrees_of_freedom=found.degrees_of_freedom,
     )
 
 

@@ -233,6 +233,17 @@ class Estimate:
         return np.flatnonzero(~self.fixed & ~self.search.at_bound)
 
     @property
+    def degrees_of_freedom(self) -> float:
+        """Samples less parameters; where noise is correlated, times that it had to change, of the slowest output."""
+        problem, least = self.problem, self.problem.counts.sum() - self.free.size
+        for count, moved, (share, kept) in zip(problem.counts, problem.moved, problem.noise, strict=True):
+            if share > 0.0:
+                # An AR(1) process tells its size as n (1 − φ)/(1 + φ) independent values would; the fit uses up some.
+                own = count * (1.0 - kept) / (1.0 + kept) - np.isin(moved, self.free).sum()
+                least = min(least, max(own, 3.0))
+        return float(least)
+
+    @property
     def status(self) -> list[str]:
         """Whether each value was estimated, is fixed, or is held by a bound."""
         return np.where(self.fixed, "fixed", np.where(self.search.at_bound, "at bound", "estimated")).tolist()
