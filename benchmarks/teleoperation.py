@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -215,6 +218,8 @@ def rows() -> Iterator[Row]:
     mine, other, ratio = in_turns(here(lambda: tl.simulate_teleoperation(**arguments)), here(loop), 9)
     yield Row(case, whole, "its own compiled loop alone", mine, other, ratio, note="for information")
     yield from drake(case, ours, loop, ours_log, data)
+    yield from parts()
+    yield cold_start()
     yield from shares()
 
 
@@ -274,6 +279,73 @@ def drake(case: str, ours: str, loop, log: np.ndarray, data: dict) -> Iterator[R
                     yield Row(reduced, ours, blocks, *times, note=note)
         except PeerMissingError as error:
             yield Row(reduced, ours, blocks, fault=str(error))
+
+
+def logistic(state):
+    """
+    Return TMIG's scales as a user would write them.
+
+    Parameters
+    ----------
+    state : View
+        State of the loop.
+    """
+    fall = 0.5 * (1.0 - np.tanh(5.0 * (state.trust_hr - 0.5))), 0.5 * (1.0 - np.tanh(5.0 * (state.trust_rh - 0.5)))
+    alpha = state.alpha_min + (state.alpha_max - state.alpha_min) * fall[0]
+    return alpha, state.beta_min + (state.beta_max - state.beta_min) * fall[1]
+
+
+def parts() -> Iterator[Row]:
+    """Yield a user's compiled scheme beside the built-in one, and the loop step by step."""
+    arguments = {"seed": 1, "duration": DURATION, "sample_time": PERIOD}
+    built_in, log = captured(scheme="TMIG", **arguments)
+    own, same = captured(scheme=tl.Scheme("mine", logistic), **arguments)
+    case, ours = "Teleoperation loop, guidance at the operator, 120 s at 1 kHz", "a user's scheme, compiled"
+    if not same.data.equals(log.data):
+        yield Row(case, ours, "the built-in scheme", fault="its log differs")
+        return
+    mine, other, ratio = in_turns(here(lambda: again(own)), here(lambda: again(built_in)), 9)
+    within = bool(mine.median <= 1.5 * other.median)
+    yield Row(case, ours, "the built-in scheme TMIG", mine, other, ratio, goal="≤ 1.5 × its time", met=within)
+    loops = [tl.TeleoperationLoop(scheme, seed=1, sample_time=PERIOD) for scheme in ("TMIG", tl.Scheme("p", Called()))]
+    mine, other, ratio = in_turns(here(loops[0].step), here(loops[1].step), 9)
+    fast = bool(mine.median <= 0.02)
+    case = "Teleoperation loop, one step"
+    yield Row(
+        case, "built-in parts", "the same with its scheme in Python", mine, other, ratio, "≥ 50,000 steps/s", fast
+    )
+
+
+class Called:
+    """The scheme as an object, which numba does not compile."""
+
+    def __call__(self, state):
+        """
+        Return the scales.
+
+        Parameters
+        ----------
+        state : View
+            State of the loop.
+        """
+        return logistic(state)
+
+
+def cold_start() -> Row:
+    """Return the time of a fresh process that runs a scheme, with warm and with empty caches."""
+    line = "import trustlab as tl; tl.simulate_teleoperation('TMIG', duration=1.0)"
+
+    def fresh(cache: str | None) -> None:
+        with tempfile.TemporaryDirectory() as empty:
+            named = {"TRUSTLAB_CACHE_DIR": cache or empty}
+            subprocess.run([sys.executable, "-c", line], env=os.environ | named, check=True)
+
+    with tempfile.TemporaryDirectory() as kept:
+        warm, empty, ratio = in_turns(here(lambda: fresh(kept)), here(lambda: fresh(None)), 3)
+    met = bool(warm.median <= 2000.0 and empty.median <= 10000.0)
+    note = "the loop and its built-in parts are compiled; a scheme of one's own compiles itself alone"
+    case = "Fresh process: import, one run of 1 s"
+    return Row(case, "warm caches", "empty caches", warm, empty, ratio, "≤ 2 s warm, ≤ 10 s empty", met, note)
 
 
 def shares() -> Iterator[Row]:

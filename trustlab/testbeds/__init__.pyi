@@ -13,6 +13,7 @@ from .ground_robot.participants import (
 )
 from .ground_robot.pioneer import Pioneer as Pioneer
 from .ground_robot.run import GroundRobotRun as GroundRobotRun
+from .guidance_comparison import GuidanceComparison as GuidanceComparison, compare_guidance as compare_guidance
 from .robot_team import simulate_team as simulate_team
 from .team_run import TeamRun as TeamRun
 from .teleoperation_measures import teleoperation_measures as teleoperation_measures

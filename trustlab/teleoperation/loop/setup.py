@@ -101,9 +101,14 @@ def vehicle_matrices(axes, sample_time: float) -> np.ndarray:
     A record of VEHICLE, shape (1,): `phi` is the state transition per axis, `gamma` the effect of the command. An axis of
     order 1 leaves its acceleration at zero.
     """
+    return _matrices(three_axes(axes), positive("sample_time", sample_time)).copy()
+
+
+@lru_cache(maxsize=64)
+def _matrices(axes: tuple, sample_time: float) -> np.ndarray:
+    """Return the matrices of `vehicle_matrices`, worked out once: exponentials take longer than a minute of the loop."""
     from scipy.linalg import expm
 
-    sample_time, axes = positive("sample_time", sample_time), three_axes(axes)
     matrices = np.zeros(1, VEHICLE)
     for i, axis in enumerate(axes):
         n = axis.order + 1
