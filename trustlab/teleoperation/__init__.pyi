@@ -50,3 +50,9 @@ from .transparency import (
     rendered_impedance as rendered_impedance,
     tune_transparency as tune_transparency,
 )
+from .transparency_plots import (
+    plot_rendered_spring as plot_rendered_spring,
+    plot_scales as plot_scales,
+    plot_transparency as plot_transparency,
+    plot_tunings as plot_tunings,
+)

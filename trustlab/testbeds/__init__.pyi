@@ -19,6 +19,7 @@ from .team_run import TeamRun as TeamRun
 from .teleoperation_measures import teleoperation_measures as teleoperation_measures
 from .teleoperation_plots import (
     plot_alpha as plot_alpha,
+    plot_beside as plot_beside,
     plot_energies as plot_energies,
     plot_signals as plot_signals,
     plot_trajectory as plot_trajectory,

@@ -1,9 +1,15 @@
 """Figures of a teleoperation run: trajectories (Fig. 3.13), signals (Fig. 3.14), energies of all ports, shares (Fig. 3.22)."""
 
-from collections.abc import Iterable
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
 
 from trustlab.models.checks import of_class
 from trustlab.sessions.session import Session
+
+if TYPE_CHECKING:
+    import pandas as pd
 from trustlab.testbeds.teleoperation_measures import runs_with
 
 SIGNALS = (
@@ -17,6 +23,8 @@ ENERGIES = {
     "energy_dissipated": "dissipated in the device",
     "energy_channel": "taken by the channel",
     "energy_robot": "taken by the robot's port",
+    "energy_port": "taken by the operator's port",
+    "energy_target": "given by the moving target",
 }
 BLUE, RED = "#0072b2", "#d55e00"
 
@@ -98,14 +106,14 @@ def plot_signals(session: Session, axes=None):
 
 def plot_energies(session: Session, axes=None):
     """
-    Plot the energies of all ports over time: operator, device, channel, robot.
+    Plot the energies of all ports over time: operator, device, channel, robot, target.
 
     Parameters
     ----------
     session : Session
         A run of `simulate_teleoperation`.
     axes : sequence of two matplotlib.axes.Axes, optional
-        Operator and device in the first, channel and robot in the second; a new figure when not given.
+        Operator and device in the first, channel, both ports and target in the second; a new figure when not given.
 
     Returns
     -------
@@ -124,7 +132,7 @@ def plot_energies(session: Session, axes=None):
         figure.suptitle(session.label, fontsize="medium")
     names = tuple(ENERGIES)
     for panel, part in ((axes[0], names[:3]), (axes[1], names[3:])):
-        for name, style in zip(part, ("-", "--", ":"), strict=False):
+        for name, style in zip(part, ("-", "--", ":", "-."), strict=False):
             panel.plot(session.t, session[name], style, lw=1.4, label=ENERGIES[name])
         panel.axhline(0.0, color="0.6", lw=0.8)
         panel.set(xlabel="time [s]", ylabel="energy [J]")
@@ -168,3 +176,31 @@ def plot_alpha(sessions: Iterable[Session], axes=None):
         panel.set_title(run.label, fontsize="medium")
     axes[-1].set_xlabel("time [s]")
     return axes
+
+
+def plot_beside(series: Mapping[str, pd.DataFrame], ax=None):
+    """
+    Plot means with intervals by condition, several series beside each other.
+
+    Parameters
+    ----------
+    series : mapping of str to pandas.DataFrame
+        By name: index of conditions; columns mean, ci_low, ci_high.
+    ax : matplotlib.axes.Axes, optional
+        Where; a new figure when not given.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+    """
+    import matplotlib.pyplot as plt
+    import numpy as np
+
+    ax = plt.subplots()[1] if ax is None else ax
+    for number, (name, frame) in enumerate(series.items()):
+        place = np.arange(len(frame)) + 0.24 * (number - 0.5 * (len(series) - 1))
+        half = [frame["mean"] - frame["ci_low"], frame["ci_high"] - frame["mean"]]
+        face = "white" if number else None
+        ax.errorbar(place, frame["mean"], half, fmt="os^v"[number % 4], mfc=face, capsize=4, label=name)
+        ax.set_xticks(np.arange(len(frame)), frame.index)
+    return ax
