@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
@@ -152,9 +153,12 @@ def compare_guidance(
     return GuidanceComparison(found)
 
 
+_people = lru_cache(graded_teleoperators)
+
+
 def _flown(guidance, scheme, participant, operators, study, start, duration, variant, seed) -> dict[str, float]:
     """Return the measures of one run; its seed is the operator's, not the campaign's, so that all runs are paired."""
-    person = graded_teleoperators(operators, start, study)[participant - 1]
+    person = _people(operators, start, study)[participant - 1]
     own = np.random.SeedSequence([start, participant])
     run = simulate_teleoperation(scheme, person, study, seed=own, duration=duration, **variant)
     row = teleoperation_measures(run).iloc[0]

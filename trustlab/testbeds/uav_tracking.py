@@ -100,9 +100,9 @@ class TeleoperationLoop:
 
     Notes
     -----
-    C. Saeidi, Chapter 3. S. Franken et al., Bilateral telemanipulation with time delays: a two-layer approach combining
-    passivity and transparency, IEEE Trans. Robotics 27(4), 2011. J. Artigas et al., Position drift compensation in time domain passivity
-    based teleoperation, IROS 2010.
+    H. Saeidi, Chapter 3. M. Franken, S. Stramigioli, S. Misra, C. Secchi, A. Macchelli, Bilateral telemanipulation with time
+    delays: a two-layer approach combining passivity and transparency, IEEE Trans. Robotics 27(4), 2011. J. Artigas, J.-H. Ryu,
+    C. Preusche, Position drift compensation in time domain passivity based teleoperation, IROS 2010.
     """
 
     scheme: str | Scheme = "TMIG"

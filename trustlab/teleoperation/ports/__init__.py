@@ -1,1 +1,1 @@
-"""The ports of a teleoperation loop, each with its compiled equations: device, waves, ledger, guidance, passivity."""
+"""The ports of a teleoperation loop, each with its compiled equations: device, waves, ledger, passivity."""
