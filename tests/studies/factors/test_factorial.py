@@ -197,6 +197,7 @@ def test_one_factor_in_a_list_is_one_way():
     frame = two_way()[lambda f: f["A"] == "a0"]
     one, other = run(frame, within=["B"]), run(frame, within="B")
     pd.testing.assert_frame_equal(one.table(), other.table())
+    assert run(frame, within=["B"], order={"B": ["b2", "b0", "b1"]}).conditions == ("b2", "b0", "b1")
 
 
 def test_what_a_reader_sees():

@@ -173,7 +173,8 @@ def _analyse(scores: np.ndarray, first: int) -> dict:
     d = k - 1
     largest = np.abs(scores).max(axis=(1, 2))
     unit = unit_of(largest)
-    scores, largest = scores / unit[:, None, None], largest / unit
+    if (unit != 1.0).any():
+        scores, largest = scores / unit[:, None, None], largest / unit
     rounding = 4.0 * np.finfo(float).eps * largest  # a spread of differences below this is no variance
     grand = scores.mean(axis=(1, 2))
     centred = scores - grand[:, None, None]

@@ -321,6 +321,7 @@ def repeated_measures(
         groups = between if isinstance(between, list) else [] if between is None else [between]
         return factorial_measures(frame, dv, factors, subject, groups, covariate, missing, order, correction, alpha)
     within = factors[0]
+    order = order.get(within) if isinstance(order, dict) else order
     one_of("correction", correction, ("auto", *CORRECTIONS))
     alpha = open_unit("alpha", alpha)
     observed = read_scores(frame, dv, within, subject, order=order)
