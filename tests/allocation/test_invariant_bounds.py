@@ -53,12 +53,16 @@ def leaves(bounds, model, lower, upper, rng):
     return found
 
 
+PARTS = [(0, 2_000), (2_000, 4_000)]
+REST = [pytest.param(first, first + 4_000, marks=pytest.mark.long) for first in range(4_000, 20_000, 4_000)]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("chunk", range(4))
-def test_no_trajectory_leaves_them(random_model, chunk):
-    """20,000 random feasible sets in four parts; one random start each."""
+@pytest.mark.parametrize(("first", "last"), PARTS + REST)
+def test_no_trajectory_leaves_them(random_model, first, last):
+    """20,000 random feasible sets, the first 4,000 of them in every `make test`; one random start each."""
     checked = 0
-    for child in np.random.SeedSequence(31).spawn(20_000)[chunk::4]:
+    for child in np.random.SeedSequence(31).spawn(20_000)[first:last]:
         rng = np.random.default_rng(child)
         model, lower, upper = random_model(rng)
         bounds = invariant_bounds(model, lower, upper, cells=8, cycles=6)
@@ -66,7 +70,7 @@ def test_no_trajectory_leaves_them(random_model, chunk):
             found = leaves(bounds, model, lower, upper, rng)
             assert not found, (found, model, lower, upper)
             checked += found is not None
-    assert checked > 4900
+    assert checked > 0.98 * (last - first)
 
 
 def test_they_enclose_the_cycle_and_tighten_with_more_cells(random_model):
