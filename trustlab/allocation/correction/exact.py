@@ -121,7 +121,10 @@ def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
 def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions, strict):
     """Fill the best paths of both thresholds for one mode sequence; return cost and whether (2.8) brings it about."""
     n = z.shape[1] - 1
-    tight[:] = hold
+    # Copied one by one, here and below: assigning arrays takes seconds to compile.
+    for j in (LOWER, UPPER):
+        for k in range(n + 1):
+            tight[j, k] = hold[j, k]
     # Where both rise, TSC_u comes first and limits TSC_l; where both fall, TSC_l limits TSC_u.
     first = LOWER if sign[LOWER] < 0 or sign[LOWER] != sign[UPPER] else UPPER
     second = 1 - first
@@ -247,9 +250,12 @@ def search(constants, c_b, target, budget, start, r0, p0, before, standard, step
                 bound = min(bound, now)
         if meets and now < cost:
             cost = now
-            best_r[:], best_p[:], best_mode[:] = r, p, mode
-            best_lower[:], best_upper[:] = sign[LOWER] * z[LOWER], sign[UPPER] * z[UPPER]
-            plan[:] = trial[:, :n]
+            for i in range(n + 1):
+                best_r[i], best_p[i], best_mode[i] = r[i], p[i], mode[i]
+                best_lower[i], best_upper[i] = sign[LOWER] * z[LOWER, i], sign[UPPER] * z[UPPER, i]
+            for j in (LOWER, UPPER):
+                for i in range(n):
+                    plan[j, i] = trial[j, i]
         # Back to the last step with an untried mode whose bound is below the best cost.
         k = -1
         while height > 0:

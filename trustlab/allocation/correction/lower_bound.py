@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trustlab.allocation.correction.phase_bound import least_effort
+from trustlab.allocation.correction.phase_bound import HIGH, LOW, least_effort
 from trustlab.allocation.correction.plan import LOWER, UPPER
 from trustlab.models.compiled import njit
 from trustlab.models.human import next_utilization
@@ -63,7 +63,8 @@ def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, 
     """
     span = c.p_r_max - c.p_r_min
     near = np.empty(2)
-    near[:] = most[:, first - 1]
+    for j in (LOWER, UPPER):
+        near[j] = most[j, first - 1]
     up, down = high[first - 1], -low[first - 1]
     boxes, nexts = np.empty(2, BOX), np.empty(2, BOX)  # by mode, as are those alive
     alive, lives = np.zeros(2, np.bool_), np.zeros(2, np.bool_)
@@ -111,8 +112,7 @@ def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, 
                     p_low, p_high = min(own.p_low, p_low), max(own.p_high, p_high)
                 own.r_low, own.r_high, own.p_low, own.p_high = r_low, r_high, p_low, p_high
                 lives[to] = True
-        boxes[:] = nexts
-        alive[:] = lives
+        boxes, nexts, alive, lives = nexts, boxes, lives, alive
 
 
 @njit
@@ -122,7 +122,7 @@ def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
     slopes, offsets = np.zeros(2), np.zeros(2)
     for j in (LOWER, UPPER):
         a, b = sign[j] * start[j], sign[j] * ends[j]
-        limits[j] = min(a, b), max(a, b)
+        limits[j, LOW], limits[j, HIGH] = min(a, b), max(a, b)
     # Any weight of r is valid, see `phase_bound`; this one gave tight bounds in trials.
     weight = 0.55 / (1.0 - c.a_r)
     for way in (1.0, -1.0):

@@ -109,7 +109,8 @@ def tube(manual, xa, xb, p_low, p_high, ends, most, sign, offset, c, h, known, l
     for t in range(1, most + 1):
         if t >= known:
             keep = c.a_r**t
-            h[t] = human_range(busy(manual, xa, t, keep, 0.0)[1], busy(manual, xb, t, keep, 0.0)[1], c)
+            one, other = busy(manual, xa, t, keep, 0.0)[1], busy(manual, xb, t, keep, 0.0)[1]
+            h[t, LOW], h[t, HIGH] = human_range(one, other, c)
             known, least[t], leave[t] = t + 1, np.inf, np.inf
         total += (p_low - c.p_r_min) / span if sign > 0 else (c.p_r_min - p_high) / span
         total -= offset
@@ -159,14 +160,16 @@ def all_phases(r, p, mode, k, limits, sign, c):
     p_least = min(p, c.p_r_min + c.b_pr * min(c.p_h_min, 0.0) / (1.0 - c.a_pr)) - 1e-12
     # With a rounded b_pr, f can leave [0, 2] and rates are cut at 0: subtract by how much f can be outside.
     offset = max((p_most - c.p_r_min) / span - 1.0, 0.0) if sign > 0 else max((c.p_r_min - p_least) / span, 0.0)
-    first, last, ends = np.full(NODES, -1, np.int64), np.zeros(NODES, np.int64), np.zeros((NODES, 2))
-    phases = Phases(first, last, ends, np.empty(POOL), np.empty(POOL))
+    first, last, cells = np.full(NODES, -1, np.int64), np.zeros(NODES, np.int64), np.zeros((NODES, 2))
+    phases = Phases(first, last, cells, np.empty(POOL), np.empty(POOL))
     queue, queued = np.empty(NODES, np.int64), np.zeros(NODES, np.bool_)
     allowed = WORK + WORK_EACH * k
     h = np.empty((k + 2, 2))
     weights = 1.35 ** np.arange(PIECES)
-    cuts = np.zeros(PIECES + 1)
-    cuts[1:] = np.cumsum(weights) / weights.sum()
+    whole, cuts = weights.sum(), np.zeros(PIECES + 1)
+    sums = np.cumsum(weights)
+    for j in range(PIECES):
+        cuts[j + 1] = sums[j] / whole
     queue[0], queued[START], head, tail, used, work = START, True, 0, 1, 0, 0
     while head < tail:
         node = queue[head]
@@ -176,10 +179,10 @@ def all_phases(r, p, mode, k, limits, sign, c):
         xb = r if start else (node % CELLS + 1) / CELLS
         room = min(k, POOL - used - 1)
         phases.first[node] = used
-        phases.ends[node] = xa, xb
+        phases.ends[node, LOW], phases.ends[node, HIGH] = xa, xb
         mine, gone = phases.least[used : used + room + 1], phases.leave[used : used + room + 1]
         mine[0], gone[0] = 0.0, np.inf
-        h[0] = human_range(xa, xb, c)
+        h[0, LOW], h[0, HIGH] = human_range(xa, xb, c)
         known, length = 1, 0
         goal = limits[UPPER] if manual else limits[LOWER]
         a, b = limits[LOWER] if manual else limits[UPPER]
@@ -244,7 +247,7 @@ def shortest(mode, phases, sign, rho, v, keeps, shares, passes, dist, back, take
                         again[other], moved = True, True
         if not moved:
             return True
-        fresh[:] = again
+        fresh, again = again, fresh
     return False
 
 

@@ -18,6 +18,9 @@ from trustlab.models.tsc import advance, human_at, tsc_at
 R, P = 0, 1
 """Columns of a corner: utilization and robot performance."""
 
+LEFT, RIGHT = 0, 1
+"""Columns of an interval of utilization."""
+
 CORNERS = 12
 """Most corners of a polygon."""
 
@@ -57,6 +60,14 @@ def clip(poly, k, along_r, along_p, offset, out):
             out[kept, R], out[kept, P] = x0 + part * (x1 - x0), y0 + part * (y1 - y0)
             kept += 1
     return kept if kept > 2 else 0
+
+
+@njit
+def copied(poly, k, out):
+    """Copy k corners, one by one, as assigning slices takes seconds to compile; return k."""
+    for j in range(k):
+        out[j, R], out[j, P] = poly[j, R], poly[j, P]
+    return k
 
 
 @njit
@@ -116,8 +127,7 @@ def propagate(manual, poly, k, error, target, c, most, out, corners, errors):
                         return TOO_MANY, n
                     # What may have met the target goes out as one part, mapped to where it is now.
                     if least + doubt >= 0.0:
-                        size = k
-                        out[parts, :k] = here[:k]
+                        size = copied(here, k, out[parts])
                     else:
                         size = clip(here, k, along_r, along_p, value + doubt, out[parts])
                         if size < 0:
@@ -137,7 +147,7 @@ def propagate(manual, poly, k, error, target, c, most, out, corners, errors):
                         return TOO_MANY, n
                     if k == 0:
                         return parts, n
-                    here[:k] = rest[:k]
+                    copied(rest, k, here)
         tangent = c.a_pr * tangent + mode * c.b_pr * slope * keep_r
         error = c.a_pr * error + mode * c.b_pr * bend
         r, p = advance(r, p, p_h, mode, c)
@@ -214,11 +224,11 @@ def narrow(low, high, over, lower, upper, c, cells, cycles, most, budget):
             odds *= ratio
             other = odds / (1.0 + odds) if j < cells - 1 else high
             # A stack of intervals: one that cannot be propagated as a whole is replaced by its halves.
-            waiting[0] = one, other
+            waiting[0, LEFT], waiting[0, RIGHT] = one, other
             one, top = other, 1
             while top > 0:
                 top -= 1
-                left, right = waiting[top]
+                left, right = waiting[top, LEFT], waiting[top, RIGHT]
                 # The utilizations one sample earlier, in the autonomous phase, limit the overshoot of this cell.
                 cell_over = min(over, overshoot(False, left / c.a_r, min(right / c.a_r, 1.0), lower, c))
                 strip(left, right, cell_over, lower, c, poly)
@@ -229,8 +239,8 @@ def narrow(low, high, over, lower, upper, c, cells, cycles, most, budget):
                 if parts < 0:
                     middle = math.sqrt(left / (1.0 - left) * right / (1.0 - right))
                     middle = middle / (1.0 + middle)
-                    waiting[top] = left, middle
-                    waiting[top + 1] = middle, right
+                    waiting[top, LEFT], waiting[top, RIGHT] = left, middle
+                    waiting[top + 1, LEFT], waiting[top + 1, RIGHT] = middle, right
                     top += 2
                 for i in range(parts):
                     sag = c.b_T * chord_error(out[i], corners[i], c)
