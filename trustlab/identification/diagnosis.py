@@ -16,8 +16,8 @@ CERTAIN = 3.3
 GAIN = 30.0
 """Fall of the deviance from which on a window counts."""
 
-STRETCHES = 12
-"""Times that correlated noise must have had to change before its size can be told from one record."""
+STRETCHES = 60
+"""Correlation times that a record must hold for intervals that cover: in simulations they fall short below."""
 
 
 def doubted(found: Estimate, refit: Callable[[list[Run]], Estimate]) -> Iterator[str]:
