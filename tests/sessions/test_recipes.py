@@ -1,5 +1,7 @@
 """Recipes: what each rule does to a log, what a wrong recipe is told, header files and folders."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -346,3 +348,44 @@ def test_patterns():
     assert PathPattern("p{who}/p{who}.csv").match("p1/p2.csv") is None
     assert PathPattern("a.csv").match("x/abcsv") is None
     assert sorted(["b", 10, "a10", "a2", 2, None], key=natural_key) == [2, 10, "a2", "a10", "b", None]
+
+
+def test_patterns_match_in_time_that_grows_with_the_path():
+    """A name of underscores that does not fit: each field more would otherwise multiply the places to try."""
+    pattern = PathPattern("".join(f"{{f{k}}}_" for k in range(12)) + "end.csv")
+    begun = time.process_time()
+    assert pattern.match("/data/" + "_" * 240 + ".csv") is None
+    assert time.process_time() - begun < 0.5
+    names = "a b c d e f g h i j k l".split()  # noqa: SIM905
+    assert list(pattern.match("/data/" + "_".join(names) + "_end.csv").fields.values()) == names
+    assert PathPattern("{a}_{b}_{n:int}.csv").match("/x/1_2_3_4.csv").fields == {"a": "1", "b": "2_3", "n": 4}
+    with pytest.raises(ValueError, match=r"more than 3 \* in one name"):
+        PathPattern("*a*b*c*.csv")
+
+
+@pytest.mark.parametrize("where", ["../secret.csv", "p{who}/../runs.csv", "./runs.csv"])
+def test_header_files_lie_below_the_folder(tmp_path, where):
+    recipe = lay(tmp_path, LAB.replace("p{who}/runs.csv", where))
+    fails(lambda: load_recipe(recipe), "[header]: pattern", "no . or ..")
+
+
+def test_a_folder_below_the_header(tmp_path):
+    """The header names sessions of other folders too, which are not asked for."""
+    recipe = lay(
+        tmp_path, LAB.replace("p{who}/runs.csv", "index.csv").replace('trial = "run"', 'who = "who", trial = "run"')
+    )
+    rows = [f"{who},{k},{10 * k},low\n" for who in (1, 2) for k in (1, 2, 3)]
+    (tmp_path / "raw" / "index.csv").write_text("who,run,share,level\n" + "".join(rows))
+    assert len(read_sessions(tmp_path / "raw", recipe=recipe)) == 6
+    assert len(read_sessions(tmp_path / "raw" / "p1", recipe=recipe)) == 3
+
+
+def test_tables_of_100_000_columns_in_linear_time(tmp_path):
+    names = ["t", *(f"c{k}" for k in range(100_000)), "p_r"]
+    row = ",".join(["{}"] + ["0"] * 100_000 + ["0.5"])
+    (tmp_path / "wide.csv").write_text(",".join(names) + "\n" + "".join(row.format(k) + "\n" for k in range(3)))
+    begun = time.process_time()
+    assert read_session(tmp_path / "wide.csv", columns=["p_r"]).columns == ["p_r"]
+    fails(lambda: read_session(tmp_path / "wide.csv"), "column 'c0' is not in the vocabulary")
+    fails(lambda: read_session(tmp_path / "wide.csv", columns=["p_h"]), "'p_h' is missing")
+    assert time.process_time() - begun < 5.0

@@ -1,5 +1,6 @@
 """What a session says about itself, and its form as JSON in the files that `write_session` writes."""
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -77,14 +78,26 @@ def _plain(value: object) -> object:
     raise TypeError(f"{type(value).__name__} is not a plain value")
 
 
-def metadata_to_json(metadata: Metadata, **extra: object) -> str:
-    """Return metadata, and what else is given, as one line of JSON; the source is left out, as it will be the new file."""
-    content = {name: getattr(metadata, name) for name in ("participant", "condition", "synthetic")}
+def digest(values: bytes | np.ndarray) -> str:
+    """Return a text of 16 digits that changes with every bit of a column, as floats, or of a text."""
+    data: Any = values if isinstance(values, bytes) else np.ascontiguousarray(values, dtype=float)
+    return hashlib.blake2b(data, digest_size=8).hexdigest()
+
+
+def metadata_to_json(metadata: Metadata, columns: Any, **extra: object) -> str:
+    """Return metadata, digests of the columns and what else is given as a line of JSON, but for the source, the new file."""
+    content = {name: getattr(metadata, name) for name in _FIELDS if name != "source"}
     for name, value in [*content.items(), *metadata.more.items()]:
         if not _survives_json(value):
             what = f"metadata {name!r} would not read back the same: {shown(value)}"
             raise SessionError(f"{what}; use plain numbers, texts, lists or dictionaries with text keys")
-    return json.dumps(content | {"more": dict(metadata.more)} | extra, default=_plain)
+    text = json.dumps(content | {"more": dict(metadata.more)} | extra, default=_plain)
+    digests = {name: digest(columns[name]) for name in columns}
+    return json.dumps(json.loads(text) | {"digests": digests | {"metadata": _digest_of_json(json.loads(text))}})
+
+
+def _digest_of_json(content: dict) -> str:
+    return digest(json.dumps(content, sort_keys=True).encode())
 
 
 def _survives_json(value: object) -> bool:
@@ -102,6 +115,10 @@ def metadata_from_json(text: str) -> tuple[Metadata, dict]:
         raise SessionError(f"the trustlab metadata are damaged ({error}); write the file again") from error
     if not isinstance(content, dict):
         raise SessionError(f"the trustlab metadata must be an object, found {shown(content)}; write it again")
+    digests = content.pop("digests", None)  # which files of earlier versions lack
+    if digests is not None and (not isinstance(digests, dict) or digests.get("metadata") != _digest_of_json(content)):
+        raise SessionError("the trustlab metadata are not as they were written; the file is damaged: write it again")
+    content["digests"] = digests or {}
     given: dict[str, Any] = {}
     for name, types in _TYPES.items():
         value = content.pop(name, {"synthetic": False, "more": {}}.get(name))

@@ -8,7 +8,7 @@ from string import Formatter
 
 from trustlab.models.checks import one_of, shown
 
-_ANYTHING = "[^/]*"
+_MOST_STARS = 3
 # The lengths are bounded, so that no digits of a path overflow and no match takes long.
 _TYPES = {"int": (r"\d{1,15}", int), "float": (r"-?\d{1,15}(?:\.\d{1,15})?", float), "str": (r"[^/]+?", str)}
 
@@ -49,19 +49,32 @@ class PathPattern:
     def __post_init__(self):
         if not isinstance(self.text, str) or not self.text.strip("/ "):
             raise ValueError(f"a pattern must be like 'trial{{trial:int}}.csv', got {shown(self.text)}")
+        if {".", ".."} & set(self.text.split("/")):
+            raise ValueError(f"pattern {self.text!r}: leads from a folder down, so that it has no . or .. in it")
+        if max(part.count("*") for part in self.text.split("/")) > _MOST_STARS:
+            raise ValueError(
+                f"pattern {self.text!r}: has more than {_MOST_STARS} * in one name; name what they stand for"
+            )
         types: dict[str, type] = {}
-        regex = ""
+        parts: list[str] = []
+        text_field = None  # where the last field of any length stands in `parts`, if fixed text alone has followed
         for literal, name, kind, _ in self._parts():
-            regex += _ANYTHING.join(map(re.escape, re.split(r"\*+", literal.replace(os.sep, "/"))))
+            parts.append("[^/]*".join(map(re.escape, literal.replace(os.sep, "/").split("*"))))
+            text_field = None if "*" in literal else text_field
             if name is None:
                 continue
             if not name.isidentifier():
                 raise ValueError(f"pattern {self.text!r}: a field needs a name, got {name!r}")
             kind = one_of(f"pattern {self.text!r}: the type of field {name!r}", kind or "str", _TYPES)
-            regex += f"(?P={name})" if name in types else f"(?P<{name}>{_TYPES[kind][0]})"
+            if kind == "str" and name not in types and text_field is not None:
+                # The field before ends where its text first stands: a later place would only leave less for this one. So
+                # no other place is tried, and the time to match stays in proportion to the path.
+                parts[text_field:] = [f"(?>{''.join(parts[text_field:])})"]
+            text_field = len(parts) if kind == "str" and name not in types else None
+            parts.append(f"(?P={name})" if name in types else f"(?P<{name}>{_TYPES[kind][0]})")
             types.setdefault(name, _TYPES[kind][1])
         object.__setattr__(self, "fields", types)
-        object.__setattr__(self, "_regex", re.compile(regex))
+        object.__setattr__(self, "_regex", re.compile("".join(parts)))
         object.__setattr__(self, "depth", self.text.strip("/").count("/") + 1)
 
     def _parts(self) -> list[tuple]:

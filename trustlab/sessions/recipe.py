@@ -17,7 +17,7 @@ for by name.
 
     [table]                         # kind = "table" only; these are the defaults
     header = true                   # false: no line of names, columns are numbered from 0
-    delimiter = ","
+    delimiter = ","                 # in .tsv files a tab
     decimal = "."
     skip_lines = 0                  # lines before the table
 
@@ -397,12 +397,12 @@ class TableRule:
     """How a table is written; without a header line its columns are numbered from 0."""
 
     header: bool = key(switch, True)
-    delimiter: str = key(partial(one_of, allowed=(",", ";", "\t", "|", " ")), ",")
+    delimiter: str | None = key(partial(one_of, allowed=(",", ";", "\t", "|", " ")), None)
     decimal: str = key(partial(one_of, allowed=(".", ",")), ".")
     skip_lines: int = key(partial(whole_number, least=0, most=999_999), 0)
 
     def __post_init__(self):
-        if self.decimal == self.delimiter:
+        if self.decimal == (self.delimiter or ","):
             raise ValueError(f"decimal and delimiter must differ, both are {self.decimal!r}")
 
 

@@ -49,7 +49,7 @@ class RawLog:
     The streams of one file, not yet checked.
 
     `metadata` is what the file says about itself, `fault` why reading stopped after the samples there are, and
-    `notes` are metadata that reading adds (start_time, resampled).
+    `notes` are metadata that reading adds (start_time, resampled). `digests` are those of the columns as they were written.
     """
 
     source: str
@@ -57,6 +57,7 @@ class RawLog:
     metadata: Metadata | None = None
     fault: SessionError | None = None
     notes: dict[str, object] = field(default_factory=dict)
+    digests: Mapping[str, str] = field(default_factory=dict)
 
 
 def require_common_times(log: RawLog) -> None:

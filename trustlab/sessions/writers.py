@@ -1,7 +1,9 @@
 """Write sessions: CSV, Parquet, ROS 1 and ROS 2 bags that read back the same."""
 
 import os
+import platform
 import shutil
+import sqlite3
 import tempfile
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.metadata import metadata_to_json
 from trustlab.sessions.readers.bags import PREFIX, check_sqlite_path
 from trustlab.sessions.readers.csv_files import COMMENT
+from trustlab.sessions.readers.folder import TEMPORARY
 from trustlab.sessions.session import Session
 
 FORMATS = {"csv": ".csv", "parquet": ".parquet", "bag": ".bag", "mcap": ".mcap", "rosbag2": ""}
@@ -60,15 +63,40 @@ def write_session(session: Session, path: str | os.PathLike, format: str | None 
         _check_target(path, format)
         write = {"csv": _write_csv, "parquet": _write_parquet}.get(format, _write_bag)
         try:
-            # Written beside its place and moved there at the end, so that a failure leaves nothing half made.
-            with tempfile.TemporaryDirectory(prefix=".trustlab-", dir=path.parent) as folder:
-                made = write(session, Path(folder) / path.name, format)
+            # Written beside its place and moved there at the end, so that neither a failure nor the end of this process
+            # leaves anything half made.
+            _sweep(path.parent)
+            own = f"{TEMPORARY}{platform.node()}-{os.getpid()}-"
+            with tempfile.TemporaryDirectory(prefix=own, dir=path.parent, ignore_cleanup_errors=True) as folder:
                 if path.is_dir():
-                    shutil.rmtree(path)
-                os.replace(made, path)
-        except OSError as error:
-            raise SessionError(f"cannot be written ({error.strerror or error})") from error
+                    _replace(path, write(session, Path(folder) / f"{path.name}-{folder[-8:]}", format))
+                else:
+                    os.replace(write(session, Path(folder) / path.name, format), path)
+        except (OSError, sqlite3.Error) as error:
+            raise SessionError(f"cannot be written ({getattr(error, 'strerror', None) or error})") from error
     return path
+
+
+def _sweep(folder: Path) -> None:
+    """Remove the temporary folders of writers of this machine whose process has ended."""
+    own = f"{TEMPORARY}{platform.node()}-"
+    for left in folder.glob(f"{own}*") if os.name == "posix" else ():
+        try:
+            os.kill(int(left.name.removeprefix(own).partition("-")[0]), 0)
+        except ProcessLookupError:
+            shutil.rmtree(left, ignore_errors=True)
+        except (ValueError, OSError):  # not a process of ours, or not a folder of ours
+            pass
+
+
+def _replace(path: Path, made: Path) -> None:
+    """Put a rosbag2 recording in the place of another: until metadata.yaml is replaced, it names the old database."""
+    new = sorted(made.iterdir(), key=lambda file: file.name == "metadata.yaml")
+    for file in new:
+        os.replace(file, path / file.name)
+    for old in path.iterdir():
+        if old.name not in {file.name for file in new}:
+            shutil.rmtree(old) if old.is_dir() else old.unlink()
 
 
 def _check_target(path: Path, format: str) -> None:
@@ -87,7 +115,7 @@ def _check_target(path: Path, format: str) -> None:
 
 def _write_csv(session: Session, place: Path, format: str) -> Path:
     table = session.table().to_csv(index=False, lineterminator="\n")  # written by repr, which reads back bit for bit
-    place.write_bytes(f"{COMMENT}{metadata_to_json(session.metadata)}\n{table}".encode())
+    place.write_bytes(f"{COMMENT}{metadata_to_json(session.metadata, session)}\n{table}".encode())
     return place
 
 
@@ -96,7 +124,7 @@ def _write_parquet(session: Session, place: Path, format: str) -> Path:
     import pyarrow.parquet
 
     table = pa.table({name: np.ascontiguousarray(session[name]) for name in session})
-    table = table.replace_schema_metadata({"trustlab": metadata_to_json(session.metadata)})
+    table = table.replace_schema_metadata({"trustlab": metadata_to_json(session.metadata, session)})
     pyarrow.parquet.write_table(table, place)
     return place
 
@@ -115,7 +143,7 @@ def _write_bag(session: Session, place: Path, format: str) -> Path:
     as_text, as_number = typestore.types[text], typestore.types[number]
     with writer:
         topic = writer.add_connection(f"{PREFIX}metadata", text, typestore=typestore)
-        metadata = metadata_to_json(session.metadata, samples=len(session))
+        metadata = metadata_to_json(session.metadata, session, samples=len(session))
         writer.write(topic, 0, serialize(as_text(metadata), text))
         topics = [writer.add_connection(PREFIX + name, number, typestore=typestore) for name in session]
         for stamp, *row in zip(_stamps(session.t), *(session[name].tolist() for name in session), strict=True):

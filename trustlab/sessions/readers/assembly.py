@@ -10,7 +10,7 @@ import pandas as pd
 
 from trustlab.sessions.checks import check_column, check_rising, check_time
 from trustlab.sessions.errors import RecipeError, SessionError, source_named
-from trustlab.sessions.metadata import Metadata
+from trustlab.sessions.metadata import Metadata, digest
 from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.recipe import Constant, MetadataColumn, MetadataRule, Recipe, Resampling, mapped, plain_key
 from trustlab.sessions.resampling import RawLog, require_common_times, resample
@@ -68,6 +68,8 @@ def assemble_session(
     """Return the session that a raw log makes: `values` come from `recipe_values`, `wanted` are the columns to keep."""
     rules: Mapping[str, Any] = recipe.columns if recipe else {}
     with source_named(log.source):
+        if recipe is None and log.fault is None:
+            _check_digests(log)
         if resampling is None:
             require_common_times(log)
             _check(log, uniform=True)
@@ -105,6 +107,16 @@ def _metadata(log: RawLog, recipe: Recipe | None, values: Mapping[str, Any]) -> 
     if not isinstance(own.get("synthetic", False), bool):
         raise RecipeError(f"metadata 'synthetic' must be true or false, got {own['synthetic']!r}")
     return (log.metadata or Metadata()).changed(**log.notes | own, source=log.source)
+
+
+def _check_digests(log: RawLog) -> None:
+    """Raise where a column is not what the file's metadata say that it was when it was written."""
+    for stream in log.streams:
+        for name, values in {"t": stream.t, **stream.columns}.items():
+            if name in log.digests and log.digests[name] != digest(values):
+                what = f"column {name!r} is not as trustlab wrote it, so the file is damaged or was edited"
+                remedy = "copy or write it again; of an edited .csv file, remove the first line"
+                raise SessionError(f"{what}; {remedy}")
 
 
 def _check(log: RawLog, uniform: bool) -> None:

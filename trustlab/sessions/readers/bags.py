@@ -11,10 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from trustlab.models.checks import shown
 from trustlab.models.extras import extra
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, damage_named, listed
 from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.patterns import FieldPath
+from trustlab.sessions.readers.unpacking import Budget, bags_within
 from trustlab.sessions.recipe import Recipe, TopicField, mapped
 from trustlab.sessions.resampling import MAX_SAMPLES, RawLog, Stream
 
@@ -25,9 +27,9 @@ _DAMAGED = "not a bag, or a damaged or truncated one"
 _guard = partial(damage_named, _DAMAGED, "try `ros2 bag reindex` or `rosbag reindex`, or record it again")
 
 
-def read_bag(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None) -> RawLog:
+def read_bag(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget) -> RawLog:
     """Return the log in a bag: a stream per topic of the recipe; without a recipe, what `write_session` wrote."""
-    with _open(path) as reader:
+    with _open(path, budget) as reader:
         if recipe is None:
             return _read_own(reader, wanted, str(path))
         rules = [rule for rule in map(recipe.columns.get, wanted) if isinstance(rule, TopicField)]
@@ -46,6 +48,8 @@ def _types(reader) -> dict[str, str]:
     """Return the topics of an open bag and the types of their messages."""
     types: dict[str, str] = {}
     for connection in reader.connections:
+        if not isinstance(connection.topic, str) or not isinstance(connection.msgtype, str):
+            raise SessionError(f"{_DAMAGED} (a topic is called {shown(connection.topic)}); record it again")
         known = types.setdefault(connection.topic, connection.msgtype)
         if known != connection.msgtype:
             types[connection.topic] = f"{known} and {connection.msgtype}"
@@ -57,13 +61,14 @@ def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]
     chosen = [connection for connection in reader.connections if connection.topic in topics]
     expected: Counter[str] = Counter()
     found: Counter[str] = Counter()
-    for connection in chosen:
-        expected[connection.topic] += connection.msgcount
+    with _guard():
+        for connection in chosen:
+            expected[connection.topic] += int(connection.msgcount)
     if expected.total() > MAX_SAMPLES:
         raise SessionError(f"the bag has more than {MAX_SAMPLES} messages on the topics read")
     for topic, stamp, message in _decoded(reader, chosen):
         found[topic] += 1
-        if not abs(stamp) < 2**62:  # differences of stamps must not overflow
+        if not isinstance(stamp, int) or not abs(stamp) < 2**62:  # differences of stamps must not overflow
             raise SessionError(f"topic {topic!r}: a message has the time {stamp} ns")
         yield topic, stamp, message
     for topic in topics:
@@ -81,7 +86,7 @@ def _decoded(reader, connections) -> Iterator[tuple[str, int, Any]]:
 
 
 @contextmanager
-def _open(path: Path) -> Iterator[Any]:
+def _open(path: Path, budget: Budget) -> Iterator[Any]:
     with extra("ros"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -89,14 +94,15 @@ def _open(path: Path) -> Iterator[Any]:
     for database in [path] if path.suffix == ".db3" else sorted(path.glob("*.db3")):
         check_sqlite_path(path)
         _check_sqlite_size(database)
-    with _guard():
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        reader.open()
-    try:
-        yield reader
-    finally:
+    with bags_within(budget):
         with _guard():
-            reader.close()
+            reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            reader.open()
+        try:
+            yield reader
+        finally:
+            with _guard():
+                reader.close()
 
 
 def _check_sqlite_size(database: Path) -> None:
@@ -133,7 +139,9 @@ def _read_own(reader, wanted: Sequence[str] | None, source: str) -> RawLog:
             what = f"topic {topic!r} has {len(values)} messages where the metadata say {extra.get('samples')}"
             raise SessionError(f"{what}; the bag is damaged or truncated")
     columns = {topic.removeprefix(PREFIX): np.array(values) for topic, values in topics.items()}
-    return RawLog(source, [Stream(columns.pop("t"), columns, "message {} (from 0)".format)], metadata)
+    return RawLog(
+        source, [Stream(columns.pop("t"), columns, "message {} (from 0)".format)], metadata, digests=extra["digests"]
+    )
 
 
 def _read_topics(reader, rules: Sequence[TopicField], recipe: Recipe, source: str) -> RawLog:

@@ -1,6 +1,7 @@
 """CSV files."""
 
 import csv
+import gzip
 import io
 import itertools
 import math
@@ -8,16 +9,19 @@ import os
 import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from trustlab.sessions.errors import SessionError
+from trustlab.sessions.errors import SessionError, damage_named
 from trustlab.sessions.metadata import metadata_from_json
+from trustlab.sessions.readers.arrow_tables import numbers
 from trustlab.sessions.readers.tables import SourceColumn, select_columns, table_stream
-from trustlab.sessions.recipe import NUMBER, Recipe, TableRule, mapped, plain_key
+from trustlab.sessions.readers.unpacking import Budget
+from trustlab.sessions.recipe import NUMBER, Recipe, TableRule, mapped
 from trustlab.sessions.resampling import RawLog
 
 COMMENT = "# trustlab "
@@ -30,7 +34,9 @@ _FILL = "fill it or cut it out before reading, by a rule that you state"
 _NOT_A_NUMBER = {"nan", "na", "n/a", "null", "none", "inf", "-inf", "+inf", "infinity", "-infinity", "-"}
 
 
-def read_csv(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, layout: TableRule) -> RawLog:
+def read_csv(
+    path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, layout: TableRule, budget: Budget
+) -> RawLog:
     """
     Return the log in a CSV file.
 
@@ -38,11 +44,18 @@ def read_csv(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, la
     before it, so that the first fault of the file can be reported.
     """
     opened: Callable[[], BinaryIO] = lambda: path.open("rb")  # noqa: E731
+    if path.suffix.lower() == ".gz":
+        with damage_named("not a gzip file, or a damaged or truncated one", "copy it again"), gzip.open(path) as file:
+            unpacked = file.read(budget.most + 1)
+        budget.take(len(unpacked))
+        opened = partial(io.BytesIO, unpacked)
+    layout = replace(layout, delimiter=layout.delimiter or ("\t" if path.suffix.lower() == ".tsv" else ","))
     lines = _lines(opened)
-    first, metadata, before = next(lines, ""), None, layout.skip_lines
+    first, metadata, extra, before = next(lines, ""), None, {}, layout.skip_lines
     if first.startswith(COMMENT) and not before:
-        metadata, before = metadata_from_json(first[len(COMMENT) :])[0], 1
-        _check_end(path)
+        metadata, extra = metadata_from_json(first[len(COMMENT) :])
+        before = 1
+        _check_end(opened)
     for _ in range(before):
         first = next(lines, "")
     where = f"line {before + 1}"
@@ -66,7 +79,7 @@ def read_csv(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, la
     if fault is None and not len(raw["t"]):
         raise SessionError(f"{where}: nothing follows the column names; the log has no samples")
     table, notes = table_stream(selected, raw, recipe, place)
-    return RawLog(str(path), [table], metadata, fault, notes)
+    return RawLog(str(path), [table], metadata, fault, notes, extra.get("digests", {}))
 
 
 def _lines(opened: Callable[[], BinaryIO]) -> Iterator[str]:
@@ -87,9 +100,9 @@ def _lines(opened: Callable[[], BinaryIO]) -> Iterator[str]:
             yield line
 
 
-def _check_end(path: Path) -> None:
+def _check_end(opened: Callable[[], BinaryIO]) -> None:
     """Raise where a file of ours does not end its last line."""
-    with path.open("rb") as file:
+    with opened() as file:
         file.seek(-1, os.SEEK_END)
         if file.read() not in b"\r\n":
             raise SessionError("its last line has no end, so the file was cut short; write it again")
@@ -142,23 +155,12 @@ def _fast(
         ):
             for block in blocks:
                 for each in selected:
-                    parts[each.name].append(_numbers(block.column(str(each.position)), each))
-    except (pa.ArrowException, TypeError, ValueError, MemoryError):  # TypeError: one column as texts and as numbers
+                    parts[each.name].append(numbers(block.column(str(each.position)), each))
+    except (pa.ArrowException, ValueError, MemoryError):
+        return None
+    if not all(np.isfinite(part).all() for own in parts.values() for part in own):
         return None
     return {each.name: np.concatenate(parts.pop(each.name)) for each in selected}
-
-
-def _numbers(values, column: SourceColumn) -> np.ndarray:
-    """Return one column of a block as finite numbers, or raise ValueError."""
-    if column.map:
-        coded = values.dictionary_encode()  # look every text up once
-        known = [column.map.get(plain_key(text), math.nan) for text in coded.dictionary.to_pylist()]
-        numbers = np.array(known, dtype=float)[coded.indices.to_numpy()]
-    else:
-        numbers = values.to_numpy()
-    if not np.isfinite(numbers).all():
-        raise ValueError
-    return numbers
 
 
 def _scan(

@@ -4,15 +4,17 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from trustlab.models.checks import one_of, positive
+from trustlab.models.checks import one_of, positive, whole_number
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
 from trustlab.sessions.readers.assembly import assemble_session, recipe_values
 from trustlab.sessions.readers.index import SessionIndex
+from trustlab.sessions.readers.unpacking import budget_of
 from trustlab.sessions.recipe import Recipe, Resampling, TableRule, load_recipe, parse
 from trustlab.sessions.resampling import METHODS, RawLog
 from trustlab.sessions.session import Session
 
-_TABLES = (".csv", ".parquet")
+_TEXTS = (".csv", ".csv.gz", ".tsv", ".txt")
+_TABLES = (*_TEXTS, ".parquet", ".feather")
 _BAGS = (".bag", ".mcap", ".db3")
 SUFFIXES = (*_TABLES, *_BAGS)
 """Suffixes of the files that can be read; a rosbag2 recording may also be a folder."""
@@ -26,6 +28,7 @@ def read_session(
     sample_time: float | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
+    max_bytes: int | None = None,
 ) -> Session:
     """
     Read one logged session.
@@ -33,7 +36,7 @@ def read_session(
     Parameters
     ----------
     path : path-like
-        A ``.csv``, ``.parquet``, ``.bag`` (ROS 1), ``.mcap`` or ``.db3`` file, or a rosbag2 folder.
+        A ``.csv``, ``.csv.gz``, ``.tsv`` or ``.txt`` table, a ``.parquet``, ``.feather``, ``.bag`` (ROS 1), ``.mcap`` or ``.db3`` file, or a rosbag2 folder.
     recipe : str, path-like or Recipe, optional
         How the log's columns become ours: a name from `list_recipes()`, the path of a TOML file, or a Recipe. A table
         with the vocabulary's names in SI units, and t in seconds, needs none; nor does anything that `write_session`
@@ -46,9 +49,11 @@ def read_session(
     sample_time : float, optional
         Time between samples [s] after resampling.
     delimiter, decimal : str, optional
-        The separator of the cells of a CSV file read without a recipe ("," ";" "|" tab or space), and the decimal mark
-        of its numbers ("." or ","); a comma and a point when not given. A recipe states them in its [table]; other
+        The separator of the cells of a text table read without a recipe ("," ";" "|" tab or space), and the decimal mark
+        of its numbers ("." or ","); a comma (in .tsv files a tab) and a point when not given. A recipe states them in its [table]; other
         formats have neither.
+    max_bytes : int, optional
+        How many bytes a compressed file may unpack to; 256 MiB, or ten times its size if that is more, when not given.
 
     Returns
     -------
@@ -63,15 +68,21 @@ def read_session(
     ValueError
         If another argument is not valid, or does not apply to the file's format.
     """
-    reader = FileReader(recipe, columns, resample, sample_time, delimiter, decimal)
+    reader = FileReader(recipe, columns, resample, sample_time, delimiter, decimal, max_bytes)
     reader.set_layout([path])
     return reader.read(path)
+
+
+def suffix_of(path: Path) -> str:
+    """Return the end of a file's name that says its format: ".csv", ".csv.gz" and so on."""
+    return "".join(path.suffixes[-2 if path.suffix.lower() == ".gz" else -1 :]).lower()
 
 
 class FileReader:
     """The arguments of `read_session`, checked, for one file or for many."""
 
-    def __init__(self, recipe, columns, resample, sample_time, delimiter, decimal):
+    def __init__(self, recipe, columns, resample, sample_time, delimiter, decimal, max_bytes):
+        self.max_bytes = None if max_bytes is None else whole_number("max_bytes", max_bytes)
         self.recipe = None if recipe is None else load_recipe(recipe)
         self.columns, self.resampling = columns, self.recipe.resampling if self.recipe else None
         if resample is not None or sample_time is not None:  # either needs the other
@@ -86,10 +97,12 @@ class FileReader:
 
     def set_layout(self, paths: Sequence[str | os.PathLike]) -> None:
         """Set how CSV files are written; refuse a delimiter or decimal mark where none of the files is one."""
-        if self.given and not any(str(path).lower().endswith(".csv") for path in paths):
+        if self.given and not any(str(path).lower().endswith(_TEXTS) for path in paths):
             name = next(iter(self.given))
-            kind = os.path.splitext(str(paths[0]))[1].lower() or "folders"
-            raise ValueError(f"{name} applies to .csv files, not to {kind}: leave it out (file: {paths[0]})")
+            kind = suffix_of(Path(str(paths[0]))) or "folders"
+            raise ValueError(
+                f"{name} applies to .csv files and their like, not to {kind}: leave it out (file: {paths[0]})"
+            )
         self.layout = self.recipe.table if self.recipe else parse(TableRule, self.given, "arguments")
 
     def read(self, path: str | os.PathLike) -> Session:
@@ -112,24 +125,26 @@ class FileReader:
         return assemble_session(log, self.recipe, values, wanted, self.resampling)
 
     def _raw_log(self, path: Path, needed: Sequence[str] | None) -> RawLog:
-        suffix = path.suffix.lower()
+        suffix = suffix_of(path)
         kind = "bag" if path.is_dir() or suffix in _BAGS else "table"
         if self.recipe is not None and self.recipe.kind != kind:
             raise RecipeError(f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a {kind}")
         if path.is_file() and path.stat().st_size == 0:
             raise SessionError("the file is empty")
+        budget = budget_of(path, self.max_bytes)
         # Each format is imported when it is first read: rosbags and pyarrow are heavy.
         if kind == "bag":
             from trustlab.sessions.readers.bags import read_bag
 
-            return read_bag(path, self.recipe, needed)
-        if suffix == ".csv":
+            return read_bag(path, self.recipe, needed, budget)
+        if suffix in _TEXTS:
             from trustlab.sessions.readers.csv_files import read_csv
 
-            return read_csv(path, self.recipe, needed, self.layout)
-        from trustlab.sessions.readers.parquet_files import read_parquet
+            return read_csv(path, self.recipe, needed, self.layout, budget)
+        from trustlab.sessions.readers.arrow_tables import read_feather, read_parquet
 
-        return read_parquet(path, self.recipe, needed)
+        read = read_parquet if suffix == ".parquet" else read_feather
+        return read(path, self.recipe, needed, budget)
 
     def _wanted(self) -> list[str] | None:
         """Return the session's columns to read; None for all of a file that is read without a recipe."""
@@ -160,7 +175,7 @@ def _existing(path: Path) -> Path:
             if any(path.glob("*.db3")) or any(path.glob("*.mcap")):
                 hint += ", run `ros2 bag reindex` on a recording, or name the .db3 or .mcap file in it"
             raise SessionError(f"a folder without metadata.yaml is not a rosbag2 recording; {hint}")
-    elif path.suffix.lower() not in SUFFIXES:
+    elif suffix_of(path) not in SUFFIXES:
         hint = alternatives(path.suffix, [*SUFFIXES, "rosbag2 folders"])
         raise SessionError(f"cannot read {path.suffix or 'files without a suffix'}{hint}")
     return path

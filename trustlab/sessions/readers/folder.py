@@ -7,10 +7,13 @@ from pathlib import Path
 
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.patterns import PathMatch, PathPattern, natural_key
-from trustlab.sessions.readers.file import SUFFIXES, FileReader
+from trustlab.sessions.readers.file import SUFFIXES, FileReader, suffix_of
 from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.recipe import Recipe, plain_key
 from trustlab.sessions.session import Session
+
+TEMPORARY = ".trustlab-"
+"""How the names of folders begin in which files are made."""
 
 
 def read_sessions(
@@ -23,6 +26,7 @@ def read_sessions(
     sample_time: float | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
+    max_bytes: int | None = None,
 ) -> list[Session]:
     """
     Read all sessions of a folder.
@@ -44,6 +48,8 @@ def read_sessions(
         Time between samples [s] after resampling.
     delimiter, decimal : str, optional
         As for `read_session`; they apply to the CSV files of the folder.
+    max_bytes : int, optional
+        As for `read_session`; for each file.
 
     Returns
     -------
@@ -65,7 +71,7 @@ def read_sessions(
     UserWarning
         For sessions that the recipe declares superseded by others; they are left out.
     """
-    reader = FileReader(recipe, columns, resample, sample_time, delimiter, decimal)
+    reader = FileReader(recipe, columns, resample, sample_time, delimiter, decimal, max_bytes)
     source = os.fspath(folder) if isinstance(folder, str | os.PathLike) else folder
     if not isinstance(source, str):
         raise SessionError(f"a folder is needed, got {type(folder).__name__}")
@@ -92,7 +98,7 @@ def _logs_in(folder: str) -> list[str]:
     logs = []
     for name in os.listdir(folder):
         path = os.path.join(folder, name)
-        is_log = os.path.isfile(path) and Path(path).suffix.lower() in SUFFIXES
+        is_log = os.path.isfile(path) and suffix_of(Path(path)) in SUFFIXES
         if is_log or os.path.isfile(os.path.join(path, "metadata.yaml")):
             logs.append(path)
     if not logs:
@@ -138,7 +144,7 @@ def _find(folder: str, pattern: PathPattern) -> dict[str, PathMatch]:
     """Return the files and rosbag2 folders at any depth of a folder whose paths fit a pattern."""
     found: dict[str, PathMatch] = {}
     for here, folders, files in os.walk(folder):
-        folders.sort()
+        folders[:] = sorted(name for name in folders if not name.startswith(TEMPORARY))
         bags = [name for name in folders if os.path.isfile(os.path.join(here, name, "metadata.yaml"))]
         folders[:] = [name for name in folders if name not in bags]  # what is inside a bag is not searched
         for name in sorted([*bags, *files]):

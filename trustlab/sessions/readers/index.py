@@ -42,7 +42,9 @@ class SessionIndex:
         used: dict[str, set] = {os.path.abspath(path): set() for path in headers}
         for path, match in matches.items():
             self.row(match, path)
-            used[os.path.abspath(self._path(match))].add(self._key(match))
+            header = os.path.abspath(self._path(match))
+            if header in used:  # one above the folder names sessions that are not in it
+                used[header].add(self._key(match))
         for header, keys in used.items():
             for key, (line, _) in self._table(header, header).items():
                 if key not in keys:
