@@ -183,10 +183,10 @@ def test_the_fast_reader_agrees_with_the_exact_one(text):
     width = max(body.split("\n")[0].count(",") + 1, 1)
     cells = [SourceColumn(str(k), k, str(k)) for k in range(width)]
     opened = partial(io.BytesIO, body.encode())
-    fast = _fast(opened, 0, cells, TableRule(), width)
+    fast = _fast(opened, 0, cells, TableRule(delimiter=","), width)
     if fast is None:
         return  # then the exact reader is the one that counts
-    exact, _, fault = _scan(opened, 0, cells, TableRule(), width, "it has")
+    exact, _, fault = _scan(opened, 0, cells, TableRule(delimiter=","), width, "it has")
     assert fault is None
     for name, values in exact.items():
         assert values.tobytes() == np.ascontiguousarray(fast[name]).tobytes()

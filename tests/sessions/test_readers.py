@@ -190,7 +190,7 @@ def test_places(tmp_path):
     refused(tmp_path / "rum.csv", "did you mean 'run.csv'")
     refused(tmp_path, "not a rosbag2 recording", "read_sessions")
     refused(write(tmp_path, "x", "run.xlsx"), "spreadsheet", "CSV UTF-8")
-    refused(write(tmp_path, "x", "run.txt"), "cannot read .txt", ".csv")
+    refused(write(tmp_path, "x", "run.dat"), "cannot read .dat", ".csv")
     refused(write(tmp_path, "x", "run.parket"), "did you mean '.parquet'")
     refused("a\0b.csv", "no such file")
     with pytest.raises(SessionError, match="a path is needed"):

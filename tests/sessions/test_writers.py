@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin, Writer as Writer2
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from trustlab.sessions import Metadata, Session, SessionError, read_session, read_sessions, write_session
@@ -186,8 +186,8 @@ def bomb(path: Path, samples=2, size=40_000_000):
     else:
         plugin = StoragePlugin.MCAP if path.suffix == ".mcap" else StoragePlugin.SQLITE3
         writer = Writer2(folder, version=8, storage_plugin=plugin)
-        mode = Writer2.CompressionMode.STORAGE if path.suffix == ".mcap" else Writer2.CompressionMode.MESSAGE
-        writer.set_compression(mode, Writer2.CompressionFormat.ZSTD)
+        mode = CompressionMode.STORAGE if path.suffix == ".mcap" else CompressionMode.MESSAGE
+        writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
         topic = writer.add_connection("/p", kind, typestore=store)
         for k in range(samples):
@@ -210,9 +210,9 @@ def test_bags_that_unpack_to_much(tmp_path, name):
 
 def test_tables_that_unpack_to_much(tmp_path):
     path = tmp_path / "b.parquet"
-    column = pa.chunked_array([pa.array(np.zeros(2**20))] * 40)
+    column = pa.chunked_array([pa.array(np.zeros(2**20))] * 18)
     pq.write_table(pa.table({"t": column, "p_r": column}), path, compression="zstd")
-    assert path.stat().st_size < 100_000
+    assert path.stat().st_size < 500_000
     with pytest.raises(SessionError, match=r"unpacks to more than 268435456 bytes"):
         read_session(path)
     with pytest.raises(SessionError, match="time repeats"):

@@ -100,9 +100,7 @@ class FileReader:
         if self.given and not any(str(path).lower().endswith(_TEXTS) for path in paths):
             name = next(iter(self.given))
             kind = suffix_of(Path(str(paths[0]))) or "folders"
-            raise ValueError(
-                f"{name} applies to .csv files and their like, not to {kind}: leave it out (file: {paths[0]})"
-            )
+            raise ValueError(f"{name} applies to .csv files, not to {kind}: leave it out (file: {paths[0]})")
         self.layout = self.recipe.table if self.recipe else parse(TableRule, self.given, "arguments")
 
     def read(self, path: str | os.PathLike) -> Session:

@@ -21,12 +21,12 @@ def read_sessions(
     recipe: str | os.PathLike | Recipe | None = None,
     *,
     progress: Callable[[int, int], object] | None = None,
+    max_bytes: int | None = None,
     columns: Sequence[str] | None = None,
     resample: str | None = None,
     sample_time: float | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
-    max_bytes: int | None = None,
 ) -> list[Session]:
     """
     Read all sessions of a folder.
@@ -98,7 +98,8 @@ def _logs_in(folder: str) -> list[str]:
     logs = []
     for name in os.listdir(folder):
         path = os.path.join(folder, name)
-        is_log = os.path.isfile(path) and suffix_of(Path(path)) in SUFFIXES
+        # Beside the logs, a .txt file is as likely a note; a recipe's pattern can name it.
+        is_log = os.path.isfile(path) and suffix_of(Path(path)) in set(SUFFIXES) - {".txt"}
         if is_log or os.path.isfile(os.path.join(path, "metadata.yaml")):
             logs.append(path)
     if not logs:

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from trustlab.models.extras import extra
 from trustlab.sessions.errors import SessionError
 
 MAX_BYTES = 2**28
@@ -65,9 +66,10 @@ def _bounded(decompressor: Callable[[], Any], kept: bool = True) -> Callable[...
 @contextmanager
 def bags_within(budget: Budget) -> Iterator[None]:
     """Have rosbags unpack within a budget."""
-    import lz4.frame
-    from rosbags.rosbag1 import reader as ros1
-    from rosbags.rosbag2 import reader as ros2, storage_mcap as mcap
+    with extra("ros"):
+        import lz4.frame
+        from rosbags.rosbag1 import reader as ros1
+        from rosbags.rosbag2 import reader as ros2, storage_mcap as mcap
 
     # rosbags unpacks a block as a whole, of whatever size, and has no argument to limit it. Its functions are replaced for
     # good, as others may be reading at the same time; the budget belongs to this call alone.
