@@ -84,6 +84,8 @@ from .sessions import (
     Metadata as Metadata,
     Session as Session,
     SessionError as SessionError,
+    join_sessions as join_sessions,
+    read_frame as read_frame,
     read_session as read_session,
     read_sessions as read_sessions,
     write_session as write_session,

@@ -100,23 +100,48 @@ class PathPattern:
 
 
 @dataclass(frozen=True)
+class Selector:
+    """The entry of a list of messages whose field `key` is `value`; or of a list beside a list of names called `key`."""
+
+    key: str
+    value: str
+
+    def __str__(self) -> str:
+        return f'[{self.key}="{self.value}"]'
+
+
+_STEP = re.compile(r"""(?:^|\.)([A-Za-z_]\w*)|\[(\d{1,9})\]|\[([A-Za-z_][\w.]*)=(["'])(.*?)\4\]""")
+
+
+@dataclass(frozen=True)
 class FieldPath:
-    """Where a number stands in a message: ``twist.twist.linear.x``, ``axes[1]``, ``yaw(pose.pose.orientation)``."""
+    """
+    Where a number stands in a message.
+
+    ``twist.twist.linear.x``, ``axes[1]``, ``yaw(pose.pose.orientation)``,
+    ``transforms[child_frame_id="turtle1"].transform.translation.x`` or ``position[name="wheel_left"]``.
+    """
 
     text: str
-    steps: tuple[str | int, ...] = field(init=False, compare=False, repr=False)
+    steps: tuple[str | int | Selector, ...] = field(init=False, compare=False, repr=False)
     yaw: bool = field(init=False, compare=False, repr=False)
 
     def __post_init__(self):
         path, yaw = self.text, False
         if isinstance(path, str) and path.startswith("yaw(") and path.endswith(")"):
             path, yaw = path[4:-1], True
-        steps: list[str | int] = []
-        for part in path.split(".") if isinstance(path, str) else [""]:
-            found = re.fullmatch(r"([A-Za-z_]\w*)((?:\[\d{1,9}\])*)", part)
-            if found is None:
-                example = "'twist.twist.linear.x', 'axes[1]' or 'yaw(pose.pose.orientation)'"
-                raise ValueError(f"cannot read the field path {shown(self.text)}; write it like {example}")
-            steps += [found.group(1), *(int(index) for index in re.findall(r"\d+", found.group(2)))]
+        found = list(_STEP.finditer(path)) if isinstance(path, str) else []
+        if not found or not found[0].group(1) or "".join(each.group() for each in found) != path:
+            example = "'twist.twist.linear.x', 'axes[1]', 'position[name=\"left\"]' or 'yaw(pose.pose.orientation)'"
+            raise ValueError(f"cannot read the field path {shown(self.text)}; write it like {example}")
+        steps: list[str | int | Selector] = []
+        for each in found:
+            name, index, key, _, value = each.groups()
+            steps.append(name or (Selector(key, value) if key else int(index)))
         object.__setattr__(self, "steps", tuple(steps))
         object.__setattr__(self, "yaw", yaw)
+
+    @property
+    def selectors(self) -> str:
+        """The selectors as written: a message that has no such entry is not a sample of this field."""
+        return "".join(str(step) for step in self.steps if isinstance(step, Selector))

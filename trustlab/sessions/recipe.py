@@ -26,9 +26,17 @@ for by name.
     unit = "s"
     from_zero = false               # true: count from the first sample; its time becomes metadata start_time
 
+    # unit "iso": 2026-03-01T12:00:00.5, "clock": 12:00:00.5; repeated = "first", "last" or "mean" for times that repeat
+
     [time]                          # kind = "bag"; t counts from the first sample, metadata start_time says when
     stamp = "receive"               # or "header": the message's own stamp
-    topics = { "/cmd_vel" = "receive" }   # topics that use the other one
+    topics = { "/cmd_vel" = "receive" }   # topics that use the other one; also repeated
+
+    [splitting]
+    gap = 2.0                       # [s]: read_sessions makes a session of each part between longer gaps
+
+    [messages]                      # kind = "bag", for those without definitions
+    folder = "my_robot_msgs"        # package/msg/Name.msg at any depth, from the folder of the recipe
 
     [resampling]                    # needed for topics with stamps of their own; a caller's resample= overrides it
     method = "previous"             # or "linear", "nearest"
@@ -36,6 +44,9 @@ for by name.
 
     [columns]                       # name of the vocabulary = exactly one of
     path_error = { column = "err", unit = "mm", absolute = true }  # a column; also scale, offset, map, resample
+    robot_y = { column = "pos", unit = "m", item = 1 }             # of cells such as "(x, y, z)", from 0
+    p_r = { column = "speed", blank = "hold" }                     # or "linear": fills blank cells
+    mode = { column = "pedal", above = 0.5 }                       # 1 above this value, else 0; also for topics
     robot_x = { topic = "/odom", field = "pose.pose.position.x", unit = "m" }   # the same, and hold
     mode = { topic = "/mode", field = "data", map = { MANUAL = 1, AUTO = 0 }, hold = true }
     beta = { value = 0.5 }                                         # a constant
@@ -62,6 +73,9 @@ that a signed deviation becomes a distance. `map` turns texts or codes into numb
 topic until the next one, and the last until the log ends (for topics published on change). `from` names a field of the
 path pattern, ``header.<column>``, or a metadata entry above it. A field path leads to one number of a message
 (``twist.twist.linear.x``, ``axes[1]``, ``buttons[4]``); ``yaw(pose.pose.orientation)`` is a quaternion's heading.
+``transforms[child_frame_id="turtle1"].transform.translation.x`` selects an entry of a list of messages by one of its
+fields, ``position[name="wheel_left"]`` by the list of names beside it; messages without that entry are passed over, and
+the session's notes say how many have it.
 """
 
 # ruff: noqa: RUF009 - key() makes a dataclass field
@@ -151,6 +165,7 @@ text = _instance(str, "a text")
 switch = _instance(bool, "true or false")
 any_table = _instance(Mapping, "a table")
 resampling_method = partial(one_of, allowed=METHODS)
+repeat_rule = partial(one_of, allowed=("first", "last", "mean"))
 stamp_kind = partial(one_of, allowed=("receive", "header"))
 path_pattern = lambda _, value: PathPattern(value)  # noqa: E731
 field_path = lambda _, value: FieldPath(value)  # noqa: E731
@@ -179,13 +194,20 @@ def plain_key(value: object) -> str:
     return written
 
 
-def mapped(entries: Mapping[str, Any], value: object, where: str, row: int | None = None) -> Any:
-    """Return what a map of the recipe makes of a value that stands at `where` in a log."""
+def looked_up(entries: Mapping[str, Any], value: object) -> Any:
+    """Return what a map of the recipe makes of a value."""
     own = plain_key(value)
     if own not in entries:
-        hint = alternatives(str(value).strip(), entries)
-        raise SessionError(f"{where}: {str(value)[:60]!r} is not in the recipe's map{hint}", row=row)
+        raise ValueError(f"{str(value)[:60]!r} is not in the recipe's map{alternatives(str(value).strip(), entries)}")
     return entries[own]
+
+
+def mapped(entries: Mapping[str, Any], value: object, where: str) -> Any:
+    """Return what a map of the recipe makes of a value that stands at `where` in a log."""
+    try:
+        return looked_up(entries, value)
+    except ValueError as error:
+        raise SessionError(f"{where}: {error}") from None
 
 
 def value_map(name: str, value: object, check: Callable = plain) -> dict[str, object]:
@@ -242,6 +264,7 @@ class _Measured(ColumnRule):
     offset: float = key(finite_number, 0.0)
     map: Mapping[str, float] | None = key(partial(value_map, check=finite_number), None)
     absolute: bool = key(switch, False)
+    above: float | None = key(finite_number, None)
     resample: str | None = key(resampling_method, None)
 
     def __post_init__(self):
@@ -258,14 +281,15 @@ class _Measured(ColumnRule):
             if (self.scale, self.offset) != (1.0, 0.0):
                 values = self.scale * values + self.offset
             values = np.abs(values) if self.absolute else values
-            return values if factor == 1.0 else values * factor
+            values = values if factor == 1.0 else values * factor
+            return values if self.above is None else np.where(np.isnan(values), values, values > self.above)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Constant(_Measured):
     """One number for all samples."""
 
-    without = ("scale", "offset", "map", "absolute", "resample")
+    without = ("scale", "offset", "map", "absolute", "above", "resample")
     value: float = key(finite_number)
 
 
@@ -282,6 +306,13 @@ class TableColumn(_Measured):
     """A column of a table, by name or by number from 0."""
 
     column: str | int = key(column_key)
+    blank: str | None = key(partial(one_of, allowed=("hold", "linear")), None)
+    item: int | None = key(partial(whole_number, least=0), None)
+
+    def __post_init__(self):
+        if self.item is not None and self.map is not None:
+            raise ValueError('item takes a number from a cell like "(x, y, z)", which has no map')
+        super().__post_init__()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -413,9 +444,11 @@ class TableTime:
     column: str | int = key(column_key, "t")
     unit: str = key(text, hint='the unit of its column, for example unit = "s" or "ms"')
     from_zero: bool = key(switch, False)
+    repeated: str | None = key(repeat_rule, None)
 
     def __post_init__(self):
-        to_si(self.unit, "s")
+        if self.unit not in ("iso", "clock"):
+            to_si(self.unit, "s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -424,6 +457,7 @@ class BagTime:
 
     stamp: str = key(stamp_kind, "receive")
     topics: Mapping[str, str] = key(partial(value_map, check=stamp_kind), None)
+    repeated: str | None = key(repeat_rule, None)
 
     def of(self, topic: str) -> str:
         """Return "receive" or "header" for one topic."""
@@ -449,6 +483,20 @@ class Resampling:
 
     method: str = key(resampling_method, hint=f"one of {', '.join(METHODS)}")
     sample_time: float = key(positive, hint="the time between samples [s]")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Splitting:
+    """The gap [s] at which a log is split into several sessions."""
+
+    gap: float = key(positive, hint="the longest time without samples [s]")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Messages:
+    """The folder of .msg files that define the messages of bags without definitions, from the recipe's own folder."""
+
+    folder: str = key(text, hint="the folder of the .msg files")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -502,6 +550,10 @@ class Recipe:
         The table with one row per session.
     supersedes : Supersedes, optional
         Values of a path field whose sessions are replaced by those of another value.
+    splitting : Splitting, optional
+        The gap at which a log is split into several sessions.
+    messages : Messages, optional
+        Where definitions are that bags lack.
     source : str
         The file it was read from.
     """
@@ -518,6 +570,8 @@ class Recipe:
     performance_window: float | None = key(positive, None)
     header: HeaderRule | None = key(_nested(HeaderRule), None)
     supersedes: Supersedes | None = key(_nested(Supersedes), None)
+    splitting: Splitting | None = key(_nested(Splitting), None)
+    messages: Messages | None = key(_nested(Messages), None)
     source: str = "recipe"
 
     def __post_init__(self):
@@ -558,6 +612,10 @@ class Recipe:
                 where = "texts need quotes; help(trustlab.sessions.recipe) has every key"
                 raise RecipeError(f"not a TOML file ({error}); {where}") from error
             return parse(cls, document, "recipe", source=source)
+
+    def messages_folder(self) -> Path:
+        """Return the folder of the message definitions."""
+        return Path(self.source).parent / self.messages.folder
 
     def _check_columns(self) -> None:
         wrong, word = (TopicField, "topic") if self.kind == "table" else (TableColumn, "column")

@@ -21,7 +21,7 @@ MAX_SAMPLES = 20_000_000
 METHODS = ("previous", "linear", "nearest")
 """Ways to resample, by name."""
 
-_STATES = ("mode", "suggested_mode")
+STATES = ("mode", "suggested_mode")
 """Columns that name a state; "linear" holds their previous value, as the log never was in half a state."""
 
 
@@ -117,7 +117,7 @@ def _method(name: str, method: str, rule: ColumnRule | None) -> str:
     if getattr(rule, "hold", False):
         return "previous"
     own = getattr(rule, "resample", None)
-    return own or ("previous" if name in _STATES and method == "linear" else method)
+    return own or ("previous" if name in STATES and method == "linear" else method)
 
 
 def _interpolate(times: np.ndarray, values: np.ndarray, grid: np.ndarray, method: str, angle: bool) -> np.ndarray:

@@ -1,2 +1,3 @@
-from .file import read_session as read_session
-from .folder import read_sessions as read_sessions
+from .file import read_frame as read_frame, read_session as read_session
+from .folder import Sessions as Sessions, read_sessions as read_sessions
+from .joining import join_sessions as join_sessions

@@ -11,7 +11,7 @@ from trustlab.sessions.errors import SessionError, damage_named
 from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.readers.tables import SourceColumn, select_columns, table_stream
 from trustlab.sessions.readers.unpacking import Budget
-from trustlab.sessions.recipe import Recipe, mapped, plain_key
+from trustlab.sessions.recipe import Recipe
 from trustlab.sessions.resampling import RawLog
 
 
@@ -50,6 +50,21 @@ def read_feather(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None
             return _joined(map(part.get_batch, range(batches)), budget)
 
         return arrow_log(str(path), file.schema, batches, load, recipe, wanted)
+
+
+def frame_log(frame, recipe: Recipe | None, wanted: Sequence[str] | None) -> RawLog:
+    """Return the log in a data frame."""
+    import pyarrow as pa
+
+    frame = frame if frame.index.name is None else frame.reset_index()
+    with damage_named("the columns cannot be taken as numbers or texts", "give each column one type"):
+        names = [str(name) for name in frame.columns]
+        empty = pa.schema([(name, pa.null()) for name in names])
+
+        def load(wanted: list[str]) -> Any:
+            return pa.table({name: pa.array(frame.iloc[:, names.index(name)], from_pandas=True) for name in wanted})
+
+        return arrow_log("data frame", empty, len(frame), load, recipe, wanted)
 
 
 def _guard(format: str):
@@ -96,14 +111,25 @@ def numbers(values, column: SourceColumn) -> np.ndarray:
     """Return the numbers of a column of Arrow; raise where it has none."""
     import pyarrow as pa
 
-    if column.map:
-        coded = pa.chunked_array(values).combine_chunks().dictionary_encode()  # look every text up once
-        known = [column.map.get(plain_key(text), math.nan) for text in coded.dictionary.to_pylist()]
-        coded = np.array([*known, math.nan])[coded.indices.fill_null(len(known)).to_numpy(zero_copy_only=False)]
-        if np.isnan(coded).any():
-            k = int(np.argmax(np.isnan(coded)))
-            mapped(column.map, values[k].as_py(), f"row {k} (from 0), column {column.label}")
-        return coded
+    def attempt(text: object) -> float:
+        if column.blank and (text is None or not str(text).strip()):
+            return math.nan
+        try:
+            return column.text(text)
+        except ValueError:
+            return math.inf
+
+    if column.text:
+        coded = pa.chunked_array(values).combine_chunks().dictionary_encode()  # read every text once
+        known = [attempt(text) for text in [*coded.dictionary.to_pylist(), None]]
+        read = np.array(known, dtype=float)[coded.indices.fill_null(len(known) - 1).to_numpy(zero_copy_only=False)]
+        if np.isinf(read).any():
+            k = int(np.argmax(np.isinf(read)))
+            try:
+                column.text(values[k].as_py())
+            except ValueError as error:
+                raise SessionError(f"row {k} (from 0), column {column.label}: {error}") from None
+        return read
     kind = values.type
     if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)):
         hint = "write seconds since the start as numbers" if pa.types.is_temporal(kind) else "write numbers"

@@ -12,14 +12,15 @@ from trustlab.sessions.checks import check_column, check_rising, check_time
 from trustlab.sessions.errors import RecipeError, SessionError, source_named
 from trustlab.sessions.metadata import Metadata, digest
 from trustlab.sessions.readers.index import SessionIndex
+from trustlab.sessions.readers.mending import merge_repeats, split_at_gaps
 from trustlab.sessions.recipe import Constant, MetadataColumn, MetadataRule, Recipe, Resampling, mapped, plain_key
 from trustlab.sessions.resampling import RawLog, require_common_times, resample
 from trustlab.sessions.session import Session
 
 
-def recipe_values(recipe: Recipe, path: Path, index: SessionIndex | None) -> dict[str, object]:
+def recipe_values(recipe: Recipe, path: Path | None, index: SessionIndex | None) -> dict[str, object]:
     """Return what is known about one session beside its log: path fields, header cells and the recipe's metadata."""
-    match = recipe.pattern.match(path) if recipe.pattern else None
+    match = recipe.pattern.match(path) if recipe.pattern and path else None
     origins = [rule.origin for rule in recipe.metadata.values()]
     origins += [rule.origin for rule in recipe.columns.values() if isinstance(rule, MetadataColumn)]
     if recipe.pattern and match is None and any(origins):
@@ -58,6 +59,24 @@ def _known(origin: str, values: Mapping[str, object], where: str) -> object:
     return values[origin]
 
 
+def assemble_sessions(
+    log: RawLog,
+    recipe: Recipe | None,
+    values: Mapping[str, object],
+    wanted: Sequence[str] | None,
+    resampling: Resampling | None,
+) -> list[Session]:
+    """Return the sessions that a raw log makes: one, or one for each part between gaps if the recipe splits it there."""
+    parts = [log]
+    with source_named(log.source):
+        if recipe and recipe.time.repeated:
+            merge_repeats(log, recipe.time.repeated)
+        if recipe and recipe.splitting:
+            _check(log, uniform=False)
+            parts = split_at_gaps(log, recipe.splitting.gap)
+    return [assemble_session(part, recipe, values, wanted, resampling) for part in parts]
+
+
 def assemble_session(
     log: RawLog,
     recipe: Recipe | None,
@@ -84,6 +103,8 @@ def assemble_session(
             elif isinstance(rule, MetadataColumn):
                 columns[name] = np.full(t.size, _constant(rule, values))
         for name, rule in rules.items():
+            if getattr(rule, "above", None) is not None and name in columns:
+                log.notes[f"{name} above {rule.above:g}"] = f"{int(columns[name].sum())} of {t.size} samples"
             if rule.needs and (wanted is None or name in wanted):
                 with np.errstate(over="ignore"):  # the session refuses what is not finite
                     columns[name] = rule.compute(columns)
@@ -122,6 +143,9 @@ def _check_digests(log: RawLog) -> None:
 def _check(log: RawLog, uniform: bool) -> None:
     """Raise the fault that comes first: in the file where there is one stream, in time where there are several."""
     faults: list[tuple[float, SessionError]] = []
+    if log.fault is not None:
+        row = log.streams[0].t.size if log.fault.row is None else log.fault.row
+        faults.append((row, log.fault))
     for stream in log.streams:
         # A fault that ended reading explains irregular times and a short log, which are then not worth a word.
         too_short = len(log.streams) == 1 and stream.t.size < 2
@@ -135,8 +159,5 @@ def _check(log: RawLog, uniform: bool) -> None:
                 row = stream.t.size if error.row is None else error.row
                 position = row if len(log.streams) == 1 else float(stream.t[min(row, stream.t.size - 1)])
                 faults.append((position, error))
-    if log.fault is not None:
-        row = log.streams[0].t.size if log.fault.row is None else log.fault.row
-        faults.append((row, log.fault))
     if faults:
         raise min(faults, key=lambda fault: fault[0])[1]

@@ -3,11 +3,12 @@
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from trustlab.models.checks import shown
 from trustlab.models.extras import extra
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, damage_named, listed
 from trustlab.sessions.metadata import metadata_from_json
-from trustlab.sessions.patterns import FieldPath
+from trustlab.sessions.patterns import Selector
 from trustlab.sessions.readers.unpacking import Budget, bags_within
 from trustlab.sessions.recipe import Recipe, TopicField, mapped
 from trustlab.sessions.resampling import MAX_SAMPLES, RawLog, Stream
@@ -30,10 +31,30 @@ _guard = partial(damage_named, _DAMAGED, "try `ros2 bag reindex` or `rosbag rein
 def read_bag(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget) -> RawLog:
     """Return the log in a bag: a stream per topic of the recipe; without a recipe, what `write_session` wrote."""
     with _open(path, budget) as reader:
+        if recipe is not None and recipe.messages is not None:
+            _define(reader, recipe.messages_folder())
         if recipe is None:
             return _read_own(reader, wanted, str(path))
         rules = [rule for rule in map(recipe.columns.get, wanted) if isinstance(rule, TopicField)]
         return _read_topics(reader, rules, recipe, str(path))
+
+
+def _define(reader, folder: Path) -> None:
+    """Add the message definitions in the .msg files of a folder to those of a bag, which come first."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    files = sorted(folder.rglob("*.msg"))
+    if not files:
+        raise RecipeError(f"[messages] folder: there are no .msg files in {folder}")
+    types = dict(get_typestore(Stores.ROS2_HUMBLE).fielddefs)
+    for file in files:
+        package = file.parent.parent.name if file.parent.name == "msg" else file.parent.name
+        with damage_named(f"{file} is not a message definition", "correct it"):
+            types |= get_types_from_msg(file.read_text(encoding="utf-8"), f"{package}/msg/{file.stem}")
+    with damage_named(f"the message definitions in {folder} do not go together", "correct them"):
+        reader.typestore.register(
+            {name: type for name, type in types.items() if name not in reader.typestore.fielddefs}
+        )
 
 
 def check_sqlite_path(path: Path) -> None:
@@ -147,7 +168,8 @@ def _read_own(reader, wanted: Sequence[str] | None, source: str) -> RawLog:
 def _read_topics(reader, rules: Sequence[TopicField], recipe: Recipe, source: str) -> RawLog:
     """Return a stream per topic, timed from the last of the topics' first stamps."""
     types = _types(reader)
-    by_topic: dict[str, list[TopicField]] = {}
+    # A message that lacks the entry a rule selects is no sample of it, so that each selection is a stream of its own.
+    groups: dict[tuple[str, str], list[TopicField]] = {}
     for rule in rules:
         topic = rule.topic
         if topic not in types:
@@ -155,32 +177,75 @@ def _read_topics(reader, rules: Sequence[TopicField], recipe: Recipe, source: st
             raise SessionError(f"topic {topic!r} (for {rule.name}) is not in the bag{hint}")
         if " and " in types[topic]:
             raise SessionError(f"topic {topic!r} has messages of two types: {types[topic]}")
-        by_topic.setdefault(topic, []).append(rule)
-    if not by_topic:
-        raise SessionError("none of the columns to read comes from a topic; add one that does")
-    stamps: dict[str, list[int]] = {topic: [] for topic in by_topic}
+        _check_defined(reader, topic, types[topic])
+        groups.setdefault((topic, rule.path.selectors), []).append(rule)
+    stamps: dict[tuple[str, str], list[int]] = {group: [] for group in groups}
+    rows: dict[tuple[str, str], list[int]] = {group: [] for group in groups}
     values: dict[str, list[float]] = {rule.name: [] for rule in rules}
-    for topic, received, message in _messages(reader, by_topic):
-        kind = types[topic]
-        where = f"topic {topic!r}, message {len(stamps[topic])} (from 0)"
-        by_header = recipe.time.of(topic) == "header"
-        stamps[topic].append(_header_stamp(message, kind, where) if by_header else received)
-        for rule in by_topic[topic]:
-            values[rule.name].append(_value(message, rule, kind, where))
-    start = max(each[0] for each in stamps.values())
+    count: Counter[str] = Counter()
+    frames: dict[str, object] = {}
+    for topic, received, message in _messages(reader, {topic for topic, _ in groups}):
+        kind, row = types[topic], count[topic]
+        where = f"topic {topic!r}, message {row} (from 0)"
+        count[topic] += 1
+        stamp = _header_stamp(message, kind, where) if recipe.time.of(topic) == "header" else received
+        for group in (group for group in groups if group[0] == topic):
+            found = [_value(message, rule, kind, where, frames) for rule in groups[group]]
+            if None not in found:
+                stamps[group].append(stamp)
+                rows[group].append(row)
+                for rule, value in zip(groups[group], found, strict=True):
+                    values[rule.name].append(value)
+    for (topic, selectors), each in stamps.items():
+        if not each:
+            raise SessionError(f"topic {topic!r}: none of its {count[topic]} messages has an entry {selectors}")
+    series = [Series(group, own, stamps[group], rows[group], values) for group, own in groups.items()]
+    notes: dict[str, object] = {}
+    for (topic, selectors), each in rows.items():
+        if len(each) < count[topic]:
+            notes[f"selected {topic}{selectors}"] = f"{len(each)} of {count[topic]} messages have the entry"
+    return series_log(source, series, notes)
+
+
+class Series(NamedTuple):
+    """What was read of one topic: its name and selectors, its rules, times [ns], numbers of messages, columns by name."""
+
+    group: tuple[str, str]
+    rules: Sequence[TopicField]
+    stamps: Sequence[int] | np.ndarray
+    rows: Sequence[int] | np.ndarray
+    values: Mapping[str, Any]
+
+
+def series_log(source: str, series: Sequence[Series], notes: dict[str, object]) -> RawLog:
+    """Return the log that topics make, timed from the last of their first stamps."""
+    if not series:
+        raise SessionError("none of the columns to read comes from a topic; add one that does")
+    start = max(int(each.stamps[0]) for each in series)
     streams = [
         Stream(
             # Differences of whole nanoseconds are exact; as floats the stamps would be 0.2 µs apart at best.
-            t=(np.array(stamps[topic], dtype=np.int64) - start) / 1e9,
-            columns={rule.name: rule.convert(values[rule.name]) for rule in own},
-            place=partial("topic {!r}, message {} (from 0)".format, topic),
-            topic=topic,
-            held=any(rule.hold for rule in own),
+            t=(np.array(each.stamps, dtype=np.int64) - start) / 1e9,
+            columns={rule.name: rule.convert(each.values[rule.name]) for rule in each.rules},
+            place=partial(_place, each.group[0], each.rows),
+            topic="".join(each.group),
+            held=any(rule.hold for rule in each.rules),
             remedy="choose the other stamp under [time], or ",
         )
-        for topic, own in by_topic.items()
+        for each in series
     ]
-    return RawLog(source, streams, notes={"start_time": float(start) / 1e9})
+    return RawLog(source, streams, notes={"start_time": start / 1e9} | notes)
+
+
+def _place(topic: str, rows: Sequence[int] | np.ndarray, k: int) -> str:
+    return f"topic {topic!r}, message {rows[k]} (from 0)"
+
+
+def _check_defined(reader, topic: str, kind: str) -> None:
+    """Raise where neither the bag nor the recipe says how messages of a type are made up."""
+    if kind not in reader.typestore.fielddefs:
+        remedy = 'put its .msg files in a folder package/msg/ and name the folder above: [messages] folder = "…"'
+        raise SessionError(f"topic {topic!r}: the bag has no definition of {kind}; {remedy}")
 
 
 def _header_stamp(message, kind: str, where: str) -> int:
@@ -191,10 +256,12 @@ def _header_stamp(message, kind: str, where: str) -> int:
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
-def _value(message, rule: TopicField, kind: str, where: str) -> float:
-    """Return the number that a rule takes from a message of type `kind`."""
+def _value(message, rule: TopicField, kind: str, where: str, frames: dict[str, object]) -> float | None:
+    """Return the number that a rule takes from a message of type `kind`; None where the entry it selects is not there."""
     here = f"{where}, field {rule.path.text!r} ({rule.name})"
-    value = _walk(message, rule.path, kind, here)
+    value = _walk(message, rule, kind, here, frames)
+    if value is None:
+        return None
     if rule.map is not None:
         return float(mapped(rule.map, value, here))
     if rule.path.yaw:
@@ -205,22 +272,52 @@ def _value(message, rule: TopicField, kind: str, where: str) -> float:
     return float(value)
 
 
-def _walk(value, path: FieldPath, kind: str, here: str):
-    """Follow a field path into a message."""
-    for step in path.steps:
-        if isinstance(step, int):
-            if not isinstance(value, list | tuple | np.ndarray):
-                raise RecipeError(f"{here}: [{step}] needs a list, but {kind} has none there")
+def _walk(value, rule: TopicField, kind: str, here: str, frames: dict[str, object]):
+    """Follow a rule's field path into a message; `frames` are the coordinate frames that its lists began with."""
+    parent = None
+    for step in rule.path.steps:
+        if not isinstance(step, str) and not isinstance(value, list | tuple | np.ndarray):
+            raise RecipeError(f"{here}: [{step}] needs a list, but {kind} has none there")
+        if isinstance(step, Selector):
+            value = _selected(value, parent, step, here)
+            if value is None:
+                return None
+        elif isinstance(step, int):
             if step >= len(value):
                 raise SessionError(f"{here}: the list has {len(value)} entries, [{step}] is not among them")
             value = value[step]
-            continue
-        fields = [each.name for each in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
-        if step not in fields:
-            hint = alternatives(step, fields or ["a plain value"], "it has")
-            raise RecipeError(f"{here}: {kind} has no field {step!r} there{hint}")
-        value = getattr(value, step)
+            frame = getattr(value, "child_frame_id", None)
+            if frames.setdefault(rule.name, frame) != frame:
+                what = f"the entry [{step}] is of frame {frame!r} here, and of {frames[rule.name]!r} before"
+                raise SessionError(f'{here}: {what}; select one: [child_frame_id="{frame}"]')
+        else:
+            parent, value = value, _field(value, step, kind, here)
     return value
+
+
+def _field(value, name: str, kind: str, here: str):
+    fields = [each.name for each in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
+    fields = [each for each in fields if not each.startswith("__")]  # what rosbags adds to a message
+    if name not in fields:
+        hint = alternatives(name, fields or ["a plain value"], "it has")
+        raise RecipeError(f"{here}: {kind} has no field {name!r} there{hint}")
+    return getattr(value, name)
+
+
+def _selected(entries, parent, selector: Selector, here: str):
+    """Return the entry of a list that a selector names; None where there is none."""
+    names = getattr(parent, selector.key, None)  # as in JointState, whose positions stand beside the joints' names
+    if names is None:
+        try:
+            names = [attrgetter(selector.key)(entry) for entry in entries]
+        except AttributeError:
+            raise RecipeError(
+                f"{here}: neither the list's entries nor a list beside it are called {selector.key!r}"
+            ) from None
+    chosen = [entry for name, entry in zip(names, entries, strict=False) if str(name) == selector.value]
+    if len(chosen) > 1:
+        raise SessionError(f"{here}: {len(chosen)} entries are {selector}, so that it names none of them")
+    return chosen[0] if chosen else None
 
 
 def _yaw(value, kind: str, here: str) -> float:

@@ -21,7 +21,7 @@ from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.readers.arrow_tables import numbers
 from trustlab.sessions.readers.tables import SourceColumn, select_columns, table_stream
 from trustlab.sessions.readers.unpacking import Budget
-from trustlab.sessions.recipe import NUMBER, Recipe, TableRule, mapped
+from trustlab.sessions.recipe import NUMBER, Recipe, TableRule
 from trustlab.sessions.resampling import RawLog
 
 COMMENT = "# trustlab "
@@ -133,7 +133,7 @@ def _fast(
     import pyarrow as pa
     import pyarrow.csv
 
-    types = {str(each.position): pa.string() if each.map else pa.float64() for each in selected}
+    types = {str(each.position): pa.string() if each.text else pa.float64() for each in selected}
     parts: dict[str, list[np.ndarray]] = {each.name: [np.empty(0)] for each in selected}
     names = [str(k) for k in range(width)]
     try:
@@ -147,7 +147,7 @@ def _fast(
                 pyarrow.csv.ConvertOptions(
                     include_columns=list(types),
                     column_types=types,
-                    null_values=[],
+                    null_values=[""] if any(each.blank for each in selected) else [],
                     strings_can_be_null=False,
                     decimal_point=layout.decimal,
                 ),
@@ -158,8 +158,10 @@ def _fast(
                     parts[each.name].append(numbers(block.column(str(each.position)), each))
     except (pa.ArrowException, ValueError, MemoryError):
         return None
-    if not all(np.isfinite(part).all() for own in parts.values() for part in own):
-        return None
+    for each in selected:
+        valid = (lambda part: ~np.isinf(part)) if each.blank else np.isfinite
+        if not all(valid(part).all() for part in parts[each.name]):
+            return None
     return {each.name: np.concatenate(parts.pop(each.name)) for each in selected}
 
 
@@ -213,9 +215,11 @@ def _rows(text: Iterable[str], layout: TableRule, width: int, basis: str, line: 
 def _cell(column: SourceColumn, row: Sequence[str], layout: TableRule, line: int, k: int) -> float:
     """Return the number in one cell of row k."""
     where = f"line {line}, column {column.label}"
-    if column.map is not None:
-        return float(mapped(column.map, row[column.position], where, row=k))
+    if column.blank and not row[column.position].strip():
+        return math.nan
     try:
+        if column.text is not None:
+            return float(column.text(row[column.position]))
         return _number(row[column.position].strip(" \t"), layout.decimal)
     except ValueError as error:
         raise SessionError(f"{where}: {error}", row=k) from None

@@ -4,9 +4,11 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from trustlab.models.checks import one_of, positive, whole_number
+import pandas as pd
+
+from trustlab.models.checks import of_class, one_of, positive, whole_number
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
-from trustlab.sessions.readers.assembly import assemble_session, recipe_values
+from trustlab.sessions.readers.assembly import assemble_sessions, recipe_values
 from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.readers.unpacking import budget_of
 from trustlab.sessions.recipe import Recipe, Resampling, TableRule, load_recipe, parse
@@ -14,8 +16,9 @@ from trustlab.sessions.resampling import METHODS, RawLog
 from trustlab.sessions.session import Session
 
 _TEXTS = (".csv", ".csv.gz", ".tsv", ".txt")
-_TABLES = (*_TEXTS, ".parquet", ".feather")
-_BAGS = (".bag", ".mcap", ".db3")
+_ARRAYS = (".mat", ".h5", ".hdf5")
+_TABLES = (*_TEXTS, ".parquet", ".feather", *_ARRAYS)
+_BAGS = (".bag", ".mcap", ".db3", ".ulg", ".xdf")
 SUFFIXES = (*_TABLES, *_BAGS)
 """Suffixes of the files that can be read; a rosbag2 recording may also be a folder."""
 
@@ -36,7 +39,8 @@ def read_session(
     Parameters
     ----------
     path : path-like
-        A ``.csv``, ``.csv.gz``, ``.tsv`` or ``.txt`` table, a ``.parquet``, ``.feather``, ``.bag`` (ROS 1), ``.mcap`` or ``.db3`` file, or a rosbag2 folder.
+        A ``.csv``, ``.csv.gz``, ``.tsv`` or ``.txt`` table, a ``.parquet``, ``.feather``, ``.bag`` (ROS 1), ``.mcap`` or ``.db3`` file, or a rosbag2 folder; with the
+        extra [formats] also ``.ulg`` (PX4), ``.xdf`` (lab streaming layer), ``.mat``, ``.h5`` and ``.hdf5``.
     recipe : str, path-like or Recipe, optional
         How the log's columns become ours: a name from `list_recipes()`, the path of a TOML file, or a Recipe. A table
         with the vocabulary's names in SI units, and t in seconds, needs none; nor does anything that `write_session`
@@ -70,7 +74,51 @@ def read_session(
     """
     reader = FileReader(recipe, columns, resample, sample_time, delimiter, decimal, max_bytes)
     reader.set_layout([path])
-    return reader.read(path)
+    return _only(reader.read(path), str(path))
+
+
+def read_frame(
+    frame: pd.DataFrame,
+    recipe: str | os.PathLike | Recipe | None = None,
+    columns: Sequence[str] | None = None,
+    resample: str | None = None,
+    sample_time: float | None = None,
+) -> Session:
+    """
+    Return the session in a data frame, by the same recipes and rules as `read_session`.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        A table as a file would hold it; an index with a name is a column as well.
+    recipe : str, path-like or Recipe, optional
+        How its columns become ours, of kind "table"; a frame with the vocabulary's names in SI units, and t, needs none.
+    columns : sequence of str, optional
+        Only these columns of the session.
+    resample : {"previous", "linear", "nearest"}, optional
+        As for `read_session`.
+    sample_time : float, optional
+        Time between samples [s] after resampling.
+
+    Raises
+    ------
+    SessionError
+        For the first fault: it names the row, the column and the remedy.
+    ValueError
+        If another argument is not valid.
+    """
+    of_class("frame", frame, pd.DataFrame)
+    reader = FileReader(recipe, columns, resample, sample_time, None, None, None)
+    with source_named("data frame"):
+        return _only(reader.read_frame(frame), "data frame")
+
+
+def _only(sessions: list[Session], source: str) -> Session:
+    """Return the only session of a log."""
+    if len(sessions) != 1:
+        what = f"the recipe splits the log at gaps into {len(sessions)} sessions"
+        raise SessionError(f"{what}; read_sessions returns all of a folder's", source)
+    return sessions[0]
 
 
 def suffix_of(path: Path) -> str:
@@ -103,24 +151,37 @@ class FileReader:
             raise ValueError(f"{name} applies to .csv files, not to {kind}: leave it out (file: {paths[0]})")
         self.layout = self.recipe.table if self.recipe else parse(TableRule, self.given, "arguments")
 
-    def read(self, path: str | os.PathLike) -> Session:
-        """Return the session of one file, or of one rosbag2 folder."""
+    def read(self, path: str | os.PathLike) -> list[Session]:
+        """Return the session of one file or rosbag2 folder, or all that the recipe splits it into."""
         source = os.fspath(path) if isinstance(path, str | os.PathLike) else path
         if not isinstance(source, str):
             raise SessionError(f"a path is needed, got {type(path).__name__}")
         with source_named(source):
             try:
                 path = _existing(Path(source))
-                wanted = self._wanted()
                 values = recipe_values(self.recipe, path, self.index) if self.recipe else {}
-                needed = wanted
-                if self.recipe is not None:
-                    needs = [need for name in wanted for need in self.recipe.columns[name].needs]
-                    needed = list(dict.fromkeys([*wanted, *needs]))
-                log = self._raw_log(path, needed)
+                log = self._raw_log(path, self._needed())
             except OSError as error:
                 raise SessionError(f"cannot be read ({error.strerror or error})") from error
-        return assemble_session(log, self.recipe, values, wanted, self.resampling)
+        return assemble_sessions(log, self.recipe, values, self._wanted(), self.resampling)
+
+    def read_frame(self, frame: pd.DataFrame) -> list[Session]:
+        """Return the session in a data frame, or all that the recipe splits it into."""
+        from trustlab.sessions.readers.arrow_tables import frame_log
+
+        if self.recipe is not None and self.recipe.kind != "table":
+            raise RecipeError(f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a table")
+        values = recipe_values(self.recipe, None, self.index) if self.recipe else {}
+        log = frame_log(frame, self.recipe, self._needed())
+        return assemble_sessions(log, self.recipe, values, self._wanted(), self.resampling)
+
+    def _needed(self) -> list[str] | None:
+        """Return the columns wanted, and those that they are computed from."""
+        wanted = self._wanted()
+        if self.recipe is None:
+            return wanted
+        needs = [need for name in wanted for need in self.recipe.columns[name].needs]
+        return list(dict.fromkeys([*wanted, *needs]))
 
     def _raw_log(self, path: Path, needed: Sequence[str] | None) -> RawLog:
         suffix = suffix_of(path)
@@ -131,6 +192,14 @@ class FileReader:
             raise SessionError("the file is empty")
         budget = budget_of(path, self.max_bytes)
         # Each format is imported when it is first read: rosbags and pyarrow are heavy.
+        if suffix in (".ulg", ".xdf"):
+            from trustlab.sessions.readers.formats import read_topics
+
+            return read_topics(path, self.recipe, needed)
+        if suffix in _ARRAYS:
+            from trustlab.sessions.readers.formats import read_arrays
+
+            return read_arrays(path, self.recipe, needed, budget)
         if kind == "bag":
             from trustlab.sessions.readers.bags import read_bag
 
@@ -166,7 +235,10 @@ def _existing(path: Path) -> Path:
         looked = "" if path.is_absolute() else f" (looked in {path.parent.absolute()})"
         raise SessionError(f"there is no such file{looked}{nearest_file(path)}")
     if path.suffix.lower() in (".xlsx", ".xls", ".ods"):
-        raise SessionError('a spreadsheet cannot be read; save it as "CSV UTF-8" and read that')
+        raise SessionError(
+            'a spreadsheet cannot be read; save it as "CSV UTF-8" and read that, or by way of pandas: '
+            "frame = pandas.read_excel(path); session = trustlab.read_frame(frame)"
+        )
     if path.is_dir():
         if not (path / "metadata.yaml").is_file():
             hint = "use read_sessions for a folder of sessions"
@@ -175,5 +247,6 @@ def _existing(path: Path) -> Path:
             raise SessionError(f"a folder without metadata.yaml is not a rosbag2 recording; {hint}")
     elif suffix_of(path) not in SUFFIXES:
         hint = alternatives(path.suffix, [*SUFFIXES, "rosbag2 folders"])
-        raise SessionError(f"cannot read {path.suffix or 'files without a suffix'}{hint}")
+        way = "frame = pandas.read_…(path); session = trustlab.read_frame(frame)"
+        raise SessionError(f"cannot read {path.suffix or 'files without a suffix'}{hint}; with pandas: {way}")
     return path

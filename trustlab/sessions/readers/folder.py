@@ -2,9 +2,12 @@
 
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
+import pandas as pd
+
+from trustlab.models.checks import one_of
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.patterns import PathMatch, PathPattern, natural_key
 from trustlab.sessions.readers.file import SUFFIXES, FileReader, suffix_of
@@ -16,10 +19,28 @@ TEMPORARY = ".trustlab-"
 """How the names of folders begin in which files are made."""
 
 
+class Sessions(list):
+    """
+    A list of sessions, and what was left out when they were read.
+
+    Parameters
+    ----------
+    sessions : iterable of Session
+        What was read.
+    faults : pandas.DataFrame
+        Columns file and error: one row for each file left out.
+    """
+
+    def __init__(self, sessions: Iterable[Session], faults: pd.DataFrame):
+        super().__init__(sessions)
+        self.faults = faults
+
+
 def read_sessions(
     folder: str | os.PathLike,
     recipe: str | os.PathLike | Recipe | None = None,
     *,
+    on_error: str = "raise",
     progress: Callable[[int, int], object] | None = None,
     max_bytes: int | None = None,
     columns: Sequence[str] | None = None,
@@ -27,7 +48,7 @@ def read_sessions(
     sample_time: float | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
-) -> list[Session]:
+) -> Sessions:
     """
     Read all sessions of a folder.
 
@@ -38,8 +59,12 @@ def read_sessions(
         above them, or the one they are in). Without: all logs in the folder itself.
     recipe : str, path-like or Recipe, optional
         As for `read_session`.
+    on_error : {"raise", "collect"}
+        What to do about a file that has a fault: raise it, or leave the file out and list it in the result's `faults`.
     progress : callable, optional
         Called after each file with the number of files read and the number of all.
+    max_bytes : int, optional
+        As for `read_session`; for each file.
     columns : sequence of str, optional
         Read only these columns of the sessions.
     resample : {"previous", "linear", "nearest"}, optional
@@ -48,13 +73,12 @@ def read_sessions(
         Time between samples [s] after resampling.
     delimiter, decimal : str, optional
         As for `read_session`; they apply to the CSV files of the folder.
-    max_bytes : int, optional
-        As for `read_session`; for each file.
 
     Returns
     -------
-    list of Session
-        Ordered by participant, then trial, then path, numbers as numbers.
+    Sessions
+        A list, ordered by participant, then trial, then path, numbers as numbers; its attribute `faults` is a table of
+        the files left out, with columns file and error.
 
     Raises
     ------
@@ -71,6 +95,7 @@ def read_sessions(
     UserWarning
         For sessions that the recipe declares superseded by others; they are left out.
     """
+    one_of("on_error", on_error, ("raise", "collect"))
     reader = FileReader(recipe, columns, resample, sample_time, delimiter, decimal, max_bytes)
     source = os.fspath(folder) if isinstance(folder, str | os.PathLike) else folder
     if not isinstance(source, str):
@@ -81,17 +106,23 @@ def read_sessions(
     has_pattern = reader.recipe is not None and reader.recipe.pattern is not None
     paths = _matching(source, reader.recipe, reader.index) if has_pattern else _logs_in(source)
     reader.set_layout(paths)
-    sessions = []
+    sessions, faults = [], []
     for done, path in enumerate(paths, start=1):
-        sessions.append(reader.read(path))
+        try:
+            sessions.extend(reader.read(path))
+        except SessionError as error:
+            if on_error == "raise":
+                raise
+            faults.append((path, str(error)))
         if progress is not None:
             progress(done, len(paths))
 
     def order(session: Session) -> list[tuple]:
         facts = session.metadata
-        return [natural_key(key) for key in (facts.participant, facts.more.get("trial"), facts.source)]
+        keys = (facts.participant, facts.more.get("trial"), facts.source, facts.more.get("part"))
+        return [natural_key(key) for key in keys]
 
-    return sorted(sessions, key=order)
+    return Sessions(sorted(sessions, key=order), pd.DataFrame(faults, columns=["file", "error"]))
 
 
 def _logs_in(folder: str) -> list[str]:

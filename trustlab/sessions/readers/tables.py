@@ -1,28 +1,37 @@
 """Tables of numbers: which columns of a file are read, and the raw log that they make."""
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from functools import partial
 
 import numpy as np
 
 from trustlab.models.checks import did_you_mean
 from trustlab.sessions.errors import SessionError, listed
-from trustlab.sessions.recipe import NUMBER, Recipe, TableColumn, TableTime
+from trustlab.sessions.readers.mending import fill_blanks
+from trustlab.sessions.recipe import NUMBER, Recipe, TableColumn, TableTime, looked_up
 from trustlab.sessions.resampling import Stream
 from trustlab.sessions.vocabulary import VOCABULARY, to_si
 
 
 @dataclass(frozen=True)
 class SourceColumn:
-    """One column of the file: its name in the session (or "t"), its position from 0, its label in errors, its rule and its map."""
+    """
+    One column of the file: its name in the session (or "t"), its position from 0, its label in errors, its rule.
+
+    `text` makes a number of a cell that is no number, and raises ValueError; `blank` is how blank cells are filled.
+    """
 
     name: str
     position: int
     label: str
     rule: TableColumn | None = None
-    map: Mapping[str, float] | None = None
+    text: Callable[[object], float] | None = None
+    blank: str | None = None
 
 
 def select_columns(
@@ -39,10 +48,43 @@ def select_columns(
             _check_names(names, where)
             wanted = [name for name in names if name != "t"]
         keys = {name: name for name in ["t", *wanted]}
-    maps = {name: rule.map for name, rule in rules.items()}
+    time = recipe.time.unit if recipe else "s"
+    texts = {"t": {"iso": _iso_time, "clock": _clock_time}.get(time)}
+    for name, rule in rules.items():
+        texts[name] = partial(_item, rule.item) if rule.item is not None else None
+        texts[name] = partial(looked_up, rule.map) if rule.map else texts[name]
+    blanks = {name: rule.blank for name, rule in rules.items()}
     return [
-        SourceColumn(own, *_find(own, key, names, where), rules.get(own), maps.get(own)) for own, key in keys.items()
+        SourceColumn(own, *_find(own, key, names, where), rules.get(own), texts.get(own), blanks.get(own))
+        for own, key in keys.items()
     ]
+
+
+def _iso_time(text: object) -> float:
+    """Return the seconds since 1970 of a date and time; without a time zone, as if it were UTC."""
+    try:
+        time = datetime.fromisoformat(str(text).strip())
+    except ValueError:
+        raise ValueError(f"{str(text)[:60]!r} is not a time such as 2026-03-01T12:00:00.5") from None
+    time = time if time.tzinfo else time.replace(tzinfo=UTC)
+    return (time - datetime.fromtimestamp(0, UTC)) / timedelta(seconds=1)
+
+
+def _clock_time(text: object) -> float:
+    """Return the seconds since midnight."""
+    found = re.fullmatch(r"\s*(\d{1,2}):(\d{2}):(\d{2}(?:\.\d{1,12})?)\s*", str(text), re.ASCII)
+    if not found:
+        raise ValueError(f"{str(text)[:60]!r} is not a time of the day such as 12:00:00.5")
+    hours, minutes, seconds = map(float, found.groups())
+    return 3600.0 * hours + 60.0 * minutes + seconds
+
+
+def _item(index: int, text: object) -> float:
+    """Return one of the numbers in a cell such as "(x, y, z)"."""
+    parts = re.split(r"[\s,;]+", str(text).strip(" ()[]"))
+    if index >= len(parts) or not NUMBER.fullmatch(parts[index]) or not math.isfinite(float(parts[index])):
+        raise ValueError(f"{str(text)[:60]!r} has no number {index} (from 0)")
+    return float(parts[index])
 
 
 def _find(name: str, key: str | int, names: Sequence[str], where: str) -> tuple[int, str]:
@@ -89,11 +131,13 @@ def table_stream(
     selected: Sequence[SourceColumn], raw: Mapping[str, np.ndarray], recipe: Recipe | None, place: Callable[[int], str]
 ) -> tuple[Stream, dict[str, object]]:
     """Return the stream that the columns of a table make, and notes; `raw` are their numbers in the file's units."""
+    notes: dict[str, object] = {}
+    if blanks := [(own.name, own.blank) for own in selected if own.blank]:
+        raw, place, notes = fill_blanks(blanks, dict(raw), place)
     columns = {own.name: own.rule.convert(raw[own.name]) if own.rule else raw[own.name] for own in selected}
     t = columns.pop("t")
-    notes: dict[str, object] = {}
     time = recipe.time if recipe else TableTime(unit="s")
-    factor = to_si(time.unit, "s")
+    factor = 1.0 if time.unit in ("iso", "clock") else to_si(time.unit, "s")
     with np.errstate(over="ignore", invalid="ignore"):
         if time.from_zero and t.size and np.isfinite(t[0]):
             notes["start_time"] = float(t[0]) * factor
