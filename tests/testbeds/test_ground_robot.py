@@ -126,9 +126,12 @@ def test_the_models_fit_its_sessions(operators):
         assert 0.995 < robot.model.a < 0.9995
         assert robot.model.p_min == pytest.approx(0.245, abs=0.01)
         assert robot.model.p_max == pytest.approx(0.395, abs=0.015)
-        assert robot.success or "hardly determined" in robot.message or "not to be trusted" in robot.message
+        doubts = ("weakly determined", "not to be trusted", "too few for an honest interval")
+        assert robot.success or any(doubt in robot.message for doubt in doubts)
         assert human.model.beta == pytest.approx(operators["pilot"].human.beta, abs=0.15)
-        assert human.fit_percent > 45.0
+        assert (
+            human.fit_percent > 40.0
+        )  # noise is found correlated over minutes, and slow misfits weigh less than in least squares
         fits.append(robot.fit_percent)
     assert min(fits) > 74.0
     assert np.mean(fits) > 78.0
@@ -202,7 +205,7 @@ def test_the_log_agrees_with_models_and_measures(runs, one, model):
         for name in ("p_r", "p_h"):
             np.testing.assert_allclose(session[name], again[name], atol=1e-11)
         np.testing.assert_allclose(session["tsc"], model.value(session["p_r"], session["p_h"]), atol=1e-12)
-        assert again.metadata.as_dict() == session.metadata.as_dict()
+        assert again.metadata.as_dict() == session.metadata.as_dict() | {"performance_window": 100.0}
 
 
 def test_suggestions_are_those_of_the_rules(runs, model):
@@ -410,7 +413,7 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"condition": "C6"}, "'C1', 'C2', 'C3', 'C4', 'C5', got 'C6'"),
+        ({"condition": "C6"}, "'C1', 'C2', 'C3', 'C4', 'C5', or rule=, got 'C6'"),
         ({"operator": "pilot"}, "operator must be of class Operator, got str"),
         ({"model": None}, "model must be of class TscModel, got NoneType; fit one"),
         ({"operator": tl.Teleoperator()}, "got Teleoperator, who flies a UAV"),
@@ -421,7 +424,7 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
         ({"thresholds": (0.1, 0.9)}, r"strictly between TSC_lb = -0.6952 and TSC_ub = 0.6952"),
         ({"condition": "C1"}, "no effect in C1, where the operator's own"),
         ({"condition": "C5"}, "no effect in C5, where Algorithm 2 decides;"),
-        ({"condition": ["C3"]}, r"'C5', got \['C3'\]"),
+        ({"condition": ["C3"]}, r"'C5', or rule=, got \['C3'\]"),
         ({"laps": 10**9}, "from 1 to 1000"),
         (
             {"laps": 900, "course": Course(corners=((0, 0), (5e3, 0), (5e3, 5e3), (0, 5e3)), resolution=50.0)},

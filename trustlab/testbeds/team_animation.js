@@ -1,6 +1,6 @@
 "use strict";
 const by=id=>document.getElementById(id), D=JSON.parse(by("data").textContent), F=D.t.length, N=D.names.length;
-D.q=D.q.map(frame=>frame.map(at=>at||[NaN,NaN,NaN])); // a robot that is not in the team is drawn nowhere
+D.q=D.q.map(frame=>frame.map(at=>at||[])); // a robot that is not in the team is drawn nowhere
 const slider=by("time"); slider.max=F-1;
 function fit(c,ratio){const r=window.devicePixelRatio||1,w=c.clientWidth||300;c.width=w*r;c.height=w*ratio*r;c.style.height=w*ratio+"px";
  const g=c.getContext("2d");g.setTransform(r,0,0,r,0,0);g.clearRect(0,0,w,w*ratio);g.font="11px system-ui,sans-serif";return [g,w,w*ratio];}
