@@ -121,13 +121,14 @@ def test_the_models_fit_its_sessions(operators):
     fits = []
     for seed in range(4):
         session = identification_session(operator("pilot", operators["pilot"]), seed)
-        robot, human = tl.fit_robot(session), tl.fit_human(session)
+        # least squares: what the testbed's columns are like is asked here, not how certain the estimates are
+        robot, human = tl.fit_robot(session, noise="white"), tl.fit_human(session, noise="white")
         assert robot.synthetic
         assert 0.995 < robot.model.a < 0.9995
         assert robot.model.p_min == pytest.approx(0.245, abs=0.01)
         assert robot.model.p_max == pytest.approx(0.395, abs=0.015)
-        doubts = ("weakly determined", "not to be trusted", "too few for an honest interval")
-        assert robot.success or any(doubt in robot.message for doubt in doubts)
+        assert not robot.success  # the columns are window means, and the message says so
+        assert "window of 100 s" in robot.message
         assert human.model.beta == pytest.approx(operators["pilot"].human.beta, abs=0.15)
         assert (
             human.fit_percent > 40.0
