@@ -1,10 +1,13 @@
 """Pages, inputs and figures, without running anything."""
 
+import base64
 import csv
 import dataclasses
 import io
 import os
+import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import matplotlib as mpl
 import nbformat
@@ -314,7 +317,8 @@ def test_answer_is_on_top_headline_on_the_index_and_reports_are_linked():
     assert card["anchors"] == {"A": "a", "B": "b"}
 
 
-def test_figure_has_a_numbered_caption_and_says_what_is_drawn():
+@pytest.mark.parametrize("words", ["What it means.", "What it means, at some length. " * 12])
+def test_figure_has_a_numbered_caption_and_says_what_is_drawn(words):
     with mpl.rc_context():
         figures.use_house_style()
         figure = mpl.figure.Figure()
@@ -322,13 +326,20 @@ def test_figure_has_a_numbered_caption_and_says_what_is_drawn():
         axes.plot([0, 1], label="measured")
         axes.set(xlabel="time [s]", ylabel=r"performance $P_r$ [m/s]", title="one run")
         axes.legend()
-        figures.caption(axes, "What it means.")
+        figures.caption(axes, words)
         drawing = io.StringIO()
         figure.savefig(drawing, format="svg")
     output = new_output("display_data", data={"image/svg+xml": drawing.getvalue()})
     page, _ = page_of(new_code_cell("x", outputs=[output]), new_code_cell("x", outputs=[output]))
-    assert "<figcaption>Figure 1. What it means.</figcaption>" in page
-    assert "<figcaption>Figure 2. What it means.</figcaption>" in page
+    assert f"<figcaption>Figure 1. {words.strip()}</figcaption>" in page
+    assert f"<figcaption>Figure 2. {words.strip()}</figcaption>" in page
+    pictures = [base64.b64decode(data) for data in re.findall(r'src="data:image/svg\+xml;base64,([^"]*)"', page)]
+    assert len(pictures) == 2
+    for picture in pictures:  # a picture that is not well-formed is not shown, and the browser says nothing
+        groups = {group.get("id") for group in ElementTree.fromstring(picture).iter("{http://www.w3.org/2000/svg}g")}
+        assert "axes_1" in groups
+        assert "legend_1" in groups
+        assert figures.CAPTION_ID not in groups
     assert 'alt="one run; performance P_r [m/s] against time [s]; showing measured."' in page
 
 

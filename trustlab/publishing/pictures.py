@@ -15,8 +15,7 @@ with extra("reports"):
 
 IMAGES = ("image/svg+xml", "image/png", "image/jpeg")
 GREEK = ("alpha", "beta", "gamma", "delta", "zeta", "theta", "mu", "sigma", "tau", "phi", "omega")
-# Matplotlib writes each line of text as a comment beside its outlines.
-CAPTION = re.compile(rf'<g id="{CAPTION_ID}">(.*?)</g>\s*(?=</g>|</svg>|<g )', re.DOTALL)
+GROUP = re.compile(r"<g\b[^>]*>|</g>")
 
 
 def image_uri(output: NotebookNode) -> str:
@@ -27,16 +26,28 @@ def image_uri(output: NotebookNode) -> str:
         return ""
     if "svg" not in kind:
         return f"data:{kind};base64,{''.join(data[kind].split())}"
-    return f"data:{kind};base64,{base64.b64encode(CAPTION.sub('', data[kind]).encode()).decode()}"
+    before, _, after = around_caption(data[kind])
+    return f"data:{kind};base64,{base64.b64encode((before + after).encode()).decode()}"
+
+
+def around_caption(svg: str) -> tuple[str, str, str]:
+    """Return what stands before a figure's caption, the caption with all groups inside it, and what comes after."""
+    start, depth = svg.find(f'<g id="{CAPTION_ID}">'), 0
+    for tag in GROUP.finditer(svg, start) if start >= 0 else ():
+        depth += -1 if tag[0] == "</g>" else not tag[0].endswith("/>")
+        if depth == 0:
+            return svg[:start], svg[start : tag.end()], svg[tag.end() :]
+    return svg, "", ""
 
 
 def given_words(output: NotebookNode) -> str:
     """Return what the author says that a picture shows: by its metadata, or by `caption`; else nothing."""
     given = [output.metadata, *(output.metadata.get(kind, {}) for kind in IMAGES)]
     words = next((entry["alt"] for entry in given if entry.get("alt")), "")
-    drawn = CAPTION.search(output.data.get("image/svg+xml", ""))
-    if not words and drawn:
-        words = " ".join(re.findall(r"<!--(.*?)-->", drawn[1], re.DOTALL))
+    if not words:
+        # Matplotlib writes each line of text as a comment beside its outlines
+        drawn = around_caption(output.data.get("image/svg+xml", ""))[1]
+        words = " ".join(re.findall(r"<!--(.*?)-->", drawn, re.DOTALL))
     return " ".join(words.split())
 
 
