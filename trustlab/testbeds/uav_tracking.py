@@ -412,7 +412,8 @@ def _inputs(settings, task, operator, count, sample_time, seeds) -> np.ndarray:
     phase = start.uniform(0.0, 2.0 * np.pi)
     position, velocity = task.path(t, settings.height, phase)
     inputs["reference"], inputs["reference_velocity"] = position, velocity
-    inputs["ahead"] = task.path(t + operator.preview, settings.height, phase)[0] - position
+    ahead = task.path(t + operator.preview, settings.height, phase)[0] if operator.preview else position
+    inputs["ahead"] = ahead - position
     inputs["detected"] = _losses(task, count, sample_time, losses)
     inputs["motor"] = _coloured(count, operator.noise_time, sample_time, noise)
     inputs["hand"] = np.nan
