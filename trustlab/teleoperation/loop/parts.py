@@ -109,6 +109,7 @@ def compiled(port: str, function: Callable) -> tuple[Any, str]:
         set_fields = numba.njit(boundscheck=True)(_setter(port, _with_memory(port, own)))
 
         def part(state, setup):
+            # numba knows no narrower class; the loop stops at the flag, and `raised` finds out what it was
             try:
                 set_fields(state, setup)
             except Exception:
