@@ -4,7 +4,8 @@ The whole teleoperation loop (Fig. 3.1), compiled: `advance` does one sample aft
 A sample changes one record of STATE, of which the first part is the row of the log. Whatever is delayed (pictures, waves,
 performance that leaves its window) is looked up here, so that the parts need no history. Records are passed as plain
 pointers, whereas every array that a compiled function is given costs two atomic reference counts a call: with arrays
-as arguments this loop is three times slower.
+as arguments this loop is three times slower. `advance` and `read_wave`, which need arrays, do without counts (_nrt=False):
+they allocate nothing, and their caller keeps what they are given.
 """
 
 import numpy as np
@@ -236,7 +237,7 @@ def act(setup, state):
     return DONE
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", _nrt=False)
 def advance(start, stop, setups, states, row, inputs, delays, arrives, accounts, history, sent, log, table):
     """
     Do the samples from `start` to before `stop`; return the samples done and how the run ended.

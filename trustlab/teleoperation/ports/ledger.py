@@ -38,7 +38,8 @@ def amplitude(energy, balance, pace):
     return np.sqrt(min(share, balance / energy))
 
 
-@njit(error_model="numpy", forceinline=True)
+# no reference counts (_nrt): they are atomic, and would take a third of the teleoperation loop's time
+@njit(error_model="numpy", forceinline=True, _nrt=False)
 def read_wave(sent, arrives, k, delay, gain, read_out, sample_time, account, out):
     """
     Read the wave that arrives in sample k, sent `delay` samples before, into `out`.
