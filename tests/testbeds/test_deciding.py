@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import trustlab as tl
 from trustlab.operators.ground_robot import ASSUMPTIONS
 from trustlab.testbeds import Course, published_operator
-from trustlab.testbeds.deciding import SETTLING
+from trustlab.testbeds.deciding import RANDOM_PHASE, SAMPLE_TIME, SETTLING
 from trustlab.testbeds.ground_robot.course import nearest_of, nearest_point, path_point, point_ahead
 
 BEFORE = {
@@ -117,6 +118,41 @@ def test_bias_shifts_the_thresholds_of_tsc_as_measured():
     trusting = run("C1", trust_bias=0.1, **exact).session
     np.testing.assert_array_equal(trusting["mode"], run("C1", **shifted).session["mode"])
     assert run("C3", trust_bias=0.1).session == run("C3").session
+
+
+@pytest.mark.parametrize("testbed", ["ground_robot", "uav"])
+def test_own_is_c3_with_the_thresholds_that_switches_in_c1_show(testbed):
+    model = tl.published_models()["2"]
+    someone = replace(published_operator(2), trust_bias=0.05)
+    arguments = {"operator": someone, "model": model, "seed": 3, "testbed": testbed}
+    arguments |= {"laps": 3} if testbed == "ground_robot" else {}
+    own = tl.run_condition("own", **arguments)
+    measured = (someone.lower - 0.05, someone.upper - 0.05)
+    suggested = tl.run_condition("C3", thresholds=measured, **arguments)
+    np.testing.assert_array_equal(own.session.data, suggested.session.data)
+    costly = tl.run_condition("own", **arguments | {"operator": replace(someone, attention_cost=0.3)})
+    np.testing.assert_array_equal(own.session.data, costly.session.data)
+
+
+def test_random_suggestions_come_at_random_times_and_cost_no_attention():
+    model, someone = tl.published_models()["2"], replace(published_operator(2), reaction_lag=0.0)
+    arguments = {"model": model, "laps": 300, "seed": 0}
+    session = tl.run_condition("random", operator=someone, **arguments).session
+    after = session["mode"][session.t >= SETTLING]
+    lengths = SAMPLE_TIME * np.diff(np.flatnonzero(np.diff(after)))
+    assert lengths.size > 100
+    assert stats.kstest(lengths, stats.expon(scale=RANDOM_PHASE).cdf).pvalue > 0.01
+    assert stats.kstest(lengths, stats.expon(scale=RANDOM_PHASE / 1.5).cdf).pvalue < 0.01
+    costly = tl.run_condition("random", operator=replace(someone, attention_cost=0.3), **arguments).session
+    np.testing.assert_array_equal(session.data, costly.data)
+
+
+@pytest.mark.parametrize(
+    ("condition", "says"), [("own", "the operator's own thresholds"), ("random", "chance decides")]
+)
+def test_thresholds_have_no_effect_in_the_controls(condition, says):
+    with pytest.raises(ValueError, match=f"thresholds have no effect in {condition}, where {says}"):
+        tl.run_condition(condition, 2, thresholds=(0.0, 0.2))
 
 
 def test_taking_over_late_delays_the_manual_mode_alone():

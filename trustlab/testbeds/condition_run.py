@@ -12,7 +12,7 @@ from trustlab.models.tsc import TscModel
 from trustlab.operators.answers import allocation_answers
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Session
-from trustlab.testbeds.deciding import CONDITIONS, DEADLINE, OWN, SAMPLE_TIME, SCHEDULE
+from trustlab.testbeds.deciding import DEADLINE, KNOWN, OWN, SAMPLE_TIME, SCHEDULE
 
 MEANS = ("p_r", "p_h", "r", "tsc", "path_error")
 
@@ -34,7 +34,7 @@ def condition_measures(
     followed, decided = states.count(FOLLOWED), states.count(FOLLOWED) + states.count(NOT_FOLLOWED)
     found |= {"suggestions": decided, "followed_percent": 100.0 * followed / decided if decided else np.nan}
     if operator.load_utilization or operator.load_switching:
-        scheme, forced = CONDITIONS.get(condition, (SCHEDULE, True))  # a rule of one's own is judged by nobody
+        scheme, forced = KNOWN.get(condition, (SCHEDULE, True))  # a rule of one's own is judged by nobody
         judged = 0 if forced else found["switches"] if scheme == OWN else decided
         found |= allocation_answers(log["mode"], log["tsc"], found, judged, operator, model)
     return found

@@ -13,8 +13,8 @@ from trustlab.models.human import performance_at
 from trustlab.models.tsc import TscModel, threshold_mode
 from trustlab.operators.ground_robot import Operator
 
-SCHEDULE, OWN, TSC, PERFORMANCE = 0, 1, 2, 3
-"""Who allocates: a given sequence of modes, the operator, suggestions by (2.8), suggestions by Algorithm 2."""
+SCHEDULE, OWN, TSC, PERFORMANCE, RANDOM = 0, 1, 2, 3, 4
+"""Who allocates: a given sequence of modes, the operator, suggestions by (2.8), by Algorithm 2, at random."""
 
 CONDITIONS = {
     "C1": (OWN, False),
@@ -24,6 +24,17 @@ CONDITIONS = {
     "C5": (PERFORMANCE, True),
 }
 """Who allocates in each condition of Section 2.4.1.2, and whether suggestions must be followed."""
+
+CONTROLS = {"own": (TSC, True), "random": (RANDOM, True)}
+"""
+Conditions that tell better thresholds from having no need to decide, suggestions forced: "own", by the thresholds that the
+operator's switches in C1 show; "random", at random times.
+"""
+
+KNOWN = CONDITIONS | CONTROLS
+
+RANDOM_PHASE = 60.0
+"""Mean length of the phases of "random" [s]: the UAV is flown by hand about as long as in C1."""
 
 SAMPLE_TIME, WINDOW = 0.1, 100.0
 """Of Chapter 2 [s]."""
@@ -42,7 +53,7 @@ COUNTS, FLAGS = "mode suggested decided episode", "willing"
 
 
 class Task(NamedTuple):
-    """What is to be done, for the compiled loops; scheme is one of SCHEDULE, OWN, TSC and PERFORMANCE."""
+    """What is to be done, for the compiled loops; scheme is one of SCHEDULE, OWN, TSC, PERFORMANCE and RANDOM."""
 
     scheme: int
     forced: bool
@@ -82,7 +93,7 @@ def task_of(
 
 def suggested_by_tsc(condition: str) -> bool:
     """Return whether suggestions come from thresholds of TSC: in C2 and C3."""
-    return CONDITIONS[condition][0] == TSC
+    return condition in ("C2", "C3")
 
 
 def planned(
@@ -94,16 +105,13 @@ def planned(
     laps: int,
     r0: float | None,
 ) -> tuple[Task, tuple[float, float] | None]:
-    """Return the task of a condition, and the thresholds of its suggestions, checked; they must be given in C2 and C3 only."""
-    scheme, forced = CONDITIONS[condition]
-    if thresholds is not None and scheme != TSC:
-        decides = (
-            "the operator's own thresholds, Operator(lower=, upper=), decide"
-            if scheme == OWN
-            else "Algorithm 2 decides"
-        )
+    """Return the task of a condition, and the thresholds given for its suggestions, checked; in C2 and C3 only."""
+    scheme, forced = KNOWN[condition]
+    if thresholds is not None and not suggested_by_tsc(condition):
+        own = "the operator's own thresholds, Operator(lower=, upper=), decide"
+        decides = {"C1": own, "own": own, "random": "chance decides"}.get(condition, "Algorithm 2 decides")
         raise ValueError(f"thresholds have no effect in {condition}, where {decides}; leave them out")
-    if scheme == TSC:
+    if suggested_by_tsc(condition):
         if thresholds is None:
             raise ValueError(
                 f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and .upper of "
@@ -111,6 +119,8 @@ def planned(
             )
         thresholds = check_thresholds(model, *number_pair(thresholds), threshold_limits(model, 0.0))
     lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
+    if condition == "own":  # switches in C1 come at these values of measured TSC
+        lower, upper = operator.lower - operator.trust_bias, operator.upper - operator.trust_bias
     r0 = operator.r0 if r0 is None else r0
     return task_of(scheme, e_max, forced, laps, lower, upper, model, r0=r0), thresholds
 
@@ -205,11 +215,15 @@ def own_decision(person, t, state, mind):
 
 @njit
 def consider(task, person, t, state, mind):
-    """Make the suggestion of the scheme (C2–C5), and let the operator decide once per suggestion whether to follow."""
+    """Make the suggestion of the scheme, and let the operator decide once per suggestion whether to follow."""
     if task.scheme == TSC:
         standing = state.mode if state.suggested < 0 else state.suggested
         state.suggested = threshold_mode(state.tsc, state.lower, state.upper, standing)
         follow = person.follow_tsc
+    elif task.scheme == RANDOM:
+        standing = state.mode if state.suggested < 0 else state.suggested
+        ends = mind.random() < task.sample_time / RANDOM_PHASE
+        state.suggested, follow = 1 - standing if ends else standing, 1.0
     else:
         state.suggested = performance_suggestion(state.p_r, task.p_min, task.p_max)
         follow = person.follow_performance

@@ -17,11 +17,11 @@ from trustlab.studies.planning.virtual_folder import Folder
 from trustlab.studies.planning.virtual_participant import run_participant
 from trustlab.studies.planning.virtual_report import KEYS, ORIGIN, WORDS, Population, VirtualStudy
 from trustlab.teleoperation.loop.schemes import SCHEMES
-from trustlab.testbeds.deciding import CONDITIONS, warn_if_too_short
+from trustlab.testbeds.deciding import CONDITIONS, KNOWN, warn_if_too_short
 from trustlab.testbeds.ground_robot.conditions import MOST_LAPS
 from trustlab.testbeds.uav_following.people import FollowingPopulation
 
-TESTBEDS = {"ground_robot": tuple(CONDITIONS), "uav": tuple(SCHEMES), "uav_following": tuple(CONDITIONS)}
+TESTBEDS = {"ground_robot": tuple(KNOWN), "uav": tuple(SCHEMES), "uav_following": tuple(KNOWN)}
 MAIN_SCHEMES = ("M", "OMI", "MMI", "TMIG")
 PRINTED_N = {"ground_robot": 20, "uav": 32, "uav_following": 20}
 POPULATIONS: dict[str, type] = {
@@ -64,8 +64,8 @@ def virtual_study(
         Participants; they must fill whole squares, or, for an odd number of conditions, half of the last one, which leaves carry-over
         unbalanced. As many as the dissertation's study invited, or the next whole squares.
     conditions : sequence of str, optional
-        C1 to C5 (ground robot, or a UAV that follows a leader), or M, MI, MMI, TMIG, TMIS, OMI (teleoperation of a UAV); all of the
-        former, or M, OMI, MMI and TMIG for a `TeleoperatorPopulation`.
+        C1 to C5 and the controls "own" and "random" of `run_condition` (ground robot, or a UAV that follows a leader), or M, MI, MMI, TMIG, TMIS, OMI (teleoperation of a UAV); C1 to
+        C5, or M, OMI, MMI and TMIG for a `TeleoperatorPopulation`.
     population : GroundRobotPopulation, FollowingPopulation or TeleoperatorPopulation, optional
         From whom operators are drawn; `GroundRobotPopulation.published()`, `FollowingPopulation()` or `TeleoperatorPopulation()` by
         default.
@@ -162,12 +162,12 @@ def _named(conditions: object, design: object, population: object) -> tuple[str,
     else:
         one_of("design", design, ["latin_square"], "a LatinSquareDesign")
     if conditions is None:
-        return MAIN_SCHEMES if isinstance(population, TeleoperatorPopulation) else TESTBEDS["ground_robot"]
-    known = [*CONDITIONS, *SCHEMES]
+        return MAIN_SCHEMES if isinstance(population, TeleoperatorPopulation) else tuple(CONDITIONS)
+    known = [*KNOWN, *SCHEMES]
     names = tuple(one_of("condition", name, known) for name in conditions)
     if len(names) < 2 or len(set(names)) < len(names):
         raise ValueError(f"conditions must be two or more, each once, got {', '.join(names) or 'none'}")
-    pair = {"ground_robot": tuple(CONDITIONS), "uav": tuple(SCHEMES)}
+    pair = {"ground_robot": tuple(KNOWN), "uav": tuple(SCHEMES)}
     own = {testbed: [name for name in names if name in group] for testbed, group in pair.items()}
     if all(own.values()):
         mixed = " and ".join(f"{', '.join(group)} of {WORDS[testbed]}" for testbed, group in own.items())

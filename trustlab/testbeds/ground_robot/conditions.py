@@ -15,7 +15,7 @@ from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.records import log_of
 from trustlab.testbeds.condition_run import ConditionRun, condition_measures
 from trustlab.testbeds.deciding import (
-    CONDITIONS,
+    KNOWN,
     SAMPLE_TIME,
     SCHEDULE,
     SETTLING,
@@ -72,13 +72,14 @@ def run_condition(
     Drive laps, or fly after a leader, under one of the conditions C1–C5 of Section 2.4.1.2.
 
     C1: the operator allocates by thresholds of TSC of their own. C2, C3: suggestions by (2.8), free to follow and
-    forced. C4, C5: suggestions by Algorithm 2, free and forced. TSC (2.1) and the suggestions come from performance as
+    forced. C4, C5: suggestions by Algorithm 2, free and forced. Two controls are not printed: "own", forced suggestions by the
+    thresholds that the operator's switches in C1 show, and "random", forced suggestions at random times. TSC (2.1) and the suggestions come from performance as
     measured, (2.4) and (2.7) over 100 s, and the given model. The run begins in the manual mode, rolling on the path;
     nobody switches before that window is full.
 
     Parameters
     ----------
-    condition : {"C1", "C2", "C3", "C4", "C5"}, optional
+    condition : {"C1", "C2", "C3", "C4", "C5", "own", "random"}, optional
         The condition; either this or `rule`.
     participant : int, str or Operator
         Who drives: the stand-in for a printed participant, 1 to 5, "1" to "5" or "pilot" (`published_operator`), or any
@@ -152,7 +153,7 @@ def run_condition(
     operator, robot, course = _checked(operator, robot, course)
     laps = whole_number("laps", 8 if laps is None else laps, most=MOST_LAPS)
     if rule is None:
-        one_of("condition", condition, CONDITIONS, "rule=")
+        one_of("condition", condition, KNOWN, "rule=")
         if mode is not None:
             raise ValueError("mode has no effect without rule=: the conditions begin in the manual mode; leave it out")
         thresholds = thresholds if thresholds is not None or not suggested_by_tsc(condition) else printed

@@ -12,7 +12,7 @@ from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.records import log_of
 from trustlab.testbeds.condition_run import ConditionRun, condition_measures
 from trustlab.testbeds.deciding import (
-    CONDITIONS,
+    KNOWN,
     SAMPLE_TIME,
     SETTLING,
     WINDOW,
@@ -99,7 +99,7 @@ def fly_condition(
     Simulated: no person took part. What is not printed (e_max, Δu_max, the leader's path, ranges of performance) is plausible,
     not measured.
     """
-    one_of("condition", condition, CONDITIONS)
+    one_of("condition", condition, KNOWN)
     own = None
     if operator is not None and participant is not None:
         raise ValueError("give either participant= or operator=, not both")
