@@ -214,19 +214,25 @@ def own_decision(person, t, state, mind):
 
 
 @njit
-def consider(task, person, t, state, mind):
-    """Make the suggestion of the scheme, and let the operator decide once per suggestion whether to follow."""
+def suggest(task, state):
+    """Make the suggestion of the scheme, by (2.8) or Algorithm 2 (C2–C5)."""
     if task.scheme == TSC:
         standing = state.mode if state.suggested < 0 else state.suggested
         state.suggested = threshold_mode(state.tsc, state.lower, state.upper, standing)
-        follow = person.follow_tsc
-    elif task.scheme == RANDOM:
+    else:
+        state.suggested = performance_suggestion(state.p_r, task.p_min, task.p_max)
+
+
+@njit
+def consider(task, person, t, state, mind):
+    """Make the suggestion of the scheme, and let the operator decide once per suggestion whether to follow."""
+    if task.scheme == RANDOM:
         standing = state.mode if state.suggested < 0 else state.suggested
         ends = mind.random() < task.sample_time / RANDOM_PHASE
         state.suggested, follow = 1 - standing if ends else standing, 1.0
     else:
-        state.suggested = performance_suggestion(state.p_r, task.p_min, task.p_max)
-        follow = person.follow_performance
+        suggest(task, state)
+        follow = person.follow_tsc if task.scheme == TSC else person.follow_performance
     if state.suggested == state.mode:
         state.decided, state.episode = -1, -1
     elif state.suggested >= 0:

@@ -1,8 +1,9 @@
 """
 The loop that drives the ground robot: one step of operator, allocation and robot every tenth of a second.
 
-`drive` is a plain loop over the parts of a step, which share one record of STATE and fill one record of LOG. Who decides
-when is in trustlab/testbeds/deciding.py.
+`drive` is a plain loop over the parts of a step, which share one record of STATE and fill one record of LOG. Those that hold no
+operator (`place`, `locate`, `perform`, `enter` and `roll`) are the steps of live drives as well: they get their bits from
++, −, ×, ÷ and √ alone. Who decides when is in trustlab/testbeds/deciding.py.
 """
 
 from typing import NamedTuple
@@ -13,6 +14,7 @@ from trustlab.allocation.correction.in_loop import correct_thresholds
 from trustlab.allocation.correction.plan import LOWER, UPPER
 from trustlab.models.compiled import njit
 from trustlab.models.human import next_utilization
+from trustlab.models.portable import cos_sin, direction, wrapped
 from trustlab.models.tsc import threshold_mode
 from trustlab.operators.ground_robot import driving_style, joystick
 from trustlab.teleoperation.records import record
@@ -29,7 +31,7 @@ from trustlab.testbeds.deciding import (
     skill_now,
 )
 from trustlab.testbeds.ground_robot.course import nearest_of, point_ahead
-from trustlab.testbeds.ground_robot.pioneer import scan, wrapped
+from trustlab.testbeds.ground_robot.pioneer import scan
 
 SHAKING = 0.25
 """Correlation time of the hand's shaking [s]."""
@@ -45,7 +47,7 @@ LOG = record(
 COLUMNS = LOG.names
 
 # The robot and its estimate of where it is, the hand, and progress along the course.
-MOVING = "x y yaw v w moved est_x est_y heading_error wander shaking v_hand w_hand progress"
+MOVING = "x y yaw v w moved est_x est_y heading_error wander shaking v_hand w_hand arc progress"
 STATE = record(numbers=f"{MOVING} {NUMBERS}", counts=f"{COUNTS} laps", flags=FLAGS)
 """What a step reads and leaves."""
 
@@ -92,7 +94,7 @@ def operate(task, person, robot, rates, before, arc, course, state, hand):
         px, py, tx, ty = point_ahead(arc + person.look_ahead, course)
         aside = person.noise * spread * state.wander
         dx, dy = px - aside * ty - before.robot_x, py + aside * tx - before.robot_y
-        bearing = wrapped(np.arctan2(dy, dx) - before.yaw)
+        bearing = wrapped(direction(dy, dx) - before.yaw)
         v_want, w_want = joystick(bearing, speed, person.steering_gain, person.easing)
         state.v_hand += rates.grip * (v_want - state.v_hand)
         w_want += person.noise * activity * state.shaking
@@ -119,36 +121,61 @@ def correct(correction, task, k, t, state):
         state.shift_l, state.shift_u = state.shift_l + c_l, state.shift_u + c_u
 
 
+@njit
+def place(course, robot, dt, state):
+    """Put the robot on the path, rolling."""
+    state.x, state.y, tx, ty = point_ahead(0.0, course)
+    state.yaw, state.v, state.v_hand = direction(ty, tx), robot.cruise_speed, robot.cruise_speed
+    state.est_x, state.est_y, state.moved = state.x, state.y, state.v * dt
+
+
 @njit(inline="always")
-def roll(robot, rates, dt, course, found, state, sensing):
+def locate(course, k, row, state):
+    """Log where the robot is beside the path, and move progress along the course on; return whether this ends a lap."""
+    row.robot_x, row.robot_y, row.yaw = state.x, state.y, state.yaw
+    row.reference_x, row.reference_y, arc, row.path_error = nearest_of(state.x, state.y, course)
+    lap, ahead = course.path[-1, 2], arc - state.arc if k > 0 else 0.0
+    state.arc, state.progress = arc, state.progress + (ahead - lap * np.floor(ahead / lap + 0.5))
+    ended = state.progress >= (state.laps + 1) * lap
+    if ended:
+        state.laps += 1
+    return ended
+
+
+@njit(inline="always")
+def perform(task, k, z_r, z_h, row, state):
+    """Measure performance of robot and hand, (2.4) and (2.7), and TSC (2.1)."""
+    near = 1.0 - row.path_error / task.e_max
+    z_r[k] = state.moved / task.sample_time * near
+    z_h[k] = state.v_hand * near + abs(state.w_hand) * (1.0 - near)
+    measure(task, k, z_r, z_h, state)
+
+
+@njit(inline="always")
+def enter(row, state):
+    """Log all that is not logged yet of this sample."""
+    row.mode, row.suggested_mode, row.step_distance = state.mode, state.suggested, state.moved
+    row.v_command, row.w_command, row.r = state.v_hand, state.w_hand, state.r
+    row.p_r, row.p_h, row.tsc = state.p_r, state.p_h, state.tsc
+
+
+@njit(inline="always")
+def roll(robot, anchor, dt, course, found, state, sensing):
     """Let the robot scan, follow the hand or its own controller, and move; its odometry drifts with distance."""
-    est_yaw = state.yaw + state.heading_error
-    off_x, off_y, turn, seen = scan(
-        state.x,
-        state.y,
-        state.yaw,
-        state.est_x,
-        state.est_y,
-        est_yaw,
-        course.posts,
-        robot,
-        sensing,
-        found,
-        state.mode == 0,
-    )
+    off_x, off_y, turn, seen = scan(course.posts, robot, state, sensing, found)
     if state.mode == 1:
         v_want, w_want = state.v_hand, state.w_hand
         # while the operator drives between the posts, the estimate is anchored anew
-        state.est_x += rates.anchor * (state.x - state.est_x)
-        state.est_y += rates.anchor * (state.y - state.est_y)
-        state.heading_error -= rates.anchor * state.heading_error
+        state.est_x += anchor * (state.x - state.est_x)
+        state.est_y += anchor * (state.y - state.est_y)
+        state.heading_error -= anchor * state.heading_error
     else:
         est_arc = nearest_of(state.est_x, state.est_y, course)[2]
         px, py, _, _ = point_ahead(est_arc + robot.look_ahead, course)
-        w_want = robot.steering_gain * wrapped(np.arctan2(py - state.est_y, px - state.est_x) - est_yaw)
-        v_want = robot.search_speed
+        bearing = direction(py - state.est_y, px - state.est_x) - (state.yaw + state.heading_error)
+        v_want, w_want = robot.search_speed, robot.steering_gain * wrapped(bearing)
         if seen > 0:
-            v_want = max(robot.cruise_speed - robot.speed_gain * np.hypot(off_x, off_y), 0.0)
+            v_want = max(robot.cruise_speed - robot.speed_gain * np.sqrt(off_x * off_x + off_y * off_y), 0.0)
             share = min(robot.position_gain * seen, 1.0)
             state.est_x -= share * off_x
             state.est_y -= share * off_y
@@ -157,23 +184,14 @@ def roll(robot, rates, dt, course, found, state, sensing):
     state.w = limited(w_want, state.w, robot.max_turn_rate, robot.max_turn_acceleration * dt)
     # a unicycle over one sample, by the heading at its middle
     old_x, old_y, middle, step = state.x, state.y, state.yaw + 0.5 * state.w * dt, state.v * dt
-    state.x, state.y = old_x + step * np.cos(middle), old_y + step * np.sin(middle)
-    state.yaw = wrapped(state.yaw + state.w * dt)
-    state.moved = np.hypot(state.x - old_x, state.y - old_y)
-    state.est_x += step * np.cos(middle + state.heading_error)
-    state.est_y += step * np.sin(middle + state.heading_error)
+    cos, sin = cos_sin(middle)
+    state.x, state.y, state.yaw = old_x + step * cos, old_y + step * sin, wrapped(state.yaw + state.w * dt)
+    state.moved = np.sqrt((state.x - old_x) ** 2 + (state.y - old_y) ** 2)
+    cos, sin = cos_sin(middle + state.heading_error)
+    state.est_x += step * cos
+    state.est_y += step * sin
     state.heading_error += robot.heading_drift * state.v * dt
     state.heading_error += robot.heading_noise * np.sqrt(step) * sensing.standard_normal()
-
-
-@njit
-def start(task, course, robot, person, state, hand, mind):
-    """Put the robot on the path, rolling, and draw the operator's first thresholds."""
-    state.x, state.y, tx, ty = point_ahead(0.0, course)
-    state.yaw, state.v, state.v_hand = np.arctan2(ty, tx), robot.cruise_speed, robot.cruise_speed
-    state.est_x, state.est_y, state.moved = state.x, state.y, state.v * task.sample_time
-    state.wander, state.shaking = hand.standard_normal(), hand.standard_normal()
-    begin(task, person, state, mind)
 
 
 @njit
@@ -184,38 +202,29 @@ def drive(task, schedule, course, robot, person, sensing, hand, mind, states, lo
     course: the numbers of a `Course`. robot, person: numbers of a `Pioneer` and an `Operator`. sensing, hand, mind: generators
     of their noise. schedule, shape (N,): modes, used by the scheme SCHEDULE alone. states, shape (1,): a record of STATE.
     """
-    dt, lap_length, state = task.sample_time, course.path[-1, 2], states[0]
+    dt, state = task.sample_time, states[0]
     delay, found = round(person.delay / dt), np.empty((course.posts.shape[0], 4))
     arc, z_r, z_h = np.empty(log.size), np.empty(log.size), np.empty(log.size)
     rates = rates_of(person, robot, dt)
-    start(task, course, robot, person, state, hand, mind)
+    place(course, robot, dt, state)
+    state.wander, state.shaking = hand.standard_normal(), hand.standard_normal()
+    begin(task, person, state, mind)
     for k in range(log.size):
         t, row = k * dt, log[k]
-        row.robot_x, row.robot_y, row.yaw = state.x, state.y, state.yaw
-        row.reference_x, row.reference_y, arc[k], row.path_error = nearest_of(state.x, state.y, course)
-        if k > 0:
-            ahead = arc[k] - arc[k - 1]
-            state.progress += ahead - lap_length * np.round(ahead / lap_length)
-            if state.progress >= (state.laps + 1) * lap_length:
-                if state.laps < lap_times.size:
-                    lap_times[state.laps] = t
-                state.laps += 1
+        if locate(course, k, row, state) and state.laps <= lap_times.size:
+            lap_times[state.laps - 1] = t
+        arc[k] = state.arc
         if k >= delay:
             operate(task, person, robot, rates, log[k - delay], arc[k - delay], course, state, hand)
         else:
             operate(task, person, robot, rates, row, -1.0, course, state, hand)  # nothing has been seen yet
-        near = 1.0 - row.path_error / task.e_max
-        z_r[k] = state.moved / dt * near
-        z_h[k] = state.v_hand * near + abs(state.w_hand) * (1.0 - near)
-        measure(task, k, z_r, z_h, state)
+        perform(task, k, z_r, z_h, row, state)
         if correction.active:
             correct(correction, task, k, t, state)
         allocate(task, person, schedule[k] if task.scheme == SCHEDULE else 0, t, state, mind)
-        row.mode, row.suggested_mode, row.step_distance = state.mode, state.suggested, state.moved
-        row.v_command, row.w_command, row.r = state.v_hand, state.w_hand, state.r
-        row.p_r, row.p_h, row.tsc = state.p_r, state.p_h, state.tsc
+        enter(row, state)
         if 0 < task.laps <= state.laps:
             return k + 1, state.laps
-        roll(robot, rates, dt, course, found, state, sensing)
+        roll(robot, rates.anchor, dt, course, found, state, sensing)
         state.r = min(max(next_utilization(state.r, state.mode, person.a), 0.0), 1.0)
     return log.size, state.laps

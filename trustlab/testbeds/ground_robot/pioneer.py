@@ -7,26 +7,22 @@ import numpy as np
 
 from trustlab.models.checks import finite_number, not_negative, positive
 from trustlab.models.compiled import njit
+from trustlab.models.portable import cos_sin, direction, wrapped
 
 
 @njit
-def wrapped(angle):
-    """Return the angle in (−π, π]."""
-    return np.arctan2(np.sin(angle), np.cos(angle))
-
-
-@njit
-def scan(x, y, yaw, est_x, est_y, est_yaw, posts, robot, rng, offsets, used):
+def scan(posts, robot, state, sensing, offsets):
     """
     Compare posts seen with where the estimate has them: mean offset dx, dy, turn of the pattern, number seen.
 
-    Where the comparison is not `used` it is left out, but the noise is drawn all the same.
+    While the operator drives, nothing is compared, but the noise is drawn all the same.
     """
     mean_x, mean_y, mean_px, mean_py, seen = 0.0, 0.0, 0.0, 0.0, 0
-    cos, sin, half = np.cos(yaw), np.sin(yaw), 0.5 * robot.field_of_view
-    edge = np.cos(half) if half < np.pi else -2.0
+    cos, sin = cos_sin(state.yaw)
+    half = 0.5 * robot.field_of_view
+    edge = cos_sin(half)[0] if half < np.pi else -2.0
     for i in range(posts.shape[0]):
-        dx, dy = posts[i, 0] - x, posts[i, 1] - y
+        dx, dy = posts[i, 0] - state.x, posts[i, 1] - state.y
         if abs(dx) > 1.001 * robot.scan_range or abs(dy) > 1.001 * robot.scan_range:
             continue
         distance = np.sqrt(dx * dx + dy * dy)
@@ -34,17 +30,19 @@ def scan(x, y, yaw, est_x, est_y, est_yaw, posts, robot, rng, offsets, used):
         inside = cos * dx + sin * dy - edge * distance
         if distance > robot.scan_range or inside < -1e-9 * distance:
             continue
-        if inside < 1e-9 * distance and abs(wrapped(np.arctan2(dy, dx) - yaw)) > half:
+        if inside < 1e-9 * distance and abs(wrapped(direction(dy, dx) - state.yaw)) > half:
             continue
-        if rng.random() > robot.detection:
+        if sensing.random() > robot.detection:
             continue
-        far, aside = robot.range_noise * rng.standard_normal(), robot.bearing_noise * rng.standard_normal()
-        if not used:
+        far, aside = robot.range_noise * sensing.standard_normal(), robot.bearing_noise * sensing.standard_normal()
+        if state.mode == 1:
             continue
-        distance, bearing = distance + far, wrapped(np.arctan2(dy, dx) - yaw) + aside
+        # Where the estimate has the post: what was seen, turned by the errors of bearing and of the estimated heading.
+        turned_x, turned_y = cos_sin(state.heading_error + aside)
+        longer = 1.0 + far / max(distance, 1e-9)
         offsets[seen, 0], offsets[seen, 1] = posts[i, 0], posts[i, 1]
-        offsets[seen, 2] = est_x + distance * np.cos(est_yaw + bearing)
-        offsets[seen, 3] = est_y + distance * np.sin(est_yaw + bearing)
+        offsets[seen, 2] = state.est_x + longer * (turned_x * dx - turned_y * dy)
+        offsets[seen, 3] = state.est_y + longer * (turned_y * dx + turned_x * dy)
         mean_px, mean_py = mean_px + offsets[seen, 0], mean_py + offsets[seen, 1]
         mean_x, mean_y = mean_x + offsets[seen, 2], mean_y + offsets[seen, 3]
         seen += 1
@@ -56,7 +54,7 @@ def scan(x, y, yaw, est_x, est_y, est_yaw, posts, robot, rng, offsets, used):
         ax, ay = offsets[i, 0] - mean_px, offsets[i, 1] - mean_py
         bx, by = offsets[i, 2] - mean_x, offsets[i, 3] - mean_y
         cross, dot = cross + ax * by - ay * bx, dot + ax * bx + ay * by
-    turn = np.arctan2(cross, dot) if seen > 1 else 0.0
+    turn = direction(cross, dot) if seen > 1 else 0.0
     return mean_x - mean_px, mean_y - mean_py, turn, seen
 
 
