@@ -5,9 +5,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from trustlab.allocation.correction.corrector import threshold_pair
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.allocation.rules import performance_suggestion
-from trustlab.models.checks import between, finite_number
+from trustlab.models.checks import between
 from trustlab.models.compiled import njit
 from trustlab.models.human import performance_at
 from trustlab.models.tsc import TscModel, threshold_mode
@@ -117,24 +118,12 @@ def planned(
                 f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and .upper of "
                 "trustlab.choose_thresholds(model), or those of Table 2.2"
             )
-        thresholds = check_thresholds(model, *number_pair(thresholds), threshold_limits(model, 0.0))
+        thresholds = check_thresholds(model, *threshold_pair("threshold", thresholds), threshold_limits(model, 0.0))
     lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
     if condition == "own":  # switches in C1 come at these values of measured TSC
         lower, upper = operator.lower - operator.trust_bias, operator.upper - operator.trust_bias
     r0 = operator.r0 if r0 is None else r0
     return task_of(scheme, e_max, forced, laps, lower, upper, model, r0=r0), thresholds
-
-
-def number_pair(pair, name: str = "thresholds", equal: bool = False) -> tuple[float, float]:
-    """Return two finite numbers, the first below the second or, where that is allowed, equal to it."""
-    try:
-        low, high = pair
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be two numbers, lower and upper, got {pair!r}") from None
-    low, high = finite_number(f"the lower of {name}", low), finite_number(f"the upper of {name}", high)
-    if low > high or (low == high and not equal):
-        raise ValueError(f"{name} must be in order, lower then upper, got {low} and {high}")
-    return low, high
 
 
 def warn_if_too_short(longest: float) -> None:

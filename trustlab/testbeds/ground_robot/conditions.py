@@ -20,7 +20,6 @@ from trustlab.testbeds.deciding import (
     SCHEDULE,
     SETTLING,
     WINDOW,
-    number_pair,
     planned,
     sample_times,
     seed_facts,
@@ -295,10 +294,12 @@ def identification_session(
     lengths = [
         finite_number("manual", manual),
         finite_number("autonomous", autonomous),
-        *number_pair(phase, "phase", True),
+        *finite_array("phase", phase, length=2),
     ]
-    if min(lengths) < SAMPLE_TIME:
-        raise ValueError(f"phases must last at least {SAMPLE_TIME} s, got {min(lengths)} s")
+    if min(lengths) < SAMPLE_TIME or lengths[2] > lengths[3]:
+        raise ValueError(
+            f"phases must last at least {SAMPLE_TIME} s, phase=(shortest, longest), got {min(lengths):g} s, {phase}"
+        )
     mixed = whole_number("mixed", mixed, least=0, most=MOST_PHASES)
     _steps(lengths[0] + lengths[1] + mixed * lengths[3], "all phases together")
     stream = np.random.default_rng(spawned(seed, 4)[3])

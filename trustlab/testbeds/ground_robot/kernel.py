@@ -214,10 +214,9 @@ def drive(task, schedule, course, robot, person, sensing, hand, mind, states, lo
         if locate(course, k, row, state) and state.laps <= lap_times.size:
             lap_times[state.laps - 1] = t
         arc[k] = state.arc
-        if k >= delay:
-            operate(task, person, robot, rates, log[k - delay], arc[k - delay], course, state, hand)
-        else:
-            operate(task, person, robot, rates, row, -1.0, course, state, hand)  # nothing has been seen yet
+        seen = max(k - delay, 0)
+        # at first nothing has been seen yet
+        operate(task, person, robot, rates, log[seen], arc[seen] if k >= delay else -1.0, course, state, hand)
         perform(task, k, z_r, z_h, row, state)
         if correction.active:
             correct(correction, task, k, t, state)
