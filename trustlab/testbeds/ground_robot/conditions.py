@@ -297,9 +297,7 @@ def identification_session(
         *finite_array("phase", phase, length=2),
     ]
     if min(lengths) < SAMPLE_TIME or lengths[2] > lengths[3]:
-        raise ValueError(
-            f"phases must last at least {SAMPLE_TIME} s, phase=(shortest, longest), got {min(lengths):g} s, {phase}"
-        )
+        raise ValueError(f"phases, (shortest, longest), must last at least {SAMPLE_TIME} s, got {min(lengths):g} s")
     mixed = whole_number("mixed", mixed, least=0, most=MOST_PHASES)
     _steps(lengths[0] + lengths[1] + mixed * lengths[3], "all phases together")
     stream = np.random.default_rng(spawned(seed, 4)[3])
