@@ -29,6 +29,7 @@ PERHAPS = (
     1e9,
 )
 RUN = tl.simulate_teleoperation(duration=1.0)
+LOOP = inspect.signature(tl.TeleoperationLoop).parameters  # which `simulate_teleoperation` takes as well
 CALLS = (
     (tl.simulate_teleoperation, {"duration": 1.0}),
     (tl.graded_teleoperators, {"n": 2}),
@@ -43,7 +44,15 @@ CALLS = (
 
 @pytest.mark.parametrize(
     ("call", "given", "name"),
-    [(call, given, name) for call, given in CALLS for name in inspect.signature(call).parameters],
+    [
+        *(
+            (call, given, name)
+            for call, given in CALLS
+            for name in inspect.signature(call).parameters
+            if name != "others"
+        ),
+        *((tl.simulate_teleoperation, {"duration": 1.0}, name) for name in LOOP),
+    ],
     ids=lambda value: value if isinstance(value, str) else getattr(value, "__name__", ""),
 )
 def test_nothing_but_a_clear_error_comes_of_nonsense(call, given, name):

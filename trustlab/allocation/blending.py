@@ -9,15 +9,15 @@ from trustlab.models.checks import between, finite_array, in_order, positive, wh
 from trustlab.models.compiled import njit
 from trustlab.models.uav import TransferFunction, three_axes
 
+# Degree of the interpolation of the cost in α; its error over 0.2 s is below rounding (a test checks it).
 DEGREE = 10
-"""Degree of the interpolation of the cost in α; its error over 0.2 s is below rounding (a test checks it)."""
 
+# The vehicle as the state equations of Appendix A have it; (A.1) prints 1.475 and 0.4952 for the same numbers.
 APPENDIX_A = (
     TransferFunction(9.22, (1.473, 0.2214)),
     TransferFunction(3.806, (0.4706, 2.457)),
     TransferFunction(0.985, (0.495,)),
 )
-"""The vehicle as the state equations of Appendix A have it; (A.1) prints 1.475 and 0.4952 for the same numbers."""
 
 
 @njit
@@ -167,7 +167,7 @@ class OptimalBlending:
         self.error_weight = between("error_weight", error_weight, 0.0, 1e12)
         self.deviation_weight = between("deviation_weight", deviation_weight, 0.0, 1e12)
         self.intervals = whole_number("intervals", intervals, most=50)
-        self.weights = self._series()
+        self.weights = self._series(self.horizon)[1]
         self._program: Any = None
 
     def matrix(self, axis: int, alpha: float) -> np.ndarray:
@@ -202,28 +202,24 @@ class OptimalBlending:
             a[1] += d * a[3]
         return a
 
-    def _series(self) -> np.ndarray:
-        """Return the cost's matrices as Chebyshev series in α, per axis."""
+    def _series(self, length: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return flow and cost over a time in which α is held as Chebyshev series in α, shape (3, DEGREE + 1, 5, 5) each."""
         from scipy.linalg import expm
 
         nodes = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
         fit = np.polynomial.chebyshev.chebvander(nodes, DEGREE)
-        series = np.empty((3, DEGREE + 1, 5, 5))
+        values = np.empty((2, 3, DEGREE + 1, 5, 5))
         for axis in range(3):
-            at_nodes = []
-            for x in nodes:
-                alpha = 0.5 * (x + 1.0)
+            for k, alpha in enumerate(0.5 * (nodes + 1.0)):
                 a, q = self.matrix(axis, alpha), np.zeros((5, 5))
                 q[2, 2] = self.error_weight
                 difference = np.array([1.0, -1.0, 0.0, 0.0, 0.0])
                 q += self.deviation_weight * (1.0 - alpha) ** 2 * np.outer(difference, difference)
-                block = np.block([[-a.T, q], [np.zeros((5, 5)), a]])  # Van Loan
-                whole = expm(block * self.horizon)
+                whole = expm(np.block([[-a.T, q], [np.zeros((5, 5)), a]]) * length)  # Van Loan
                 gram = whole[5:, 5:].T @ whole[:5, 5:]
-                at_nodes.append(0.5 * (gram + gram.T))
-            solved = np.linalg.solve(fit, np.reshape(at_nodes, (DEGREE + 1, 25)))
-            series[axis] = solved.reshape(DEGREE + 1, 5, 5)
-        return series
+                values[:, axis, k] = whole[5:, 5:], 0.5 * (gram + gram.T)
+        flow, weight = np.linalg.solve(fit, values.reshape(6, DEGREE + 1, 25)).reshape(values.shape)
+        return flow, weight
 
     def cost(self, alpha: float, u_h, u_a, e, rate, acceleration) -> float:
         """
@@ -289,29 +285,17 @@ class OptimalBlending:
         return BlendingStep(float(shares[0]), cost, tuple(shares.tolist()), said)
 
     def _build(self):
-        """Return the bilinear program: α constant on each interval, the state's flow by Taylor terms, cost at Gauss points."""
+        """Return the bilinear program: flow and cost of each interval are polynomials in its α."""
         import casadi
 
         alphas, p = casadi.MX.sym("alpha", self.intervals), casadi.MX.sym("p", 15)
-        length, cost = self.horizon / self.intervals, 0
-        pick = casadi.DM(np.eye(5))
+        flow, weight = self._series(self.horizon / self.intervals)
+        cost = 0
         for axis in range(3):
             state = p[5 * axis : 5 * axis + 5]
-            at_zero = self.matrix(axis, 0.0)
-            change = self.matrix(axis, 1.0) - at_zero
-            terms = _terms(length * max(np.abs(at_zero).sum(axis=1).max(), np.abs(at_zero + change).sum(axis=1).max()))
-            at_zero, change = casadi.sparsify(casadi.DM(at_zero)), casadi.sparsify(casadi.DM(change))
-            points, share = np.polynomial.legendre.leggauss(max(4, terms // 3))
             for k in range(self.intervals):
-                a = at_zero + alphas[k] * change
-                for x, w in zip(points, share, strict=True):
-                    now = _flow(a, state, 0.5 * length * (x + 1.0), terms)
-                    difference = (pick[0, :] - pick[1, :]) @ now
-                    running = (
-                        self.error_weight * now[2] ** 2 + self.deviation_weight * (1 - alphas[k]) ** 2 * difference**2
-                    )
-                    cost += 0.5 * length * w * running
-                state = _flow(a, state, length, terms)
+                cost += _series_at([state.T @ casadi.DM(c) @ state for c in weight[axis]], 2 * alphas[k] - 1)
+                state = _series_at([casadi.DM(c) @ state for c in flow[axis]], 2 * alphas[k] - 1)
         options: dict[str, Any] = {"expand": True, "print_time": False}
         options |= {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
         # the held share is a good start, often on a bound: neither push it away nor begin with a great barrier
@@ -319,19 +303,9 @@ class OptimalBlending:
         return casadi.nlpsol("blending", "ipopt", {"x": alphas, "p": p, "f": cost}, options)
 
 
-def _terms(reach: float) -> int:
-    """Return how many Taylor terms the exponential of a matrix of this norm needs for a remainder below 1e-13."""
-    count, remainder = 1, reach
-    while remainder > 1e-13 * max(1.0, np.exp(reach)):
-        count += 1
-        remainder *= reach / count
-    return count
-
-
-def _flow(a, state, length: float, terms: int):
-    """Return the state `length` seconds later, by the Taylor series of the exponential."""
-    term, out = state, state
-    for m in range(1, terms + 1):
-        term = (length / m) * (a @ term)
-        out = out + term
-    return out
+def _series_at(terms: list, x):
+    """Return Σ c_m T_m(x) for CasADi symbols by Clenshaw's recurrence."""
+    one = two = 0
+    for term in terms[:0:-1]:
+        one, two = 2 * x * one - two + term, one
+    return x * one - two + terms[0]

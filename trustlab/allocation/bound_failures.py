@@ -12,13 +12,14 @@ from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 
+# How many of the longest time constant pass before extremes are taken, and while they are.
 SETTLING, RECORDED = 12.0, 5.0
-"""How many of the longest time constant pass before extremes are taken, and while they are."""
 
+# By how much a bound must be exceeded to count: more than what is left of the transient (e⁻¹² = 6e-6).
 TOLERANCE = 1e-5
-"""By how much a bound must be exceeded to count: more than what is left of the transient (e⁻¹² = 6e-6)."""
 
 
+# What is tested: the rows of the table.
 TESTED = (
     "r ≥ r_l (2.33)",
     "r ≤ r_u (2.33)",
@@ -27,7 +28,6 @@ TESTED = (
     "r, invariant_bounds",
     "P_r, invariant_bounds",
 )
-"""What is tested: the rows of the table."""
 
 
 def steady_run(

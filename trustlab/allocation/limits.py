@@ -10,8 +10,8 @@ from trustlab.models.checks import between, finite_number, in_order, not_negativ
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
 
+# Rows of tables of ranges, and how the fields with their ends begin.
 RANGES = {"r": "r", "P_r": "p_r", "TSC": "tsc"}
-"""Rows of tables of ranges, and how the fields with their ends begin."""
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,13 @@ from trustlab.allocation.cycle.limit_cycle import limit_cycle
 from trustlab.campaign.parameters import ParameterGrid
 from trustlab.campaign.run import run_campaign
 from trustlab.campaign.sensitivity import SobolIndices, sobol_indices
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_array, finite_number, of_class, one_of, whole_number
 from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel, gain_of_human_performance
 from trustlab.models.tsc import TscModel
 
+# What is mapped, all of the steady cycle under rule (2.8).
 QUANTITIES = {
     "mean_p_r": "mean robot performance",
     "p_r_low": "least robot performance",
@@ -29,7 +31,6 @@ QUANTITIES = {
     "dwell_autonomous_low": "least autonomous dwell time [samples]",
     "dwell_autonomous_high": "greatest autonomous dwell time [samples]",
 }
-"""What is mapped, all of the steady cycle under rule (2.8)."""
 
 PARAMETERS = tuple(
     f"{part}.{field.name}" for part, kind in (("robot", RobotModel), ("human", HumanModel)) for field in fields(kind)
@@ -88,8 +89,6 @@ class Sweep:
         ValueError
             If a name is unknown or more was varied than is shown.
         """
-        import matplotlib.pyplot as plt
-
         one_of("quantity", quantity, QUANTITIES)
         names = list(self.axes)
         x = names[0] if x is None else x
@@ -104,8 +103,7 @@ class Sweep:
             raise ValueError(
                 f"{hidden[0]} was varied too; a map shows two: sweep it at one value, or name it as x or y"
             )
-        if axes is None:
-            _, axes = plt.subplots(figsize=(5.6, 4.2), layout="constrained")
+        axes = axes_or_new(axes, figsize=(5.6, 4.2))
         if y is None:
             axes.plot(self.points[x], self.points[quantity], "o-", ms=3, color="#0072b2")
             axes.set_ylabel(QUANTITIES[quantity])

@@ -9,9 +9,9 @@ from trustlab.models.compiled import njit
 from trustlab.models.deprecation import warn_renamed
 from trustlab.models.tsc import threshold_mode
 
+# How far below P_max, as a share of P_max − P_min, performance still counts as P_max in Algorithm 2. As printed it is 0,
+# which a measured performance never meets exactly; 0.05 is half-way to 0.9 (P_max − P_min), where manual is suggested.
 PERFORMANCE_TOLERANCE = 0.05
-"""How far below P_max, as a share of P_max − P_min, performance still counts as P_max in Algorithm 2. As printed it is 0,
-which a measured performance never meets exactly; 0.05 is half-way to 0.9 (P_max − P_min), where manual is suggested."""
 
 
 @njit

@@ -21,11 +21,11 @@ from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc
 if TYPE_CHECKING:
     import pandas as pd
 
+# Longest simulation: 40 bytes are kept of every sample.
 MOST_STEPS = 100_000_000
-"""Longest simulation: 40 bytes are kept of every sample."""
 
+# How many samples the model is simulated ahead of a rule in Python, which then says where the mode changes.
 AHEAD = 256
-"""How many samples the model is simulated ahead of a rule in Python, which then says where the mode changes."""
 
 
 @njit

@@ -10,6 +10,7 @@ from trustlab.allocation.cycle.limit_cycle import limit_cycle
 from trustlab.allocation.cycle.phases import longest_phase
 from trustlab.allocation.limits import check_thresholds, ranges_table, step_bounds, threshold_limits
 from trustlab.allocation.simulation import simulate_allocation
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import between
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
@@ -92,12 +93,10 @@ class SteadyStateBounds:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (3,)
         """
-        import matplotlib.pyplot as plt
-
         robot, human = self.model.robot, self.model.human
         dwells = (self.dwell_autonomous, self.dwell_manual_low, self.dwell_manual_high)
         steps = np.arange(2 * max((d for d in dwells if math.isfinite(d)), default=500.0))
-        _, axes = plt.subplots(1, 3, figsize=(12, 3.4), layout="constrained")
+        axes = axes_or_new(columns=3, figsize=(12, 3.4))
 
         def approach(axis, start, goal, dwell, color, label):
             axis.plot(steps * sample_time, goal + (start - goal) * robot.a**steps, color=color, label=label)

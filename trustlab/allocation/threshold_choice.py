@@ -9,6 +9,7 @@ from trustlab.allocation.cycle.invariant_bounds import InvariantBounds, invarian
 from trustlab.allocation.cycle.limit_cycle import LimitCycle, limit_cycle
 from trustlab.allocation.cycle.phases import resampled, watched
 from trustlab.allocation.limits import ThresholdLimits, check_thresholds, threshold_limits
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_number, of_class, whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
@@ -81,9 +82,7 @@ class ThresholdChoice:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (3,)
         """
-        import matplotlib.pyplot as plt
-
-        figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
+        axes = axes_or_new(columns=3, figsize=(12, 3.6))
         for axis, name, label in (
             (axes[0], "mean_p_r", "mean robot performance"),
             (axes[1], "mean_r", "mean utilization"),
@@ -92,7 +91,7 @@ class ThresholdChoice:
             axis.plot(self.lower, self.upper, "k*", ms=12, label="choice")
             axis.set(xlabel="$TSC_l$", ylabel="$TSC_u$", title=label)
             axis.legend(loc="lower right", fontsize="small")
-            figure.colorbar(points, ax=axis)
+            axis.figure.colorbar(points, ax=axis)
         trade_off, means = axes[2], ("mean_r", "mean_p_r")
         trade_off.plot(*means, "-", data=self.front(), color="C1", lw=3, alpha=0.5, label="Pareto front")
         style = {"s": 10, "color": "0.35", "lw": 0, "zorder": 3}

@@ -13,10 +13,10 @@ from trustlab.campaign.errors import CampaignError
 from trustlab.campaign.executors import Workers
 from trustlab.models.extras import extra
 
+# Seconds after which a scheduler that does not answer counts as unreachable.
 CONNECT = 5.0
-"""Seconds after which a scheduler that does not answer counts as unreachable."""
+# Seconds that a cluster may be without workers, or its scheduler without connection, before the campaign gives up.
 PATIENCE = 60.0
-"""Seconds that a cluster may be without workers, or its scheduler without connection, before the campaign gives up."""
 
 
 class DaskWorkers(Workers):

@@ -12,19 +12,19 @@ from trustlab.campaign.executors import Workers
 from trustlab.campaign.table import encoded
 from trustlab.campaign.worker import Outcome
 
+# Seconds that a chunk should last at least: less, and sending and writing it costs more than a few per cent.
 LEAST = 0.1
-"""Seconds that a chunk should last at least: less, and sending and writing it costs more than a few per cent."""
+# Seconds that a chunk lasts in a short and a long campaign: what a killed campaign loses, per worker.
 USUAL, MOST = 0.25, 5.0
-"""Seconds that a chunk lasts in a short and a long campaign: what a killed campaign loses, per worker."""
+# How many times longer the next chunk may be: the first runs say little of the others.
 GROWTH = 16
-"""How many times longer the next chunk may be: the first runs say little of the others."""
+# Runs in a chunk of very quick tasks.
 MOST_RUNS = 20_000
-"""Runs in a chunk of very quick tasks."""
 
+# Seconds between two looks at whether the workers are still there.
 WATCH = 2.0
-"""Seconds between two looks at whether the workers are still there."""
+# Runs that may kill their process in a row, with none succeeding, before the campaign gives up.
 HOPELESS = 5
-"""Runs that may kill their process in a row, with none succeeding, before the campaign gives up."""
 DIED = "WorkerDiedError: the process ended while it ran this, twice: it was killed, ran out of memory or crashed"
 
 

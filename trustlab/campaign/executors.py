@@ -13,8 +13,8 @@ import numpy as np
 from trustlab.campaign.errors import CampaignError
 from trustlab.campaign.worker import exit_with_parent, pickled, pickled_task, run_chunk, run_pickled
 
+# Seconds after which idle processes end.
 IDLE = 300
-"""Seconds after which idle processes end."""
 
 THREADS = [f"{library}_NUM_THREADS" for library in ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "NUMBA")]
 
@@ -22,8 +22,8 @@ THREADS = [f"{library}_NUM_THREADS" for library in ("OMP", "OPENBLAS", "MKL", "N
 class Workers:
     """Workers behind an executor; `make` returns it, and a new one when the death of a process has broken it."""
 
+    # Exceptions of a future whose worker died.
     deaths: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
-    """Exceptions of a future whose worker died."""
 
     def __init__(
         self, task: Callable, seed: np.random.SeedSequence, name: str, make: Callable[[], Executor], count: int = 1

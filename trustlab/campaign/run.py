@@ -16,7 +16,7 @@ import numpy as np
 from trustlab.campaign.errors import CampaignWarning
 from trustlab.campaign.parameters import checked_names
 from trustlab.campaign.worker import running_task
-from trustlab.models.checks import one_of, whole_number
+from trustlab.models.checks import flag, one_of, whole_number
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -113,11 +113,8 @@ def run_campaign(
     names = _checked_task(task, parameters)
     if not isinstance(seed, np.random.SeedSequence):
         seed = np.random.SeedSequence(whole_number("seed", seed, least=0))
-    if not (progress is None or isinstance(progress, bool)):
-        raise ValueError(f"progress must be True or False or None, got {progress!r}")
-    if not isinstance(fresh, bool):
-        raise ValueError(f"fresh must be True or False, got {fresh!r}")
-    if fresh and out is None:
+    quiet = None if progress is None else not flag("progress", progress)  # tqdm takes None as "only on a terminal"
+    if flag("fresh", fresh) and out is None:
         raise ValueError("fresh=True removes a campaign from a folder, but `out` is not given")
     for name in other_versions:
         one_of("other_versions", name, ("trustlab", "Python", "numpy", "numba"))
@@ -143,9 +140,7 @@ def run_campaign(
 
             workers = _workers(task, seed, n_jobs, cluster, executor)
             where = workers.name
-            # tqdm takes None as "only on a terminal".
-            disable = None if progress is None else not progress
-            with tqdm(total=len(parameters), initial=resumed, unit="run", disable=disable) as bar:
+            with tqdm(total=len(parameters), initial=resumed, unit="run", disable=quiet) as bar:
                 busy = Dispatcher(workers, parameters, add, bar).run(gaps)
         from trustlab.campaign.table import assembled
 

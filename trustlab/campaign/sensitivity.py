@@ -1,7 +1,6 @@
 """Sobol' indices: how much each uncertain parameter of a task contributes to the variance of its results."""
 
-import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +10,7 @@ import pandas as pd
 from trustlab.campaign.errors import CampaignError
 from trustlab.campaign.parameters import interval
 from trustlab.campaign.run import run_campaign
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import open_unit, whole_number
 
 
@@ -53,14 +53,10 @@ class SobolIndices:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (results,)
         """
-        import matplotlib.pyplot as plt
-
         results = list(dict.fromkeys(self.indices["result"]))
         names = list(dict.fromkeys(self.indices["parameter"]))
         size = (max(4.0, 3.2 * len(results)), 1.4 + 0.4 * len(names))
-        figure, axes = plt.subplots(
-            1, len(results), squeeze=False, sharey=True, sharex=True, figsize=size, layout="constrained"
-        )
+        axes = axes_or_new(columns=len(results), squeeze=False, sharey=True, sharex=True, figsize=size)
         at = np.arange(len(names))
         for panel, result in zip(axes[0], results, strict=True):
             rows = self.indices[self.indices["result"] == result]
@@ -77,8 +73,8 @@ class SobolIndices:
         axes[0, 0].set_yticks(at, names)
         axes[0, 0].invert_yaxis()
         handles, labels = axes[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize="small", frameon=False)
-        figure.suptitle(f"Sobol' indices, {100 * self.level:g} % intervals", fontsize="medium")
+        axes[0, 0].figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize="small", frameon=False)
+        axes[0, 0].figure.suptitle(f"Sobol' indices, {100 * self.level:g} % intervals", fontsize="medium")
         return axes[0]
 
 
@@ -91,13 +87,7 @@ def sobol_indices(
     seed: int = 0,
     level: float = 0.95,
     resamples: int = 400,
-    n_jobs: int = -1,
-    out: str | os.PathLike | None = None,
-    cluster: object = None,
-    executor: Any = None,
-    progress: bool | None = None,
-    fresh: bool = False,
-    other_versions: Sequence[str] = (),
+    **campaign: Any,
 ) -> SobolIndices:
     """
     Estimate first-order and total Sobol' indices of a task's results from one campaign of runs.
@@ -124,8 +114,8 @@ def sobol_indices(
         Level of the intervals, in (0, 1).
     resamples : int
         Resamples of the bootstrap.
-    n_jobs, out, cluster, executor, progress, fresh, other_versions : optional
-        As in `run_campaign`.
+    **campaign : object
+        n_jobs, out, cluster, executor, progress, fresh and other_versions, as in `run_campaign`.
 
     Returns
     -------
@@ -154,18 +144,7 @@ def sobol_indices(
     # Runs take the children 0, 1, … of the seed; points and bootstrap those of another child far from them.
     points, draws = np.random.SeedSequence(seed, spawn_key=(2**31,)).spawn(2)
     parameters = [dict(zip(names, map(float, point), strict=True)) for point in _points(distributions, n, points)]
-    table = run_campaign(
-        task,
-        parameters,
-        seed=seed,
-        n_jobs=n_jobs,
-        out=out,
-        cluster=cluster,
-        executor=executor,
-        progress=progress,
-        fresh=fresh,
-        other_versions=other_versions,
-    )
+    table = run_campaign(task, parameters, seed=seed, **campaign)
     wanted = _numeric(table, names, results)
     values = table[wanted].to_numpy(dtype=float).T.reshape(len(wanted), d + 2, n)
     f_a, f_b, f_ab = values[:, 0], values[:, 1], values[:, 2:].swapaxes(0, 1)

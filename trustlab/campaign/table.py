@@ -11,8 +11,8 @@ import pyarrow as pa
 
 from trustlab.campaign.worker import Outcome, plain
 
+# Characters that a file keeps of a parameter that is not a plain value.
 LONGEST = 1000
-"""Characters that a file keeps of a parameter that is not a plain value."""
 
 KINDS = {type(None): "none", bool: "bool", np.bool_: "bool", float: "float", np.float64: "float", str: "str"}
 ARROW = {"none": pa.null(), "bool": pa.bool_(), "float": pa.float64(), "str": pa.string(), "int": pa.int64()}

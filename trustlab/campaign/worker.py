@@ -21,8 +21,8 @@ import numpy as np
 
 from trustlab.campaign.errors import CampaignError
 
+# Names that neither parameters nor results may have: columns of the table, and the argument of the seed.
 RESERVED = ("run", "seed", "failed", "error", "traceback", "returned")
-"""Names that neither parameters nor results may have: columns of the table, and the argument of the seed."""
 
 PLAIN = (bool, int, float, str, type(None))
 

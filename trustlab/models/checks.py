@@ -6,7 +6,7 @@ Every check returns the value in the type that the caller works with, and raises
 
 import difflib
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from numbers import Integral, Real
 from typing import Any, TypeVar
 
@@ -144,6 +144,12 @@ def spawned(seed: int | np.random.SeedSequence, count: int) -> list[np.random.Se
     else:
         own = np.random.SeedSequence(whole_number("seed", seed, least=0))
     return own.spawn(count)
+
+
+def set_checked(record: object, check: Callable[[str, Any], Any], *names: str) -> None:
+    """Replace fields of a frozen dataclass by what a check makes of them."""
+    for name in names:
+        object.__setattr__(record, name, check(name, getattr(record, name)))
 
 
 def finite_array(name: str, values: Any, *, length: int | None = None) -> np.ndarray:

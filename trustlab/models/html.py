@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import pandas as pd
 
+# Rows of a table that a result shows of itself; `table()` returns all.
 MOST_ROWS = 60
-"""Rows of a table that a result shows of itself; `table()` returns all."""
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; form-action 'none'; base-uri 'none'"
 

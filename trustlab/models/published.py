@@ -10,6 +10,7 @@ from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 
+# The pilot operator's parameters as printed in Sections 2.2.2 and 2.2.3.
 PILOT = {
     "a_r": "0.9991",
     "b_r": "0.0009",
@@ -21,7 +22,6 @@ PILOT = {
     "P_r_min": "0.24",
     "P_r_max": "0.39",
 }
-"""The pilot operator's parameters as printed in Sections 2.2.2 and 2.2.3."""
 
 
 class ByName(dict):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, positive
+from trustlab.models.checks import finite_array, finite_number, positive, set_checked
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class TransferFunction:
     denominator: tuple[float, ...]
 
     def __post_init__(self):
-        object.__setattr__(self, "gain", finite_number("gain", self.gain))
+        set_checked(self, finite_number, "gain")
         if self.gain == 0.0:
             raise ValueError("gain must not be zero: the command would have no effect")
         numbers = tuple(finite_array("denominator", self.denominator).tolist())
@@ -116,9 +116,9 @@ def three_axes(vehicle) -> tuple[TransferFunction, ...]:
     )
 
 
+# (A.1): identified from flights of a Parrot AR.Drone 2.0, command to velocity [m/s].
 PRINTED_UAV = {
     "x": TransferFunction(9.22, (1.475, 0.2214)),
     "y": TransferFunction(3.806, (0.4706, 2.457)),
     "z": TransferFunction(0.985, (0.4952,)),
 }
-"""(A.1): identified from flights of a Parrot AR.Drone 2.0, command to velocity [m/s]."""

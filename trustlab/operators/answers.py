@@ -11,8 +11,8 @@ from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.settings import LoopSettings, study_named
 
+# Standard deviations, as shares of a scale: of a person's way of answering, the same in all conditions, and of one answer.
 TRAIT, MOOD = 0.10, 0.05
-"""Standard deviations, as shares of a scale: of a person's way of answering, the same in all conditions, and of one answer."""
 
 
 def experience(session: Session, study: str | LoopSettings = "main") -> dict[str, float]:

@@ -1,8 +1,9 @@
 """Simulated operators of the ground robot: how well they drive, how fast they react, when they switch."""
 
+from collections import namedtuple
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 
+# Largest values of an operator's numbers, far beyond what people do; TSC itself lies in [-1, 1].
 MOST = {
     "robot_floor": 1.0,
     "robot_gain": 10.0,
@@ -29,13 +31,12 @@ MOST = {
     "upper_spread": 2.0,
     "take_over_lag": 60.0,
 }
-"""Largest values of an operator's numbers, far beyond what people do; TSC itself lies in [-1, 1]."""
 
 POSITIVE = ("look_ahead", "steering_gain", "wander_time", "hand_lag")
 SHARES = ("idle_share", "follow_tsc", "follow_performance", "r0", "load_utilization", "load_switching")
 RANGES = {"attention_cost": (0.0, 0.5), "trust_bias": (-2.0, 2.0), "learning": (0.0, 0.5), "fatigue": (0.0, 0.05)}
+# What may be assumed of people beyond the identified models; 0 is off.
 ASSUMPTIONS = (*RANGES, "take_over_lag", "r0", "load_utilization", "load_switching")
-"""What may be assumed of people beyond the identified models; 0 is off."""
 
 MOST_SESSIONS = 10
 
@@ -69,38 +70,6 @@ def driving_style(performance, robot_floor, robot_gain):
 def joystick(bearing, speed, gain, easing):
     """Return the commands v, w of a hand that steers towards what it looks at, slower the farther that is aside."""
     return speed * max(1.0 - easing * abs(bearing), 0.2), gain * bearing
-
-
-class OperatorNumbers(NamedTuple):
-    """An `Operator` as plain numbers for compiled loops; the names are the operator's and its human model's."""
-
-    a: float
-    beta: float
-    p_min: float
-    p_max: float
-    robot_floor: float
-    robot_gain: float
-    delay: float
-    noise: float
-    hand_lag: float
-    look_ahead: float
-    steering_gain: float
-    easing: float
-    idle_share: float
-    wander_time: float
-    reaction_lag: float
-    reaction_spread: float
-    follow_tsc: float
-    follow_performance: float
-    ignoring_time: float
-    lower: float
-    lower_spread: float
-    upper: float
-    upper_spread: float
-    attention_cost: float
-    trust_bias: float
-    take_over_lag: float
-    skill: float
 
 
 @dataclass(frozen=True)
@@ -234,10 +203,21 @@ class Operator:
         return 1.0 + self.learning * (1.0 - 0.5**self.sessions) - self.fatigue * self.sessions
 
     @property
-    def numbers(self) -> OperatorNumbers:
-        """The operator as plain numbers."""
+    def numbers(self) -> tuple:
+        """The operator as plain numbers, `OperatorNumbers`."""
         human = (self.human.a, self.human.beta, self.human.p_min, self.human.p_max)
-        return OperatorNumbers(*human, *(getattr(self, name) for name in OperatorNumbers._fields[4:]))
+        return OperatorNumbers._make((*human, *(getattr(self, name) for name in OperatorNumbers._fields[4:])))
+
+
+# What a loop reads of an operator while a run goes on; the rest is settled before or after it.
+ASIDE = ("participant", "human", "r0", "learning", "fatigue", "sessions", "load_utilization", "load_switching")
+READ = [item.name for item in fields(Operator) if item.name not in ASIDE]
+
+
+class OperatorNumbers(namedtuple("OperatorNumbers", ["a", "beta", "p_min", "p_max", *READ, "skill"])):  # type: ignore[misc]
+    """An `Operator` as plain numbers for compiled loops; the names are the operator's and its human model's."""
+
+    __slots__ = ()
 
 
 def checked_assumptions(assumptions: Mapping[str, Any]) -> dict[str, float]:

@@ -11,9 +11,10 @@ from trustlab.operators.ground_robot import check_participant
 from trustlab.teleoperation.loop.defaults import LAWS
 from trustlab.teleoperation.loop.state import HandNumbers
 
+# Largest command [m/s] that operators of each study ask for, above the speed of its target.
 REACH = {"preliminary": 2.5, "main": 1.0}
-"""Largest command [m/s] that operators of each study ask for, above the speed of its target."""
 
+# Least and most skilled value of what skill changes: about a `Teleoperator`'s defaults, which are their middles.
 RANGES = {
     "proportional": (0.6, 1.4),
     "derivative": (0.2, 0.6),
@@ -21,7 +22,6 @@ RANGES = {
     "lag": (0.22, 0.08),
     "noise": (0.25, 0.05),
 }
-"""Least and most skilled value of what skill changes: about a `Teleoperator`'s defaults, which are their middles."""
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,8 @@ class Teleoperator:
         )
 
 
+# Of operators who adapt: ω_c over their whole delay [rad], of which the camera and the channel take some [s].
 MARGIN, ON_THE_WAY = 0.6, 0.3
-"""Of operators who adapt: ω_c over their whole delay [rad], of which the camera and the channel take some [s]."""
 
 
 def graded_teleoperators(n: int, seed: int = 0, study: str = "main", law: str = "proportional") -> list[Teleoperator]:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_array, of_class, one_of, positive
 from trustlab.models.compiled import njit
 from trustlab.teleoperation.delays import delays_in_samples
@@ -79,10 +80,7 @@ class ChannelRun:
         matplotlib.axes.Axes
             The axes.
         """
-        if ax is None:
-            import matplotlib.pyplot as plt
-
-            ax = plt.subplots()[1]
+        ax = axes_or_new(ax)
         ax.plot(self.t, self.energy, label="energy in the channel")
         ax.plot(self.t, self.wave_energy, label="of it, waves under way")
         ax.axhline(0.0, color="0.6", linewidth=0.8)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, not_negative, of_class, positive
+from trustlab.models.checks import finite_array, finite_number, not_negative, of_class, positive, set_checked
 from trustlab.teleoperation.ports.device import PassivityError
 from trustlab.teleoperation.records import signal
 
@@ -159,9 +159,8 @@ class TwoPortFilter:
     require_passive: bool = True
 
     def __post_init__(self):
-        object.__setattr__(self, "cutoff", positive("cutoff", self.cutoff))
-        for name in ("k12", "k21"):
-            object.__setattr__(self, name, finite_number(name, getattr(self, name)))
+        set_checked(self, positive, "cutoff")
+        set_checked(self, finite_number, "k12", "k21")
         margin = passivity_margin([self.cutoff], [1.0, self.cutoff], self.k12, self.k21)
         if self.require_passive and not margin.is_passive:
             raise PassivityError(
@@ -259,7 +258,7 @@ class WaveFilter:
     cutoff: float
 
     def __post_init__(self):
-        object.__setattr__(self, "cutoff", positive("cutoff", self.cutoff))
+        set_checked(self, positive, "cutoff")
 
     def run(self, wave: np.ndarray, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from trustlab.models.axes import axes_or_new
 from trustlab.models.trust import LogisticScaling, StepScaling
 from trustlab.teleoperation.loop.settings import STUDIES, LoopSettings
 from trustlab.teleoperation.ports.waves import Scattering
@@ -32,7 +33,7 @@ def plot_scales(settings: LoopSettings, ax=None):
     -------
     matplotlib.axes.Axes
     """
-    ax = _axes(ax)
+    ax = axes_or_new(ax)
     trust, ends = np.linspace(0.0, 1.0, 401), settings.scattering
     scales = {"α": (ends.alpha_min, ends.alpha_max), "β": (ends.beta_min, ends.beta_max)}
     for (symbol, bounds), color in zip(scales.items(), ("C0", "C1"), strict=True):
@@ -59,16 +60,14 @@ def plot_transparency(settings: Mapping[str, LoopSettings] = STUDIES, points: in
     -------
     numpy.ndarray of matplotlib.axes.Axes, shape (2, 2)
     """
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(2, 2, figsize=(9.2, 7.0), layout="constrained")
+    axes = axes_or_new(None, 2, 2, figsize=(9.2, 7.0))
     low, impedance = np.geomspace(0.02, 1.0, points), np.geomspace(0.2, 10.0, points)
     for ax, (title, (key, over)) in zip(axes.flat, MAPS.items(), strict=True):
         across = low if over == "ranges" else impedance
         ends = [[(1.0, y, x) if over == "ranges" else (x, y, y) for x in across] for y in low]
         grid = np.array([[gains(Scattering(b, one, 1.0, two, 1.0))[key] for b, one, two in row] for row in ends])
         shown = grid if over == "ranges" else np.log10(grid + 1e-12).clip(-2)
-        bar = figure.colorbar(ax.contourf(across, low, shown, 12), ax=ax)
+        bar = ax.figure.colorbar(ax.contourf(across, low, shown, 12), ax=ax)
         ax.set(xscale="log", yscale="log", title=title)
         ax.set_xlabel("$\\underline{β}/\\overline{β}$" if over == "ranges" else "b [N s/m]")
         ax.set_ylabel("$\\underline{α}/\\overline{α}$" if over == "ranges" else "both ratios of bounds")
@@ -99,7 +98,7 @@ def plot_rendered_spring(settings: Mapping[str, LoopSettings] = STUDIES, delay: 
     -------
     matplotlib.axes.Axes
     """
-    ax, omega = _axes(ax), np.geomspace(0.05, 60.0, 400)
+    ax, omega = axes_or_new(ax), np.geomspace(0.05, 60.0, 400)
     for number, (name, one) in enumerate(settings.items()):
         spring = one.k_ffa / (1j * omega)
         late = rendered_impedance(one.scattering, omega, spring, delay, delay)
@@ -126,18 +125,9 @@ def plot_tunings(tunings: Iterable[Tuning], ax=None):
     -------
     matplotlib.axes.Axes
     """
-    ax, rows = _axes(ax), [next(tuning.table().itertuples()) for tuning in tunings]
+    ax, rows = axes_or_new(ax), [next(tuning.table().itertuples()) for tuning in tunings]
     ax.plot([row.velocity for row in rows], [row.force for row in rows], "o-")
     for row in rows:
         ax.annotate(f"{row.weight:g}", (row.velocity, row.force), xytext=(5, 4), textcoords="offset points", fontsize=8)
     ax.set(xlabel="distance of velocity from ideal", ylabel="distance of force", title="what the tuner trades")
-    return ax
-
-
-def _axes(ax):
-    """Return the axes given, or those of a new figure."""
-    if ax is None:
-        import matplotlib.pyplot as plt
-
-        ax = plt.subplots(layout="constrained")[1]
     return ax

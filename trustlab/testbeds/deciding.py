@@ -14,9 +14,10 @@ from trustlab.models.human import performance_at
 from trustlab.models.tsc import TscModel, threshold_mode
 from trustlab.operators.ground_robot import Operator
 
+# Who allocates: a given sequence of modes, the operator, suggestions by (2.8), by Algorithm 2, at random.
 SCHEDULE, OWN, TSC, PERFORMANCE, RANDOM = 0, 1, 2, 3, 4
-"""Who allocates: a given sequence of modes, the operator, suggestions by (2.8), by Algorithm 2, at random."""
 
+# Who allocates in each condition of Section 2.4.1.2, and whether suggestions must be followed.
 CONDITIONS = {
     "C1": (OWN, False),
     "C2": (TSC, False),
@@ -24,28 +25,25 @@ CONDITIONS = {
     "C4": (PERFORMANCE, False),
     "C5": (PERFORMANCE, True),
 }
-"""Who allocates in each condition of Section 2.4.1.2, and whether suggestions must be followed."""
 
+# Conditions that tell better thresholds from having no need to decide, suggestions forced: "own", by the thresholds that the
+# operator's switches in C1 show; "random", at random times.
 CONTROLS = {"own": (TSC, True), "random": (RANDOM, True)}
-"""
-Conditions that tell better thresholds from having no need to decide, suggestions forced: "own", by the thresholds that the
-operator's switches in C1 show; "random", at random times.
-"""
 
 KNOWN = CONDITIONS | CONTROLS
 
+# Mean length of the phases of "random" [s]: the UAV is flown by hand about as long as in C1.
 RANDOM_PHASE = 60.0
-"""Mean length of the phases of "random" [s]: the UAV is flown by hand about as long as in C1."""
 
+# Of Chapter 2 [s].
 SAMPLE_TIME, WINDOW = 0.1, 100.0
-"""Of Chapter 2 [s]."""
 
+# A suggestion counts as followed when the operator complies within this time [s].
 DEADLINE = 15.0
-"""A suggestion counts as followed when the operator complies within this time [s]."""
 
+# Nobody switches before this time [s], when the window of (2.4) and (2.7) is full for the first time: means of the first
+# few samples, of a robot that has just been put on the path, are far above what they become.
 SETTLING = 100.0
-"""Nobody switches before this time [s], when the window of (2.4) and (2.7) is full for the first time: means of the first
-few samples, of a robot that has just been put on the path, are far above what they become."""
 
 # Performance summed over the window, utilization, own or suggested thresholds, how far a correction has moved own ones, and
 # when a decision takes effect. −1 stands for no suggestion, no decision under way and no suggestion being considered.

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.campaign.run import run_campaign
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import one_of, whole_number
 from trustlab.operators.teleoperator import graded_teleoperators
 from trustlab.teleoperation.loop.schemes import SCHEMES, scheme_named
@@ -16,6 +17,7 @@ from trustlab.teleoperation.loop.settings import STUDY_NAMES
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
+# Keywords of `simulate_teleoperation` by the name under which a table shows them.
 VARIANTS: Mapping[str, Mapping] = MappingProxyType(
     {
         "as printed, guard off": {"guidance": "through_channel", "guard": "off"},
@@ -26,7 +28,6 @@ VARIANTS: Mapping[str, Mapping] = MappingProxyType(
         "two-port": {"guidance": "two_port"},
     }
 )
-"""Keywords of `simulate_teleoperation` by the name under which a table shows them."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +84,7 @@ class GuidanceComparison:
         -------
         matplotlib.axes.Axes
         """
-        if ax is None:
-            import matplotlib.pyplot as plt
-
-            ax = plt.subplots(figsize=(7.6, 3.6), layout="constrained")[1]
+        ax = axes_or_new(ax, figsize=(7.6, 3.6))
         for mark, (guidance, group) in zip("osD^vPX*", self.table().groupby("guidance", sort=False), strict=False):
             ax.plot(group["scheme"], group["tracking_error"], f"{mark}-", lw=1.0, label=guidance)
         ax.set(ylabel="mean tracking error [m]", title="Synthetic data: simulated operators")

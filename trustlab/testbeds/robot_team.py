@@ -25,8 +25,8 @@ NOTE = "simulated team and operator"
 FILTERS = ("none", "corrected", "waves", "printed")
 CUTOFF = 10.0
 DECISION = 0.1
+# Numbers that a run may record.
 LARGEST = 200_000_000
-"""Numbers that a run may record."""
 
 
 def simulate_team(

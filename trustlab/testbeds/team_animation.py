@@ -11,8 +11,8 @@ from trustlab.models.checks import positive
 from trustlab.models.html import policy
 from trustlab.testbeds.team_svg import view
 
+# Frames at most, and coordinates in a page at most.
 FRAMES, NUMBERS = 1500, 150_000
-"""Frames at most, and coordinates in a page at most."""
 
 PAGE, SCRIPT = Path(__file__).with_name("team_animation.html"), Path(__file__).with_name("team_animation.js")
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from trustlab.models.axes import axes_or_new
 from trustlab.models.html import as_html
 from trustlab.sessions.session import Metadata, Session
 
@@ -204,13 +205,8 @@ class TeamRun:
         ValueError
             If there are not four axes.
         """
-        if axes is None:
-            import matplotlib.pyplot as plt
-
-            figure, axes = plt.subplots(
-                4, 1, sharex=True, figsize=(8.0, 8.4), layout="constrained", height_ratios=(3, 1.6, 2, 3)
-            )
-            figure.suptitle(self.label, fontsize="medium")
+        heights = (3, 1.6, 2, 3)
+        axes = axes_or_new(axes, 4, title=self.label, sharex=True, figsize=(8.0, 8.4), height_ratios=heights)
         axes = np.asarray(axes, dtype=object).ravel()
         if axes.size != 4 or not all(hasattr(axis, "plot") for axis in axes):
             raise ValueError("axes must be four Matplotlib axes: distances, leader, force, energies")
@@ -252,11 +248,7 @@ class TeamRun:
         -------
         matplotlib.axes.Axes
         """
-        if axis is None:
-            import matplotlib.pyplot as plt
-
-            axis = plt.subplots(figsize=(8.0, 3.2), layout="constrained")[1]
-            axis.set_title(self.label, fontsize="medium")
+        axis = axes_or_new(axis, title=self.label, figsize=(8.0, 3.2))
         axis.semilogy(self.t, np.maximum(self.farthest, 1e-9), label=label)
         if len(axis.lines) == 1:
             axis.axhline(self.tolerance, color="0.5", ls="--", lw=0.8)

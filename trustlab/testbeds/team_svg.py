@@ -11,8 +11,8 @@ import pandas as pd
 from trustlab.models.checks import finite_number, positive
 
 FRAMES = 160
+# What does not move, with places for what does; the frame and the dial there are those of the next lines.
 PICTURE = Path(__file__).with_name("team_picture.svg")
-"""What does not move, with places for what does; the frame and the dial there are those of the next lines."""
 
 SIDE, TOP, LEFT = 340, 40, 30
 DIAL_X, DIAL_Y, DIAL = 505, 170, 90

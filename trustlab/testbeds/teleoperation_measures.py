@@ -9,7 +9,6 @@ from trustlab.models.checks import of_class
 from trustlab.sessions.session import Session
 
 SIGNALS = ("path_error", "p_r", "p_h", "alpha", "beta", "port_share")
-FORCES = ("f_h_x", "f_h_y", "f_h_z", "guide_x", "guide_y", "guide_z")
 ENERGIES = ("energy_operator", "energy_dissipated", "energy_channel", "energy_robot", "energy_port", "energy_target")
 
 

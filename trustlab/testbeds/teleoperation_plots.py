@@ -1,15 +1,13 @@
 """Figures of a teleoperation run: trajectories (Fig. 3.13), signals (Fig. 3.14), energies of all ports, shares (Fig. 3.22)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
 
+import numpy as np
+import pandas as pd
+
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import of_class
 from trustlab.sessions.session import Session
-
-if TYPE_CHECKING:
-    import pandas as pd
 from trustlab.testbeds.teleoperation_measures import runs_with
 
 SIGNALS = (
@@ -49,13 +47,10 @@ def plot_trajectory(session: Session, axes=None):
     ValueError
         If `session` is not a Session, or lacks a column.
     """
-    import matplotlib.pyplot as plt
-
     of_class("session", session, Session).require(
         *(f"{stem}_{axis}" for stem in ("reference", "robot") for axis in "xyz")
     )
-    if axes is None:
-        axes = plt.figure(figsize=(5.6, 4.6)).add_subplot(projection="3d")
+    axes = axes_or_new(axes, figsize=(5.6, 4.6), subplot_kw={"projection": "3d"})
     x, y, z = (session[f"reference_{axis}"] for axis in "xyz")
     axes.plot(x, y, z, ls="--", lw=1.3, color=RED, label="target, at the height wanted")
     x, y, z = (session[f"robot_{axis}"] for axis in "xyz")
@@ -89,12 +84,8 @@ def plot_signals(session: Session, axes=None):
     ValueError
         If `session` is not a Session, or lacks a column.
     """
-    import matplotlib.pyplot as plt
-
     of_class("session", session, Session).require(*(name for _, columns in SIGNALS for name in columns))
-    if axes is None:
-        figure, axes = plt.subplots(len(SIGNALS), 1, sharex=True, figsize=(7.2, 5.6), layout="constrained")
-        figure.suptitle(session.label, fontsize="medium")
+    axes = axes_or_new(axes, len(SIGNALS), title=session.label, sharex=True, figsize=(7.2, 5.6))
     for panel, (title, columns) in zip(axes, SIGNALS, strict=True):
         for (name, label), color, style in zip(columns.items(), (BLUE, RED), ("-", "--"), strict=True):
             panel.plot(session.t, session[name], style, color=color, lw=1.2, label=label)
@@ -124,12 +115,8 @@ def plot_energies(session: Session, axes=None):
     ValueError
         If `session` is not a Session, or lacks a column.
     """
-    import matplotlib.pyplot as plt
-
     of_class("session", session, Session).require(*ENERGIES)
-    if axes is None:
-        figure, axes = plt.subplots(1, 2, figsize=(8.6, 3.4), layout="constrained")
-        figure.suptitle(session.label, fontsize="medium")
+    axes = axes_or_new(axes, columns=2, title=session.label, figsize=(8.6, 3.4))
     names = tuple(ENERGIES)
     for panel, part in ((axes[0], names[:3]), (axes[1], names[3:])):
         for name, style in zip(part, ("-", "--", ":", "-."), strict=False):
@@ -160,14 +147,8 @@ def plot_alpha(sessions: Iterable[Session], axes=None):
     ValueError
         If there is no run, an item is not a Session, or the number of axes differs.
     """
-    import matplotlib.pyplot as plt
-    import numpy as np
-
     runs = runs_with(sessions, "alpha")
-    if axes is None:
-        size = (7.2, 1.2 + 1.5 * len(runs))
-        axes = plt.subplots(len(runs), 1, sharex=True, figsize=size, layout="constrained")[1]
-    axes = np.atleast_1d(axes)
+    axes = np.atleast_1d(axes_or_new(axes, len(runs), sharex=True, figsize=(7.2, 1.2 + 1.5 * len(runs))))
     if axes.size != len(runs):
         raise ValueError(f"there are {len(runs)} runs and {axes.size} axes; give one per run")
     for panel, run in zip(axes, runs, strict=True):
@@ -193,10 +174,7 @@ def plot_beside(series: Mapping[str, pd.DataFrame], ax=None):
     -------
     matplotlib.axes.Axes
     """
-    import matplotlib.pyplot as plt
-    import numpy as np
-
-    ax = plt.subplots()[1] if ax is None else ax
+    ax = axes_or_new(ax)
     for number, (name, frame) in enumerate(series.items()):
         place = np.arange(len(frame)) + 0.24 * (number - 0.5 * (len(series) - 1))
         half = [frame["mean"] - frame["ci_low"], frame["ci_high"] - frame["mean"]]

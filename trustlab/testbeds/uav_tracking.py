@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,8 +25,8 @@ from trustlab.teleoperation.records import log_of, signal
 from trustlab.testbeds.tracking_task import DELAYS, TASKS, TrackingTask, tracking_vehicle
 
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
+# How far ahead a loop that is stepped draws what comes from outside [s]; twice as far each time that it runs out.
 BLOCK = 60.0
-"""How far ahead a loop that is stepped draws what comes from outside [s]; twice as far each time that it runs out."""
 
 
 @dataclass(eq=False)
@@ -335,34 +336,20 @@ def simulate_teleoperation(
     study: str | LoopSettings = "main",
     seed: int | np.random.SeedSequence = 0,
     duration: float = 120.0,
-    sample_time: float = 0.01,
-    task: TrackingTask | None = None,
-    delay_1: float | Callable | Delay | None = None,
-    delay_2: float | Callable | Delay | None = None,
-    read_out: str = "ledger",
-    guard: str = "repay",
-    alpha: np.ndarray | None = None,
-    push: np.ndarray | None = None,
-    vehicle: tuple | Callable | None = None,
-    lost: np.ndarray | None = None,
-    guidance: str = "at_operator",
-    tank: float = 0.0,
-    trust: Callable | None = None,
-    feedback: Callable | None = None,
-    autonomy: Callable | None = None,
-    delay: float | Callable | Delay | None = None,
+    **others: Any,
 ) -> Session:
     """
     Simulate one run of a scheme of Section 3.8 or 3.9, or of one's own.
 
     Parameters
     ----------
-    scheme, operator, study, seed, sample_time, task, delay_1, delay_2, read_out, guard : as of `TeleoperationLoop`
-        Scheme, operator, settings and task, delays and passivity controllers.
+    scheme, operator, study, seed : as of `TeleoperationLoop`
+        Scheme, operator, settings, and the seed of what is drawn.
     duration : float
         Length [s].
-    alpha, push, vehicle, lost, guidance, tank, trust, feedback, autonomy, delay : as of `TeleoperationLoop`
-        Given signals, and parts of the loop that replace its own.
+    **others : as of `TeleoperationLoop`
+        sample_time, task, delay, delay_1, delay_2, read_out, guidance, guard and tank; alpha, push and lost, signals that are
+        given; vehicle, trust, feedback and autonomy, parts of the loop that replace its own.
 
     Returns
     -------
@@ -388,11 +375,7 @@ def simulate_teleoperation(
     observe; what the controller books as given away by the robot's port, and stops, is mostly this hidden autopilot. So with
     the guard off a comparison of M and TMIG compares autopilots, and with it the operator feels almost nothing.
     """
-    loop = TeleoperationLoop(
-        scheme, operator, study, seed, sample_time, task, delay_1, delay_2, read_out, guard, alpha, push, vehicle, lost,
-        guidance, tank, trust, feedback, autonomy, delay,
-    )  # fmt: skip
-    return loop.run(duration)
+    return TeleoperationLoop(scheme, operator, study, seed, **others).run(duration)
 
 
 def samples(duration: float, sample_time: float) -> int:

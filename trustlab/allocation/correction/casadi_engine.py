@@ -30,17 +30,17 @@ from trustlab.allocation.correction.plan import CorrectionPlan, CorrectionStatus
 from trustlab.models.checks import not_negative, one_of
 from trustlab.models.tsc import TscModel
 
+# Width of the smoothed switch where costs or constraints were added, in units of TSC: below the change of TSC in one step.
 DEFAULT_WIDTH = 1e-3
-"""Width of the smoothed switch where costs or constraints were added, in units of TSC: below the change of TSC in one step."""
 
+# Most mode sequences followed, and most switches for which the other outcome is tried, per plan.
 ROUNDS, TRIALS = 8, 4
-"""Most mode sequences followed, and most switches for which the other outcome is tried, per plan."""
 
+# How far, in units of c_b, a threshold that is held back for a switch stays away from TSC.
 MARGIN = 1e-6
-"""How far, in units of c_b, a threshold that is held back for a switch stays away from TSC."""
 
+# By how much an added constraint may be violated, relative to its change per unit of w or of a scaled state.
 FEASIBLE = 1e-5
-"""By how much an added constraint may be violated, relative to its change per unit of w or of a scaled state."""
 
 
 class Situation(NamedTuple):

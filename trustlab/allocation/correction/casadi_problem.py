@@ -11,18 +11,18 @@ import numpy as np
 from trustlab.allocation.correction.incentive import incentive_box
 from trustlab.models.tsc import TscModel
 
+# Utilization below which (2.6) is taken as P_h,min; its second derivative is still finite there.
 TINY = 1e-100
-"""Utilization below which (2.6) is taken as P_h,min; its second derivative is still finite there."""
 
+# Solvers by name: sequential quadratic programming on PIQP or HPIPM, or the interior-point methods fatrop and IPOPT.
 SOLVERS = ("piqp", "hpipm", "fatrop", "ipopt")
-"""Solvers by name: sequential quadratic programming on PIQP or HPIPM, or the interior-point methods fatrop and IPOPT."""
 
 TOLERANCE = 1e-8
 QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False}
 QUIET_SQP = {"print_header": False, "print_iteration": False, "print_status": False}
 
+# How far, in units of c_b, thresholds may leave their intervals in the program; the hard run clips them.
 SLACK = 1e-6
-"""How far, in units of c_b, thresholds may leave their intervals in the program; the hard run clips them."""
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ from trustlab.allocation.limits import threshold_limits
 from trustlab.models.checks import between, in_order, of_class, one_of, positive, shown, whole_number
 from trustlab.models.tsc import TscModel
 
+# Module and class of each engine; imported when asked for.
 ENGINES = {
     "exact": ("trustlab.allocation.correction.exact", "ExactEngine"),
     "casadi": ("trustlab.allocation.correction.casadi_engine", "CasadiEngine"),
 }
-"""Module and class of each engine; imported when asked for."""
 
 
 class TargetWarning(UserWarning):

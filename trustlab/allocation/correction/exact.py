@@ -51,8 +51,8 @@ from trustlab.models.checks import whole_number
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscConstants, TscModel, advance, human_at, tsc_at
 
+# How many times N steps are searched at most, by default.
 SEARCHED = 25
-"""How many times N steps are searched at most, by default."""
 
 
 class Workspace(NamedTuple):

@@ -9,6 +9,7 @@ from trustlab.allocation.correction.plan import LOWER, UPPER
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscConstants, TscModel
 
+# What is logged at each sample; NaN where nothing was planned.
 CORRECTED = np.dtype(
     [
         ("lower", float),
@@ -18,7 +19,6 @@ CORRECTED = np.dtype(
         ("clipped", bool),  # performance lay outside the model's range, and its nearest end was used
     ]
 )
-"""What is logged at each sample; NaN where nothing was planned."""
 
 
 class LoopCorrection(NamedTuple):

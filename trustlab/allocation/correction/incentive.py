@@ -10,8 +10,8 @@ from trustlab.models.published import published_models
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 
+# By how much, as a share of its range, robot performance may lie outside and still count as the end of the range.
 ROUNDING = 1e-9
-"""By how much, as a share of its range, robot performance may lie outside and still count as the end of the range."""
 
 
 def incentive_box(r, p_r, c_b, p_min, p_max):

@@ -9,11 +9,11 @@ from trustlab.models.human import next_utilization
 from trustlab.models.robot import next_performance
 from trustlab.models.tsc import advance, human_at, human_range
 
+# Number of steps from which the bound over many switches is worth its computing time.
 LONG = 1000
-"""Number of steps from which the bound over many switches is worth its computing time."""
 
+# A rectangle of states.
 BOX = np.dtype([("r_low", float), ("r_high", float), ("p_low", float), ("p_high", float)])
-"""A rectangle of states."""
 
 
 @njit

@@ -11,6 +11,7 @@ from trustlab.allocation.correction.corrector import ThresholdCorrector, check_m
 from trustlab.allocation.correction.dynamics import suggestion_now
 from trustlab.allocation.correction.incentive import ROUNDING
 from trustlab.allocation.correction.plan import CorrectionPlan, CorrectionStatus
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import between, finite_number, of_class, one_of
 from trustlab.models.human import next_utilization
 from trustlab.models.tsc import tsc_at
@@ -197,14 +198,12 @@ class OnlineCorrection:
 
 def plot_latency(latency, axes=None):
     """Plot a histogram of latencies [s], with median and 99th percentile, and return its axes."""
-    import matplotlib.pyplot as plt
     import numpy as np
 
     micro = 1e6 * np.asarray(latency, dtype=float)
     if micro.size == 0:
         raise ValueError("there is no latency to plot yet; feed samples with update(p_r, p_h, mode) first")
-    if axes is None:
-        _, axes = plt.subplots(figsize=(7, 3), layout="constrained")
+    axes = axes_or_new(axes, figsize=(7, 3))
     axes.hist(micro, bins=np.geomspace(micro.min(), micro.max() * 1.0001, 80))
     for share, style in ((50, "-"), (99, "--")):
         value = float(np.percentile(micro, share))

@@ -26,26 +26,26 @@ from trustlab.models.compiled import njit
 from trustlab.models.robot import next_performance
 from trustlab.models.tsc import human_at, human_range, tsc_at
 
+# Cells of utilization, over [0, 1].
 CELLS = 800
-"""Cells of utilization, over [0, 1]."""
 
 START = 2 * CELLS
 NODES = START + 1
 
+# Columns of arrays of intervals.
 LOW, HIGH = 0, 1
-"""Columns of arrays of intervals."""
 
+# Pieces of a threshold's interval; the first the narrowest, each 1.35 times the one before.
 PIECES = 14
-"""Pieces of a threshold's interval; the first the narrowest, each 1.35 times the one before."""
 
+# Most samples of tubes to follow, in all and per step of the horizon; beyond, nothing is proved.
 WORK, WORK_EACH = 4_000_000, 100
-"""Most samples of tubes to follow, in all and per step of the horizon; beyond, nothing is proved."""
 
+# Most lengths of phases to store, over all cells.
 POOL = 1_500_000
-"""Most lengths of phases to store, over all cells."""
 
+# Tolerance of comparisons for rounding, in units of TSC.
 TIGHT = 1e-9
-"""Tolerance of comparisons for rounding, in units of TSC."""
 
 
 class Phases(NamedTuple):

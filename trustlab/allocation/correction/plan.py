@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trustlab.models.axes import axes_or_new
+
 if TYPE_CHECKING:
     import pandas as pd
 
+# Rows of arrays that hold both thresholds.
 LOWER, UPPER = 0, 1
-"""Rows of arrays that hold both thresholds."""
 
 
 class CorrectionStatus(Enum):
@@ -156,10 +158,8 @@ class CorrectionPlan:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (2,)
         """
-        import matplotlib.pyplot as plt
-
         time = np.arange(self.r.size) * sample_time
-        _, axes = plt.subplots(2, 1, sharex=True, figsize=(8, 4.5), layout="constrained")
+        axes = axes_or_new(rows=2, sharex=True, figsize=(8, 4.5))
         for values, name in ((self.upper, "$TSC_u$"), (self.lower, "$TSC_l$")):
             axes[0].plot(time, values - values[0], label=f"{name} from {values[0]:.4g}")
         axes[0].set(ylabel="change of threshold", title=f"plan of the engine {self.engine!r}")

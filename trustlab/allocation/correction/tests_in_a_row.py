@@ -12,6 +12,7 @@ import numpy as np
 from trustlab.allocation.correction.corrector import ThresholdCorrector, threshold_pair
 from trustlab.allocation.correction.incentive import within_range
 from trustlab.allocation.correction.online import OnlineCorrection
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import between, not_negative, one_of, positive, whole_number
 from trustlab.models.deprecation import warn_renamed
 from trustlab.models.html import as_html
@@ -22,11 +23,11 @@ from trustlab.models.tsc import TscConstants, TscModel, threshold_mode, tsc_at
 if TYPE_CHECKING:
     import pandas as pd
 
+# How operators respond to suggestions.
 HABITS = ("following", "lagging", "ignoring")
-"""How operators respond to suggestions."""
 
+# Columns of the thresholds, each with that of its corrections.
 SIDES = (("lower", "c_l"), ("upper", "c_u"))
-"""Columns of the thresholds, each with that of its corrections."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +97,9 @@ class CorrectionRun:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (tests,)
         """
-        import matplotlib.pyplot as plt
-
         tests = self.data["test"].unique()
         size = (3 * tests.size + 0.5, 3.2)
-        figure, axes = plt.subplots(1, tests.size, sharey=True, squeeze=False, figsize=size, layout="constrained")
+        axes = axes_or_new(columns=tests.size, sharey=True, squeeze=False, figsize=size)
         for axis, test, letter in zip(axes[0], tests, ascii_lowercase * tests.size, strict=False):
             part = self.data[self.data["test"] == test]
             axis.plot(part["t"], part["tsc"], lw=0.8, color="C0", label="TSC")
@@ -111,7 +110,7 @@ class CorrectionRun:
                 axis.axhline(value, ls="-.", lw=1, color="0.4", label=label)
             axis.set(xlabel="time [s]", title=f"({letter}) test {test}")
         axes[0, 0].set(ylabel="TSC")
-        figure.legend(
+        axes[0, 0].figure.legend(
             *axes[0, 0].get_legend_handles_labels(),
             title=f"operator {self.operator}; {self.source}",
             loc="outside upper center",

@@ -11,8 +11,8 @@ from trustlab.models.checks import whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 
+# Samples through which polygons may be propagated, or twenty of the longest phases if that is more.
 POLYGON_EFFORT = 3_000_000
-"""Samples through which polygons may be propagated, or twenty of the longest phases if that is more."""
 
 
 @dataclass(frozen=True)

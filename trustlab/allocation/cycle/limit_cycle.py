@@ -21,21 +21,22 @@ from trustlab.allocation.cycle.phases import (
     watched,
 )
 from trustlab.allocation.limits import check_thresholds, ranges_table
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
 
+# Cycles that are recorded of a motion that does not repeat, if they are no more than EFFORT samples.
 MOST_CYCLES = 2000
-"""Cycles that are recorded of a motion that does not repeat, if they are no more than EFFORT samples."""
 
+# Cycles that are recorded first.
 FEWEST_CYCLES = 24
-"""Cycles that are recorded first."""
 
+# How near, in r and P_r, a trajectory must come to a motion that repeats to count as drawn to it.
 REPEATED = 1e-9
-"""How near, in r and P_r, a trajectory must come to a motion that repeats to count as drawn to it."""
 
+# Multiples of this point, modulo 1, fill the unit square evenly, however many there are (the plastic number's sequence).
 EVEN = (0.7548776662466927, 0.5698402909980532)
-"""Multiples of this point, modulo 1, fill the unit square evenly, however many there are (the plastic number's sequence)."""
 
 
 @dataclass(frozen=True)
@@ -154,13 +155,10 @@ class LimitCycle:
         -------
         matplotlib.axes.Axes
         """
-        import matplotlib.pyplot as plt
-
         from trustlab.allocation.simulation import simulate_allocation
 
         model, robot = self.model, self.model.robot
-        if axes is None:
-            _, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
+        axes = axes_or_new(axes, figsize=(7, 4.2))
         margin = 0.2 * (robot.p_max - robot.p_min)
         r, p_r = np.linspace(0, 1, 300), np.linspace(robot.p_min - margin, robot.p_max + margin, 200)
         p_h = model.human.performance(r)

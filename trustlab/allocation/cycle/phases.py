@@ -9,12 +9,13 @@ import numpy as np
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel, advance, human_at, tsc_at
 
+# Most samples that one search for a steady cycle, or for bounds, simulates: some seconds. What it leaves out, results say.
 EFFORT = 100_000_000
-"""Most samples that one search for a steady cycle, or for bounds, simulates: some seconds. What it leaves out, results say."""
 
+# Time constants [samples] to which models with slow utilization are resampled for surveys, and least for the faster process.
 COARSE, FEW = 10_000, 20
-"""Time constants [samples] to which models with slow utilization are resampled for surveys, and least for the faster process."""
 
+# One row per recorded cycle. r is least as a manual phase begins and greatest as it ends.
 CYCLE = np.dtype(
     [
         ("r", float),  # utilization and
@@ -24,7 +25,6 @@ CYCLE = np.dtype(
         ("r_switch", float),  # utilization as the autonomous phase begins
     ]
 )
-"""One row per recorded cycle. r is least as a manual phase begins and greatest as it ends."""
 
 
 class Seen(NamedTuple):

@@ -15,26 +15,26 @@ from trustlab.allocation.cycle.propagation import overshoot
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import advance, human_at, tsc_at
 
+# Columns of a corner: utilization and robot performance.
 R, P = 0, 1
-"""Columns of a corner: utilization and robot performance."""
 
+# Columns of an interval of utilization.
 LEFT, RIGHT = 0, 1
-"""Columns of an interval of utilization."""
 
+# Most corners of a polygon.
 CORNERS = 12
-"""Most corners of a polygon."""
 
+# Most parts, one for each dwell time, into which one phase may cut a polygon.
 PARTS = 64
-"""Most parts, one for each dwell time, into which one phase may cut a polygon."""
 
+# Why a polygon could not be propagated: its phase does not end, tangents do not fit it, or it falls into too many parts.
 TOO_LONG, TOO_WIDE, TOO_MANY = -1, -2, -3
-"""Why a polygon could not be propagated: its phase does not end, tangents do not fit it, or it falls into too many parts."""
 
+# Utilization below which polygons are not used: the squares of (2.6)'s denominators would underflow.
 REST = 1e-100
-"""Utilization below which polygons are not used: the squares of (2.6)'s denominators would underflow."""
 
+# By how much TSC may be wrong through rounding; far more than it is.
 SLACK = 1e-13
-"""By how much TSC may be wrong through rounding; far more than it is."""
 
 
 @njit

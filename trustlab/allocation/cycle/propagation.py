@@ -8,11 +8,11 @@ from trustlab.allocation.cycle.phases import EFFORT, watched
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import advance, human_at, human_range, tsc_at
 
+# By how much intervals are widened after each phase: far more than the rounding of the arithmetic.
 ROUNDING = 1e-12
-"""By how much intervals are widened after each phase: far more than the rounding of the arithmetic."""
 
+# Nearer than this to rest or full load (2.6) is so steep that its one-step changes are bounded by its range alone.
 STEEP = 1e-6
-"""Nearer than this to rest or full load (2.6) is so steep that its one-step changes are bounded by its range alone."""
 
 
 class PhaseImage(NamedTuple):

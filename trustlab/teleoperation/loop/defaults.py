@@ -46,8 +46,8 @@ def proportional_law(state, setup):
         state.wanted[i] = hand.compensation * clip(wanted, hand.reach)
 
 
+# Speed of the hand [m/s] above which an operator notices what the channel makes of it.
 FLOOR = 0.05
-"""Speed of the hand [m/s] above which an operator notices what the channel makes of it."""
 
 
 @Part
@@ -68,8 +68,8 @@ def crossover_law(state, setup):
         state.wanted[i] = hand.compensation * clip(hand.crossover * state.seen[i], hand.reach) / scale
 
 
+# How operators act on the error that they see, by name.
 LAWS = {"proportional": proportional_law, "crossover": crossover_law}
-"""How operators act on the error that they see, by name."""
 
 
 @Part
@@ -105,5 +105,5 @@ def next_trust(trust, model, p):
     return model.t_min + span * trust_step((trust - model.t_min) / span, share, model.decay, model.gain)
 
 
+# By the port that each of them serves.
 DEFAULTS = {"trust": two_way_trust, "feedback": spring, "autonomy": controller}
-"""By the port that each of them serves."""

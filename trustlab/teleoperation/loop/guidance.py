@@ -13,11 +13,11 @@ from trustlab.teleoperation.loop.parts import Part, call
 from trustlab.teleoperation.ports import waves
 from trustlab.teleoperation.ports.passivity import activation, demanded
 
+# What the channel carries: nothing between the ends, waves, the device's output alone, or packets with their energy.
 DIRECT, WAVES, SIGNALS, PACKETS = 0, 1, 2, 3
-"""What the channel carries: nothing between the ends, waves, the device's output alone, or packets with their energy."""
 
+# Time in which `two_port` makes up for the velocity that its controller took [s].
 DRIFT_TIME = 0.5
-"""Time in which `two_port` makes up for the velocity that its controller took [s]."""
 
 
 @njit(error_model="numpy", forceinline=True)

@@ -17,11 +17,11 @@ from trustlab.teleoperation.loop.state import PORTS
 from trustlab.teleoperation.ports import device as haptic
 from trustlab.teleoperation.ports.ledger import read_wave
 
+# How a run ends: well, a block diverged, or a part raised an error or returned what cannot be.
 DONE, DEVICE, CHANNEL, ROBOT, SCHEME, TRUST, FEEDBACK, AUTONOMY, OPERATOR, VEHICLE = range(-1, 9)
-"""How a run ends: well, a block diverged, or a part raised an error or returned what cannot be."""
 
+# Names of the blocks and parts, by these numbers.
 BLOCKS = ("haptic device", "channel", "robot", *PORTS)
-"""Names of the blocks and parts, by these numbers."""
 
 SLACK = 1e-12
 

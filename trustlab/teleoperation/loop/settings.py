@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, of_class, one_of, positive
+from trustlab.models.checks import finite_array, finite_number, of_class, one_of, positive, set_checked
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.state import LoopNumbers, ScaleNumbers, TrustNumbers
@@ -90,14 +90,12 @@ class LoopSettings:
             value = getattr(self, name)
             each = np.ndim(value) and tuple(finite_array(name, value, length=3).tolist())
             object.__setattr__(self, name, each or finite_number(name, value))
-        object.__setattr__(self, "height", finite_number("height", self.height))
-        for name in ("window", "command_range", "error_range"):
-            object.__setattr__(self, name, positive(name, getattr(self, name)))
+        set_checked(self, finite_number, "height", "k_ffa")
+        set_checked(self, positive, "window", "command_range", "error_range")
         of_class("scattering", self.scattering, Scattering)
         of_class("human_to_robot", self.human_to_robot, TrustModel)
         of_class("robot_to_human", self.robot_to_human, TrustModel)
         one_of("study", self.study, STUDY_NAMES)
-        object.__setattr__(self, "k_ffa", finite_number("k_ffa", self.k_ffa))
         if self.k_ffa < 0.0:
             raise ValueError(
                 f"k_ffa must not be negative, got {self.k_ffa}; printed_sign=True gives the printed direction"
@@ -174,6 +172,8 @@ def _trust_numbers(trust: TrustModel, sample_time: float) -> TrustNumbers:
     return TrustNumbers(trust.decay(sample_time), trust.b / trust.a, 0.5, *ranges)
 
 
+# Printed settings. The device's mass, the rates of trust and y_max are not printed: the first is near the
+# heaviest that is r-passive with the printed gains of each study (9.2 g and 0.55 kg); the others are ours.
 STUDIES = {
     "preliminary": LoopSettings(
         mass=0.009,
@@ -202,8 +202,6 @@ STUDIES = {
         study="main",
     ),
 }
-"""Printed settings. The device's mass, the rates of trust and y_max are not printed: the first is near the
-heaviest that is r-passive with the printed gains of each study (9.2 g and 0.55 kg); the others are ours."""
 
 
 def study_named(study: str | LoopSettings) -> LoopSettings:

@@ -14,8 +14,8 @@ from trustlab.teleoperation.loop.settings import LoopSettings
 from trustlab.teleoperation.loop.state import MEMORY, SETUP, STATE, VEHICLE, AutonomyNumbers, HandNumbers
 from trustlab.teleoperation.ports import device as haptic
 
+# States that a vehicle given by matrices may have: its memory also holds where it started.
 MOST_STATES = MEMORY - 3
-"""States that a vehicle given by matrices may have: its memory also holds where it started."""
 
 
 def setup_of(settings: LoopSettings, hand: HandNumbers, auto: AutonomyNumbers, sample_time: float) -> np.ndarray:

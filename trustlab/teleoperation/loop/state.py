@@ -8,6 +8,7 @@ from trustlab.allocation.blending import DEGREE
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.records import columns_of, record
 
+# What a user may replace, and which fields of the state each part sets.
 PORTS = {
     "scheme": ("alpha", "beta"),
     "trust": ("trust_hr", "trust_rh"),
@@ -16,11 +17,11 @@ PORTS = {
     "operator": ("wanted",),
     "vehicle": ("robot", "velocity"),
 }
-"""What a user may replace, and which fields of the state each part sets."""
 
+# Numbers that every part keeps from sample to sample, zero at the start.
 MEMORY = 16
-"""Numbers that every part keeps from sample to sample, zero at the start."""
 
+# A row of the log: the state before the sample and the signals of the sample.
 LOG = np.dtype(
     record(
         vectors="reference robot velocity device device_velocity r_m f_h f_m r_s f_s u_h u_a u_i",
@@ -31,19 +32,16 @@ LOG = np.dtype(
     ).descr
     + record(vectors="guide", numbers="energy_port energy_target").descr
 )
-"""A row of the log: the state before the sample and the signals of the sample."""
 
 COLUMNS = columns_of(LOG)
 
+# What comes from outside in one sample: where the robot should be and how fast it should move, how far the target moves on
+# within the operator's preview, noise of the hand, a force added to the hand's, where the hand wants to be and α where they are given (NaN elsewhere), and whether the controller's
+# camera finds its target.
 INPUT = record(vectors="reference reference_velocity ahead motor pushed hand", numbers="alpha", flags="detected")
-"""
-What comes from outside in one sample: where the robot should be and how fast it should move, how far the target moves on
-within the operator's preview, noise of the hand, a force added to the hand's, where the hand wants to be and α where they are given (NaN elsewhere), and whether the controller's
-camera finds its target.
-"""
 
+# What is looked up later: errors as they were seen, energies as they were sent, performance that leaves its window.
 HISTORY = record(vectors="error", numbers="good_r good_h in_near in_far")
-"""What is looked up later: errors as they were seen, energies as they were sent, performance that leaves its window."""
 
 # The state proper: lagging wish of the hand, integral of the controller, acceleration; and what came with this sample.
 KEPT = "acceleration wish integral drift reference_velocity pushed motor hand error"
@@ -52,6 +50,7 @@ ARRIVED = "picture picture_before seen seen_before v_l v_r arrived packet_force"
 # What the parts of a step tell each other.
 SIGNALS = "wanted force free_output stretch guiding pull free_velocity compliance u_l u_r middle command"
 BOUNDS = "sample_time alpha_min alpha_max beta_min beta_max"
+# The whole state of the loop, which every part reads and changes; it begins with the row of the log.
 STATE = np.dtype(
     LOG.descr
     + record(
@@ -64,13 +63,12 @@ STATE = np.dtype(
     + [(f"{port}_memory", float, MEMORY) for port in PORTS]
     + record(flags="sees finds found_before raised").descr
 )
-"""The whole state of the loop, which every part reads and changes; it begins with the row of the log."""
 
+# Exact one-sample matrices of (position, velocity, acceleration) per axis.
 VEHICLE = np.dtype([("phi", float, (3, 3, 3)), ("gamma", float, (3, 3))])
-"""Exact one-sample matrices of (position, velocity, acceleration) per axis."""
 
+# The haptic device in its hand, axis by axis.
 DEVICE = record(vectors=" ".join(haptic.Device._fields))
-"""The haptic device in its hand, axis by axis."""
 
 
 class ScaleNumbers(NamedTuple):
@@ -147,6 +145,7 @@ def record_of(kind: type) -> np.dtype:
     return np.dtype([(name, record_of(one) if hasattr(one, "_fields") else one) for name, one in hints.items()])
 
 
+# What stays the same during a run; `parts` holds the addresses of the compiled parts.
 SETUP = np.dtype(
     [
         ("loop", record_of(LoopNumbers)),
@@ -165,4 +164,3 @@ SETUP = np.dtype(
         ("parts", record(counts=f"guidance {' '.join(PORTS)}")),
     ]
 )
-"""What stays the same during a run; `parts` holds the addresses of the compiled parts."""

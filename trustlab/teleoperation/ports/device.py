@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, not_negative, positive, whole_number
+from trustlab.models.checks import finite_array, not_negative, positive, set_checked, whole_number
 from trustlab.models.compiled import njit
 
 ROUNDING = 1e-12
@@ -154,8 +154,8 @@ class HapticDevice:
             if (diagonal < 0.0).any() or (least == "positive" and (diagonal == 0.0).any()):
                 raise ValueError(f"{name} must be {least} on its diagonal, got {diagonal.tolist()}")
             object.__setattr__(self, name, matrix)
-        object.__setattr__(self, "force_scaling", positive("force_scaling", self.force_scaling))
-        object.__setattr__(self, "port_damping", not_negative("port_damping", self.port_damping))
+        set_checked(self, positive, "force_scaling")
+        set_checked(self, not_negative, "port_damping")
         if self.require_passive and not self.is_passive:
             most = self.largest_mass()
             raise PassivityError(

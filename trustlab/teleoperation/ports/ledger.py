@@ -8,11 +8,11 @@ from trustlab.models.compiled import njit
 HOLD, INTERPOLATED, LEDGER = 0, 1, 2
 READ_OUTS = {"hold": HOLD, "interpolated": INTERPOLATED, "ledger": LEDGER}
 
+# The ledger of one direction: first sample not yet booked, energy in hand [J], latest sample that was read.
 ACCOUNT = np.dtype([("unbooked", np.int64), ("balance", float), ("latest", float)])
-"""The ledger of one direction: first sample not yet booked, energy in hand [J], latest sample that was read."""
 
+# How many of the newest packets an `EnergyLedger` remembers: 65 s at 1 kHz.
 WINDOW = 65_536
-"""How many of the newest packets an `EnergyLedger` remembers: 65 s at 1 kHz."""
 
 
 def accounts() -> np.ndarray:

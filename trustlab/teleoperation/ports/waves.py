@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import finite_number, positive
+from trustlab.models.checks import finite_number, positive, set_checked
 from trustlab.models.compiled import njit
 
 
@@ -122,10 +122,9 @@ class Scattering:
     max_delay_rate: float = 0.0
 
     def __post_init__(self):
-        object.__setattr__(self, "b", positive("b", self.b))
-        object.__setattr__(self, "max_delay_rate", delay_rate("max_delay_rate", self.max_delay_rate))
-        for name in ("alpha_min", "alpha_max", "beta_min", "beta_max"):
-            object.__setattr__(self, name, finite_number(name, getattr(self, name)))
+        set_checked(self, positive, "b")
+        set_checked(self, delay_rate, "max_delay_rate")
+        set_checked(self, finite_number, "alpha_min", "alpha_max", "beta_min", "beta_max")
         for name in ("alpha", "beta"):
             low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
             if not low > 0.0:

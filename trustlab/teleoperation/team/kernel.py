@@ -19,6 +19,7 @@ from trustlab.teleoperation.records import columns_of, record
 NO_FILTER, TWO_PORT, WAVES = 0, 1, 2
 BLOCKS = ("haptic device", "channel", "team")
 
+# A row of the log: storages before the sample and the signals of the sample.
 LOG = record(
     vectors="leader device r_m f_h f_m r_s f_s",
     numbers=(
@@ -26,7 +27,6 @@ LOG = record(
         "supply_device supply_filter supply_links lost_device lost_team lost_error lost_error_delayed"
     ),
 )
-"""A row of the log: storages before the sample and the signals of the sample."""
 
 COLUMNS = columns_of(LOG)
 
@@ -41,14 +41,14 @@ ENERGIES = (
     "v_h v_ch supply_team supply_error supply_hand supply_device supply_filter supply_links lost_device lost_team lost_error "
     "lost_error_delayed"
 )
+# What both ends read and leave.
 STATE = record(
     vectors=f"{KEPT} {ARRIVED} {SIGNALS}",
     numbers=f"seen_power near_power far_power hand_power device_power device_loss {ENERGIES}",
 )
-"""What both ends read and leave."""
 
+# One robot: its end of the channel, and its trust in the operator.
 ROBOT = record(numbers="b beta_min beta_max decay gain t_min t_max")
-"""One robot: its end of the channel, and its trust in the operator."""
 
 
 class TeamNumbers(NamedTuple):

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, not_negative, one_of, positive
+from trustlab.models.checks import finite_array, not_negative, one_of, positive, set_checked
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ class MostTrusted:
     margin: float = 0.0
 
     def __post_init__(self):
-        object.__setattr__(self, "margin", not_negative("margin", self.margin))
+        set_checked(self, not_negative, "margin")
 
     @property
     def title(self) -> str:
@@ -206,7 +206,7 @@ class GivenSequence:
                 raise ValueError(f"times must begin at 0 and increase, got {times.tolist()}")
             object.__setattr__(self, "times", tuple(times.tolist()))
         if self.every is not None:
-            object.__setattr__(self, "every", positive("every", self.every))
+            set_checked(self, positive, "every")
         again = self.times is None and self.robots is not None and len(self.robots) > 1
         if again and self.robots[0] == self.robots[-1]:
             raise ValueError(f"begun again, the sequence would have {self.robots[0]!r} follow itself")
@@ -271,7 +271,7 @@ class RandomLeaders:
     title: ClassVar[str] = "arbitrary random"
 
     def __post_init__(self):
-        object.__setattr__(self, "waiting", not_negative("waiting", self.waiting))
+        set_checked(self, not_negative, "waiting")
 
     def leaders(self, trust, robots, step, dwell, rng) -> np.ndarray:
         """
@@ -304,13 +304,13 @@ class RandomLeaders:
         return out
 
 
+# Policies by name.
 POLICIES = {
     "most_trusted": MostTrusted(),
     "hysteresis": MostTrusted(margin=0.1),
     "sequence": GivenSequence(),
     "random": RandomLeaders(),
 }
-"""Policies by name."""
 
 SIGNATURE = "leaders(trust, robots, step, dwell, rng), which returns the number of the leader at each decision"
 LIVE = "leader(now), which returns it at one"

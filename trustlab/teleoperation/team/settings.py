@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import finite_number, flag, not_negative, of_class, positive
+from trustlab.models.checks import finite_number, flag, not_negative, of_class, positive, set_checked
 from trustlab.models.trust import TrustModel
 from trustlab.teleoperation.ports.device import HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
@@ -15,8 +15,8 @@ def _trust(rate: float, ratio: float = 1.0) -> TrustModel:
     return TrustModel(rate, ratio * rate)
 
 
+# Settings that may differ from robot to robot, and their classes.
 PER_ROBOT: dict[str, Any] = {"scattering": Scattering, "human_to_robot": TrustModel, "robot_to_human": TrustModel}
-"""Settings that may differ from robot to robot, and their classes."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +74,8 @@ class TeamSettings:
     coupling: float = 1.0
 
     def __post_init__(self):
-        for name in ("mass", "damping", "stiffness", "weight", "steepness"):
-            object.__setattr__(self, name, finite_number(name, getattr(self, name)))
-        for name in ("performance_time", "lead_gain", "force_gain", "coupling"):
-            object.__setattr__(self, name, positive(name, getattr(self, name)))
+        set_checked(self, finite_number, "mass", "damping", "stiffness", "weight", "steepness")
+        set_checked(self, positive, "performance_time", "lead_gain", "force_gain", "coupling")
         if not self.steepness >= 10.0:
             raise ValueError(f"steepness must be at least 10 (3.5), got {self.steepness}")
         for name, kind in PER_ROBOT.items():
@@ -171,13 +169,11 @@ class TeamOperator:
     cautious: float = 2.0
 
     def __post_init__(self):
-        for name in ("guarded", "slow_down"):
-            object.__setattr__(self, name, flag(name, getattr(self, name)))
-        for name in ("push", "reach", "drag", "budget", "reserve", "cautious"):
-            check = positive if name in ("reach", "budget") else not_negative
-            # a hand that drives (negative drag) is active: allowed only where nothing is promised of V_h
-            check = finite_number if name == "drag" and not self.guarded else check
-            object.__setattr__(self, name, check(name, getattr(self, name)))
+        set_checked(self, flag, "guarded", "slow_down")
+        set_checked(self, positive, "reach", "budget")
+        set_checked(self, not_negative, "push", "reserve", "cautious")
+        # a hand that drives (negative drag) is active: allowed only where nothing is promised of V_h
+        set_checked(self, not_negative if self.guarded else finite_number, "drag")
         if not self.reserve < 1.0:
             raise ValueError(f"reserve must be below 1, got {self.reserve}")
 

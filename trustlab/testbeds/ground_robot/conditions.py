@@ -43,8 +43,8 @@ from trustlab.testbeds.uav_following.run import fly_condition
 E_MAX = 2.0
 TESTBEDS = ("ground_robot", "uav", "uav_following")
 SLOWEST = 0.15
+# Largest runs that are made: ten million samples, 1.2 GB, are nearly twelve days of driving.
 MOST_LAPS, MOST_STEPS, MOST_PHASES = 1000, 10_000_000, 10_000
-"""Largest runs that are made: ten million samples, 1.2 GB, are nearly twelve days of driving."""
 
 MAKE_OPERATOR = (
     "make one with trustlab.operators.operator(participant, model) or trustlab.testbeds.published_operator(1)"

@@ -25,6 +25,7 @@ from trustlab.testbeds.ground_robot.conditions import (
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 
+# What operators do about suggestions: scheme of the testbed, whether all are followed, whether own thresholds move.
 HABITS = {
     "following": (TSC, True, False),
     "lagging": (TSC, True, False),
@@ -32,7 +33,6 @@ HABITS = {
     "ignoring": (OWN, False, False),
     "adopting": (OWN, False, True),
 }
-"""What operators do about suggestions: scheme of the testbed, whether all are followed, whether own thresholds move."""
 
 
 def run_correction(

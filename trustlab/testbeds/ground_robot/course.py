@@ -6,15 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, positive
+from trustlab.models.checks import finite_array, finite_number, positive, set_checked
 from trustlab.models.compiled import njit
 from trustlab.teleoperation.records import signal
 
 CORNERS = ((0.0, 0.0), (13.0, 0.0), (13.0, 8.5), (8.75, 8.5), (8.75, 4.75), (4.25, 4.75), (4.25, 8.5), (0.0, 8.5))
 
 
+# How far from the origin a corner may lie [m].
 FARTHEST = 1e5
-"""How far from the origin a corner may lie [m]."""
 
 
 class CourseNumbers(NamedTuple):
@@ -125,8 +125,8 @@ def point_ahead(s, course):
     return point_at(s, i, path)
 
 
+# Cells of a course's grid, cells times pieces of the path, and how far beyond the path the grid reaches [m].
 MOST_CELLS, MOST_TRIED, MARGIN = 20_000, 10_000_000, 2.0
-"""Cells of a course's grid, cells times pieces of the path, and how far beyond the path the grid reaches [m]."""
 
 
 @dataclass(frozen=True)
@@ -168,8 +168,7 @@ class Course:
         corners = signal("corners", self.corners, columns=2, least=3)
         if np.abs(corners).max() > FARTHEST:
             raise ValueError(f"corners must lie within {FARTHEST:g} m of the origin, got {np.abs(corners).max():g}")
-        for name in ("radius", "post_spacing", "half_width", "resolution"):
-            object.__setattr__(self, name, positive(name, getattr(self, name)))
+        set_checked(self, positive, "radius", "post_spacing", "half_width", "resolution")
         around = float(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum())
         for name, most in (("resolution", 100_000), ("post_spacing", 10_000)):
             if around / getattr(self, name) > most:

@@ -33,23 +33,23 @@ from trustlab.testbeds.deciding import (
 from trustlab.testbeds.ground_robot.course import nearest_of, point_ahead
 from trustlab.testbeds.ground_robot.pioneer import scan
 
+# Correlation time of the hand's shaking [s].
 SHAKING = 0.25
-"""Correlation time of the hand's shaking [s]."""
 
+# What is logged of each sample.
 LOG = record(
     numbers=(
         "mode suggested_mode robot_x robot_y yaw reference_x reference_y path_error step_distance v_command w_command r "
         "p_r p_h tsc"
     )
 )
-"""What is logged of each sample."""
 
 COLUMNS = LOG.names
 
 # The robot and its estimate of where it is, the hand, and progress along the course.
 MOVING = "x y yaw v w moved est_x est_y heading_error wander shaking v_hand w_hand arc progress"
+# What a step reads and leaves.
 STATE = record(numbers=f"{MOVING} {NUMBERS}", counts=f"{COUNTS} laps", flags=FLAGS)
-"""What a step reads and leaves."""
 
 
 class Rates(NamedTuple):

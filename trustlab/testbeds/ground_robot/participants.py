@@ -5,8 +5,8 @@ from trustlab.models.published import published_models, published_table
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, operator
 
+# TSC_l(0) and TSC_u(0) of the pilot operator, as printed in Section 2.5; Table 2.2 has no column for the pilot.
 PILOT_THRESHOLDS = ("0.02", "0.45")
-"""TSC_l(0) and TSC_u(0) of the pilot operator, as printed in Section 2.5; Table 2.2 has no column for the pilot."""
 
 
 def participant_label(participant: int | str) -> str:

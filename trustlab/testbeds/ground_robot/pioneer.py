@@ -1,7 +1,7 @@
 """The ground robot: limits, laser scanner, odometry and autonomous controller."""
 
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from collections import namedtuple
+from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 
@@ -58,36 +58,12 @@ def scan(posts, robot, state, sensing, offsets):
     return mean_x - mean_px, mean_y - mean_py, turn, seen
 
 
+# Largest number of a robot, in its unit.
 LARGEST = 1000.0
-"""Largest number of a robot, in its unit."""
 
 LIMITS = ("max_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration")
 POSITIVE = (*LIMITS, "anchoring_time", "look_ahead", "steering_gain", "cruise_speed")
 SHARES = ("detection", "position_gain", "heading_gain")
-
-
-class PioneerNumbers(NamedTuple):
-    """A `Pioneer` as plain numbers for compiled loops; the names are the same."""
-
-    max_speed: float
-    max_turn_rate: float
-    max_acceleration: float
-    max_turn_acceleration: float
-    scan_range: float
-    field_of_view: float
-    detection: float
-    range_noise: float
-    bearing_noise: float
-    heading_drift: float
-    heading_noise: float
-    position_gain: float
-    heading_gain: float
-    anchoring_time: float
-    look_ahead: float
-    steering_gain: float
-    cruise_speed: float
-    speed_gain: float
-    search_speed: float
 
 
 @dataclass(frozen=True)
@@ -173,6 +149,9 @@ class Pioneer:
             object.__setattr__(self, item.name, value)
 
     @property
-    def numbers(self) -> PioneerNumbers:
-        """The robot as plain numbers."""
-        return PioneerNumbers(*(getattr(self, item.name) for item in fields(self)))
+    def numbers(self) -> tuple:
+        """The robot as plain numbers for compiled loops, by the names that they have here."""
+        return PioneerNumbers(*astuple(self))
+
+
+PioneerNumbers = namedtuple("PioneerNumbers", Pioneer.__match_args__)  # type: ignore[misc]

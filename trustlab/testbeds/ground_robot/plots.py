@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_array, finite_number, of_class, one_of
 from trustlab.sessions.plots import shade_manual
 from trustlab.sessions.session import Session
@@ -41,15 +42,12 @@ def plot_path(session: Session, course: Course, start: float = 0.0, stop: float 
     ValueError
         If an argument is not understood.
     """
-    import matplotlib.pyplot as plt
-
     of_class("session", session, Session)
     of_class("course", course, Course)
     session.require("robot_x", "robot_y", "mode")
     stop = session.t[-1] if stop is None else finite_number("stop", stop)
     part = session.between(finite_number("start", start), stop)
-    if axes is None:
-        _, axes = plt.subplots(figsize=(8.0, 5.6), layout="constrained")
+    axes = axes_or_new(axes, figsize=(8.0, 5.6))
     axes.plot(*course.posts.T, ls="", marker="o", ms=4, mfc="none", color="0.55", label="guide posts")
     for manual, style, label in ((1, "-", "manual"), (0, ":", "autonomous")):
         here = part["mode"] == manual
@@ -85,8 +83,6 @@ def plot_run(run, bounds: dict[str, tuple[float, float]] | None = None):
     ValueError
         If bounds name a column that is not plotted, or are not two finite numbers.
     """
-    import matplotlib.pyplot as plt
-
     if not hasattr(run, "session"):
         raise ValueError(f"run must be a ConditionRun, got {type(run).__name__}")
     session = run.session
@@ -99,7 +95,7 @@ def plot_run(run, bounds: dict[str, tuple[float, float]] | None = None):
         bounds[name] = tuple(finite_array(f"bounds[{name!r}]", pair, length=2))
     if run.thresholds is not None:
         bounds.setdefault("tsc", run.thresholds)
-    figure, axes = plt.subplots(len(PANELS), 1, sharex=True, figsize=(8.0, 7.6), layout="constrained")
+    axes = axes_or_new(None, len(PANELS), sharex=True, figsize=(8.0, 7.6))
     unit = " [m/s]" if "v_command" in session else ""  # on the UAV testbed performance is a share
     for panel, (name, label) in zip(axes, PANELS.items(), strict=True):
         panel.plot(session.t, session[name], lw=1.2, color="#0072b2")
@@ -112,5 +108,5 @@ def plot_run(run, bounds: dict[str, tuple[float, float]] | None = None):
         shade_manual(panel, session.t, session["mode"])
     axes[-1].set(xlabel="time [s]", xlim=(session.t[0], session.t[-1]))
     lines = "; dashed: " + ("thresholds" if set(bounds) == {"tsc"} else "bounds") if bounds else ""
-    figure.suptitle(f"{session.label} (manual phases shaded{lines})", fontsize="medium")
+    axes[0].figure.suptitle(f"{session.label} (manual phases shaded{lines})", fontsize="medium")
     return axes

@@ -9,24 +9,24 @@ from trustlab.models.human import next_utilization
 from trustlab.teleoperation.records import record
 from trustlab.testbeds.deciding import COUNTS, FLAGS, NUMBERS, allocate, begin, measure, skill_now
 
+# What is logged of each sample.
 LOG = record(
     numbers=(
         "mode suggested_mode robot_x robot_y reference_x reference_y path_error u_h_x u_h_y u_i_x u_i_y r p_r p_h tsc"
     )
 )
-"""What is logged of each sample."""
 
 # Of the vehicle velocity and acceleration, of the hand what it has made of what it saw, where it wanders and how it shakes;
 # drift: how far beside the leader the autopilot believes it to be.
 MOVING = "x y v_x v_y a_x a_y hand_x hand_y wander_x wander_y shake_x shake_y drift_x drift_y"
+# What a step reads and leaves.
 STATE = record(numbers=f"{MOVING} {NUMBERS}", counts=COUNTS, flags=FLAGS)
-"""What a step reads and leaves."""
 
+# Means of |x| + |y| and of √(x² + y²) for x and y normal with unit variance.
 MEAN_1, MEAN_2 = 2.0 * np.sqrt(2.0 / np.pi), np.sqrt(np.pi / 2.0)
-"""Means of |x| + |y| and of √(x² + y²) for x and y normal with unit variance."""
 
+# By how much the delays of eye, hand and vehicle stretch the distance from the leader; found by simulating.
 STRETCH = 1.2
-"""By how much the delays of eye, hand and vehicle stretch the distance from the leader; found by simulating."""
 
 
 class Flight(NamedTuple):

@@ -13,19 +13,19 @@ from trustlab.models.published import published_models, published_table
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, model_of, person_of, share_drawn
 
+# How many operators go by a number; as many people took part in the study of Section 2.4.2.
 PARTICIPANTS = 20
-"""How many operators go by a number; as many people took part in the study of Section 2.4.2."""
 
+# Mixed into the seed, so that people and their runs have different streams.
 PEOPLE = 0x7561766C
-"""Mixed into the seed, so that people and their runs have different streams."""
 
+# Means and standard deviations of what Section 2.4.2 does not print of anyone: of the size of its means over people and
+# conditions (P_r 0.55, P_h 0.81) and of its spreads. No difference between conditions went into them.
 LEVELS = {"p_h_max": (0.86, 0.04), "ln (p_h_max - p_h_min)": (np.log(0.3), 0.2), "p_r_max": (0.62, 0.05)}
-"""Means and standard deviations of what Section 2.4.2 does not print of anyone: of the size of its means over people and
-conditions (P_r 0.55, P_h 0.81) and of its spreads. No difference between conditions went into them."""
 
 P_R_MIN = 0.30
+# Mean and standard deviation of the shares of suggestions followed, Section 2.4.2.4.
 FOLLOWED = {"follow_tsc": (0.6416, 0.2991), "follow_performance": (0.4074, 0.3751)}
-"""Mean and standard deviation of the shares of suggestions followed, Section 2.4.2.4."""
 
 MOST_TRIES = 1000
 

@@ -27,17 +27,17 @@ from trustlab.testbeds.tracking_task import TrackingTask, tracking_vehicle
 from trustlab.testbeds.uav_following import kernel
 from trustlab.testbeds.uav_following.people import P_R_MIN, following_operator
 
+# Length of a test, as printed [s].
 DURATION = 360.0
-"""Length of a test, as printed [s]."""
 
+# Deviations that count as performance 0, from the leader [m] and of the command [m/s]; not printed.
 E_MAX, U_MAX = 1.0, 3.0
-"""Deviations that count as performance 0, from the leader [m] and of the command [m/s]; not printed."""
 
+# Of the ideal command, the leader's velocity + gain · error [1/s].
 GAIN = 0.35
-"""Of the ideal command, the leader's velocity + gain · error [1/s]."""
 
+# Correlation time of the autopilot's belief of where the leader is [s].
 DRIFT_TIME = 40.0
-"""Correlation time of the autopilot's belief of where the leader is [s]."""
 
 LEADER = TrackingTask(size_x=6.0, size_y=4.0, speed=0.3)
 NOTE = "simulated stand-in for the UAV testbed of Fig. 2.10"
