@@ -1,5 +1,5 @@
 """
-A rule of one's own on the ground robot, and studies in which nobody can switch.
+A rule of one's own on the ground robot and the UAV, and studies in which nobody can switch.
 
 Oracles: the rule applied to what was logged gives the modes that were driven, and these modes, driven as given, give the same log.
 """
@@ -42,6 +42,27 @@ def test_a_rule_decides_from_what_is_measured():
     assert run.measures()["followed_percent"] == 100.0
 
 
+def test_a_rule_flies_too():
+    rule = Relay(0.45, 0.52)
+    run = tl.run_condition(rule=rule, participant=3, testbed="uav", seed=3, mode=0)
+    log, now = run.session, 0
+    for t, p_r, mode in zip(log.t, log["p_r"], log["mode"], strict=True):
+        if t > 99.95:
+            now = 1 if p_r < 0.45 else 0 if p_r > 0.52 else now
+        assert mode == now
+    assert rule.calls == np.sum(log.t > 99.95)
+    assert np.count_nonzero(np.diff(log["mode"])) >= 2
+    assert log.metadata.condition == "rule Relay"
+    # a rule that says what the operator's own suggestions say in C3, forced and without reaction, gives the same modes as (2.8)
+    own = tl.run_condition("C3", participant=3, testbed="uav", seed=3)
+    again = tl.run_condition(rule=tl.ThresholdRule(*own.thresholds), participant=3, testbed="uav", seed=3)
+    mode = 1
+    for t, tsc, driven in zip(again.session.t, again.session["tsc"], again.session["mode"], strict=True):
+        if t > 99.95:
+            mode = 0 if tsc >= own.thresholds[1] else 1 if tsc <= own.thresholds[0] else mode
+        assert driven == mode
+
+
 def test_the_rules_of_the_package_are_rules_too():
     thresholds = tl.ThresholdRule(0.0, 0.35, mode=0)
     runs = [tl.run_condition(rule=thresholds, participant=2, laps=3, seed=1, mode=first) for first in (None, 1)]
@@ -61,7 +82,8 @@ def test_rules_that_fail_say_when():
         ({"rule": 3}, "rule must have a method step"),
         ({"rule": Relay(), "condition": "C3"}, "no effect beside rule="),
         ({"rule": Relay(), "thresholds": (0.0, 0.3)}, "no effect beside rule="),
-        ({"rule": Relay(), "testbed": "uav", "laps": None}, "rule has no effect on the UAV testbed"),
+        ({"rule": Late(), "testbed": "uav", "laps": None}, r"rule.step failed at t = 100.0 s.*out of data"),
+        ({"condition": "C3", "mode": 0, "testbed": "uav", "laps": None}, "mode has no effect without rule="),
         ({"condition": "C3", "mode": 0}, "mode has no effect without rule="),
         ({}, "condition must be one of .*or rule="),
     ):

@@ -1,14 +1,15 @@
 """Who decides when in conditions C1–C5 (Section 2.4.1.2): one step of own thresholds and of suggestions, for all testbeds."""
 
 import warnings
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from trustlab.allocation.correction.corrector import threshold_pair
 from trustlab.allocation.limits import check_thresholds, threshold_limits
-from trustlab.allocation.rules import performance_suggestion
-from trustlab.models.checks import between
+from trustlab.allocation.rules import begun, decision, performance_suggestion
+from trustlab.models.checks import between, one_of
 from trustlab.models.compiled import njit
 from trustlab.models.human import performance_at
 from trustlab.models.tsc import TscModel, threshold_mode
@@ -96,21 +97,24 @@ def suggested_by_tsc(condition: str) -> bool:
 
 
 def planned(
-    condition: str,
+    condition: str | None,
     operator: Operator,
     model: TscModel,
     thresholds: tuple[float, float] | None,
+    default: tuple[float, float] | None,
     e_max: float,
     laps: int,
     r0: float | None,
 ) -> tuple[Task, tuple[float, float] | None]:
-    """Return the task of a condition, and the thresholds given for its suggestions, checked; in C2 and C3 only."""
+    """Return the task of a condition, and the thresholds of its suggestions, checked: those given, or a default, in C2 and C3."""
+    condition = one_of("condition", condition, KNOWN, "rule=")
     scheme, forced = KNOWN[condition]
     if thresholds is not None and not suggested_by_tsc(condition):
         own = "the operator's own thresholds, Operator(lower=, upper=), decide"
         decides = {"C1": own, "own": own, "random": "chance decides"}.get(condition, "Algorithm 2 decides")
         raise ValueError(f"thresholds have no effect in {condition}, where {decides}; leave them out")
     if suggested_by_tsc(condition):
+        thresholds = default if thresholds is None else thresholds
         if thresholds is None:
             raise ValueError(
                 f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and .upper of "
@@ -122,6 +126,46 @@ def planned(
         lower, upper = operator.lower - operator.trust_bias, operator.upper - operator.trust_bias
     r0 = operator.r0 if r0 is None else r0
     return task_of(scheme, e_max, forced, laps, lower, upper, model, r0=r0), thresholds
+
+
+def ruled(
+    rule: Any,
+    mode: int | None,
+    named: tuple,
+    operator: Operator,
+    model: TscModel,
+    e_max: float,
+    laps: int,
+    r0: float | None,
+) -> tuple[Any, Task, str]:
+    """Return a rule of one's own, its task, and what to call the condition; `named` must hold neither condition nor thresholds."""
+    if any(one is not None for one in named):
+        raise ValueError("condition and thresholds have no effect beside rule=, which decides; leave them out")
+    rule, mode = begun(rule, mode)
+    r0 = operator.r0 if r0 is None else r0
+    task = task_of(SCHEDULE, e_max, laps=laps, model=model, first_mode=mode, r0=r0)
+    return rule, task, f"rule {type(rule).__name__}"
+
+
+def decided_by(rule: Any, task: Task, most: int, run: Callable[[np.ndarray], tuple]) -> tuple:
+    """
+    Return what `run(modes)` returns, its log first, where a rule gives the modes of at most `most` samples.
+
+    The run is made again after each switch: with the same streams of noise, nothing before it changes.
+    """
+    schedule, said = np.full(most, task.first_mode), np.full(most, -1.0)
+    k, switched = round(SETTLING / SAMPLE_TIME), True
+    while switched:
+        log, *rest = run(schedule)
+        switched = False
+        while k < log.size and not switched:
+            wanted = decision(rule, f"t = {k * SAMPLE_TIME:.1f} s", float(log["tsc"][k]), float(log["p_r"][k]))
+            if wanted is not None:
+                said[k], switched = wanted, wanted != schedule[k]
+                schedule[k:] = wanted
+            k += 1
+    log["suggested_mode"] = said[: log.size]
+    return log, *rest
 
 
 def warn_if_too_short(longest: float) -> None:

@@ -1,12 +1,12 @@
 """A robot on a course, an operator, and who drives: a simulated stand-in for the Stage testbed of Fig. 2.1."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from trustlab.allocation.correction.in_loop import no_correction
-from trustlab.allocation.rules import begun, decision
 from trustlab.models.checks import finite_array, finite_number, of_class, one_of, spawned, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
@@ -15,15 +15,15 @@ from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.records import log_of
 from trustlab.testbeds.condition_run import ConditionRun, condition_measures
 from trustlab.testbeds.deciding import (
-    KNOWN,
     SAMPLE_TIME,
     SCHEDULE,
     SETTLING,
     WINDOW,
+    decided_by,
     planned,
+    ruled,
     sample_times,
     seed_facts,
-    suggested_by_tsc,
     task_of,
     tsc_facts,
     warn_if_too_short,
@@ -105,7 +105,7 @@ def run_condition(
         The ground robot of Section 2.4.1, or the UAV of Section 2.4.2 that follows a leader for six minutes: there participants
         are the seeded operators 1 to 20 of `following_operator`, or an `Operator` with a model in shares of 1.
     rule : object, optional
-        Who drives the ground robot, in place of a condition: an object with a method step(tsc=…, p_r=…), as for
+        Who drives, in place of a condition: an object with a method step(tsc=…, p_r=…), as for
         `simulate_allocation`. It is called every 0.1 s, from the time on at which the window is full, with TSC and P_r as measured,
         and what it returns is the mode at once, without a reaction.
     mode : int, optional
@@ -142,29 +142,24 @@ def run_condition(
     >>> run.session.metadata.synthetic
     True
     """
+    if rule is None and mode is not None:
+        raise ValueError("mode has no effect without rule=: the conditions begin in the manual mode; leave it out")
     if one_of("testbed", testbed, TESTBEDS) != "ground_robot":
-        idle = {"laps": laps, "robot": robot, "course": course, "rule": rule, "mode": mode}
-        for name, value in idle.items():
+        for name, value in (("laps", laps), ("robot", robot), ("course", course)):
             if value is not None:
                 raise ValueError(f"{name} has no effect on the UAV testbed; leave it out")
-        return fly_condition(condition, participant, model, thresholds, seed, r0, operator)
+        return fly_condition(condition, participant, model, thresholds, seed, r0, operator, rule, mode)
     operator, model, printed = _who(participant, operator, model)
     operator, robot, course = _checked(operator, robot, course)
     laps = whole_number("laps", 8 if laps is None else laps, most=MOST_LAPS)
+    most = _longest(laps, course)
     if rule is None:
-        one_of("condition", condition, KNOWN, "rule=")
-        if mode is not None:
-            raise ValueError("mode has no effect without rule=: the conditions begin in the manual mode; leave it out")
-        thresholds = thresholds if thresholds is not None or not suggested_by_tsc(condition) else printed
-        task, thresholds = planned(condition, operator, model, thresholds, E_MAX, laps, r0)
-        data, lap_times = _drive(task, _longest(laps, course), robot, course, operator, seed)
+        task, thresholds = planned(condition, operator, model, thresholds, printed, E_MAX, laps, r0)
+        data, lap_times = _drive(task, most, robot, course, operator, seed)
     else:
-        if condition is not None or thresholds is not None:
-            raise ValueError("condition and thresholds have no effect beside rule=, which decides; leave them out")
-        rule, mode = begun(rule, mode)
-        r0, condition = operator.r0 if r0 is None else r0, f"rule {type(rule).__name__}"
-        task = task_of(SCHEDULE, E_MAX, laps=laps, model=model, first_mode=mode, r0=r0)
-        data, lap_times = _driven_by(rule, task, _longest(laps, course), robot, course, operator, seed)
+        rule, task, condition = ruled(rule, mode, (condition, thresholds), operator, model, E_MAX, laps, r0)
+        drive = partial(_drive, task, most, robot, course, operator, seed)
+        data, lap_times = decided_by(rule, task, most, drive)
     warn_if_too_short(data.size * SAMPLE_TIME)
     facts = {"laps": laps, "settling": SETTLING} | tsc_facts(thresholds)
     session = _session(_frame(data), operator, condition, seed, **facts)
@@ -190,7 +185,7 @@ def measured_condition(
 ) -> tuple[dict[str, float], float]:
     """Return the measures of `run_condition` with its defaults, and the last utilization, without making a session."""
     course = default_course()
-    task, _ = planned(condition, operator, model, thresholds if suggested_by_tsc(condition) else None, E_MAX, laps, r0)
+    task, _ = planned(condition, operator, model, None, thresholds, E_MAX, laps, r0)
     log, lap_times = _drive(task, _longest(laps, course), Pioneer(), course, operator, seed)
     measures = condition_measures(log, sample_times(log.size), condition, operator, model, lap_times)
     return measures, float(log["r"][-1])
@@ -373,27 +368,6 @@ def _drive(task, most, robot, course, operator, seed, schedule=None, correction=
             "do): this robot or operator does not keep to the course; check their parameters"
         )
     return log[:rows], lap_times[:done]
-
-
-def _driven_by(rule, task, most, robot, course, operator, seed) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return the log of laps as a rule decides, and when they ended.
-
-    The laps are driven again after each switch: with the same streams of noise, nothing before it changes.
-    """
-    schedule, said = np.full(most, task.first_mode), np.full(most, -1.0)
-    k, switched = round(SETTLING / SAMPLE_TIME), True
-    while switched:
-        log, lap_times = _drive(task, most, robot, course, operator, seed, schedule)
-        switched = False
-        while k < log.size and not switched:
-            wanted = decision(rule, f"t = {k * SAMPLE_TIME:.1f} s", float(log["tsc"][k]), float(log["p_r"][k]))
-            if wanted is not None:
-                said[k], switched = wanted, wanted != schedule[k]
-                schedule[k:] = wanted
-            k += 1
-    log["suggested_mode"] = said[: log.size]
-    return log, lap_times
 
 
 def _frame(log: np.ndarray) -> pd.DataFrame:

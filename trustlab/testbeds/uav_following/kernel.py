@@ -126,11 +126,12 @@ def fly(flight, dt, row, state):
 
 
 @njit
-def follow(task, flight, position, velocity, person, sensing, hand, mind, states, log):
+def follow(task, schedule, flight, position, velocity, person, sensing, hand, mind, states, log):
     """
     Fill the records of `log` behind a leader at `position` with `velocity`, both of shape (N, 3).
 
-    person: numbers of an `Operator`. sensing, hand, mind: generators of noise. states, shape (1,): a record of STATE.
+    schedule, shape (N,): modes, used by the scheme SCHEDULE alone. person: numbers of an `Operator`. sensing, hand, mind: generators
+    of noise. states, shape (1,): a record of STATE.
     """
     dt, state = task.sample_time, states[0]
     delay, z_r, z_h = round(person.delay / dt), np.empty(log.size), np.empty(log.size)
@@ -155,7 +156,7 @@ def follow(task, flight, position, velocity, person, sensing, hand, mind, states
         z_r[k] = 1.0 - row.path_error / task.e_max
         z_h[k] = 1.0 - (abs(row.u_i_x - row.u_h_x) + abs(row.u_i_y - row.u_h_y)) / flight.u_max
         measure(task, k, z_r, z_h, state)
-        allocate(task, person, 0, t, state, mind)
+        allocate(task, person, schedule[k], t, state, mind)
         row.mode, row.suggested_mode, row.r = state.mode, state.suggested, state.r
         row.p_r, row.p_h, row.tsc = state.p_r, state.p_h, state.tsc
         detect(flight, rates, state, sensing)

@@ -1,34 +1,36 @@
 """Runs of the UAV that follows a leader under conditions C1–C5: a simulated stand-in for the testbed of Fig. 2.10."""
 
-from functools import cache
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, spawned
+from trustlab.models.checks import of_class, spawned
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.records import log_of
 from trustlab.testbeds.condition_run import ConditionRun, condition_measures
 from trustlab.testbeds.deciding import (
-    KNOWN,
     SAMPLE_TIME,
     SETTLING,
     WINDOW,
     Task,
+    decided_by,
     planned,
+    ruled,
     sample_times,
     seed_facts,
-    suggested_by_tsc,
     tsc_facts,
 )
 from trustlab.testbeds.tracking_task import TrackingTask, tracking_vehicle
 from trustlab.testbeds.uav_following import kernel
 from trustlab.testbeds.uav_following.people import P_R_MIN, following_operator
 
-# Length of a test, as printed [s].
+# Length of a test, as printed [s], and in samples.
 DURATION = 360.0
+SAMPLES = round(DURATION / SAMPLE_TIME)
 
 # Deviations that count as performance 0, from the leader [m] and of the command [m/s]; not printed.
 E_MAX, U_MAX = 1.0, 3.0
@@ -66,13 +68,15 @@ def flight() -> kernel.Flight:
 
 
 def fly_condition(
-    condition: str,
+    condition: str | None = None,
     participant: int | str | Operator | None = None,
     model: TscModel | None = None,
     thresholds: tuple[float, float] | None = None,
     seed: int | np.random.SeedSequence = 0,
     r0: float | None = None,
     operator: Operator | None = None,
+    rule: Any = None,
+    mode: int | None = None,
 ) -> ConditionRun:
     """
     Fly after a leader for six minutes under one of the conditions C1–C5: `run_condition` with testbed="uav".
@@ -82,7 +86,7 @@ def fly_condition(
 
     Parameters
     ----------
-    condition, participant, model, thresholds, seed, r0, operator
+    condition, participant, model, thresholds, seed, r0, operator, rule, mode
         As for `run_condition`; model and thresholds of a seeded operator are their own when not given.
 
     Returns
@@ -99,7 +103,6 @@ def fly_condition(
     Simulated: no person took part. What is not printed (e_max, Δu_max, the leader's path, ranges of performance) is plausible,
     not measured.
     """
-    one_of("condition", condition, KNOWN)
     own = None
     if operator is not None and participant is not None:
         raise ValueError("give either participant= or operator=, not both")
@@ -110,10 +113,12 @@ def fly_condition(
         someone, own_model, own = following_operator(someone)
         model = own_model if model is None else model
     model = of_class("model", model, TscModel)
-    if thresholds is None and suggested_by_tsc(condition):
-        thresholds = own
-    task, thresholds = planned(condition, someone, model, thresholds, E_MAX, 0, r0)
-    log = _fly(task, someone, seed)
+    if rule is None:
+        task, thresholds = planned(condition, someone, model, thresholds, own, E_MAX, 0, r0)
+        (log,) = _fly(task, someone, seed)
+    else:
+        rule, task, condition = ruled(rule, mode, (condition, thresholds), someone, model, E_MAX, 0, r0)
+        (log,) = decided_by(rule, task, SAMPLES, partial(_fly, task, someone, seed))
     facts = {"duration": DURATION, "settling": SETTLING} | tsc_facts(thresholds) | seed_facts(seed)
     facts |= {
         "note": NOTE,
@@ -134,16 +139,19 @@ def measured_flight(
     r0: float | None,
 ) -> tuple[dict[str, float], float]:
     """Return the measures of `fly_condition`, and the last utilization, without making a session."""
-    task, _ = planned(condition, operator, model, thresholds if suggested_by_tsc(condition) else None, E_MAX, 0, r0)
-    log = _fly(task, operator, seed)
+    task, _ = planned(condition, operator, model, None, thresholds, E_MAX, 0, r0)
+    (log,) = _fly(task, operator, seed)
     return condition_measures(log, sample_times(log.size), condition, operator, model), float(log["r"][-1])
 
 
-def _fly(task: Task, operator: Operator, seed: int | np.random.SeedSequence) -> np.ndarray:
-    """Return the log of one test."""
-    _, log = log_of(kernel.LOG, round(DURATION / SAMPLE_TIME))
+def _fly(
+    task: Task, operator: Operator, seed: int | np.random.SeedSequence, modes: np.ndarray | None = None
+) -> tuple[np.ndarray]:
+    """Return the log of one test, with the modes of a schedule where one is given."""
+    _, log = log_of(kernel.LOG, SAMPLES)
     *streams, start = (np.random.default_rng(child) for child in spawned(seed, 4))
     position, velocity = LEADER.path(sample_times(log.size), 0.0, start.uniform(0.0, 2.0 * np.pi))
+    schedule = np.ones(SAMPLES, np.int64) if modes is None else modes
     states = np.zeros(1, kernel.STATE)
-    kernel.follow(task, flight(), position, velocity, operator.numbers, *streams, states, log)
-    return log
+    kernel.follow(task, schedule, flight(), position, velocity, operator.numbers, *streams, states, log)
+    return (log,)
