@@ -1,6 +1,6 @@
 # `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
 .DEFAULT_GOAL := help
-.PHONY: environment reports test test-long lock bench lab data calibration clean help
+.PHONY: environment reports docs test test-long lock bench lab data calibration clean help
 
 PYTHON ?= python3
 VENV := .venv
@@ -33,6 +33,9 @@ endif
 reports: $(VENV)/.stamp  ## every notebook, run and published under reports/ (PARAMS="-p name value" passes parameters on)
 	$(BIN)/python -m trustlab.publishing.compile_kernels
 	$(BIN)/python -m trustlab.publishing --jobs $(JOBS) $(PARAMS)
+
+docs: $(VENV)/.stamp  ## the documentation, written under reports/docs/
+	$(BIN)/python -m sphinx -q -W --keep-going -j auto -b html docs reports/docs
 
 test: $(VENV)/.stamp  ## formatting, linting, types and every test but the long ones
 	$(BIN)/ruff format --check .
@@ -75,7 +78,8 @@ lock:  ## resolve environment.lock again (needs uv)
 clean:  ## remove the environment, the caches and what was generated
 	rm -rf $(VENV) benchmarks/.venv .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find reports -mindepth 1 -maxdepth 1 ! -name README.md ! -name figures -exec rm -rf {} +
-	find trustlab tests benchmarks data notebooks -name __pycache__ -prune -exec rm -rf {} +
+	rm -rf docs/api
+	find trustlab tests benchmarks data notebooks docs -name __pycache__ -prune -exec rm -rf {} +
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile

@@ -1,25 +1,37 @@
-"""The examples of docstrings print what they say."""
+"""The examples of docstrings print what they say, and every name of `trustlab` has one."""
 
 import doctest
 import importlib
+import inspect
 from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).parents[2] / "trustlab"
+import trustlab as tl
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "trustlab"
 MODULES = [
-    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
     for path in sorted(PACKAGE.rglob("*.py"))
     if ">>> " in path.read_text()
 ]
+# One worker compiles and reads what many examples need once.
+pytestmark = pytest.mark.xdist_group("examples")
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_examples(name):
+@pytest.mark.filterwarnings("ignore")
+def test_examples(name, monkeypatch):
+    monkeypatch.chdir(ROOT)  # they read data/sessions
     done = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
     assert done.attempted > 0
     assert done.failed == 0
 
 
-def test_there_are_examples():
-    assert len(MODULES) >= 20
+@pytest.mark.parametrize("name", [name for name in tl.__all__ if not inspect.ismodule(getattr(tl, name))])
+def test_every_public_name_has_an_example(name):
+    doc = getattr(tl, name).__doc__
+    examples = doctest.DocTestParser().get_examples(doc)
+    assert any(name in example.source for example in examples)
+    assert not examples[-1].options.get(doctest.SKIP)

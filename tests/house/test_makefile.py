@@ -80,7 +80,13 @@ def house(tmp_path):
     for name in ("Makefile", ".ci/run", "pyproject.toml", "environment.lock", "benchmarks/environment.lock"):
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tree / name)
-    for name in ("trustlab/__pycache__/a.pyc", "tests/__pycache__/a.pyc", "data/a.csv", "notebooks/a.ipynb"):
+    for name in (
+        "trustlab/__pycache__/a.pyc",
+        "tests/__pycache__/a.pyc",
+        "data/a.csv",
+        "notebooks/a.ipynb",
+        "docs/api/a.rst",
+    ):
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
         (tree / name).touch()
     for name in ("README.md", "figures/a.png", "index.html", ".build/a", "a b.html"):
@@ -122,6 +128,7 @@ def test_the_environment_is_built_once_and_every_recipe_runs(house, uv):
         "test": "pytest",
         "test-long": "pytest",
         "reports": "python -m trustlab.publishing",
+        "docs": "python -m sphinx",
         "bench": "python -m benchmarks",
         "lab": "jupyter lab",
         "data": "make_sessions",
@@ -138,7 +145,7 @@ def test_the_environment_is_built_once_and_every_recipe_runs(house, uv):
     assert not (tree / ".venv").exists()
     left = {path.relative_to(tree).as_posix() for path in tree.rglob("*") if path.is_file()}
     assert {name for name in left if name.startswith("reports")} == {"reports/README.md", "reports/figures/a.png"}
-    assert not any("__pycache__" in name for name in left)
+    assert not any("__pycache__" in name or name.startswith("docs") for name in left)
     assert {"data/a.csv", "notebooks/a.ipynb", "environment.lock"} <= left
 
 

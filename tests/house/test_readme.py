@@ -1,16 +1,74 @@
-"""Links and figures of README and CONTRIBUTING are there; README's Python blocks run in `test_wheel.py`."""
+"""Links and figures of README, CONTRIBUTING and the documentation's sources are there, and their code runs."""
 
 import re
-from pathlib import Path
 
+import matplotlib as mpl
 import pytest
+from matplotlib import pyplot as plt
 
-ROOT = Path(__file__).parents[2]
+from tests.house.documents import DOCUMENTS, ROOT, blocks, name_of, python, write_files
+from trustlab.sessions import load_recipe
 
 
-@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])
-def test_links_and_figures_are_there(name):
-    targets = re.findall(r"\]\(([^)#:]+)\)", (ROOT / name).read_text())
-    paths = re.findall(r"`((?:data|notebooks|reports|tests|trustlab)/[\w./]+)`", (ROOT / name).read_text())
-    missing = [place for place in targets + paths if not (ROOT / place).exists()]
+@pytest.mark.parametrize("path", [*DOCUMENTS, ROOT / "CONTRIBUTING.md"], ids=name_of)
+def test_links_and_figures_are_there(path):
+    targets = re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", path.read_text())
+    missing = [place for place in targets if not place.startswith("api/") and not (path.parent / place).exists()]
+    missing += [place for place in targets if place.startswith("api/") and path.parent.name != "docs"]
+    named = re.findall(r"`((?:data|notebooks|reports|tests|trustlab)/[\w./]+)`", path.read_text())
+    missing += [place for place in named if not (ROOT / place).exists()]
     assert [place for place in missing if not place.startswith("data/external")] == []
+
+
+# One worker runs them all, so that what they compile and read is there for all.
+@pytest.mark.xdist_group("docs")
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("path", [path for path in DOCUMENTS if python(path)], ids=name_of)
+def test_code_runs(path, tmp_path, monkeypatch, capsys):
+    write_files(path, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    with mpl.rc_context({"backend": "Agg"}):
+        exec(compile(python(path), name_of(path), "exec"), {"__name__": "__main__"})
+        plt.close("all")
+    assert capsys.readouterr().out.strip()
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
+def test_code_that_does_not_run_is_python_and_says_so(path):
+    for language, _, runs, code in blocks(path):
+        if language == "python" and not runs:
+            compile(code, name_of(path), "exec")
+            assert "not run here" in path.read_text()
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
+def test_recipes_can_be_followed(path, tmp_path):
+    for language, caption, _, code in blocks(path):
+        if language == "toml":
+            (tmp_path / caption).write_text(code)
+            load_recipe(tmp_path / caption)
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
+def test_targets_of_make_are_there(path):
+    phony = re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.M)[1].split()
+    shell = "".join(code for language, _, _, code in blocks(path) if language == "sh")
+    assert set(re.findall(r"^make (\S+)", shell, re.M)) <= set(phony)
+
+
+def test_readme_is_one_page():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 70
+
+
+def test_the_checks_see_what_they_should(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(
+        "```python\nx = 1\n```\n```{code-block} python\n:class: not-run\n\nx = 2\n```\n"
+        "```{code-block} toml\n:caption: a.toml\n\ny = 3\n```\n"
+    )
+    assert list(blocks(page)) == [
+        ("python", "", True, "x = 1\n"),
+        ("python", "", False, "x = 2\n"),
+        ("toml", "a.toml", True, "y = 3\n"),
+    ]
+    assert python(page) == "x = 1\n"

@@ -1,7 +1,6 @@
-"""The package as people install it: wheel and sdist are whole, and every README block runs from the wheel elsewhere."""
+"""The package as people install it: wheel and sdist are whole; README and some pages of the documentation run from the wheel."""
 
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -12,17 +11,11 @@ from pathlib import Path
 import pytest
 from numba.core.caching import _CacheLocator
 
+from tests.house.documents import ROOT, python, write_files
 from trustlab.models import compiled
 
-ROOT = Path(__file__).parents[2]
-README = (ROOT / "README.md").read_text()
-BLOCKS = re.findall(r"```python\n(.*?)```", README, re.S)
-RECIPE = re.search(r"```toml\n(.*?)```", README, re.S)[1]
-LOG = """stamp,driver,deviation,x,y,stick_v,stick_w
-2000,human,1.5,0,0,1.0,0
-2100,human,1.6,3,4,1.0,0
-2200,robot,1.7,6,8,1.0,90
-"""
+# Not all pages: `test_readme.py` runs them from the sources. These read files, compile parts of one's own, and plot.
+PAGES = ["README.md", "docs/start.md", "docs/how_to/recipe.md", "docs/how_to/scheme.md", "docs/how_to/analyse.md"]
 # One worker runs them all, so that the package is built once, and what it compiles is compiled once.
 pytestmark = pytest.mark.xdist_group("wheel")
 
@@ -32,7 +25,7 @@ def built(tmp_path_factory):
     """Wheel and sdist, built from what git would ship."""
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
     skip = shutil.ignore_patterns("__pycache__", "external", ".ipynb_checkpoints")
-    for name in ("trustlab", "data", "tests", "notebooks", "benchmarks"):
+    for name in ("trustlab", "data", "tests", "notebooks", "benchmarks", "docs"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "external", ".venv"))
     shutil.copytree(ROOT / "reports" / "figures", source / "reports" / "figures", ignore=skip)
     for path in ROOT.iterdir():
@@ -91,24 +84,17 @@ def test_the_sdist_can_be_tested(built):
         "environment.lock",
         "Makefile",
         "tests/conftest.py",
+        "docs/conf.py",
     } <= names
     assert {f"data/published/{path.name}" for path in (ROOT / "data" / "published").iterdir()} <= names
 
 
-def test_there_are_blocks():
-    assert len(BLOCKS) >= 8
-
-
-@pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.splitlines()[2][:40])
-def test_block_runs(block, installed, tmp_path):
-    (tmp_path / "data").symlink_to(ROOT / "data")
-    (tmp_path / "my_lab.toml").write_text(RECIPE)
-    for folder in ("p3", "study/p3"):
-        (tmp_path / folder).mkdir(parents=True)
-        (tmp_path / folder / "run1.csv").write_text(LOG)
+@pytest.mark.parametrize("page", PAGES)
+def test_page_runs(page, installed, tmp_path):
+    write_files(ROOT / page, tmp_path)
     check = f"import trustlab\nassert trustlab.__file__.startswith({str(installed)!r}), trustlab.__file__\n"
     done = subprocess.run(
-        [sys.executable, "-c", check + block],
+        [sys.executable, "-c", check + python(ROOT / page)],
         cwd=tmp_path,
         env=os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": str(installed)},
         capture_output=True,

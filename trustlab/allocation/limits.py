@@ -160,6 +160,13 @@ def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> Threshold
     ------
     ValueError
         If `tsc` is not a `TscModel`, or `delta_p_h` is negative or not finite.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> limits = tl.threshold_limits(tl.published_models()["2"])
+    >>> round(limits.lower, 3), round(limits.upper, 3)
+    (-0.43, 0.43)
     """
     of_class("tsc", tsc, TscModel)
     if delta_p_h is None:

@@ -210,6 +210,16 @@ def sweep(
     ------
     ValueError
         If a name is unknown, values are not finite, or a threshold is missing or given twice.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> swept = tl.sweep(tl.published_models()["2"], {"upper": [0.25, 0.30, 0.35]}, lower=0.0)
+    >>> swept.table()[["upper", "mean_p_r"]].round(3)
+       upper  mean_p_r
+    0   0.25     0.320
+    1   0.30     0.322
+    2   0.35     0.325
     """
     names = _checked(tsc, axes, lower, upper)
     values = {name: finite_array(name, axes[name]) for name in names}
@@ -268,6 +278,17 @@ def cycle_sensitivity(
     ValueError
         If a name is unknown, a threshold is missing or given twice, or the rule stops switching at a point: narrow the
         ranges then.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> tsc = tl.published_models()["2"]
+    >>> ranges = {"upper": (0.2, 0.35), "human.a": (0.998, 0.9995)}
+    >>> indices = tl.cycle_sensitivity(tsc, ranges, n=16, lower=0.0, quantities=("mean_r",), n_jobs=1)
+    >>> indices.table()[["parameter", "total"]].round(1)
+      parameter  total
+    0     upper    1.0
+    1   human.a    0.0
     """
     _checked(tsc, ranges, lower, upper)
     if isinstance(quantities, str) or not quantities or not set(quantities) <= set(QUANTITIES):

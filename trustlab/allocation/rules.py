@@ -129,6 +129,13 @@ class PerformanceRule:
     ------
     ValueError
         If p_min is not below p_max, or the tolerance is outside [0, 0.1).
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> rule = tl.PerformanceRule(p_min=0.24, p_max=0.36)
+    >>> [rule.step(p_r=p_r) for p_r in (0.30, 0.35, 0.36)]
+    [1, None, 0]
     """
 
     p_min: float

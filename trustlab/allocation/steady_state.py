@@ -201,6 +201,18 @@ def steady_state_bounds(tsc: TscModel, lower: float, upper: float, delta_tsc: fl
     Notes
     -----
     Saeidi, *Trust-based control of (semi)autonomous mobile robotic systems*, Sections 2.3.1-2.3.3.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> tl.steady_state_bounds(tl.published_models()["2"], lower=0.0, upper=0.35).table().round(3)
+                               low     high
+    quantity
+    r                        0.612    0.819
+    P_r                      0.278    0.336
+    TSC                     -0.007    0.357
+    dwell time manual      353.000  701.000
+    dwell time autonomous      NaN  195.000
     """
     lower, upper = check_thresholds(tsc, lower, upper, threshold_limits(tsc, 0.0))
     if delta_tsc is None:

@@ -39,6 +39,13 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
         If a column is missing or holds a share.
     ValueError
         If `session` is not a `Session`, or the deadline is not positive.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> run = tl.run_condition("C2", participant=2, laps=4, seed=0)
+    >>> tl.followed_suggestions(run.session).columns.tolist()
+    ['start', 'suggested_mode', 'delay', 'followed', 'state']
     """
     of_class("session", session, Session, "trustlab.read_session(path) reads one")
     deadline = positive("deadline", deadline)

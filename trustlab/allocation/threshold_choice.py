@@ -139,6 +139,13 @@ def choose_thresholds(tsc: TscModel, delta_p_h: float = 0.0, margin: float = 0.1
     is the exact cycle, `.cycle`, and the bounds for every trajectory, `.bounds`. `.limits` are the limits searched,
     `.model_limits` those at the model's δ_Ph; `.message` says where the pair lies relative to both. To stay within the latter give
     delta_p_h=threshold_limits(tsc).delta_p_h.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> choice = tl.choose_thresholds(tl.published_models()["2"])
+    >>> round(choice.lower, 3), round(choice.upper, 3)
+    (-0.057, 0.439)
     """
     of_class("tsc", tsc, TscModel)
     margin = finite_number("margin", margin)

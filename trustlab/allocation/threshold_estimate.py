@@ -114,6 +114,14 @@ def estimate_thresholds(
     Where switching was barred at first, a threshold may have been passed long before the first switch, whose TSC then
     says nothing about it: `run_condition` bars switches for its first 100 s (`settling` in the session's metadata), and
     after=110.0 leaves out what was merely waiting for that.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> run = tl.run_condition("C3", participant=2, laps=4, seed=0)
+    >>> estimate = tl.estimate_thresholds(run.session, tl.published_models()["2"], within=1.0, resamples=100)
+    >>> estimate.table().index.tolist()
+    ['lower', 'upper']
     """
     within = positive("within", within)
     if model is not None:
@@ -222,6 +230,12 @@ def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) ->
     ------
     ValueError
         If p_min is not below p_max, or a performance is not finite.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> round(tl.relative_performance([0.30, 0.33, 0.36], p_min=0.24, p_max=0.36), 1)
+    75.0
     """
     low, high = in_order("p_min", p_min, "p_max", p_max)
     values = np.array([finite_number("p_r", p_r)]) if np.isscalar(p_r) else finite_array("p_r", p_r)

@@ -171,6 +171,18 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
     ------
     CampaignError
         If there is no campaign in the folder, or a file of it is damaged.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import trustlab as tl
+    >>> def task(upper, seed):
+    ...     return {"double": 2 * upper}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     run = tl.run_campaign(task, [{"upper": 0.2}, {"upper": 0.3}], seed=0, n_jobs=1, out=folder)
+    ...     table = tl.read_campaign(folder)
+    >>> table.equals(run)
+    True
     """
     path = Path(folder)
     if not (path / MANIFEST).is_file():

@@ -103,6 +103,14 @@ def parameter_draws(
     ------
     ValueError
         If a distribution is of none of these kinds, its draws are not finite, or a range is empty.
+
+    Examples
+    --------
+    >>> from scipy import stats
+    >>> import trustlab as tl
+    >>> draws = tl.parameter_draws(3, seed=0, upper=stats.uniform(0.2, 0.2), laps=[4, 8])
+    >>> [round(draw["upper"], 3) for draw in draws]
+    [0.39, 0.278, 0.242]
     """
     # A parameter of the task may be called n too: parameter_draws(100, n=(5, 20)).
     named = distributions.get("n")

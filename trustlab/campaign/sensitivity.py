@@ -131,6 +131,17 @@ def sobol_indices(
     -----
     Saltelli, A., et al. "Variance based sensitivity analysis of model output." *Computer Physics Communications* 181(2),
     2010, 259-270.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> def task(x, y, seed):
+    ...     return {"z": x + 0.1 * y}
+    >>> indices = tl.sobol_indices(task, {"x": (0.0, 1.0), "y": (0.0, 1.0)}, n=64, n_jobs=1)
+    >>> indices.table()[["parameter", "first_order", "total"]].round(1)
+      parameter  first_order  total
+    0         x          1.0    1.0
+    1         y          0.0    0.0
     """
     from scipy.stats import sobol_indices as scipy_indices
 

@@ -85,6 +85,23 @@ def fit(
         If a column is missing.
     ValueError
         If an argument is not understood, or the simulation returns something other than finite outputs.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> def simulate(run, rate, p_r0):
+    ...     return 0.24 + (p_r0 - 0.24) * np.exp(-rate * np.arange(len(run["mode"])))
+    >>> rate, start = tl.Parameter("rate", 0.0, 1.0), tl.Parameter("p_r0", 0.0, 1.0)
+    >>> decay = tl.Structure("decay", [rate], outputs="p_r", simulate=simulate, initial=[start])
+    >>> t = np.arange(200.0)
+    >>> p_r = 0.24 + 0.1 * np.exp(-0.02 * t) + 1e-3 * np.random.default_rng(0).normal(size=200)
+    >>> fit = tl.fit(decay, tl.read_frame(pd.DataFrame({"t": t, "mode": 0.0, "p_r": p_r})))
+    >>> fit.table().loc["rate", ["value", "stderr"]].round(4)
+    value     0.0199
+    stderr    0.0001
+    Name: rate, dtype: float64
     """
     of_class("structure", structure, Structure)
     how = HowLogged(window, step, mode_delay, stamp_error, robust)

@@ -71,6 +71,13 @@ def fit_human(
         If a column is missing.
     ValueError
         If an argument is not understood.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> fit = tl.fit_human(tl.read_session("data/sessions/pilot.csv"))
+    >>> round(fit.model.beta, 2), fit.success
+    (0.74, True)
     """
     if method == "arx":
         warn_renamed('fit_human(method="arx")', 'fit_human(method="regression")')

@@ -169,6 +169,17 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
     Notes
     -----
     Ljung, *System Identification: Theory for the User*, 2nd ed., Section 10.1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import trustlab as tl
+    >>> u = np.random.default_rng(0).normal(size=200)
+    >>> y = np.zeros(200)
+    >>> for k in range(199):
+    ...     y[k + 1] = 0.9 * y[k] + 0.5 * u[k]
+    >>> tl.arx(y, u).table()["value"].round(6).to_dict()
+    {'a1': -0.9, 'b1': 0.5}
     """
     several = isinstance(y, (list, tuple)) and len(y) > 0 and np.ndim(y[0]) == 1
     if several and len(y) != len(u):

@@ -75,6 +75,13 @@ def fit_robot(
         If a column is missing.
     ValueError
         If an argument is not understood.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> fit = tl.fit_robot(tl.read_session("data/sessions/pilot.csv"))
+    >>> round(fit.model.a, 3), fit.success
+    (0.996, True)
     """
     how = HowLogged(**logged)
     if one_of("method", method, ("output_error", "arx")) == "arx":

@@ -30,6 +30,16 @@ class IdentificationError(ValueError):
         The reason and the remedy.
     parameters : tuple of str
         The parameters that are not identifiable.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> session = tl.read_session("data/sessions/pilot.csv").between(0.0, 100.0)
+    >>> try:
+    ...     tl.fit_robot(session)
+    ... except tl.IdentificationError as error:
+    ...     print(error.parameters)
+    ('p_min', 'p_max')
     """
 
     def __init__(self, message: str, parameters: tuple[str, ...] = ()):
@@ -100,6 +110,12 @@ class Parameter:
     ------
     ValueError
         If the name is no Python name, or the bounds are empty.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> tl.Parameter("rise", 0.0, 0.1, guess=0.01).low
+    0.0
     """
 
     name: str
@@ -170,6 +186,18 @@ class LinearForm:
         From a run to its initial states, in order: where the fitted model is simulated from.
     caution : str
         What a reader must know of these estimates.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> form = tl.LinearForm(
+    ...     coefficients=("c", "d"),
+    ...     equations=lambda run: (run.columns["p_r"][:-1, None] ** [1, 0], run.columns["p_r"][1:]),
+    ...     parameters=lambda c: {"a": c["c"], "p_min": c["d"] / (1 - c["c"])},
+    ...     initial=lambda run: {"p_r0": run.columns["p_r"][0]},
+    ... )
+    >>> form.coefficients
+    ('c', 'd')
     """
 
     coefficients: tuple[str, ...]
@@ -221,6 +249,17 @@ class Structure:
     ------
     ValueError
         If a name is repeated, or a field does not fit the others.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import trustlab as tl
+    >>> def simulate(run, rate, p_r0):
+    ...     return 0.24 + (p_r0 - 0.24) * np.exp(-rate * np.arange(len(run["mode"])))
+    >>> rate, start = tl.Parameter("rate", 0.0, 1.0), tl.Parameter("p_r0", 0.0, 1.0)
+    >>> decay = tl.Structure("decay", [rate], outputs="p_r", simulate=simulate, initial=[start])
+    >>> decay.name, decay.outputs
+    ('decay', ('p_r',))
     """
 
     name: str

@@ -79,6 +79,17 @@ def fit_transfer_function(
         If the command does not move, or the data do not determine the parameters.
     ValueError
         If arguments are not understood, lengths differ or samples are not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scipy import signal
+    >>> import trustlab as tl
+    >>> command = np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], 20), 50)
+    >>> _, velocity, _ = signal.lsim(([0.985], [1.0, 0.4952]), command, 0.01 * np.arange(1000), interp=False)
+    >>> fit = tl.fit_transfer_function(command, velocity, sample_time=0.01, order=1)
+    >>> round(fit.model.gain, 3), round(fit.model.denominator[0], 3)
+    (0.985, 0.495)
     """
     sample_time, order = positive("sample_time", sample_time), whole_number("order", order, 1, 2)
     runs = _runs(command, velocity, sample_time)

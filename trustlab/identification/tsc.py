@@ -65,6 +65,13 @@ def fit_tsc(
         If a column is missing.
     ValueError
         If an argument is not understood.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> tsc = tl.fit_tsc(tl.read_session("data/sessions/pilot.csv")).model
+    >>> round(tsc.robot.a, 3), round(tsc.human.beta, 2)
+    (0.996, 0.74)
     """
     return fit(TSC, sessions, fixed=fixed, bounds=bounds, noise=noise, **logged)
 

@@ -59,6 +59,12 @@ def published_table(number: str) -> pd.DataFrame:
     ------
     ValueError
         If there is no such table; the error lists those there are.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> tl.published_table("2.1").loc["beta"].tolist()
+    ['0.95', '0.81', '0.8', '0.75', '0.71']
     """
     folder = published_folder()
     paths = {p.stem.removeprefix("table_").replace("_", "."): p for p in sorted(folder.glob("table_*.csv"))}
@@ -76,6 +82,12 @@ def published_models() -> dict[str, TscModel]:
     -------
     dict of str to TscModel
         Keys "pilot", "1" … "5" (or 1 … 5). b_pr follows from (2.3); the printed one is this, rounded to four decimals.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> list(tl.published_models())
+    ['pilot', '1', '2', '3', '4', '5']
     """
     models = ByName()
     for name, printed in ({"pilot": PILOT} | published_table("2.1").to_dict()).items():

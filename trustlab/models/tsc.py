@@ -96,6 +96,15 @@ class TscModel:
     Notes
     -----
     Saeidi, *Trust-based control of (semi)autonomous mobile robotic systems*, Section 2.2.1.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> robot = tl.RobotModel(a=0.996, p_min=0.24, p_max=0.39, p_h_max=0.4602)
+    >>> human = tl.HumanModel(a=0.9991, beta=0.74, p_min=0.391, p_max=0.4602)
+    >>> tsc = tl.TscModel(robot, human)
+    >>> round(tsc.a_T, 2), round(tsc.b_T, 2)
+    (9.94, 7.36)
     """
 
     robot: RobotModel

@@ -89,6 +89,13 @@ def simulated_answers(
     ------
     ValueError
         If an argument is out of range.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> run = tl.simulate_teleoperation("TMIG", seed=0, duration=10.0)
+    >>> tl.simulated_answers(run, seed=0)
+    {'mental': 10, 'physical': 5, 'temporal': 15, 'performance': 10, 'effort': 10, 'frustration': 30, 'satisfaction': 6, 'comfort': 6, 'control': 5, 'trust': 5.083333333333333}
     """
     participant, seed = whole_number("participant", participant), whole_number("seed", seed, least=0)
     if isinstance(points, bool) or points not in (5, 7):

@@ -141,6 +141,15 @@ class Operator:
     -----
     The defaults of the driving parameters are calibrated on the ground-robot testbed; they are not measurements of
     people.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> tsc = tl.published_models()["2"]
+    >>> me = tl.Operator("me", tsc.human, delay=0.2, attention_cost=0.05)
+    >>> run = tl.run_condition("C3", operator=me, model=tsc, thresholds=(0.0, 0.35), laps=4, seed=0)
+    >>> run.session.metadata.participant, run.session.metadata.synthetic
+    ('me', True)
     """
 
     participant: str | int

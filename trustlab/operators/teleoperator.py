@@ -83,6 +83,14 @@ class Teleoperator:
     -----
     The defaults are plausible, not measured, and were not chosen for any outcome. Crossover model: D. T. McRuer and H. R. Jex, A
     review of quasi-linear pilot models, IEEE Trans. Human Factors in Electronics 8(3), 1967.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> quick = tl.Teleoperator("quick", reaction=0.15)
+    >>> run = tl.simulate_teleoperation("M", quick, duration=5.0, seed=0)
+    >>> run.metadata.participant
+    'quick'
     """
 
     participant: str | int = "simulated"

@@ -174,6 +174,14 @@ def calibrate(
     ----------
     P. Fearnhead and D. Prangle, J. R. Stat. Soc. B 74 (2012) 419-474. M. A. Beaumont, W. Zhang and D. J. Balding, Genetics 162
     (2002) 2025-2035.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> calibration = tl.calibrate("uav", simulations=1000, seed=0)  # doctest: +SKIP
+    >>> calibration = tl.reproduction.read_calibration("uav", "data/calibration")  # the same, made before
+    >>> calibration.table().columns.tolist()
+    ['assumption', 'prior_low', 'prior_high', 'median', 'low', 'high', 'contraction']
     """
     one_of("study", study, ALLOCATION)
     ranges = checked_priors(PRIORS if priors is None else priors)

@@ -68,6 +68,18 @@ def compare(
     ------
     ValueError
         If the quantities differ, or a printed value is not text or not a number.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> tl.compare({"a_pr": 0.99598, "beta": 0.74}, {"a_pr": "0.996", "beta": "0.74"}).T
+    quantity                 a_pr          beta
+    ours                  0.99598          0.74
+    stderr                    NaN           NaN
+    printed                 0.996          0.74
+    matching_digits             3             2
+    printed_digits              3             2
+    verdict          rounds to it  rounds to it
     """
     if set(ours) != set(printed):
         only = sorted(set(ours) ^ set(printed))

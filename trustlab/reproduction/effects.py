@@ -132,6 +132,12 @@ def printed_effects() -> pd.DataFrame:
         Columns id; where; measure (p_r, p_h, r, tlx, satisfaction, trust, followed_percent or error [m]); contrast, "C3-C1" for C3 minus
         C1; printed, the difference of the printed means in the unit of the measure, NaN where only a sign is claimed; low, high, what
         rounding leaves room for, or the half-line that is claimed; p, as printed (an inequality's bound), NaN where none is.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> tl.printed_effects().set_index("id").loc["table_2.4/tlx/C2-C1", ["printed", "low", "high"]].round(2).tolist()
+    [-3.61, -3.62, -3.6]
     """
     return pd.DataFrame([effect[: len(COLUMNS)] for effect in effects()], columns=COLUMNS)
 
@@ -156,6 +162,13 @@ def model_effects() -> pd.DataFrame:
     pandas.DataFrame
         Columns id, where, measure, contrast, printed, low, high, p as `printed_effects`; model, the mean over the five; model_low,
         model_high, the least and greatest of them; reason, why there is none where they are NaN.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> effects = tl.model_effects()
+    >>> effects.columns[:8].equals(tl.printed_effects().columns)
+    True
     """
     rows = []
     for effect in effects():

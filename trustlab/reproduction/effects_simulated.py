@@ -70,6 +70,13 @@ def simulated_effects(
     ------
     ValueError
         If an assumption is unknown or out of range, or n is below 3.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> effects = tl.simulated_effects({"attention_cost": 0.05}, n=4, seed=0, only="table_2.6", n_jobs=1)
+    >>> effects["id"].tolist()
+    ['table_2.6/followed_percent/C2-C4']
     """
     assumed = checked_assumptions({} if assumptions is None else assumptions)
     n, seed = whole_number("n", n, least=3), whole_number("seed", seed, least=0)

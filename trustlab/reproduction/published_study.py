@@ -64,6 +64,14 @@ class PublishedStudy:
     ------
     PublishedStudyError
         If a field is missing, not a printed number, or impossible; the message names it.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> means, sds = {"A": "2.31", "B": "3.05"}, {"A": "0.84", "B": "0.79"}
+    >>> study = tl.PublishedStudy("mine", n=12, mean=means, sd=sds, t_test={"t": "-3.42"})
+    >>> tl.reconstruct(study, seed=0).groupby("condition")["value"].mean().round(2).to_dict()
+    {'A': 2.31, 'B': 3.05}
     """
 
     name: str
@@ -344,5 +352,11 @@ def published_studies() -> dict[str, PublishedStudy]:
     -------
     dict of str to PublishedStudy
         By chapter and measure, for example "uav.tlx" and "teleop.trust". The scales are those of the instruments.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> list(tl.published_studies())
+    ['uav.robot_performance', 'uav.utilization', 'uav.human_performance', 'uav.tlx', 'uav.satisfaction', 'uav.trust', 'uav.followed', 'teleop.tracking_error', 'teleop.tlx', 'teleop.satisfaction', 'teleop.trust']
     """
     return ByName(PublishedStudy.from_toml(published_folder() / "studies.toml"))

@@ -19,6 +19,15 @@ class SessionError(ValueError):
         The file in which it was found; it precedes the message.
     row : int, optional
         The sample at which it was found, from 0; decides which of two faults comes first in the file.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> try:
+    ...     tl.read_session("data/sessions/pilot.csv").require("r")
+    ... except tl.SessionError as error:
+    ...     print(error.source)
+    data/sessions/pilot.csv
     """
 
     def __init__(self, message: str, source: str | None = None, row: int | None = None):

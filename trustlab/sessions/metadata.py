@@ -40,6 +40,13 @@ class Metadata:
         True when the data were simulated; every figure and table made from them says so.
     more : mapping
         Whatever else the log names (trial, block, autonomy …): names to plain values.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> metadata = tl.Metadata(participant=3, condition="C1", more={"trial": 2})
+    >>> metadata.changed(condition="C2", site="north wing").as_dict()
+    {'participant': 3, 'condition': 'C2', 'source': None, 'synthetic': False, 'trial': 2, 'site': 'north wing'}
     """
 
     participant: str | int | None = None

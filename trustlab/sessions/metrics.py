@@ -84,7 +84,7 @@ def goal_speed(step_distance: np.ndarray, path_error: np.ndarray, sample_time: f
 
 def manoeuvring(v_command: np.ndarray, w_command: np.ndarray, path_error: np.ndarray, e_max: float = 2.0) -> np.ndarray:
     """
-    Return v (e_max − e)/e_max + |ω| e/e_max, what (2.7) averages: forward motion counts near the path, turning away from it.
+    Return ``v (e_max − e)/e_max + |ω| e/e_max``, what (2.7) averages: forward motion counts near the path, turning away from it.
 
     Parameters
     ----------

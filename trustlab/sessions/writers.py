@@ -49,6 +49,16 @@ def write_session(session: Session, path: str | os.PathLike, format: str | None 
     ------
     SessionError
         If the format is unknown, the place cannot be written to, or metadata would not read back the same.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import trustlab as tl
+    >>> session = tl.read_session("data/sessions/pilot.csv")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     again = tl.read_session(tl.write_session(session, f"{folder}/pilot.parquet"))
+    >>> again == session
+    True
     """
     of_class("session", session, Session)
     path = Path(path)

@@ -159,6 +159,13 @@ def design_balance(
     ------
     ValueError
         If a column or a value is missing, or a participant has not had each condition once, at positions 1, 2 ….
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> orders = tl.latin_square_design(["C1", "C2", "C3", "C4"], participants=8, seed=0).orders()
+    >>> tl.design_balance(orders).balanced
+    True
     """
     of_class("orders", orders, pd.DataFrame)
     for argument, name in {"participant": participant, "position": position, "condition": condition}.items():
@@ -260,6 +267,17 @@ def latin_square_design(
     ValueError
         If conditions or participants are missing or repeat, the seed is not a whole number ≥ 0, or the participants do not
         fill whole squares; the error says how many would.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> tl.latin_square_design(["M", "OMI", "MMI", "TMIG"], participants=8, seed=1).table().head(4)
+    position        1     2     3     4
+    participant
+    1             MMI  TMIG     M   OMI
+    2             OMI     M  TMIG   MMI
+    3            TMIG   OMI   MMI     M
+    4               M   MMI   OMI  TMIG
     """
     conditions = _labels("conditions", conditions, 2)
     if isinstance(participants, numbers.Number):

@@ -53,7 +53,7 @@ class ChannelRun:
 
     @cached_property
     def exchanged(self) -> np.ndarray:
-        """∫ |r_mᵀf_m| + |r_sᵀf_s| dτ up to and with each sample [J], shape (N,)."""
+        """``∫ |r_mᵀf_m| + |r_sᵀf_s| dτ`` up to and with each sample [J], shape (N,)."""
         power = np.abs((self.r_m * self.f_m).sum(axis=1)) + np.abs((self.r_s * self.f_s).sum(axis=1))
         return self.sample_time * np.cumsum(power)
 
@@ -204,6 +204,16 @@ def channel_run(
     ------
     ValueError
         If shapes differ, a value is not finite, a scale is out of its bounds, or a delay is not allowed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import trustlab as tl
+    >>> scattering = tl.Scattering(b=2.0, alpha_min=0.2, alpha_max=1.0, beta_min=0.05, beta_max=0.5)
+    >>> velocity, force = np.random.default_rng(0).normal(size=(2, 500, 3))
+    >>> run = tl.channel_run(velocity, force, scattering, sample_time=0.01, delay_1=0.1, delay_2=0.1)
+    >>> bool(run.energy.min() > -1e-9)
+    True
     """
     r_m, f_s = _signals(r_m, f_s)
     of_class("scattering", scattering, Scattering)

@@ -239,7 +239,7 @@ def corrected_filter(cutoff: float, impedance: float, product: float = 0.25) -> 
 @dataclass(frozen=True)
 class WaveFilter:
     """
-    A low-pass filter on a wave variable: |H| ≤ 1, so that it is passive without gains of its own.
+    A low-pass filter on a wave variable: ``|H| ≤ 1``, so that it is passive without gains of its own.
 
     da/dt = ω_c (v − a) gives out a; ½‖v‖² − ½‖a‖² is the change of ‖a‖²/(2ω_c) plus ½‖v − a‖², also sample by sample under the
     midpoint rule, whatever b and the scales on either side of it do.

@@ -225,6 +225,15 @@ def tune_transparency(
     ------
     ValueError
         If a name is unknown, a range is empty or breaks (3.1), or weight or impedance is out of range.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> scattering = tl.Scattering(b=2.0, alpha_min=0.2, alpha_max=1.0, beta_min=0.05, beta_max=0.5)
+    >>> tuning = tl.tune_transparency(scattering)
+    >>> tuning.table().round(3)
+       weight  force  velocity    b  alpha_min  alpha_max  beta_min  beta_max
+    0     0.5  0.564     0.734  1.0      0.419        1.0      0.15       0.5
     """
     from scipy.optimize import differential_evolution, minimize
 

@@ -125,6 +125,14 @@ def simulate_team(
         If an argument is not understood, before anything runs.
     DivergenceError
         If the run grows without bound; time and block are named.
+
+    Examples
+    --------
+    >>> import networkx as nx
+    >>> import trustlab as tl
+    >>> run = tl.simulate_team(nx.cycle_graph(4), policy="most_trusted", goal=(1.0, 2.0, 0.5), seed=0)
+    >>> run.converged, round(run.time_to_goal)
+    (True, 71)
     """
     names, graphs = graphs_in_time(graph, changes, flag("require_connected", require_connected))
     policy = policy_named(policy)

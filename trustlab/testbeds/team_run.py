@@ -133,8 +133,8 @@ class TeamRun:
         Return signals and energies, one row per recorded time.
 
         leader_x … are the leader's position at the midpoint of the sample; number is its place in `robots`; push the share σ of
-        the operator; v_… the storages of (4.32), v_t their sum; supply_… energy taken in by team, error system, hand, device and
-        filters since the start, supply_links what V_fs gained by changes of the graph, lost_… what was dissipated.
+        the operator; ``v_…`` the storages of (4.32), v_t their sum; ``supply_…`` energy taken in by team, error system, hand, device and
+        filters since the start, supply_links what V_fs gained by changes of the graph, ``lost_…`` what was dissipated.
         """
         return self.data.copy()
 

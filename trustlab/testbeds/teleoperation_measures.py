@@ -25,7 +25,7 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
     -------
     pandas.DataFrame
         participant, scheme; tracking_error, worst_error (mean and greatest distance to the target [m]); p_r, p_h, alpha, beta
-        (means); alpha_rate (mean |dα/dt| [1/s]); hand_force (mean ‖f_h‖ [N]); guidance_felt (mean ‖f_m − β b r_m‖, what the device renders beyond the
+        (means); alpha_rate (mean ``|dα/dt|`` [1/s]); hand_force (mean ‖f_h‖ [N]); guidance_felt (mean ‖f_m − β b r_m‖, what the device renders beyond the
         channel's own damping [N]); energy_operator, energy_dissipated, energy_target (at the end [J]); energy_channel_min,
         energy_robot_min, energy_port_min (least values [J]); guarded (share of samples in which the passivity controller
         acted); port_share (mean share that it let pass, 1 where it rests: of the port's velocity, or of the force with a tank).
@@ -36,6 +36,15 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
         If there is no run, or an item is not a Session.
     SessionError
         If a run lacks a column.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> runs = [tl.simulate_teleoperation(scheme, seed=0, duration=10.0) for scheme in ("M", "TMIG")]
+    >>> tl.teleoperation_measures(runs)[["scheme", "alpha", "energy_port_min"]].round(2)
+      scheme  alpha  energy_port_min
+    0      M   1.00             -0.0
+    1   TMIG   0.34             -0.0
     """
     runs = runs_with(sessions, *SIGNALS, *ENERGIES)
     frame = pd.DataFrame([_measures(run) for run in runs])

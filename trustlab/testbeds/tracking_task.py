@@ -61,6 +61,14 @@ class TrackingTask:
     ------
     ValueError
         If a number is not finite or out of range.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> calm = tl.TrackingTask(speed=0.1, failure_every=60.0)
+    >>> run = tl.simulate_teleoperation("MI", task=calm, duration=5.0, seed=0)
+    >>> run.duration
+    4.99
     """
 
     size_x: float = 1.5

@@ -104,6 +104,16 @@ class TeleoperationLoop:
     H. Saeidi, Chapter 3. M. Franken, S. Stramigioli, S. Misra, C. Secchi, A. Macchelli, Bilateral telemanipulation with time
     delays: a two-layer approach combining passivity and transparency, IEEE Trans. Robotics 27(4), 2011. J. Artigas, J.-H. Ryu,
     C. Preusche, Position drift compensation in time domain passivity based teleoperation, IROS 2010.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> loop = tl.TeleoperationLoop("TMIG", study="main", seed=0)
+    >>> loop.step().t
+    0.0
+    >>> run = loop.run(2.0)
+    >>> run == tl.simulate_teleoperation("TMIG", study="main", seed=0, duration=2.0)
+    True
     """
 
     scheme: str | Scheme = "TMIG"
@@ -374,6 +384,13 @@ def simulate_teleoperation(
     (guard="off"). Its energy comes from the moving target (`energy_target`), a port that the passivity controller does not
     observe; what the controller books as given away by the robot's port, and stops, is mostly this hidden autopilot. So with
     the guard off a comparison of M and TMIG compares autopilots, and with it the operator feels almost nothing.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> run = tl.simulate_teleoperation("TMIG", study="main", seed=0, duration=10.0)
+    >>> run.duration, run.metadata.synthetic
+    (9.99, True)
     """
     return TeleoperationLoop(scheme, operator, study, seed, **others).run(duration)
 

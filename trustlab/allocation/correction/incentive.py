@@ -70,6 +70,13 @@ def incentive_bounds(
     -----
     UserWarning
         If no model is given.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> least, most = tl.incentive_bounds(r=0.7, p_r=0.30, c_b=1e-5, model=tl.published_models()["2"])
+    >>> least < 0.0 < most
+    True
     """
     if model is None:
         model = published_models()["pilot"]

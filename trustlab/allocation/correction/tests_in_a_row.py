@@ -200,6 +200,14 @@ def correct_pattern(
     ------
     ValueError
         If an argument is of the wrong kind or out of range.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> tsc = tl.published_models()["pilot"]
+    >>> run = tl.correct_pattern(tsc, (0.02, 0.45), (0.15, 0.56), tests=1, duration=60.0, seed=0)
+    >>> run.table().columns.tolist()[:5]
+    ['test', 'lower', 'upper', 'remaining', 'p_r']
     """
     import pandas as pd
 

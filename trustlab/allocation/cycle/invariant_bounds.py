@@ -108,6 +108,19 @@ def invariant_bounds(tsc: TscModel, lower: float, upper: float, cells: int = 32,
     ValueError
         If the thresholds are not finite or in the wrong order, or `cells` or `cycles` is not a whole
         number ≥ 1, or `tsc` is not a `TscModel`.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> bounds = tl.invariant_bounds(tl.published_models()["2"], lower=0.0, upper=0.35)
+    >>> bounds.table().round(3)
+                               low     high
+    quantity
+    r                        0.757    0.783
+    P_r                      0.311    0.336
+    TSC                     -0.005    0.351
+    dwell time manual      217.000  218.000
+    dwell time autonomous   65.000   65.000
     """
     lower, upper = check_thresholds(tsc, lower, upper)
     cells, cycles = whole_number("cells", cells), whole_number("cycles", cycles)

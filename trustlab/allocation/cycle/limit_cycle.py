@@ -213,6 +213,13 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
     But for `always`, the result rests on the starts that were simulated, within EFFORT samples. Which of several coexisting motions a trajectory settles to depends on
     fractions of a step, so that one with a small basin can be missed. For every trajectory, whatever its start, there is
     `invariant_bounds`, whose ranges hold for motions that are missed here as well.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> cycle = tl.limit_cycle(tl.published_models()["2"], lower=0.0, upper=0.35)
+    >>> cycle.exists, round(cycle.mean_p_r, 3)
+    (True, 0.325)
     """
     lower, upper = check_thresholds(tsc, lower, upper)
     starts = whole_number("starts", starts)

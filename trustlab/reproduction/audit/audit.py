@@ -43,6 +43,13 @@ def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
     ------
     ValueError
         If a change names no printed number or is not the text of a number.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> verdicts = tl.audit()
+    >>> verdicts["verdict"].value_counts().to_dict()
+    {'not checkable': 408, 'reproduced': 185, 'within rounding': 23, 'differs': 12}
     """
     numbers = printed_numbers(changes)
     rows = [row for maker in MAKERS for row in rows_of(maker(numbers), numbers)]

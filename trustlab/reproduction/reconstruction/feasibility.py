@@ -159,6 +159,13 @@ def feasibility(
     ------
     ValueError
         If an argument is wrong or nothing is left.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> found = tl.feasibility(tl.published_studies()["uav.tlx"], explain=False)
+    >>> found.feasible
+    True
     """
     problem, left_out = prepared(study, p_adjust, without)
     rng = generator(seed)

@@ -147,6 +147,13 @@ def reconstruct(
         If an argument is wrong.
     ReconstructionError
         If no data were found.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> frame.groupby("condition")["value"].mean().round(1).to_dict()
+    {'C1': 54.3, 'C2': 50.1, 'C3': 44.2, 'C4': 51.9, 'C5': 52.8}
     """
     return reconstruct_study(study, seed, p_adjust, without).frame
 
@@ -181,6 +188,13 @@ def reconstruct_study(
         If an argument is wrong.
     ReconstructionError
         If no data were found.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> found = tl.reconstruct_study(tl.published_studies()["uav.tlx"], seed=0)
+    >>> bool(found.table()["agrees"].all())
+    True
     """
     without = tuple(without) if not isinstance(without, str) else without
     for candidate in ADJUSTMENTS if p_adjust is None else (p_adjust,):

@@ -71,6 +71,13 @@ def read_session(
         If the recipe is unknown or cannot be followed.
     ValueError
         If another argument is not valid, or does not apply to the file's format.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> session = tl.read_session("data/sessions/pilot.csv")
+    >>> session.columns, session.sample_time
+    (['mode', 'p_r', 'p_h'], 0.1)
     """
     reader = FileReader(recipe, columns, resample, sample_time, delimiter, decimal, max_bytes)
     reader.set_layout([path])
@@ -106,6 +113,14 @@ def read_frame(
         For the first fault: it names the row, the column and the remedy.
     ValueError
         If another argument is not valid.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> frame = pd.DataFrame({"t": [0.0, 0.1, 0.2], "mode": [1, 1, 0], "p_r": [0.30, 0.31, 0.31]})
+    >>> tl.read_frame(frame).duration
+    0.2
     """
     of_class("frame", frame, pd.DataFrame)
     reader = FileReader(recipe, columns, resample, sample_time, None, None, None)

@@ -94,6 +94,13 @@ def read_sessions(
     -----
     UserWarning
         For sessions that the recipe declares superseded by others; they are left out.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> sessions = tl.read_sessions("data/sessions")
+    >>> [session.metadata.participant for session in sessions]
+    ['pilot', '1', '2', '3', '4', '5']
     """
     one_of("on_error", on_error, ("raise", "collect"))
     reader = FileReader(recipe, columns, resample, sample_time, delimiter, decimal, max_bytes)

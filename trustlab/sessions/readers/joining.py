@@ -41,6 +41,14 @@ def join_sessions(
         If two sessions have the same column, differ in their metadata, or share no time.
     RecipeError
         If their times differ and no resampling is asked for.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> session = tl.read_session("data/sessions/pilot.csv")
+    >>> one, other = (tl.Session(session.data[names]) for names in (["mode"], ["p_r", "p_h"]))
+    >>> tl.join_sessions([one, other]).columns
+    ['mode', 'p_r', 'p_h']
     """
     sessions = [of_class("each session", session, Session) for session in sessions]
     counts = Counter(name for session in sessions for name in session.columns)

@@ -64,7 +64,7 @@ def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
     Parameters
     ----------
     frame : pandas.DataFrame
-        Results; columns p, p_… and mauchly_p… hold p-values, columns a, b and condition hold labels and stay.
+        Results; columns p, ``p_…`` and ``mauchly_p…`` hold p-values, columns a, b and condition hold labels and stay.
     digits : int
         Decimals of all other numbers.
     """

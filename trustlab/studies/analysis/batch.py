@@ -254,6 +254,15 @@ def repeated_measures_batch(array: np.ndarray) -> RepeatedMeasuresBatch:
     -----
     Sums of squares come from orthonormal contrasts of the centred scores, so that a large common offset costs no
     digits beyond those that the scores themselves have lost.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import trustlab as tl
+    >>> studies = np.random.default_rng(0).normal(size=(1000, 12, 3)) + [0.0, 0.2, 0.8]
+    >>> batch = tl.repeated_measures_batch(studies)
+    >>> float((batch.p < 0.05).mean())
+    0.382
     """
     scores = checked_scores(array)
     studies, n, k = scores.shape

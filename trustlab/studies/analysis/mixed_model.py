@@ -116,6 +116,15 @@ def mixed_model(
         If the table is refused (see `trustlab.studies.analysis.score_table.read_scores`), fewer than three subjects have a
         score, a condition has fewer than two, or nothing is left to estimate the error from; with a formula, if it does not fit
         the table, its effects are not estimable, a value is missing or no maximum of the likelihood is found.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> fit = tl.mixed_model(frame, dv="value", within="condition", subject="subject")
+    >>> fit.table()[["F", "df1", "df2", "icc"]].round(2)
+          F  df1  df2   icc
+    0  5.89    4  140  0.78
     """
     if isinstance(frame, str):
         from trustlab.studies.factors.formula_model import formula_model

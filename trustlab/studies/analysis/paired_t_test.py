@@ -153,6 +153,16 @@ def paired_t_test(
     References
     ----------
     D. Lakens, Calculating and reporting effect sizes, Frontiers in Psychology 4 (2013) 863.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> values = {"subject": [1, 1, 2, 2, 3, 3], "mode": ["A", "B"] * 3, "error": [1.0, 1.4, 1.1, 1.9, 0.8, 1.0]}
+    >>> test = tl.paired_t_test(pd.DataFrame(values), dv="error", within="mode", subject="subject")
+    >>> test.table()[["mean_difference", "t", "df", "p"]].round(3)
+       mean_difference      t  df      p
+    0           -0.467 -2.646   2  0.118
     """
     confidence = open_unit("confidence", confidence)
     table = read_scores(frame, dv, within, subject, order=order)

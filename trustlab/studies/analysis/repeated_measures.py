@@ -313,6 +313,15 @@ def repeated_measures(
     Values follow R: `aov_car` of afex and `Anova` of car for F, ε and η², `mauchly.test` (see
     `trustlab.studies.analysis.sphericity.mauchly` for its p-value), `t.test(paired = TRUE)` and `p.adjust` for the pairs,
     `friedman.test`, `shapiro.test`.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> result = tl.repeated_measures(frame, dv="value", within="condition", subject="subject")
+    >>> result.table()[["F", "df1", "df2", "epsilon_gg", "p_gg"]].round(3)
+           F  df1  df2  epsilon_gg   p_gg
+    0  5.891    4  140       0.819  0.001
     """
     factors = within if isinstance(within, list) else [within]
     if len(factors) != 1 or between is not None or covariate is not None:

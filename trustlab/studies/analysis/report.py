@@ -137,6 +137,14 @@ def report(
     ------
     ValueError
         As `repeated_measures` does.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> study = tl.report(frame, dv="value", within="condition", subject="subject")
+    >>> study.result.n, study.result.k
+    (36, 5)
     """
     result = repeated_measures(frame, dv, within, subject, **options)
     one_way = isinstance(result, RepeatedMeasures)

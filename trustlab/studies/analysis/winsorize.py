@@ -208,6 +208,14 @@ def winsorize(
     ValueError
         If the table is refused (see `trustlab.studies.analysis.score_table`), a rule is unknown or cannot apply to so few or so
         many equal values, or a condition is unknown.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> winsorized = tl.winsorize([1.0, 1.2, 0.9, 1.1, 9.0], outside="mad", k=3.0, to="limit")
+    >>> winsorized.table()
+       subject  condition  old       new
+    0        4        NaN  9.0  1.544781
     """
     k = _check_rule(outside, k, to)
     words = OUTLIER_RULES[outside].format(k=k, rest=1.0 - k)

@@ -55,6 +55,15 @@ def bayes_factor(
     J. N. Rouder and others, Bayesian t tests for accepting and rejecting the null hypothesis, Psychonomic Bulletin & Review 16
     (2009) 225-237. M. E. J. Masson, A tutorial on a practical Bayesian alternative to null-hypothesis significance testing,
     Behavior Research Methods 43 (2011) 679-690.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> factors = tl.bayes_factor(frame, dv="value", within="condition", subject="subject")
+    >>> factors[["comparison", "bf10", "n"]].round(3)
+      comparison   bf10   n
+    0  condition  3.526  36
     """
     from pingouin import bayesfactor_ttest
 

@@ -63,6 +63,17 @@ def equivalence(
     References
     ----------
     D. Lakens, Equivalence tests: a practical primer, Social Psychological and Personality Science 8 (2017) 355-362.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> tests = tl.equivalence(frame, dv="value", within="condition", subject="subject", bound=10.0)
+    >>> tests[["a", "b", "p_holm", "equivalent"]].round(3).head(3)
+        a   b  p_holm  equivalent
+    0  C1  C2   0.018        True
+    1  C1  C3   0.569       False
+    2  C1  C4   0.003        True
     """
     from statsmodels.stats.weightstats import ttost_paired
 
@@ -105,7 +116,7 @@ def simultaneous_intervals(
     result : RepeatedMeasures
         The analysis, of one factor.
     method : {"max_t", "bonferroni"}
-        "max_t" takes the quantile of the greatest |t| of all pairs over simulated normal studies without effects, with the
+        "max_t" takes the quantile of the greatest ``|t|`` of all pairs over simulated normal studies without effects, with the
         covariance of these data (Tukey's idea without sphericity).
     level : float
         Probability that all intervals hold.
@@ -118,7 +129,7 @@ def simultaneous_intervals(
     -------
     pandas.DataFrame
         Columns a, b, mean_difference, ci_low, ci_high, critical_t, and for "max_t" p_simultaneous (share of simulated studies
-        with a greater |t| anywhere).
+        with a greater ``|t|`` anywhere).
 
     Raises
     ------

@@ -109,6 +109,20 @@ def order_effects(
     References
     ----------
     B. Jones, M. G. Kenward, Design and Analysis of Cross-Over Trials, 3rd ed., 2014, Chapter 5.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> study = tl.virtual_study(n=10, conditions=["C1", "C2", "C3", "C4", "C5"], laps=2, seed=0)
+    >>> columns = {"condition": "condition", "position": "position", "subject": "participant"}
+    >>> effects = tl.order_effects(study.measures, dv="p_r", **columns)
+    >>> effects.table()[["effect", "df1", "df2"]]
+                             effect  df1  df2
+    0                      sequence    9    0
+    1                      position    4   28
+    2                     condition    4   28
+    3                    carry_over    4   28
+    4  condition_without_carry_over    4   32
     """
     of_class("frame", frame, pd.DataFrame, "with a row per subject and position")
     scores = read_scores(frame, dv, position, subject)

@@ -130,6 +130,14 @@ def smallest_n(
     ------
     ValueError
         If an argument is out of range, power does not exceed alpha, or even `most` subjects do not reach it.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> from trustlab.studies import graded_covariance
+    >>> plan = tl.smallest_n(0.8, [0.0, 0.3, 0.6], graded_covariance(3, correlation=0.5), replicates=500)
+    >>> plan.n
+    30
     """
     population = conditions_from(mean, covariance, data, dv, within, subject, order, labels)
     if effect_size is not None:

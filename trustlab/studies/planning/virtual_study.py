@@ -107,6 +107,13 @@ def virtual_study(
         If participants' runs failed; they are listed in `.failures`.
     UserWarning
         If the design leaves carry-over unbalanced, if sessions of C1 to C5 are too short for anybody to switch, or if nobody did.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> study = tl.virtual_study(n=5, conditions=["C1", "C2", "C3", "C4", "C5"], laps=2, seed=1)
+    >>> study.table()[["measure", "F", "p"]].shape
+    (13, 3)
     """
     seed = whole_number("seed", seed, least=0)
     conditions = _named(conditions, design, population)

@@ -57,7 +57,7 @@ class LikertScale:
     Parameters
     ----------
     name : str
-        The questionnaire's name; its scores are the columns `name`_mean and `name`_sum.
+        The questionnaire's name; its scores are the columns ``<name>_mean`` and ``<name>_sum``.
     items : tuple of str
         Short names of the items.
     low, high : float
@@ -270,6 +270,17 @@ def score_likert(
     ------
     ValueError
         Naming subject, condition and item of an answer that is missing, not a number, outside the scale or between its steps.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> answers = pd.DataFrame({"person": [1, 2], "q1": [4, 5], "q2": [2, 1]})
+    >>> scale = tl.studies.LikertScale("ease", items=("q1", "q2"), low=1, high=5, reversed=("q2",))
+    >>> tl.score_likert(answers, scale, subject="person").table()
+       person  ease_mean  ease_sum
+    0       1        4.0       8.0
+    1       2        5.0      10.0
     """
     of_class("scale", scale, LikertScale)
     answers = read_answers(

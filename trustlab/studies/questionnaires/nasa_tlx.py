@@ -201,6 +201,16 @@ def score_nasa_tlx(
     References
     ----------
     S. G. Hart, L. E. Staveland, Development of NASA-TLX, in: Human Mental Workload, 1988, 139-183.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> names = tl.studies.TLX_SCALES
+    >>> answers = pd.DataFrame([dict(zip(names, (60, 20, 45, 35, 50, 30)))]).assign(person=1)
+    >>> tl.score_nasa_tlx(answers, subject="person").table()
+       person  tlx_raw  tlx_weighted
+    0       1     40.0           NaN
     """
     one_of("performance", performance, ("good_to_poor", "poor_to_good"))
     if rescale is not None:

@@ -66,6 +66,14 @@ def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability
     ----------
     L. S. Feldt, D. J. Woodruff, F. A. Salih, Statistical inference for coefficient alpha, Applied Psychological
     Measurement 11 (1987) 93-103.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> items = pd.DataFrame({"q1": [1, 2, 4, 5], "q2": [2, 2, 5, 4], "q3": [1, 3, 4, 5]})
+    >>> round(tl.cronbach_alpha(items).alpha, 3)
+    0.946
     """
     from pingouin import cronbach_alpha as alpha_of
     from scipy.stats import f

@@ -69,6 +69,16 @@ def score_satisfaction(  # type: ignore[misc]  # `items` is among the columns to
     ValueError
         Naming subject, condition and item of an answer that is missing, not a number, or not a whole number from 1 to
         `points`.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> answers = pd.DataFrame({"person": [1, 2], "satisfaction": [6, 3], "comfort": [5, 4], "control": [7, 2]})
+    >>> tl.score_satisfaction(answers, points=7, subject="person").table()
+       person  satisfaction_mean  satisfaction_sum
+    0       1                6.0              18.0
+    1       2                3.0               9.0
     """
     if isinstance(items, str):
         raise ValueError(f"items must be a list of columns, got the text {items!r}")

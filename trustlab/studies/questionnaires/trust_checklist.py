@@ -48,5 +48,14 @@ def score_trust_checklist(frame: pd.DataFrame, **columns: Unpack[AnswerColumns])
     ----------
     J.-Y. Jian, A. M. Bisantz, C. G. Drury, Foundations for an empirically determined scale of trust in automated systems,
     International Journal of Cognitive Ergonomics 4 (2000) 53-71.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> answers = pd.DataFrame([dict.fromkeys(tl.studies.TRUST_CHECKLIST.items, 4)]).assign(person=1)
+    >>> tl.score_trust_checklist(answers, subject="person").table()
+       person  trust_mean  trust_sum  trust_subscale  distrust_subscale
+    0       1         4.0       48.0             4.0                4.0
     """
     return score_likert(frame, TRUST_CHECKLIST, **columns)

@@ -105,6 +105,15 @@ class Scheme:
     ------
     ValueError
         If the name is empty or `shares` cannot be called.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> def shares(state):
+    ...     return state.alpha_max - (state.alpha_max - state.alpha_min) * state.p_r, state.beta_max
+    >>> run = tl.simulate_teleoperation(tl.Scheme("mine", shares), duration=5.0, seed=0)
+    >>> bool((run["alpha"] <= 1.0).all())
+    True
     """
 
     name: str

@@ -1,0 +1,43 @@
+"""How Sphinx builds the documentation: `make docs` writes it to reports/docs/."""
+
+import sys
+from pathlib import Path
+
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+
+import trustlab  # noqa: E402
+
+project = "trustlab"
+author = "The trustlab developers"
+release = trustlab.__version__
+copyright = author
+language = "en"
+
+extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "extension"]
+myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+default_role = "known_name"
+
+autosummary_generate = False
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+numpydoc_show_class_members = False
+html_math_renderer = "mathml"
+
+html_theme = "pydata_sphinx_theme"
+html_title = f"trustlab {release}"
+html_static_path = ["static"]
+html_css_files = ["own.css"]
+html_copy_source = False
+# The excerpts below the results of a search are fetched, which a browser refuses for pages opened from a disk.
+html_show_search_summary = False
+html_sidebars = {"index": [], "start": [], "install": [], "reports": []}
+html_context = {"default_mode": "auto"}
+html_theme_options = {
+    "navbar_end": ["theme-switcher"],
+    "show_nav_level": 1,
+    "show_toc_level": 2,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "secondary_sidebar_items": ["page-toc"],
+}

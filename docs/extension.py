@@ -1,0 +1,245 @@
+"""What the documentation adds to Sphinx: API pages, equations as MathML and links to them, the list of reports, a policy."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+import re
+import tomllib
+from pathlib import Path
+
+from docutils import nodes
+from sphinx import addnodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+import trustlab
+from trustlab.publishing.mathml import to_mathml
+
+ROOT = Path(__file__).parents[1]
+EQUATIONS_PAGE = "concepts/equations"
+PRINTED = ROOT / "data" / "published" / "equations.toml"
+EQUATIONS = tomllib.loads(PRINTED.read_text(encoding="utf-8"))
+NUMBER = re.compile(r"\(((?:\d|A)\.\d+)\)")
+ROOMS = [
+    "models",
+    "campaign",
+    "sessions",
+    "identification",
+    "allocation",
+    "teleoperation",
+    "operators",
+    "testbeds",
+    "studies",
+    "reproduction",
+    "publishing",
+    "live",
+]
+
+# The theme's scripts, styles and fonts lie beside the pages; nothing else is loaded, from wherever.
+POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data:; font-src 'self'; form-action 'self'; base-uri 'none'"
+)
+
+
+# The pages of the API are written as sources before Sphinx reads them.
+
+
+def _described(module: str, name: str) -> str:
+    """Return the directive that shows one object's docstring."""
+    found = getattr(importlib.import_module(module), name)
+    if inspect.isclass(found):
+        kind = "exception" if issubclass(found, Exception) else "class"
+        return f".. auto{kind}:: {module}.{name}\n   :members:\n"
+    if inspect.ismodule(found):
+        return f".. automodule:: {module}.{name}\n   :members:\n"
+    # Compiled functions are called as functions are, and documented as such.
+    kind = "function" if callable(found) else "data"
+    return f".. auto{kind}:: {module}.{name}\n"
+
+
+def api_pages(only: str = "") -> dict[str, str]:
+    """Return the sources of the API: a page for each name of ``trustlab``, one for each room, and the page above them.
+
+    `only` is a regular expression that names are chosen by, for tests that need few pages.
+    """
+    names = [name for name in trustlab.__all__ if not inspect.ismodule(getattr(trustlab, name))]
+    names = [name for name in names if re.match(only, name)]
+    rooms = [name for name in ROOMS if name in trustlab.__all__]
+    by_room = {room: [name for name in names if _room(name) == room] for room in rooms}
+    pages = {name: f"{name}\n{'=' * len(name)}\n\n{_described('trustlab', name)}" for name in names}
+    for room, own in by_room.items():
+        module = f"trustlab.{room}"
+        more = [name for name in importlib.import_module(module).__all__ if name not in names]
+        listed = "".join(f"   trustlab.{name}\n" for name in own)
+        page = f"{module}\n{'=' * len(module)}\n\n.. automodule:: {module}\n   :no-members:\n\n"
+        if own:
+            page += f"As ``tl.…``\n-------------\n\n.. autosummary::\n   :nosignatures:\n\n{listed}\n"
+            page += ".. toctree::\n   :hidden:\n\n" + "".join(f"   {name}\n" for name in own) + "\n"
+        if more and not only:
+            described = "\n".join(_described(module, name) for name in more)
+            page += f"More, in ``{module}``\n{'-' * (len(module) + 14)}\n\n{described}"
+        pages[f"room_{room}"] = page
+    lines = [f"   room_{room}\n" for room in rooms]
+    pages["index"] = (
+        "API\n===\n\nEvery public name, from its docstring: what it does, its equations by number, arguments with shapes and\n"
+        "units, errors, and an example that runs in ``make test``. After ``import trustlab as tl`` the names of the\n"
+        "first list of each room are ``tl.name``; those of the second are imported from the room. A room imports only\n"
+        "from rooms above it.\n\n"
+        + ".. autosummary::\n\n"
+        + "".join(f"   trustlab.{room}\n" for room in rooms)
+        + "\n.. toctree::\n   :hidden:\n\n"
+        + "".join(lines)
+    )
+    return pages
+
+
+def _room(name: str) -> str:
+    """Return the room that a name of ``trustlab`` comes from."""
+    rooms = [room for room in ROOMS if room in trustlab.__all__]
+    return next(room for room in rooms if name in importlib.import_module(f"trustlab.{room}").__all__)
+
+
+def write_api(app: Sphinx) -> None:
+    """Write the pages of the API that have changed, and remove those whose names are gone."""
+    folder = Path(app.srcdir) / "api"
+    folder.mkdir(exist_ok=True)
+    pages = {f"{name}.rst": text for name, text in api_pages(app.config.api_only).items()}
+    for path in folder.iterdir():
+        if path.name not in pages:
+            path.unlink()
+    for name, text in pages.items():
+        path = folder / name
+        if not path.is_file() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+def known_name(role, rawtext: str, text: str, lineno: int, inliner, options=None, content=()):
+    """Link a name in single backticks to its page where it is one of the API's, and else show it as code."""
+    name = text.removeprefix("trustlab.").removeprefix("tl.").removesuffix("()")
+    if name not in trustlab.__all__ and not text.startswith("trustlab."):
+        return [nodes.literal(rawtext, text)], []
+    target = {"refdomain": "py", "reftype": "obj", "reftarget": f"trustlab.{name}", "refexplicit": True}
+    link = addnodes.pending_xref(rawtext, nodes.literal(rawtext, text), refwarn=False, **target)
+    link["refdoc"] = inliner.document.settings.env.docname
+    return [link], []
+
+
+# Equations.
+
+
+def equation_id(number: str) -> str:
+    """Return the anchor of an equation on the page of equations."""
+    return "eq-" + number.lower().replace(".", "-")
+
+
+class Equation(SphinxDirective):
+    """``{equation} 2.3 2.5`` shows equations of ``data/published/equations.toml``, each with an anchor and what computes it."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+
+    def run(self) -> list[nodes.Node]:
+        """Return a block for each number."""
+        self.env.note_dependency(str(PRINTED))
+        return [self._shown(number) for number in self.arguments[0].split()]
+
+    def _shown(self, number: str) -> nodes.Node:
+        entry = EQUATIONS[number]
+        block = nodes.container(classes=["equation"], ids=[equation_id(number)])
+        block += nodes.inline(text=f"({number})", classes=["equation-number"])
+        block += nodes.math_block(entry["latex"], entry["latex"], nowrap=False, number=None, label=None)
+        words = nodes.paragraph("", entry["says"] + " ", classes=["equation-says"])
+        if "computed_by" in entry:
+            name = entry["computed_by"]
+            target = {"refdomain": "py", "reftype": "obj", "reftarget": f"trustlab.{name}", "refexplicit": True}
+            words += addnodes.pending_xref("", nodes.literal("", name), refwarn=True, refdoc=self.env.docname, **target)
+        block += words
+        if "differs" in entry:
+            said = nodes.strong("", "Not as printed: "), nodes.Text(entry["differs"])
+            block += nodes.paragraph("", "", *said, classes=["equation-differs"])
+        return block
+
+
+def visit_formula(translator, node: nodes.math) -> None:
+    """Write a formula within a line as MathML, which needs no script."""
+    translator.body.append(to_mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def visit_equation(translator, node: nodes.math_block) -> None:
+    """Write a formula on a line of its own; one that is wider than the page scrolls by itself."""
+    translator.body.append(f'<div class="formula" tabindex="0">{to_mathml(node.astext(), display=True)}</div>')
+    raise nodes.SkipNode
+
+
+def link_equations(app: Sphinx, doctree: nodes.document, docname: str) -> None:
+    """Make equation numbers in text links to the page of equations."""
+    if docname == EQUATIONS_PAGE:
+        return
+    page = app.builder.get_relative_uri(docname, EQUATIONS_PAGE)
+    for text in list(doctree.findall(nodes.Text)):
+        if _is_literal(text):
+            continue
+        parts = NUMBER.split(text.astext())
+        new: list[nodes.Node] = []
+        for number, words in zip(["", *parts[1::2]], parts[::2], strict=True):
+            if number in EQUATIONS:
+                new += [nodes.reference("", f"({number})", refuri=f"{page}#{equation_id(number)}", internal=True)]
+            elif number:
+                words = f"({number}){words}"
+            new += [nodes.Text(words)] if words else []
+        if len(parts) > 1:
+            text.parent.replace(text, new)
+
+
+def _is_literal(node: nodes.Node) -> bool:
+    kinds = (nodes.literal, nodes.literal_block, nodes.reference, nodes.title, nodes.math, nodes.math_block, nodes.raw)
+    parent = node.parent
+    while parent is not None:
+        if isinstance(parent, kinds):
+            return True
+        parent = parent.parent
+    return False
+
+
+# The reports.
+
+
+class Reports(SphinxDirective):
+    """``{reports}`` lists the notebooks with their first sentences, linked to the pages that `make reports` writes."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return a list with an entry for each notebook."""
+        listed = nodes.definition_list()
+        for path in sorted((ROOT / "notebooks").glob("[0-9]*.ipynb")):
+            self.env.note_dependency(str(path))
+            first = "".join(json.loads(path.read_text(encoding="utf-8"))["cells"][0]["source"])
+            title, _, rest = first.partition("\n")
+            link = nodes.reference("", title.lstrip("# "), refuri=f"../{path.stem}.html", internal=True)
+            words, _ = self.state.inline_text(" ".join(rest.split("\n\n")[0].split()), self.lineno)
+            item = nodes.definition_list_item("", nodes.term("", "", link))
+            item += nodes.definition("", nodes.paragraph("", "", *words))
+            listed += item
+        return [listed]
+
+
+def set_policy(app: Sphinx, pagename: str, templatename: str, context: dict, doctree: object) -> None:
+    """Let a page load nothing but what lies beside it."""
+    policy = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
+    context["metatags"] = policy + context.get("metatags", "")
+
+
+def setup(app: Sphinx) -> dict[str, object]:
+    """Add all this to Sphinx."""
+    app.add_config_value("api_only", "", "env")
+    app.connect("builder-inited", write_api)
+    app.connect("doctree-resolved", link_equations)
+    app.connect("html-page-context", set_policy)
+    app.add_directive("equation", Equation)
+    app.add_directive("reports", Reports)
+    app.add_role("known_name", known_name)
+    app.add_html_math_renderer("mathml", (visit_formula, None), (visit_equation, None))
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
