@@ -632,7 +632,8 @@ class Recipe:
             by_key = {"time": self.time.column, **by_key}
         for name, own in by_key.items():
             if isinstance(own, int) == self.table.header:
-                how = "name" if self.table.header else "index (a number), as the table has no header line"
+                how = "name (without a line of names: header = false under [table])"
+                how = how if self.table.header else "index (a number), as the table has no header line"
                 raise RecipeError(f"{name}: columns of this table are given by {how}, got {own!r}")
 
     def _check_origins(self) -> None:

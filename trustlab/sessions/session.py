@@ -116,7 +116,8 @@ class Session:
         """Participant, condition, trial and whether the data are synthetic, for captions."""
         meta = self.metadata
         parts = [f"participant {meta.participant}" if meta.participant is not None else ""]
-        parts.append(str(meta.condition) if meta.condition is not None else "")
+        named = "" if isinstance(meta.condition, str) else "condition "
+        parts.append(f"{named}{meta.condition}" if meta.condition is not None else "")
         parts.append(f"trial {meta.more['trial']}" if "trial" in meta.more else "")
         parts.append("synthetic" if meta.synthetic else "")
         return ", ".join(part for part in parts if part) or (meta.source or "session")
@@ -139,7 +140,8 @@ class Session:
         if missing:
             own = self.label if self.label != self.metadata.source else "the session"
             hint = alternatives(missing[0], self.columns, f"needed: {', '.join(names)}; it has")
-            raise SessionError(f"{own} has no column {missing[0]!r}{hint}", self.metadata.source)
+            remedy = "; session.with_performance(…) computes p_r and p_h" if missing[0] in ("p_r", "p_h") else ""
+            raise SessionError(f"{own} has no column {missing[0]!r}{hint}{remedy}", self.metadata.source)
 
     def with_columns(self, **columns: np.ndarray) -> Session:
         """
@@ -208,13 +210,14 @@ class Session:
             Length W of the window [s]; at the beginning, and in a shorter session, the mean is over the samples so far.
         measure : {"ground_robot", "uav_tracking", "mixed_initiative"}
             (2.4) and (2.7); the UAV variants of Section 2.4.2; or (3.26)-(3.27).
-        **scales : float
-            The normalising constants of the measure; see `trustlab.sessions.metrics`.
+        **scales : float or str
+            e_max, the deviation from the path that counts as 0 [m] (2 m for "ground_robot"), u_max, that of a command, and
+            axes, for example "yz"; see `trustlab.sessions.metrics` for these and for the columns that each measure needs.
 
         Raises
         ------
         SessionError
-            If a column the measure needs is missing.
+            If a column that the measure needs is missing.
         """
         from trustlab.sessions.metrics import with_performance
 

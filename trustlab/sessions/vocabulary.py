@@ -106,5 +106,6 @@ def to_si(unit: str, wanted: str) -> float:
         raise ValueError(f"unknown unit {shown(unit)}{alternatives(unit, UNITS)}")
     base, factor = UNITS[unit]
     if wanted not in (base, "measure"):
-        raise ValueError(f"{unit!r} measures {base}, but {wanted} is needed")
+        remedy = "; leave the unit out" if wanted == "1" else ""
+        raise ValueError(f"{unit!r} measures {base}, but {wanted} is needed{remedy}")
     return factor
