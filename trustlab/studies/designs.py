@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, spawned, whole_number
+from trustlab.models.checks import flag, of_class, spawned, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.columns import column_of, refuse_missing_labels
 
@@ -285,8 +285,7 @@ def latin_square_design(
     else:
         participants = _labels("participants", participants, 1)
     seed = whole_number("seed", seed, least=0)
-    if not isinstance(whole_squares, bool):
-        raise ValueError(f"whole_squares must be True or False, got {whole_squares!r}")
+    whole_squares = flag("whole_squares", whole_squares)
     k, n, size = len(conditions), len(participants), _rows(len(conditions))
     if n % size:
         below, above = n // size * size, participants_needed(k, n)

@@ -426,3 +426,24 @@ def test_other_refusals_of_populations(kept):
         kept.analysis("p_r", ["C1", "C9"])
     with pytest.raises(ValueError, match="missing cells in 'followed_percent'"):
         kept.analysis("followed_percent")
+
+
+@pytest.mark.filterwarnings("ignore:nobody")
+def test_a_fresh_study_takes_the_place_of_an_earlier_one(tmp_path):
+    """Without fresh= other arguments are refused; with it sessions of the earlier study are gone, and other files are not touched."""
+    arguments = {"n": 4, "conditions": ["C1", "C5"], "laps": 1, "out": tmp_path / "s"}
+    tl.virtual_study(**arguments, seed=1)
+    before = {path.name for path in (tmp_path / "s" / "sessions").iterdir()}
+    with pytest.raises(ValueError, match="not known to be of this study"):
+        tl.virtual_study(**arguments, seed=2)
+    found = tl.virtual_study(**arguments, seed=2, fresh=True)
+    after = {path.name for path in (tmp_path / "s" / "sessions").iterdir()}
+    assert len(found.sessions()) == 8 == len(after)
+    assert before != after
+    (tmp_path / "s" / "sessions" / "notes.txt").write_text("mine")
+    with pytest.raises(ValueError, match="not known to be of this study"):
+        tl.virtual_study(**arguments, seed=3, fresh=True)
+    with pytest.raises(ValueError, match="fresh must be True or False"):
+        tl.virtual_study(**arguments, seed=3, fresh="yes")
+    with pytest.raises(ValueError, match="other_versions must be one of"):
+        tl.virtual_study(**arguments | {"out": tmp_path / "t"}, seed=3, other_versions=["scipy"])

@@ -80,6 +80,9 @@ def mixed_model(
     random: str = "1",
     bootstrap: int = 0,
     seed: int = 0,
+    family: str = "normal",
+    trials: str | None = None,
+    points: int = 15,
 ) -> Any:
     """
     Fit a random intercept per subject to a long table, or a mixed model by formula; cells may be missing.
@@ -104,6 +107,13 @@ def mixed_model(
         of freedom; the likelihood ratio's own p is asymptotic and too small with few groups.
     seed : int
         Of the bootstrap.
+    family : {"normal", "binomial"}
+        With a formula: "binomial" is a logistic model with random intercepts of successes (0 and 1, or counts), by maximum likelihood;
+        no kept Python library has one.
+    trials : str, optional
+        Of a binomial family: the column with how many trials a row has; 1 each when left out.
+    points : int
+        Of a binomial family: nodes of the adaptive Gauss–Hermite quadrature; 1 is Laplace's approximation, the default of lme4.
 
     Returns
     -------
@@ -130,7 +140,7 @@ def mixed_model(
         from trustlab.studies.factors.formula_model import formula_model
 
         table = dv if data is None and isinstance(dv, pd.DataFrame) else data
-        return formula_model(frame, table, groups, random, bootstrap, seed)
+        return formula_model(frame, table, groups, random, bootstrap, seed, family, trials, points)
     return fit_mixed_model(read_scores(frame, dv, within, subject, order=order))
 
 

@@ -9,6 +9,9 @@ from scipy import special, stats
 
 from trustlab.models.html import as_html
 
+# Different whole numbers up to which scores are taken for those of one rating item, such as 0 to 10.
+_MOST_STEPS = 11
+
 
 @dataclass(frozen=True)
 class Friedman:
@@ -94,6 +97,15 @@ def rank_pairs(values: np.ndarray, a: np.ndarray, b: np.ndarray, method: str) ->
     return pd.DataFrame(
         {"mean_rank_difference": mean[a] - mean[b], "t": t, "df": df, "p": 2.0 * special.stdtr(df, -np.abs(t))}
     )
+
+
+def rating_notes(values: np.ndarray, tests: str) -> tuple[str, ...]:
+    """Return a note, with the name of the tests by ranks, where scores look like those of one rating item."""
+    steps = np.unique(values)
+    if steps.size > _MOST_STEPS or not np.array_equal(steps, np.round(steps)):
+        return ()
+    found = f"Scores are whole numbers from {steps[0]:g} to {steps[-1]:g}, as of a rating item, whose steps need not be equal"
+    return (f"{found}: see {tests} for tests by ranks.",)
 
 
 def normality_of_differences(values: np.ndarray, a: np.ndarray, b: np.ndarray) -> pd.DataFrame:

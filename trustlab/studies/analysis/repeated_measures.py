@@ -14,12 +14,10 @@ from trustlab.studies.analysis.descriptives import describe
 from trustlab.studies.analysis.effect_sizes import partial_eta_interval
 from trustlab.studies.analysis.mixed_model import MixedModel, fit_mixed_model
 from trustlab.studies.analysis.pairwise import bonferroni, holm
-from trustlab.studies.analysis.rank_tests import Friedman, friedman, normality_of_differences, rank_pairs
+from trustlab.studies.analysis.rank_tests import Friedman, friedman, normality_of_differences, rank_pairs, rating_notes
 from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, read_scores, same_for_all
 from trustlab.studies.analysis.sphericity import CORRECTIONS, decide_correction, why_no_mauchly
 
-# Different whole numbers up to which scores are taken for those of one rating item, such as 0 to 10.
-_MOST_STEPS = 11
 _DESIGN = ("dv", "within", "subject", "conditions", "subjects", "excluded")
 _UNTABLED = (*_DESIGN, "notes", "scores", "observed", "batch")
 _OF_CONDITIONS = ("F", "p", "epsilon_gg", "p_gg", "epsilon_hf", "p_hf", "eta2_partial", "eta2_generalized")
@@ -382,12 +380,7 @@ def _notes(scores: ScoreTable, excluded: tuple, batch: RepeatedMeasuresBatch) ->
             f"Every subject has the same score (SD = 0) in {', '.join(map(repr, constant))}: a limit of the scale, or a "
             "fault of the data? Tests with that condition rest on the variance of the other conditions alone."
         )
-    steps = np.unique(scores.values)
-    if steps.size <= _MOST_STEPS and np.array_equal(steps, np.round(steps)):
-        notes.append(
-            f"Scores are whole numbers from {steps[0]:g} to {steps[-1]:g}, as of a rating item, whose steps need not be equal: see "
-            'friedman() and pairs(method="wilcoxon") for tests by ranks.'
-        )
+    notes += rating_notes(scores.values, 'friedman() and pairs(method="wilcoxon")')
     flat = np.flatnonzero(np.isnan(batch.pairwise.t[0]))
     if flat.size:
         a, b = (scores.conditions[int(index[flat[0]])] for index in (batch.pairwise.a, batch.pairwise.b))

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import chain, combinations
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -37,7 +38,7 @@ class BetweenDesign:
         return rows - columns
 
 
-def subsets(names: Sequence[str]) -> list[tuple[str, ...]]:
+def subsets(names: Sequence[Any]) -> list[tuple[Any, ...]]:
     """Return all subsets of some factors, the empty one first and the largest last."""
     return list(chain.from_iterable(combinations(names, size) for size in range(len(names) + 1)))
 

@@ -6,6 +6,7 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from functools import reduce
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,9 +16,20 @@ from trustlab.models.checks import one_of
 from trustlab.models.html import as_html
 from trustlab.studies.analysis.effect_sizes import noncentrality_limit
 from trustlab.studies.analysis.pairwise import bonferroni, holm
+from trustlab.studies.analysis.rank_tests import rating_notes
 from trustlab.studies.analysis.score_table import ScoreTable
 from trustlab.studies.analysis.sphericity import CORRECTIONS, decide_correction, orthonormal_contrasts, why_no_mauchly
 from trustlab.studies.factors.effects import BetweenDesign, effect_tests, tested
+
+ERRORS = ("own", "pooled")
+ESTIMATE = ("mean_difference", "ci_low", "ci_high", "t", "df", "p")
+
+
+class ErrorVariances(NamedTuple):
+    """Variance and degrees of freedom within subjects, the mean of all contrasts, and between them."""
+
+    within: tuple[float, int]
+    between: tuple[float, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +74,11 @@ class FactorialMeasures:
     def origin(self) -> str:
         """What kind of data these are where they were not measured; else empty."""
         return self.scores.origin
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader should know before using the numbers."""
+        return rating_notes(self.scores.values, "aligned_ranks()")
 
     def table(self) -> pd.DataFrame:
         """
@@ -125,17 +142,59 @@ class FactorialMeasures:
         table = pd.DataFrame(rows, columns=columns)
         return self._labelled(table.assign(p_holm=holm(table["p_gg"].to_numpy())))
 
-    def pairs(self, factor: Hashable, at: Hashable | None = None) -> pd.DataFrame:
+    def aligned_ranks(self, error: str = "own") -> pd.DataFrame:
+        """
+        Return the test of every effect on ranks aligned for it: for ratings and skewed scores.
+
+        Parameters
+        ----------
+        error : {"own", "pooled"}
+            Error terms as for `pairs`; "pooled" is what ARTool's models with a random intercept per subject have.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns effect, F, df1, df2, p, epsilon_gg, p_gg (NaN where the error is pooled), eta2_partial, all of ranks.
+
+        Raises
+        ------
+        ValueError
+            If the design has a covariate, or every rank is the same.
+
+        References
+        ----------
+        J. O. Wobbrock, L. Findlater, D. Gergle, J. J. Higgins, The aligned rank transform for nonparametric factorial analyses using
+        only ANOVA procedures, CHI 2011, 143-146.
+        """
+        from trustlab.studies.factors.aligned_ranks import aligned_tests
+
+        return self._labelled(aligned_tests(self, one_of("error", error, ERRORS)))
+
+    def error_variances(self) -> ErrorVariances:
+        """Return the variances of orthonormal contrasts of the cells, and of their normalized sum, given the groups."""
+        x, scores = self.design.matrix, self.scores.values
+        residual = scores - x @ np.linalg.lstsq(x, scores)[0]
+        covariance, df = residual.T @ residual / self.design.df_error, self.design.df_error
+        contrasts, between = len(covariance) - 1, float(covariance.mean() * len(covariance))
+        return ErrorVariances(((np.trace(covariance) - between) / contrasts, contrasts * df), (between, df))
+
+    def pairs(
+        self, factor: Hashable, at: Hashable | None = None, *, method: str = "t", error: str = "own"
+    ) -> pd.DataFrame:
         """
         Return all pairwise comparisons of one factor's levels, over all cells or within each level of another factor.
 
-        Other factors are averaged with equal weights, groups share one error variance, and every comparison within subjects
-        has the error of its own differences, as in `emmeans` on afex's multivariate model.
+        Other factors are averaged with equal weights, and groups share one error variance.
 
         Parameters
         ----------
         factor, at : hashable
             The factor compared and, optionally, the one whose levels are held; p-values are adjusted within each level.
+        method : {"t", "aligned_ranks"}
+            t-tests of the scores, or of ranks aligned for the cells of `factor` and `at` (ART-C: Elkin and others, UIST 2021, 754-768).
+        error : {"own", "pooled"}
+            Whether every comparison within subjects has the error of its own differences, as `emmeans` on afex's multivariate
+            model, or one variance of all cells, as with compound symmetry; degrees of freedom are then Satterthwaite's.
 
         Returns
         -------
@@ -148,39 +207,33 @@ class FactorialMeasures:
         ValueError
             If a factor is unknown or the two are one.
         """
+        one_of("error", error, ERRORS)
+        if one_of("method", method, ("t", "aligned_ranks")) != "t":
+            from trustlab.studies.factors.aligned_ranks import aligned
+
+            named = [self._known(name) for name in (factor, at) if name is not None]
+            return aligned(self, named, whole=True).pairs(factor, at, error=error)
         held = self._held(factor, at) if at is not None else [(np.nan, {}, self._mean_row({}))]
         levels = {**self.within, **self.between}[self._known(factor)]
-        df, tables = self.design.df_error, []
+        tables = []
         for level, cells, mean in held:
             rows = []
             for i, j in combinations(range(len(levels)), 2):
                 row, difference = mean, np.zeros((len(levels), 1))
                 difference[[i, j], 0] = 1.0, -1.0
                 if factor in self.within:
-                    y = self.scores.values @ self._weights({factor: difference}, cells)
+                    weights = self._weights({factor: difference}, cells)
                 else:
-                    y = self.scores.values @ self._weights({}, cells)
+                    weights = self._weights({}, cells)
                     row = self._mean_row({factor: levels[i]}) - self._mean_row({factor: levels[j]})
-                rows.append((level, levels[i], levels[j], *self._estimate(y[:, 0], row, factor in self.within)))
-            columns = ["level", "a", "b", "mean_difference", "ci_low", "ci_high", "t", "d_z"]
-            table = pd.DataFrame(rows, columns=columns)
-            p = 2.0 * special.stdtr(df, -table["t"].abs().to_numpy())
-            tables.append(table.assign(df=df, p=p, p_bonferroni=bonferroni(p), p_holm=holm(p)))
-        order = [
-            "level",
-            "a",
-            "b",
-            "mean_difference",
-            "ci_low",
-            "ci_high",
-            "t",
-            "df",
-            "p",
-            "p_bonferroni",
-            "p_holm",
-            "d_z",
-        ]
-        return self._labelled(pd.concat(tables, ignore_index=True)[order])
+                estimate = self._estimate(weights[:, 0], row, factor in self.within, error)
+                rows.append((level, levels[i], levels[j], *estimate))
+            table = pd.DataFrame(rows, columns=["level", "a", "b", *ESTIMATE, "d_z"])
+            p = table["p"].to_numpy()
+            table.insert(table.columns.get_loc("d_z"), "p_bonferroni", bonferroni(p))
+            table.insert(table.columns.get_loc("d_z"), "p_holm", holm(p))
+            tables.append(table)
+        return self._labelled(pd.concat(tables, ignore_index=True))
 
     def apa(self) -> str:
         """Return the sentences for a paper: every effect with its test, corrected as `correction` says, and effect sizes."""
@@ -224,6 +277,7 @@ class FactorialMeasures:
         columns = ["effect", "F", "df1_corrected", "df2_corrected", "p_corrected", "eta2_partial", "eta2_generalized"]
         left_out = f" Left out: {', '.join(map(str, self.excluded))}." if self.excluded else ""
         about = f"{self.origin} {len(self.scores.subjects)} subjects, correction: {self.correction}.{left_out}".strip()
+        about = " ".join((about, *self.notes))
         return as_html(about, self.effects[columns], self.descriptives(), title=str(self.scores.dv))
 
     def _labelled(self, frame: pd.DataFrame) -> pd.DataFrame:
@@ -290,16 +344,23 @@ class FactorialMeasures:
             row[columns] = reduce(np.multiply.outer, (coded[name] for name in names), np.ones(1)).ravel()
         return row
 
-    def _estimate(self, y: np.ndarray, row: np.ndarray, paired: bool) -> tuple[float, float, float, float, float]:
-        """Return estimate, interval, t and d_z of one linear combination of the design's coefficients."""
-        x = self.design.matrix
+    def _estimate(self, weights: np.ndarray, row: np.ndarray, paired: bool, error: str) -> tuple[float, ...]:
+        """Return `ESTIMATE` and d_z of one linear combination of the cells and of the design's coefficients."""
+        x, y, df = self.design.matrix, self.scores.values @ weights, float(self.design.df_error)
         inverse = np.linalg.inv(x.T @ x)
         coefficients = inverse @ x.T @ y
-        sd = np.sqrt(((y - x @ coefficients) ** 2).sum() / self.design.df_error)
-        flat = sd <= 4.0 * np.finfo(float).eps * np.abs(self.scores.values).max()
-        mean, error = float(row @ coefficients), np.nan if flat else float(sd * np.sqrt(row @ inverse @ row))
-        half = special.stdtrit(self.design.df_error, 0.975) * error
-        return mean, mean - half, mean + half, mean / error, mean / sd if paired and not flat else np.nan
+        variance = ((y - x @ coefficients) ** 2).sum() / df
+        if error == "pooled":
+            common = weights.sum() ** 2 / weights.size
+            within, between = self.error_variances()
+            parts = [((weights @ weights - common) * within[0], within[1]), (common * between[0], between[1])]
+            variance = sum(part for part, _ in parts)
+            df = variance**2 / sum(part**2 / own for part, own in parts)
+        flat = np.sqrt(variance) <= 4.0 * np.finfo(float).eps * np.abs(self.scores.values).max()
+        mean, se = float(row @ coefficients), np.nan if flat else float(np.sqrt(variance * (row @ inverse @ row)))
+        half, t = special.stdtrit(df, 0.975) * se, mean / se
+        d_z = mean / np.sqrt(variance) if paired and not flat else np.nan
+        return mean, mean - half, mean + half, t, df, 2.0 * special.stdtr(df, -abs(t)), d_z
 
 
 def analyse_factors(

@@ -8,15 +8,16 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import of_class, spawned, whole_number
+from trustlab.models.checks import of_class, one_of, spawned, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.columns import column_of, refuse_missing_labels
+from trustlab.studies.factors.logistic_model import Logistic, checked_counts
 
 
 @dataclass(frozen=True, eq=False)
 class FormulaModel:
     """
-    A linear mixed model, fixed effects by a formula, random effects of groups.
+    A mixed model, fixed effects by a formula, random effects of groups.
 
     Parameters
     ----------
@@ -24,6 +25,8 @@ class FormulaModel:
         Fixed effects with the score, and random effects, as given.
     groups : hashable
         Column with the groups (subjects).
+    family : {"normal", "binomial"}
+        Whether scores are normal, or counts of successes with a logistic model.
     n, observations : int
         Groups and rows.
     coefficients, tests, variances : pandas.DataFrame
@@ -41,6 +44,7 @@ class FormulaModel:
     formula: str
     random: str
     groups: Hashable
+    family: str
     n: int
     observations: int
     coefficients: pd.DataFrame
@@ -64,7 +68,7 @@ class FormulaModel:
         return self.tests.copy()
 
     def coefficients_table(self) -> pd.DataFrame:
-        """Return the fixed effects by restricted maximum likelihood: name estimate se z p ci_low ci_high (95 %, normal)."""
+        """Return the fixed effects, by restricted likelihood or in logits: name estimate se z p ci_low ci_high (95 %, normal)."""
         return self.coefficients.copy()
 
     def random_effects(self) -> pd.DataFrame:
@@ -75,12 +79,24 @@ class FormulaModel:
         how = "likelihood ratios, asymptotic" + (f" and by {self.draws} simulated data sets" if self.draws else "")
         found = f"{self.origin} {self.observations} rows of {self.n} groups; {how}".strip()
         return as_html(
-            found, self.tests, self.coefficients, self.variances, title=f"{self.formula}, random {self.random}"
+            found,
+            self.tests,
+            self.coefficients,
+            self.variances,
+            title=f"{self.formula}, random {self.random}, {self.family}",
         )
 
 
 def formula_model(
-    formula: str, data: pd.DataFrame, groups: Hashable, random: str = "1", bootstrap: int = 0, seed: int = 0
+    formula: str,
+    data: pd.DataFrame,
+    groups: Hashable,
+    random: str = "1",
+    bootstrap: int = 0,
+    seed: int = 0,
+    family: str = "normal",
+    trials: str | None = None,
+    points: int = 15,
 ) -> FormulaModel:
     """Fit a mixed model by formula; the arguments are those of `mixed_model`."""
     from formulaic.errors import FormulaicError
@@ -91,6 +107,9 @@ def formula_model(
     if formula.count("~") != 1:
         raise ValueError(f"formula must be “score ~ terms”, got {formula!r}")
     bootstrap = whole_number("bootstrap", bootstrap, least=0, most=100_000)
+    points = whole_number("points", points, most=100)
+    if one_of("family", family, ("normal", "binomial")) == "normal" and trials is not None:
+        raise ValueError('trials are of counts: give family="binomial"')
     refuse_missing_labels(column_of(frame, "groups", groups), "groups")
     codes, labels = pd.factorize(frame[groups])
     if len(labels) < 3:
@@ -107,40 +126,65 @@ def formula_model(
         )
     if not np.ptp(y):
         raise ValueError(f"formula {formula!r}: every score is {y[0]:g}")
-    centre, scale = y.mean() if "Intercept" in x.columns else 0.0, y.std()
-    y = (y - centre) / scale  # so that the search does not see the unit
-    full, restricted = _fitted(y, x, z, codes), _fitted(y, x, z, codes, reml=True)
+    if family == "binomial":
+        if list(z.columns) != ["Intercept"]:
+            raise ValueError(f'family="binomial" has random intercepts only: random="1", got {random!r}')
+        logistic = Logistic(codes, checked_counts(y, frame, trials), points)
+        model: Logistic | _Normal = logistic
+        estimates = _logistic_estimates(logistic, y, x)
+    else:
+        centre, scale = y.mean() if "Intercept" in x.columns else 0.0, y.std()
+        y = (y - centre) / scale  # so that the search does not see the unit
+        model = normal = _Normal(codes, z)
+        estimates = _normal_estimates(normal, y, x, centre, scale)
     tests = [
-        _test(name, terms, y, x, z, codes, bootstrap, child)
-        for (name, _), child in zip(terms.items(), spawned(seed, len(terms)), strict=True)
+        _test(name, terms, y, x, model, bootstrap, child)
+        for name, child in zip(terms, spawned(seed, len(terms)), strict=True)
     ]
-    coefficients = _coefficients(restricted, list(x.columns), centre, scale)
-    covariance = scale**2 * np.atleast_2d(restricted.cov_re)
     origin = data.attrs.get("origin", "synthetic data" if data.attrs.get("synthetic") is True else "")
     table = pd.DataFrame(tests, columns=["term", "chi2", "df", "p_chi2", "p_bootstrap"])
-    for part in (table, coefficients):
+    for part in (table, estimates["coefficients"]):
         part.attrs |= {"origin": origin} if origin else {}
-    eigenvalues = np.linalg.eigvalsh(covariance)
     return FormulaModel(
-        formula,
-        random,
-        groups,
-        len(labels),
-        len(y),
-        coefficients,
-        table,
-        _variances(list(z.columns), covariance, scale**2 * restricted.scale),
-        float(full.llf - len(y) * np.log(scale)),
-        bool(eigenvalues[0] < 1e-6 * scale**2),
-        bootstrap,
-        origin,
+        formula=formula,
+        random=random,
+        groups=groups,
+        family=family,
+        n=len(labels),
+        observations=len(y),
+        tests=table,
+        draws=bootstrap,
+        origin=origin,
+        **estimates,
     )
 
 
-def _coefficients(fit, names: list[str], centre: float, scale: float) -> pd.DataFrame:
-    """Return the fixed effects in the unit of the score, with z tests and intervals."""
-    estimate = scale * fit.fe_params + centre * np.array([name == "Intercept" for name in names])
-    se = scale * fit.bse_fe
+def _normal_estimates(model: "_Normal", y: np.ndarray, x: pd.DataFrame, centre: float, scale: float) -> dict:
+    """Return the estimates of a linear model in the unit of the score: fixed effects and variances by restricted likelihood."""
+    full, restricted = model.fit(y, x.to_numpy()), model.fit(y, x.to_numpy(), reml=True)
+    estimate = scale * restricted.fe_params + centre * np.array([name == "Intercept" for name in x.columns])
+    covariance = scale**2 * np.atleast_2d(restricted.cov_re)
+    return {
+        "coefficients": _coefficients(list(x.columns), estimate, scale * restricted.bse_fe),
+        "variances": _variances(list(model.z.columns), covariance, scale**2 * restricted.scale),
+        "log_likelihood": float(full.llf - len(y) * np.log(scale)),
+        "singular": bool(np.linalg.eigvalsh(covariance)[0] < 1e-6 * scale**2),
+    }
+
+
+def _logistic_estimates(model: Logistic, y: np.ndarray, x: pd.DataFrame) -> dict:
+    """Return the estimates of a logistic model, in logits."""
+    fit = model.fit(y, x.to_numpy(), covariance=True)
+    return {
+        "coefficients": _coefficients(list(x.columns), fit.beta, np.sqrt(np.diag(fit.covariance))),
+        "variances": _variances(["Intercept"], np.array([[fit.sd**2]])),
+        "log_likelihood": fit.llf + model.log_coefficients(y),
+        "singular": fit.sd < 1e-3,
+    }
+
+
+def _coefficients(names: list[str], estimate: np.ndarray, se: np.ndarray) -> pd.DataFrame:
+    """Return the fixed effects with z tests and intervals."""
     p, half = 2.0 * special.ndtr(-np.abs(estimate / se)), special.ndtri(0.975) * se
     columns = {"name": names, "estimate": estimate, "se": se, "z": estimate / se, "p": p}
     return pd.DataFrame(columns | {"ci_low": estimate - half, "ci_high": estimate + half})
@@ -167,26 +211,40 @@ def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
     return together[:, 0], *numbers, terms
 
 
-def _fitted(y: np.ndarray, x: pd.DataFrame, z: pd.DataFrame, codes: np.ndarray, reml: bool = False):
-    """Return the best fit from two starts: statsmodels' own can end at a variance of zero that is not the maximum."""
-    from statsmodels.regression.mixed_linear_model import MixedLM, MixedLMParams
+class _Normal:
+    """A linear model with correlated random effects by group: fitted by statsmodels, and drawn from."""
 
-    model = MixedLM(y, x.to_numpy(), codes, exog_re=z.to_numpy())
-    beta = np.linalg.lstsq(x.to_numpy(), y, rcond=None)[0]
-    fits = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a variance at its boundary, which the result says by itself
-        for start in (None, MixedLMParams.from_components(beta, cov_re=np.eye(z.shape[1]))):
-            try:
-                fits.append(model.fit(start_params=start, reml=reml, method=["bfgs", "lbfgs", "powell"]))
-            except np.linalg.LinAlgError:
-                continue
-    fits = [fit for fit in fits if np.isfinite(fit.llf)]
-    if not fits:
-        raise ValueError(
-            "the likelihood of the mixed model has no maximum that could be found; give fewer random effects"
-        )
-    return max(fits, key=lambda fit: fit.llf)
+    def __init__(self, codes: np.ndarray, z: pd.DataFrame):
+        self.codes, self.z = codes, z
+
+    def fit(self, y: np.ndarray, x: np.ndarray, reml: bool = False):
+        """Return the best fit from two starts: statsmodels' own can end at a variance of zero that is not the maximum."""
+        from statsmodels.regression.mixed_linear_model import MixedLM, MixedLMParams
+
+        model = MixedLM(y, x, self.codes, exog_re=self.z.to_numpy())
+        beta = np.linalg.lstsq(x, y, rcond=None)[0]
+        fits = []
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a variance at its boundary, which the result says by itself
+            for start in (None, MixedLMParams.from_components(beta, cov_re=np.eye(self.z.shape[1]))):
+                try:
+                    fits.append(model.fit(start_params=start, reml=reml, method=["bfgs", "lbfgs", "powell"]))
+                except np.linalg.LinAlgError:
+                    continue
+        fits = [fit for fit in fits if np.isfinite(fit.llf)]
+        if not fits:
+            raise ValueError(
+                "the likelihood of the mixed model has no maximum that could be found; give fewer random effects"
+            )
+        return max(fits, key=lambda fit: fit.llf)
+
+    def draw(self, fit, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return scores drawn from a fitted model."""
+        values, vectors = np.linalg.eigh(np.atleast_2d(fit.cov_re))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        effects = rng.standard_normal((self.codes.max() + 1, self.z.shape[1])) @ root.T
+        noise = np.sqrt(fit.scale) * rng.standard_normal(self.codes.size)
+        return x @ fit.fe_params + (self.z.to_numpy() * effects[self.codes]).sum(axis=1) + noise
 
 
 def _test(
@@ -194,39 +252,32 @@ def _test(
     terms: dict,
     y: np.ndarray,
     x: pd.DataFrame,
-    z: pd.DataFrame,
-    codes: np.ndarray,
+    model: _Normal | Logistic,
     draws: int,
     seed: np.random.SeedSequence,
 ) -> tuple:
     """Return the likelihood-ratio test of a term, asymptotic and by simulation from the model without it."""
     own = set(name.split(":"))
     above = [i for other, columns in terms.items() if own < set(other.split(":")) for i in columns]
-    full = x.drop(columns=x.columns[above])
-    reduced = x.drop(columns=x.columns[[*above, *terms[name]]])
+    full = x.drop(columns=x.columns[above]).to_numpy()
+    reduced = x.drop(columns=x.columns[[*above, *terms[name]]]).to_numpy()
 
     def statistic(score: np.ndarray, null) -> float:
-        return max(2.0 * (_fitted(score, full, z, codes).llf - null.llf), 0.0)
+        return max(2.0 * (model.fit(score, full).llf - null.llf), 0.0)
 
-    null = _fitted(y, reduced, z, codes)
+    null = model.fit(y, reduced)
     chi2, df = statistic(y, null), full.shape[1] - reduced.shape[1]
     p_bootstrap = np.nan
     if draws:
-        rng, count = np.random.default_rng(seed), codes.max() + 1
-        values, vectors = np.linalg.eigh(np.atleast_2d(null.cov_re))
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        larger = 0
-        for _ in range(draws):
-            effects = rng.standard_normal((count, z.shape[1])) @ root.T
-            noise = np.sqrt(null.scale) * rng.standard_normal(y.size)
-            score = reduced.to_numpy() @ null.fe_params + (z.to_numpy() * effects[codes]).sum(axis=1) + noise
-            larger += statistic(score, _fitted(score, reduced, z, codes)) >= chi2
+        rng = np.random.default_rng(seed)
+        scores = (model.draw(null, reduced, rng) for _ in range(draws))
+        larger = sum(statistic(score, model.fit(score, reduced)) >= chi2 for score in scores)
         p_bootstrap = (larger + 1.0) / (draws + 1.0)
     return name, chi2, df, float(special.chdtrc(df, chi2)), p_bootstrap
 
 
-def _variances(names: list[str], covariance: np.ndarray, residual: float) -> pd.DataFrame:
-    """Return the random effects in a table."""
+def _variances(names: list[str], covariance: np.ndarray, residual: float | None = None) -> pd.DataFrame:
+    """Return the random effects in a table, and the residual variance of a model that has one."""
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = covariance / np.outer(sd, sd)
@@ -234,4 +285,4 @@ def _variances(names: list[str], covariance: np.ndarray, residual: float) -> pd.
     table["sd"] = np.sqrt(table["variance"].clip(lower=0.0))
     for j, name in enumerate(names):
         table[f"correlation with {name}"] = [*correlation[:, j], np.nan]
-    return table
+    return table if residual is not None else table.iloc[:-1].astype({"variance": float})

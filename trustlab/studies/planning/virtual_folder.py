@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 from trustlab.campaign.folder import folder_path, refuse, writing_in
@@ -18,7 +19,7 @@ FILES = ("participants.csv", "orders.csv", "measures.csv", "about.txt")
 class Folder:
     """Where a virtual study is written; refused if it holds other things, or sessions not known to be of this study."""
 
-    def __init__(self, path: str | os.PathLike, design: LatinSquareDesign):
+    def __init__(self, path: str | os.PathLike, design: LatinSquareDesign, fresh: bool = False):
         self.path = folder_path(path)
         self.sessions, self.campaign = self.path / "sessions", self.path / "campaign"
         with writing_in(self.path):
@@ -26,9 +27,15 @@ class Folder:
             refuse(self.path, "other things", present - {"sessions", "campaign", *FILES})
             self.sessions.mkdir(parents=True, exist_ok=True)
         held = {item.name for item in self.sessions.iterdir() if not item.name.startswith(".")}
+        known = set()
         if (self.campaign / "campaign.json").is_file():
-            held -= {session_file(*row) for row in design.orders().itertuples(index=False)}
-        refuse(self.sessions, "sessions that are not known to be of this study", held)
+            known = {session_file(*row) for row in design.orders().itertuples(index=False)}
+            if fresh:
+                known = {name for name in held if fnmatchcase(name, "participant_*_trial_*.parquet")}
+        refuse(self.sessions, "sessions that are not known to be of this study", held - known)
+        if fresh:
+            for name in known & held:
+                (self.sessions / name).unlink()
 
     def finish(self, study: VirtualStudy) -> None:
         """Check that every session is there, and write the tables beside them."""

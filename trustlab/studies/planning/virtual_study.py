@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from trustlab.campaign.run import run_campaign, where_to_run
-from trustlab.models.checks import finite_number, not_negative, of_class, one_of, whole_number
+from trustlab.models.checks import finite_number, flag, not_negative, of_class, one_of, whole_number
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
@@ -48,6 +48,8 @@ def virtual_study(
     executor: Any = None,
     out: str | os.PathLike | None = None,
     progress: bool | None = None,
+    fresh: bool = False,
+    other_versions: Sequence[str] = (),
 ) -> VirtualStudy:
     """
     Simulate a within-subject study from its design to its statistics.
@@ -90,6 +92,10 @@ def virtual_study(
         and campaign/; a call with the same arguments goes on where a killed one stopped. Eight laps are about 1 MB.
     progress : bool, optional
         Whether to show progress, as for `run_campaign`.
+    fresh : bool
+        Whether to remove an earlier virtual study, with its sessions, from `out`.
+    other_versions : sequence of str
+        Programs that may have another version than the runs in `out` have, as for `run_campaign`.
 
     Returns
     -------
@@ -122,7 +128,7 @@ def virtual_study(
     design = _designed(design, n, conditions, seed, testbed)
     settings = _settings(testbed, laps, duration, rest, assumptions)
     people = population.draw(len(design.participants), seed)
-    folder = None if out is None else Folder(out, design)
+    folder = None if out is None else Folder(out, design, flag("fresh", fresh))
     own = {"study": population.study} if isinstance(population, TeleoperatorPopulation) else {}
     sessions = None if folder is None else str(folder.sessions)
     fixed = {"testbed": testbed, "settings": settings | own, "folder": sessions}
@@ -133,6 +139,8 @@ def virtual_study(
         seed=seed,
         out=None if folder is None else folder.campaign,
         progress=progress,
+        fresh=fresh,
+        other_versions=other_versions,
         **where_to_run(n_jobs, cluster, executor),
     )
     failed = done["failed"].to_numpy(dtype=bool)

@@ -1,0 +1,125 @@
+"""Logistic models with a random intercept per group: maximum likelihood by adaptive Gauss–Hermite quadrature."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy import special
+from scipy.optimize import minimize
+
+from trustlab.models.checks import finite_array
+from trustlab.models.compiled import njit
+from trustlab.studies.columns import column_of
+
+
+class LogisticFit(NamedTuple):
+    """Estimates: log-likelihood without binomial coefficients, logits, SD of the intercepts, covariance of the logits."""
+
+    llf: float
+    beta: np.ndarray
+    sd: float
+    covariance: np.ndarray
+
+
+@njit
+def _log_likelihood(eta, counts, trials, first, sd, nodes, log_weights):
+    """
+    Return Σ log ∫ ∏ p^count (1 − p)^(trials − count) φ(v) dv over groups, logit p = η + sd v, without binomial coefficients.
+
+    Group g has rows first[g] to first[g + 1]. Nodes lie about the mode of each group's integrand (Pinheiro and Bates, 1995); one
+    node is Laplace's approximation.
+    """
+    total = 0.0
+    values = np.empty(nodes.size)
+    for g in range(first.size - 1):
+        v, low, high, curvature = 0.0, -1e3, 1e3, 1.0
+        for _ in range(200):
+            slope, curvature = -v, 1.0
+            for i in range(first[g], first[g + 1]):
+                p = 1.0 / (1.0 + np.exp(-(eta[i] + sd * v)))
+                slope += sd * (counts[i] - trials[i] * p)
+                curvature += sd * sd * trials[i] * p * (1.0 - p)
+            if slope > 0.0:
+                low = v
+            else:
+                high = v
+            step = slope / curvature
+            if abs(step) < 1e-11:
+                break
+            # The slope falls in v: where Newton's step leaves the bracket, the bracket is halved.
+            v = v + step if low < v + step < high else 0.5 * (low + high)
+        spread = np.sqrt(2.0 / curvature)
+        for k in range(nodes.size):
+            u = v + spread * nodes[k]
+            values[k] = log_weights[k] + nodes[k] ** 2 - 0.5 * u * u
+            for i in range(first[g], first[g + 1]):
+                x = eta[i] + sd * u
+                values[k] += counts[i] * x - trials[i] * (max(x, 0.0) + np.log1p(np.exp(-abs(x))))
+        greatest = values.max()
+        total += greatest + np.log(np.exp(values - greatest).sum()) + np.log(spread) - 0.5 * np.log(2.0 * np.pi)
+    return total
+
+
+class Logistic:
+    """Counts out of trials by group: what a random-intercept model is fitted to, and how data are drawn from one."""
+
+    def __init__(self, codes: np.ndarray, trials: np.ndarray, points: int):
+        self.codes, self.trials = codes, trials
+        self._order = np.argsort(codes, kind="stable")
+        self._first = np.concatenate([[0], np.cumsum(np.bincount(codes))])
+        self._nodes, weights = np.polynomial.hermite.hermgauss(points)
+        self._log_weights = np.log(weights)
+
+    def fit(self, counts: np.ndarray, x: np.ndarray, covariance: bool = False) -> LogisticFit:
+        """Return the maximum of the likelihood; the covariance is that of the observed information, and zero unless asked for."""
+        y, trials, rows = counts[self._order], self.trials[self._order], x[self._order]
+
+        def loss(parameters: np.ndarray) -> float:
+            eta, sd = rows @ parameters[:-1], abs(parameters[-1])
+            return -_log_likelihood(eta, y, trials, self._first, sd, self._nodes, self._log_weights)
+
+        # Weighted least squares of empirical logits: near enough to start from.
+        logits = np.log((counts + 0.5) / (self.trials - counts + 0.5))
+        start = np.linalg.lstsq(x, logits, rcond=None)[0]
+        found = minimize(loss, np.append(start, 0.7), method="BFGS", jac="3-point", options={"gtol": 1e-6})
+        beta, sd = found.x[:-1], abs(float(found.x[-1]))
+        if np.abs(x @ beta).max() > _FAR:
+            raise ValueError(
+                "the likelihood of the logistic model has no maximum: some effect separates successes from failures "
+                "completely, so that its logit grows beyond all bounds; leave that effect out, or collapse its levels"
+            )
+        information = np.zeros((beta.size, beta.size))
+        if covariance:
+            from statsmodels.tools.numdiff import approx_hess3
+
+            hessian = approx_hess3(found.x, loss)
+            # Where the intercepts do not vary the SD is at its boundary, and carries no information on the logits.
+            information = np.linalg.inv(hessian if sd > _SINGULAR else hessian[:-1, :-1])[: beta.size, : beta.size]
+        return LogisticFit(-float(found.fun), beta, sd, information)
+
+    def log_coefficients(self, counts: np.ndarray) -> float:
+        """Return the sum of the logarithms of the binomial coefficients."""
+        rest = self.trials - counts
+        return float((special.gammaln(self.trials + 1) - special.gammaln(counts + 1) - special.gammaln(rest + 1)).sum())
+
+    def draw(self, fit: LogisticFit, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return counts drawn from a fitted model."""
+        effects = fit.sd * rng.standard_normal(self.codes.max() + 1)
+        return rng.binomial(self.trials.astype(int), special.expit(x @ fit.beta + effects[self.codes])).astype(float)
+
+
+# Logits beyond which no data tell a probability from 0 or 1, and the SD below which intercepts do not vary.
+_FAR, _SINGULAR = 15.0, 1e-3
+
+
+def checked_counts(counts: np.ndarray, data: pd.DataFrame, trials: str | None) -> np.ndarray:
+    """Return the number of trials of every row, which successes must be counts out of."""
+    out_of = np.ones(counts.size) if trials is None else finite_array("trials", column_of(data, "trials", trials))
+    bad = (out_of < 1) | (out_of != np.round(out_of)) | (counts < 0) | (counts > out_of) | (counts != np.round(counts))
+    if bad.any():
+        row = int(np.argmax(bad))
+        remedy = 'trials="…" names the column with how many there were' if trials is None else "check both columns"
+        raise ValueError(
+            f"row {row}: {counts[row]:g} of {out_of[row]:g} is no number of successes of whole trials; {remedy}"
+        )
+    return out_of
