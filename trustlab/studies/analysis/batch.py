@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import special
 
 from trustlab.models.html import as_html
 from trustlab.studies.analysis.pairwise import PairwiseBatch, paired_differences
 from trustlab.studies.analysis.score_table import ScoreTable
-from trustlab.studies.analysis.sphericity import greenhouse_geisser, huynh_feldt, mauchly, orthonormal_contrasts
+from trustlab.studies.analysis.sphericity import corrected_tests, mauchly, orthonormal_contrasts
 
 # Scores analysed in one go.
 _CHUNK = 1 << 20
@@ -192,17 +191,10 @@ def _analyse(scores: np.ndarray, first: int) -> dict:
         study = int(np.argmax(flat))
         effect = bool(ss_effect[study] > n * d * rounding[study] ** 2)
         raise ValueError(f"study {first + study}: {_why_flat(scores[study] * unit[study], effect)}")
-    df1, df2 = d, d * (n - 1)
-    f = (ss_effect / df1) / (ss_error / df2)
-    gg = np.ones(studies) if d == 1 else greenhouse_geisser(covariance)
-    hf = huynh_feldt(gg, n, d)
-    hf_cut = np.minimum(hf, 1.0)
     sphericity = mauchly(covariance, n, rounding**2)
     return {
         "mean": scores.mean(axis=1) * unit[:, None],
         "sd": sd * unit[:, None],
-        "F": f,
-        "p": special.fdtrc(df1, df2, f),
         "ss_effect": ss_effect * unit**2,
         "ss_subjects": ss_subjects * unit**2,
         "ss_error": ss_error * unit**2,
@@ -210,15 +202,9 @@ def _analyse(scores: np.ndarray, first: int) -> dict:
         "mauchly_chi2": sphericity.chi2,
         "mauchly_p": sphericity.p,
         "mauchly_p_first_order": sphericity.p_first_order,
-        "epsilon_gg": gg,
-        "epsilon_hf": hf_cut,
-        "epsilon_hf_untruncated": hf,
-        "p_gg": special.fdtrc(gg * df1, gg * df2, f),
-        "p_hf": special.fdtrc(hf_cut * df1, hf_cut * df2, f),
-        "eta2_partial": ss_effect / (ss_effect + ss_error),
         "eta2_generalized": ss_effect / (ss_effect + ss_subjects + ss_error),
         "pairwise": paired_differences(centred, sd, rounding).scaled(unit),
-    }
+    } | corrected_tests(ss_effect, ss_error, covariance, 1, n - 1)
 
 
 def _why_flat(values: np.ndarray, effect: bool) -> str:

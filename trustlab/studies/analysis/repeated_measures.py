@@ -16,7 +16,7 @@ from trustlab.studies.analysis.mixed_model import MixedModel, fit_mixed_model
 from trustlab.studies.analysis.pairwise import bonferroni, holm
 from trustlab.studies.analysis.rank_tests import Friedman, friedman, normality_of_differences, rank_pairs, rating_notes
 from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, read_scores, same_for_all
-from trustlab.studies.analysis.sphericity import CORRECTIONS, decide_correction, why_no_mauchly
+from trustlab.studies.analysis.sphericity import CORRECTIONS, decided
 
 _DESIGN = ("dv", "within", "subject", "conditions", "subjects", "excluded")
 _UNTABLED = (*_DESIGN, "notes", "scores", "observed", "batch")
@@ -335,30 +335,22 @@ def repeated_measures(
     scores, excluded = complete_scores(observed, missing)
     batch = analyse_table(scores)
     omnibus = batch.study(0)
-    df1, df2, p = batch.df1, batch.df2, omnibus["p"]
-    gg, hf = omnibus["epsilon_gg"], omnibus["epsilon_hf"]
-    why_not = why_no_mauchly(batch.n, batch.k, omnibus["mauchly_w"])
-    applied, reason = decide_correction(correction, alpha, batch.k, omnibus["mauchly_p"], gg, why_not)
-    epsilon = dict(zip(CORRECTIONS, (1.0, gg, hf), strict=True))[applied]
-    interval = partial_eta_interval(omnibus["F"], df1 * epsilon, df2 * epsilon, 0.90)
+    df1, df2, gg, hf = batch.df1, batch.df2, omnibus["epsilon_gg"], omnibus["epsilon_hf"]
+    decision = decided(omnibus, df1, df2, batch.n - 1, correction, alpha)
+    interval = partial_eta_interval(omnibus["F"], decision["df1_corrected"], decision["df2_corrected"], 0.90)
     return RepeatedMeasures(
         **omnibus,
+        **decision,
         dv=dv,
         within=within,
         subject=subject,
         conditions=scores.conditions,
         subjects=scores.subjects,
         excluded=excluded,
-        mauchly_reason=why_not,
         df1_gg=df1 * gg,
         df2_gg=df2 * gg,
         df1_hf=df1 * hf,
         df2_hf=df2 * hf,
-        correction=applied,
-        reason=reason,
-        df1_corrected=df1 * epsilon,
-        df2_corrected=df2 * epsilon,
-        p_corrected=dict(zip(CORRECTIONS, (p, omnibus["p_gg"], omnibus["p_hf"]), strict=True))[applied],
         eta2_partial_low=interval.low,
         eta2_partial_high=interval.high,
         alpha=alpha,

@@ -1,5 +1,6 @@
 """Sphericity: Mauchly's test, Greenhouse–Geisser and Huynh–Feldt ε for arrays of studies, and which correction applies."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,6 +42,32 @@ def huynh_feldt(epsilon_gg: np.ndarray, n: int, d: int) -> np.ndarray:
     below = d * (n - 1 - d * epsilon_gg)
     undefined = below <= 1e-12 * n
     return np.where(undefined, np.inf, (n * d * epsilon_gg - 2.0) / np.where(undefined, 1.0, below))
+
+
+def corrected_tests(
+    ss_effect: np.ndarray, ss_error: np.ndarray, covariance: np.ndarray, q: int, df_error: int
+) -> dict[str, np.ndarray]:
+    """
+    Return F of effects of d contrasts times q columns of a design between subjects, ε, partial η², and p under each correction.
+
+    `covariance` holds that of the d contrasts, on `df_error` degrees of freedom.
+    """
+    d = covariance.shape[-1]
+    df1, df2 = d * q, d * df_error
+    f = (ss_effect / df1) / (ss_error / df2)
+    gg = np.ones(len(f)) if d == 1 else greenhouse_geisser(covariance)
+    hf = huynh_feldt(gg, df_error + 1, d)
+    cut = np.minimum(hf, 1.0)
+    return {
+        "F": f,
+        "p": special.fdtrc(df1, df2, f),
+        "eta2_partial": ss_effect / (ss_effect + ss_error),
+        "epsilon_gg": gg,
+        "epsilon_hf": cut,
+        "epsilon_hf_untruncated": hf,
+        "p_gg": special.fdtrc(gg * df1, gg * df2, f),
+        "p_hf": special.fdtrc(cut * df1, cut * df2, f),
+    }
 
 
 class Mauchly(NamedTuple):
@@ -118,16 +145,32 @@ def why_no_mauchly(n: int, k: int, w: float) -> str:
     return f"Mauchly's test is not defined: {why}."
 
 
-def decide_correction(
-    correction: str, alpha: float, k: int, p: float, epsilon_gg: float, why_not: str
-) -> tuple[str, str]:
+def decided(
+    test: Mapping[str, Any], df1: int, df2: int, df_error: int, correction: str, alpha: float
+) -> dict[str, Any]:
     """
-    Return the correction that applies and the reason in a sentence or two; two conditions need none.
+    Return which correction applies to one test and why, its degrees of freedom and p.
 
-    "auto" is Greenhouse–Geisser where Mauchly's test rejects sphericity at `alpha` or is not defined (`why_not` says
-    why), else none.
+    "auto" is Greenhouse–Geisser where Mauchly's test rejects sphericity at `alpha` or is not defined, else none; one contrast needs
+    none.
     """
-    if k == 2:
+    d = df2 // df_error
+    why = why_no_mauchly(df_error + 1, d + 1, test["mauchly_w"])
+    applied, reason = _applied(correction, alpha, d, test["mauchly_p"], test["epsilon_gg"], why)
+    epsilon = dict(zip(CORRECTIONS, (1.0, test["epsilon_gg"], test["epsilon_hf"]), strict=True))[applied]
+    return {
+        "mauchly_reason": why,
+        "correction": applied,
+        "reason": reason,
+        "df1_corrected": df1 * epsilon,
+        "df2_corrected": df2 * epsilon,
+        "p_corrected": dict(zip(CORRECTIONS, (test["p"], test["p_gg"], test["p_hf"]), strict=True))[applied],
+    }
+
+
+def _applied(correction: str, alpha: float, d: int, p: float, epsilon_gg: float, why_not: str) -> tuple[str, str]:
+    """Return the correction that applies to d contrasts and the reason in a sentence or two."""
+    if d == 1:
         return "none", why_not
     if correction != "auto":
         applied = f"Correction “{correction}” applies, whatever Mauchly's test says."

@@ -15,10 +15,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import special
 
 from trustlab.studies.analysis.batch import checked_scores, unit_of
-from trustlab.studies.analysis.sphericity import greenhouse_geisser, huynh_feldt, mauchly, orthonormal_contrasts
+from trustlab.studies.analysis.sphericity import corrected_tests, mauchly, orthonormal_contrasts
 
 # Scores analysed in one go.
 _CHUNK = 1 << 20
@@ -117,10 +116,10 @@ def effect_tests(scores: np.ndarray, levels: Mapping[str, int], design: BetweenD
                 raise ValueError(f"study {first + flat[0]}: {what}, so that F is not defined")
             if block or names:
                 effect = " × ".join(filter(None, (block, *names)))
-                rows.append({"effect": effect, "df1": d * len(columns), "ss_effect": ss_effect, "ss_error": ss_error})
+                row = {"effect": effect, "df1": d * len(columns), "ss_effect": ss_effect, "ss_error": ss_error}
                 sphericity = mauchly(covariance, design.df_error + 1, rounding**2, scores.shape[2])
-                rows[-1] |= {"mauchly_w": sphericity.w, "mauchly_p": sphericity.p}
-                rows[-1] |= _with_corrections(ss_effect, ss_error, covariance, len(columns), design.df_error)
+                row |= {"mauchly_w": sphericity.w, "mauchly_p": sphericity.p, "df2": d * design.df_error}
+                rows.append(row | corrected_tests(ss_effect, ss_error, covariance, len(columns), design.df_error))
         errors += ss_error
     rows.sort(key=lambda row: row["effect"].count(" × "))  # main effects first; the order of the rest is kept
     studies = pd.RangeIndex(first, first + len(scores), name="study")
@@ -128,28 +127,6 @@ def effect_tests(scores: np.ndarray, levels: Mapping[str, int], design: BetweenD
     table["eta2_generalized"] = table["ss_effect"] / (table["ss_effect"] + np.tile(errors, len(rows)))
     table[["ss_effect", "ss_error"]] *= np.tile(unit**2, len(rows))[:, None]
     return table.set_index("effect", append=True).sort_index(level="study", sort_remaining=False, kind="stable")
-
-
-def _with_corrections(
-    ss_effect: np.ndarray, ss_error: np.ndarray, covariance: np.ndarray, q: int, df_error: int
-) -> dict[str, np.ndarray | float]:
-    """Return F and the tests under each correction, for an effect of d contrasts times q columns."""
-    d = covariance.shape[-1]
-    df1, df2 = d * q, d * df_error
-    f = (ss_effect / df1) / (ss_error / df2)
-    gg = np.ones(len(f)) if d == 1 else greenhouse_geisser(covariance)
-    hf = huynh_feldt(gg, df_error + 1, d)
-    return {
-        "df2": df2,
-        "F": f,
-        "p": special.fdtrc(df1, df2, f),
-        "eta2_partial": ss_effect / (ss_effect + ss_error),
-        "epsilon_gg": gg,
-        "epsilon_hf": np.minimum(hf, 1.0),
-        "epsilon_hf_untruncated": hf,
-        "p_gg": special.fdtrc(gg * df1, gg * df2, f),
-        "p_hf": special.fdtrc(np.minimum(hf, 1.0) * df1, np.minimum(hf, 1.0) * df2, f),
-    }
 
 
 def factorial_batch(

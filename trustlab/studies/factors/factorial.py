@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from functools import reduce
-from itertools import combinations
+from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from trustlab.studies.analysis.effect_sizes import noncentrality_limit
 from trustlab.studies.analysis.pairwise import bonferroni, holm
 from trustlab.studies.analysis.rank_tests import rating_notes
 from trustlab.studies.analysis.score_table import ScoreTable
-from trustlab.studies.analysis.sphericity import CORRECTIONS, decide_correction, orthonormal_contrasts, why_no_mauchly
+from trustlab.studies.analysis.sphericity import CORRECTIONS, decided, orthonormal_contrasts
 from trustlab.studies.factors.effects import BetweenDesign, effect_tests, tested
 
 ERRORS = ("own", "pooled")
@@ -287,20 +287,14 @@ class FactorialMeasures:
 
     def _groups(self) -> list[tuple[tuple, np.ndarray]]:
         """Return every combination of groups, and which subjects are in it."""
-        names = list(self.between)
-        product = pd.MultiIndex.from_product(self.between.values()) if names else [()]
-        labels = [self.between[name] for name in names]
-        return [
-            (
-                group,
-                np.all(
-                    [self.groups[x] == own.index(g) for x, own, g in zip(names, labels, group, strict=True)], axis=0
-                ),
-            )
-            if names
-            else ((), np.ones(len(self.scores.subjects), dtype=bool))
-            for group in product
-        ]
+        found = []
+        for combination in product(*(range(len(levels)) for levels in self.between.values())):
+            own = dict(zip(self.between, combination, strict=True))
+            who = np.ones(len(self.scores.subjects), dtype=bool)
+            for name, level in own.items():
+                who &= self.groups[name] == level
+            found.append((tuple(self.between[name][level] for name, level in own.items()), who))
+        return found
 
     def _known(self, factor: Hashable) -> Hashable:
         if factor not in self.within and factor not in self.between:
@@ -385,21 +379,9 @@ def analyse_factors(
         raise ValueError(f"dv: column {scores.dv!r}: {str(error).removeprefix('study 0: ')}") from None
     rows = []
     for row in tests.to_dict("records"):
-        d = int(row["df2"]) // design.df_error
-        why = why_no_mauchly(design.df_error + 1, d + 1, row["mauchly_w"])
-        applied, reason = decide_correction(correction, alpha, d + 1, row["mauchly_p"], row["epsilon_gg"], why)
-        epsilon = dict(zip(CORRECTIONS, (1.0, row["epsilon_gg"], row["epsilon_hf"]), strict=True))[applied]
-        df1, df2 = epsilon * row["df1"], epsilon * row["df2"]
-        low, high = (noncentrality_limit(row["F"], df1, df2, x) for x in (0.95, 0.05))
-        total = df2 * n / design.df_error  # λ = total · η²/(1 − η²) in the population
-        row |= {
-            "mauchly_reason": why,
-            "correction": applied,
-            "reason": reason,
-            "df1_corrected": df1,
-            "df2_corrected": df2,
-        }
-        row["p_corrected"] = float(special.fdtrc(df1, df2, row["F"]))
+        row |= decided(row, row["df1"], row["df2"], design.df_error, correction, alpha)
+        low, high = (noncentrality_limit(row["F"], row["df1_corrected"], row["df2_corrected"], x) for x in (0.95, 0.05))
+        total = row["df2_corrected"] * n / design.df_error  # λ = total · η²/(1 − η²) in the population
         row |= {"eta2_partial_low": low / (low + total), "eta2_partial_high": high / (high + total)}
         rows.append({"dv": scores.dv, "n": n} | row | {"alpha": alpha, "excluded": len(excluded)})
     effects = pd.DataFrame(rows)

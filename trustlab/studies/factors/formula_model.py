@@ -99,8 +99,6 @@ def formula_model(
     points: int = 15,
 ) -> FormulaModel:
     """Fit a mixed model by formula; the arguments are those of `mixed_model`."""
-    from formulaic.errors import FormulaicError
-
     of_class("formula", formula, str)
     of_class("random", random, str, 'such as "1" (intercepts) or "1 + trial" (and slopes)')
     frame = of_class("data", data, pd.DataFrame, "give the table after the formula, or as data=").reset_index(drop=True)
@@ -114,18 +112,7 @@ def formula_model(
     codes, labels = pd.factorize(frame[groups])
     if len(labels) < 3:
         raise ValueError(f"groups: column {groups!r} has {len(labels)} groups; at least three are needed")
-    try:
-        y, x, z, terms = _matrices(formula, random, frame)
-    except (FormulaicError, NameError, KeyError, SyntaxError) as error:
-        raise ValueError(
-            f"formula {formula!r} with random {random!r}: {error} (columns are {', '.join(map(str, frame))})"
-        ) from None
-    if np.linalg.matrix_rank(x) < x.shape[1]:
-        raise ValueError(
-            f"formula {formula!r}: its {x.shape[1]} columns are linearly dependent; an effect is not estimable"
-        )
-    if not np.ptp(y):
-        raise ValueError(f"formula {formula!r}: every score is {y[0]:g}")
+    y, x, z, terms = _matrices(formula, random, frame)
     if family == "binomial":
         if list(z.columns) != ["Intercept"]:
             raise ValueError(f'family="binomial" has random intercepts only: random="1", got {random!r}')
@@ -193,10 +180,16 @@ def _coefficients(names: list[str], estimate: np.ndarray, se: np.ndarray) -> pd.
 def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
     """Return score, regressors of fixed and of random effects, and for every term its columns; no row is left out in silence."""
     from formulaic import model_matrix
+    from formulaic.errors import FormulaicError
 
-    found = model_matrix(formula, frame, na_action="ignore")
+    try:
+        found = model_matrix(formula, frame, na_action="ignore")
+        z = model_matrix(random, frame, na_action="ignore")
+    except (FormulaicError, NameError, KeyError, SyntaxError) as error:
+        raise ValueError(
+            f"formula {formula!r} with random {random!r}: {error} (columns are {', '.join(map(str, frame))})"
+        ) from None
     y, x = found.lhs, found.rhs
-    z = model_matrix(random, frame, na_action="ignore")
     if y.shape[1] != 1:
         raise ValueError(f"formula {formula!r}: the score must be one column of numbers")
     together = np.column_stack([np.asarray(part, dtype=float) for part in (y, x, z)])
@@ -207,8 +200,15 @@ def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
             f"data: {int(bad.sum())} rows have a value that is missing or not finite, row {row} first; leave them out"
         )
     terms = {str(term): list(columns) for term, columns in x.model_spec.term_indices.items() if str(term) != "1"}
+    score = together[:, 0]
+    if np.linalg.matrix_rank(together[:, 1 : x.shape[1] + 1]) < x.shape[1]:
+        raise ValueError(
+            f"formula {formula!r}: its {x.shape[1]} columns are linearly dependent; an effect is not estimable"
+        )
+    if not np.ptp(score):
+        raise ValueError(f"formula {formula!r}: every score is {score[0]:g}")
     numbers = [pd.DataFrame(np.asarray(part, dtype=float), columns=list(part.columns)) for part in (x, z)]
-    return together[:, 0], *numbers, terms
+    return score, *numbers, terms
 
 
 class _Normal:

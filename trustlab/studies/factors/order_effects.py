@@ -1,11 +1,12 @@
 """Orders of conditions: period, sequence and first-order carry-over, and the conditions' effect adjusted for them."""
 
-from collections.abc import Hashable, Sequence
+import warnings
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import pandas as pd
-from scipy import special
 
 from trustlab.models.checks import of_class
 from trustlab.models.html import as_html
@@ -162,9 +163,8 @@ def _regressors(codes: np.ndarray, count: int) -> dict[str, np.ndarray]:
         rows = np.vstack([np.eye(levels - 1), -np.ones(levels - 1), np.zeros(levels - 1)])
         return rows[values.ravel()]
 
-    before = np.column_stack(
-        [np.full(n, count), codes[:, :-1]]
-    )  # before the first position there is nothing to carry over
+    # Before the first position there is nothing to carry over.
+    before = np.column_stack([np.full(n, count), codes[:, :-1]])
     return {
         "subject": np.repeat(np.eye(n), k, axis=0),
         "position": coded(np.broadcast_to(np.arange(k), (n, k)), k),
@@ -173,11 +173,13 @@ def _regressors(codes: np.ndarray, count: int) -> dict[str, np.ndarray]:
     }
 
 
-def _residual(y: np.ndarray, parts: Sequence[np.ndarray]) -> tuple[float, int]:
-    """Return residual sum of squares and degrees of freedom of a regression on some columns, which may be dependent."""
-    x = np.column_stack(parts)
-    beta, _, rank, _ = np.linalg.lstsq(x, y, rcond=1e-10)
-    return float(((y - x @ beta) ** 2).sum()), y.size - int(rank)
+def _least_squares(y: np.ndarray, parts: Iterable[np.ndarray]):
+    """Return the regression on some columns, which may be dependent."""
+    from statsmodels.regression.linear_model import OLS
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of dependent columns, which degrees of freedom and notes say by themselves
+        return OLS(y, np.column_stack(list(parts))).fit()
 
 
 def _within_tests(values: np.ndarray, codes: np.ndarray, count: int) -> list[tuple]:
@@ -185,77 +187,63 @@ def _within_tests(values: np.ndarray, codes: np.ndarray, count: int) -> list[tup
     y = (values - values.mean()).ravel()
     parts = _regressors(codes, count)
     rows = []
-    for effect, without in (
-        ("position", ("position",)),
-        ("condition", ("condition",)),
-        ("carry_over", ("carry_over",)),
-        ("condition_without_carry_over", ("condition",)),
-    ):
-        full = {
-            name: x for name, x in parts.items() if effect != "condition_without_carry_over" or name != "carry_over"
-        }
-        rss, df = _residual(y, list(full.values()))
-        if df < 1 or rss <= df * (4.0 * np.finfo(float).eps * np.abs(values).max()) ** 2:
+    for effect in ("position", "condition", "carry_over", "condition_without_carry_over"):
+        without, _, left_out = effect.partition("_without_")
+        full = {name: x for name, x in parts.items() if name != left_out}
+        fit = _least_squares(y, full.values())
+        if fit.df_resid < 1 or fit.ssr <= fit.df_resid * (4.0 * np.finfo(float).eps * np.abs(values).max()) ** 2:
             raise ValueError(
                 f"dv: {values.size} scores leave no error variance beside subjects, positions, conditions and carry-over"
             )
-        reduced, df_reduced = _residual(y, [x for name, x in full.items() if name not in without])
-        rows.append(_row(effect, reduced - rss, df_reduced - df, rss, df, full[without[0]].shape[1]))
+        reduced = _least_squares(y, (x for name, x in full.items() if name != without))
+        rows.append(_row(effect, fit, reduced, full[without].shape[1]))
     return rows
 
 
-def _row(effect: str, ss: float, df1: int, rss: float, df2: int, wanted: int) -> tuple:
-    """Return one row of the table."""
+def _row(effect: str, fit, reduced, wanted: int) -> tuple:
+    """Return one row of the table: a regression against that without the effect."""
+    df1, df2 = int(reduced.df_resid - fit.df_resid), int(fit.df_resid)
     if df1 == 0:
-        return (
-            effect,
-            np.nan,
-            0,
-            df2,
-            np.nan,
-            np.nan,
-            "not estimable: these orders do not separate it from the other effects",
-        )
+        why = "not estimable: these orders do not separate it from the other effects"
+        return effect, np.nan, 0, df2, np.nan, np.nan, why
     note = "" if df1 == wanted else f"only {df1} of {wanted} contrasts are estimable from these orders"
-    f = (ss / df1) / (rss / df2)
-    return effect, ss, df1, df2, f, float(special.fdtrc(df1, df2, f)), note
+    f, p, _ = fit.compare_f_test(reduced)
+    return effect, reduced.ssr - fit.ssr, df1, df2, float(f), float(p), note
 
 
 def _sequence_test(means: np.ndarray, names: list) -> tuple:
     """Return the test of the sequence between subjects."""
     codes = pd.factorize(pd.Series(names, dtype=object))[0]
-    groups = int(codes.max()) + 1
-    df1, df2 = groups - 1, means.size - groups
+    indicators = (codes[:, None] == np.arange(codes.max() + 1)).astype(float)
+    df1, df2 = indicators.shape[1] - 1, means.size - indicators.shape[1]
     if df1 < 1 or df2 < 1:
         why = "one sequence only" if df1 < 1 else "every sequence has one subject"
         return "sequence", np.nan, df1, df2, np.nan, np.nan, f"not testable: {why}"
-    own = np.array([means[codes == g].mean() for g in range(groups)])[codes]
-    rss = float(((means - own) ** 2).sum())
-    return _row("sequence", float(((own - means.mean()) ** 2).sum()), df1, rss, df2, df1)
+    y = means - means.mean()
+    return _row("sequence", _least_squares(y, [indicators]), _least_squares(y, [np.ones((y.size, 1))]), df1)
 
 
 def _differences(values: np.ndarray, codes: np.ndarray, conditions: list) -> pd.DataFrame:
     """Return the differences of conditions in the full model, or without carry-over where the orders do not separate it."""
     y = (values - values.mean()).ravel()
     parts = _regressors(codes, len(conditions))
-    full = np.column_stack(list(parts.values()))
-    if np.linalg.matrix_rank(full) < full.shape[1]:
-        del parts["carry_over"]
+    fit, k = _least_squares(y, parts.values()), len(conditions)
+    if y.size - fit.df_resid < sum(x.shape[1] for x in parts.values()):
+        fit = _least_squares(y, (x for name, x in parts.items() if name != "carry_over"))
     start = parts["subject"].shape[1] + parts["position"].shape[1]
-    x = np.column_stack(list(parts.values()))
-    inverse = np.linalg.pinv(x.T @ x)
-    beta = inverse @ x.T @ y
-    rss, df = _residual(y, [x])
-    rows, k = [], len(conditions)
     coding = np.vstack([np.eye(k - 1), -np.ones(k - 1)])
-    for i in range(k):
-        for j in range(i + 1, k):
-            row = np.zeros(x.shape[1])
-            row[start : start + k - 1] = coding[i] - coding[j]
-            estimable = np.allclose(row @ inverse @ x.T @ x, row, atol=1e-8)
-            mean, error = row @ beta if estimable else np.nan, np.sqrt(rss / df * (row @ inverse @ row))
-            half = special.stdtrit(df, 0.975) * error
-            p = 2.0 * special.stdtr(df, -abs(mean / error))
-            rows.append((conditions[i], conditions[j], mean, mean - half, mean + half, mean / error, df, p))
-    table = pd.DataFrame(rows, columns=["a", "b", "mean_difference", "ci_low", "ci_high", "t", "df", "p"])
+    pairs = list(combinations(range(k), 2))
+    weights = np.zeros((len(pairs), fit.model.exog.shape[1]))
+    weights[:, start : start + k - 1] = [coding[i] - coding[j] for i, j in pairs]
+    # What is not estimable is no combination of rows of the regressors.
+    estimable = np.isclose(weights @ np.linalg.pinv(fit.model.exog) @ fit.model.exog, weights, atol=1e-8).all(axis=1)
+    tests = fit.t_test(weights)
+    low, high = tests.conf_int().T
+    columns = {"mean_difference": tests.effect, "ci_low": low, "ci_high": high}
+    columns |= {"t": np.ravel(tests.tvalue), "p": np.ravel(tests.pvalue)}
+    table = pd.DataFrame(columns)
+    table[~estimable] = np.nan
+    table.insert(4, "df", int(fit.df_resid))
+    for place, name in enumerate("ab"):
+        table.insert(place, name, [conditions[pair[place]] for pair in pairs])
     return table.assign(p_holm=holm(table["p"].to_numpy()))

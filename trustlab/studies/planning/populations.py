@@ -38,6 +38,9 @@ PEOPLE = 0x70656F70
 
 MOST_TRIES = 1000
 
+PRINTED = ("1", "2", "3", "4", "5")
+"""The participants of Tables 2.1 to 2.3."""
+
 
 def _stream(seed: int, who: int) -> np.random.Generator:
     """Return the random numbers of one person, so that a smaller sample is the beginning of a larger one."""
@@ -154,7 +157,7 @@ class GroundRobotPopulation:
             raise ValueError(
                 f"shrinkage must lie in (0, 1], got {shrinkage}: at 0 the covariance of five participants is singular"
             )
-        rows = np.array([_coordinates(label) for label in ("1", "2", "3", "4", "5")])
+        rows = np.array([_coordinates(label) for label in PRINTED])
         sample = np.cov(rows.T)
         matrix = spread**2 * ((1.0 - shrinkage) * sample + shrinkage * np.diag(np.diag(sample)))
         shares = published_table("2.6")[["mean", "sd"]].astype(float) / 100.0
@@ -193,18 +196,7 @@ class GroundRobotPopulation:
 
         from trustlab.testbeds.deciding import SAMPLE_TIME
 
-        models = [model for label, model in published_models().items() if label != "pilot"]
-        own = published_table("2.3").astype(float)
-        printed = pd.DataFrame(
-            {
-                "beta": [model.human.beta for model in models],
-                "p_h_max": [model.human.p_max for model in models],
-                "a_r": [model.human.a for model in models],
-                "a_pr": [model.robot.a for model in models],
-                "lower": own.loc[("TSC_l", "mean")].to_numpy(),
-                "upper": own.loc[("TSC_u", "mean")].to_numpy(),
-            }
-        )
+        printed = pd.DataFrame([self._values(_coordinates(label)) for label in PRINTED])
         _, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
         for frame, style, label in (
             (self.draw(n, seed), {"marker": ".", "ms": 3, "alpha": 0.5}, "drawn"),
