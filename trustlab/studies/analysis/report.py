@@ -14,6 +14,7 @@ from trustlab.models.checks import one_of, shown
 from trustlab.models.extras import extra
 from trustlab.studies.analysis.apa import apa_table
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
+from trustlab.studies.factors.factorial import FactorialMeasures
 
 # What LaTeX would read as a command, and signs that it lacks as letters.
 _LATEX = str.maketrans(
@@ -21,53 +22,45 @@ _LATEX = str.maketrans(
     | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": "$<$", ">": "$>$"}
     | {"−": "$-$", "×": r"$\times$", "²": "$^2$", "η": r"$\eta$", "ε": r"$\varepsilon$", "χ": r"$\chi$", "≥": r"$\geq$"}
 )
+# Columns beyond which a table of one row is printed as a column.
+_WIDE = 8
+# Columns of a section's tables, and what they are called there.
 _MOMENTS = {"n": "n", "mean": "M", "sd": "SD", "ci_low": "95% CI low", "ci_high": "95% CI high"}
-_TESTS = (
-    "effect",
-    "F",
-    "df1_corrected",
-    "df2_corrected",
-    "p_corrected",
-    "eta2_partial",
-    "eta2_generalized",
-    "correction",
-)
-_HEADS = {
-    "df1_corrected": "df1",
-    "df2_corrected": "df2",
-    "p_corrected": "p",
-    "eta2_partial": "ηp²",
-    "eta2_generalized": "ηG²",
-}
-_PAIRS = ("level", "a", "b", "mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm", "p_bonferroni", "d_z")
+_TESTS = {"effect": "effect", "F": "F", "df1_corrected": "df1", "df2_corrected": "df2", "p_corrected": "p"}
+_TESTS |= {"eta2_partial": "ηp²", "eta2_generalized": "ηG²", "correction": "correction"}
+_PAIRS = ("a", "b", "mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm", "p_bonferroni", "d_z")
 
 
 @dataclass(frozen=True, eq=False)
 class StudyReport:
     """
-    The Results section of one measure.
+    The Results section of one measure, or any result in the form of one.
 
     Parameters
     ----------
-    result : RepeatedMeasures or FactorialMeasures
-        The analysis.
+    result : object
+        The analysis, or a table.
     text : str
-        Its sentences: test with its correction, effect sizes, means, pairs, exclusions, and what to know before using them.
+        Its sentences: test with its correction, effect sizes, means, pairs, exclusions, and what to know before using them;
+        empty where the result has none.
     tables : dict of str to pandas.DataFrame
-        Descriptive statistics, analysis of variance and pairwise comparisons by title; unrounded.
+        Descriptive statistics, analysis of variance and pairwise comparisons by title; or the result's own table; unrounded.
+    origin : str
+        What kind of data these are where they were not measured; else empty.
     """
 
     result: Any
     text: str
     tables: dict[str, pd.DataFrame]
+    origin: str
 
     def table(self) -> pd.DataFrame:
-        """Return the test of every effect, as `result.table()` does."""
-        return self.result.table()
+        """Return what `result.table()` does, or the table itself."""
+        return self.result if isinstance(self.result, pd.DataFrame) else self.result.table()
 
     def plot(self, axes=None):
         """
-        Plot the means, as `result.plot()` does.
+        Plot the means of a section, as `result.plot()` does.
 
         Parameters
         ----------
@@ -79,6 +72,11 @@ class StudyReport:
         matplotlib.axes.Axes
         """
         return self.result.plot(axes=axes)
+
+    @property
+    def drawn(self) -> bool:
+        """Whether there is a figure: that of an analysis of variance."""
+        return isinstance(self.result, RepeatedMeasures | FactorialMeasures)
 
     def write(self, path: str | os.PathLike, digits: int = 2) -> Path:
         """
@@ -115,15 +113,19 @@ class StudyReport:
 
 
 def report(
-    frame: pd.DataFrame, dv: Hashable, within: Hashable | list[Hashable], subject: Hashable, **options: Any
+    frame: Any,
+    dv: Hashable | None = None,
+    within: Hashable | list[Hashable] = None,
+    subject: Hashable = None,
+    **options: Any,
 ) -> StudyReport:
     """
-    Analyse one measure and write its Results section.
+    Analyse one measure and write its Results section; or put any result into the same form.
 
     Parameters
     ----------
-    frame : pandas.DataFrame
-        Long table.
+    frame : pandas.DataFrame or result
+        Long table. Without `dv`: a result of this package with `.table()`, or a table of results, as it is.
     dv, within, subject : hashable
         Columns, as for `repeated_measures`.
     **options : object
@@ -136,7 +138,7 @@ def report(
     Raises
     ------
     ValueError
-        As `repeated_measures` does.
+        As `repeated_measures` does, or if there is neither a measure to analyse nor a result.
 
     Examples
     --------
@@ -146,37 +148,54 @@ def report(
     >>> study.result.n, study.result.k
     (36, 5)
     """
-    result = repeated_measures(frame, dv, within, subject, **options)
-    one_way = isinstance(result, RepeatedMeasures)
-    tests = result.table().assign(effect=str(result.within)) if one_way else result.table()
-    factors = ["condition"] if one_way else [*result.between, *result.within]
-    moments = result.descriptives().astype(dict.fromkeys(factors, str))  # levels that are numbers are not rounded
-    tables = {"Descriptive statistics": moments, "Analysis of variance": tests[list(_TESTS)]}
-    if one_way:
-        tables["Pairwise comparisons"] = result.pairs()
+    result = frame if dv is None else repeated_measures(frame, dv, within, subject, **options)
+    if isinstance(result, RepeatedMeasures | FactorialMeasures):
+        return _section(result)
+    if not isinstance(result, pd.DataFrame) and not hasattr(result, "table"):
+        raise ValueError(
+            f"frame must be a table with dv=, within= and subject=, or a result, got {type(frame).__name__}"
+        )
+    table = result if isinstance(result, pd.DataFrame) else result.table()
+    title = "Results" if table is result else type(result).__name__
+    text = result.apa() if hasattr(result, "apa") else ""
+    return StudyReport(result, text, {title: table}, getattr(result, "origin", "") or table.attrs.get("origin", ""))
+
+
+def _section(result: RepeatedMeasures | FactorialMeasures) -> StudyReport:
+    """Return the Results section of an analysis of variance."""
+    factors: list[Hashable]
+    if isinstance(result, RepeatedMeasures):
+        tests, factors = result.table().assign(effect=str(result.within)), ["condition"]
+        pairs = {"Pairwise comparisons": result.pairs()}
     else:
-        for factor in (*result.within, *result.between):
-            tables[f"Pairwise comparisons of {factor}"] = result.pairs(factor).drop(columns="level")
-    notes = f" {' '.join(result.notes)}" if one_way and result.notes else ""
-    return StudyReport(result, f"{result.apa()}{notes}", tables)
+        tests, factors = result.table(), [*result.between, *result.within]
+        pairs = {
+            f"Pairwise comparisons of {factor}": result.pairs(factor) for factor in (*result.within, *result.between)
+        }
+    moments = result.descriptives().astype(dict.fromkeys(factors, str))  # levels that are numbers are not rounded
+    own = [name for name in moments if name in factors or name in _MOMENTS]
+    tables = {"Descriptive statistics": moments[own].rename(columns=_MOMENTS)}
+    tables |= {"Analysis of variance": tests[list(_TESTS)].rename(columns=_TESTS)}
+    tables |= {title: table[list(_PAIRS)] for title, table in pairs.items()}
+    return StudyReport(result, " ".join([result.apa(), *result.notes]), tables, result.origin)
 
 
 def _printed(table: pd.DataFrame, digits: int) -> pd.DataFrame:
-    """Return a table with the columns and roundings of a paper."""
-    shown_columns = [name for name in table if name in _PAIRS] if "a" in table else list(table)
-    if "mean" in table:
-        shown_columns = [name for name in table if name in _MOMENTS or table[name].dtype.kind not in "fi"]
-    own = table[shown_columns].rename(columns=_MOMENTS if "mean" in table else {})
-    own = own.rename(columns={"p_corrected": "p"})  # so that it is printed as a p-value
-    return apa_table(own, digits).rename(columns=_HEADS).astype(str)
+    """Return a table with the roundings of a paper; one wide row becomes a column."""
+    named = table.reset_index() if table.index.names != [None] else table
+    texts = apa_table(named.rename(columns=str).rename_axis(columns=None), digits)
+    texts = texts.astype(object).where(texts.notna(), "").map(str)
+    if len(texts) == 1 and texts.shape[1] > _WIDE:
+        return texts.T.reset_index().set_axis(["statistic", "value"], axis=1)
+    return texts
 
 
 def _html(found: StudyReport, tables: dict[str, pd.DataFrame], figure: bool = True) -> str:
-    parts = [f"<p>{html.escape(found.text)}</p>"]
+    parts = [f"<p>{html.escape(found.text)}</p>"] if found.text else []
     for number, (title, table) in enumerate(tables.items(), start=1):
         caption = f"<p><b>Table {number}</b><br><i>{html.escape(_caption(found, title))}</i></p>"
         parts += [caption, table.to_html(index=False, border=0)]
-    if figure:
+    if figure and found.drawn:
         drawing = io.StringIO()
         _drawn(found, drawing, "svg")
         parts.append(drawing.getvalue()[drawing.getvalue().index("<svg") :])
@@ -197,21 +216,23 @@ def _write_word(path: Path, found: StudyReport, tables: dict[str, pd.DataFrame])
     with extra("reports"):
         import docx
     document = docx.Document()
-    document.add_paragraph(found.text)
+    if found.text:
+        document.add_paragraph(found.text)
     for number, (title, table) in enumerate(tables.items(), start=1):
         document.add_paragraph(f"Table {number}. {_caption(found, title)}")
         grid = document.add_table(rows=1 + len(table), cols=table.shape[1])
         for i, row in enumerate([list(map(str, table.columns)), *table.to_numpy().tolist()]):
             for j, cell in enumerate(row):
                 grid.cell(i, j).text = cell
-    picture = io.BytesIO()
-    _drawn(found, picture, "png")
-    document.add_picture(picture)
+    if found.drawn:
+        picture = io.BytesIO()
+        _drawn(found, picture, "png")
+        document.add_picture(picture)
     document.save(str(path))
 
 
 def _caption(found: StudyReport, title: str) -> str:
-    origin = f" [{found.result.origin}]" if found.result.origin else ""
+    origin = f" [{found.origin}]" if found.origin else ""
     return f"{title}{origin}"
 
 

@@ -96,7 +96,7 @@ class FactorialMeasures:
     def descriptives(self) -> pd.DataFrame:
         """Return a row per group and cell: the factors' columns, then n, mean, sd, se."""
         rows = []
-        for group, who in self._groups():
+        for group, who in self.members():
             for j, cell in enumerate(self.scores.conditions):
                 x = self.scores.values[who, j]
                 sd = x.std(ddof=1) if x.size > 1 else np.nan
@@ -285,7 +285,7 @@ class FactorialMeasures:
             frame.attrs["origin"] = self.origin
         return frame
 
-    def _groups(self) -> list[tuple[tuple, np.ndarray]]:
+    def members(self) -> list[tuple[tuple, np.ndarray]]:
         """Return every combination of groups, and which subjects are in it."""
         found = []
         for combination in product(*(range(len(levels)) for levels in self.between.values())):

@@ -13,6 +13,9 @@ from trustlab.models.html import as_html
 from trustlab.studies.columns import column_of, refuse_missing_labels
 from trustlab.studies.factors.logistic_model import Logistic, checked_counts
 
+# Logits beyond which no data tell a probability from 0 or 1.
+_FAR = 15.0
+
 
 @dataclass(frozen=True, eq=False)
 class FormulaModel:
@@ -162,6 +165,8 @@ def _normal_estimates(model: "_Normal", y: np.ndarray, x: pd.DataFrame, centre: 
 def _logistic_estimates(model: Logistic, y: np.ndarray, x: pd.DataFrame) -> dict:
     """Return the estimates of a logistic model, in logits."""
     fit = model.fit(y, x.to_numpy(), covariance=True)
+    if np.abs(x.to_numpy() @ fit.beta).max() > _FAR:
+        raise ValueError("the likelihood has no maximum: some effect separates successes from failures; leave it out")
     return {
         "coefficients": _coefficients(list(x.columns), fit.beta, np.sqrt(np.diag(fit.covariance))),
         "variances": _variances(["Intercept"], np.array([[fit.sd**2]])),

@@ -60,6 +60,22 @@ def _log_likelihood(eta, counts, trials, first, sd, nodes, log_weights):
     return total
 
 
+@njit
+def _loss_and_slope(parameters, rows, counts, trials, first, nodes, log_weights):
+    """Return the negative log-likelihood at logits and SD (of either sign), and its gradient by central differences."""
+    values, slope = np.empty(2), np.empty(parameters.size)
+    for i in range(parameters.size):
+        step = 1e-5 * max(1.0, abs(parameters[i]))
+        for side in range(2):
+            moved = parameters.copy()
+            moved[i] += step * (1 - 2 * side)
+            eta = rows @ moved[:-1]
+            values[side] = _log_likelihood(eta, counts, trials, first, abs(moved[-1]), nodes, log_weights)
+        slope[i] = (values[1] - values[0]) / (2.0 * step)
+    eta = rows @ parameters[:-1]
+    return -_log_likelihood(eta, counts, trials, first, abs(parameters[-1]), nodes, log_weights), slope
+
+
 class Logistic:
     """Counts out of trials by group: what a random-intercept model is fitted to, and how data are drawn from one."""
 
@@ -72,27 +88,25 @@ class Logistic:
 
     def fit(self, counts: np.ndarray, x: np.ndarray, covariance: bool = False) -> LogisticFit:
         """Return the maximum of the likelihood; the covariance is that of the observed information, and zero unless asked for."""
-        y, trials, rows = counts[self._order], self.trials[self._order], x[self._order]
-
-        def loss(parameters: np.ndarray) -> float:
-            eta, sd = rows @ parameters[:-1], abs(parameters[-1])
-            return -_log_likelihood(eta, y, trials, self._first, sd, self._nodes, self._log_weights)
-
-        # Weighted least squares of empirical logits: near enough to start from.
+        order = self._order
+        data = (
+            np.ascontiguousarray(x[order]),
+            counts[order],
+            self.trials[order],
+            self._first,
+            self._nodes,
+            self._log_weights,
+        )
+        # Least squares of empirical logits: near enough to start from.
         logits = np.log((counts + 0.5) / (self.trials - counts + 0.5))
         start = np.linalg.lstsq(x, logits, rcond=None)[0]
-        found = minimize(loss, np.append(start, 0.7), method="BFGS", jac="3-point", options={"gtol": 1e-6})
+        found = minimize(_loss_and_slope, np.append(start, 0.7), data, "BFGS", jac=True, options={"gtol": 1e-6})
         beta, sd = found.x[:-1], abs(float(found.x[-1]))
-        if np.abs(x @ beta).max() > _FAR:
-            raise ValueError(
-                "the likelihood of the logistic model has no maximum: some effect separates successes from failures "
-                "completely, so that its logit grows beyond all bounds; leave that effect out, or collapse its levels"
-            )
         information = np.zeros((beta.size, beta.size))
         if covariance:
             from statsmodels.tools.numdiff import approx_hess3
 
-            hessian = approx_hess3(found.x, loss)
+            hessian = approx_hess3(found.x, lambda parameters: _loss_and_slope(parameters, *data)[0])
             # Where the intercepts do not vary the SD is at its boundary, and carries no information on the logits.
             information = np.linalg.inv(hessian if sd > _SINGULAR else hessian[:-1, :-1])[: beta.size, : beta.size]
         return LogisticFit(-float(found.fun), beta, sd, information)
@@ -108,8 +122,8 @@ class Logistic:
         return rng.binomial(self.trials.astype(int), special.expit(x @ fit.beta + effects[self.codes])).astype(float)
 
 
-# Logits beyond which no data tell a probability from 0 or 1, and the SD below which intercepts do not vary.
-_FAR, _SINGULAR = 15.0, 1e-3
+# SD below which intercepts do not vary.
+_SINGULAR = 1e-3
 
 
 def checked_counts(counts: np.ndarray, data: pd.DataFrame, trials: str | None) -> np.ndarray:

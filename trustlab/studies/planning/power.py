@@ -15,6 +15,7 @@ from trustlab.models.checks import one_of, open_unit, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
+from trustlab.studies.planning.factorial_power import factorial_power, population_of, shares_of
 from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, USUAL_TEST, claims_mask, simulated_counts
 
 if TYPE_CHECKING:
@@ -179,15 +180,19 @@ def power_analysis(
     *,
     data: pd.DataFrame | None = None,
     dv: Hashable = "value",
-    within: Hashable = "condition",
+    within: Hashable | list[Hashable] = "condition",
+    between: Hashable | list[Hashable] | None = None,
     subject: Hashable = "subject",
-    order: Sequence | None = None,
+    order: Any = None,
     labels: Sequence[Hashable] | None = None,
     n: int | Sequence[int] = 36,
     effect_size: float | Sequence[float] | None = None,
     correlation: float | Sequence[float] | None = None,
     epsilon: float | Sequence[float] | None = None,
     claims: Sequence[tuple] | None = None,
+    family: str = "normal",
+    trials: int | None = None,
+    sd: float | None = None,
     alpha: float = 0.05,
     replicates: int = 10_000,
     level: float = 0.95,
@@ -195,7 +200,7 @@ def power_analysis(
     n_jobs: int | None = None,
     cluster: Any = None,
     executor: Any = None,
-) -> PowerAnalysis:
+) -> Any:
     """
     Simulate studies drawn from a normal population and count how many find its effects.
 
@@ -212,13 +217,15 @@ def power_analysis(
     data : pandas.DataFrame, optional
         A long table instead of both.
     dv, within, subject : hashable
-        Columns of `data`.
-    order : sequence, optional
-        Order of the conditions in `data`.
+        Columns of `data`; several factors are a list, and `mean` is then a Series indexed by their levels, as the covariance is.
+    between : hashable or list of hashable, optional
+        Factors between subjects, which come first in the index of `mean`.
+    order : sequence or dict, optional
+        Order of the conditions in `data`; of several factors, a dict of factor to levels.
     labels : sequence, optional
         Names of the conditions, where `mean` has none.
     n : int or sequence of int
-        Subjects; at least 3.
+        Subjects; at least 3. With groups, in each of them.
     effect_size : float or sequence of float, optional
         Partial η² of the population: means keep their pattern and are scaled about their mean. When left out, means
         are used as given.
@@ -226,6 +233,11 @@ def power_analysis(
         Replace the covariance by `graded_covariance` of the same mean variance; what is left out stays as it is.
     claims : sequence of (a, b), optional
         Pairs that must be found together with F, in the direction of the population's difference.
+    family : {"normal", "binomial"}
+        Scores, or counts of successes: `mean` has their probabilities by condition for the participant in the middle, and conditions
+        are compared by the likelihood ratio of the logistic mixed model, which takes some milliseconds a study.
+    trials, sd : int, float
+        Of counts: trials of each participant and condition, and the standard deviation of participants' intercepts in logits.
     alpha : float
         Level of all tests, in (0, 1).
     replicates : int
@@ -239,7 +251,8 @@ def power_analysis(
 
     Returns
     -------
-    PowerAnalysis
+    PowerAnalysis or FactorialPower
+        The latter with several factors, groups or counts; it takes no effect_size, correlation, epsilon, claims or labels.
 
     Raises
     ------
@@ -254,10 +267,23 @@ def power_analysis(
     >>> found.table()["test"].tolist()
     ['none', 'greenhouse-geisser', 'huynh-feldt', 'auto']
     """
-    population = conditions_from(mean, covariance, data, dv, within, subject, order, labels)
     alpha, level = open_unit("alpha", alpha), open_unit("level", level)
     replicates = whole_number("replicates", replicates, least=LEAST_REPLICATES, most=10_000_000)
-    seed = whole_number("seed", seed, least=0)
+    seed, where = whole_number("seed", seed, least=0), where_to_run(n_jobs, cluster, executor)
+    sides = [x if isinstance(x, list) else [] if x is None else [x] for x in (within, between)]
+    shares = one_of("family", family, ("normal", "binomial")) != "normal"
+    if shares or len(sides[0]) > 1 or sides[1]:
+        idle = {"effect_size": effect_size, "correlation": correlation, "epsilon": epsilon, "claims": claims}
+        _refuse_idle(
+            idle
+            | {"labels": labels}
+            | ({"covariance": covariance, "data": data} if shares else {"trials": trials, "sd": sd})
+        )
+        several: Any = shares_of(mean, trials, sd) if shares else None
+        several = several or population_of(mean, covariance, data, dv, sides[0], sides[1], subject, order)
+        return factorial_power(several, _sizes(_listed("n", n)), alpha, replicates, level, seed, where)
+    _refuse_idle({"trials": trials, "sd": sd})
+    population = conditions_from(mean, covariance, data, dv, sides[0][0], subject, order, labels)
     mask = claims_mask(claims, population)
     axes = (n, effect_size, correlation, epsilon)
     grid = [_listed(name, values) for name, values in zip(AXES, axes, strict=True)]
@@ -267,7 +293,7 @@ def power_analysis(
         replicates,
         alpha,
         mask,
-        where_to_run(n_jobs, cluster, executor),
+        where,
     )
     parts = [
         _rows(cell, size, counts, replicates, alpha, level, mask)
@@ -299,6 +325,21 @@ def _listed(name: str, value: Any) -> list:
     return values
 
 
+def _refuse_idle(arguments: dict[str, Any]) -> None:
+    """Refuse arguments that would have no effect on this kind of power."""
+    for name, value in arguments.items():
+        if value is not None:
+            raise ValueError(f"{name} has no effect here; leave it out")
+
+
+def _sizes(values: list) -> list[int]:
+    """Return numbers of subjects that a design can have."""
+    sizes = [whole_number("n", size, most=MOST_N) for size in values]
+    if min(sizes) < 3:
+        raise ValueError(f"n = {min(sizes)} is too small for the design: repeated measures need at least 3 subjects")
+    return sizes
+
+
 def _draws(seed: int, n: int, cell: Conditions) -> np.random.SeedSequence:
     """Return the seed of a cell."""
     numbers = np.concatenate([cell.mean, cell.covariance.ravel()])
@@ -307,9 +348,7 @@ def _draws(seed: int, n: int, cell: Conditions) -> np.random.SeedSequence:
 
 def _cells(population: Conditions, grid: list[list]) -> list[tuple[int, Conditions]]:
     """Return subjects and population of every cell of n × effect_size × correlation × epsilon."""
-    sizes = [whole_number("n", size, most=MOST_N) for size in grid[0]]
-    if min(sizes) < 3:
-        raise ValueError(f"n = {min(sizes)} is too small for the design: repeated measures need at least 3 subjects")
+    sizes = _sizes(grid[0])
     shapes = [population.with_structure(*pair) for pair in product(*grid[2:])]
     effects = [shape if effect is None else shape.with_effect(effect) for effect, shape in product(grid[1], shapes)]
     cells = list(product(sizes, effects))

@@ -1,7 +1,7 @@
 """Simulated studies counted: how many find the effect, and how many find which pair."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -32,11 +32,15 @@ def simulated_counts(
     where: Mapping | None = None,
 ) -> list[dict]:
     """Return `count_findings` of each cell (population, subjects, seed); `where` is passed on to `run_campaign`."""
+    parameters = [{"population": p, "n": n, "draws": draws} for p, n, draws in cells]
+    return run_counts(count_findings, parameters, {"replicates": replicates, "alpha": alpha, "claims": claims}, where)
+
+
+def run_counts(task: Callable, cells: Sequence[Mapping], fixed: Mapping, where: Mapping | None) -> list[dict]:
+    """Return what a task counts in each cell, with the same further arguments for all."""
     from trustlab.campaign import CampaignError, run_campaign
 
-    fixed = {"replicates": replicates, "alpha": alpha, "claims": claims}
-    parameters = [{"population": p, "n": n, "draws": draws} | fixed for p, n, draws in cells]
-    done = run_campaign(count_findings, parameters, **(where or {"n_jobs": 1}))
+    done = run_campaign(task, [{**cell, **fixed} for cell in cells], **(where or {"n_jobs": 1}))
     if done["failed"].any():
         raise CampaignError(f"studies could not be simulated: {done.loc[done['failed'], 'error'].iloc[0]}")
     return done.to_dict("records")

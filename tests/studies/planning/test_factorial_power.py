@@ -1,0 +1,170 @@
+"""
+Power of designs with several factors, groups and shares. Oracles: the noncentral F in closed form; a plain loop of tl.repeated_measures
+and tl.mixed_model over data drawn here; theorems (no effect: the level).
+"""
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import special, stats
+
+import trustlab as tl
+from trustlab.studies import graded_covariance
+
+mpl.use("Agg")
+CELLS = pd.MultiIndex.from_product([["low", "high"], ["easy", "medium", "hard"]], names=["autonomy", "difficulty"])
+MEANS = pd.Series([0.0, 0.3, 0.1, 0.2, 0.6, 0.7], CELLS)
+TWO_WAY = {"covariance": graded_covariance(6, 0.5), "within": ["autonomy", "difficulty"], "replicates": 4000}
+MIXED = pd.Series({("g", 0.0): 0.0, ("g", 1.0): 0.3, ("h", 0.0): 0.0, ("h", 1.0): 0.8})
+
+
+def within_simulation_error(found, exact, replicates, sds=4.0):
+    return abs(found - exact) < sds * np.sqrt(exact * (1 - exact) / replicates) + 1e-12
+
+
+@pytest.mark.parametrize(
+    "power",
+    [
+        lambda: tl.power_analysis(MEANS, n=[12, 24], **TWO_WAY),
+        lambda: tl.power_analysis(
+            MIXED, graded_covariance(2, 0.4), within="test", between="group", n=[10, 20], replicates=4000
+        ),
+    ],
+)
+def test_simulation_agrees_with_the_closed_form(power):
+    table = power().table()
+    closed = table[table["closed_form"].notna()]
+    assert set(closed["effect"]) == set(table["effect"])
+    for row in closed.itertuples():
+        assert within_simulation_error(row.power, row.closed_form, row.replicates), row
+
+
+def test_closed_form_is_the_noncentral_f_written_out():
+    """Autonomy has one contrast: d_z of the mean difference; difficulty by sums of squares of the marginal means."""
+    table = tl.power_analysis(MEANS, n=24, **TWO_WAY | {"replicates": 100}).table()
+    closed = table[table["test"] == "none"].set_index("effect")["closed_form"]
+    wide = MEANS.to_numpy().reshape(2, 3)
+    difference = np.diff(wide.mean(axis=1)).item() ** 2
+    variance = 2.0 / 3.0 * (1.0 - 0.5)  # of a difference of means of three cells
+    exact = stats.ncf.sf(stats.f.isf(0.05, 1, 23), 1, 23, 24 * difference / variance)
+    assert closed["autonomy"] == pytest.approx(exact, abs=1e-10)
+    spread = ((wide.mean(axis=0) - wide.mean()) ** 2).sum() * 2
+    exact = stats.ncf.sf(stats.f.isf(0.05, 2, 46), 2, 46, 24 * spread / (1.0 - 0.5))
+    assert closed["difficulty"] == pytest.approx(exact, abs=1e-10)
+
+
+def test_a_plain_loop_finds_the_same_share():
+    """A mixed design without sphericity: 300 studies drawn and analysed one by one."""
+    covariance = graded_covariance(3, 0.3, 0.7)
+    means = pd.Series({(g, c): 0.45 * (c == "c") * (g == "h") for g in "gh" for c in "abc"})
+    table = tl.power_analysis(means, covariance, within="c", between="g", n=12, replicates=4000).table()
+    power = table.set_index(["effect", "test"]).loc[("g × c", "greenhouse-geisser"), "power"]
+    rng, found = np.random.default_rng(5), 0
+    for _ in range(300):
+        scores = rng.multivariate_normal(np.zeros(3), covariance, 24)
+        scores[12:, 2] += 0.45
+        frame = pd.DataFrame({"s": np.repeat(range(24), 3), "g": np.repeat(["g", "h"], 36), "c": list("abc") * 24})
+        result = tl.repeated_measures(frame.assign(v=scores.ravel()), "v", "c", "s", between="g").table()
+        found += result.set_index("effect").loc["g × c", "p_corrected"] < 0.05
+    assert within_simulation_error(found / 300, power, 300)
+
+
+def test_without_effects_the_level_is_held():
+    flat = MEANS * 0.0
+    options = TWO_WAY | {"covariance": graded_covariance(6, 0.2, 0.5)}
+    table = tl.power_analysis(flat, n=10, **options).table()
+    corrected = table[table["test"] == "greenhouse-geisser"]
+    assert (corrected["power"] < 0.065).all()
+    assert (table["eta2_partial"] < 1e-12).all()
+
+
+def test_a_pilot_study_is_the_population():
+    rng = np.random.default_rng(0)
+    frame = CELLS.to_frame(index=False).merge(pd.DataFrame({"who": range(20)}), how="cross")
+    frame["error"] = rng.standard_normal(len(frame)) + 0.4 * (frame["autonomy"] == "high")
+    frame["group"] = np.where(frame["who"] < 9, "g", "h")
+    frame.attrs["synthetic"] = True
+    order = {"autonomy": ["low", "high"], "difficulty": ["easy", "medium", "hard"]}
+    columns = {
+        "dv": "error",
+        "within": ["autonomy", "difficulty"],
+        "between": "group",
+        "subject": "who",
+        "order": order,
+    }
+    found = tl.power_analysis(data=frame, n=8, replicates=200, **columns)
+    wide = frame.pivot_table(index=["group", "who"], columns=["autonomy", "difficulty"], values="error")[list(CELLS)]
+    residual = wide - wide.groupby("group").transform("mean")
+    index = pd.MultiIndex.from_tuples([(g, *cell) for g in "gh" for cell in CELLS])
+    given = tl.power_analysis(
+        pd.Series(wide.groupby("group").mean().to_numpy().ravel(), index),
+        residual.T @ residual / 18,
+        within=["autonomy", "difficulty"],
+        between="group",
+        n=8,
+        replicates=200,
+    )
+    pd.testing.assert_frame_equal(found.table(), given.table(), rtol=1e-9)
+    assert "synthetic data" in found.origin
+    assert "synthetic data" in found.plot().get_title()
+
+
+def test_shares_by_a_plain_loop():
+    options = {"family": "binomial", "trials": 10, "sd": 0.8, "replicates": 150}
+    power = tl.power_analysis({"C2": 0.64, "C4": 0.5}, n=14, seed=2, **options).table()["power"].item()
+    rng, found = np.random.default_rng(1), 0
+    for _ in range(60):
+        eta = special.logit([0.64, 0.5]) + 0.8 * rng.standard_normal((14, 1))
+        frame = pd.DataFrame({"who": np.repeat(range(14), 2), "c": ["C2", "C4"] * 14, "m": 10})
+        frame["y"] = rng.binomial(10, special.expit(eta)).ravel()
+        model = tl.mixed_model("y ~ c", frame, groups="who", family="binomial", trials="m")
+        found += model.table()["p_chi2"].item() < 0.05
+    assert within_simulation_error(found / 60, power, 60, 4.5)
+
+
+def test_same_seed_same_table_wherever_it_runs():
+    from concurrent.futures import ThreadPoolExecutor
+
+    options = TWO_WAY | {"replicates": 300}
+    one = tl.power_analysis(MEANS, n=[8, 12], seed=3, **options).table()
+    with ThreadPoolExecutor(2) as pool:
+        pd.testing.assert_frame_equal(
+            one, tl.power_analysis(MEANS, n=[8, 12], seed=3, executor=pool, **options).table()
+        )
+    alone = tl.power_analysis(MEANS, n=12, seed=3, **options).table()
+    pd.testing.assert_frame_equal(one[one["n"] == 12].reset_index(drop=True), alone)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"mean": MEANS.iloc[:-1]}, r"mean: no number for cell \('high', 'hard'\) of autonomy × difficulty"),
+        ({"mean": [1.0, 2.0]}, "indexed by the levels of autonomy, difficulty, got 1 level"),
+        ({"n": 2}, "at least 3 subjects"),
+        ({"effect_size": 0.2}, "effect_size has no effect here"),
+        ({"trials": 4}, "trials has no effect here"),
+        ({"covariance": np.eye(4)}, "must be 6 × 6"),
+        ({"covariance": np.ones((6, 6))}, "not positive definite"),
+        ({"family": "poisson"}, "family must be one of"),
+    ],
+)
+def test_faults_are_named(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        tl.power_analysis(**{"mean": MEANS, "n": 12} | TWO_WAY | {"replicates": 100} | arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"sd": None}, "needs trials= .* and sd="),
+        ({"mean": {"C2": 1.0, "C4": 0.4}}, "probabilities"),
+        ({"mean": {"C2": 0.5}}, "at least two conditions"),
+        ({"covariance": np.eye(2)}, "covariance has no effect here"),
+        ({"trials": 2.5}, "trials must be a whole number"),
+    ],
+)
+def test_faults_of_shares_are_named(arguments, message):
+    usual = {"mean": {"C2": 0.6, "C4": 0.4}, "family": "binomial", "trials": 10, "sd": 1.0, "n": 6, "replicates": 100}
+    with pytest.raises(ValueError, match=message):
+        tl.power_analysis(**usual | arguments)
