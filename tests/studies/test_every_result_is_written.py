@@ -37,7 +37,7 @@ RESULTS = {
     "DesignBalance": lambda: DESIGN.balance(),
     "LatinSquareDesign": lambda: DESIGN,
     "PowerAnalysis": lambda: tl.power_analysis([0.0, 0.4, 0.8], COVARIANCE, n=[8, 10], replicates=100),
-    "FactorialPower": lambda: tl.power_analysis(
+    "PowerAnalysis of several factors": lambda: tl.power_analysis(
         {("g", c): 0.0 for c in "abc"} | {("h", c): 1.0 for c in "abc"},
         COVARIANCE,
         within="c",

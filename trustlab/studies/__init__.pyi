@@ -33,7 +33,6 @@ from .planning.closed_form_power import (
     noncentrality as noncentrality,
 )
 from .planning.covariances import Conditions as Conditions, graded_covariance as graded_covariance
-from .planning.factorial_power import FactorialPower as FactorialPower
 from .planning.populations import (
     GroundRobotPopulation as GroundRobotPopulation,
     TeleoperatorPopulation as TeleoperatorPopulation,

@@ -2,7 +2,7 @@
 
 import decimal
 import numbers
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 
 import numpy as np
 import pandas as pd
@@ -54,3 +54,20 @@ def number_or_nan(value: object) -> float:
         return float(value)
     except (OverflowError, ValueError):  # beyond the range of floats, or a signalling NaN
         raise TypeError from None
+
+
+def labels_of(name: str, values: object, least: int) -> tuple[Hashable, ...]:
+    """Return labels that are all there, all different, and at least so many."""
+    if isinstance(values, str | bytes) or not isinstance(values, Sequence | np.ndarray | pd.Series | pd.Index):
+        raise ValueError(f"{name} must be a list of labels, got {values!r}")
+    labels = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
+    for k, label in enumerate(labels):
+        blank = isinstance(label, str) and not label.strip()
+        if not isinstance(label, Hashable) or isinstance(label, bool) or pd.isna([label]).any() or blank:
+            raise ValueError(f"{name}[{k}] is {label!r}; a label must be a number or a text that is not empty")
+    if len(labels) < least:
+        raise ValueError(f"{name} must have at least {least} labels, got {len(labels)}")
+    twice = [label for k, label in enumerate(labels) if label in labels[:k]]
+    if twice:
+        raise ValueError(f"{name} must differ from one another, but {twice[0]!r} occurs twice")
+    return labels

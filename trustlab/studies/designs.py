@@ -10,24 +10,7 @@ import pandas as pd
 
 from trustlab.models.checks import flag, of_class, spawned, whole_number
 from trustlab.models.html import as_html
-from trustlab.studies.columns import column_of, refuse_missing_labels
-
-
-def _labels(name: str, values: object, least: int) -> tuple[Hashable, ...]:
-    """Return labels that are all there, all different, and at least so many."""
-    if isinstance(values, str | bytes) or not isinstance(values, Sequence | np.ndarray | pd.Series | pd.Index):
-        raise ValueError(f"{name} must be a list of labels, got {values!r}")
-    labels = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
-    for k, label in enumerate(labels):
-        blank = isinstance(label, str) and not label.strip()
-        if not isinstance(label, Hashable) or isinstance(label, bool) or pd.isna([label]).any() or blank:
-            raise ValueError(f"{name}[{k}] is {label!r}; a label must be a number or a text that is not empty")
-    if len(labels) < least:
-        raise ValueError(f"{name} must have at least {least} labels, got {len(labels)}")
-    twice = [label for k, label in enumerate(labels) if label in labels[:k]]
-    if twice:
-        raise ValueError(f"{name} must differ from one another, but {twice[0]!r} occurs twice")
-    return labels
+from trustlab.studies.columns import column_of, labels_of, refuse_missing_labels
 
 
 def williams_square(n: int) -> np.ndarray:
@@ -87,7 +70,7 @@ def participants_needed(conditions: int | Sequence[Hashable], at_least: int = 1)
     if isinstance(conditions, numbers.Number):
         n = whole_number("conditions", conditions, least=2)
     else:
-        n = len(_labels("conditions", conditions, 2))
+        n = len(labels_of("conditions", conditions, 2))
     return -(-whole_number("at_least", at_least) // _rows(n)) * _rows(n)
 
 
@@ -279,11 +262,11 @@ def latin_square_design(
     3            TMIG   OMI   MMI     M
     4               M   MMI   OMI  TMIG
     """
-    conditions = _labels("conditions", conditions, 2)
+    conditions = labels_of("conditions", conditions, 2)
     if isinstance(participants, numbers.Number):
         participants = tuple(range(1, whole_number("participants", participants) + 1))
     else:
-        participants = _labels("participants", participants, 1)
+        participants = labels_of("participants", participants, 1)
     seed = whole_number("seed", seed, least=0)
     whole_squares = flag("whole_squares", whole_squares)
     k, n, size = len(conditions), len(participants), _rows(len(conditions))

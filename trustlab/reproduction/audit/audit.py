@@ -1,7 +1,8 @@
 """All checks together: one table with a row per printed number, in the order in which they are printed."""
 
+import re
 from collections.abc import Mapping
-from dataclasses import astuple, fields
+from dataclasses import astuple, fields, replace
 
 import pandas as pd
 
@@ -10,11 +11,12 @@ from trustlab.reproduction.audit.claims import claim_checks
 from trustlab.reproduction.audit.joint_consistency import joint_rows
 from trustlab.reproduction.audit.models import model_checks
 from trustlab.reproduction.audit.sample_moments import sample_checks
+from trustlab.reproduction.audit.settings import setting_checks
 from trustlab.reproduction.audit.statements import statement_checks
 from trustlab.reproduction.audit.statistics import study_checks
 from trustlab.reproduction.audit.verdict import Remark, Row, rows_of
 
-MAKERS = (model_checks, study_checks, sample_checks, claim_checks, statement_checks, joint_rows)
+MAKERS = (model_checks, study_checks, sample_checks, claim_checks, statement_checks, setting_checks, joint_rows)
 
 
 def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
@@ -56,10 +58,20 @@ def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
     # A number counts as checked if a row has its id, or continues it after a slash.
     checked = {start for row in rows for start in _ancestors(row.id)}
     rows += rows_of([Remark(id, why_unchecked(id)) for id in numbers if id not in checked], numbers)
+    differ = {row.id for row in rows if row.verdict == "differs"}
+    rows = [_resting(row, differ) for row in rows]
     order = {id: i for i, id in enumerate(numbers)}
     place = {row.id: next((order[x] for x in _ancestors(row.id) if x in order), len(order)) for row in rows}
     rows.sort(key=lambda row: (place[row.id], row.id))
     return pd.DataFrame([astuple(row) for row in rows], columns=[field.name for field in fields(Row)])
+
+
+def _resting(row: Row, differ: set[str]) -> Row:
+    """Return a row that says on which numbers it rests that do not follow from others."""
+    used = [id for id in re.findall(r"\(([^()\s]+)\)", row.inputs) if id in differ]
+    if row.formula.startswith("number of"):  # which counts its inputs, whatever they are
+        return row
+    return replace(row, reason=f"{row.reason} Rests on {', '.join(used)}, judged “differs”.") if used else row
 
 
 def _ancestors(id: str) -> list[str]:

@@ -153,6 +153,9 @@ def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Rem
             reason += f" Whole points ({fitting[0]}) can give {show(mean, numbers[id], 2)}."
         if expected and math.isnan(nearest(condition, expected[0])):
             reason += f" With {expected[0]} no whole points round to it."
+        if rules is TLX_RULES and all(math.isnan(nearest(condition, rule)) for rule in rules):
+            n = numbers[_size(measure)].printed
+            reason = f"Suspicious: for n = {n} no whole points give it, raw or weighted (GRIM). {reason}"
         remarks.append(Remark(id, reason))
     return [*remarks, _items(measure, ids, fitting, numbers)]
 

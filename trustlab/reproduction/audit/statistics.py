@@ -127,14 +127,12 @@ def _t_test(name: str, numbers: Numbers) -> list[Check | Possible]:
 
 
 def _sample_size(name: str) -> Check:
-    """Return the check of n: participants less those dropped, times trials in the UAV study."""
-    uav = name.startswith("uav.")
-    section = "section_2_4_2_2" if uav else "section_3_9_2"
+    """Return the check of n: participants less those dropped; the UAV study counts the trials of one person as people."""
+    section = "section_2_4_2_2" if name.startswith("uav.") else "section_3_9_2"
     ids = {symbol: f"{section}/{symbol}" for symbol in ("participants", "dropped", "trials")}
-    if not uav:
-        return Check(f"{name}/n", Formula.of("participants - dropped", ids))
-    note = "Trials of one person are counted as if they were of different people."
-    return Check(f"{name}/n", Formula.of("trials * (participants - dropped)", ids), note=note)
+    trials = Formula.of("trials * (participants - dropped)", ids, "each trial of a person was counted as a person")
+    others = (trials,) if section == "section_2_4_2_2" else ()
+    return Check(f"{name}/n", Formula.of("participants - dropped", ids), explanations=others)
 
 
 def _duplicates(first: str, second: str, numbers: Numbers) -> list[Remark]:

@@ -138,8 +138,7 @@ def checked_scores(array: np.ndarray) -> np.ndarray:
         raise ValueError(f"array must hold real numbers, got {type(array).__name__} of dtype {given.dtype}")
     if given.ndim != 3:
         raise ValueError(
-            f"array must have three axes (studies, subjects, conditions), got shape {given.shape}; "
-            "a single study is array[None]"
+            f"array must have axes studies, subjects, conditions, got shape {given.shape}; one study: array[None]"
         )
     studies, n, k = given.shape
     if studies < 1:
@@ -151,10 +150,8 @@ def checked_scores(array: np.ndarray) -> np.ndarray:
     bad = ~np.isfinite(scores)
     if bad.any():
         s, i, j = np.argwhere(bad)[0]
-        raise ValueError(
-            f"array[{s}, {i}, {j}] (study {s}, subject {i}, condition {j}) is {scores[s, i, j]}, not a finite number; "
-            "repeated measures need every cell"
-        )
+        found = f"{scores[s, i, j]}, not a finite number"
+        raise ValueError(f"array[{s}, {i}, {j}] (study {s}, subject {i}, condition {j}) is {found}")
     largest = np.abs(scores).max()
     if largest > _GREATEST:
         raise ValueError(f"a score of size {largest:.3g} is too large: its square overflows; use another unit")

@@ -100,20 +100,18 @@ def _in_order(labels: list, series: pd.Series, order: Sequence | None) -> list:
     if order is not None:
         wanted = list(order) if isinstance(order, Iterable) and not isinstance(order, str) else []
         if len(wanted) != len(labels) or any(label not in wanted for label in labels):
-            raise ValueError(
-                f"order must list every condition in column {series.name!r} once, {labels}, got {order!r}; "
-                "leave conditions out by selecting rows"
-            )
+            need = f"order must list every condition in column {series.name!r} once, {labels}"
+            raise ValueError(f"{need}, got {order!r}; leave conditions out by selecting rows")
         return sorted(labels, key=wanted.index)
     if isinstance(series.dtype, pd.CategoricalDtype):
         return labels
     try:
         return sorted(labels)
     except TypeError:
-        kinds = sorted({type(label).__name__ for label in labels})
+        kinds = " and ".join(sorted({type(label).__name__ for label in labels}))
+        remedy = "make them one type, or give order=[…]"
         raise ValueError(
-            f"within: column {series.name!r} mixes {' and '.join(kinds)}, which have no common order; "
-            "make them one type, or give order=[…]"
+            f"within: column {series.name!r} mixes {kinds}, which have no common order; {remedy}"
         ) from None
 
 
@@ -127,30 +125,13 @@ def _scores(series: pd.Series, where: Callable[[int], str]) -> np.ndarray:
         try:
             values[k] = number_or_nan(value)
         except TypeError:
-            raise ValueError(
-                f"{start} holds {shown(value)} for {where(k)}; scores must be numbers "
-                "(text that stands for numbers: convert it with pandas.to_numeric)"
-            ) from None
+            remedy = "(text that stands for numbers: convert it with pandas.to_numeric)"
+            raise ValueError(f"{start} holds {shown(value)} for {where(k)}; scores must be numbers {remedy}") from None
     infinite = np.isinf(values)
     if infinite.any():
         k = int(np.argmax(infinite))
         raise ValueError(f"{start} is {values[k]} for {where(k)}; scores must be finite")
     return values
-
-
-def _refuse_repeated_cells(
-    cell: np.ndarray, counts: np.ndarray, name: Callable[[int], str], row: pd.Index, remedy: str
-) -> None:
-    """Refuse a table with several rows for one subject and condition."""
-    repeated = np.flatnonzero(counts > 1)
-    if repeated.size == 0:
-        return
-    texts = []
-    for c in repeated[:_SHOWN]:
-        rows = ", ".join(repr(row[k]) for k in np.flatnonzero(cell == c)[:_SHOWN])
-        texts.append(f"{name(c)} has {counts[c]} rows ({rows})")
-    found = f"{repeated.size} cell(s) with more than one row: {'; '.join(texts)}"
-    raise ValueError(f"{found}; average the trials of a cell first: {remedy}")
 
 
 def read_scores(
@@ -184,8 +165,14 @@ def read_scores(
     if k < 2:
         raise ValueError(f"within: column {within!r} has one condition only, {conditions[0]!r}; two are needed")
     counts = np.bincount(cell, minlength=len(subjects) * k)
-    average = f"frame.groupby([{subject!r}, {within!r}], as_index=False)[{dv!r}].mean()"
-    _refuse_repeated_cells(cell, counts, cell_name, row, average)
+    if (counts > 1).any():
+        repeated, texts = np.flatnonzero(counts > 1), []
+        for c in repeated[:_SHOWN]:
+            rows = ", ".join(repr(row[i]) for i in np.flatnonzero(cell == c)[:_SHOWN])
+            texts.append(f"{cell_name(c)} has {counts[c]} rows ({rows})")
+        found = f"{repeated.size} cell(s) with more than one row: {'; '.join(texts)}"
+        average = f"frame.groupby([{subject!r}, {within!r}], as_index=False)[{dv!r}].mean()"
+        raise ValueError(f"{found}; average the trials of a cell first: {average}")
     values = np.full(counts.size, np.nan)
     values[cell] = scores
     return ScoreTable(

@@ -9,6 +9,7 @@ import pandas as pd
 from trustlab.models.checks import did_you_mean, finite_array, one_of, positive
 from trustlab.models.html import as_html
 from trustlab.studies.analysis.score_table import ScoreTable, read_scores
+from trustlab.studies.columns import labels_of
 
 # Which values count as outlying, by the name of the rule and its k.
 OUTLIER_RULES = {
@@ -92,10 +93,8 @@ def _limits(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, f
     if outside == "sd":
         reach = (n - 1) / np.sqrt(n)  # no value of n lies more standard deviations from their mean
         if k >= reach:
-            raise ValueError(
-                f"{where}: none of {n} values can lie {k:g} standard deviations from their mean (at most {reach:.3g}); "
-                'use a smaller k or outside="mad" or "iqr"'
-            )
+            found = f"none of {n} values can lie {k:g} standard deviations from their mean (at most {reach:.3g})"
+            raise ValueError(f'{where}: {found}; use a smaller k or outside="mad" or "iqr"')
         low = high = x.mean()
         spread = x.std(ddof=1)
     elif outside == "mad":
@@ -105,10 +104,7 @@ def _limits(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, f
         low, high = np.quantile(x, [0.25, 0.75])
         spread = high - low
     if spread == 0.0:
-        raise ValueError(
-            f"{where}: so many values are equal that their {_SPREADS[outside]} is 0, and every other value would count "
-            "as outlying; choose another rule"
-        )
+        raise ValueError(f"{where}: so many values are equal that their {_SPREADS[outside]} is 0; choose another rule")
     return float(low - k * spread), float(high + k * spread)
 
 
@@ -141,17 +137,12 @@ def _chosen(conditions: Sequence[Hashable] | None, table: ScoreTable) -> list:
     """Return the conditions to look at: all by default."""
     if conditions is None:
         return list(table.conditions)
-    listed = isinstance(conditions, Sequence | np.ndarray) and not isinstance(conditions, str)
-    if not listed or len(conditions) == 0:
-        raise ValueError(f"conditions must be a list of conditions, got {conditions!r}")
-    for condition in conditions:
+    chosen = labels_of("conditions", conditions, 1)
+    for condition in chosen:
         if condition not in table.conditions:
-            hint = did_you_mean(condition, table.conditions)
-            known = ", ".join(map(str, table.conditions))
-            raise ValueError(f"conditions: {condition!r} is not in column {table.within!r}{hint} (there are {known})")
-    if len(set(conditions)) < len(conditions):
-        raise ValueError(f"conditions lists one twice: {list(conditions)}")
-    return list(conditions)
+            hint = f"{did_you_mean(condition, table.conditions)} (there are {', '.join(map(str, table.conditions))})"
+            raise ValueError(f"conditions: {condition!r} is not in column {table.within!r}{hint}")
+    return list(chosen)
 
 
 def _cells(

@@ -88,7 +88,7 @@ def equivalence(
         a, b, sd = scores.conditions[i], scores.conditions[j], float(pairs.sd_difference[0, q])
         if sd == 0.0:
             raise ValueError(
-                f"dv: every subject has the same difference between {a!r} and {b!r}; there is no error to test with"
+                f"dv: every subject has the same difference between {a!r} and {b!r}: no error to test with"
             )
         reach = bound if units == "raw" else bound * sd
         p, (t_low, p_low, df), (t_high, p_high, _) = ttost_paired(

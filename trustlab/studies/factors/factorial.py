@@ -357,34 +357,22 @@ class FactorialMeasures:
         return mean, mean - half, mean + half, t, df, 2.0 * special.stdtr(df, -abs(t)), d_z
 
 
-def analyse_factors(
-    scores: ScoreTable,
-    within: Mapping[Hashable, tuple],
-    between: Mapping[Hashable, tuple],
-    groups: Mapping[Hashable, np.ndarray],
-    design: BetweenDesign,
-    *,
-    covariate: Hashable | None,
-    excluded: tuple,
-    correction: str,
-    alpha: float,
-) -> FactorialMeasures:
-    """Test every effect of complete scores, and apply the correction to each."""
+def tested_effects(
+    scores: ScoreTable, within: Mapping[Hashable, tuple], design: BetweenDesign, correction: str, alpha: float
+) -> pd.DataFrame:
+    """Return the test of every effect of complete scores, with the correction that applies to each."""
     one_of("correction", correction, ("auto", *CORRECTIONS))
-    n = len(scores.subjects)
     sizes = {str(name): len(levels) for name, levels in within.items()}
     try:
         tests = effect_tests(scores.values[None], sizes, design).reset_index("effect").reset_index(drop=True)
     except ValueError as error:
         raise ValueError(f"dv: column {scores.dv!r}: {str(error).removeprefix('study 0: ')}") from None
-    rows = []
+    rows, n = [], len(scores.subjects)
     for row in tests.to_dict("records"):
         row |= decided(row, row["df1"], row["df2"], design.df_error, correction, alpha)
-        low, high = (noncentrality_limit(row["F"], row["df1_corrected"], row["df2_corrected"], x) for x in (0.95, 0.05))
-        total = row["df2_corrected"] * n / design.df_error  # λ = total · η²/(1 − η²) in the population
+        df1, df2 = row["df1_corrected"], row["df2_corrected"]
+        low, high = (noncentrality_limit(row["F"], df1, df2, x) for x in (0.95, 0.05))
+        total = df2 * n / design.df_error  # λ = total · η²/(1 − η²) in the population
         row |= {"eta2_partial_low": low / (low + total), "eta2_partial_high": high / (high + total)}
-        rows.append({"dv": scores.dv, "n": n} | row | {"alpha": alpha, "excluded": len(excluded)})
-    effects = pd.DataFrame(rows)
-    if scores.origin:
-        effects.attrs["origin"] = scores.origin
-    return FactorialMeasures(scores, within, between, groups, covariate, design, effects, excluded, correction, alpha)
+        rows.append({"dv": scores.dv, "n": n} | row | {"alpha": alpha})
+    return pd.DataFrame(rows)

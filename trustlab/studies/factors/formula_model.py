@@ -202,14 +202,12 @@ def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
     if bad.any():
         row = int(np.argmax(bad))
         raise ValueError(
-            f"data: {int(bad.sum())} rows have a value that is missing or not finite, row {row} first; leave them out"
+            f"data: {bad.sum()} rows have a value that is missing or not finite, row {row} first; leave them out"
         )
     terms = {str(term): list(columns) for term, columns in x.model_spec.term_indices.items() if str(term) != "1"}
     score = together[:, 0]
     if np.linalg.matrix_rank(together[:, 1 : x.shape[1] + 1]) < x.shape[1]:
-        raise ValueError(
-            f"formula {formula!r}: its {x.shape[1]} columns are linearly dependent; an effect is not estimable"
-        )
+        raise ValueError(f"formula {formula!r}: its columns are linearly dependent; an effect is not estimable")
     if not np.ptp(score):
         raise ValueError(f"formula {formula!r}: every score is {score[0]:g}")
     numbers = [pd.DataFrame(np.asarray(part, dtype=float), columns=list(part.columns)) for part in (x, z)]
@@ -238,9 +236,7 @@ class _Normal:
                     continue
         fits = [fit for fit in fits if np.isfinite(fit.llf)]
         if not fits:
-            raise ValueError(
-                "the likelihood of the mixed model has no maximum that could be found; give fewer random effects"
-            )
+            raise ValueError("no maximum of the mixed model's likelihood was found; give fewer random effects")
         return max(fits, key=lambda fit: fit.llf)
 
     def draw(self, fit, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -133,7 +133,5 @@ def checked_counts(counts: np.ndarray, data: pd.DataFrame, trials: str | None) -
     if bad.any():
         row = int(np.argmax(bad))
         remedy = 'trials="…" names the column with how many there were' if trials is None else "check both columns"
-        raise ValueError(
-            f"row {row}: {counts[row]:g} of {out_of[row]:g} is no number of successes of whole trials; {remedy}"
-        )
+        raise ValueError(f"row {row}: {counts[row]:g} of {out_of[row]:g} is no number of successes; {remedy}")
     return out_of

@@ -192,9 +192,8 @@ def _within_tests(values: np.ndarray, codes: np.ndarray, count: int) -> list[tup
         full = {name: x for name, x in parts.items() if name != left_out}
         fit = _least_squares(y, full.values())
         if fit.df_resid < 1 or fit.ssr <= fit.df_resid * (4.0 * np.finfo(float).eps * np.abs(values).max()) ** 2:
-            raise ValueError(
-                f"dv: {values.size} scores leave no error variance beside subjects, positions, conditions and carry-over"
-            )
+            beside = "subjects, positions, conditions and carry-over"
+            raise ValueError(f"dv: {values.size} scores leave no error variance beside {beside}")
         reduced = _least_squares(y, (x for name, x in full.items() if name != without))
         rows.append(_row(effect, fit, reduced, full[without].shape[1]))
     return rows

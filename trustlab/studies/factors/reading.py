@@ -10,7 +10,7 @@ from trustlab.models.checks import of_class, open_unit
 from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, levels_of, read_scores
 from trustlab.studies.columns import column_of, number_or_nan
 from trustlab.studies.factors.effects import between_design
-from trustlab.studies.factors.factorial import FactorialMeasures, analyse_factors
+from trustlab.studies.factors.factorial import FactorialMeasures, tested_effects
 
 
 def factorial_measures(
@@ -50,23 +50,13 @@ def factorial_measures(
     covariates = {} if covariate is None else {str(covariate): _covariate(frame, covariate, subject, scores)}
     design = between_design(len(scores.subjects), {str(name): codes for name, codes in groups.items()}, covariates)
     if np.linalg.matrix_rank(design.matrix) < design.matrix.shape[1]:
-        raise ValueError(
-            f"between: some combination of {[*between]} has no participant, so that its effects are not defined"
-        )
+        raise ValueError(f"between: some combination of {[*between]} has no participant: its effects are not defined")
     if design.df_error < 1:
         found = f"{len(scores.subjects)} participants for {design.matrix.shape[1]} parameters between them"
         raise ValueError(f"subject: {found} leave nothing to estimate the error from")
-    return analyse_factors(
-        scores,
-        levels,
-        labels,
-        groups,
-        design,
-        covariate=covariate,
-        excluded=excluded,
-        correction=correction,
-        alpha=alpha,
-    )
+    effects = tested_effects(scores, levels, design, correction, alpha).assign(excluded=len(excluded))
+    effects.attrs |= {"origin": scores.origin} if scores.origin else {}
+    return FactorialMeasures(scores, levels, labels, groups, covariate, design, effects, excluded, correction, alpha)
 
 
 def _cells(frame: pd.DataFrame, dv: Hashable, levels: Mapping[Hashable, tuple], subject: Hashable) -> ScoreTable:
@@ -119,9 +109,7 @@ def _covariate(frame: pd.DataFrame, name: Hashable, subject: Hashable, scores: S
         except TypeError:
             values[i] = np.nan
         if not np.isfinite(values[i]):
-            raise ValueError(
-                f"covariate: column {name!r} is {found[who]!r} for subject {who!r}; it must be a finite number"
-            )
+            raise ValueError(f"covariate: column {name!r} is {found[who]!r} for subject {who!r}, no finite number")
     if np.ptp(values) == 0.0:
         raise ValueError(f"covariate: column {name!r} is {values[0]:g} for every participant; leave it out")
     return values

@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 
 from trustlab.models.checks import finite_array, finite_number, positive, whole_number
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
+from trustlab.studies.columns import labels_of
 
 _LEAST = 1e-12
 """Least eigenvalue, as a share of the greatest, that counts as positive."""
@@ -36,9 +37,8 @@ def checked_covariance(name: str, values: np.ndarray, size: int | None = None) -
     off = np.abs(matrix - matrix.T)
     if off.max() > 1e-8 * scale:
         i, j = np.unravel_index(int(np.argmax(off)), off.shape)
-        raise ValueError(
-            f"{name} must be symmetric, but [{i}, {j}] is {matrix[i, j]:g} and [{j}, {i}] is {matrix[j, i]:g}"
-        )
+        found = f"[{i}, {j}] is {matrix[i, j]:g} and [{j}, {i}] is {matrix[j, i]:g}"
+        raise ValueError(f"{name} must be symmetric, but {found}")
     matrix = 0.5 * (matrix + matrix.T)
     eigenvalues = np.linalg.eigvalsh(matrix)
     if not eigenvalues[0] > _LEAST * eigenvalues[-1]:
@@ -82,10 +82,8 @@ class Conditions:
         if mean.size < 2:
             raise ValueError(f"mean must have at least two conditions, got {mean.size}")
         matrix = checked_covariance("covariance", self.covariance, mean.size)
-        if isinstance(self.labels, str | bytes) or not hasattr(self.labels, "__iter__"):
-            raise ValueError(f"labels must be a list of names, got {self.labels!r:.60}")
-        labels = tuple(self.labels)
-        if len(labels) != mean.size or any(label in labels[:i] for i, label in enumerate(labels)):
+        labels = labels_of("labels", self.labels, mean.size)
+        if len(labels) != mean.size:
             raise ValueError(f"labels must name {mean.size} conditions, each once, got {labels!r:.200}")
         for name, value in (("labels", labels), ("mean", mean), ("covariance", matrix)):
             object.__setattr__(self, name, value)
@@ -146,9 +144,7 @@ class Conditions:
         apart = self.mean - self.mean.mean()
         now = np.sqrt((apart**2).sum())
         if eta2 > 0.0 and now <= 1e-12 * max(np.abs(self.mean).max(), 1e-300):
-            raise ValueError(
-                "effect_size scales differences between means, but all means are the same: give other means"
-            )
+            raise ValueError("effect_size scales differences between means, but all means are the same")
         wanted = np.sqrt(eta2 / (1.0 - eta2) * np.trace(self.contrasts))
         mean = self.mean.mean() + apart * (wanted / now if eta2 > 0.0 else 0.0)
         return Conditions(self.labels, mean, self.covariance, self.origin)
@@ -269,9 +265,7 @@ def conditions_from(
         scores, _ = complete_scores(read_scores(data, dv, within, subject, order=order))
         n, k = scores.values.shape
         if n <= k:
-            raise ValueError(
-                f"data hold {n} subjects in {k} conditions: a covariance of {k} conditions needs at least {k + 1} subjects"
-            )
+            raise ValueError(f"data hold {n} subjects; a covariance of {k} conditions needs at least {k + 1} subjects")
         matrix = checked_covariance("covariance of data", np.cov(scores.values.T))
         return Conditions(scores.conditions, scores.values.mean(axis=0), matrix, scores.origin)
     if mean is None or covariance is None:

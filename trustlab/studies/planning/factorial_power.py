@@ -13,7 +13,6 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import array_between, not_negative, whole_number
-from trustlab.models.html import as_html
 from trustlab.studies.analysis.repeated_measures import repeated_measures
 from trustlab.studies.analysis.sphericity import CORRECTIONS, greenhouse_geisser
 from trustlab.studies.factors.effects import (
@@ -27,76 +26,9 @@ from trustlab.studies.factors.effects import (
 from trustlab.studies.factors.logistic_model import Logistic
 from trustlab.studies.planning.closed_form_power import clopper_pearson
 from trustlab.studies.planning.covariances import checked_covariance
-from trustlab.studies.planning.power_simulation import run_counts
 
 _CHUNK = 1 << 20
 """Scores drawn at a time."""
-
-
-@dataclass(frozen=True, eq=False)
-class FactorialPower:
-    """
-    Power of every effect of a design with factors, or of conditions on shares, by simulation.
-
-    Parameters
-    ----------
-    effects : pandas.DataFrame
-        What `table` returns.
-    alpha, level : float
-        Of the tests, and of the Monte-Carlo intervals (Clopper–Pearson).
-    origin : str
-        Where these numbers come from.
-    """
-
-    effects: pd.DataFrame
-    alpha: float
-    level: float
-    origin: str
-
-    def table(self) -> pd.DataFrame:
-        """
-        Return the power of every effect.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row per n, effect and test: n (in each group), effect, test ("none", "greenhouse-geisser", "huynh-feldt": corrections of
-            F; "likelihood ratio" of shares), eta2_partial (of the population; NaN for shares), power, ci_low, ci_high, replicates,
-            closed_form (noncentral F; NaN where sphericity does not hold or the test is corrected).
-        """
-        return self.effects.copy()
-
-    def plot(self, axes=None):
-        """
-        Plot the power of every effect against n, corrected by Greenhouse and Geisser where F is; crosses mark the closed form.
-
-        Parameters
-        ----------
-        axes : matplotlib.axes.Axes, optional
-            Where to draw.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-        """
-        import matplotlib.pyplot as plt
-
-        if axes is None:
-            _, axes = plt.subplots(figsize=(6.0, 3.8), layout="constrained")
-        for effect, own in self.effects.groupby("effect", sort=False):
-            usual = own[own["test"].isin(["greenhouse-geisser", "likelihood ratio"])]
-            bars = np.maximum([usual["power"] - usual["ci_low"], usual["ci_high"] - usual["power"]], 0.0)
-            drawn = axes.errorbar(usual["n"], usual["power"], bars, fmt="o-", ms=4, lw=1.3, capsize=3, label=effect)
-            axes.plot(own["n"], own["closed_form"], "x", ms=8, color=drawn[0].get_color())
-        axes.axhline(self.alpha, color="0.6", lw=0.8, ls=":")
-        axes.set(xlabel="participants in each group", ylabel="power", ylim=(-0.02, 1.02))
-        what = f"level {self.alpha:g}, {100 * self.level:g} % Monte-Carlo intervals"
-        axes.set_title(f"{self.origin}: {what}", fontsize="small")
-        axes.legend(fontsize="x-small")
-        return axes
-
-    def _repr_html_(self) -> str:
-        return as_html(f"{self.origin}, level {self.alpha:g}", self.effects, title="Power")
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +39,7 @@ class NormalCells:
     between: Mapping[str, tuple]
     mean: np.ndarray
     covariance: np.ndarray
-    origin: str = ""
+    simulated_origin: str = "simulated studies"
 
     def _design(self, n: int) -> tuple[np.ndarray, BetweenDesign, dict[str, int]]:
         """Return the group number of each participant, n in each group, their design, and how many levels factors have."""
@@ -154,7 +86,7 @@ class Shares:
     logits: np.ndarray
     trials: int
     sd: float
-    origin: str = ""
+    simulated_origin: str = "simulated studies"
 
     def expected(self, n: int, alpha: float) -> Iterator[tuple[str, str, float, float]]:
         """Yield the effect and its test, which has no closed form."""
@@ -185,7 +117,8 @@ def population_of(
         means = np.array([scores[who].mean(axis=0) for _, who in pilot.members()])
         own = {str(name): levels for name, levels in pilot.within.items()}
         groups = {str(name): levels for name, levels in pilot.between.items()}
-        return NormalCells(own, groups, means, matrix, pilot.origin)
+        origin = f"simulated studies, from {pilot.origin}" if pilot.origin else "simulated studies"
+        return NormalCells(own, groups, means, matrix, origin)
     names, series = [*map(str, between), *map(str, within)], pd.Series(mean, dtype=float)
     if series.index.nlevels != len(names):
         found = f"{series.index.nlevels} level(s) in its index"
@@ -212,29 +145,18 @@ def shares_of(probabilities: Any, trials: int | None, sd: float | None) -> Share
     return Shares(special.logit(chances), whole_number("trials", trials), not_negative("sd", sd))
 
 
-def factorial_power(
-    population: NormalCells | Shares,
-    sizes: Sequence[int],
-    alpha: float,
-    replicates: int,
-    level: float,
-    seed: int,
-    where: Mapping,
-) -> FactorialPower:
-    """Simulate studies with n participants in each group, for every n; the arguments are those of `power_analysis`, checked."""
-    cells = [{"population": population, "n": n, "draws": np.random.SeedSequence(seed, spawn_key=(n,))} for n in sizes]
-    counted = run_counts(count_effects, cells, {"replicates": replicates, "alpha": alpha}, where)
+def effects_power(
+    population: NormalCells | Shares, sizes: Sequence[int], counted: Sequence[dict], alpha: float, level: float
+) -> pd.DataFrame:
+    """Return the power of every effect with n participants in each group, for every n, from the counts of simulated studies."""
     rows = []
     for n, counts in zip(sizes, counted, strict=True):
         for effect, test, eta2, closed in population.expected(n, alpha):
-            count = counts[f"{effect}/{test}"]
+            count, replicates = counts[f"{effect}/{test}"], counts["replicates"]
             low, high = clopper_pearson(count, replicates, level)
-            rows.append((n, effect, test, eta2, count / replicates, float(low), float(high), replicates, closed))
-    columns = ["n", "effect", "test", "eta2_partial", "power", "ci_low", "ci_high", "replicates", "closed_form"]
-    origin = "simulated studies" + (f", from {population.origin}" if population.origin else "")
-    table = pd.DataFrame(rows, columns=columns)
-    table.attrs["origin"] = origin
-    return FactorialPower(table, alpha, level, origin)
+            rows.append((n, effect, eta2, test, count / replicates, float(low), float(high), replicates, closed))
+    columns = ["n", "effect", "eta2_partial", "test", "power", "ci_low", "ci_high", "replicates", "closed_form"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def count_effects(

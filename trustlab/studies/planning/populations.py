@@ -128,9 +128,9 @@ class GroundRobotPopulation:
             raise ValueError(f"follow must be two pairs of numbers (mean, SD), got {self.follow!r:.100}") from None
         for average, sd in pairs:
             if not (0.0 < average < 1.0 and 0.0 < sd < np.sqrt(average * (1.0 - average))):
+                need = "the mean must lie in (0, 1) and the SD below √(mean (1 − mean))"
                 raise ValueError(
-                    f"shares followed with mean {average:g} and SD {sd:g} have no beta distribution: the mean must lie in (0, 1) "
-                    "and the SD below √(mean (1 − mean))"
+                    f"shares followed with mean {average:g} and SD {sd:g} have no beta distribution: {need}"
                 )
         object.__setattr__(self, "follow", pairs)
 
@@ -154,9 +154,7 @@ class GroundRobotPopulation:
         """
         shrinkage, spread = finite_number("shrinkage", shrinkage), positive("spread", spread)
         if not 0.0 < shrinkage <= 1.0:
-            raise ValueError(
-                f"shrinkage must lie in (0, 1], got {shrinkage}: at 0 the covariance of five participants is singular"
-            )
+            raise ValueError(f"shrinkage must lie in (0, 1], got {shrinkage}: at 0 the covariance of five is singular")
         rows = np.array([_coordinates(label) for label in PRINTED])
         sample = np.cov(rows.T)
         matrix = spread**2 * ((1.0 - shrinkage) * sample + shrinkage * np.diag(np.diag(sample)))
@@ -251,10 +249,8 @@ class GroundRobotPopulation:
             except ValueError:
                 continue
             return values
-        raise ValueError(
-            f"none of {MOST_TRIES} draws for participant {who} is a valid model: most of this population lies outside the "
-            "range of valid models; check its means and spreads"
-        )
+        found = f"none of {MOST_TRIES} draws for participant {who} is a valid model"
+        raise ValueError(f"{found}; check means and spreads of this population")
 
     def _values(self, z: np.ndarray) -> dict[str, float]:
         """Return the parameters that coordinates stand for; raise `ValueError` if they make no model."""

@@ -15,8 +15,22 @@ from trustlab.models.checks import one_of, open_unit, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
-from trustlab.studies.planning.factorial_power import factorial_power, population_of, shares_of
-from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, USUAL_TEST, claims_mask, simulated_counts
+from trustlab.studies.planning.factorial_power import (
+    NormalCells,
+    Shares,
+    count_effects,
+    effects_power,
+    population_of,
+    shares_of,
+)
+from trustlab.studies.planning.power_simulation import (
+    ADJUSTMENTS,
+    TESTS,
+    USUAL_TEST,
+    claims_mask,
+    run_counts,
+    simulated_counts,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,8 +53,8 @@ class PowerAnalysis:
 
     Parameters
     ----------
-    conditions : Conditions
-        The population given.
+    conditions : Conditions, NormalCells or Shares
+        The population given; the others with several factors or groups, or of shares.
     alpha : float
         Level of every test.
     replicates : int
@@ -55,7 +69,7 @@ class PowerAnalysis:
         What `table()`, `pairs()` and `claims()` return.
     """
 
-    conditions: Conditions
+    conditions: Conditions | NormalCells | Shares
     alpha: float
     replicates: int
     level: float
@@ -74,7 +88,8 @@ class PowerAnalysis:
         pandas.DataFrame
             A row per cell and test: n, effect_size (population partial η²), correlation, epsilon, noncentrality, test ("none",
             "greenhouse-geisser", "huynh-feldt", "auto"), power, ci_low, ci_high, replicates, closed_form (noncentral F; NaN where
-            sphericity does not hold or the test is corrected).
+            sphericity does not hold or the test is corrected). With several factors or groups a row per n, effect and test: n (in each
+            group), effect, eta2_partial (of the population), test, power …; of shares the test is "likelihood ratio".
         """
         return self.omnibus.copy()
 
@@ -134,6 +149,7 @@ class PowerAnalysis:
         tests = [test] if isinstance(test, str) else list(test)
         for name in tests:
             one_of("test", name, TESTS)
+        tests = ["likelihood ratio"] if isinstance(self.conditions, Shares) else tests
         against = against or (self.varied[0] if self.varied else "n")
         one_of("against", against, AXES)
         if axes is None:
@@ -144,7 +160,10 @@ class PowerAnalysis:
         keys = table[others].round(9).assign(test=table["test"])
         for (*values, name), part in table.groupby(keys.apply(tuple, axis=1), sort=False):
             part = part.sort_values(against)
-            words = [f"{AXES[axis]} {value + 0.0:.3g}" for axis, value in zip(others, values, strict=True)]
+            words = [
+                value if axis == "effect" else f"{AXES[axis]} {value + 0.0:.3g}"
+                for axis, value in zip(others, values, strict=True)
+            ]
             label = ", ".join(words + [name] * (len(tests) > 1))
             x, power = part[against].to_numpy(), part["power"].to_numpy()
             bars = np.maximum([power - part["ci_low"], part["ci_high"] - power], 0.0)
@@ -163,10 +182,7 @@ class PowerAnalysis:
 
     def __repr__(self) -> str:
         cells = len(self.omnibus) // len(TESTS)
-        return (
-            f"PowerAnalysis({len(self.conditions.mean)} conditions, {cells} cell(s) of {self.replicates} {self.origin}, "
-            f"alpha {self.alpha:g})"
-        )
+        return f"PowerAnalysis({cells} cell(s) of {self.replicates} {self.origin}, alpha {self.alpha:g})"
 
     def _repr_html_(self) -> str:
         words = f"{self.replicates} per cell, level {self.alpha:g}, {100 * self.level:g} % Monte-Carlo intervals"
@@ -200,7 +216,7 @@ def power_analysis(
     n_jobs: int | None = None,
     cluster: Any = None,
     executor: Any = None,
-) -> Any:
+) -> PowerAnalysis:
     """
     Simulate studies drawn from a normal population and count how many find its effects.
 
@@ -251,8 +267,8 @@ def power_analysis(
 
     Returns
     -------
-    PowerAnalysis or FactorialPower
-        The latter with several factors, groups or counts; it takes no effect_size, correlation, epsilon, claims or labels.
+    PowerAnalysis
+        With several factors, groups or counts there are no effect_size, correlation, epsilon, claims or labels.
 
     Raises
     ------
@@ -281,7 +297,9 @@ def power_analysis(
         )
         several: Any = shares_of(mean, trials, sd) if shares else None
         several = several or population_of(mean, covariance, data, dv, sides[0], sides[1], subject, order)
-        return factorial_power(several, _sizes(_listed("n", n)), alpha, replicates, level, seed, where)
+        table = _power_of_effects(several, _listed("n", n), seed, replicates, alpha, level, where)
+        none = pd.DataFrame()
+        return PowerAnalysis(several, alpha, replicates, level, seed, ("n", "effect"), table, none, none)
     _refuse_idle({"trials": trials, "sd": sd})
     population = conditions_from(mean, covariance, data, dv, sides[0][0], subject, order, labels)
     mask = claims_mask(claims, population)
@@ -323,6 +341,18 @@ def _listed(name: str, value: Any) -> list:
     if not values:
         raise ValueError(f"{name} is empty: give a number or several")
     return values
+
+
+def _power_of_effects(
+    population: NormalCells | Shares, n: list, seed: int, replicates: int, alpha: float, level: float, where: dict
+) -> pd.DataFrame:
+    """Return the power of every effect with each n participants in a group."""
+    sizes = _sizes(n)
+    cells = [{"population": population, "n": x, "draws": np.random.SeedSequence(seed, spawn_key=(x,))} for x in sizes]
+    counted = run_counts(count_effects, cells, {"replicates": replicates, "alpha": alpha}, where)
+    table = effects_power(population, sizes, counted, alpha, level)
+    table.attrs["origin"] = population.simulated_origin
+    return table
 
 
 def _refuse_idle(arguments: dict[str, Any]) -> None:

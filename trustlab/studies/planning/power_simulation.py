@@ -104,9 +104,8 @@ def claims_mask(claims: Sequence[tuple] | None, conditions: Conditions) -> np.nd
             raise ValueError(f"a comparison is a pair of two conditions (a, b), got {pair!r:.60}")
         for label in pair:
             if label not in labels:
-                raise ValueError(
-                    f"unknown condition {label!r}{did_you_mean(label, labels)} (there are {', '.join(map(str, labels))})"
-                )
+                there = ", ".join(map(str, labels))
+                raise ValueError(f"unknown condition {label!r}{did_you_mean(label, labels)} (there are {there})")
         where = pairs.index(tuple(sorted(pair, key=labels.index)))
         if mask[where]:
             raise ValueError(f"pair {pair!r} is claimed twice")

@@ -148,9 +148,7 @@ def smallest_n(
     one_of("test", test, TESTS)
     one_of("adjust", adjust, ADJUSTMENTS)
     if wanted <= alpha:
-        raise ValueError(
-            f"power = {wanted:g} must exceed alpha = {alpha:g}, the share of significant studies without any effect"
-        )
+        raise ValueError(f"power = {wanted:g} must exceed alpha = {alpha:g}, its value without any effect")
     which = None if pair is None else int(np.flatnonzero(claims_mask([pair], population))[0])
     key = f"F {test}" if which is None else f"pair {which} {adjust}"
     expected = _closed_form(population, which, wanted, alpha, adjust)
@@ -165,10 +163,8 @@ def smallest_n(
     n, found = _search(simulated, expected, wanted * replicates, most, ahead)
     if n is None:
         share = found[most] / replicates
-        raise ValueError(
-            f"{most} subjects reach a power of {share:.3g} only, {wanted:g} was wanted: the effect is too small for the design; "
-            "raise most=, or change the design"
-        )
+        what = f"{most} subjects reach a power of {share:.3g} only, {wanted:g} was wanted"
+        raise ValueError(f"{what}: the effect is too small for the design; raise most=, or change the design")
     low, high = clopper_pearson(list(found.values()), replicates, level)
     shares = [count / replicates for count in found.values()]
     rows = pd.DataFrame({"n": list(found), "power": shares, "ci_low": low, "ci_high": high})

@@ -193,21 +193,15 @@ class VirtualStudy:
         """What was simulated, in a sentence or two."""
         setting = ", ".join(f"{name} {value}" for name, value in self.settings.items() if value is not None)
         assumed = self.settings.get("assumptions", {})
-        carried = (
-            "Every session begins with the same utilization"
-            if self.settings.get("rest") is None
-            else "Utilization is carried over from session to session by (2.5)"
-        )
+        carried, rest = "Every session begins with the same utilization", ": orders have no effect on results."
+        if self.settings.get("rest") is not None:
+            carried, rest = "Utilization is carried over from session to session by (2.5)", "; nothing else is."
         if assumed.get("learning") or assumed.get("fatigue"):
-            carried += "; people learn or tire from session to session."
-        elif self.settings.get("rest") is None:
-            carried += ": orders have no effect on results."
-        else:
-            carried += "; nothing else is."
+            rest = "; people learn or tire from session to session."
         failed = f" {len(self.failures)} participant(s) failed and are left out." if len(self.failures) else ""
         return (
             f"Virtual study on {WORDS[self.testbed]}: {len(self.participants)} simulated operators ({self.population.origin}), "
-            f"conditions {', '.join(self.conditions)}; {setting}. No person took part. {carried}{failed}"
+            f"conditions {', '.join(self.conditions)}; {setting}. No person took part. {carried}{rest}{failed}"
         )
 
     def __repr__(self) -> str:

@@ -182,11 +182,8 @@ def _named(conditions: object, design: object, population: object) -> tuple[str,
     names = tuple(one_of("condition", name, known) for name in conditions)
     if len(names) < 2 or len(set(names)) < len(names):
         raise ValueError(f"conditions must be two or more, each once, got {', '.join(names) or 'none'}")
-    pair = {"ground_robot": tuple(KNOWN), "uav": tuple(SCHEMES)}
-    own = {testbed: [name for name in names if name in group] for testbed, group in pair.items()}
-    if all(own.values()):
-        mixed = " and ".join(f"{', '.join(group)} of {WORDS[testbed]}" for testbed, group in own.items())
-        raise ValueError(f"a study runs on one testbed, but conditions are {mixed}; make two studies")
+    if 0 < sum(name in SCHEMES for name in names) < len(names):
+        raise ValueError(f"a study runs on one testbed, but conditions {', '.join(names)} are of two; make two studies")
     return names
 
 
@@ -198,9 +195,8 @@ def _testbed(testbed: str | None, conditions: tuple[str, ...], population: objec
     one_of("testbed", testbed, TESTBEDS)
     found = [name for name in known if testbed in (name, name.partition("_following")[0])]
     if not found:
-        raise ValueError(
-            f"conditions {', '.join(conditions)} do not run on the testbed {testbed!r}, but on {' or '.join(known)}"
-        )
+        where = f"the testbed {testbed!r}, but on {' or '.join(known)}"
+        raise ValueError(f"conditions {', '.join(conditions)} do not run on {where}")
     return found[0]
 
 
@@ -227,10 +223,8 @@ def _designed(design: object, n: int | None, conditions: tuple, seed: int, testb
     if n is None:
         n = participants_needed(len(conditions), PRINTED_N[testbed])
     if n < max(3, len(conditions)):
-        raise ValueError(
-            f"n = {n} is too small for the design: a balanced Latin square of {len(conditions)} conditions needs {least} "
-            "participants"
-        )
+        square = f"a balanced Latin square of {len(conditions)} conditions"
+        raise ValueError(f"n = {n} is too small for the design: {square} needs {least} participants")
     k = len(conditions)
     if k % 2 == 0 or n % (2 * k) != k:
         return latin_square_design(conditions, n, seed=seed)

@@ -28,10 +28,8 @@ def _columns_of_items(wanted: Sequence[str], items: object) -> dict[str, object]
     if isinstance(items, Mapping):
         unknown = [name for name in items if name not in wanted]
         if unknown:
-            raise ValueError(
-                f"items: {unknown[0]!r} is not an item of this questionnaire{did_you_mean(unknown[0], wanted)} "
-                f"(its items are {', '.join(wanted)})"
-            )
+            hint = f"{did_you_mean(unknown[0], wanted)} (its items are {', '.join(wanted)})"
+            raise ValueError(f"items: {unknown[0]!r} is not an item of this questionnaire{hint}")
         lacking = [name for name in wanted if name not in items]
         if lacking:
             raise ValueError(f"items: no column is named for {', '.join(lacking)}; name one for every item")
@@ -60,26 +58,23 @@ def _check_table(frame: pd.DataFrame, keys: list[str]) -> None:
         raise ValueError(f"subject and condition are the same column, {keys[0]!r}")
 
 
-def _wide_cells(frame: pd.DataFrame, rows: list, columns: Mapping[str, object]) -> Iterator[tuple]:
-    """Yield row, item and answer of every cell of a wide table."""
-    found = {name: column_of(frame, f"item {name!r}", column) for name, column in columns.items()}
-    for name, column in found.items():
-        for row, value in zip(rows, column.array, strict=True):
-            yield row, name, value
-
-
-def _long_cells(
-    frame: pd.DataFrame, rows: list, columns: Mapping[str, object], item: str, response: str
+def _answered(
+    frame: pd.DataFrame, rows: list, columns: Mapping[str, object], item: str | None, response: str | None
 ) -> Iterator[tuple]:
-    """Yield row, item and answer of every row of a long table."""
+    """Yield row, item and answer of every cell of a wide table, or of every row of a long one."""
+    if item is None:
+        found = {name: column_of(frame, f"item {name!r}", column) for name, column in columns.items()}
+        for name, column in found.items():
+            yield from zip(rows, [name] * len(rows), column.array, strict=True)
+        return
     items = {label: name for name, label in columns.items()}
     labels, answers = column_of(frame, "item", item), column_of(frame, "response", response)
     refuse_missing_labels(labels, "item")
     for row, label, value in zip(rows, labels.array, answers.array, strict=True):
         if label not in items:
+            hint = f"{did_you_mean(label, items)}; name it in items=, or leave out the rows of other questionnaires"
             raise ValueError(
-                f"{answer_name(row)}: {label!r} in column {item!r} is not an item of this questionnaire"
-                f"{did_you_mean(label, items)}; name it in items=, or leave out the rows of other questionnaires"
+                f"{answer_name(row)}: {label!r} in column {item!r} is not an item of this questionnaire{hint}"
             )
         yield row, items[label], value
 
@@ -106,11 +101,8 @@ def read_answers(
     columns = _columns_of_items(wanted, items)
     own = list(frame[keys].itertuples(index=False, name=None))
     rows = own if condition is not None else [label for (label,) in own]
-    cells = _wide_cells(frame, rows, columns)
-    if item is not None:
-        cells = _long_cells(frame, rows, columns, item, response)
     answers = {}
-    for row, name, value in cells:
+    for row, name, value in _answered(frame, rows, columns, item, response):
         if (row, name) in answers:
             hint = ", or say condition= if they were given under two conditions" if condition is None else ""
             raise ValueError(f"{answer_name(row, name)} occurs twice; keep one{hint}")

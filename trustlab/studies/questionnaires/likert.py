@@ -205,17 +205,14 @@ def missing_answers(answers: pd.DataFrame, parts: Mapping[str, Sequence[str]], r
     gaps = [(answers.index[i], answers.columns[j]) for i, j in np.argwhere(answers.isna().to_numpy())]
     if gaps and rule == "refuse":
         named = "; ".join(answer_name(*gap) for gap in gaps[:10]) + (" …" if len(gaps) > 10 else "")
-        raise ValueError(
-            f"{len(gaps)} {'answer is' if len(gaps) == 1 else 'answers are'} missing: {named}. Fill them in from the "
-            'records, leave the subject out, or ask for missing="half_rule"'
-        )
+        remedy = 'Fill them in from the records, leave the subject out, or ask for missing="half_rule"'
+        raise ValueError(f"{len(gaps)} {'answer is' if len(gaps) == 1 else 'answers are'} missing: {named}. {remedy}")
     for score, items in parts.items():
         short = answers[list(items)].isna().mean(axis=1).to_numpy() > 0.5
         if short.any():
-            raise ValueError(
-                f"{answer_name(answers.index[int(np.argmax(short))])}: fewer than half of the {len(items)} items of "
-                f"{score!r} are answered, so that the half rule gives no score; leave the subject out"
-            )
+            found = f"fewer than half of the {len(items)} items of {score!r} are answered"
+            whose = answer_name(answers.index[int(np.argmax(short))])
+            raise ValueError(f"{whose}: {found}, so that the half rule gives no score; leave the subject out")
     rows = [(*(row if several else (row, np.nan)), item, rule) for row, item in gaps]
     table = pd.DataFrame(rows, columns=["subject", "condition", "item", "rule"])
     return table if several else table.astype({"condition": float})

@@ -41,10 +41,9 @@ def _check_weights(weights: np.ndarray, whose: str) -> None:
     lowest = np.cumsum(np.sort(weights))
     for k in range(2, 6):  # Landau (1953): the k scales chosen least still meet each other k(k − 1)/2 times
         if lowest[k - 1] < k * (k - 1) / 2:
-            raise ValueError(
-                f"weights of {whose}: no fifteen choices give {[int(w) for w in weights]}; the {k} scales chosen least "
-                f"meet each other {k * (k - 1) // 2} times but were chosen {int(lowest[k - 1])} times in all"
-            )
+            why = f"meet each other {k * (k - 1) // 2} times but were chosen {int(lowest[k - 1])} times in all"
+            given = [int(w) for w in weights]
+            raise ValueError(f"weights of {whose}: no fifteen choices give {given}; the {k} scales chosen least {why}")
 
 
 def tlx_weights(
