@@ -258,6 +258,24 @@ def put(frame, row, column, value):
         (lambda f: pd.concat([f, f.iloc[[3]]]), {}, "more than one row"),
         (lambda f: f.assign(v=0.0), {}, "error variance"),
         (lambda f: f, {"correction": "gg"}, "correction must be one of"),
+        (
+            lambda f: f,
+            {"order": {"side": ["l", "q"]}, "between": "side"},
+            "order must list every condition in column 'side'",
+        ),
+        (
+            lambda f: f[f["who"] < 4].assign(
+                one=lambda g: np.where(g["who"] < 2, "a", "b"), two=lambda g: np.where(g["who"] % 2, "c", "d")
+            ),
+            {"between": ["one", "two"]},
+            r"4 participants \[0, 1, 2, 3\] for 4 parameters leave nothing",
+        ),
+        (lambda f: f[f["who"] < 2], {}, r"2 complete subject\(s\) \(0, 1\) in column 'who'"),
+        (
+            lambda f: f.assign(one=np.where(f["who"] < 5, "a", "b"), two=np.where(f["who"] < 5, "c", "d")),
+            {"between": ["one", "two"]},
+            r"some combination of \['one', 'two'\] has no participant",
+        ),
     ],
 )
 def test_bad_tables_are_refused(change, arguments, message):

@@ -86,3 +86,8 @@ def test_bad_models_are_refused(change, arguments, message):
     options = {"formula": "error ~ mode", "groups": "who"} | arguments
     with pytest.raises(ValueError, match=message):
         tl.mixed_model(options.pop("formula"), change(trials()), **options)
+
+
+def test_an_unknown_reference_level_is_refused_with_the_formula():
+    with pytest.raises(ValueError, match=r"formula .*'Z'.*is not among the provided levels"):
+        tl.mixed_model("error ~ C(mode, contr.treatment('Z'))", trials(), groups="who")

@@ -353,7 +353,7 @@ SQUARE = tl.studies.latin_square_design(["C1", "C2"], 4)
         ({"conditions": ["c1", "C2"]}, "got 'c1'; did you mean 'C1'"),
         ({"conditions": ["M", "TMG"]}, "got 'TMG'; did you mean 'TMIG'"),
         ({"conditions": ["C1", None]}, "condition must be one of .*, got None"),
-        ({"conditions": ["C1", "M"]}, "C1 of the ground-robot testbed and M of the UAV testbed; make two studies"),
+        ({"conditions": ["C1", "M"]}, "conditions C1, M are of two; make two studies"),
         ({"conditions": ["C1"]}, "two or more, each once"),
         ({"conditions": []}, "two or more, each once, got none"),
         ({"conditions": ["C1", "C1"]}, "two or more, each once"),

@@ -190,7 +190,7 @@ def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
     try:
         found = model_matrix(formula, frame, na_action="ignore")
         z = model_matrix(random, frame, na_action="ignore")
-    except (FormulaicError, NameError, KeyError, SyntaxError) as error:
+    except (FormulaicError, NameError, KeyError, SyntaxError, ValueError) as error:
         raise ValueError(
             f"formula {formula!r} with random {random!r}: {error} (columns are {', '.join(map(str, frame))})"
         ) from None

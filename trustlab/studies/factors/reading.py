@@ -52,7 +52,7 @@ def factorial_measures(
     if np.linalg.matrix_rank(design.matrix) < design.matrix.shape[1]:
         raise ValueError(f"between: some combination of {[*between]} has no participant: its effects are not defined")
     if design.df_error < 1:
-        found = f"{len(scores.subjects)} participants for {design.matrix.shape[1]} parameters between them"
+        found = f"{len(scores.subjects)} participants {[*scores.subjects]} for {design.matrix.shape[1]} parameters"
         raise ValueError(f"subject: {found} leave nothing to estimate the error from")
     effects = tested_effects(scores, levels, design, correction, alpha).assign(excluded=len(excluded))
     effects.attrs |= {"origin": scores.origin} if scores.origin else {}

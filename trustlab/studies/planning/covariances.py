@@ -265,7 +265,7 @@ def conditions_from(
         scores, _ = complete_scores(read_scores(data, dv, within, subject, order=order))
         n, k = scores.values.shape
         if n <= k:
-            raise ValueError(f"data hold {n} subjects; a covariance of {k} conditions needs at least {k + 1} subjects")
+            raise ValueError(f"data hold {n} subjects in {k} conditions: their covariance needs at least {k + 1}")
         matrix = checked_covariance("covariance of data", np.cov(scores.values.T))
         return Conditions(scores.conditions, scores.values.mean(axis=0), matrix, scores.origin)
     if mean is None or covariance is None:
