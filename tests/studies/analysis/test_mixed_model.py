@@ -116,7 +116,8 @@ def test_a_subject_without_any_score_does_not_count():
 
 def test_from_a_long_table():
     values = draw(6, 3)
-    frame = laid_out(values).frame().drop(index=[4])
+    frame = pd.DataFrame(values).rename_axis("subject").reset_index().melt("subject", var_name="condition")
+    frame = frame.drop(index=[4])
     found = mixed_model(frame, dv="value", within="condition", subject="subject")
     assert found.missing_cells == 1
     assert found.means.index.tolist() == [0, 1, 2]

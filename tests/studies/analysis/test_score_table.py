@@ -218,10 +218,6 @@ def test_layout_of_scores():
     for row in frame.itertuples():
         assert read.values[read.subjects.index(row.pid), read.conditions.index(row.condition)] == row.score
     assert read.subjects == ("P1", "P2", "P3", "P4", "P5")
-    back = read.frame()
-    assert back.columns.tolist() == ["subject", "condition", "value"]
-    again = read_scores(back, "value", "condition", "subject")
-    np.testing.assert_array_equal(again.values, read.values)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)

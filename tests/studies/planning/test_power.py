@@ -12,7 +12,7 @@ import trustlab as tl
 from trustlab.studies import clopper_pearson, graded_covariance, noncentral_f_power, noncentrality
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
 from trustlab.studies.planning import power_simulation as simulation
-from trustlab.studies.planning.covariances import Conditions, conditions_from
+from trustlab.studies.planning.covariances import Conditions
 
 MEANS = [0.0, 0.1, 0.4, 0.5, 0.5]
 
@@ -23,6 +23,11 @@ MEANS = [0.0, 0.1, 0.4, 0.5, 0.5]
 @pytest.mark.parametrize("n", [3, 12, 36])
 @pytest.mark.parametrize("k", [2, 3, 5])
 @pytest.mark.parametrize("strength", [0.0, 2.0, 15.0])
+def conditions_from(mean, covariance):
+    """The population with these means and covariance, its conditions numbered from 1."""
+    return Conditions(range(1, len(mean) + 1), np.asarray(mean, dtype=float), np.asarray(covariance))
+
+
 def test_noncentral_f_is_scipys(n, k, strength):
     df1, df2 = k - 1, (k - 1) * (n - 1)
     critical = stats.f.isf(0.05, df1, df2)

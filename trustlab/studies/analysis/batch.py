@@ -138,7 +138,7 @@ def checked_scores(array: np.ndarray) -> np.ndarray:
         raise ValueError(f"array must hold real numbers, got {type(array).__name__} of dtype {given.dtype}")
     if given.ndim != 3:
         raise ValueError(
-            f"array must have three axes (study, subject, condition), got shape {given.shape}: one study is array[None]"
+            f"array must have three axes (study, subject, condition), got {given.shape}: one study is array[None]"
         )
     studies, n, k = given.shape
     if studies < 1:

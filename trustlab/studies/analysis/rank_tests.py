@@ -94,9 +94,8 @@ def rank_pairs(values: np.ndarray, a: np.ndarray, b: np.ndarray, method: str) ->
     df = (n - 1) * (k - 1)
     error = ((ranks - mean) ** 2).sum() / df  # the sum of a subject's ranks is the same for all
     t = (mean[a] - mean[b]) / np.sqrt(2.0 * error / n) if error > 0.0 else np.full(a.size, np.nan)
-    return pd.DataFrame(
-        {"mean_rank_difference": mean[a] - mean[b], "t": t, "df": df, "p": 2.0 * special.stdtr(df, -np.abs(t))}
-    )
+    p = 2.0 * special.stdtr(df, -np.abs(t))
+    return pd.DataFrame({"mean_rank_difference": mean[a] - mean[b], "t": t, "df": df, "p": p})
 
 
 def rating_notes(values: np.ndarray, tests: str) -> tuple[str, ...]:

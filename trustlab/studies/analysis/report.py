@@ -113,11 +113,7 @@ class StudyReport:
 
 
 def report(
-    frame: Any,
-    dv: Hashable | None = None,
-    within: Hashable | list[Hashable] = None,
-    subject: Hashable = None,
-    **options: Any,
+    frame: Any, dv: Hashable = None, within: Any = None, subject: Hashable = None, **options: Any
 ) -> StudyReport:
     """
     Analyse one measure and write its Results section; or put any result into the same form.
@@ -152,9 +148,7 @@ def report(
     if isinstance(result, RepeatedMeasures | FactorialMeasures):
         return _section(result)
     if not isinstance(result, pd.DataFrame) and not hasattr(result, "table"):
-        raise ValueError(
-            f"frame must be a table with dv=, within= and subject=, or a result, got {type(frame).__name__}"
-        )
+        raise ValueError(f"frame must be a table with dv=, within=, subject=, or a result, got {type(frame).__name__}")
     table = result if isinstance(result, pd.DataFrame) else result.table()
     title = "Results" if table is result else type(result).__name__
     text = result.apa() if hasattr(result, "apa") else ""
@@ -169,9 +163,7 @@ def _section(result: RepeatedMeasures | FactorialMeasures) -> StudyReport:
         pairs = {"Pairwise comparisons": result.pairs()}
     else:
         tests, factors = result.table(), [*result.between, *result.within]
-        pairs = {
-            f"Pairwise comparisons of {factor}": result.pairs(factor) for factor in (*result.within, *result.between)
-        }
+        pairs = {f"Pairwise comparisons of {x}": result.pairs(x) for x in (*result.within, *result.between)}
     moments = result.descriptives().astype(dict.fromkeys(factors, str))  # levels that are numbers are not rounded
     own = [name for name in moments if name in factors or name in _MOMENTS]
     tables = {"Descriptive statistics": moments[own].rename(columns=_MOMENTS)}

@@ -41,16 +41,6 @@ class ScoreTable:
     subject: Hashable
     origin: str = ""
 
-    def frame(self) -> pd.DataFrame:
-        """Return the cells that are there, one per row; columns subject, condition, value."""
-        i, j = np.nonzero(~np.isnan(self.values))
-        columns = {
-            "subject": pd.Index(self.subjects, tupleize_cols=False).take(i),
-            "condition": pd.Index(self.conditions, tupleize_cols=False).take(j),
-            "value": self.values[i, j],
-        }
-        return pd.DataFrame(columns)
-
 
 def _origin(attrs: dict) -> str:
     """Return "reconstructed data", "synthetic data", the text of attrs["origin"], or "" for measured data."""
@@ -110,9 +100,7 @@ def _in_order(labels: list, series: pd.Series, order: Sequence | None) -> list:
     except TypeError:
         kinds = " and ".join(sorted({type(label).__name__ for label in labels}))
         remedy = "make them one type, or give order=[…]"
-        raise ValueError(
-            f"within: column {series.name!r} mixes {kinds}, which have no common order; {remedy}"
-        ) from None
+        raise ValueError(f"within: column {series.name!r} mixes {kinds}, without a common order; {remedy}") from None
 
 
 def _scores(series: pd.Series, where: Callable[[int], str]) -> np.ndarray:

@@ -145,9 +145,7 @@ def why_no_mauchly(n: int, k: int, w: float) -> str:
     return f"Mauchly's test is not defined: {why}."
 
 
-def decided(
-    test: Mapping[str, Any], df1: int, df2: int, df_error: int, correction: str, alpha: float
-) -> dict[str, Any]:
+def decided(test: Mapping, df1: int, df2: int, df_error: int, correction: str, alpha: float) -> dict[str, Any]:
     """
     Return which correction applies to one test and why, its degrees of freedom and p.
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -145,9 +146,7 @@ def _chosen(conditions: Sequence[Hashable] | None, table: ScoreTable) -> list:
     return list(chosen)
 
 
-def _cells(
-    frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable, conditions: Sequence | None
-) -> tuple[np.ndarray, np.ndarray, dict]:
+def _cells(frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable, conditions: Any) -> tuple:
     """Return a table's scores and subjects, and the rows of each condition in which there is a score."""
     chosen = _chosen(conditions, read_scores(frame, dv, within, subject))
     scores = pd.to_numeric(frame[dv]).to_numpy(dtype=float, na_value=np.nan).copy()

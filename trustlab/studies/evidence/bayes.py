@@ -123,9 +123,8 @@ def intraclass_correlation(
     scores, excluded = complete_scores(read_scores(frame, dv, rater, subject), missing)
     analyse_table(scores)  # refuses ratings without error variance
     n, k = scores.values.shape
-    long = pd.DataFrame(
-        {"target": np.repeat(range(n), k), "rater": np.tile(range(k), n), "rating": scores.values.ravel()}
-    )
+    cells = {"target": np.repeat(range(n), k), "rater": np.tile(range(k), n), "rating": scores.values.ravel()}
+    long = pd.DataFrame(cells)
     digits = pingouin.options["round.column.CI95"]
     try:
         pingouin.options["round.column.CI95"] = 15  # two by default

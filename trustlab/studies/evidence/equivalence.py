@@ -87,13 +87,10 @@ def equivalence(
     for q, (i, j) in enumerate(zip(pairs.a, pairs.b, strict=True)):
         a, b, sd = scores.conditions[i], scores.conditions[j], float(pairs.sd_difference[0, q])
         if sd == 0.0:
-            raise ValueError(
-                f"dv: every subject has the same difference between {a!r} and {b!r}: no error to test with"
-            )
+            raise ValueError(f"dv: every subject has the same difference between {a!r} and {b!r}: no error to test")
         reach = bound if units == "raw" else bound * sd
-        p, (t_low, p_low, df), (t_high, p_high, _) = ttost_paired(
-            scores.values[:, i], scores.values[:, j], -reach, reach
-        )
+        x, y = scores.values[:, [i, j]].T
+        p, (t_low, p_low, df), (t_high, p_high, _) = ttost_paired(x, y, -reach, reach)
         mean = float(pairs.mean_difference[0, q])
         half = special.stdtrit(df, 1.0 - alpha) * sd / np.sqrt(n)
         tests = (t_low, p_low, t_high, p_high, df, p)

@@ -170,17 +170,19 @@ class FactorialMeasures:
 
         return self._labelled(aligned_tests(self, one_of("error", error, ERRORS)))
 
-    def error_variances(self) -> ErrorVariances:
-        """Return the variances of orthonormal contrasts of the cells, and of their normalized sum, given the groups."""
+    def residual_covariance(self) -> np.ndarray:
+        """Return the covariance of the cells, given the groups."""
         x, scores = self.design.matrix, self.scores.values
         residual = scores - x @ np.linalg.lstsq(x, scores)[0]
-        covariance, df = residual.T @ residual / self.design.df_error, self.design.df_error
+        return residual.T @ residual / self.design.df_error
+
+    def error_variances(self) -> ErrorVariances:
+        """Return the variances of orthonormal contrasts of the cells, and of their normalized sum, given the groups."""
+        covariance, df = self.residual_covariance(), self.design.df_error
         contrasts, between = len(covariance) - 1, float(covariance.mean() * len(covariance))
         return ErrorVariances(((np.trace(covariance) - between) / contrasts, contrasts * df), (between, df))
 
-    def pairs(
-        self, factor: Hashable, at: Hashable | None = None, *, method: str = "t", error: str = "own"
-    ) -> pd.DataFrame:
+    def pairs(self, factor: Hashable, at: Hashable = None, *, method: str = "t", error: str = "own") -> pd.DataFrame:
         """
         Return all pairwise comparisons of one factor's levels, over all cells or within each level of another factor.
 

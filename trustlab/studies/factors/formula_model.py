@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.random import SeedSequence
 from scipy import special
 
 from trustlab.models.checks import of_class, one_of, spawned, whole_number
@@ -81,13 +82,8 @@ class FormulaModel:
     def _repr_html_(self) -> str:
         how = "likelihood ratios, asymptotic" + (f" and by {self.draws} simulated data sets" if self.draws else "")
         found = f"{self.origin} {self.observations} rows of {self.n} groups; {how}".strip()
-        return as_html(
-            found,
-            self.tests,
-            self.coefficients,
-            self.variances,
-            title=f"{self.formula}, random {self.random}, {self.family}",
-        )
+        title = f"{self.formula}, random {self.random}, {self.family}"
+        return as_html(found, self.tests, self.coefficients, self.variances, title=title)
 
 
 def formula_model(
@@ -120,17 +116,15 @@ def formula_model(
         if list(z.columns) != ["Intercept"]:
             raise ValueError(f'family="binomial" has random intercepts only: random="1", got {random!r}')
         logistic = Logistic(codes, checked_counts(y, frame, trials), points)
-        model: Logistic | _Normal = logistic
+        model: Model = logistic
         estimates = _logistic_estimates(logistic, y, x)
     else:
         centre, scale = y.mean() if "Intercept" in x.columns else 0.0, y.std()
         y = (y - centre) / scale  # so that the search does not see the unit
         model = normal = _Normal(codes, z)
         estimates = _normal_estimates(normal, y, x, centre, scale)
-    tests = [
-        _test(name, terms, y, x, model, bootstrap, child)
-        for name, child in zip(terms, spawned(seed, len(terms)), strict=True)
-    ]
+    seeds = spawned(seed, len(terms))
+    tests = [_test(name, terms, y, x, model, bootstrap, own) for name, own in zip(terms, seeds, strict=True)]
     origin = data.attrs.get("origin", "synthetic data" if data.attrs.get("synthetic") is True else "")
     table = pd.DataFrame(tests, columns=["term", "chi2", "df", "p_chi2", "p_bootstrap"])
     for part in (table, estimates["coefficients"]):
@@ -191,9 +185,8 @@ def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
         found = model_matrix(formula, frame, na_action="ignore")
         z = model_matrix(random, frame, na_action="ignore")
     except (FormulaicError, NameError, KeyError, SyntaxError, ValueError) as error:
-        raise ValueError(
-            f"formula {formula!r} with random {random!r}: {error} (columns are {', '.join(map(str, frame))})"
-        ) from None
+        there = ", ".join(map(str, frame))
+        raise ValueError(f"formula {formula!r}, random {random!r}: {error} (columns are {there})") from None
     y, x = found.lhs, found.rhs
     if y.shape[1] != 1:
         raise ValueError(f"formula {formula!r}: the score must be one column of numbers")
@@ -202,7 +195,7 @@ def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
     if bad.any():
         row = int(np.argmax(bad))
         raise ValueError(
-            f"data: {bad.sum()} rows have a value that is missing or not finite, row {row} first; leave them out"
+            f"data: {bad.sum()} rows have a value that is missing or infinite, row {row} first; leave them out"
         )
     terms = {str(term): list(columns) for term, columns in x.model_spec.term_indices.items() if str(term) != "1"}
     score = together[:, 0]
@@ -248,14 +241,11 @@ class _Normal:
         return x @ fit.fe_params + (self.z.to_numpy() * effects[self.codes]).sum(axis=1) + noise
 
 
+Model = _Normal | Logistic
+
+
 def _test(
-    name: str,
-    terms: dict,
-    y: np.ndarray,
-    x: pd.DataFrame,
-    model: _Normal | Logistic,
-    draws: int,
-    seed: np.random.SeedSequence,
+    name: str, terms: dict, y: np.ndarray, x: pd.DataFrame, model: Model, draws: int, seed: SeedSequence
 ) -> tuple:
     """Return the likelihood-ratio test of a term, asymptotic and by simulation from the model without it."""
     own = set(name.split(":"))

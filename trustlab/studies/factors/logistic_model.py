@@ -89,14 +89,8 @@ class Logistic:
     def fit(self, counts: np.ndarray, x: np.ndarray, covariance: bool = False) -> LogisticFit:
         """Return the maximum of the likelihood; the covariance is that of the observed information, and zero unless asked for."""
         order = self._order
-        data = (
-            np.ascontiguousarray(x[order]),
-            counts[order],
-            self.trials[order],
-            self._first,
-            self._nodes,
-            self._log_weights,
-        )
+        own = (counts[order], self.trials[order], self._first, self._nodes, self._log_weights)
+        data = (np.ascontiguousarray(x[order]), *own)
         # Least squares of empirical logits: near enough to start from.
         logits = np.log((counts + 0.5) / (self.trials - counts + 0.5))
         start = np.linalg.lstsq(x, logits, rcond=None)[0]
@@ -113,8 +107,7 @@ class Logistic:
 
     def log_coefficients(self, counts: np.ndarray) -> float:
         """Return the sum of the logarithms of the binomial coefficients."""
-        rest = self.trials - counts
-        return float((special.gammaln(self.trials + 1) - special.gammaln(counts + 1) - special.gammaln(rest + 1)).sum())
+        return float(-(np.log1p(self.trials) + special.betaln(counts + 1, self.trials - counts + 1)).sum())
 
     def draw(self, fit: LogisticFit, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Return counts drawn from a fitted model."""

@@ -134,10 +134,7 @@ def order_effects(
     if list(scores.conditions) != list(range(1, k + 1)):
         raise ValueError(f"position: column {position!r} must hold 1 to {k}, found {list(scores.conditions)}")
     conditions = levels_of(column_of(frame, "condition", condition), "condition", order)
-    where = {
-        (who, place): what
-        for who, place, what in zip(*(frame[x].tolist() for x in (subject, position, condition)), strict=True)
-    }
+    where = frame.set_index([subject, position])[condition].to_dict()
     codes = np.array([[conditions.index(where[who, place]) for place in scores.conditions] for who in scores.subjects])
     names = [tuple(row) for row in codes.tolist()]
     if sequence is not None:

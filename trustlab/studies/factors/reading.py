@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -44,9 +45,8 @@ def factorial_measures(
     sides = {name: _per_subject(frame, "between", name, subject) for name in between}
     groups, labels = {}, {}
     for name, side in sides.items():
-        labels[name], groups[name] = _groups(
-            frame, name, [side[who] for who in scores.subjects], scores, order.get(name)
-        )
+        sorted_in = [side[who] for who in scores.subjects]
+        labels[name], groups[name] = _groups(frame, name, sorted_in, scores, order.get(name))
     covariates = {} if covariate is None else {str(covariate): _covariate(frame, covariate, subject, scores)}
     design = between_design(len(scores.subjects), {str(name): codes for name, codes in groups.items()}, covariates)
     if np.linalg.matrix_rank(design.matrix) < design.matrix.shape[1]:
@@ -85,9 +85,7 @@ def _per_subject(frame: pd.DataFrame, argument: str, name: Hashable, subject: Ha
     return found
 
 
-def _groups(
-    frame: pd.DataFrame, name: Hashable, own: list, scores: ScoreTable, order: Sequence | None
-) -> tuple[tuple, np.ndarray]:
+def _groups(frame: pd.DataFrame, name: Hashable, own: list, scores: ScoreTable, order: Any) -> tuple:
     """Return the labels of a between-subject factor and the group number of every subject."""
     labels = tuple(label for label in levels_of(frame[name], "between", order) if label in own)
     members = {label: [who for who, x in zip(scores.subjects, own, strict=True) if x == label] for label in labels}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,11 +42,9 @@ def checked_covariance(name: str, values: np.ndarray, size: int | None = None) -
     matrix = 0.5 * (matrix + matrix.T)
     eigenvalues = np.linalg.eigvalsh(matrix)
     if not eigenvalues[0] > _LEAST * eigenvalues[-1]:
-        raise ValueError(
-            f"{name} is not positive definite: its least eigenvalue is {eigenvalues[0]:.6g} (greatest "
-            f"{eigenvalues[-1]:.6g}). No scores have a negative eigenvalue; zero means that one condition is a "
-            "linear function of the others. Check its variances and correlations"
-        )
+        found = f"its least eigenvalue is {eigenvalues[0]:.6g} (greatest {eigenvalues[-1]:.6g})"
+        why = "zero means that one condition is a linear function of the others"
+        raise ValueError(f"{name} is not positive definite: {found}; {why}. Check its variances and correlations")
     return matrix
 
 
@@ -223,14 +221,7 @@ def graded_covariance(k: int, correlation: float = 0.5, epsilon: float = 1.0, sd
 
 
 def conditions_from(
-    mean: Sequence[float] | None,
-    covariance: np.ndarray | None,
-    data=None,
-    dv: Hashable = "value",
-    within: Hashable = "condition",
-    subject: Hashable = "subject",
-    order: Sequence | None = None,
-    labels: Sequence[Hashable] | None = None,
+    mean: Any, covariance: Any, data: Any, dv: Hashable, within: Hashable, subject: Hashable, order: Any, labels: Any
 ) -> Conditions:
     """
     Return the population that means and a covariance, or those of data, make.

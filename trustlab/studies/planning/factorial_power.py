@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.random import SeedSequence
 from scipy import special
 
 from trustlab.models.checks import array_between, not_negative, whole_number
@@ -111,25 +112,21 @@ def population_of(
     """Return the population of a pilot study, or of means indexed by the factors' levels and a covariance of the cells."""
     if data is not None:
         pilot = repeated_measures(data, dv, within, subject, between=between, order=order)
-        x, scores = pilot.design.matrix, pilot.scores.values
-        residual = scores - x @ np.linalg.lstsq(x, scores)[0]
-        matrix = checked_covariance("covariance of data", residual.T @ residual / pilot.design.df_error)
-        means = np.array([scores[who].mean(axis=0) for _, who in pilot.members()])
+        matrix = checked_covariance("covariance of data", pilot.residual_covariance())
+        means = np.array([pilot.scores.values[who].mean(axis=0) for _, who in pilot.members()])
         own = {str(name): levels for name, levels in pilot.within.items()}
         groups = {str(name): levels for name, levels in pilot.between.items()}
         origin = f"simulated studies, from {pilot.origin}" if pilot.origin else "simulated studies"
         return NormalCells(own, groups, means, matrix, origin)
     names, series = [*map(str, between), *map(str, within)], pd.Series(mean, dtype=float)
     if series.index.nlevels != len(names):
-        found = f"{series.index.nlevels} level(s) in its index"
-        raise ValueError(f"mean must be indexed by the levels of {', '.join(names)}, got {found}")
+        raise ValueError(f"mean must be indexed by {', '.join(names)}, got {series.index.nlevels} level(s)")
     levels = {name: tuple(series.index.unique(i)) for i, name in enumerate(names)}
-    cells = dict(zip(map(tuple, series.index.to_frame().to_numpy().tolist()), series, strict=True))
-    wanted = list(product(*levels.values()))
-    if missing := [cell for cell in wanted if not np.isfinite(cells.get(cell, np.nan))]:
-        raise ValueError(f"mean: no number for cell {missing[0]!r} of {' × '.join(names)}")
+    found = series.reindex(pd.MultiIndex.from_product(levels.values()))
+    if found.isna().any():
+        raise ValueError(f"mean: no number for cell {found.index[found.isna()][0]!r} of {' × '.join(names)}")
     groups = {name: levels.pop(name) for name in names[: len(between)]}
-    means = np.array([cells[cell] for cell in wanted]).reshape(int(np.prod([len(x) for x in groups.values()])), -1)
+    means = found.to_numpy().reshape(int(np.prod([len(x) for x in groups.values()])), -1)
     return NormalCells(levels, groups, means, checked_covariance("covariance", covariance, means.shape[1]))
 
 
@@ -137,7 +134,7 @@ def shares_of(probabilities: Any, trials: int | None, sd: float | None) -> Share
     """Return the population of shares with these probabilities, of the participant in the middle, by condition."""
     if trials is None or sd is None:
         raise ValueError(
-            'family="binomial" needs trials= of each participant and condition, and sd= of their intercepts in logits'
+            'family="binomial" needs trials= of a participant and condition, and sd= of intercepts in logits'
         )
     chances = array_between("mean", list(pd.Series(probabilities)), 1e-6, 1.0 - 1e-6, "probabilities")
     if chances.size < 2:
@@ -160,12 +157,7 @@ def effects_power(
 
 
 def count_effects(
-    population: NormalCells | Shares,
-    n: int,
-    draws: np.random.SeedSequence,
-    replicates: int,
-    alpha: float,
-    seed: np.random.SeedSequence,
+    population: NormalCells | Shares, n: int, draws: SeedSequence, replicates: int, alpha: float, seed: SeedSequence
 ) -> dict[str, int]:
     """Count the significant effects of one population and n: a task of `run_campaign`."""
     return population.counts(n, np.random.default_rng(draws), replicates, alpha)

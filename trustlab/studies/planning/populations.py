@@ -129,9 +129,7 @@ class GroundRobotPopulation:
         for average, sd in pairs:
             if not (0.0 < average < 1.0 and 0.0 < sd < np.sqrt(average * (1.0 - average))):
                 need = "the mean must lie in (0, 1) and the SD below √(mean (1 − mean))"
-                raise ValueError(
-                    f"shares followed with mean {average:g} and SD {sd:g} have no beta distribution: {need}"
-                )
+                raise ValueError(f"shares with mean {average:g} and SD {sd:g} have no beta distribution: {need}")
         object.__setattr__(self, "follow", pairs)
 
     @classmethod

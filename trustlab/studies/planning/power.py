@@ -28,8 +28,8 @@ from trustlab.studies.planning.power_simulation import (
     TESTS,
     USUAL_TEST,
     claims_mask,
+    count_findings,
     run_counts,
-    simulated_counts,
 )
 
 if TYPE_CHECKING:
@@ -290,11 +290,8 @@ def power_analysis(
     shares = one_of("family", family, ("normal", "binomial")) != "normal"
     if shares or len(sides[0]) > 1 or sides[1]:
         idle = {"effect_size": effect_size, "correlation": correlation, "epsilon": epsilon, "claims": claims}
-        _refuse_idle(
-            idle
-            | {"labels": labels}
-            | ({"covariance": covariance, "data": data} if shares else {"trials": trials, "sd": sd})
-        )
+        others = {"covariance": covariance, "data": data} if shares else {"trials": trials, "sd": sd}
+        _refuse_idle(idle | {"labels": labels} | others)
         several: Any = shares_of(mean, trials, sd) if shares else None
         several = several or population_of(mean, covariance, data, dv, sides[0], sides[1], subject, order)
         table = _power_of_effects(several, _listed("n", n), seed, replicates, alpha, level, where)
@@ -306,17 +303,10 @@ def power_analysis(
     axes = (n, effect_size, correlation, epsilon)
     grid = [_listed(name, values) for name, values in zip(AXES, axes, strict=True)]
     cells = _cells(population, grid)
-    counted = simulated_counts(
-        [(cell, size, _draws(seed, size, cell)) for size, cell in cells],
-        replicates,
-        alpha,
-        mask,
-        where,
-    )
-    parts = [
-        _rows(cell, size, counts, replicates, alpha, level, mask)
-        for (size, cell), counts in zip(cells, counted, strict=True)
-    ]
+    drawn = [(cell, size, _draws(seed, size, cell)) for size, cell in cells]
+    counted = run_counts(count_findings, drawn, {"replicates": replicates, "alpha": alpha, "claims": mask}, where)
+    pairs = zip(cells, counted, strict=True)
+    parts = [_rows(cell, size, counts, replicates, alpha, level, mask) for (size, cell), counts in pairs]
     ends = ["power", "ci_low", "ci_high", "replicates"]
     columns = (
         [*AXES, "noncentrality", "test", *ends, "closed_form"],
@@ -348,7 +338,7 @@ def _power_of_effects(
 ) -> pd.DataFrame:
     """Return the power of every effect with each n participants in a group."""
     sizes = _sizes(n)
-    cells = [{"population": population, "n": x, "draws": np.random.SeedSequence(seed, spawn_key=(x,))} for x in sizes]
+    cells = [(population, x, np.random.SeedSequence(seed, spawn_key=(x,))) for x in sizes]
     counted = run_counts(count_effects, cells, {"replicates": replicates, "alpha": alpha}, where)
     table = effects_power(population, sizes, counted, alpha, level)
     table.attrs["origin"] = population.simulated_origin
@@ -387,9 +377,7 @@ def _cells(population: Conditions, grid: list[list]) -> list[tuple[int, Conditio
     return cells
 
 
-def _rows(
-    cell: Conditions, n: int, counts: dict, replicates: int, alpha: float, level: float, mask: np.ndarray | None
-) -> tuple[list, list, list]:
+def _rows(cell: Conditions, n: int, counts: dict, replicates: int, alpha: float, level: float, mask: Any) -> tuple:
     """Return the rows of the three tables for one cell, from the counts of its simulated studies."""
     k = len(cell.mean)
     axes = (n, cell.eta2_partial, cell.correlation, cell.epsilon)

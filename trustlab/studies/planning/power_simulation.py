@@ -3,8 +3,10 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
+from numpy.random import SeedSequence
 
 from trustlab.models.checks import did_you_mean
 from trustlab.studies.analysis.batch import repeated_measures_batch
@@ -24,36 +26,19 @@ _CHUNK = 1 << 20
 """Scores drawn at a time, so that memory does not grow with the number of replicates."""
 
 
-def simulated_counts(
-    cells: Sequence[tuple[Conditions, int, np.random.SeedSequence]],
-    replicates: int,
-    alpha: float,
-    claims: np.ndarray | None = None,
-    where: Mapping | None = None,
-) -> list[dict]:
-    """Return `count_findings` of each cell (population, subjects, seed); `where` is passed on to `run_campaign`."""
-    parameters = [{"population": p, "n": n, "draws": draws} for p, n, draws in cells]
-    return run_counts(count_findings, parameters, {"replicates": replicates, "alpha": alpha, "claims": claims}, where)
-
-
-def run_counts(task: Callable, cells: Sequence[Mapping], fixed: Mapping, where: Mapping | None) -> list[dict]:
-    """Return what a task counts in each cell, with the same further arguments for all."""
+def run_counts(task: Callable, cells: Sequence[tuple], fixed: Mapping, where: Mapping) -> list[dict]:
+    """Return what a task counts in each cell (population, n, draws), with the same further arguments for all."""
     from trustlab.campaign import CampaignError, run_campaign
 
-    done = run_campaign(task, [{**cell, **fixed} for cell in cells], **(where or {"n_jobs": 1}))
+    parameters = [{"population": population, "n": n, "draws": draws, **fixed} for population, n, draws in cells]
+    done = run_campaign(task, parameters, **where)
     if done["failed"].any():
         raise CampaignError(f"studies could not be simulated: {done.loc[done['failed'], 'error'].iloc[0]}")
     return done.to_dict("records")
 
 
 def count_findings(
-    population: Conditions,
-    n: int,
-    draws: np.random.SeedSequence,
-    replicates: int,
-    alpha: float,
-    claims: np.ndarray | None,
-    seed: np.random.SeedSequence,
+    population: Conditions, n: int, draws: SeedSequence, replicates: int, alpha: float, claims: Any, seed: SeedSequence
 ) -> dict[str, int]:
     """
     Draw studies from a normal population, analyse each, and count those that are significant: a task of `run_campaign`.

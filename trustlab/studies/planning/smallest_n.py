@@ -14,7 +14,14 @@ from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
 from trustlab.studies.planning.power import LEAST_REPLICATES, MOST_N
-from trustlab.studies.planning.power_simulation import ADJUSTMENTS, TESTS, USUAL_TEST, claims_mask, simulated_counts
+from trustlab.studies.planning.power_simulation import (
+    ADJUSTMENTS,
+    TESTS,
+    USUAL_TEST,
+    claims_mask,
+    count_findings,
+    run_counts,
+)
 
 AHEAD = 4
 """How many n are simulated at the same time where there are workers for it."""
@@ -156,7 +163,8 @@ def smallest_n(
 
     def simulated(sizes: list[int]) -> dict[int, int]:
         cells = [(population, n, np.random.SeedSequence(seed, spawn_key=(n,))) for n in sizes]
-        counted = simulated_counts(cells, replicates, alpha, None, where)
+        fixed = {"replicates": replicates, "alpha": alpha, "claims": None}
+        counted = run_counts(count_findings, cells, fixed, where)
         return {n: counts[key] for n, counts in zip(sizes, counted, strict=True)}
 
     ahead = 1 if where["n_jobs"] == 1 else AHEAD
@@ -175,11 +183,7 @@ def smallest_n(
 
 
 def _search(
-    simulated: Callable[[list[int]], dict[int, int]],
-    expected: Callable[[int], bool],
-    least: float,
-    most: int,
-    ahead: int,
+    simulated: Callable[[list[int]], dict], expected: Callable[[int], bool], least: float, most: int, ahead: int
 ) -> tuple[int | None, dict[int, int]]:
     """
     Return the smallest n with `least` findings, and the findings of every n that the search asked for.
@@ -223,9 +227,7 @@ def _bisect(enough, start: int, most: int) -> int | None:
     return high if high <= most else None
 
 
-def _closed_form(
-    population: Conditions, which: int | None, wanted: float, alpha: float, adjust: str
-) -> Callable[[int], bool]:
+def _closed_form(population: Conditions, which: Any, wanted: float, alpha: float, adjust: str) -> Callable[[int], bool]:
     """Return whether n subjects are enough by noncentral F with Box's ε, or by noncentral t for a pair."""
     k, epsilon = len(population.mean), population.epsilon
     if which is not None:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
+from numpy.random import SeedSequence
 
 from trustlab.sessions.writers import write_session
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
@@ -29,7 +29,7 @@ def run_participant(
     order: str,
     settings: dict,
     folder: str | None,
-    seed: np.random.SeedSequence,
+    seed: SeedSequence,
     **operator: float,
 ) -> dict[str, float]:
     """
@@ -61,13 +61,13 @@ class _Teleoperated:
     def __init__(self, values: dict[str, float], settings: dict):
         self.person, self.settings = TeleoperatorPopulation.person(values), settings
 
-    def session(self, scheme: str, position: int, seed: np.random.SeedSequence):
+    def session(self, scheme: str, position: int, seed: SeedSequence):
         study, duration = self.settings["study"], self.settings["duration"]
         session = simulate_teleoperation(scheme, self.person, study, seed=seed, duration=duration)
         measures = teleoperation_measures(session).iloc[0].drop(["participant", "scheme"]).to_dict()
         return session, measures
 
-    def measures(self, scheme: str, position: int, seed: np.random.SeedSequence) -> dict[str, float]:
+    def measures(self, scheme: str, position: int, seed: SeedSequence) -> dict[str, float]:
         return self.session(scheme, position, seed)[1]
 
 
@@ -87,7 +87,7 @@ class _Allocated:
         if self.settings["rest"] is not None:
             self.carried = last * self.model.human.a ** (self.settings["rest"] / SAMPLE_TIME)
 
-    def session(self, condition: str, position: int, seed: np.random.SeedSequence):
+    def session(self, condition: str, position: int, seed: SeedSequence):
         own = {} if self.testbed != "ground_robot" else {"laps": self.settings["laps"]}
         if suggested_by_tsc(condition):
             own["thresholds"] = self.thresholds
@@ -95,7 +95,7 @@ class _Allocated:
         self._rested(float(run.session["r"][-1]))
         return run.session, run.measures()
 
-    def measures(self, condition: str, position: int, seed: np.random.SeedSequence) -> dict[str, float]:
+    def measures(self, condition: str, position: int, seed: SeedSequence) -> dict[str, float]:
         arguments = self._arguments(condition, position) | {"thresholds": self.thresholds, "seed": seed}
         if self.testbed == "ground_robot":
             measures, last = measured_condition(**arguments, laps=self.settings["laps"])

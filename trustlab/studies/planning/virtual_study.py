@@ -239,9 +239,7 @@ def _designed(design: object, n: int | None, conditions: tuple, seed: int, testb
     return replace(whole, participants=tuple(range(1, n + 1)), rows=whole.rows[: n - k] + half)
 
 
-def _settings(
-    testbed: str, laps: int | None, duration: float | None, rest: float | None, assumptions: Mapping[str, float] | None
-) -> dict:
+def _settings(testbed: str, laps: int | None, duration: float | None, rest: float | None, assumptions: Any) -> dict:
     """Return the settings of all runs; raise where one would have no effect."""
     idle: dict[str, object] = {"laps": laps, "rest": rest, "assumptions": assumptions}
     if testbed != "uav":

@@ -1,6 +1,7 @@
 """Answers to a questionnaire: a wide or long table becomes a row per subject and condition, a column per item."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -58,9 +59,7 @@ def _check_table(frame: pd.DataFrame, keys: list[str]) -> None:
         raise ValueError(f"subject and condition are the same column, {keys[0]!r}")
 
 
-def _answered(
-    frame: pd.DataFrame, rows: list, columns: Mapping[str, object], item: str | None, response: str | None
-) -> Iterator[tuple]:
+def _answered(frame: pd.DataFrame, rows: list, columns: Mapping, item: Any, response: Any) -> Iterator[tuple]:
     """Yield row, item and answer of every cell of a wide table, or of every row of a long one."""
     if item is None:
         found = {name: column_of(frame, f"item {name!r}", column) for name, column in columns.items()}
@@ -73,9 +72,7 @@ def _answered(
     for row, label, value in zip(rows, labels.array, answers.array, strict=True):
         if label not in items:
             hint = f"{did_you_mean(label, items)}; name it in items=, or leave out the rows of other questionnaires"
-            raise ValueError(
-                f"{answer_name(row)}: {label!r} in column {item!r} is not an item of this questionnaire{hint}"
-            )
+            raise ValueError(f"{answer_name(row)}: {label!r} in column {item!r} is no item of this questionnaire{hint}")
         yield row, items[label], value
 
 
