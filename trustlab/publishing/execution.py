@@ -34,7 +34,7 @@ class Kernels:
         self.folder = checkout.notebooks
         defaults = dict.fromkeys(ONE_THREAD, "1") | {"NUMBA_NUM_THREADS": str(threads)}
         self.environment = defaults | os.environ  # what the user has set stays
-        self.environment["PYTHONHASHSEED"] = "0"
+        self.environment |= {"PYTHONHASHSEED": "0", "TRUSTLAB_REPORT": "1"}
         self.environment["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
         if "TRUSTLAB_DATA" in os.environ or checkout.external.is_dir():
             self.environment["TRUSTLAB_DATA"] = str(checkout.external)

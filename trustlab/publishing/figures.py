@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,8 +48,29 @@ def use_house_style(inline: str = "svg") -> None:
         from matplotlib_inline.backend_inline import set_matplotlib_formats
     except ImportError:
         return
-    if get_ipython() is not None:
+    shell = get_ipython()
+    if shell is not None:
         set_matplotlib_formats(inline, **({"dpi": 150} if inline == "png" else {}))
+        _describe_figures(shell.display_formatter.formatters["image/png" if inline == "png" else "image/svg+xml"])
+
+
+def _describe_figures(formatter: Any) -> None:
+    """Let a notebook keep with each figure what one sees in it."""
+    from matplotlib.figure import Figure
+
+    from trustlab.publishing.descriptions import calibrate, describe
+
+    draw = formatter.lookup_by_type(Figure)
+
+    def drawn(figure: Figure) -> tuple[str, dict[str, str]]:
+        calibrate(figure)
+        words = [text for text in figure.texts if text.get_gid() == CAPTION_ID]
+        for text in words:
+            text.set_visible("TRUSTLAB_REPORT" not in os.environ)  # a report sets it in type
+        picture = draw(figure)  # first: drawing settles ticks and ranges
+        return picture, {"drawn": describe(figure), "caption": " ".join(text.get_text() for text in words)}
+
+    formatter.for_type(Figure, drawn)
 
 
 def _figure(where: Figure | Axes) -> Figure:

@@ -1,18 +1,18 @@
 """The records of reports, and the page that leads to all: a card each, with a picture, a sentence and the time taken."""
 
 import contextlib
-import csv
 import html
 import json
 import os
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from urllib.parse import quote
 
 from trustlab.models.extras import extra
 from trustlab.models.html import policy
 from trustlab.publishing.inputs import Checkout, input_digest
+from trustlab.publishing.links import linker, read_equations, read_finder
+from trustlab.publishing.mathml import to_mathml
 from trustlab.publishing.provenance import duration
 from trustlab.publishing.report_page import TEMPLATES, check_page, page_faults, script, stylesheet
 
@@ -103,42 +103,34 @@ def _card(checkout: Checkout, notebook: Path, shared: str) -> dict:
 def _others(checkout: Checkout, names: set[str]) -> list[tuple[str, str]]:
     """Return link and title of every other page among the reports."""
     found = []
-    for page in sorted(checkout.reports.glob("*.html")):
-        if page.stem not in names and page.name != "index.html":
+    for page in sorted([*checkout.reports.glob("*.html"), *checkout.reports.glob("*/index.html")]):
+        place = page.relative_to(checkout.reports).as_posix()
+        if page.stem not in names and place != "index.html":
             text = page.read_text(encoding="utf-8", errors="replace")
             title = re.search(r"<title>\s*(.*?)\s*</title>", text, re.DOTALL)
-            found.append((page.name, html.unescape(title[1] if title else "") or page.stem))
+            found.append((place, html.unescape(title[1] if title else "") or page.stem))
     return found
-
-
-def _finder(checkout: Checkout) -> list[dict[str, str]]:
-    """Return what became of each figure, table, theorem and study of the dissertation, linked to where a report shows it."""
-    listed = checkout.notebooks / "finder.csv"
-    if not listed.is_file():
-        return []
-    with listed.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    for row in rows:
-        anchor = read_record(checkout, row["report"]).get("anchors", {}).get(row["section"], "")
-        row["link"] = quote(f"{row['report']}.html") + (f"#{anchor}" if anchor else "") if row["report"] else ""
-    return rows
 
 
 def write_index(checkout: Checkout, notebooks: list[Path], shared: str) -> None:
     """Write ``index.html`` with a card for every notebook; `shared` is the `shared_digest` of the checkout."""
     cards = [_card(checkout, notebook, shared) for notebook in notebooks]
     failed = sum("failure" in card for card in cards)
-    built = sum("link" in card for card in cards)
+    built = [notebook.stem for notebook, card in zip(notebooks, cards, strict=True) if "link" in card]
     # titles are escaped in the template; sentences and style sheet are HTML and CSS of our own
     templates = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=False, trim_blocks=True)
+    equations = [row | {"number": number} for number, row in read_equations(checkout.notebooks).items()]
     page = templates.get_template("index.html.j2").render(
         policy=policy(script()),
         script=script(),
-        finder=_finder(checkout),
+        finder=[row | {"shown": row["report"] in built} for row in read_finder(checkout.notebooks)],
+        equations=equations,
+        math=to_mathml,
         css=stylesheet(),
         cards=cards,
         others=_others(checkout, {notebook.stem for notebook in notebooks}),
-        summary=f"{built} of {len(cards)} notebooks published" + (f"; {failed} failed." if failed else "."),
+        summary=f"{len(built)} of {len(cards)} notebooks published" + (f"; {failed} failed." if failed else "."),
     )
+    page = linker(checkout.notebooks, "")(page)
     check_page(page, "index")
     replace_file(checkout.reports / "index.html", page)

@@ -87,24 +87,15 @@ def declared_parameters(path: Path) -> dict[str, Any]:
         from papermill.translators import PythonTranslator
 
     declared = PythonTranslator.inspect({"source": _parameters_cell(path)[1]})
-    return {one.name: _literal(one.default) for one in declared}
+    return {one.name: parse_value(one.default) for one in declared}
 
 
-def _literal(source: str) -> Any:
-    """Return the value of a Python literal, or else its source."""
+def parse_value(text: str) -> Any:
+    """Return a parameter's value: what Python reads in the text, a number that it spells (inf, nan), or else the text."""
     with contextlib.suppress(SyntaxError, ValueError):
-        return ast.literal_eval(source)
-    return source
-
-
-def parse_value(text: str) -> bool | int | float | str | None:
-    """Return a parameter's value as papermill's command line reads it: True, False, None, a number, or else the text."""
-    words = {"True": True, "False": False, "None": None}
-    if text in words:
-        return words[text]
-    for kind in (int, float):
-        with contextlib.suppress(ValueError):
-            return kind(text)
+        return ast.literal_eval(text)
+    with contextlib.suppress(ValueError):
+        return float(text)
     return text
 
 
@@ -126,7 +117,7 @@ def parameters_for(notebooks: list[Path], given: dict[str, Any]) -> dict[Path, d
 
 
 def _fitting(name: str, given: Any, default: Any, notebook: Path) -> Any:
-    """Return a value of the kind the notebook declares; text is read as papermill reads it."""
+    """Return a value of the kind the notebook declares; text is read by `parse_value`."""
     if isinstance(given, str) and isinstance(default, str):
         return given
     value = parse_value(given) if isinstance(given, str) else given
@@ -204,7 +195,7 @@ def publish(
     checkout : Checkout, optional
         The folders, by default ``Checkout.find()``. Notebooks run with the folder of the notebooks as working directory.
     parameters : dict, optional
-        Parameter → value; a notebook gets those it declares. Strings are read as papermill reads them.
+        Parameter → value; a notebook gets those it declares. Strings are read by `parse_value`.
     jobs : int or "auto"
         Notebooks run at once; ``"auto"`` for the number of CPUs there are.
     force : bool

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import html
 import re
 from pathlib import Path
@@ -11,9 +10,11 @@ from typing import Any
 from trustlab.models.extras import extra
 from trustlab.models.html import policy
 from trustlab.publishing.execution import CellError
+from trustlab.publishing.links import linker, plain, slug
 from trustlab.publishing.mathml import MathError, to_mathml
-from trustlab.publishing.pictures import IMAGES, drawn_words, given_words, image_uri
+from trustlab.publishing.pictures import IMAGES, image_uri, said_of
 from trustlab.publishing.provenance import duration
+from trustlab.publishing.tables import style_table
 
 with extra("reports"):
     from bs4 import BeautifulSoup, Tag
@@ -42,12 +43,6 @@ FETCHED = ("src", "srcset", "poster", "data", "background", "xlink:href", "actio
 ELSEWHERE = re.compile(r"@import|image-set|\\|<|url\(\s*['\"]?\s*(?!data:|#)", re.IGNORECASE)
 # Sought in the text, not in the tree: parsers disagree about what is within a comment or a style.
 REFUSED = re.compile(r"<(script|iframe|frame|object|embed|base|meta|link|form)\b", re.IGNORECASE)
-NUMBER = re.compile(r"(?:[<>]\s*)?[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|[-+]?inf|\u2013|-")
-
-
-LINKABLE = re.compile(r"(?s)<(a|pre|code|h\d)\b.*?</\1>|<[^>]*>|\b[Rr]eport (?P<number>\d\d)\b")
-P_VALUE = re.compile(r"p([ _](gg|hf|holm|bonferroni|corrected|adjusted|value|uncorrected|mauchly))?")
-LEAST_P = 0.001
 
 
 class ReportError(CellError):
@@ -75,10 +70,9 @@ class _Renderer(IPythonRenderer):
         return self.block_math(f"\\begin{{{name}}}{body}\\end{{{name}}}")
 
     def heading(self, text: str, level: int, **_: Any) -> str:
-        slug = re.sub(r"\W+", "-", plain(text).lower()).strip("-") or "section"
-        taken = [anchor for _, anchor, _ in self.headings]
-        repeated = sum(re.fullmatch(re.escape(slug) + r"(-\d+)?", anchor) is not None for anchor in taken)
-        anchor = f"{slug}-{repeated + 1}" if repeated else slug
+        anchor = slug(plain(text))
+        repeated = sum(re.fullmatch(re.escape(anchor) + r"(-\d+)?", other) is not None for _, other, _ in self.headings)
+        anchor += f"-{repeated + 1}" if repeated else ""
         self.headings.append((level, anchor, text))
         link = f'<a class="anchor" href="#{anchor}" aria-hidden="true" tabindex="-1">#</a>'
         return f'<h{level} id="{anchor}">{text}{link}</h{level}>\n'
@@ -90,12 +84,6 @@ def markdown_html(
     """Return Markdown as HTML with formulas and pictures embedded; `headings` gets (level, anchor, HTML) of each."""
     renderer = _Renderer([] if headings is None else headings, attachments or {}, folder)
     return MarkdownWithMath(renderer, inline=_Inline()).render(source)
-
-
-def plain(markup: str) -> str:
-    """Return the text of markup, each formula as its LaTeX."""
-    markup = re.sub(r'<math[^>]*alttext="([^"]*)".*?</math>', r"\1", markup, flags=re.DOTALL)
-    return " ".join(html.unescape(re.sub(r"<[^>]+>", "", markup)).split())
 
 
 def output_html(markup: str) -> str:
@@ -111,7 +99,7 @@ def output_html(markup: str) -> str:
     for image in soup.select("img:not([alt])"):
         image["alt"] = ""
     for table in soup.find_all("table"):
-        _style_table(table)
+        style_table(table)
         table.wrap(
             soup.new_tag("div", attrs={"class": "scroll", "tabindex": "0", "role": "region", "aria-label": "table"})
         )
@@ -124,35 +112,6 @@ def _is_verbatim(tag: Tag) -> bool:
     return tag.name in names or "tex2jax_ignore" in tag.get_attribute_list("class")
 
 
-def _style_table(table: Tag) -> None:
-    """Mark the columns of numbers, heads included, which the style sheet aligns."""
-    rows = [row.find_all(["th", "td"]) for row in table.find_all("tr") if not row.select("[colspan]")]
-    heads = [row for row in rows if all(cell.name == "th" for cell in row)]
-    below = next((row for row in rows if row not in heads), rows[:0])
-    numeric = [cell for cell in table.find_all("td") if _is_number(cell)]
-    numeric += [name for head in heads for name, cell in zip(head, below, strict=False) if _is_number(cell)]
-    for cell in numeric:
-        cell["class"] = " ".join([*cell.get_attribute_list("class"), "number"])
-    names = [name.get_text(strip=True) for name in heads[-1]] if heads else []
-    for row in rows:
-        for name, cell in zip(names, row, strict=False):
-            if P_VALUE.fullmatch(name) and _is_number(cell):
-                _as_papers_write(cell)
-
-
-def _as_papers_write(cell: Tag) -> None:
-    """Write a p-value below .001 as papers do; what is saved as CSV keeps its digits."""
-    text = cell.get_text(strip=True)
-    with contextlib.suppress(ValueError):
-        if float(text) < LEAST_P:
-            cell["data-value"], cell.string = text, "< .001"
-
-
-def _is_number(cell: Any) -> bool:
-    text = cell.get_text(strip=True)
-    return cell.name == "td" and len(text) < 40 and NUMBER.fullmatch(text) is not None
-
-
 def result(text: str) -> str:
     """Return the text of a cell's last value, or nothing where it is an object of Matplotlib."""
     return "" if LEFT_OVER.match(text) else strip_ansi(text)
@@ -161,11 +120,12 @@ def result(text: str) -> str:
 class Page:
     """What the template asks for while nbconvert lays out a notebook, cell by cell."""
 
-    def __init__(self, notebook: NotebookNode, folder: str | Path):
-        self.notebook, self.folder = notebook, folder
+    def __init__(self, notebook: NotebookNode, name: str, folder: str | Path):
+        self.notebook, self.name, self.folder = notebook, name, folder
         self.headings: list[Heading] = []
-        self.code: list[str] = []
-        self.answer, self.figures = "", 0
+        self.code: list[str] = []  # kept for the fold at the end of its section
+        self.answers: list[str] = []  # outputs of cells tagged ``answer``, for the box below the title
+        self.figures = 0
         self.index: int | None = None
         self.attachments = None
 
@@ -186,14 +146,9 @@ class Page:
         """Return picture, words for who does not see it, and numbered caption of a figure."""
         self.figures += 1
         above = plain(self.headings[-1][2]) if self.headings else "Result"
-        given, drawn = given_words(output), drawn_words(output)
-        caption = f"Figure {self.figures}. {given or above}"
-        return {"uri": image_uri(output), "alt": drawn or given or f"Figure: {above}", "caption": caption}
-
-    def keep_code(self, code: str) -> str:
-        """Keep a cell's code for the fold at the end of its section."""
-        self.code.append(code)
-        return ""
+        given = said_of(output, "alt") or said_of(output, "caption")
+        seen = said_of(output, "drawn") or given or f"Figure: {above}"
+        return {"uri": image_uri(output), "alt": seen, "caption": f"Figure {self.figures}. {given or above}"}
 
     def fold(self, source: str = "# ") -> str:
         """Return the code kept so far, folded, where a section ends: before a heading, and at the end of the page."""
@@ -202,27 +157,12 @@ class Page:
         code, self.code = "".join(self.code), []
         return f"<details class='code'><summary>Code of this section</summary>{code}</details>"
 
-    def keep_answer(self, output: str) -> str:
-        """Keep the outputs of a cell tagged ``answer`` for the box below the title."""
-        self.answer += output
-        return ""
-
     def opened(self, content: str, contents: str) -> str:
         """Return the page's content with the answer and the list of contents below its title."""
-        box = f'<section class="answer" aria-label="In short">{self.answer}</section>' if self.answer else ""
+        box = f'<section class="answer" aria-label="In short">{"".join(self.answers)}</section>' if self.answers else ""
         title, end, rest = content.partition("</h1>")
-        linked = self.linked(f"{box}{contents}{rest or title}")
+        linked = linker(Path(self.folder), self.name)(f"{box}{contents}{rest or title}")
         return f"{title}{end}{linked}" if end else linked
-
-    def linked(self, markup: str) -> str:
-        """Return markup in which "report 05" is a link to that report."""
-        names = {path.name[:2]: path.stem for path in Path(self.folder).glob("[0-9][0-9]_*.ipynb")}
-
-        def link(found: re.Match[str]) -> str:
-            name = names.get(found["number"] or "")
-            return f'<a href="{name}.html">{found[0]}</a>' if name else found[0]
-
-        return LINKABLE.sub(link, markup)
 
     def refuse_script(self) -> None:
         """Refuse an output that needs JavaScript."""
@@ -251,11 +191,10 @@ class Page:
 
     @property
     def sentence(self) -> str:
-        """The first sentence below the title as HTML, or the one in the notebook's metadata."""
+        """The first sentence below the title as HTML."""
         first = next((cell.source for cell in self.notebook.cells if cell.cell_type == "markdown"), "")
         paragraphs = re.split(r"\n\s*\n", re.sub(r"(?m)^#.*$", "\n", first).strip())
-        given = self.notebook.metadata.get("trustlab", {}).get("sentence", paragraphs[0])
-        words = re.split(r"(?<!e\.g\.)(?<!i\.e\.)(?<!\bcf\.)(?<!Fig\.)(?<=[.!?])\s+(?=[A-Z“])", given)[0]
+        words = re.split(r"(?<!e\.g\.)(?<!i\.e\.)(?<!\bcf\.)(?<!Fig\.)(?<=[.!?])\s+(?=[A-Z“])", paragraphs[0])[0]
         return re.sub(r"</?(p|a)\b[^>]*>", "", markdown_html(words, folder=self.folder)).strip()
 
 
@@ -263,7 +202,7 @@ def report_html(
     notebook: NotebookNode, name: str, origin: dict, given: dict | None = None, folder: str | Path = ""
 ) -> tuple[str, dict[str, Any]]:
     """Return an executed notebook as one self-contained page, and what the index shows of it."""
-    page = Page(notebook, folder)
+    page = Page(notebook, name, folder)
     exporter = HTMLExporter(
         template_file="report.html.j2",
         extra_template_paths=[str(TEMPLATES)],
@@ -278,10 +217,9 @@ def report_html(
         raise ReportError(str(error), page.index) from error
     check_page(text, "report")
     about = notebook.metadata.get("trustlab", {})
-    headline = re.search(r"<strong>(.*?)</strong>", page.answer, re.DOTALL)
+    headline = re.search(r"<strong>(.*?)</strong>", "".join(page.answers), re.DOTALL)
     card = {"title": page.title or name, "sentence": page.sentence, "thumbnail": page.thumbnail}
-    card |= {"headline": headline[1] if headline else "", "data": str(about.get("data", ""))}
-    return text, card | {"anchors": {plain(text): anchor for _, anchor, text in page.headings}}
+    return text, card | {"headline": headline[1] if headline else "", "data": str(about.get("data", ""))}
 
 
 def stylesheet() -> str:
@@ -293,8 +231,8 @@ def stylesheet() -> str:
 
 
 def script() -> str:
-    """Return the script of reports and index, which sorts, filters, unfolds and saves tables."""
-    return (TEMPLATES / "report.js").read_text(encoding="utf-8")
+    """Return the script of reports and index: tables are sorted, filtered, unfolded and saved, figures are explored."""
+    return "".join((TEMPLATES / name).read_text(encoding="utf-8") for name in ("tables.js", "figures.js"))
 
 
 def page_faults(page: str) -> list[str]:

@@ -59,6 +59,10 @@ function foldable(table, bar, count) {
   all.addEventListener("click", () => fold(!table.classList.contains("folded")));
   bar.append(filter, all, told);
   fold(true);
+  const named = () => location.hash && table.querySelector(`[id="${CSS.escape(decodeURIComponent(location.hash.slice(1)))}"]`);
+  const unfold = () => { const row = named(); if (row) { fold(false); row.scrollIntoView(); } };
+  addEventListener("hashchange", unfold);
+  unfold();
 }
 
 function equip(table, place) {

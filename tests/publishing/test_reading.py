@@ -1,0 +1,280 @@
+"""Every page as a reader has it: in Chromium at three widths, by pointer, keyboard and screen reader (axe-core's rules)."""
+
+import base64
+import itertools
+import re
+import shutil
+from pathlib import Path
+from unittest import mock
+
+import matplotlib as mpl
+import nbformat
+import numpy as np
+import pytest
+from IPython.core.interactiveshell import InteractiveShell
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
+
+from trustlab.publishing import figures
+from trustlab.publishing.inputs import Checkout
+from trustlab.publishing.notebooks import publish
+
+ROOT = Path(__file__).parents[2]
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+WIDTHS = (1280, 1440, 390)
+MOST_BYTES = 2_500_000
+PAGE_WIDTH = 972 * 0.75  # of a figure on the page [pt]
+LEAST_TEXT = 8.0  # [pt]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if BROWSER is None:
+        pytest.skip("no Chromium on this machine: nothing walks the pages")
+    with sync_api.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox", "--disable-gpu"])
+        yield chromium
+        chromium.close()
+
+
+def drawn(figure):
+    """Return a cell with a figure as a notebook keeps it."""
+    shell = InteractiveShell.instance()
+    try:
+        figures.use_house_style()
+        picture, about = shell.display_formatter.formatters["image/svg+xml"](figure)
+    finally:
+        InteractiveShell.clear_instance()
+    return cell({"image/svg+xml": picture}, {"image/svg+xml": about})
+
+
+def cell(data, metadata=None, tags=()):
+    shown = new_code_cell("x = 1", outputs=[new_output("display_data", data=data, metadata=metadata or {})])
+    shown.metadata["tags"] = list(tags)
+    return shown
+
+
+def panels(count):
+    """Return a figure of several panels in a row, with one named line each."""
+    with mpl.rc_context(), mock.patch.dict("os.environ", TRUSTLAB_REPORT="1"):
+        figures.use_house_style()
+        figure = mpl.figure.Figure(figsize=(10.0, 2.6), layout="constrained")
+        for axes in np.atleast_1d(figure.subplots(1, count)):
+            axes.plot([0.0, 1.0, 3.0], [5.0, 1.0, 2.0], label="measured")
+            axes.set(xlim=(0.0, 4.0), ylim=(0.0, 6.0), xlabel="time [s]", ylabel="distance [m]", title="one run")
+        figures.caption(figure, "What is measured.", synthetic=True)
+        return drawn(figure)
+
+
+def world(root):
+    """Publish a notebook with all that a report can hold, as if it had run, beside one that it names."""
+    (root / "notebooks").mkdir(parents=True)
+    (root / "data" / "published").mkdir(parents=True)
+    (root / "environment.lock").touch()
+    shutil.copy(ROOT / "data" / "published" / "equations.toml", root / "data" / "published")
+    finder = (ROOT / "notebooks" / "finder.csv").read_text(encoding="utf-8").splitlines()
+    listed = [finder[0], "Fig. 2.3,what it is,reproduced,,02_b,Where it is", "Fig. 2.1,the testbed,diagram only,,,"]
+    (root / "notebooks" / "finder.csv").write_text("\n".join(listed) + "\n", encoding="utf-8")
+    rows = "".join(
+        f"<tr><th>Fig. 2.3</th><td>{i}</td><td>{i / 40:.3f}</td><td>{'long ' * 30}</td></tr>" for i in range(40)
+    )
+    heads = "".join(f"<th>{name}</th>" for name in ("place", "number", "p_holm", "why"))
+    table = f"<table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>"
+    words = "# A title\n\nBy (2.3) and report 02.\n\n## One\n\n## Two\n\n### Three\n\n$$P_r = a$$\n\n## Four"
+    answer = cell({"text/markdown": "**It holds.** By (2.8)."}, tags=["answer"])
+    cells = [new_markdown_cell(words), answer, panels(5), panels(1), cell({"text/html": table})]
+    nbformat.write(new_notebook(cells=cells), root / "notebooks" / "01_a.ipynb")
+    nbformat.write(new_notebook(cells=[new_markdown_cell("# B\n\n## Where it is")]), root / "notebooks" / "02_b.ipynb")
+    with mock.patch("trustlab.publishing.execution.execute", lambda path, *_: nbformat.read(path, as_version=4)):
+        publish(checkout=Checkout.find(root))
+    return root / "reports"
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory):
+    return world(tmp_path_factory.mktemp("reading"))
+
+
+def faults(page, path, width):
+    """Return what is wrong with a page at one width of the window."""
+    asked, said = [], []
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("console", lambda message: said.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.set_viewport_size({"width": width, "height": 900})
+    page.goto(path.as_uri(), wait_until="load")
+    found = [f"asks for {url[:80]}" for url in asked if url != path.as_uri() and not url.startswith("data:")]
+    found += [f"says {words}" for words in said]
+    wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+    if wide > 0:
+        found.append(f"is {wide} px wider than the window")
+    found += page.evaluate(
+        "[...document.images].filter(one => !one.hasAttribute('alt')).map(() => 'an image without alt')"
+    )
+    found += page.evaluate(
+        "[...document.querySelectorAll('figure img')].filter(one => !one.alt && !one.closest('[role=img]'))"
+        ".map(() => 'a figure without words')"
+    )
+    return found
+
+
+def lost_links(path):
+    """Return links of a page that lead nowhere: to no file, or to no place in it."""
+    lost = []
+    for link in set(re.findall(r'<a\b[^>]*\bhref="([^"]*)"', path.read_text(encoding="utf-8"))):
+        if link.startswith(("https:", "mailto:")) or link == "#":
+            continue
+        name, _, anchor = link.partition("#")
+        to = path.parent / name if name else path
+        if not to.is_file() or (anchor and f'id="{anchor}"' not in to.read_text(encoding="utf-8")):
+            lost.append(link)
+    return lost
+
+
+def small_text(path):
+    """Return sizes of text in the figures of a page that are too small where they are as wide as the page [pt]."""
+    small = []
+    for data in re.findall(r'<img[^>]*src="data:image/svg\+xml;base64,([^"]*)"', path.read_text(encoding="utf-8")):
+        picture = base64.b64decode(data).decode()
+        width = float(re.search(r'width="([\d.]+)pt"', picture)[1])
+        # Matplotlib draws letters at a size of 100 and scales them to theirs; half of the size is an index.
+        sizes = [
+            100.0 * float(size) for size in re.findall(r'<g [^>]*transform="translate[^"]*scale\(([\d.]+) -', picture)
+        ]
+        small += [size for size in sizes if size * min(1.0, PAGE_WIDTH / width) < LEAST_TEXT]
+    return small
+
+
+def serious(page, path):
+    """Return what axe-core finds serious."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
+    page.goto(path.as_uri(), wait_until="load")
+    found = axe.Axe().run(page).response["violations"]
+    return [
+        (one["id"], [node["target"] for node in one["nodes"]][:3])
+        for one in found
+        if one["impact"] in ("serious", "critical")
+    ]
+
+
+def walked(browser, pages, widths=WIDTHS):
+    """Walk pages and return what is wrong, by page."""
+    wrong = {}
+    for path in sorted(pages):
+        found = [f"at {width}: {fault}" for width in widths for fault in visited(browser, faults, path, width)]
+        found += [f"no such place: {link}" for link in lost_links(path)]
+        found += [f"axe: {rule}" for rule in visited(browser, serious, path)]
+        found += [f"text of {size:.1f} pt" for size in small_text(path)]
+        if path.stat().st_size > MOST_BYTES:
+            found.append(f"has {path.stat().st_size} bytes")
+        if found:
+            wrong[path.name] = list(dict.fromkeys(found))
+    return wrong
+
+
+def visited(browser, look, *where):
+    page = browser.new_page()
+    try:
+        return look(page, *where)
+    finally:
+        page.close()
+
+
+def test_pages_are_complete_fit_their_window_and_can_be_read_by_all(browser, reports):
+    assert {path.name for path in reports.glob("*.html")} == {"01_a.html", "02_b.html", "index.html"}
+    assert walked(browser, reports.glob("*.html")) == {}
+
+
+def test_the_walk_finds_what_is_wrong(browser, reports, tmp_path):
+    shutil.copytree(reports, tmp_path / "reports")
+    page = tmp_path / "reports" / "01_a.html"
+    text = page.read_text(encoding="utf-8")
+    spoiled = "<img src='http://127.0.0.1:9/x.png' alt=''><img src='data:image/png;base64,AA'><button></button>"
+    spoiled += "<div style='width: 200rem'>wide</div>"
+    text = text.replace("By <a", f"{spoiled}By <a", 1).replace("#where-it-is", "#nowhere").replace("#eq-2-3", "#eq-9-9")
+    page.write_text(text, encoding="utf-8")
+    found = " ".join(walked(browser, [page], widths=[390])["01_a.html"])
+    assert re.search(
+        "at 390: says .*x.png.* px wider than the window.*an image without alt.*"
+        r"no such place: .*axe: \('button-name'",
+        found,
+    )
+    assert "no such place: 02_b.html#nowhere" in found
+    assert "no such place: index.html#eq-9-9" in found
+
+
+def test_figure_is_explored_by_pointer_and_keyboard(browser, reports):
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto((reports / "01_a.html").as_uri())
+    figure = page.locator("figure").nth(1)
+    figure.get_by_role("button", name="explore").click()
+    view, told = figure.get_by_role("application"), figure.locator("output")
+    readings = view.evaluate("""view => {
+        const box = view.getBoundingClientRect(), told = view.closest("figure").querySelector("output"), found = [];
+        for (let x = 1; x < box.width; x += 8) for (let y = 1; y < box.height; y += 3) {
+            view.dispatchEvent(new PointerEvent("pointermove", { clientX: box.left + x, clientY: box.top + y }));
+            found.push(told.textContent);
+        }
+        return found;
+    }""")
+    found = [re.match(r"time \[s\]: ([\d.]+); distance \[m\]: ([\d.]+)", words) for words in readings]
+    across, up = np.array([[float(one[1]), float(one[2])] for one in found if one]).T
+    # The pointer comes within a step of the ends of both axes, and to each corner of the line.
+    assert (across.min(), across.max(), up.min(), up.max()) == pytest.approx((0.0, 4.0, 0.0, 6.0), abs=0.2)
+    for corner in ("5 at 0", "1 at 1", "2 at 3"):
+        assert any(f"measured: {corner}" in words for words in readings)
+    view.hover()
+    before = told.inner_text()
+    view.focus()
+    page.keyboard.press("ArrowLeft")
+    assert told.inner_text() != before
+    page.keyboard.press("+")
+    assert "scale(1.5)" in view.locator("img").get_attribute("style")
+    page.keyboard.press("0")
+    assert "scale(1)" in view.locator("img").get_attribute("style")
+    page.close()
+
+
+def test_panels_come_one_below_the_other_on_a_phone(browser, reports):
+    page = browser.new_page(viewport={"width": 390, "height": 900})
+    page.goto((reports / "01_a.html").as_uri())
+    several = page.locator("figure").first
+    boxes = [one.bounding_box() for one in several.locator(".panels img").all()]
+    assert len(boxes) == 6  # five panels and the mark that they are synthetic
+    assert all(above["y"] + above["height"] <= below["y"] for above, below in itertools.pairwise(boxes))
+    assert several.get_by_role("img").first.get_attribute("aria-label").startswith("5 panels. one run; ")
+    page.set_viewport_size({"width": 1280, "height": 900})
+    assert several.locator("img").count() == 1
+    page.close()
+
+
+def test_long_table_is_folded_filtered_sorted_and_saved(browser, reports):
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto((reports / "01_a.html").as_uri())
+    rows = page.locator("main .scroll tbody tr:visible")
+    assert rows.count() == 15
+    page.get_by_role("button", name="show all 40 rows").click()
+    assert rows.count() == 40
+    page.get_by_role("button", name="number", exact=True).click()
+    page.get_by_role("button", name="number", exact=True).click()
+    assert rows.first.locator("td").first.inner_text() == "39"
+    page.get_by_role("searchbox").fill("0.325")
+    assert rows.count() == 1
+    page.emulate_media(media="print")
+    page.get_by_role("searchbox", include_hidden=True).evaluate(
+        "one => { one.value = ''; one.dispatchEvent(new Event('input')) }"
+    )
+    assert rows.count() == 40  # on paper nothing is folded
+    page.emulate_media(media="screen")
+    saved = page.get_by_role("link", name="CSV")
+    saved.evaluate("one => one.addEventListener('click', event => event.preventDefault())")
+    saved.click()
+    assert saved.get_attribute("href").startswith("data:text/csv;charset=utf-8,place%2Cnumber%2Cp_holm%2Cwhy%0A")
+    page.close()
+
+
+@pytest.mark.long
+def test_all_reports_are_complete_fit_their_window_and_can_be_read_by_all(browser, tmp_path):
+    built = publish(checkout=Checkout.find(ROOT, reports=tmp_path))
+    assert {one.state for one in built} == {"built"}
+    assert walked(browser, tmp_path.glob("*.html")) == {}
