@@ -131,6 +131,6 @@ def own_start(run: tl.Session) -> np.ndarray:
     run : Session
         The data.
     """
-    guess = TSC.guess(read_runs(run, "mode", "p_h", "p_r"), TSC.limits(fixed=FIXED))
+    guess = TSC.guess(read_runs(run, "mode", "p_h", "p_r"), TSC.limits(fixed=FIXED))[0]
     names = [*(f"human_{name}" for name in HUMAN), *(f"robot_{name}" for name in ROBOT)]  # r0 is fixed
     return np.array([*(guess[name] for name in names), guess["p_r0"][0]])

@@ -6,6 +6,7 @@ Kalman filter; `with_performance` of the sessions' own room for the window.
 """
 
 import importlib.util
+import re
 from pathlib import Path
 
 import numpy as np
@@ -136,6 +137,18 @@ def test_intervals_of_windowed_logs_cover_the_truth(operators, loop, where, wind
     assert len(z) > 190
     assert inside.mean().between(0.90, 0.985).all(), inside.mean()
     assert (z.mean().abs() < 0.3).all(), z.mean()
+
+
+def test_a_second_valley_as_deep_is_named(operators):
+    """In closed loop r stays above 0.7: a rested operator with a high p_min explains the rest as well as the true one."""
+    model = operators["pilot"]
+    fit = tl.fit_tsc(windowed(model, 30.0, 42, "closed", "after"))
+    row = fit.table().loc["human_p_min"]
+    assert not row["ci_low"] <= model.human.p_min <= row["ci_high"]
+    assert not fit.success
+    assert re.search(r"Other values explain these data nearly as well: .*human_p_min = 0\.39\d+ for 0\.42\d+", fit.message)
+    # The negative control: phases that move the model leave one valley.
+    assert "Other values" not in tl.fit_human(windowed(model, 30.0, 42, "open", "after")).message
 
 
 def test_a_window_that_is_not_stated_is_named(operators):

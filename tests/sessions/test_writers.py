@@ -15,11 +15,13 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from pyarrow import feather
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from trustlab.sessions import Metadata, Session, SessionError, read_session, read_sessions, write_session
+from trustlab.sessions.readers.unpacking import feather_size
 from trustlab.sessions.recipe import Recipe
 
 NAMES = ["a.csv", "a.parquet", "a.bag", "a.mcap", "a"]
@@ -186,7 +188,7 @@ def bomb(path: Path, samples=2, size=40_000_000):
     else:
         plugin = StoragePlugin.MCAP if path.suffix == ".mcap" else StoragePlugin.SQLITE3
         writer = Writer2(folder, version=8, storage_plugin=plugin)
-        mode = CompressionMode.STORAGE if path.suffix == ".mcap" else CompressionMode.MESSAGE
+        mode = {"file": CompressionMode.FILE, "b": CompressionMode.MESSAGE}.get(path.name, CompressionMode.STORAGE)
         writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
         topic = writer.add_connection("/p", kind, typestore=store)
@@ -196,7 +198,7 @@ def bomb(path: Path, samples=2, size=40_000_000):
         next(folder.glob("*.mcap")).rename(path)
 
 
-@pytest.mark.parametrize("name", ["b.mcap", "b.bag", "b"])
+@pytest.mark.parametrize("name", ["b.mcap", "b.bag", "b", "file"])
 def test_bags_that_unpack_to_much(tmp_path, name):
     path = tmp_path / name
     bomb(path)
@@ -219,6 +221,31 @@ def test_tables_that_unpack_to_much(tmp_path):
         read_session(path, max_bytes=2**31)
     with pytest.raises(ValueError, match="max_bytes must be a whole number"):
         read_session(path, max_bytes=0)
+
+
+@pytest.mark.parametrize("packing", ["lz4", "zstd"])
+@pytest.mark.parametrize("texts", [False, True])
+def test_a_feather_file_of_one_batch_says_how_large_it_is(tmp_path, packing, texts):
+    """pyarrow unpacks a batch as a whole: what it claims is counted before. Oracle: the size of the table written."""
+    path, count = tmp_path / "b.feather", 20_000
+    values = pa.array(["0" * 50 * k for k in range(400)]).dictionary_encode() if texts else pa.array(np.zeros(count))
+    index = pa.array(np.zeros(count, dtype=np.int32))
+    column = pa.DictionaryArray.from_arrays(index, values.dictionary) if texts else values
+    table = pa.table({"t": pa.array(np.zeros(count)), "p_r": column})
+    feather.write_feather(table, path, compression=packing, chunksize=count)
+    assert feather_size(path.read_bytes()) == pytest.approx(table.nbytes, rel=0.01)
+    feather.write_feather(table, path, compression="uncompressed")
+    assert feather_size(path.read_bytes()) == 0
+
+
+def test_a_feather_file_that_unpacks_to_much_is_refused_before_it_does(tmp_path, monkeypatch):
+    path = tmp_path / "b.feather"
+    table = pa.table({"t": 0.1 * np.arange(2**19), "p_r": np.zeros(2**19)})
+    feather.write_feather(table, path, compression="zstd", chunksize=2**19)
+    assert len(read_session(path)) == 2**19
+    monkeypatch.setattr(pa.ipc, "open_file", None)  # what would unpack it
+    with pytest.raises(SessionError, match=r"unpacks to more than 8000000 bytes.*max_bytes"):
+        read_session(path, max_bytes=8_000_000)
 
 
 def test_rosbags_by_itself_has_no_limit(tmp_path):

@@ -33,6 +33,21 @@ def doubted(found: Estimate, refit: Callable[[list[Run]], Estimate]) -> Iterator
     yield from _window(found, refit)
     yield from _delay(found)
     yield from _slow(found)
+    yield from _rivals(found)
+
+
+def _rivals(found: Estimate) -> Iterator[str]:
+    """Find other values that explain the data nearly as well, further away than the standard errors allow."""
+    names, stderr = found.problem.structure.names, np.sqrt(np.diag(found.covariance)[: found.problem.shared])
+    lowest = min((other.deviance for other in found.rivals), default=0.0)
+    for other in found.rivals:
+        apart = np.abs(other.theta - found.theta)[: found.problem.shared]
+        # Where the likelihood is Gaussian, values z standard errors away cost a deviance of z² at least.
+        far = np.flatnonzero(apart > stderr * np.sqrt(4.0 + 2.0 * (other.deviance - lowest)))
+        if far.size:
+            values = " and ".join(f"{names[j]} = {other.theta[j]:.4g} for {found.theta[j]:.4g}" for j in far)
+            yield f"Other values explain these data nearly as well: {values}; record phases that move the model more."
+            return
 
 
 def _sparse(found: Estimate) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """From sessions and a structure to a FitResult: what the data can identify, the estimate, and what to say of it."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -9,7 +10,7 @@ from scipy import special
 from trustlab.identification.diagnosis import doubted
 from trustlab.identification.fit_result import FitResult, parameter_table, run_fits
 from trustlab.identification.logged import as_logged, averaged, undo_window, window_means
-from trustlab.identification.output_error import NOISES, NOT_WHITE, Estimate, Problem, estimate
+from trustlab.identification.output_error import NOISES, NOT_WHITE, SHALLOW, Estimate, Problem, Valley, estimate, settle
 from trustlab.identification.regression import regress
 from trustlab.identification.runs import HowLogged, Run, joined, read_runs
 from trustlab.identification.structure import IdentificationError, Parameter, Structure
@@ -18,6 +19,12 @@ from trustlab.sessions.session import Session
 
 HALF_WIDTH = float(special.ndtri(0.975))
 """Standard errors from the middle of a 95 % interval to its end."""
+
+ROUGHLY = {"tolerance": 0.1, "max_iterations": 40}
+"""How valleys are searched before the deepest is known."""
+
+RIVAL = 10.0
+"""Deviance by which another valley may lie higher and still hold the truth: odds of e^5 = 150 to 1."""
 
 
 def fit(
@@ -181,40 +188,55 @@ def estimate_runs(
     if guess is not None:
         structure.check_names(guess, "guess")
     if all(run.window == 1 for run in runs):
-        problem, start = _begun(structure, runs, limits, guess, [runs], False)
-        return estimate(problem, start, limits, noise, robust)
-    # Noise may be in what the window averages, or come on top of the means: the likelihoods of both decide. Means of a
-    # linear model are what the means of its inputs give, but for the beginning: good enough to start from.
-    undone = [averaged(run, structure.outputs, undo_window) for run in runs]
-    driven = [averaged(run, structure.inputs, window_means) for run in runs]
-    found = []
-    for unwindow in (True, False):
-        problem, start = _begun(structure, runs, limits, guess, [undone, driven], unwindow)
-        found.append(estimate(problem, start, limits, "white", robust=False))
-    best = min(found, key=lambda one: one.problem.deviance(one.normal.squares))
-    return estimate(best.problem, best.theta, limits, noise, robust)
+        views, hypotheses = [runs], [False]
+    else:
+        # Noise may be in what the window averages, or come on top of the means: the likelihoods of both decide. Means of a
+        # linear model are what the means of its inputs give, but for the beginning: good enough to start from.
+        views = [
+            [averaged(run, structure.outputs, undo_window) for run in runs],
+            [averaged(run, structure.inputs, window_means) for run in runs],
+        ]
+        hypotheses = [True, False]
+    starts = [one for view in views for one in _starts(structure, view, limits, guess)]
+    valleys = []
+    for unwindow in hypotheses:
+        begun = [(Problem(structure, runs, start, unwindow), start) for start in starts]
+        if len(begun) == len(hypotheses) == 1:
+            problem, start = begun[0]
+            return estimate(problem, problem.vector(start), limits, noise, robust)
+        if len(hypotheses) > 1:
+            begun = [min(begun, key=lambda one: one[0].normal(one[0].vector(one[1])).value)]
+        valleys += [settle(problem, problem.vector(start), limits, robust, **ROUGHLY) for problem, start in begun]
+    lowest = min(valleys, key=lambda one: one.deviance)
+    if len(hypotheses) > 1:  # what the structure guesses from averages may miss a valley
+        valleys += list(_elsewhere(lowest, limits, robust))
+        lowest = min(valleys, key=lambda one: one.deviance)
+    rivals = tuple(one for one in valleys if one.deviance < lowest.deviance + RIVAL)
+    for one in rivals:
+        one.inverse()  # raises where values that explain the data as well leave a parameter open
+    return replace(estimate(lowest.problem, lowest.theta, limits, noise, robust), rivals=rivals)
 
 
-def _begun(
-    structure: Structure,
-    runs: list[Run],
-    limits: Mapping,
-    guess: Mapping | None,
-    views: list[list[Run]],
-    unwindow: bool,
-) -> tuple[Problem, np.ndarray]:
-    """Return the problem and where its search starts: the best of what the structure guesses from each view of the runs."""
-    begun = []
-    for view in views:
-        start = _completed(
-            structure, limits, structure.guess(view, limits) if structure.guess is not None else {}, guess
-        )
-        problem = Problem(structure, runs, start, unwindow)
-        begun.append((problem, problem.vector(start)))
-    if len(begun) == 1:
-        return begun[0]
-    values = [problem.normal(start).value for problem, start in begun]
-    return begun[int(np.nanargmin(values))]
+def _elsewhere(valley: Valley, limits: Mapping, robust: bool) -> Iterator[Valley]:
+    """Yield what the search finds with bounded initial states held at other places, and when they are let go there."""
+    problem = valley.problem
+    bounded = [one.name for one in problem.structure.initial if 0.0 < np.ptp(limits[one.name]) < np.inf]
+    for share in (0.1, 0.3, 0.5, 0.8) if bounded else ():
+        at = {name: limits[name][0] + share * np.ptp(limits[name]) for name in bounded}
+        start = valley.theta.copy()
+        for j, parameter in enumerate(problem.structure.initial):
+            start[problem.shared + j :: problem.own] = at.get(parameter.name, start[problem.shared + j :: problem.own])
+        held = settle(problem, start, {**limits, **{name: (own, own) for name, own in at.items()}}, robust, **ROUGHLY)
+        yield held
+        if held.deviance < valley.deviance + SHALLOW:
+            yield settle(problem, held.theta, limits, robust, **ROUGHLY)
+
+
+def _starts(structure: Structure, runs: list[Run], limits: Mapping, guess: Mapping | None) -> list[dict]:
+    """Return the starting values that the structure guesses from runs, with the user's own and what either leaves open."""
+    guessed = structure.guess(runs, limits) if structure.guess is not None else {}
+    several = guessed if isinstance(guessed, list) else [guessed]
+    return [_completed(structure, limits, one, guess) for one in several]
 
 
 def _completed(structure: Structure, limits: Mapping, guessed: Mapping, guess: Mapping | None) -> dict:

@@ -7,7 +7,7 @@ import numpy as np
 
 from trustlab.identification.fit_result import FitResult
 from trustlab.identification.fitting import fit, refuse_options
-from trustlab.identification.output_error import Problem
+from trustlab.identification.output_error import SHALLOW, Problem
 from trustlab.identification.regression import regression, simulated_result
 from trustlab.identification.runs import HowLogged, Run, as_columns, block_means, joined, read_runs
 from trustlab.identification.structure import (
@@ -260,8 +260,8 @@ def undo_blocks(rate: float, length: int) -> float:
     return min(max(rate ** (1.0 / length), UNIT_MARGIN), 1.0 - UNIT_MARGIN)
 
 
-def human_guess(runs: list[Run], limits: Mapping[str, tuple[float, float]]) -> dict[str, float]:
-    """Return starting values of a, beta, p_min, p_max and r0 from a coarse search on block means."""
+def human_guess(runs: list[Run], limits: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
+    """Return starting values of a, beta, p_min, p_max and r0 from a coarse search on block means, the best first."""
     means, length = block_means(runs)
     starts = np.cumsum([0, *(run.size for run in means)])
     betas = np.unique(np.clip(GRID_BETA, *limits["beta"]))
@@ -275,10 +275,18 @@ def human_guess(runs: list[Run], limits: Mapping[str, tuple[float, float]]) -> d
         middle = (0.0, rates[rates.size // 2], betas[betas.size // 2], p_h.min(), high, rests[0])
         grid = np.array([middle], GRID_POINT)
     # The likelihood of (2.6) has several valleys (a slow operator beyond the best utilization looks like a quick one
-    # below it): the best points of different rates and initial utilizations are refined before the best is taken.
-    refined = [_refined(means, point, limits, length) for point in _best_apart(grid, rates)]
-    _, a, beta, p_min, p_max, r0 = min(refined, key=lambda values: values[0])
-    return {"a": undo_blocks(a, length), "beta": beta, "p_min": p_min, "p_max": p_max, "r0": r0}
+    # below it): the best points of different rates and initial utilizations are refined, and valleys as deep kept.
+    refined = sorted(
+        (_refined(means, point, limits, length) for point in _best_apart(grid, rates)), key=lambda one: one[0]
+    )
+    floor, kept = 1e-12 * float(p_h @ p_h), []
+    for squares, *at in refined:
+        deep = p_h.size * np.log((squares + floor) / (refined[0][0] + floor)) < SHALLOW
+        if deep and not any(
+            abs(squares / other - 1.0) < 1e-4 and abs(at[1] - beta) < 0.01 for other, _, beta, *_ in kept
+        ):
+            kept.append((squares, *at))
+    return [dict(zip(HUMAN.names, (undo_blocks(a, length), *rest), strict=True)) for _, a, *rest in kept]
 
 
 def _best_apart(grid: np.ndarray, rates: np.ndarray, most: int = 6) -> list[np.void]:

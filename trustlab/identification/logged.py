@@ -54,7 +54,7 @@ def as_logged(structure: Structure, ratio: int, delayed: bool) -> Structure:
             jacobians = [np.column_stack(pair) for pair in zip(jacobians, slopes, strict=True)]
         return [one[::ratio] for one in outputs], [one[::ratio] for one in jacobians]
 
-    def guess(runs: list[Run], limits: Mapping) -> Mapping:
+    def guess(runs: list[Run], limits: Mapping) -> Mapping | list[Mapping]:
         return {} if structure.guess is None else structure.guess([refined(run, ratio) for run in runs], limits)
 
     def model(mode_delay: float = 0.0, **values):

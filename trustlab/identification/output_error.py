@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,9 @@ NOISES = ("auto", "white", "correlated", "hac")
 
 NOT_WHITE = 1e-3
 """p value of the Ljung–Box test below which residuals do not count as white."""
+
+SHALLOW = 30.0
+"""Deviance by which a valley of the likelihood may lie above the deepest found roughly and still be searched."""
 
 SINGULAR = 1e-10
 """Smallest eigenvalue of the information matrix, scaled to unit diagonal, that still counts as information."""
@@ -211,7 +215,8 @@ class Estimate:
 
     `covariance` is 0 in rows of fixed parameters and NaN in rows of those at a bound; `inverse` is the inverse of
     `normal.matrix`, the information matrix, for the `free` ones. `simple_p` is the p value of the whiteness test before
-    the noise was modelled, `whiteness_p` after; `sandwiched` where the covariance allows for what is left.
+    the noise was modelled, `whiteness_p` after; `sandwiched` where the covariance allows for what is left. `rivals` are
+    valleys of the likelihood that are nearly as deep.
     """
 
     problem: Problem
@@ -226,6 +231,7 @@ class Estimate:
     simple_p: float
     noise: str
     sandwiched: bool
+    rivals: tuple["Valley", ...] = ()
 
     @property
     def free(self) -> np.ndarray:
@@ -255,35 +261,58 @@ class Estimate:
         return np.sqrt(self.normal.squares / np.maximum(counts - self.free.size / counts.size, 1.0))
 
 
+class Valley(NamedTuple):
+    """Where a search settled: the minimum, its parameters, likelihood and deviance, and what was free to move."""
+
+    problem: Problem
+    found: Minimum
+    theta: np.ndarray
+    normal: NormalEquations
+    deviance: float
+    free: np.ndarray
+
+    def inverse(self) -> np.ndarray:
+        """Return the inverse of the information about the free parameters; raise where there is none about one."""
+        return _inverse(self.normal.matrix, self.free, self.problem)
+
+
+def settle(problem: Problem, start: np.ndarray, limits: Mapping, robust: bool, **options: float) -> Valley:
+    """Search from `start` within the limits of every name, and again without the outliers that show."""
+    low, high = (problem.vector({name: pair[side] for name, pair in limits.items()}) for side in (0, 1))
+    valley = _search(problem, start, low, high, **options)
+    for _ in range(5):
+        if not robust or not valley.normal.finite or _exact(problem, valley.normal).all() or not problem.leave_out():
+            break
+        valley = _search(problem, valley.theta, low, high, **options)
+    return valley
+
+
+def _search(problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarray, **options: float) -> Valley:
+    found = problem.search(start, low, high, **options)
+    theta = problem.from_search(found.x)
+    # The way to the search coordinate and back rounds: what is fixed or at a bound gets its exact value.
+    theta[low == high] = low[low == high]
+    theta[found.at_bound] = np.clip(theta, low, high)[found.at_bound]
+    normal = problem.normal(theta)
+    deviance = problem.deviance(normal.squares) if normal.finite else np.inf
+    return Valley(problem, found, theta, normal, deviance, np.flatnonzero((low < high) & ~found.at_bound))
+
+
 def estimate(
     problem: Problem, start: np.ndarray, limits: Mapping, noise: str = "auto", robust: bool = True
 ) -> Estimate:
-    """Search from `start` within the limits of every name, leave out outliers, model the noise, then give covariance and diagnostics."""
+    """Search from `start`, leave out outliers, model the noise, then give covariance and diagnostics."""
     low, high = (problem.vector({name: pair[side] for name, pair in limits.items()}) for side in (0, 1))
-    fixed = low == high
-
-    def search(start):
-        found = problem.search(start, low, high)
-        theta = problem.from_search(found.x)
-        # The way to the search coordinate and back rounds: what is fixed or at a bound gets its exact value.
-        theta[fixed] = low[fixed]
-        theta[found.at_bound] = np.clip(theta, low, high)[found.at_bound]
-        return found, theta, problem.normal(theta)
-
-    found, theta, normal = search(start)
-    _check_finite(problem, theta, normal)
-    for _ in range(5):
-        if not robust or _exact(problem, normal).all() or not problem.leave_out():
-            break
-        found, theta, normal = search(theta)
-    simple_p = _whiteness(problem, normal)
+    valley = settle(problem, start, limits, robust)
+    _check_finite(problem, valley.theta, valley.normal)
+    simple_p = _whiteness(problem, valley.normal)
     if noise == "correlated" or (noise == "auto" and simple_p < NOT_WHITE):
         # The noise model belongs to the residuals, and these to the parameters: three rounds settle both.
         for _ in range(3):
-            problem.fit_noise(np.flatnonzero(~fixed & ~found.at_bound))
-            found, theta, normal = search(theta)
-    free = np.flatnonzero(~fixed & ~found.at_bound)
-    inverse = _inverse(normal.matrix, free, problem)
+            problem.fit_noise(valley.free)
+            valley = _search(problem, valley.theta, low, high)
+    _, found, theta, normal, _, free = valley
+    inverse, fixed = valley.inverse(), low == high
     p_value = _whiteness(problem, normal)
     modelled = any(one != Noise() for one in problem.noise)
     sandwiched = noise == "hac" or (noise in ("auto", "correlated") and p_value < NOT_WHITE)

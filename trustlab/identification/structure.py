@@ -233,7 +233,8 @@ class Structure:
     affected_by : mapping, optional
         Names of the parameters and initial states that move an output, by output; all when not given.
     guess : callable, optional
-        ``guess(runs, limits)`` returns starting values by name; an initial state may have one value per run.
+        ``guess(runs, limits)`` returns starting values by name, or several such mappings, best first, where the likelihood
+        has several valleys; an initial state may have one value per run.
     model : callable, optional
         ``model(**parameters)`` makes `FitResult.model` from the estimates; a dictionary of them when not given.
     derived : mapping, optional

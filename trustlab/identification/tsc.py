@@ -127,13 +127,15 @@ def _own(values: Mapping, prefix: str) -> dict:
     return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
 
 
-def _guess(runs: list[Run], limits: Mapping) -> dict:
+def _guess(runs: list[Run], limits: Mapping) -> list[dict]:
     """Return starting values: the operator's first, then the robot's under the measured P_h."""
-    human = human_guess(runs, _own(limits, "human_") | {"r0": limits["r0"]})
-    robot = robot_guess(runs, _own(limits, "robot_"), human["p_max"])
-    start = {"r0": human.pop("r0"), "p_r0": robot.pop("p_r0")}
-    start |= {f"human_{name}": value for name, value in human.items()}
-    return start | {f"robot_{name}": value for name, value in robot.items()}
+    starts = []
+    for human in human_guess(runs, _own(limits, "human_") | {"r0": limits["r0"]}):
+        robot = robot_guess(runs, _own(limits, "robot_"), human["p_max"])
+        start = {"r0": human.pop("r0"), "p_r0": robot.pop("p_r0")}
+        start |= {f"human_{name}": value for name, value in human.items()}
+        starts.append(start | {f"robot_{name}": value for name, value in robot.items()})
+    return starts
 
 
 def _build(**values) -> TscModel:

@@ -12,11 +12,14 @@ from __future__ import annotations
 import atexit
 import functools
 import hashlib
+import multiprocessing
 import os
 import re
 import shutil
 import sys
 import tempfile
+import threading
+import time
 import warnings
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -24,10 +27,39 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import event
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # Every import statement of the package, inside functions as well: "from trustlab.a.b import c, d" or "import trustlab.a".
 IMPORT = re.compile(r"^[ \t]*(?:from (trustlab[\w.]*) import \(?([^)#]*?)\)?|import (trustlab[\w.]+))[ \t]*$", re.M)
+
+
+NOTICE = "trustlab is compiling what this call needs. It happens once; later calls and sessions find it on disk."
+
+
+class _Notice(event.Listener):
+    """Says once, on stderr, that compilation is what takes the time, when it has taken two seconds."""
+
+    def __init__(self):
+        self.begun: list[float] = []  # of the functions being compiled, one inside the other
+        self.spent, self.timer = 0.0, None
+
+    def on_start(self, event: Any) -> None:
+        if not self.begun and self.spent < 2.0:
+            self.timer = threading.Timer(2.0 - self.spent, print, [NOTICE], {"file": sys.stderr, "flush": True})
+            self.timer.daemon = True
+            self.timer.start()
+        self.begun.append(time.monotonic())
+
+    def on_end(self, event: Any) -> None:
+        taken = time.monotonic() - self.begun.pop()
+        if not self.begun:
+            self.timer.cancel()
+            self.spent += taken
+
+
+if multiprocessing.parent_process() is None:  # the workers of a campaign are silent
+    event.register("numba:compile", _Notice())
 
 
 def njit(function: Callable | None = None, **options: Any) -> Any:

@@ -46,6 +46,12 @@ DEADLINE = 15.0
 # few samples, of a robot that has just been put on the path, are far above what they become.
 SETTLING = 100.0
 
+
+def measured(how: str) -> dict[str, object]:
+    """Return what a session's metadata say of its performance, measured by `how` over the window; fits look there."""
+    return {"performance": f"{how}, window {WINDOW:g} s", "performance_window": WINDOW}
+
+
 # Performance summed over the window, utilization, own or suggested thresholds, how far a correction has moved own ones, and
 # when a decision takes effect. −1 stands for no suggestion, no decision under way and no suggestion being considered.
 NUMBERS = "sum_r sum_h p_r p_h tsc r lower upper shift_l shift_u due episode_seen"

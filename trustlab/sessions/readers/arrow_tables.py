@@ -10,7 +10,7 @@ import numpy as np
 from trustlab.sessions.errors import SessionError, damage_named
 from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.readers.tables import SourceColumn, select_columns, table_stream
-from trustlab.sessions.readers.unpacking import Budget
+from trustlab.sessions.readers.unpacking import Budget, feather_size
 from trustlab.sessions.recipe import Recipe
 from trustlab.sessions.resampling import RawLog
 
@@ -41,6 +41,7 @@ def read_feather(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None
     import pyarrow as pa
 
     with _guard("Feather"), pa.memory_map(str(path)) as source:
+        Budget(budget.most).take(feather_size(source.read_buffer()))
         file = pa.ipc.open_file(source)
         batches = file.num_record_batches
 

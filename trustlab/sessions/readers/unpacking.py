@@ -1,6 +1,7 @@
 """How much a compressed file may unpack to: a file of a few kilobytes can be made to fill the memory."""
 
 import bz2
+import struct
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -63,6 +64,24 @@ def _bounded(decompressor: Callable[[], Any], kept: bool = True) -> Callable[...
     return unpack
 
 
+def _counted(opened: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that opens a compressed file, whose reads count against the budget of the file being read."""
+
+    @contextmanager
+    def open_counted(*arguments: object) -> Iterator[SimpleNamespace]:
+        budget = _budget.get() or Budget(sys.maxsize)
+
+        def read(size: int) -> bytes:
+            data = file.read(size)
+            budget.take(len(data))
+            return data
+
+        with opened(*arguments) as file:
+            yield SimpleNamespace(read=read)
+
+    return open_counted
+
+
 @contextmanager
 def bags_within(budget: Budget) -> Iterator[None]:
     """Have rosbags unpack within a budget."""
@@ -77,9 +96,54 @@ def bags_within(budget: Budget) -> Iterator[None]:
         lz4_frame, zstd = lz4.frame.LZ4FrameDecompressor, mcap.zstd.ZstdDecompressor
         mcap.DECOMPRESSORS.update(lz4=_bounded(lz4_frame), zstd=_bounded(zstd))
         ros1.decompressors.update(bz2=_bounded(bz2.BZ2Decompressor, kept=False), lz4=_bounded(lz4_frame, kept=False))
-        ros2.zstd = SimpleNamespace(decompress=_bounded(zstd, kept=False), open=ros2.zstd.open)
+        ros2.zstd = SimpleNamespace(decompress=_bounded(zstd, kept=False), open=_counted(ros2.zstd.open))
     token = _budget.set(budget)
     try:
         yield
     finally:
         _budget.reset(token)
+
+
+def feather_size(data: bytes | memoryview) -> int:
+    """
+    Return how many bytes the compressed batches of an Arrow file say that they unpack to.
+
+    pyarrow unpacks a batch as a whole and has no limit. The layout is that of Arrow's Columnar Format, in tables of
+    FlatBuffers: Footer (2 dictionaries, 3 record batches), Message (1 kind, 2 header), RecordBatch (2 buffers,
+    3 compression). A compressed buffer begins with the size it unpacks to, −1 where it is not compressed after all.
+    """
+    data = memoryview(data)
+
+    def number(kind: str, at: int) -> int:
+        return struct.unpack_from(f"<{kind}", data, at)[0]
+
+    def field(table: int, index: int) -> int | None:
+        """Return where a field of a table stands; None where it is left out."""
+        slots = table - number("i", table)
+        distance = number("H", slots + 4 + 2 * index) if 4 + 2 * index < number("H", slots) else 0
+        return table + distance if distance else None
+
+    def inner(table: int, index: int) -> int:
+        at = field(table, index)
+        return at + number("I", at)
+
+    def entries(table: int, index: int, size: int) -> range:
+        if field(table, index) is None:
+            return range(0)
+        at = inner(table, index)
+        return range(at + 4, at + 4 + size * number("I", at), size)
+
+    footer = len(data) - 10 - number("i", len(data) - 10)
+    footer += number("I", footer)
+    total = 0
+    for block in (*entries(footer, 2, 24), *entries(footer, 3, 24)):
+        start = number("q", block)
+        start += 8 if number("i", start) == -1 else 4  # versions before 0.15 lack the mark −1 before the length
+        message, body = start + number("I", start), number("q", block) + number("i", block + 8)
+        batch = inner(message, 2)
+        if number("B", field(message, 1)) == 2:  # a dictionary, which has its batch inside
+            batch = inner(batch, 1)
+        if field(batch, 3) is not None:
+            buffers = ((number("q", at), number("q", at + 8)) for at in entries(batch, 2, 16))
+            total += sum(max(number("q", body + at), 0) for at, size in buffers if size)
+    return total

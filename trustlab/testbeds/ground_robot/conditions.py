@@ -18,8 +18,8 @@ from trustlab.testbeds.deciding import (
     SAMPLE_TIME,
     SCHEDULE,
     SETTLING,
-    WINDOW,
     decided_by,
+    measured,
     planned,
     ruled,
     sample_times,
@@ -377,5 +377,5 @@ def _frame(log: np.ndarray) -> pd.DataFrame:
 
 
 def _session(data, operator, condition, seed, **facts) -> Session:
-    facts |= seed_facts(seed) | {"note": NOTE, "performance": f"(2.4), (2.7), window {WINDOW:g} s"}
+    facts |= seed_facts(seed) | {"note": NOTE} | measured("(2.4), (2.7)")
     return Session(data, Metadata(operator.participant, condition, "trustlab.testbeds.ground_robot", True, facts))

@@ -15,9 +15,9 @@ from trustlab.testbeds.condition_run import ConditionRun, condition_measures
 from trustlab.testbeds.deciding import (
     SAMPLE_TIME,
     SETTLING,
-    WINDOW,
     Task,
     decided_by,
+    measured,
     planned,
     ruled,
     sample_times,
@@ -120,10 +120,7 @@ def fly_condition(
         rule, task, condition = ruled(rule, mode, (condition, thresholds), someone, model, E_MAX, 0, r0)
         (log,) = decided_by(rule, task, SAMPLES, partial(_fly, task, someone, seed))
     facts = {"duration": DURATION, "settling": SETTLING} | tsc_facts(thresholds) | seed_facts(seed)
-    facts |= {
-        "note": NOTE,
-        "performance": f"Section 2.4.2, e_max {E_MAX:g} m, Δu_max {U_MAX:g} m/s, window {WINDOW:g} s",
-    }
+    facts |= {"note": NOTE} | measured(f"Section 2.4.2, e_max {E_MAX:g} m, Δu_max {U_MAX:g} m/s")
     table = log.view(float).reshape(log.size, len(kernel.LOG.names))
     data = pd.DataFrame(table, index=pd.Index(sample_times(log.size), name="t"), columns=kernel.LOG.names)
     about = Metadata(someone.participant, condition, "trustlab.testbeds.uav_following", True, facts)
