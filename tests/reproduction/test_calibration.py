@@ -11,7 +11,7 @@ from scipy import stats
 
 import trustlab as tl
 from trustlab.reproduction import read_calibration, write_calibration
-from trustlab.reproduction.calibration import posterior_sample
+from trustlab.reproduction.calibration import calibrated, observed_effects, posterior_sample
 
 RANGES = {"a": (0.0, 1.0), "b": (-1.0, 1.0), "c": (0.0, 2.0)}
 TWO = {"attention_cost": (0.0, 0.3), "r0": (0.0, 1.0)}
@@ -63,6 +63,67 @@ def test_a_calibration_goes_on_where_it_stopped_and_is_read_again(tmp_path):
     read = read_calibration("uav", tmp_path / "data")
     pd.testing.assert_frame_equal(first.simulations, read.simulations, rtol=1e-12)
     pd.testing.assert_frame_equal(first.posterior, read.posterior, rtol=1e-9)
+    with pytest.raises(ValueError, match="20 simulations are too few for accepted"):
+        tl.calibrate("uav", **arguments | {"accepted": 0.5})
+    assert [file.stat().st_mtime_ns for file in kept] == stamps  # too few: those that are finished stay
+    fewer = tl.calibrate("uav", **arguments | {"accepted": 0.9})
+    assert [file.stat().st_mtime_ns for file in kept] == stamps
+    pd.testing.assert_frame_equal(fewer.simulations, first.simulations, check_exact=True)
+
+
+def made_up(printed_at, count=600, spread=0.02):
+    """A calibration of Table 2.6 and Table 2.5's P_r by a linear model, whose true assumption puts effects at `printed_at`."""
+    rng = np.random.default_rng(4)
+    table = pd.DataFrame(rng.uniform([0.0, -0.4], [0.3, 0.4], (count, 2)), columns=["attention_cost", "trust_bias"])
+    for effect in observed_effects("table_2.5"):
+        slope = (1.0, 0.5) if effect.measure == "p_r" else (0.0, 1.0)
+        true = {"attention_cost": 0.15, "trust_bias": 0.0}
+        lift = printed_at.get(effect.measure, 0.0) + effect.printed
+        for (name, value), factor in zip(true.items(), slope, strict=True):
+            lift = lift + factor * (table[name] - value)
+        table[effect.id] = lift + rng.normal(0.0, spread, count)
+    settings = {"n": 5, "seed": 0, "simulations": count, "accepted": 0.15, "left_out": 0}
+    return calibrated("table_2.5", {"attention_cost": (0.0, 0.3), "trust_bias": (-0.4, 0.4)}, table, settings)
+
+
+def test_a_study_that_the_model_can_give_is_within_reach_and_found():
+    within = made_up({})
+    assert (within.reach()["share"] > 0.05).all()
+    assert within.extrapolated == ()
+    table = within.table().set_index("assumption")
+    assert table.loc["attention_cost", "low"] < 0.15 < table.loc["attention_cost", "high"]
+    assert within.assumptions["attention_cost"] == pytest.approx(table.loc["attention_cost", "median"])
+
+
+def test_effects_beyond_all_simulations_are_said_to_be_out_of_reach():
+    beyond = made_up({"p_h": 1.0})
+    reach = beyond.reach().set_index("measures")["share"]
+    assert reach["p_h"] == reach["p_r p_h r"] == 0.0
+    assert reach["p_r"] > 0.05
+    assert "trust_bias" in beyond.extrapolated
+    assert beyond.table().set_index("assumption").loc["trust_bias", "extrapolated"]
+    assert beyond.within_reach().measures == ("p_r", "r")
+    rest = beyond.given("p_r", "r")
+    assert list(rest.reach()["measures"]) == ["p_r", "r", "p_r r"]
+    assert rest.extrapolated == ()
+    low, high = rest.posterior["attention_cost"].quantile([0.025, 0.975])
+    assert low < 0.15 < high
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda found: found.given("trust"), "a measure must be one of 'p_r'"),
+        (lambda found: made_up({"p_r": 2.0, "p_h": 2.0, "r": 2.0}).within_reach(), "no measure of table_2.5 is within reach"),
+        (lambda found: found.given(), "name at least one measure"),
+        (lambda found: found.plot_sign("table_2.5/p_r/C1-C9"), "effect must be one of"),
+        (lambda found: found.plot_sign("table_2.5/p_r/C3-C1", x="lag"), "an assumption must be one of"),
+        (lambda found: found.checks(studies=0), "studies must be a whole number"),
+    ],
+)
+def test_what_a_calibration_does_not_have_is_refused(call, says):
+    with pytest.raises(ValueError, match=says):
+        call(made_up({}))
 
 
 @pytest.mark.parametrize(

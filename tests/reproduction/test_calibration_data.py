@@ -20,9 +20,9 @@ from trustlab.reproduction.calibration import posterior_sample, prior_draws, sim
 DATA = Path(__file__).parents[2] / "data" / "calibration"
 
 
-@pytest.fixture(scope="module")
-def stored():
-    return read_calibration("uav", DATA)
+@pytest.fixture(scope="module", params=["uav", "ground_robot"])
+def stored(request):
+    return read_calibration(request.param, DATA)
 
 
 def ranks(drawn, simulated, ranges, accepted, rows):
@@ -54,11 +54,22 @@ def test_a_part_of_the_stored_studies_is_simulated_again(stored):
 
 
 def test_reports_of_the_stored_calibration(stored):
-    table, checks = stored.table(), stored.checks()
+    table, given = stored.table(), stored.given("p_r", "r")
     assert ((table["low"] >= table["prior_low"]) & (table["high"] <= table["prior_high"])).all()
     assert ((table["low"] <= table["median"]) & (table["median"] <= table["high"])).all()
-    assert ((checks["prior_low"] <= checks["low"]) & (checks["high"] <= checks["prior_high"])).all()
+    checks = given.checks(studies=4)
     assert set(checks["id"]) <= set(tl.printed_effects()["id"])
+    assert (checks["low"] <= checks["high"]).all()
+    reach = stored.reach()
+    assert ((reach["share"] >= 0.0) & (reach["share"] <= 1.0)).all()
     assert "simulated operators" in stored._repr_html_()
     assert "simulated" in stored.plot()[0].figure.get_suptitle()
+    first = str(checks["id"][0])
+    assert "simulated" in given.plot_sign(first).get_title()
     plt.close("all")
+
+
+def test_what_the_stored_studies_say(stored):
+    given = stored.given("p_r", "r")
+    assert given.extrapolated == ()  # these effects are within reach of simulated operators
+    assert given.assumptions["attention_cost"] > 0.02

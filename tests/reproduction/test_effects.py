@@ -3,11 +3,14 @@
 Oracles: numbers read off the printed tables by hand; the exact limit cycle; differences of a virtual study's measures.
 """
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 import trustlab as tl
+from trustlab.reproduction import performance_line, plot_effects
 from trustlab.reproduction.effects import COLUMNS
 from trustlab.reproduction.effects_simulated import SILENT
 
@@ -87,26 +90,90 @@ def test_what_r_and_p_h_explain_of_table_2_5():
     np.testing.assert_allclose(rest, [-0.001, 0.013, 0.012, 0.011, 0.013], atol=6e-4)
 
 
+@pytest.mark.filterwarnings("ignore:5 participants fill half")
 def test_simulated_effects_are_differences_of_a_virtual_study(simulated):
     study = tl.virtual_study(
-        n=10, conditions=["C1", "C2", "C3", "C4", "C5"], testbed="uav", seed=1, assumptions={"attention_cost": 0.05}
+        n=5, conditions=["C1", "C2", "C3", "C4", "C5"], testbed="uav", seed=1, assumptions={"attention_cost": 0.05}
     )
     wide = study.measures.pivot_table("p_r", "participant", "condition", observed=True)
     difference = (wide["C3"] - wide["C1"]).to_numpy()
     row = simulated.loc["uav/p_r/C3-C1"]
     assert row["simulated"] == pytest.approx(difference.mean(), abs=1e-15)
-    assert row["se"] == pytest.approx(difference.std(ddof=1) / np.sqrt(10))
+    assert row["se"] == pytest.approx(difference.std(ddof=1) / np.sqrt(5))
+    assert row["p_simulated"] == pytest.approx(stats.ttest_rel(wide["C3"], wide["C1"]).pvalue)
+    assert row["operators"] == 5
     assert row["agrees"] == bool(abs(row["simulated"] - row["printed"]) <= 0.001 + 2.0 * row["se"])
 
 
+def test_the_t_test_of_followed_suggestions_has_a_simulated_counterpart():
+    row = tl.simulated_effects(n=20, seed=1, only="uav").set_index("id").loc["uav/followed_percent/C2-C4"]
+    study = tl.virtual_study(n=20, seed=1, testbed="uav", conditions=["C1", "C2", "C3", "C4", "C5"])
+    both = study.measures[study.measures["condition"].isin(["C2", "C4"])].astype({"condition": str})
+    test = tl.paired_t_test(both, "followed_percent", "condition", "participant", missing="listwise")
+    assert row["operators"] == test.n
+    assert row["simulated"] == pytest.approx(test.mean_difference)
+    assert row["p_simulated"] == pytest.approx(test.p)
+
+
+def test_the_line_of_both_printed_studies():
+    ground, uav = performance_line("ground_robot"), performance_line("uav")
+    for line, expected in ((ground, -0.0135), (uav, -0.0435)):
+        distance = line.table().set_index("condition")["distance"]
+        assert distance["C1"] == pytest.approx(expected, abs=2e-4)
+        assert distance.drop("C1").abs().max() < 0.005
+        assert distance.drop("C1").sum() == pytest.approx(0.0, abs=1e-12)
+    fitted = stats.linregress([0.855 * 0.835, 0.851 * 0.836, 0.928 * 0.794, 0.95 * 0.772], [0.547, 0.551, 0.588, 0.58])
+    assert (uav.slope, uav.intercept) == pytest.approx((fitted.slope, fitted.intercept))
+    assert "printed" in uav.plot().get_title()
+    plt.close("all")
+
+
+def test_the_line_of_simulated_means_and_what_it_refuses():
+    rows = pd.DataFrame({"condition": [f"C{i}" for i in range(1, 6)] * 2, "p_r": 0.5, "p_h": 0.7})
+    rows["r"] = np.tile([0.4, 0.5, 0.6, 0.7, 0.8], 2)
+    rows.loc[rows["condition"] == "C1", "p_r"] -= 0.1
+    line = performance_line(rows)
+    assert line.table()["distance"][0] == pytest.approx(-0.1)
+    assert "simulated" in line._repr_html_()
+    with pytest.raises(ValueError, match="there is no r"):
+        performance_line(rows.drop(columns="r"))
+    with pytest.raises(ValueError, match="there is no C4"):
+        performance_line(rows[rows["condition"] != "C4"])
+    with pytest.raises(ValueError, match="means must be"):
+        performance_line("teleop")
+
+
+def test_effects_are_plotted_with_every_simulation_named(simulated):
+    axes = plot_effects("uav", {"attention 5 %": simulated.reset_index()})
+    assert len(axes) == 7
+    texts = [text.get_text() for text in axes[0].figure.legends[0].get_texts()]
+    assert texts == ["printed", "model", "simulated: attention 5 %"]
+    drawn = axes[0].containers[0].lines[0].get_ydata()
+    own = simulated[
+        simulated["measure"].eq("p_r") & simulated["printed"].notna() & simulated.index.str.startswith("uav")
+    ]
+    np.testing.assert_array_equal(drawn, own["simulated"])
+    plt.close("all")
+
+
+@pytest.mark.filterwarnings("ignore:5 participants fill half")
 def test_with_workload_people_answer_and_scales_are_those_printed():
     assumed = {"load_utilization": 0.5, "load_switching": 0.05}
-    frame = tl.simulated_effects(assumed, n=10, seed=0, only="table_2.4").set_index("id")
+    frame = tl.simulated_effects(assumed, n=5, seed=0, only="table_2.4").set_index("id")
     assert frame["simulated"].notna().all()
-    study = tl.virtual_study(n=10, seed=0, assumptions=assumed)
+    study = tl.virtual_study(n=5, seed=0, assumptions=assumed)
     wide = study.measures.pivot_table("satisfaction", "participant", "condition", observed=True)
     seven = (wide["C3"] - wide["C1"]).mean()
     assert frame.loc["table_2.4/satisfaction/C3-C1", "simulated"] == pytest.approx(seven * 4.0 / 6.0)
+
+
+def test_the_study_on_the_ground_robot_has_the_rows_of_its_three_tables():
+    frame = tl.simulated_effects(n=5, seed=0, only="ground_robot")
+    tables = frame["id"].str.partition("/")[0]
+    assert list(dict.fromkeys(tables)) == ["table_2.4", "table_2.5", "table_2.6"]
+    for name in ("table_2.5", "table_2.6"):
+        alone = tl.simulated_effects(n=5, seed=0, only=name)
+        pd.testing.assert_frame_equal(frame[tables == name].reset_index(drop=True), alone, check_exact=True)
 
 
 def test_same_seed_same_table_serial_or_parallel():

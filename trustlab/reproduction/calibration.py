@@ -4,19 +4,23 @@ What must be true of people for a study's printed effects to hold at once: appro
 A table of simulated studies, each under assumptions drawn from a prior, is made as a campaign. Linear regressions of every
 assumption on the effects give summaries, one per assumption (Fearnhead and Prangle 2012); the simulated studies nearest to the
 printed one in these are kept, and their assumptions moved along a local regression to where the printed summaries lie (Beaumont,
-Zhang and Balding 2002), on the probit scale of the prior's range.
+Zhang and Balding 2002), on the probit scale of the prior's range. Where printed effects lie beyond all that simulated studies give,
+that regression extrapolates, and the posterior means nothing (Frazier, Robert and Rousseau 2020): `Calibration.reach` tells, the
+table marks such assumptions, and `Calibration.given` conditions on the measures that are within reach.
 """
 
 import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import special
+from scipy.spatial import KDTree
 
 from trustlab.campaign.run import run_campaign, where_to_run
 from trustlab.models.checks import between, in_order, one_of, whole_number
@@ -24,8 +28,8 @@ from trustlab.models.compiled import _digest
 from trustlab.models.html import as_html
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.reproduction import effects_simulated
-from trustlab.reproduction.effects import Effect, effects
-from trustlab.reproduction.effects_simulated import ALLOCATION, simulated_effects
+from trustlab.reproduction.effects import Effect
+from trustlab.reproduction.effects_simulated import ALLOCATION, effects_of, simulated_effects
 
 PRIORS = {
     "attention_cost": (0.0, 0.3),
@@ -54,51 +58,141 @@ class Calibration:
         Ranges of the uniform priors.
     simulations : pandas.DataFrame
         The simulated studies: a column per assumption and per effect, by id.
+    measures : tuple of str
+        The measures whose effects the posterior was given.
     posterior : pandas.DataFrame
         A sample of assumptions, a row each.
-    kept : numpy.ndarray of int
-        Rows of `simulations` that the sample was made from.
+    extrapolated : tuple of str
+        Assumptions for which the printed effects lie beyond those of all simulated studies: their posterior is no estimate.
     settings : dict
-        n (participants of each simulated study), seed, simulations, accepted, left_out (failed, or without some effect).
+        n (operators of each simulated study), seed, simulations, accepted, left_out (failed, or without some effect).
     """
 
     study: str
     priors: dict[str, tuple[float, float]]
     simulations: pd.DataFrame
+    measures: tuple[str, ...]
     posterior: pd.DataFrame
-    kept: np.ndarray
+    extrapolated: tuple[str, ...]
     settings: dict
 
+    @property
+    def observed(self) -> list[Effect]:
+        """The printed effects that simulated studies have."""
+        return [effect for effect in observed_effects(self.study) if effect.id in self.simulations]
+
+    @property
+    def assumptions(self) -> dict[str, float]:
+        """Medians of the posterior, for `simulated_effects`."""
+        return {str(name): float(value) for name, value in self.posterior.median().items()}
+
     def table(self) -> pd.DataFrame:
-        """Return assumption, prior_low, prior_high, median, low, high (95 %), contraction (1 − variance over the prior's)."""
+        """Return assumption, prior_low, prior_high, median, low, high (95 %), contraction (1 − variance over the prior's), extrapolated."""
         rows = []
         for name, (low, high) in self.priors.items():
             values = self.posterior[name]
             contraction = 1.0 - 12.0 * values.var() / (high - low) ** 2
-            rows.append((name, low, high, values.median(), *values.quantile([0.025, 0.975]), contraction))
-        names = ["assumption", "prior_low", "prior_high", "median", "low", "high", "contraction"]
+            found = (values.median(), *values.quantile([0.025, 0.975]), contraction, name in self.extrapolated)
+            rows.append((name, low, high, *found))
+        names = ["assumption", "prior_low", "prior_high", "median", "low", "high", "contraction", "extrapolated"]
         return pd.DataFrame(rows, columns=names)
 
-    def checks(self) -> pd.DataFrame:
+    def given(self, *measures: str) -> "Calibration":
         """
-        Return every effect beside what simulated studies give, under the prior and near the posterior.
+        Return the calibration from the same simulated studies that some measures' effects alone make.
+
+        Parameters
+        ----------
+        *measures : str
+            Any that `printed_effects` has of the study, for example "p_r", "r".
+
+        Raises
+        ------
+        ValueError
+            If the simulated studies have no effect of a measure.
+        """
+        return calibrated(self.study, self.priors, self.simulations, self.settings, measures)
+
+    def reach(self) -> pd.DataFrame:
+        """
+        Return how near simulated studies come to the printed effects of each measure that was given, and of all of them at once.
 
         Returns
         -------
         pandas.DataFrame
-            id, printed; prior_low, prior_high: the range of all simulated studies; low, high: the central 95 % of those kept;
-            reached: whether any simulated study goes as far as the printed effect. Where none does, it is out of reach whatever people
-            are like, within these priors and this model of operators. Effects that no simulated study has are left out.
+            measures; effects, how many; nearest: distance from the printed effects to the nearest simulated study, each effect in
+            standard deviations over all simulated studies; typical: the median of that distance from one simulated study to the
+            others; share of the simulated studies that are at least as far from the others. A share near 0 says that no such study
+            comes out of this model of operators, whatever people are like within the priors.
         """
         rows = []
-        for effect in observed_effects(self.study):
-            if effect.id not in self.simulations:
-                continue
-            values = self.simulations[effect.id]
-            near = values.iloc[self.kept].quantile([0.025, 0.975])
-            reached = bool(values.min() <= effect.high and values.max() >= effect.low)
-            rows.append((effect.id, effect.printed, values.min(), values.max(), *near, reached))
-        return pd.DataFrame(rows, columns=["id", "printed", "prior_low", "prior_high", "low", "high", "reached"])
+        for measures in dict.fromkeys([*((name,) for name in self.measures), self.measures]):
+            chosen = [effect for effect in self.observed if effect.measure in measures]
+            values = self.simulations[[effect.id for effect in chosen]].to_numpy(float)
+            scale = np.maximum(values.std(axis=0), 1e-12)
+            tree = KDTree(values / scale)
+            nearest = tree.query(np.array([effect.printed for effect in chosen]) / scale)[0]
+            others = tree.query(values / scale, 2)[0][:, 1]
+            rows.append((" ".join(measures), len(chosen), nearest, np.median(others), (others >= nearest).mean()))
+        return pd.DataFrame(rows, columns=["measures", "effects", "nearest", "typical", "share"])
+
+    def within_reach(self, share: float = 0.05) -> "Calibration":
+        """
+        Return the calibration given as many measures as simulated studies reach at once, of equally many the best reached.
+
+        Parameters
+        ----------
+        share : float
+            The least share of `reach` that counts.
+
+        Raises
+        ------
+        ValueError
+            If no measure is within reach.
+        """
+        share = between("share", share, 0.0, 1.0)
+        for size in range(len(self.measures), 0, -1):
+            found = [self.given(*measures) for measures in combinations(self.measures, size)]
+            shares = [-1.0 if one.extrapolated else float(one.reach()["share"].iloc[-1]) for one in found]
+            if max(shares) >= share:
+                return found[int(np.argmax(shares))]
+        raise ValueError(f"no measure of {self.study} is within reach of the simulated studies, at a share of {share:g}")
+
+    def checks(self, studies: int = 40, seed: int = 1, *, n_jobs: int | None = None) -> pd.DataFrame:
+        """
+        Return every effect beside what simulated studies give, under the prior and under the posterior.
+
+        Parameters
+        ----------
+        studies : int
+            How many studies to simulate under assumptions drawn from the posterior.
+        seed : int
+            Of these.
+        n_jobs : int, optional
+            Processes, as for `run_campaign`; no effect on results.
+
+        Returns
+        -------
+        pandas.DataFrame
+            id, printed; prior_low, prior_high: the range of all simulated studies; reached: whether any of them goes as far as the
+            printed effect. Where none does, it is out of reach whatever people are like, within these priors and this model of
+            operators. low, high: the central 95 % under the posterior; predicted: whether what is printed lies within. Effects that
+            no simulated study has are left out.
+        """
+        seed = whole_number("seed", seed, least=0)
+        drawn = self.posterior.sample(whole_number("studies", studies), random_state=seed).to_dict("records")
+        runs = [{"study": self.study, "n": self.settings["n"]} | row for row in drawn]
+        done = run_campaign(simulated_study, runs, seed=seed, progress=False, **where_to_run(n_jobs, None, None))
+        rows = []
+        for effect in self.observed:
+            prior = self.simulations[effect.id].min(), self.simulations[effect.id].max()
+            low, high = done[effect.id].astype(float).quantile([0.025, 0.975])
+            reached = prior[0] <= effect.high and effect.low <= prior[1]
+            rows.append(
+                (effect.id, effect.printed, *prior, reached, low, high, low <= effect.high and effect.low <= high)
+            )
+        names = ["id", "printed", "prior_low", "prior_high", "reached", "low", "high", "predicted"]
+        return pd.DataFrame(rows, columns=names)
 
     def plot(self):
         """
@@ -116,12 +210,64 @@ class Calibration:
             axis.hist(self.posterior[name], bins=20, range=(low, high), density=True, color="#0072b2")
             axis.axhline(1.0 / (high - low), color="black", ls="--", lw=1.0)
             axis.set(xlabel=name.replace("_", " "), yticks=[])
-        figure.suptitle(f"{self.study}: posterior (simulated operators); dashed: prior", fontsize="medium")
+            if name in self.extrapolated:
+                axis.set_title("extrapolated", fontsize="small")
+        figure.suptitle(f"{self.words}; dashed: prior", fontsize="medium")
         return axes[0]
 
+    def plot_sign(self, effect: str, x: str = "attention_cost", y: str = "trust_bias", axes=None):
+        """
+        Plot an effect of all simulated studies over two assumptions, and where it changes its sign.
+
+        Parameters
+        ----------
+        effect : str
+            Its id.
+        x, y : str
+            The assumptions; all others vary as the priors say.
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; a new figure by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ValueError
+            If the effect or an assumption is unknown.
+        """
+        import matplotlib.pyplot as plt
+
+        printed = {found.id: found.printed for found in self.observed}
+        one_of("effect", effect, printed)
+        u, v = (self.simulations[one_of("an assumption", name, self.priors)].to_numpy() for name in (x, y))
+        size = self.simulations[effect].to_numpy()
+        axis = plt.subplots(layout="constrained")[1] if axes is None else axes
+        most = np.abs(size).max()
+        dots = axis.scatter(u, v, c=size, cmap="RdBu", vmin=-most, vmax=most, s=9)
+        axis.figure.colorbar(dots, ax=axis, label=effect)
+        surface = np.linalg.lstsq(_quadratic(u, v), size, rcond=None)[0]
+        across, up = np.meshgrid(*(np.linspace(*self.priors[name], 60) for name in (x, y)))
+        height = (_quadratic(across.ravel(), up.ravel()) @ surface).reshape(across.shape)
+        for level, style in ((0.0, "-"), (printed[effect], "--")):
+            axis.contour(across, up, height, [level], colors="black", linestyles=style)
+        axis.set(xlabel=x.replace("_", " "), ylabel=y.replace("_", " "), title="simulated; —: 0; - -: as printed")
+        return axis
+
+    @property
+    def words(self) -> str:
+        """What this is, in a line."""
+        count, n = self.settings["simulations"], self.settings["n"]
+        return f"{self.study}: {count} simulated studies of {n} operators, given {', '.join(self.measures)}"
+
     def _repr_html_(self) -> str:
-        words = f"{self.settings['simulations']} simulated studies of {self.settings['n']} simulated operators each"
-        return as_html(words, self.table(), self.checks(), title=f"Calibration of {self.study}")
+        return as_html(f"{self.words} (simulated operators)", self.table(), self.reach(), title="Calibration")
+
+
+def _quadratic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the terms of a quadratic surface."""
+    return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
 def calibrate(
@@ -143,13 +289,13 @@ def calibrate(
 
     Parameters
     ----------
-    study : {"uav", "table_2.5", "table_2.4", "table_2.6"}
-        The study, as the ids of `printed_effects` begin.
+    study : {"uav", "ground_robot", "table_2.4", "table_2.5", "table_2.6"}
+        The study, or one of the tables of that on the ground robot.
     simulations : int
         How many studies to simulate, each under assumptions drawn from the priors.
     n : int
-        Participants of each, as many as the printed study had, up to whole Latin squares; the scatter of small studies is part of
-        what the printed effects are compared with.
+        Operators of each, as many as people took part in the printed study, in multiples of five: the scatter of small studies is part
+        of what the printed effects are compared with.
     seed : int
         Of all draws; simulation i is the same in a larger table.
     priors : mapping of str to (float, float), optional
@@ -173,7 +319,7 @@ def calibrate(
     References
     ----------
     P. Fearnhead and D. Prangle, J. R. Stat. Soc. B 74 (2012) 419-474. M. A. Beaumont, W. Zhang and D. J. Balding, Genetics 162
-    (2002) 2025-2035.
+    (2002) 2025-2035. D. T. Frazier, C. P. Robert and J. Rousseau, J. R. Stat. Soc. B 82 (2020) 421-444.
 
     Examples
     --------
@@ -181,9 +327,9 @@ def calibrate(
     >>> calibration = tl.calibrate("uav", simulations=1000, seed=0)  # doctest: +SKIP
     >>> calibration = tl.reproduction.read_calibration("uav", "data/calibration")  # the same, made before
     >>> calibration.table().columns.tolist()
-    ['assumption', 'prior_low', 'prior_high', 'median', 'low', 'high', 'contraction']
+    ['assumption', 'prior_low', 'prior_high', 'median', 'low', 'high', 'contraction', 'extrapolated']
     """
-    one_of("study", study, ALLOCATION)
+    one_of("study", study, [*dict.fromkeys([*ALLOCATION.values(), *ALLOCATION])])
     ranges = checked_priors(PRIORS if priors is None else priors)
     simulations, seed = whole_number("simulations", simulations), whole_number("seed", seed, least=0)
     accepted = between("accepted", accepted, 0.0, 1.0)
@@ -211,19 +357,29 @@ def calibrate(
 
 
 def calibrated(
-    study: str, ranges: dict[str, tuple[float, float]], simulations: pd.DataFrame, settings: dict
+    study: str,
+    ranges: dict[str, tuple[float, float]],
+    simulations: pd.DataFrame,
+    settings: dict,
+    measures: tuple[str, ...] | None = None,
 ) -> Calibration:
-    """Return the calibration that a table of simulated studies makes."""
+    """Return the calibration that a table of simulated studies makes, given the effects of some measures or all."""
     observed = [effect for effect in observed_effects(study) if effect.id in simulations]
-    sample, kept = posterior_sample(
+    known = tuple(dict.fromkeys(effect.measure for effect in observed))
+    measures = known if measures is None else tuple(one_of("a measure", name, known) for name in measures)
+    if not measures:
+        raise ValueError(f"name at least one measure, any of {', '.join(known)}")
+    chosen = [effect for effect in observed if effect.measure in measures]
+    sample, beyond = posterior_sample(
         simulations[list(ranges)],
-        simulations[[effect.id for effect in observed]].to_numpy(float),
-        np.array([effect.printed for effect in observed]),
+        simulations[[effect.id for effect in chosen]].to_numpy(float),
+        np.array([effect.printed for effect in chosen]),
         ranges,
         settings["accepted"],
         settings["seed"],
     )
-    return Calibration(study, ranges, simulations, sample, kept, settings)
+    extrapolated = tuple(name for name, is_so in zip(ranges, beyond, strict=True) if is_so)
+    return Calibration(study, ranges, simulations, measures, sample, extrapolated, settings)
 
 
 def write_calibration(calibration: Calibration, folder: str | os.PathLike) -> None:
@@ -312,7 +468,7 @@ def posterior_sample(
     seed: int,
 ) -> tuple[pd.DataFrame, np.ndarray]:
     """
-    Return a sample of the posterior, and which simulations it was made from.
+    Return a sample of the posterior, and for which assumptions the observed summary lies beyond all simulated ones.
 
     Parameters
     ----------
@@ -346,9 +502,10 @@ def posterior_sample(
     moved = theta[kept] - away[kept] @ slopes
     rng = np.random.default_rng([seed, 0x706F7374])
     chosen = rng.choice(kept.size, size=4 * kept.size, p=weight / weight.sum())
-    return pd.DataFrame(low + (high - low) * special.ndtr(moved[chosen]), columns=drawn.columns), kept
+    beyond = (away.min(axis=0) > 0.0) | (away.max(axis=0) < 0.0)
+    return pd.DataFrame(low + (high - low) * special.ndtr(moved[chosen]), columns=drawn.columns), beyond
 
 
 def observed_effects(study: str) -> list[Effect]:
     """Return the effects of a study whose size is printed."""
-    return [effect for effect in effects() if effect.study == study and not np.isnan(effect.printed)]
+    return [effect for effect in effects_of(study) if not np.isnan(effect.printed)]

@@ -1,6 +1,7 @@
 """Every effect that the dissertation prints or claims of people and robots, and what the printed models alone predict."""
 
 import math
+import tomllib
 from collections.abc import Iterator
 from decimal import Decimal
 from functools import cache
@@ -12,48 +13,10 @@ import pandas as pd
 from trustlab.allocation.rules import PerformanceRule
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.reproduction.printed_number import printed_decimal, printed_interval
-from trustlab.reproduction.published import published_models, published_table
+from trustlab.reproduction.published import published_folder, published_models, published_table
 from trustlab.reproduction.published_study import published_studies
 
 COLUMNS = ["id", "where", "measure", "contrast", "printed", "low", "high", "p"]
-
-ALLOCATED = ("C2-C1", "C3-C1", "C4-C1", "C5-C1")
-TABLES = {
-    "table_2.4": ("Table 2.4", "2.4", {"tlx": "tlx", "satisfaction": "satisfaction", "trust": "trust"}, ALLOCATED[:2]),
-    "table_2.5": ("Table 2.5", "2.5", {"p_r": "P_r", "p_h": "P_h", "r": "r"}, (*ALLOCATED, "C5-C3")),
-    "table_3.1": (
-        "Table 3.1",
-        "3.1",
-        {"error": "error", "satisfaction": "preference", "tlx": "tlx", "trust": "trust"},
-        ("TMIG-M", "TMIG-MMI"),
-    ),
-}
-"""Where, number, measures with the beginnings of their columns, and contrasts of the printed tables of means."""
-
-STUDIES = {
-    "uav.robot_performance": ("p_r", (*ALLOCATED, "C4-C2", "C4-C3")),
-    "uav.utilization": ("r", ALLOCATED),
-    "uav.human_performance": ("p_h", ALLOCATED),
-    "uav.tlx": ("tlx", ("C3-C1", "C3-C2", "C3-C4", "C3-C5")),
-    "uav.satisfaction": ("satisfaction", ("C3-C1", "C3-C4", "C3-C5")),
-    "uav.trust": ("trust", ("C3-C2", "C3-C4", "C3-C5")),
-    "uav.followed": ("followed_percent", ("C2-C4",)),
-    "teleop.tracking_error": ("error", ("OMI-M", "MMI-M", "TMIG-M", "OMI-MMI", "TMIG-MMI")),
-    "teleop.tlx": ("tlx", ("OMI-M", "TMIG-M", "TMIG-MMI")),
-    "teleop.satisfaction": ("satisfaction", ("OMI-M", "MMI-M", "TMIG-M", "TMIG-MMI")),
-    "teleop.trust": ("trust", ("MMI-M", "TMIG-M", "TMIG-OMI")),
-}
-"""Measure and contrasts of the studies with printed tests: those of studies.toml."""
-
-CLAIMS = (
-    ("abstract", "Abstract", "uav", "p_r", "C3-C1", 1),
-    ("abstract", "Abstract", "uav", "tlx", "C3-C1", -1),
-    ("abstract", "Abstract", "teleop", "error", "TMIG-M", -1),
-    ("section_2.6", "Section 2.6", "uav", "satisfaction", "C3-C5", 1),
-    ("section_2.6", "Section 2.6", "uav", "trust", "C3-C5", 1),
-    ("section_5.2", "Section 5.2", "uav", "p_r", "C5-C3", 1),
-)
-"""Claims of a sign without a size: where, in which study, measure, contrast, sign."""
 
 
 class Effect(NamedTuple):
@@ -78,8 +41,9 @@ class Effect(NamedTuple):
 
 @cache
 def effects() -> tuple[Effect, ...]:
-    """Return all effects, in the order of the text."""
-    return (*_of_tables(), *_of_studies(), *_of_claims())
+    """Return all effects that data/published/effects.toml lists."""
+    listed = tomllib.loads((published_folder() / "effects.toml").read_text(encoding="utf-8"))
+    return (*_of_tables(listed["tables"]), *_of_studies(listed["studies"]), *_of_claims(listed["claims"]))
 
 
 def _difference(after: str, before: str) -> tuple[float, float, float]:
@@ -89,25 +53,20 @@ def _difference(after: str, before: str) -> tuple[float, float, float]:
     return float(exact), low - highest, high - lowest
 
 
-def _of_tables() -> Iterator[Effect]:
-    for study, (where, number, measures, contrasts) in TABLES.items():
-        table = published_table(number)
-        for measure, column in measures.items():
-            for contrast in contrasts:
+def _of_tables(tables: list[dict]) -> Iterator[Effect]:
+    for table in tables:
+        means, where, study = published_table(table["table"]), f"Table {table['table']}", table["study"]
+        for measure, column in table["measures"].items():
+            for contrast in table["contrasts"]:
                 after, before = contrast.split("-")
-                size = _difference(table.loc[after, f"{column}_mean"], table.loc[before, f"{column}_mean"])
+                size = _difference(means.loc[after, column], means.loc[before, column])
                 yield Effect(f"{study}/{measure}/{contrast}", where, measure, contrast, *size, math.nan, study)
-    shares = published_table("2.6")["mean"]
-    size = _difference(shares["C2"], shares["C4"])
-    yield Effect(
-        "table_2.6/followed_percent/C2-C4", "Table 2.6", "followed_percent", "C2-C4", *size, math.nan, "table_2.6"
-    )
 
 
-def _of_studies() -> Iterator[Effect]:
-    for name, (measure, contrasts) in STUDIES.items():
-        study, printed = name.partition(".")[0], published_studies()[name]
-        for contrast in contrasts:
+def _of_studies(studies: list[dict]) -> Iterator[Effect]:
+    for named in studies:
+        study, printed, measure = named["name"].partition(".")[0], published_studies()[named["name"]], named["measure"]
+        for contrast in named["contrasts"]:
             after, before = contrast.split("-")
             text = printed.pairs.get(f"{before}-{after}") or printed.pairs.get(f"{after}-{before}")
             text = text or (printed.t_test or {}).get("p")
@@ -116,10 +75,12 @@ def _of_studies() -> Iterator[Effect]:
             yield Effect(f"{study}/{measure}/{contrast}", printed.where, measure, contrast, *size, p, study)
 
 
-def _of_claims() -> Iterator[Effect]:
-    for prefix, where, study, measure, contrast, sign in CLAIMS:
-        low, high = (0.0, math.inf) if sign > 0 else (-math.inf, 0.0)
-        yield Effect(f"{prefix}/{measure}/{contrast}", where, measure, contrast, math.nan, low, high, math.nan, study)
+def _of_claims(claims: list[dict]) -> Iterator[Effect]:
+    for claim in claims:
+        low, high = (0.0, math.inf) if claim["sign"] > 0 else (-math.inf, 0.0)
+        where, measure, contrast = claim["where"], claim["measure"], claim["contrast"]
+        id = f"{claim['id']}/{measure}/{contrast}"
+        yield Effect(id, where, measure, contrast, math.nan, low, high, math.nan, claim["study"])
 
 
 def printed_effects() -> pd.DataFrame:

@@ -1,21 +1,23 @@
 """Every printed effect in simulated people, under named assumptions about them."""
 
 import math
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy import stats
 
 from trustlab.campaign.run import run_campaign, where_to_run
 from trustlab.models.checks import one_of, whole_number
 from trustlab.operators.answers import simulated_answers
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.reproduction.effects import COLUMNS, Effect, effects
-from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.populations import TeleoperatorPopulation
 from trustlab.studies.planning.virtual_study import virtual_study
 from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES
+from trustlab.testbeds.deciding import CONDITIONS
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
 ALLOCATION = {"table_2.4": "ground_robot", "table_2.5": "ground_robot", "table_2.6": "ground_robot", "uav": "uav"}
@@ -27,6 +29,7 @@ TELEOPERATION = {
 }
 """Settings, schemes and points of the scale of satisfaction of the studies of Chapter 3."""
 
+SIMULATED = ["simulated", "se", "operators", "p_simulated", "agrees", "reason"]
 SILENT = "simulated operators answer no questionnaire unless load_utilization or load_switching is assumed"
 FIVE_POINTS = 4.0 / 6.0
 """Satisfaction was answered from 1 to 5 in Section 2.4.1, and is simulated from 1 to 7."""
@@ -51,11 +54,12 @@ def simulated_effects(
     assumptions : mapping of str to float, optional
         Any of `trustlab.operators.ASSUMPTIONS`; none, everything off, by default.
     n : int
-        Participants of every study; filled up to whole Latin squares under C1–C5.
+        Operators of every study; under C1–C5 the next multiple of five, so that every condition comes equally often first, second …
     seed : int
-        Of all people and runs.
-    only : {"table_2.4", "table_2.5", "table_2.6", "uav", "table_3.1", "teleop"}, optional
-        The study to simulate; all of them when not given. Rows of other studies are then left out.
+        Of all operators and runs.
+    only : {"ground_robot", "uav", "table_2.4", "table_2.5", "table_2.6", "table_3.1", "teleop"}, optional
+        The study to simulate, "ground_robot" for that of Tables 2.4 to 2.6; all of them when not given. Rows of other studies are then
+        left out.
     n_jobs : int, optional
         Processes, as for `run_campaign`; no effect on results.
 
@@ -63,7 +67,8 @@ def simulated_effects(
     -------
     pandas.DataFrame
         Columns id, where, measure, contrast, printed, low, high, p as `printed_effects`; simulated, the mean difference; se, its
-        standard error over participants; agrees, whether simulated ± 2 se meets what is printed, from low to high (missing where
+        standard error over operators; operators, how many have the measure in both conditions; p_simulated, of the paired t-test, not
+        adjusted for the number of pairs; agrees, whether simulated ± 2 se meets what is printed, from low to high (missing where
         nothing is simulated); reason, why not. `attrs["origin"]` says that it is simulated.
 
     Raises
@@ -80,29 +85,35 @@ def simulated_effects(
     """
     assumed = checked_assumptions({} if assumptions is None else assumptions)
     n, seed = whole_number("n", n, least=3), whole_number("seed", seed, least=0)
-    if only is not None:
-        one_of("only", only, [*ALLOCATION, *TELEOPERATION])
     measures: dict[str, pd.DataFrame] = {}
     rows = []
-    for effect in effects():
-        if only is not None and effect.study != only:
-            continue
+    for effect in effects_of(only):
         place = ALLOCATION.get(effect.study, effect.study)
         if place not in measures:
             measures[place] = _measured(place, assumed, n, seed, n_jobs)
         rows.append((*effect[: len(COLUMNS)], *_compared(effect, measures[place])))
-    frame = pd.DataFrame(rows, columns=[*COLUMNS, "simulated", "se", "agrees", "reason"])
+    frame = pd.DataFrame(rows, columns=[*COLUMNS, *SIMULATED])
     frame["agrees"] = frame["agrees"].astype("boolean")
     frame.attrs = {"origin": "simulated operators", "assumptions": assumed, "n": n, "seed": seed}
     return frame
 
 
+def effects_of(study: str | None) -> list[Effect]:
+    """Return the effects of a study, of all that were printed of the people on the ground robot, or all."""
+    if study is None:
+        return list(effects())
+    one_of("only", study, [*dict.fromkeys([*ALLOCATION.values(), *ALLOCATION, *TELEOPERATION])])
+    return [effect for effect in effects() if study in (effect.study, ALLOCATION.get(effect.study))]
+
+
 def _measured(place: str, assumed: dict[str, float], n: int, seed: int, n_jobs: int | None) -> pd.DataFrame:
-    """Return the measures of a study: participant, condition and a column per measure."""
+    """Return the measures of a study: participant (the operator's number), condition and a column per measure."""
     if place in TELEOPERATION:
         return _teleoperated(place, n, seed, n_jobs)
-    people = participants_needed(5, n)
-    study = virtual_study(n=people, seed=seed, testbed=place, assumptions=assumed, n_jobs=n_jobs, progress=False)
+    n = len(CONDITIONS) * math.ceil(n / len(CONDITIONS))
+    with warnings.catch_warnings():  # carry-over, which half squares leave unbalanced, is not estimated
+        warnings.filterwarnings("ignore", f"{n} participants fill half")
+        study = virtual_study(n=n, seed=seed, testbed=place, assumptions=assumed, n_jobs=n_jobs, progress=False)
     frame = study.measures.astype({"condition": str})
     if place == "ground_robot" and "satisfaction" in frame:
         frame["satisfaction"] = 1.0 + FIVE_POINTS * (frame["satisfaction"] - 1.0)
@@ -142,17 +153,19 @@ def teleoperate(
     return found
 
 
-def _compared(effect: Effect, measures: pd.DataFrame) -> tuple[float, float, object, str]:
-    """Return the mean difference over participants, its standard error, whether it agrees, and why there is none."""
+def _compared(effect: Effect, measures: pd.DataFrame) -> tuple[float, float, int, float, object, str]:
+    """Return the mean difference, its standard error, over how many, p, whether it agrees, and why there is none."""
     if effect.measure not in measures:
-        return math.nan, math.nan, pd.NA, SILENT
+        return math.nan, math.nan, 0, math.nan, pd.NA, SILENT
     after, before = (
         measures[measures["condition"] == condition].set_index("participant")[effect.measure]
         for condition in effect.conditions
     )
     difference = (after - before).dropna()
-    if len(difference) < 3:
-        return math.nan, math.nan, pd.NA, f"only {len(difference)} participants have the measure in both conditions"
+    count = len(difference)
+    if count < 3:
+        return math.nan, math.nan, count, math.nan, pd.NA, f"only {count} operators have the measure in both conditions"
     mean, se = float(difference.mean()), float(difference.sem())
+    p = float(2.0 * stats.t.sf(abs(mean) / se, count - 1)) if se > 0.0 else math.nan
     agrees = effect.low <= mean + 2.0 * se and mean - 2.0 * se <= effect.high
-    return mean, se, agrees, ""
+    return mean, se, count, p, agrees, ""
