@@ -114,7 +114,10 @@ def test_effects_beyond_all_simulations_are_said_to_be_out_of_reach():
     ("call", "says"),
     [
         (lambda found: found.given("trust"), "a measure must be one of 'p_r'"),
-        (lambda found: made_up({"p_r": 2.0, "p_h": 2.0, "r": 2.0}).within_reach(), "no measure of table_2.5 is within reach"),
+        (
+            lambda found: made_up({"p_r": 2.0, "p_h": 2.0, "r": 2.0}).within_reach(),
+            "no measure of table_2.5 is within reach",
+        ),
         (lambda found: found.given(), "name at least one measure"),
         (lambda found: found.plot_sign("table_2.5/p_r/C1-C9"), "effect must be one of"),
         (lambda found: found.plot_sign("table_2.5/p_r/C3-C1", x="lag"), "an assumption must be one of"),

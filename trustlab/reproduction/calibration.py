@@ -156,7 +156,9 @@ class Calibration:
             shares = [-1.0 if one.extrapolated else float(one.reach()["share"].iloc[-1]) for one in found]
             if max(shares) >= share:
                 return found[int(np.argmax(shares))]
-        raise ValueError(f"no measure of {self.study} is within reach of the simulated studies, at a share of {share:g}")
+        raise ValueError(
+            f"no measure of {self.study} is within reach of the simulated studies, at a share of {share:g}"
+        )
 
     def checks(self, studies: int = 40, seed: int = 1, *, n_jobs: int | None = None) -> pd.DataFrame:
         """

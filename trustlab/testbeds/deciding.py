@@ -223,7 +223,7 @@ def skill_now(task, person, state):
     return skill
 
 
-@njit
+@njit(_nrt=False)
 def measure(task, k, z_r, z_h, state):
     """Move performance as measured, (2.4) and (2.7), to the window that ends at sample k, and TSC (2.1) with it."""
     state.sum_r, state.sum_h = state.sum_r + z_r[k], state.sum_h + z_h[k]

@@ -361,6 +361,7 @@ def _drive(task, most, robot, course, operator, seed, schedule=None, correction=
         log,
         lap_times,
         correction or no_correction(),
+        kernel.scratch(log.size, course.numbers),
     )
     if done < task.laps:
         raise ValueError(

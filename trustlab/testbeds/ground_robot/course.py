@@ -38,7 +38,7 @@ class CourseNumbers(NamedTuple):
     stretch: float
 
 
-@njit
+@njit(_nrt=False)
 def piece_distance(x, y, path, i):
     """Return the squared distance of a point from a piece of a polyline, the point nearest to it, and its arc length."""
     ax, ay, s = path[i, 0], path[i, 1], path[i, 2]
@@ -51,7 +51,7 @@ def piece_distance(x, y, path, i):
     return (x - px) ** 2 + (y - py) ** 2, px, py, s + share * length
 
 
-@njit
+@njit(_nrt=False)
 def nearest_point(x, y, path):
     """Return the nearest point of a closed polyline, its arc length and its distance: x, y, s, e."""
     best, best_x, best_y, best_s = np.inf, 0.0, 0.0, 0.0
@@ -62,7 +62,7 @@ def nearest_point(x, y, path):
     return best_x, best_y, best_s, np.sqrt(best)
 
 
-@njit
+@njit(_nrt=False)
 def nearest_of(x, y, course):
     """Return the same as `nearest_point`, from the pieces listed for the point's cell alone."""
     i, j = int(np.floor((x - course.low_x) / course.cell)), int(np.floor((y - course.low_y) / course.cell))
@@ -94,7 +94,7 @@ def near_pieces(path, low_x, low_y, cell, shape_x, shape_y):
     return first, np.array(pieces)
 
 
-@njit
+@njit(_nrt=False)
 def point_at(s, i, path):
     """Return the point at arc length `s` on piece i of a polyline, and the unit tangent there: x, y, tx, ty."""
     step = path[i + 1, 2] - path[i, 2]
@@ -112,7 +112,7 @@ def path_point(s, path):
     return point_at(s, i, path)
 
 
-@njit
+@njit(_nrt=False)
 def point_ahead(s, course):
     """Return the same as `path_point`, searching from the piece listed for the stretch of the path."""
     path = course.path

@@ -10,7 +10,7 @@ from trustlab.models.compiled import njit
 from trustlab.models.portable import cos_sin, direction, wrapped
 
 
-@njit
+@njit(_nrt=False)
 def scan(posts, robot, state, sensing, offsets):
     """
     Compare posts seen with where the estimate has them: mean offset dx, dy, turn of the pattern, number seen.

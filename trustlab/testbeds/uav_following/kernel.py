@@ -125,16 +125,16 @@ def fly(flight, dt, row, state):
     state.v_y, state.a_y = moved(flight, state.v_y, state.a_y, u_y)
 
 
-@njit
-def follow(task, schedule, flight, position, velocity, person, sensing, hand, mind, states, log):
+@njit(_nrt=False)
+def follow(task, schedule, flight, position, velocity, person, sensing, hand, mind, states, log, z_r, z_h):
     """
     Fill the records of `log` behind a leader at `position` with `velocity`, both of shape (N, 3).
 
     schedule, shape (N,): modes, used by the scheme SCHEDULE alone. person: numbers of an `Operator`. sensing, hand, mind: generators
-    of noise. states, shape (1,): a record of STATE.
+    of noise. states, shape (1,): a record of STATE. z_r, z_h, shape (N,): room for momentary performance.
     """
     dt, state = task.sample_time, states[0]
-    delay, z_r, z_h = round(person.delay / dt), np.empty(log.size), np.empty(log.size)
+    delay = round(person.delay / dt)
     rates = Rates(
         np.exp(-dt / flight.wander_time),
         np.exp(-dt / flight.shake_time),

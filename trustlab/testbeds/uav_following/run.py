@@ -150,5 +150,6 @@ def _fly(
     position, velocity = LEADER.path(sample_times(log.size), 0.0, start.uniform(0.0, 2.0 * np.pi))
     schedule = np.ones(SAMPLES, np.int64) if modes is None else modes
     states = np.zeros(1, kernel.STATE)
-    kernel.follow(task, schedule, flight(), position, velocity, operator.numbers, *streams, states, log)
+    room = np.empty((2, SAMPLES))
+    kernel.follow(task, schedule, flight(), position, velocity, operator.numbers, *streams, states, log, *room)
     return (log,)
