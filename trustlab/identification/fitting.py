@@ -56,28 +56,31 @@ def fit(
         its own residual variance. "regression" is least squares on one-step predictions, for a structure with a
         `LinearForm`: quick, and biased when the outputs are measured with noise.
     fixed : mapping, optional
-        Values to hold, by name.
+        Parameters to hold fixed: values by name.
     bounds : mapping, optional
-        (low, high) by name, None for an open side.
+        Bounds (low, high) by name; None leaves a side open.
     noise : {"auto", "white", "correlated", "hac"}
-        What the likelihood and the standard errors allow for: white noise; an AR(1) process under white noise, of each
-        output (also what process noise of a first-order state looks like), by the prediction errors of its Kalman filter;
-        or, in the standard errors alone, any autocorrelation that dies out (Newey–West). "auto" goes from the first to the
-        second, and on to the third, where a Ljung–Box test at 0.001 rejects what comes before.
+        What the likelihood and the standard errors allow for. "white": white noise. "correlated": an AR(1) process
+        plus white noise on each output, by the prediction errors of its Kalman filter; process noise of a first-order
+        state looks the same. "hac": any autocorrelation that dies out (Newey–West), in the standard errors only.
+        "auto" starts with the first and moves on to the next where a Ljung–Box test at 0.001 rejects it.
     guess : mapping, optional
-        Where the search starts, by name, in place of the structure's own guess.
+        Starting values by name, in place of the structure's own.
     window : float, optional
-        Length W [s] of the moving mean that the outputs are, as `with_performance` computes it; 0 if they are none. What
-        each session says when not given.
+        Length W [s] of the moving window over which the outputs were averaged, as `with_performance` does; 0 if they
+        were not averaged. By default what each session's metadata say.
     step : float, optional
-        The model's step [s], to which the rates belong, if shorter than the log's: a whole number of steps per sample.
+        Time step of the model [s], to which its rates refer, if it is shorter than the log's sample time; a sample
+        must hold a whole number of steps.
     mode_delay : bool
-        Whether to estimate how much later than its stamp the mode acts [s], as a further parameter `mode_delay`.
+        Whether to estimate the delay between the logged time of a change of mode and its effect [s], as a further
+        parameter `mode_delay`.
     stamp_error : float, optional
-        Standard deviation of the mode's time stamps [s], independent from switch to switch; it widens the intervals. When
-        not given 0.29 samples, the error of a rounded time, for sessions that were resampled, 0 for others.
+        Standard deviation of the errors in the logged times of switches [s], independent from switch to switch; it
+        widens the intervals. By default 0.29 samples, the error of a rounded time, for sessions that were resampled,
+        and 0 for others.
     robust : bool
-        Whether to leave out samples that jump far away from the model (dropouts); the message counts them.
+        Whether to leave out samples that lie far from the model, such as dropouts; the message says how many.
 
     Returns
     -------

@@ -52,7 +52,7 @@ def fit_human(
     fixed : mapping, optional
         Values to hold, by name: a, beta, p_min, p_max, r0.
     bounds : mapping, optional
-        (low, high) by name, None for an open side.
+        Bounds (low, high) by name; None leaves a side open.
     noise : {"auto", "white", "correlated", "hac"}
         What the standard errors allow for; see `fit`.
     **logged : float or bool

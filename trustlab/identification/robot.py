@@ -48,15 +48,15 @@ def fit_robot(
         "output_error" minimises Σ (p_r − P_r(k))² of the simulated model. "arx" is the dissertation's least squares
         on P_r(k + 1) = a P_r(k) + b M(k) P_h(k) + c: quick, and biased when p_r is measured with noise.
     p_h_max : float, optional
-        Greatest human performance, which p_max refers to. Identified from the same sessions (`fit_human`) when not
-        given; its uncertainty is then part of that of p_max.
+        Greatest human performance, to which p_max refers in (2.3). By default it is identified from the same sessions
+        (`fit_human`), and its uncertainty is part of that of p_max.
     fixed : mapping, optional
         Values to hold, by name: a, p_min, p_max, p_r0.
     bounds : mapping, optional
-        (low, high) by name, None for an open side.
+        Bounds (low, high) by name; None leaves a side open.
     noise : {"auto", "white", "correlated", "hac"}
-        What the standard errors allow for; see `fit`. White noise of the input p_h, estimated from its first
-        differences, is allowed for in any case.
+        What the standard errors allow for; see `fit`. White noise on the input p_h is always allowed for; its
+        variance is estimated from first differences.
     **logged : float or bool
         window, step, mode_delay, stamp_error, robust: how the log shows the model; see `fit`.
         With a window, a finer step or a delay the measured P_h is not what drives

@@ -99,12 +99,12 @@ class Parameter:
         The coordinate of the search: the parameter itself; −ln(1 − a), for the share kept over one sample, in (0, 1);
         the log odds, for a share in (0, 1). Or a function of the initial guess that returns a `Coordinate`.
     span : tuple of str, optional
-        Two parameters whose distance is the scale of this one: with a 95 % interval beyond ± half of it, the parameter
-        is reported as weak.
+        Two parameters whose difference is the scale of this one: if its 95 % interval exceeds ± half that difference,
+        the parameter is reported as weak.
     hint : str
         What to record when the data determine the parameter weakly.
     ends : mapping of float to str
-        What it means when the parameter is found at a bound; such a parameter is no reason for doubt.
+        For a bound at which an estimate is legitimate: what it means. An estimate there is no reason for doubt.
 
     Raises
     ------
@@ -231,7 +231,7 @@ class Structure:
         ``sensitivities(run, **values)`` returns the outputs and, for each, its derivatives, shape (N, number of names
         in `affected_by`). Central differences of `simulate` when not given.
     affected_by : mapping, optional
-        Names of the parameters and initial states that move an output, by output; all when not given.
+        Names of the parameters and initial states that affect each output, by output; all by default.
     guess : callable, optional
         ``guess(runs, limits)`` returns starting values by name, or several such mappings, best first, where the likelihood
         has several valleys; an initial state may have one value per run.
@@ -244,7 +244,8 @@ class Structure:
     linear : LinearForm, optional
         The structure as a linear regression.
     step : float, optional
-        The model's own step [s]: a fit to a log with samples further apart is doubted unless it states a step.
+        Time step of the model [s]: a fit to a log with a longer sample time is reported as doubtful unless it is
+        given a step.
 
     Raises
     ------
@@ -304,7 +305,7 @@ class Structure:
 
     def columns_of(self, output: str) -> list[int]:
         """
-        Return the numbers, in `names`, of what moves an output: the columns of its derivatives.
+        Return the indices, in `names`, of what affects an output: the columns of its derivatives.
 
         Parameters
         ----------
@@ -379,7 +380,7 @@ class Structure:
         Parameters
         ----------
         fixed : mapping, optional
-            Values to hold, by name.
+            Parameters to hold fixed: values by name.
         bounds : mapping, optional
             (low, high) by name; None for an open side.
 

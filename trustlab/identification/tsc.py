@@ -46,7 +46,7 @@ def fit_tsc(
         Values to hold, by name: human_a, human_beta, human_p_min, human_p_max, robot_a, robot_p_min, robot_p_max,
         r0, p_r0.
     bounds : mapping, optional
-        (low, high) by name, None for an open side.
+        Bounds (low, high) by name; None leaves a side open.
     noise : {"auto", "white", "correlated", "hac"}
         What the standard errors allow for; see `fit`.
     **logged : float or bool

@@ -73,7 +73,7 @@ class ChannelRun:
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
-            Where; a new figure when not given.
+            Axes to draw on; a new figure by default.
 
         Returns
         -------

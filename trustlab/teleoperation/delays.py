@@ -25,7 +25,7 @@ class Delay:
     title : str
         What it is, for the log.
     end : float
-        Until when it is known [s].
+        Time up to which it is known [s].
     """
 
     function: Callable[[np.ndarray], np.ndarray]

@@ -49,7 +49,8 @@ def dominance(scattering: Scattering) -> dict[str, float]:
 
     In u_r and f'_m the force dominates by √(2α_max/b) and √(2/(bβ_max)): it gains from smaller b and β_max and larger α_max. In
     r'_s and u_l the velocity dominates by √(2b/α_max) and √(2bβ_max): it gains from larger b, from smaller α_max in the first
-    and larger β_max in the second. Section 3.7.1 says that smaller β helps velocity; no choice of its lost bar makes that so.
+    and larger β_max in the second. Section 3.7.1 says that a smaller β helps velocity; it does not, whichever bar the
+    text has lost.
 
     Parameters
     ----------

@@ -25,9 +25,9 @@ def plot_scales(settings: LoopSettings, ax=None):
     Parameters
     ----------
     settings : LoopSettings
-        Whose bounds.
+        Settings whose bounds are shown.
     ax : matplotlib.axes.Axes, optional
-        Where; a new figure when not given.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
@@ -52,9 +52,9 @@ def plot_transparency(settings: Mapping[str, LoopSettings] = STUDIES, points: in
     Parameters
     ----------
     settings : mapping of str to LoopSettings
-        What to mark.
+        Settings to mark, by label.
     points : int
-        Of each axis.
+        Number of points along each axis.
 
     Returns
     -------
@@ -88,11 +88,11 @@ def plot_rendered_spring(settings: Mapping[str, LoopSettings] = STUDIES, delay: 
     Parameters
     ----------
     settings : mapping of str to LoopSettings
-        Whose springs and channels.
+        Settings whose springs and channels are shown, by label.
     delay : float
         One way [s].
     ax : matplotlib.axes.Axes, optional
-        Where; a new figure when not given.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
@@ -112,14 +112,14 @@ def plot_rendered_spring(settings: Mapping[str, LoopSettings] = STUDIES, delay: 
 
 def plot_tunings(tunings: Iterable[Tuning], ax=None):
     """
-    Plot what tunings by several weights trade: the distance of velocity from ideal against that of force.
+    Plot the trade-off between tunings with several weights: how far velocity and force are from ideal.
 
     Parameters
     ----------
     tunings : iterable of Tuning
-        Of `tune_transparency`.
+        Results of `tune_transparency`.
     ax : matplotlib.axes.Axes, optional
-        Where; a new figure when not given.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------

@@ -15,13 +15,13 @@ STUDY_NAMES = ("preliminary", "main")
 
 
 class DivergenceError(ArithmeticError):
-    """A run grew without bound; says when, which block, and the energy in it. `.session` is the run so far, where it has two samples."""
+    """A run grew without bound: says when, in which block, and its energy. `.session` has the run so far, if two samples."""
 
     session: Session | None = None
 
 
 class PartError(ValueError):
-    """A part of the loop raised an error or returned what cannot be; says which and when. `.session` is the run so far, where it has two samples."""
+    """A part raised an error or returned an invalid value: says which and when. `.session` has the run so far, if two samples."""
 
     session: Session | None = None
 
@@ -58,7 +58,7 @@ class LoopSettings:
     title : str
         What these settings are.
     study : {"main", "preliminary"}
-        Whose task, delays and operator's reach are used where they are not given; `dataclasses.replace` keeps it.
+        The study whose task, delays and operator's reach are the defaults; `dataclasses.replace` keeps it.
 
     Raises
     ------

@@ -81,9 +81,10 @@ class PassivityController:
         never grows, and the energy undershoots zero by at most T|vᵀf'| of one sample. "repay" is Hannaford and Ryu's: the
         sample that would end below zero is damped so that it ends at zero; forces can spike.
     cap : float
-        "repay" only: largest force z‖v‖ [N]; what it leaves is the deficit, repaid later.
+        "repay" only: largest damping force z‖v‖ [N]; energy that it cannot absorb remains as a deficit and is repaid
+        later.
     velocity_floor : float
-        Below this speed [m/s] nothing is injected.
+        Below this speed [m/s] no damping is injected.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from trustlab.teleoperation.team.settings import TeamSettings
 
 
 class GraphError(ValueError):
-    """A graph that is no team's: with a self-loop, a negative weight, robots that nobody sees, or of one robot."""
+    """A graph that cannot describe a team: a self-loop, a negative weight, robots that nobody sees, or a single robot."""
 
 
 class TeamGraph(NamedTuple):
@@ -195,7 +195,7 @@ def scaled_settings(graph, within: float = 200.0, settings: TeamSettings | None 
     within : float
         Time to the goal [s].
     settings : TeamSettings, optional
-        Whose other settings to keep.
+        Settings from which the others are taken.
 
     Raises
     ------

@@ -13,30 +13,30 @@ from trustlab.models.checks import finite_array, not_negative, one_of, positive,
 @dataclass(frozen=True, eq=False)
 class Decision:
     """
-    What a live policy decides on.
+    What a live policy knows when it decides.
 
     Parameters
     ----------
     t : float
         Now [s].
     robots : tuple
-        Names of all robots that are ever in the team.
+        Names of all robots that are in the team at any time.
     present : numpy.ndarray, shape (N,)
-        Which are in it now.
+        Which of them are in it now.
     trust : numpy.ndarray, shape (N,)
-        Human-to-robot trust (4.1) now; −inf in robots that are absent, so that argmax never picks them.
+        Human-to-robot trust (4.1) now; −inf for absent robots, so that argmax never picks them.
     leader : int or None
-        The number of who leads; None at the start.
+        Index of the present leader; None at the start.
     since : float
-        Since when [s].
+        When it began to lead [s].
     dwell : float
-        τ_min [s]: how long a leader stays at least, unless it leaves the team.
+        τ_min [s]: how long a leader stays at the least, unless it leaves the team.
     rng : numpy.random.Generator
         The run's own stream for policies.
     memory : dict
-        Empty at the start, the same at all decisions of a run: the policy's state.
+        State of the policy: empty at the start, kept from one decision of a run to the next.
     where : callable
-        Behind `positions`, worked out only when asked for.
+        Computes `positions`, only when asked for.
     """
 
     t: float
@@ -57,7 +57,7 @@ class Decision:
 
     @property
     def free(self) -> bool:
-        """Whether another robot may take over: nobody leads, the leader has left, or it has led for τ_min."""
+        """Whether another robot may take over: there is no leader, it has left, or it has led for τ_min."""
         return self.leader is None or not self.present[self.leader] or self.t - self.since >= self.dwell - 1e-9
 
 
@@ -173,7 +173,7 @@ class GivenSequence:
     times : array_like, shape (S,), optional
         When each begins to lead [s], the first at 0.
     every : float, optional
-        Without `times`: how long each leads [s], the sequence begun again at its end; 2 τ_min when not given.
+        How long each leads [s] if `times` is not given; the sequence then repeats. By default 2 τ_min.
 
     Raises
     ------

@@ -22,7 +22,7 @@ PER_ROBOT: dict[str, Any] = {"scattering": Scattering, "human_to_robot": TrustMo
 @dataclass(frozen=True)
 class TeamSettings:
     """
-    Blocks of Fig. 4.1 that are not the graph; Chapter 4 prints no numbers, so that these are ours.
+    Settings of the blocks of Fig. 4.1 other than the graph. Chapter 4 prints no numbers; these are ours.
 
     What limits a large team is (4.22): a velocity r_s of the leader moves the mean of N robots by r_s/N only, and what the leader
     knows spreads by the slow modes of L. Three gains answer to that: ζ̇ = −c L q, q̇ = c Lᵀζ − c L q + g D r_s and
@@ -131,8 +131,8 @@ class TeamOperator:
 
     f_h = σ κ e − d r_m with e = r_q − y_h(t − T), κ = push, ‖κ e‖ cut at `reach`, d = drag. V_h of (4.30) is observed, and the
     share σ ∈ [0, 1] is the greatest with which the hand leaves V_h ≥ −β_h + reserve. A hand that pushes needs energy, which
-    the budget holds; one that is dragged stores some. No law of the hand can do more: r_s(t − T)ᵀe is not in its power, and
-    the reserve is for it. Whether V_h ≥ −β_h held is said by the run.
+    the budget holds; one that is dragged stores some. No control law of the hand can guarantee more, because it does
+    not control r_s(t − T)ᵀe, for which the reserve is kept. The run reports whether V_h ≥ −β_h held.
 
     Parameters
     ----------
@@ -143,9 +143,9 @@ class TeamOperator:
     drag : float
         d [N s/m].
     budget : float
-        β_h [J] in units of V_e(0) + 1 J, for teams that begin far away need more.
+        β_h in units of V_e(0) + 1 J, as teams that start far from the goal need more.
     reserve : float
-        Share of β_h that pushing leaves alone.
+        Share of β_h that pushing does not use.
     guarded : bool
         Observe V_h and scale; without it V_h is only logged.
     slow_down : bool
