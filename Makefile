@@ -1,6 +1,6 @@
 # `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
 .DEFAULT_GOAL := help
-.PHONY: environment reports docs test test-long lock bench lab data calibration clean help
+.PHONY: environment reports docs test test-long lock bench lab data calibration kernel clean help
 
 PYTHON ?= python3
 VENV := .venv
@@ -70,6 +70,9 @@ data: $(VENV)/.stamp  ## write data/sessions/ again from its seeds
 
 calibration: $(VENV)/.stamp  ## simulate the studies behind data/calibration/ again; goes on where it was stopped
 	$(BIN)/python data/calibration/make_calibration.py
+
+kernel: $(VENV)/.stamp  ## compile the live drive's physics to WebAssembly again (needs wasm-ld or the package ziglang)
+	$(BIN)/python -m trustlab.live.build
 
 lock:  ## resolve environment.lock again (needs uv)
 	uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 \

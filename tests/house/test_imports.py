@@ -18,6 +18,7 @@ ROOMS = [
     "studies",
     "reproduction",
     "publishing",
+    "live",
 ]
 HEAVY = [
     "pandas",
