@@ -1,6 +1,6 @@
 # `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
 .DEFAULT_GOAL := help
-.PHONY: environment reports docs test test-long lock bench lab data calibration kernel clean help
+.PHONY: environment reports docs test test-long lock bench lab study data calibration kernel clean help
 
 PYTHON ?= python3
 VENV := .venv
@@ -8,6 +8,7 @@ BIN := $(VENV)/bin
 UV := $(shell command -v uv 2>/dev/null)
 PARAMS ?=
 ONLY ?=
+DIR ?=
 JOBS ?= auto
 
 # One at a time: the second of two commands in a fresh clone waits, and finds it built.
@@ -64,6 +65,10 @@ endif
 
 lab: $(VENV)/.stamp  ## JupyterLab in notebooks/
 	$(BIN)/jupyter lab --notebook-dir=notebooks
+
+study: $(VENV)/.stamp  ## serve the live study in a folder: make study DIR=mystudy
+	@[ -n "$(DIR)" ] || { echo "which study? make study DIR=mystudy"; exit 1; }
+	$(BIN)/python -m trustlab.live.study "$(DIR)"
 
 data: $(VENV)/.stamp  ## write data/sessions/ again from its seeds
 	$(BIN)/python data/sessions/make_sessions.py

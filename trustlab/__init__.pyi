@@ -4,6 +4,7 @@ from . import (
     allocation as allocation,
     campaign as campaign,
     identification as identification,
+    live as live,
     models as models,
     operators as operators,
     publishing as publishing,
@@ -52,6 +53,7 @@ from .identification import (
     fit_transfer_function as fit_transfer_function,
     fit_tsc as fit_tsc,
 )
+from .live import LiveStudy as LiveStudy, read_live_study as read_live_study
 from .models import (
     HumanModel as HumanModel,
     RobotModel as RobotModel,

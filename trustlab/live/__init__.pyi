@@ -1,1 +1,2 @@
-
+from .study.plan import LiveStudy as LiveStudy
+from .study.recorded import RecordedStudy as RecordedStudy, read_live_study as read_live_study

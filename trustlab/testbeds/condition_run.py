@@ -18,9 +18,17 @@ MEANS = ("p_r", "p_h", "r", "tsc", "path_error")
 
 
 def condition_measures(
-    log: Any, t: np.ndarray, condition: str, operator: Operator, model: TscModel, lap_times: np.ndarray | None = None
+    log: Any,
+    t: np.ndarray,
+    condition: str,
+    operator: Operator | None = None,
+    model: TscModel | None = None,
+    lap_times: np.ndarray | None = None,
 ) -> dict[str, float]:
-    """Return the outcome measures of a run from its log, anything with columns by name, as `ConditionRun.measures`."""
+    """Return the outcome measures of a run from its log, anything with columns by name, as `ConditionRun.measures`.
+
+    Without an operator nobody's answers are simulated: people give their own.
+    """
     found = {name: float(log[name].mean()) for name in MEANS}
     if lap_times is not None:
         found["speed"] = float(log["step_distance"].mean()) / SAMPLE_TIME
@@ -33,7 +41,7 @@ def condition_measures(
     states = [state for _, _, _, state in suggestion_episodes(t, log["mode"], log["suggested_mode"], DEADLINE)]
     followed, decided = states.count(FOLLOWED), states.count(FOLLOWED) + states.count(NOT_FOLLOWED)
     found |= {"suggestions": decided, "followed_percent": 100.0 * followed / decided if decided else np.nan}
-    if operator.load_utilization or operator.load_switching:
+    if operator is not None and (operator.load_utilization or operator.load_switching):
         scheme, forced = KNOWN.get(condition, (SCHEDULE, True))  # a rule of one's own is judged by nobody
         judged = 0 if forced else found["switches"] if scheme == OWN else decided
         found |= allocation_answers(log["mode"], log["tsc"], found, judged, operator, model)

@@ -1,0 +1,70 @@
+"""A small study, its server, and a client that asks as a browser does, or as one should not."""
+
+import http.client
+import json
+import warnings
+from types import SimpleNamespace
+from urllib.parse import urlsplit
+
+import pytest
+
+import trustlab as tl
+from trustlab.live.study.server import StudyServer
+
+SHORT = {"laps": 1, "training": 10.0, "identification": [(1, 20.0), (0, 20.0)]}
+
+
+def ask(url, body=None, *, method=None, host=None, path=None, **headers):
+    """One request, as a page of the study would send it but for what is given; returns status, headers and JSON or bytes."""
+    place = urlsplit(url)
+    link = http.client.HTTPConnection(place.hostname, place.port, timeout=60)
+    own = {"Host": host or place.netloc}
+    data = None
+    if body is not None:
+        data = body if isinstance(body, bytes) else json.dumps(body).encode()
+        own |= {"Content-Type": "application/json", "Origin": f"http://{place.netloc}"}
+    own |= {name.replace("_", "-"): value for name, value in headers.items()}
+    link.putrequest(method or ("GET" if body is None else "POST"), path or place.path, skip_host=True)
+    for name, value in own.items():
+        if value is not None:
+            link.putheader(name, value)
+    if data is not None:
+        link.putheader("Content-Length", str(len(data)))
+    try:
+        link.endheaders(data)
+        answer = link.getresponse()
+        content = answer.read()
+    except (ConnectionError, http.client.HTTPException):
+        return SimpleNamespace(status=0, headers={}, content=b"", json={})
+    finally:
+        link.close()
+    kind = answer.headers.get("Content-Type", "")
+    found = json.loads(content) if "json" in kind and content else {}
+    return SimpleNamespace(status=answer.status, headers=answer.headers, content=content, json=found)
+
+
+@pytest.fixture(scope="session")
+def client():
+    return ask
+
+
+@pytest.fixture
+def make_plan(tmp_path):
+    """A function that plans a small study: two conditions, three participants, short drives."""
+
+    def make(conditions=("C1", "C3"), participants=3, name="mystudy", **options):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            return tl.LiveStudy(
+                tmp_path / name, list(conditions), participants, **{"whole_squares": False, **SHORT, **options}
+            )
+
+    return make
+
+
+@pytest.fixture
+def served(make_plan):
+    """A small study that is being served: plan, server, and links by code."""
+    plan = make_plan()
+    with StudyServer(plan) as server:
+        yield SimpleNamespace(plan=plan, server=server, links=server.links(), base=server.base)

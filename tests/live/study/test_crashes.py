@@ -1,0 +1,104 @@
+"""The server is killed with −9 at random moments and torn lines are planted: what was acknowledged is there, once and in order.
+
+Oracle: the client's own list of the rows it sent and of the acknowledgements it got.
+"""
+
+import json
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from trustlab.live.study.store import read_tokens
+
+WIDTH = 15
+
+
+def free_port():
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+class Server:
+    """The server as a lab runs it, in a process of its own."""
+
+    def __init__(self, folder):
+        self.folder, self.port = folder, free_port()
+
+    def start(self):
+        command = [sys.executable, "-m", "trustlab.live.study", str(self.folder), "--port", str(self.port)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert "experimenter's page" in self.process.stdout.readline()
+
+    def kill(self):
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+        self.process.stdout.close()
+
+
+def plant_torn_line(path, rng):
+    """Add the beginning of another line, as a machine that loses power in mid-write would leave it."""
+    line = json.dumps([999, *[rng.random()] * (WIDTH + 1)])
+    with path.open("a") as file:
+        file.write(line[: rng.randrange(1, len(line))])
+
+
+def kills(plan, client, count, seed):
+    """Send rows as a browser does while the server is killed and started again; return rows made and acknowledged."""
+    rng, server = random.Random(seed), Server(plan.folder)
+    url = f"http://127.0.0.1:{server.port}/p/{read_tokens(plan.folder)['P01']}"
+    about = {"page": 1, "attempt": 0, "tab": "a"}
+    path = plan.folder / "P01" / "01-training.0.jsonl"
+    made, acknowledged, killed = [], 0, 0
+    server.start()
+    client(f"{url}/answers", {"page": 0, "answers": {"consent": True}})
+    assert client(f"{url}/begin", {"page": 1, "tab": "a"}).status == 200
+    until = time.monotonic() + rng.uniform(0.05, 0.6)
+    while killed < count or acknowledged < len(made):
+        if killed < count:
+            k = len(made)
+            made += [[j, 100.0 * j, *[rng.random()] * WIDTH] for j in range(k, k + rng.randrange(1, 8))]
+        if killed < count and time.monotonic() > until:
+            server.process.send_signal(signal.SIGKILL)  # not waited for: a request may be under way
+            answer = client(f"{url}/rows", about | {"rows": made[acknowledged:]})
+            acknowledged = max(acknowledged, answer.json.get("have", 0))
+            server.kill()
+            for torn in (path, plan.folder / "P01" / "events.jsonl"):
+                plant_torn_line(torn, rng)
+            killed += 1
+            server.start()
+            until = time.monotonic() + rng.uniform(0.05, 0.6)
+        answer = client(f"{url}/rows", about | {"rows": made[acknowledged : acknowledged + 600]})
+        if answer.status == 200:
+            assert answer.json["have"] >= acknowledged  # nothing that was acknowledged is gone
+            acknowledged = answer.json["have"]
+        time.sleep(0.05)
+    server.kill()
+    return made, acknowledged, path
+
+
+def check(plan, client, count, seed):
+    made, acknowledged, path = kills(plan, client, count, seed)
+    header, *lines = path.read_text().splitlines()
+    assert [json.loads(line) for line in lines] == made
+    assert acknowledged == len(made)
+    assert set(json.loads(header)) == {"condition", "source", "why", "config"}
+    events = [json.loads(line) for line in (plan.folder / "P01" / "events.jsonl").read_text().splitlines()]
+    torn = [event["file"] for event in events if event["kind"] == "torn"]
+    assert torn.count("01-training.0.jsonl") >= count
+    assert torn.count("events.jsonl") == count
+    assert [event["kind"] for event in events if event["kind"] != "torn"] == ["page", "begin"]
+
+
+def test_two_kills_lose_nothing(make_plan, client):
+    check(make_plan(), client, 2, seed=1)
+
+
+@pytest.mark.long
+def test_twenty_kills_at_random_moments_lose_nothing(make_plan, client):
+    check(make_plan(), client, 20, seed=2)

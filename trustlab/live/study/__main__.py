@@ -1,0 +1,55 @@
+"""``python -m trustlab.live.study DIR``: serve the study that a folder holds, or one of C1 to C5 where it holds none."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from trustlab.live.study.plan import LiveStudy
+from trustlab.live.study.store import PLAN
+
+
+def main(words: list[str] | None = None) -> int:
+    """Do what the command line says; return 0, or 2 where it cannot be done."""
+    parser = argparse.ArgumentParser(prog="python -m trustlab.live.study", description=__doc__)
+    add = parser.add_argument
+    add(
+        "folder",
+        metavar="DIR",
+        help="the study's folder; without a study in it, C1 to C5 with 20 participants are planned",
+    )
+    add("--address", default="127.0.0.1", help="where to listen; anything but this machine itself needs --certificate")
+    add("--port", type=int, default=8765, help="port (default: 8765)")
+    add("--certificate", metavar="FILE", help="certificate for TLS, PEM")
+    add("--key", metavar="FILE", help="its key, PEM")
+    add("--name", action="append", default=[], help="a name of this machine that links use")
+    add("--delete", metavar="CODE", help="delete a participant: folder, link, and reports made with their data")
+    add("--report", action="store_true", help="write report.html instead of serving")
+    options = parser.parse_args(words)
+    try:
+        if options.report:
+            from trustlab.live.study.recorded import read_live_study
+
+            print(read_live_study(options.folder).report())
+            return 0
+        new = not (Path(options.folder) / PLAN).exists()
+        plan = LiveStudy(options.folder) if new and not options.delete else LiveStudy.open(options.folder)
+        if options.delete:
+            plan.delete(options.delete)
+            print(
+                f"{options.delete} is deleted: folder, link, reports in this folder. Copies elsewhere are yours to delete."
+            )
+            return 0
+        if new:
+            print(
+                "A new study: C1 to C5, 20 participants, seed 0. For another one, plan it with trustlab.LiveStudy first."
+            )
+        where = {"certificate": options.certificate, "key": options.key, "names": options.name}
+        plan.serve(options.address, options.port, **where)
+    except (ModuleNotFoundError, ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

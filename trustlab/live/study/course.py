@@ -1,0 +1,235 @@
+"""One participant's way through a study: what each request of their page, and of the experimenter's, does to it."""
+
+import time
+from typing import Any
+
+from trustlab.live.study.drives import (
+    attempt_name,
+    drive_settings,
+    identified,
+    session_of_attempt,
+    shown_config,
+)
+from trustlab.live.study.pages import LONGEST_ANSWER, AnswerError, Step
+from trustlab.live.study.plan import LiveStudy
+from trustlab.live.study.progress import Progress, progress_of
+from trustlab.sessions.writers import write_session
+
+MOST_ROWS = 300_000
+"""Rows of one attempt: more than eight hours."""
+
+MOST_NOTES = 500
+"""Notes of one participant."""
+
+
+LARGEST = 1e15
+
+
+class RefusedError(ValueError):
+    """A request that came too late, or from a window that no longer drives; `facts` tell the page what holds."""
+
+    def __init__(self, why: str, **facts: Any):
+        super().__init__(why)
+        self.facts = facts
+
+
+def _is_number(x: Any) -> bool:
+    """Whether a value is a finite number of a size that any measure has; a whole number in JSON may have any number of digits."""
+    return type(x) in (int, float) and -LARGEST <= x <= LARGEST
+
+
+def _whole(body: dict[str, Any], name: str, most: int = 10**6) -> int:
+    value = body.get(name)
+    if type(value) is not int or not 0 <= value <= most:
+        raise AnswerError(f"{name} must be a whole number")
+    return value
+
+
+def _words(body: dict[str, Any], name: str, most: int = LONGEST_ANSWER) -> str:
+    value = body.get(name)
+    if not isinstance(value, str) or not value.strip() or len(value) > most or "\0" in value:
+        raise AnswerError(f"{name} must be text of at most {most} characters")
+    return value
+
+
+class Course:
+    """A participant in a study that is being served."""
+
+    def __init__(self, plan: LiveStudy, code: str):
+        self.plan, self.code = plan, code
+        self.participant = plan.participant(code)
+        self.steps = plan.steps(code)
+        self.widths: dict[str, int] = {}
+        self.seen: float | None = None
+        self.telemetry: dict[str, float] = {}
+
+    @property
+    def progress(self) -> Progress:
+        """Where the participant is: nothing but the events decides."""
+        return progress_of(self.participant.events)
+
+    def state(self) -> dict[str, Any]:
+        """Return the page to show; no word of it names a condition."""
+        self.seen = time.time()
+        page = self.progress.page(len(self.steps))
+        shown = self.steps[page].page
+        items = [{key: value for key, value in vars(item).items() if key != "reversed"} for item in shown.items]
+        words = {"kind": shown.kind, "title": shown.title, "text": shown.text, "items": items}
+        return {"code": self.code, "page": page, "pages": len(self.steps), "rehearsal": self.plan.rehearsal, **words}
+
+    def _current(self, body: dict[str, Any], kind: str) -> tuple[Progress, Step]:
+        """Return the page that a request is about, if it is the one to be shown: else another window, or a second click, was there."""
+        now = self.progress
+        page = now.page(len(self.steps))
+        if _whole(body, "page") != page or self.steps[page].page.kind != kind:
+            raise RefusedError("this page is done", page=page)
+        return now, self.steps[page]
+
+    def answers(self, body: dict[str, Any]) -> dict[str, Any]:
+        """Take the answers to a form."""
+        _, step = self._current(body, "form")
+        answers = step.page.check(body.get("answers"))
+        facts = {"condition": step.condition, "position": step.position}
+        self.participant.add("page", page=step.index, name=step.page.name, answers=answers, **facts)
+        return self.state()
+
+    def begin(self, body: dict[str, Any]) -> dict[str, Any]:
+        """Begin a drive, or go on with it: this window drives from now on, and no other."""
+        now, step = self._current(body, "drive")
+        tab = _words(body, "tab", 40)
+        attempt = now.attempt(step.index)
+        name = attempt_name(step, attempt)
+        header = self.participant.header(name)
+        if header is None:
+            header = drive_settings(self.plan, self.code, step, attempt, now.model)
+            self.participant.open_attempt(name, header)
+        rows = self.participant.rows(name)
+        self.participant.add("begin", page=step.index, attempt=attempt, tab=tab, rows=len(rows))
+        return {
+            "attempt": attempt,
+            "config": shown_config(header["config"]),
+            "rows": [values for _, _, *values in rows],
+        }
+
+    def _attempt(self, body: dict[str, Any]) -> tuple[Progress, Step, int, str]:
+        """Return the attempt that a request of a driving window is about."""
+        page, attempt = _whole(body, "page", len(self.steps) - 1), _whole(body, "attempt")
+        now, step = self.progress, self.steps[page]
+        if now.tabs.get((page, attempt)) != _words(body, "tab", 40):
+            raise RefusedError("another window drives")
+        return now, step, attempt, attempt_name(step, attempt)
+
+    def rows(self, body: dict[str, Any]) -> dict[str, Any]:
+        """Take rows of a drive; also those of an attempt that was restarted meanwhile."""
+        self.seen = time.time()
+        now, step, attempt, name = self._attempt(body)
+        if step.index in now.done and now.attempt(step.index) == attempt:
+            return {"have": self.participant.count(name), "current": False}
+        have = self.participant.take(name, self._checked(name, body.get("rows")))
+        self.telemetry = _numbers(body.get("telemetry"))
+        current = now.page(len(self.steps)) == step.index and now.attempt(step.index) == attempt
+        return {"have": have, "current": current}
+
+    def _checked(self, name: str, rows: Any) -> list[list[float]]:
+        """Return rows that are a number, a time in ms, and a number for each column."""
+        if name not in self.widths:
+            self.widths[name] = 2 + len((self.participant.header(name) or {})["config"]["columns"])
+        width = self.widths[name]
+        if not isinstance(rows, list) or self.participant.count(name) + len(rows) > MOST_ROWS:
+            raise AnswerError(f"rows must be a list, {MOST_ROWS} in all")
+        for row in rows:
+            if not isinstance(row, list) or len(row) != width or not all(map(_is_number, row)):
+                raise AnswerError(f"a row has {width} finite numbers")
+            number, *_ = row
+            if type(number) is not int:
+                raise AnswerError("a row begins with its number")
+        return rows
+
+    def note(self, body: dict[str, Any]) -> dict[str, Any]:
+        """Take a note of the page: a pause, the focus lost."""
+        _, step, attempt, _ = self._attempt(body)
+        if len(self.progress.notes) < MOST_NOTES:
+            row = _whole(body, "row", MOST_ROWS)
+            self.participant.add(
+                "note", source="page", page=step.index, attempt=attempt, row=row, text=_words(body, "text", 200)
+            )
+        return {}
+
+    def done(self, body: dict[str, Any]) -> dict[str, Any]:
+        """Finish a drive: all its rows are here; they become a session, replayed and verified."""
+        now, step = self._current(body, "drive")
+        _, _, attempt, name = self._attempt(body)
+        if attempt != now.attempt(step.index):
+            raise RefusedError("this drive was begun again", page=step.index)
+        have = self.participant.count(name)
+        if have < 2 or have != _whole(body, "rows"):
+            raise RefusedError("rows are missing", have=have)
+        notes = [note for note in now.notes if note.get("page") == step.index and note.get("attempt") == attempt]
+        session = session_of_attempt(self.plan, self.participant, step, attempt, notes)
+        write_session(session, self.participant.folder / f"{name}.csv")
+        if step.page.name == "identification":
+            self.participant.add("model", page=step.index, attempt=attempt, **identified(self.plan, session))
+        verified = session.metadata.more["verified"]
+        facts = {"condition": step.condition, "position": step.position, "verified": verified}
+        facts["telemetry"] = _numbers(body.get("telemetry"))
+        self.participant.add("page", page=step.index, name=step.page.name, attempt=attempt, rows=have, **facts)
+        return self.state()
+
+    # the experimenter's ----------------------------------------------------------------------------------------------------
+
+    def experimenter_restart(self, body: dict[str, Any]) -> None:
+        """Let a drive be driven again; what was driven stays where it is."""
+        page = _whole(body, "page", len(self.steps) - 1)
+        step, now = self.steps[page], self.progress
+        name = attempt_name(step, now.attempt(page))
+        if step.page.kind != "drive" or self.participant.header(name) is None:
+            raise AnswerError(f"page {page} is no drive that was begun")
+        self.participant.add("restart", page=page)
+
+    def experimenter_note(self, body: dict[str, Any]) -> None:
+        """Add a note of the experimenter's."""
+        self.participant.add(
+            "note", source="experimenter", page=self.progress.page(len(self.steps)), text=_words(body, "text")
+        )
+
+    def experimenter_end(self, body: dict[str, Any]) -> None:
+        """End the participation: the page shows the debriefing."""
+        self.participant.add("end")
+
+    def overview(self) -> dict[str, Any]:
+        """Return what the experimenter sees of this participant."""
+        now = self.progress
+        page = now.page(len(self.steps))
+        step = self.steps[page]
+        name = attempt_name(step, now.attempt(page))
+        driving = step.page.kind == "drive" and (step.index, now.attempt(page)) in now.tabs
+        begun = [
+            s for s in self.steps if s.page.kind == "drive" and (s.index in now.done or (driving and s.index == page))
+        ]
+        model = now.model or {}
+        return {
+            "code": self.code,
+            "order": self.plan.orders[self.code],
+            "page": page,
+            "pages": len(self.steps),
+            "title": step.page.title,
+            "condition": step.condition,
+            "rows": self.participant.count(name) if driving else None,
+            "seconds_ago": None if self.seen is None else round(time.time() - self.seen, 1),
+            "ended": now.ended,
+            "telemetry": self.telemetry if driving else {},
+            "model": model.get("source", ""),
+            "why": model.get("why", ""),
+            "drives": [{"page": s.index, "title": s.page.title, "attempt": now.attempt(s.index)} for s in begun],
+            "unverified": [s.page.title for s in begun if now.done.get(s.index, {}).get("verified") is False],
+            "notes": [note for note in now.notes if note.get("source") != "page"][-5:],
+            "pauses": sum(note.get("source") == "page" for note in now.notes),
+        }
+
+
+def _numbers(telemetry: Any) -> dict[str, float]:
+    """Return what a page tells of its own speed: at most ten finite numbers."""
+    if not isinstance(telemetry, dict):
+        return {}
+    kept = {name: x for name, x in list(telemetry.items())[:10] if _is_number(x)}
+    return {name[:20]: float(x) for name, x in kept.items()}

@@ -1,0 +1,220 @@
+"""The pages of a study: their words and items from TOML files, their order for a participant, and which answers are accepted."""
+
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from trustlab.models.checks import did_you_mean, shown, whole_number
+
+OWN = Path(__file__).with_name("pages.toml")
+LONGEST_ANSWER = 1000
+"""Characters that a participant may write in one answer."""
+
+SECTIONS = ("start", "each", "end")
+KINDS = ("form", "drive", "end")
+ITEMS = ("scale", "choice", "text", "check")
+SCORED = ("nasa_tlx", "trust", "satisfaction", "likert")
+NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
+FIXED = ("training", "identification", "drive", "debriefing")
+"""Pages whose kind is a part of the study's course."""
+
+
+class AnswerError(ValueError):
+    """An answer that the page does not allow."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """One question: `low` to `high` in steps for a scale, `choices` for a choice, at most 1,000 characters for a text."""
+
+    name: str
+    text: str
+    kind: str = "scale"
+    low: int = 1
+    high: int = 7
+    step: int = 1
+    left: str = ""
+    right: str = ""
+    choices: tuple[str, ...] = ()
+    reversed: bool = False
+
+    def check(self, answer: Any) -> None:
+        """Refuse an answer that this item does not allow."""
+        if self.kind == "scale":
+            fits = type(answer) is int and answer in range(self.low, self.high + 1, self.step)
+        elif self.kind == "check":
+            fits = answer is True
+        else:
+            fits = isinstance(answer, str) and len(answer) <= LONGEST_ANSWER and "\0" not in answer
+            fits = fits and (self.kind == "text" or answer in self.choices)
+        if not fits:
+            raise AnswerError(f"{self.name}: this answer cannot be taken")
+
+
+@dataclass(frozen=True)
+class Page:
+    """
+    One page: a form with any number of items, a drive, or the end.
+
+    `section` says whether it comes once at the start, after each drive, or once at the end; `scored` how its items are scored.
+    """
+
+    name: str
+    title: str
+    text: str
+    section: str
+    kind: str = "form"
+    scored: str = ""
+    items: tuple[Item, ...] = ()
+
+    def check(self, answers: Any) -> dict[str, Any]:
+        """Return the answers, one to each item and none besides, in the items' order; or raise `AnswerError`."""
+        if not isinstance(answers, dict):
+            raise AnswerError("the answers must be names with values")
+        if unknown := set(answers) - {item.name for item in self.items}:
+            raise AnswerError(f"{shown(sorted(map(str, unknown))[0])} is no item of this page")
+        for item in self.items:
+            item.check(answers.get(item.name))
+        return {item.name: answers[item.name] for item in self.items}
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any]) -> "Page":
+        """Return a page from what `asdict` made of it."""
+        items = tuple(Item(**{**item, "choices": tuple(item["choices"])}) for item in content["items"])
+        return cls(**{**content, "items": items})
+
+
+@dataclass(frozen=True)
+class Step:
+    """A page at its place in a participant's course: of which condition and at which position, for those of a drive."""
+
+    page: Page
+    index: int
+    condition: str | None = None
+    position: int | None = None
+
+    @property
+    def name(self) -> str:
+        """The name of its files: the number and the page, never the condition."""
+        return f"{self.index:02d}-{self.page.name}"
+
+
+def _whole(where: str, table: Mapping[str, Any], allowed: Iterable[str]) -> None:
+    for key in table:
+        if key not in allowed:
+            raise ValueError(f"{where} has no {key!r}{did_you_mean(key, allowed)}; there are: {', '.join(allowed)}")
+
+
+def _item(where: str, table: Any, page: Mapping[str, Any]) -> Item:
+    """Return an item from its table in a TOML file; what its page gives holds where it gives nothing itself."""
+    allowed = [field.name for field in fields(Item)]
+    if not isinstance(table, Mapping) or not {"name", "text"} <= set(table):
+        raise ValueError(f"{where}: an item needs a name and a text, got {shown(table)}")
+    where = f"{where}, item {table['name']!r}"
+    _whole(where, table, allowed)
+    given = {key: page[key] for key in ("low", "high", "step", "left", "right") if key in page} | dict(table)
+    item = Item(**given | {"choices": tuple(given.get("choices", ()))})
+    if not isinstance(item.name, str) or not NAME.fullmatch(item.name):
+        raise ValueError(f"{where}: a name has small letters, digits and _, at most 40, and begins with a letter")
+    if item.kind not in ITEMS:
+        raise ValueError(f"{where}: kind must be one of {', '.join(ITEMS)}, got {shown(item.kind)}")
+    if not all(isinstance(words, str) for words in (item.text, item.left, item.right, *item.choices)):
+        raise ValueError(f"{where}: text, left, right and choices must be words")
+    if item.kind == "choice" and len(set(item.choices)) < max(2, len(item.choices)):
+        raise ValueError(f"{where}: a choice needs two different choices or more, got {list(item.choices)}")
+    if item.kind == "scale":
+        for key in ("low", "high", "step"):
+            whole_number(f"{where}: {key}", getattr(item, key), least=1 if key == "step" else -1000, most=1000)
+        if item.high <= item.low or (item.high - item.low) % item.step:
+            raise ValueError(f"{where}: step {item.step} does not lead from low {item.low} to high {item.high}")
+    return item
+
+
+PAGE_KEYS = ("title", "text", "kind", "section", "scored", "items", "low", "high", "step", "left", "right")
+PLACES = ("before", "after", "skip")
+
+
+def _page(where: str, name: str, table: Mapping[str, Any]) -> Page:
+    """Return a page from its table in a TOML file."""
+    for key in ("title", "text"):
+        if not isinstance(table.get(key), str) or not table[key].strip():
+            raise ValueError(f"{where} needs a {key}")
+    kind, scored = table.get("kind", "form"), table.get("scored", "")
+    if kind not in KINDS or (kind != "form" and name not in FIXED):
+        raise ValueError(f"{where}: a page of your own is a form, got kind = {shown(kind)}")
+    if scored and scored not in SCORED:
+        raise ValueError(f"{where}: scored must be one of {', '.join(SCORED)}, got {shown(scored)}")
+    items = tuple(_item(where, item, table) for item in table.get("items", ()))
+    names = [item.name for item in items]
+    if len(set(names)) < len(names):
+        raise ValueError(f"{where}: two items have the same name: {names}")
+    scales = {(item.low, item.high, item.step) for item in items if item.kind == "scale"}
+    if scored and len(scales) != 1:
+        raise ValueError(f"{where}: a scored page has items on one scale, got {sorted(scales) or 'none'}")
+    text = re.sub(r"(?<!\n)\n(?!\n)", " ", table["text"].strip())
+    return Page(name, table["title"], text, table["section"], kind, scored, items)
+
+
+def _tables(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the tables of a TOML file of pages, their names and keys checked."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"the pages in {path} cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise ValueError(f"{path} is no TOML file in UTF-8: {error}") from None
+    for name, table in content.items():
+        if not isinstance(table, dict) or not NAME.fullmatch(name):
+            raise ValueError(f"{path}: {name!r} must be a table, [name], in small letters, digits and _")
+        _whole(f"{path}, [{name}]", table, (*PAGE_KEYS, *PLACES))
+    return content
+
+
+def read_pages(files: Iterable[Path] = ()) -> list[Page]:
+    """Return the pages of a study: the package's own, as the files change them, add to them and leave some out."""
+    tables = _tables(OWN)
+    for path in files:
+        for name, table in _tables(path).items():
+            where = f"{path}, [{name}]"
+            anchor = table.pop("after", table.get("before"))
+            follows = "before" not in table
+            table.pop("before", None)
+            if name in tables:
+                if anchor is not None:
+                    raise ValueError(f"{where} is there already, and keeps its place; leave out before and after")
+                if table.pop("skip", False):
+                    if name in ("drive", "debriefing"):
+                        raise ValueError(f"{where} cannot be left out of a study")
+                    del tables[name]
+                else:
+                    tables[name] = tables[name] | table
+                continue
+            if anchor not in tables or "section" in table or (anchor == "debriefing" and follows):
+                raise ValueError(f"{where} must say before or after which page it stands: one of {', '.join(tables)}")
+            order = list(tables)
+            order.insert(order.index(anchor) + follows, name)
+            tables[name] = {**table, "section": tables[anchor]["section"]}
+            tables = {key: tables[key] for key in order}
+    return [_page(f"[{name}]", name, table) for name, table in tables.items()]
+
+
+def steps_of(pages: Iterable[Page], order: Iterable[str]) -> list[Step]:
+    """Return a participant's course: the start, what belongs to each condition of their order, and the end."""
+    pages, order = list(pages), list(order)
+    by_section = {name: [page for page in pages if page.section == name] for name in SECTIONS}
+    course: list[tuple[Page, str | None, int | None]] = [(page, None, None) for page in by_section["start"]]
+    for position, condition in enumerate(order, 1):
+        for page in by_section["each"]:
+            if page.name != "pause" or position < len(order):
+                title = page.title.replace("{number}", str(position)).replace("{count}", str(len(order)))
+                course.append((replace(page, title=title), condition, position))
+    course += [(page, None, None) for page in by_section["end"]]
+    return [Step(page, index, condition, position) for index, (page, condition, position) in enumerate(course)]
+
+
+def as_json(pages: Iterable[Page]) -> list[dict[str, Any]]:
+    """Return pages as plain values for `study.json`."""
+    return [asdict(page) for page in pages]

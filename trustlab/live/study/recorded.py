@@ -1,0 +1,334 @@
+"""What a live study has recorded so far: sessions, measures, answers, and a report with the whole analysis."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from trustlab.live.study.drives import attempt_name
+from trustlab.live.study.pages import Page, Step
+from trustlab.live.study.plan import LiveStudy
+from trustlab.live.study.progress import Progress, progress_of
+from trustlab.live.study.store import EVENTS, read_lines
+from trustlab.models.checks import one_of
+from trustlab.models.html import as_html
+from trustlab.sessions.readers import read_session
+from trustlab.sessions.session import Session
+from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
+from trustlab.studies.factors.order_effects import OrderEffects, order_effects
+from trustlab.studies.questionnaires.likert import LikertScale, ScaleScores, score_likert
+from trustlab.studies.questionnaires.nasa_tlx import score_nasa_tlx
+from trustlab.studies.questionnaires.satisfaction import score_satisfaction
+from trustlab.studies.questionnaires.trust_checklist import score_trust_checklist
+from trustlab.testbeds.condition_run import condition_measures
+
+KEYS = ["participant", "position", "condition"]
+REHEARSAL = "scripted hands, no person took part"
+
+
+def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
+    """
+    Read what a live study has recorded, finished or not; nothing in the folder changes.
+
+    Parameters
+    ----------
+    folder : path-like
+        The study's folder.
+
+    Returns
+    -------
+    RecordedStudy
+
+    Raises
+    ------
+    ValueError
+        If there is no study in the folder, or a file of it was damaged; the error names file and line.
+    """
+    plan = LiveStudy.open(folder)
+    deleted = plan.deleted()
+    events = {code: read_lines(plan.folder / code / EVENTS) for code in plan.orders if code not in deleted}
+    return RecordedStudy(plan, {code: progress_of(own) for code, own in events.items()}, tuple(deleted))
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedStudy:
+    """
+    A live study as it stands on the disk.
+
+    Parameters
+    ----------
+    plan : LiveStudy
+        The frozen plan.
+    progress : dict of str to Progress
+        Where each participant is, by code.
+    deleted : tuple of str
+        Codes of the participants who were deleted.
+    """
+
+    plan: LiveStudy
+    progress: dict[str, Progress]
+    deleted: tuple[str, ...]
+
+    @property
+    def origin(self) -> str:
+        """What kind of data these are where no person took part; else empty."""
+        return REHEARSAL if self.plan.rehearsal else ""
+
+    def _finished(self, *names: str) -> Iterator[tuple[str, Step, dict[str, Any]]]:
+        """Yield participant, page and event of every page that is done, of those names."""
+        for code, now in self.progress.items():
+            for step in self.plan.steps(code):
+                if step.page.name in names and step.index in now.done:
+                    yield code, step, now.done[step.index]
+
+    @cached_property
+    def _sessions(self) -> list[Session]:
+        return [
+            read_session(self.plan.folder / code / f"{attempt_name(step, event['attempt'])}.csv")
+            for code, step, event in self._finished("drive")
+        ]
+
+    def sessions(self) -> list[Session]:
+        """Return the sessions of all drives under a condition, the last attempt of each."""
+        return list(self._sessions)
+
+    def participants(self) -> pd.DataFrame:
+        """
+        Return where everybody is.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row per participant who was not deleted: participant, order, pages_done, pages, drives (finished, of those under a
+            condition), complete, ended, model (where model and thresholds come from), why (they stand in), restarts, notes.
+        """
+        rows = []
+        for code, now in self.progress.items():
+            steps, model = self.plan.steps(code), now.model or {}
+            drives = [step.index for step in steps if step.page.name == "drive"]
+            done = sum(index in now.done for index in drives)
+            rows.append({
+                "participant": code, "order": " ".join(self.plan.orders[code]), "pages_done": len(now.done), "pages": len(steps) - 1,
+                "drives": done, "complete": len(now.done) == len(steps) - 1, "ended": now.ended, "model": model.get("source", ""),
+                "why": model.get("why", ""), "restarts": sum(now.attempts.values()),
+                "notes": "; ".join(note["text"] for note in now.notes if note.get("source") == "experimenter"),
+            })  # fmt: skip
+        return pd.DataFrame(rows).pipe(self._labelled)
+
+    def _labelled(self, frame: pd.DataFrame) -> pd.DataFrame:
+        """Say of a table where its numbers come from, where no person took part."""
+        if self.origin:
+            frame.attrs["origin"] = self.origin
+        return frame
+
+    def answers(self) -> pd.DataFrame:
+        """
+        Return all answers.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row per answer: participant, position and condition (NaN and None for pages that belong to no drive), page, item, answer
+            (NaN where it is words), text.
+        """
+        rows = []
+        forms = [page.name for page in self.plan.pages if page.kind == "form"]
+        for code, step, event in self._finished(*forms):
+            who = (code, np.nan if step.position is None else step.position, step.condition, step.page.name)
+            for item, answer in event["answers"].items():
+                words = isinstance(answer, str)
+                rows.append((*who, item, np.nan if words else float(answer), answer if words else ""))
+        columns = [*KEYS, "page", "item", "answer", "text"]
+        return pd.DataFrame(rows, columns=columns).astype({"position": float, "answer": float}).pipe(self._labelled)
+
+    def scores(self) -> dict[str, ScaleScores]:
+        """Return the scores of every questionnaire that is scored and answered, by the name of its page."""
+        answers = self.answers()
+        found = {}
+        for page in self.plan.pages:
+            items = [item.name for item in page.items if item.kind == "scale"]
+            own = answers[(answers["page"] == page.name) & answers["item"].isin(items)]
+            if page.scored and not own.empty:
+                found[page.name] = _score(page, own.astype({"condition": str}), page.section == "each")
+        return found
+
+    def measures(self) -> pd.DataFrame:
+        """
+        Return the measures of every finished drive under a condition, and the scores of the questionnaires after it.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row per drive: participant, position, condition, synthetic, attempt, verified (whether the replay of its commands gave
+            the same bits), thresholds_from, period_median and period_max [s] of the log, pauses; the measures of `run_condition`
+            (p_r, p_h, r, tsc, path_error, speed, manual_share, switches, laps, duration, lap_time, suggestions, followed_percent);
+            tlx_raw, trust_mean, satisfaction_mean and whatever other questionnaires score, NaN where they are not answered yet.
+        """
+        rows = []
+        for session in self._sessions:
+            meta = session.metadata
+            facts = ("attempt", "verified", "thresholds_from", "period_median", "period_max")
+            row = {"participant": meta.participant, "position": meta.more["position"], "condition": meta.condition}
+            row |= {"synthetic": meta.synthetic} | {name: meta.more[name] for name in facts}
+            row["pauses"] = len(meta.more["pauses"])
+            laps = np.asarray(meta.more["lap_times"], dtype=float)
+            rows.append(row | condition_measures(session, session.t, str(meta.condition), lap_times=laps))
+        if not rows:
+            return pd.DataFrame(columns=KEYS)
+        table = pd.DataFrame(rows)
+        for name, score in self.scores().items():
+            if self._page(name).section == "each":
+                columns = [
+                    column
+                    for column in score.scores
+                    if column in KEYS or column.endswith(("_raw", "_mean", "_subscale"))
+                ]
+                table = table.merge(score.scores[columns], how="left", on=["participant", "condition"])
+        return self._labelled(table)
+
+    def _page(self, name: str) -> Page:
+        return next(page for page in self.plan.pages if page.name == name)
+
+    def exclusions(self) -> pd.DataFrame:
+        """
+        Return what an analysis leaves out, and why.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns participant, condition, reason: drives that are not finished or whose replay differs, and the participants who
+            are left out with them, as every condition is needed of each.
+        """
+        rows = []
+        there = {(s.metadata.participant, s.metadata.condition): s.metadata.more["verified"] for s in self._sessions}
+        for code in self.progress:
+            for condition in self.plan.orders[code]:
+                if (code, condition) not in there:
+                    rows.append((code, condition, "not driven to its end"))
+                elif not there[code, condition]:
+                    rows.append((code, condition, "the replay of its commands differs"))
+        return pd.DataFrame(rows, columns=["participant", "condition", "reason"])
+
+    def complete(self) -> pd.DataFrame:
+        """Return the measures of those participants who have all conditions, each verified."""
+        measures, left_out = self.measures(), set(self.exclusions()["participant"])
+        return measures[~measures["participant"].isin(left_out)].reset_index(drop=True)
+
+    def analysis(self, dv: str) -> RepeatedMeasures:
+        """
+        Return the repeated-measures analysis of one measure over the conditions, of complete participants.
+
+        Parameters
+        ----------
+        dv : str
+            A column of `measures`.
+
+        Raises
+        ------
+        ValueError
+            If there are too few complete participants, or the measure has missing values or no variance.
+        """
+        frame = self._for_analysis(dv)
+        return repeated_measures(frame, dv, "condition", "participant", order=self.plan.content["conditions"])
+
+    def order_effects(self, dv: str) -> OrderEffects:
+        """
+        Return the tests of sequence, position and carry-over of one measure, of complete participants.
+
+        Parameters
+        ----------
+        dv : str
+            A column of `measures`.
+
+        Raises
+        ------
+        ValueError
+            As for `analysis`.
+        """
+        frame = self._for_analysis(dv)
+        return order_effects(
+            frame, dv, "condition", "position", subject="participant", order=self.plan.content["conditions"]
+        )
+
+    def _for_analysis(self, dv: str) -> pd.DataFrame:
+        frame = self.complete()
+        if frame["participant"].nunique() < 2:
+            raise ValueError(
+                f"{frame['participant'].nunique()} participants have all conditions; an analysis needs two or more"
+            )
+        one_of("dv", dv, frame.columns)
+        return frame
+
+    def summary(self) -> str:
+        """Return in a sentence or two how many took part, are complete, are left out, and were deleted."""
+        complete = self.complete()["participant"].nunique() if self._sessions else 0
+        begun = sum(bool(now.done) for now in self.progress.values())
+        origin = f" Rehearsal: {self.origin}." if self.origin else ""
+        return (
+            f"{len(self.plan.orders)} participants planned, {begun} begun, {complete} complete and verified; "
+            f"{len(self.deleted)} deleted at their request or the lab's, of whom nothing is left.{origin}"
+        )
+
+    def report(self, path: str | os.PathLike | None = None) -> Path:
+        """
+        Write the report of the study: a notebook with the whole analysis, run by papermill and laid out like all reports.
+
+        Parameters
+        ----------
+        path : path-like, optional
+            Where; `report.html` in the study's folder when not given. Deleting a participant removes reports there, and only there.
+
+        Returns
+        -------
+        pathlib.Path
+            The page.
+
+        Raises
+        ------
+        ValueError
+            If a cell of the notebook fails.
+        ModuleNotFoundError
+            If the extra ``reports`` is not installed.
+        """
+        from trustlab.live.study.report import write_report
+
+        return write_report(self, self.plan.folder / "report.html" if path is None else Path(path))
+
+    def table(self) -> pd.DataFrame:
+        """Return `measures`."""
+        return self.measures()
+
+    def _repr_html_(self) -> str:
+        return as_html(self.summary(), self.participants(), title=f"Live study {self.plan.folder.name}")
+
+    def __repr__(self) -> str:
+        return f"RecordedStudy({self.plan.folder.name!r}: {self.summary()})"
+
+
+def _score(page: Page, answers: pd.DataFrame, per_condition: bool) -> ScaleScores:
+    """Return the scores of one questionnaire from its answers, one to a row."""
+    where: dict[str, Any] = {"subject": "participant", "item": "item", "response": "answer"}
+    where["condition"] = "condition" if per_condition else None
+    items = [item for item in page.items if item.kind == "scale"]
+    first = items[0]
+    if page.scored == "nasa_tlx":
+        return score_nasa_tlx(answers, **where, scale=_tlx_scale(first.low, first.high, first.step))
+    if page.scored == "trust":
+        return score_trust_checklist(answers, **where)
+    names, turned = [item.name for item in items], [item.name for item in items if item.reversed]
+    if page.scored == "satisfaction":
+        return score_satisfaction(
+            answers, points=first.high, items={name: name for name in names}, reversed=turned, **where
+        )
+    scale = LikertScale(page.name, tuple(names), first.low, first.high, tuple(turned), step=first.step)
+    return score_likert(answers, scale, **where)
+
+
+def _tlx_scale(low: int, high: int, step: int) -> str:
+    """Return what `score_nasa_tlx` calls the form of a page."""
+    return f"{low}-{high}" if (low, high, step) != (0, 100, 5) else "0-100"

@@ -1,0 +1,50 @@
+"""The report of a live study: its notebook, run in the study's folder by the pipeline that makes all reports."""
+
+from __future__ import annotations
+
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from trustlab.live.study.store import EVENTS, PLAN, write_whole
+from trustlab.publishing.inputs import Checkout, file_digest
+from trustlab.publishing.provenance import provenance
+
+if TYPE_CHECKING:
+    from trustlab.live.study.recorded import RecordedStudy
+
+NOTEBOOK = Path(__file__).with_name("report.ipynb")
+
+
+def write_report(study: RecordedStudy, path: Path) -> Path:
+    """Run the notebook on what the study has recorded, and write its page, complete in itself."""
+    from trustlab.publishing.execution import Kernels, anonymous, execute
+    from trustlab.publishing.report_page import report_html
+
+    folder, package = study.plan.folder, Path(__file__).parents[2]
+    checkout = Checkout(
+        root=package.parent, notebooks=folder, reports=path.parent, package=package, data=package.parent / "data",
+        lock=package.parent / "environment.lock", external=folder / "none",
+    )  # fmt: skip
+    clock, started = time.monotonic(), datetime.now(UTC).isoformat(timespec="seconds")
+    origin = provenance(checkout, NOTEBOOK, {}, started)
+    origin["inputs"] = {
+        file.relative_to(folder).as_posix(): file_digest(file)
+        for file in [
+            folder / PLAN,
+            *(folder / code / EVENTS for code in study.progress),
+            *sorted(folder.glob("*/*.csv")),
+        ]
+    }
+    kernels = Kernels(checkout, threads=1)
+    try:
+        run = execute(NOTEBOOK, {}, kernels)
+    finally:
+        kernels.end()
+    origin["seconds"] = time.monotonic() - clock
+    page, _ = report_html(run, NOTEBOOK.stem, origin, {}, folder)
+    page = anonymous(page, checkout).replace(str(folder), folder.name)
+    alone = page.replace('<a href="index.html">← All reports</a>', "<span></span>", 1)  # there are no others beside it
+    write_whole(path.absolute(), alone)
+    return path
