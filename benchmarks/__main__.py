@@ -17,6 +17,7 @@ CASES = (
     "team",
     "campaign",
     "virtual_study",
+    "live",
     "scaling",
 )
 

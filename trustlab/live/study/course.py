@@ -1,9 +1,12 @@
 """One participant's way through a study: what each request of their page, and of the experimenter's, does to it."""
 
+from __future__ import annotations
+
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from trustlab.live.study.drives import (
+    at_its_end,
     attempt_name,
     drive_settings,
     identified,
@@ -11,9 +14,11 @@ from trustlab.live.study.drives import (
     shown_config,
 )
 from trustlab.live.study.pages import LONGEST_ANSWER, AnswerError, Step
-from trustlab.live.study.plan import LiveStudy
 from trustlab.live.study.progress import Progress, progress_of
 from trustlab.sessions.writers import write_session
+
+if TYPE_CHECKING:
+    from trustlab.live.study.plan import LiveStudy
 
 MOST_ROWS = 300_000
 """Rows of one attempt: more than eight hours."""
@@ -166,6 +171,8 @@ class Course:
             raise RefusedError("rows are missing", have=have)
         notes = [note for note in now.notes if note.get("page") == step.index and note.get("attempt") == attempt]
         session = session_of_attempt(self.plan, self.participant, step, attempt, notes)
+        if not at_its_end(self.participant.header(name)["config"], session):
+            raise RefusedError("this drive is not at its end", have=have)
         write_session(session, self.participant.folder / f"{name}.csv")
         if step.page.name == "identification":
             self.participant.add("model", page=step.index, attempt=attempt, **identified(self.plan, session))

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from trustlab.live.study.pages import Step
-from trustlab.live.study.plan import LiveStudy, model_of
 from trustlab.live.study.store import Participant
 from trustlab.models.checks import of_class
+from trustlab.models.human import HumanModel
+from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
 from trustlab.testbeds.deciding import WINDOW
 
 if TYPE_CHECKING:
     from trustlab.identification.fit_result import FitResult
+    from trustlab.live.study.plan import LiveStudy
 
 UNDETERMINED = ("weak", "at bound")
 """What a fit says of a parameter that the data do not determine."""
@@ -30,6 +34,19 @@ LEVELS = ("human_p_min", "human_p_max", "robot_p_min", "robot_p_max")
 
 FROM_FIT, FROM_PART, FROM_STAND_IN = "own drive", "own drive in part", "stand-in"
 """Where a participant's model and thresholds come from."""
+
+
+KERNEL = Path(__file__).parents[1] / "static" / "kernel.wasm"
+
+
+def kernel_digest() -> str:
+    """Return the digest of the physics that browsers run."""
+    return hashlib.sha256(KERNEL.read_bytes()).hexdigest() if KERNEL.exists() else "none"
+
+
+def model_of(content: Mapping[str, Any]) -> TscModel:
+    """Return a model from what `asdict` made of it."""
+    return TscModel(RobotModel(**content["robot"]), HumanModel(**content["human"]))
 
 
 def attempt_name(step: Step, attempt: int) -> str:
@@ -99,34 +116,39 @@ def identified(plan: LiveStudy, session: Session) -> dict[str, Any]:
     }
 
 
+def drive_of(content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """Return the settings of a drive of a study with this content, with a known model and thresholds."""
+    from trustlab.live.runs import drive_config
+
+    length: dict[str, Any] = {"laps": content["laps"]}
+    if condition == "training":
+        length = {"seconds": content["training"]}
+    elif condition == "identification":
+        length = {"schedule": [tuple(phase) for phase in content["identification"]]}
+    model, thresholds = model_of(known["model"]), tuple(known["thresholds"])
+    config = drive_config(condition, model=model, thresholds=thresholds, seed=seed, **length)
+    return config | ({"clock": "accelerated", "hand": {}} if content["rehearsal"] else {})
+
+
 def drive_settings(
     plan: LiveStudy, code: str, step: Step, attempt: int, model: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Return the first line of an attempt's file: what determines the drive but for the commands, and where its model comes from."""
-    from trustlab.live.runs import drive_config
-
     known = stand_in(plan, "no identifying drive") if model is None else dict(model)
     condition = step.condition or step.page.name
-    lengths: dict[str, Any] = {"laps": plan.content["laps"]}
-    if step.page.name == "training":
-        lengths = {"seconds": plan.content["training"]}
-    elif step.page.name == "identification":
-        lengths = {"schedule": [tuple(phase) for phase in plan.content["identification"]]}
-    config = drive_config(
-        condition,
-        model=model_of(known["model"]),
-        thresholds=tuple(known["thresholds"]),
-        seed=drive_seed(plan, code, step, attempt),
-        **lengths,
-    )
-    if plan.rehearsal:
-        config |= {"clock": "accelerated", "hand": {}}
+    config = drive_of(plan.content, condition, known, drive_seed(plan, code, step, attempt))
     return {"condition": condition, "source": known["source"], "why": known["why"], "config": config}
 
 
 def shown_config(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a browser needs of a drive's settings: nothing that names the condition."""
     return {name: value for name, value in config.items() if name not in ("condition", "participant")}
+
+
+def at_its_end(config: Mapping[str, Any], session: Session) -> bool:
+    """Whether a drive is complete: all its laps, or the time it may last."""
+    laps = session.metadata.more.get("laps")
+    return len(session) >= config["samples"] or (laps is not None and len(session.metadata.more["lap_times"]) >= laps)
 
 
 def session_of_attempt(

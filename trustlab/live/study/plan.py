@@ -1,9 +1,8 @@
 """`LiveStudy`: the plan of a within-subject study in the browser, frozen in its folder before the first participant comes."""
 
-import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds, threshold_limits
+from trustlab.live.study.drives import drive_of, kernel_digest
 from trustlab.live.study.pages import Page, Step, as_json, read_pages, steps_of
 from trustlab.live.study.store import (
     PLAN,
@@ -24,31 +24,18 @@ from trustlab.live.study.store import (
 )
 from trustlab.models.checks import finite_number, flag, of_class, one_of, positive, shown, whole_number
 from trustlab.models.html import as_html
-from trustlab.models.human import HumanModel
-from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 from trustlab.studies.designs import latin_square_design
 from trustlab.testbeds.deciding import CONDITIONS
 from trustlab.testbeds.ground_robot.participants import published_model, published_thresholds
 
 FORMAT = 1
-KERNEL = Path(__file__).parents[1] / "static" / "kernel.wasm"
 
 IDENTIFICATION = ((1, 200.0), (0, 200.0), (1, 150.0), (0, 150.0), (1, 150.0), (0, 150.0))
 """Modes of the identifying drive and how long each lasts [s]: Section 2.2.2's manual, autonomous and mixed phases, in 17 minutes."""
 
 STAND_IN = "2"
 """The printed participant whose model and thresholds stand in where an identifying drive says too little."""
-
-
-def kernel_digest() -> str:
-    """Return the digest of the physics that browsers run."""
-    return hashlib.sha256(KERNEL.read_bytes()).hexdigest() if KERNEL.exists() else "none"
-
-
-def model_of(content: Mapping[str, Any]) -> TscModel:
-    """Return a model from what `asdict` made of it."""
-    return TscModel(RobotModel(**content["robot"]), HumanModel(**content["human"]))
 
 
 def _schedule(phases: Any) -> list[list[float]]:
@@ -147,6 +134,8 @@ class LiveStudy:
             "orders": {code: list(order) for code, *order in design.table().itertuples()},
             "pages": as_json(read_pages(map(Path, files))),
         }
+        for condition in {"training", "identification", *conditions}:  # what cannot be driven is refused now
+            drive_of(content, condition, content["stand_in"], seed=0)
         self.content: dict[str, Any] = json.loads(json.dumps(content))  # as it will be read again
         self._freeze()
 

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trustlab.live.study.course import Course, RefusedError
+from trustlab.live.study.drives import kernel_digest
 from trustlab.live.study.pages import AnswerError
-from trustlab.live.study.plan import LiveStudy, kernel_digest
 from trustlab.live.study.store import EXPERIMENTER, DeletedError, read_tokens, tokens_path
 from trustlab.models.checks import whole_number
 from trustlab.models.extras import extra
@@ -33,6 +33,8 @@ with extra("live"):
 
 if TYPE_CHECKING:
     from typing import Self
+
+    from trustlab.live.study.plan import LiveStudy
 
 STATIC = Path(__file__).parents[1] / "static"
 TYPES = {".js": "text/javascript", ".css": "text/css", ".wasm": "application/wasm", ".html": "text/html"}
