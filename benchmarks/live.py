@@ -62,7 +62,18 @@ def chromium() -> str | None:
 
 
 class Served:
-    """A study served in a process of its own, as a lab serves it."""
+    """
+    A study served in a process of its own, as a lab serves it.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Where the study is kept.
+    participants : int
+        How many.
+    training : float
+        Length of the training drive [s].
+    """
 
     def __init__(self, folder: Path, participants: int, training: float):
         import trustlab as tl
@@ -71,18 +82,40 @@ class Served:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # so many participants need not fill whole squares here
             tl.LiveStudy(folder, ["C1", "C3"], participants, training=training, whole_squares=False)
-        command = [sys.executable, "-m", "trustlab.live.study", str(folder), "--port", "0"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        base = self.process.stdout.readline().split()[-1].partition("/experimenter/")[0]
+        self.folder, self.port = folder, "0"
+        base = self.start()
+        self.port = base.rpartition(":")[2]  # where it comes back after a crash
         tokens = read_tokens(folder)
         self.links = {code: f"{base}/p/{token}" for code, token in tokens.items() if code != "experimenter"}
+
+    def start(self) -> str:
+        """Start the server; return the beginning of its links."""
+        command = [sys.executable, "-m", "trustlab.live.study", str(self.folder), "--port", self.port]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        return self.process.stdout.readline().split()[-1].partition("/experimenter/")[0]
+
+    def kill(self) -> None:
+        """Kill the server with −9, as a crash would."""
+        self.process.kill()
+        self.process.wait()
+
+    def kept(self, code: str) -> int:
+        """
+        Return how many whole rows of the training drive are on the disk.
+
+        Parameters
+        ----------
+        code : str
+            The participant.
+        """
+        path = self.folder / code / "01-training.0.jsonl"
+        return max(path.read_bytes().count(b"\n") - 1, 0) if path.exists() else 0
 
     def __enter__(self) -> Served:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.process.kill()
-        self.process.wait()
+        self.kill()
 
     @property
     def memory_mb(self) -> float:
@@ -90,6 +123,97 @@ class Served:
         import psutil
 
         return psutil.Process(self.process.pid).memory_info().rss / 2**20
+
+
+OPTIONS = {"executable_path": chromium(), "args": ["--no-sandbox", "--disable-gpu"]}
+
+
+def driving(context: Any, url: str) -> Any:
+    """
+    Return a page that has begun the training drive.
+
+    Parameters
+    ----------
+    context : playwright BrowserContext
+        The browser's.
+    url : str
+        The participant's link.
+    """
+    page = context.new_page()
+    page.goto(url)
+    page.wait_for_selector("h2")
+    if page.query_selector("input[type=checkbox]"):
+        page.click("input[type=checkbox]")
+        page.click("form button")
+        page.wait_for_selector("main > button")
+    page.click("main > button")
+    time.sleep(3.0)
+    return page
+
+
+def losses(folder: Path) -> Iterator[dict[str, Any]]:
+    """
+    Do to a study what machines and people do to it; yield what was done, the rows made until then, and those lost for good.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Where the study is kept.
+    """
+    from playwright.sync_api import sync_playwright
+
+    def outcome(what: str, code: str, made: int, seconds: float = 15.0) -> dict[str, Any]:
+        end = time.monotonic() + seconds
+        while served.kept(code) < made and time.monotonic() < end:
+            time.sleep(0.1)
+        return {"what": what, "rows": made, "lost": max(made - served.kept(code), 0)}
+
+    with Served(folder, 5, 120.0) as served, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(**OPTIONS)
+        page = driving(browser.new_context(), served.links["P01"])
+        made = page.evaluate("self.study.rows")
+        page.close()
+        yield outcome("the tab is closed", "P01", made)
+        context = browser.new_context()
+        page = driving(context, served.links["P02"])
+        context.set_offline(True)
+        time.sleep(5.0)
+        made = page.evaluate("self.study.rows")
+        context.set_offline(False)
+        yield outcome("the network is off for 5 s", "P02", made)
+        page = driving(browser.new_context(), served.links["P03"])
+        served.kill()
+        with (folder / "P03" / "01-training.0.jsonl").open("a") as file:
+            file.write("[31, 3141.5, 0.1")
+        time.sleep(15.0)
+        made = page.evaluate("self.study.rows")
+        served.start()
+        yield outcome("the server is killed (−9) and comes back 15 s later, a torn last line planted", "P03", made)
+        browser.close()
+        for code, away in (("P04", 0.0), ("P05", 8.0)):
+            profile = folder.with_name(f"profile-{code}")
+            context = playwright.chromium.launch_persistent_context(profile, **OPTIONS)
+            page = driving(context, served.links[code])
+            if away:
+                served.kill()
+                time.sleep(away)
+            made = page.evaluate("self.study.rows")
+            found = subprocess.run(["pgrep", "-f", f"user-data-dir={profile}"], capture_output=True, text=True)
+            subprocess.run(["kill", "-9", *found.stdout.split()])
+            context.close()
+            if away:
+                served.start()
+            for lock in profile.glob("Singleton*"):
+                lock.unlink()
+            context = playwright.chromium.launch_persistent_context(profile, **OPTIONS)
+            page = context.new_page()
+            page.goto(served.links[code])
+            page.wait_for_selector("main > button")
+            what = (
+                "the server is away for 8 s, then the browser is killed (−9)" if away else "the browser is killed (−9)"
+            )
+            yield outcome(what, code, made, 3.0)
+            context.close()
 
 
 def load(folder: Path, people: int = PEOPLE, seconds: float = SECONDS) -> dict[str, Any]:
@@ -161,8 +285,7 @@ def browsers(folder: Path, people: int = DRIVERS, seconds: float = DRIVE) -> dic
     from playwright.sync_api import sync_playwright
 
     with Served(folder, people, seconds) as served, sync_playwright() as playwright:
-        options = {"executable_path": chromium(), "args": ["--no-sandbox", "--disable-gpu"]}
-        browser = playwright.chromium.launch(**options)
+        browser = playwright.chromium.launch(**OPTIONS)
         pages = []
         for url in served.links.values():
             page = browser.new_context(viewport={"width": 1000, "height": 760}).new_page()

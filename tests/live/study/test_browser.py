@@ -168,7 +168,7 @@ def check_report(study, browser):
     assert "0 deleted" in words
     for heading in ("Who took part", "Measures by condition", "Questionnaires", "Order effects", "What people wrote"):
         assert heading in words
-    assert re.search(r"p_r by condition.*3 subjects × 2 conditions", words)
+    assert re.search(r"p_r by condition.*3 subjects × 2 conditions", words), words[1000:2500]
     assert str(study.plan.folder.parent) not in path.read_text()
 
 

@@ -100,7 +100,7 @@ def identified(plan: LiveStudy, session: Session) -> dict[str, Any]:
             held |= {name: known[name] for name in slow or weak}
             fit, weak, said = _fit(session, held)
         if fit is None or UNUSABLE in said or not set(LEVELS) - set(held):
-            return stand_in(plan, "the drive does not determine any level of performance", said)
+            return stand_in(plan, f"no model: {said[:160].rpartition(' ')[0]} …", said)
         model = of_class("model", fit.model, TscModel)
         chosen = choose_thresholds(model)
     except ValueError as error:
@@ -127,7 +127,10 @@ def drive_of(content: Mapping[str, Any], condition: str, known: Mapping[str, Any
         length = {"schedule": [tuple(phase) for phase in content["identification"]]}
     model, thresholds = model_of(known["model"]), tuple(known["thresholds"])
     config = drive_config(condition, model=model, thresholds=thresholds, seed=seed, **length)
-    return config | ({"clock": "accelerated", "hand": {}} if content["rehearsal"] else {})
+    if content["rehearsal"]:
+        speed, wobble = np.random.default_rng(seed).uniform([0.7, 0.05], [1.0, 0.3]).tolist()
+        config |= {"clock": "accelerated", "hand": {"speed": speed, "wobble": wobble}}
+    return config
 
 
 def drive_settings(

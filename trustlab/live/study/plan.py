@@ -22,7 +22,7 @@ from trustlab.live.study.store import (
     sync_folder,
     write_whole,
 )
-from trustlab.models.checks import finite_number, flag, of_class, one_of, positive, shown, whole_number
+from trustlab.models.checks import finite_number, flag, of_class, one_of, positive, shown, spawned, whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 from trustlab.studies.designs import latin_square_design
@@ -283,6 +283,31 @@ class LiveStudy:
         with StudyServer(self, address, port, certificate=certificate, key=key, names=names) as server:
             print(f"The experimenter's page: {server.experimenter}\nEnd with Ctrl-C.", flush=True)
             server.wait()
+
+    def rehearse(self, seed: int = 0) -> None:
+        """
+        Let scripted hands go through the whole study, without browsers: so that files and report are seen before people come.
+
+        The hands have a person's limits (`trustlab.live.hand`); answers are drawn at random and mean nothing. Everything is labelled
+        synthetic.
+
+        Parameters
+        ----------
+        seed : int
+            Of hands and answers.
+
+        Raises
+        ------
+        ValueError
+            If the plan was not made with rehearsal=True.
+        """
+        from trustlab.live.study.course import Course
+        from trustlab.live.study.rehearsal import rehearse
+
+        if not self.rehearsal:
+            raise ValueError("this study is for people; plan another one with rehearsal=True for scripted hands")
+        present = [code for code in self.orders if code not in self.deleted()]
+        rehearse([Course(self, code) for code in present], spawned(seed, len(present)))
 
     def table(self) -> pd.DataFrame:
         """Return everybody's order: a row per participant, a column per position."""

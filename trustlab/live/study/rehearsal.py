@@ -1,0 +1,48 @@
+"""A rehearsal without browsers: scripted hands with a person's limits go through a whole study, page by page."""
+
+from typing import Any
+
+import numpy as np
+
+from trustlab.live.hand import HumanHand, scripted_drive
+from trustlab.live.study.course import Course
+from trustlab.live.study.drives import attempt_name
+from trustlab.live.study.pages import Item, Step
+
+SENT_AT_ONCE = 600
+
+
+def rehearse(courses: list[Course], seeds: list[np.random.SeedSequence]) -> None:
+    """Let each participant go from where they are to the end."""
+    for course, seed in zip(courses, seeds, strict=True):
+        rng = np.random.default_rng(seed)
+        while (now := course.state())["kind"] != "end":
+            step = course.steps[now["page"]]
+            if now["kind"] == "form":
+                answers = {item.name: _answer(item, rng) for item in step.page.items}
+                course.answers({"page": step.index, "answers": answers})
+            else:
+                _drive(course, step, rng)
+
+
+def _answer(item: Item, rng: np.random.Generator) -> Any:
+    """Return an answer drawn from all that are allowed: it means nothing."""
+    if item.kind == "scale":
+        return int(rng.choice(np.arange(item.low, item.high + 1, item.step)))
+    if item.kind == "choice":
+        return item.choices[rng.integers(len(item.choices))]
+    return True if item.kind == "check" else ""
+
+
+def _drive(course: Course, step: Step, rng: np.random.Generator) -> None:
+    """Drive as a page would, by a hand that follows suggestions and takes over no other time."""
+    about: dict[str, Any] = {"page": step.index, "tab": "rehearsal"}
+    about["attempt"] = course.begin(about)["attempt"]
+    header = course.participant.header(attempt_name(step, about["attempt"]))
+    assert header is not None
+    config = header["config"]
+    made, _ = scripted_drive(config, HumanHand(config, rng.integers(2**32)))
+    stamped = [[k, 1000.0 * config["sample_time"] * k, *row] for k, row in enumerate(made.tolist())]
+    for first in range(0, len(stamped), SENT_AT_ONCE):
+        course.rows(about | {"rows": stamped[first : first + SENT_AT_ONCE]})
+    course.done(about | {"rows": len(stamped)})
