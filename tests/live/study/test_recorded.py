@@ -1,0 +1,158 @@
+"""What comes out of a study. Oracles: the files themselves, summed by hand; a bit that is changed on its way must be found."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import trustlab as tl
+from trustlab.live.study import course as courses
+from trustlab.live.study.drives import FROM_FIT, FROM_PART, FROM_STAND_IN, identified, model_of
+from trustlab.testbeds import published_operator
+from trustlab.testbeds.ground_robot.conditions import drive_modes
+
+OWN_PAGE = """
+[hours]
+after = "consent"
+title = "You"
+text = "About you."
+scored = "likert"
+items = [
+    {name = "games", text = "Games", low = 1, high = 5},
+    {name = "late", text = "Late", low = 1, high = 5, reversed = true},
+    {name = "hand", kind = "choice", text = "Hand", choices = ["left", "right"]},
+]
+"""
+
+
+@pytest.fixture(scope="module")
+def rehearsed(tmp_path_factory):
+    """A rehearsed study of two conditions; the first participant's second drive has a bit changed on its way."""
+    folder = tmp_path_factory.mktemp("studies")
+    (folder / "pages.toml").write_text(OWN_PAGE)
+    short = {"laps": 1, "training": 5.0, "identification": [(1, 10.0), (0, 10.0)], "pages": folder / "pages.toml"}
+    plan = tl.LiveStudy(folder / "mystudy", ["C1", "C3"], 4, rehearsal=True, **short)
+    take = courses.Course.rows
+
+    def changed(course, body):
+        position = course.steps[body["page"]].position
+        if course.code == "P01" and position == 2 and body["rows"][0][0] == 0:
+            body["rows"][7][-3] = float(np.nextafter(body["rows"][7][-3], 1.0))  # the last bit of one P_r
+        return take(course, body)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(courses.Course, "rows", changed)
+        plan.rehearse(seed=1)
+    return tl.read_live_study(plan.folder)
+
+
+def test_measures_are_those_of_the_files(rehearsed):
+    measures = rehearsed.measures().set_index(["participant", "condition"])
+    assert len(measures) == 8
+    for (code, condition), row in measures.iterrows():
+        (path,) = [
+            path
+            for path in (rehearsed.plan.folder / code).glob("*-drive.0.csv")
+            if f'"condition": "{condition}"' in path.read_text().splitlines()[0]
+        ]
+        table = pd.read_csv(path, comment="#")
+        assert row["p_r"] == pytest.approx(table["p_r"].mean(), rel=1e-13)
+        assert row["duration"] == pytest.approx((len(table) - 1) * 0.1, abs=1e-9)
+        assert row["position"] == rehearsed.plan.orders[code].index(condition) + 1
+        assert row["synthetic"]
+        events = [json.loads(line) for line in (rehearsed.plan.folder / code / "events.jsonl").read_text().splitlines()]
+        own = {
+            event["name"]: event["answers"]
+            for event in events
+            if event.get("condition") == condition and "answers" in event
+        }
+        assert row["tlx_raw"] == pytest.approx(sum(own["nasa_tlx"].values()) / 6)
+        turned = ("deceptive", "underhanded", "suspicious", "wary", "harmful")
+        trust = [8 - x if name in turned else x for name, x in own["trust"].items()]
+        assert row["trust_mean"] == pytest.approx(sum(trust) / 12)
+        assert row["satisfaction_mean"] == pytest.approx(
+            sum(own["satisfaction"][n] for n in ("satisfaction", "comfort", "control")) / 3
+        )
+
+
+def test_answers_are_all_there_and_own_questionnaires_scored(rehearsed):
+    answers = rehearsed.answers()
+    assert len(answers) == 4 * (1 + 3 + 2 * 22)
+    games = answers[answers["page"] == "hours"].set_index(["participant", "item"])
+    scores = rehearsed.scores()["hours"].scores.set_index("participant")["hours_mean"]
+    for code, score in scores.items():
+        assert score == (games.loc[(code, "games"), "answer"] + 6 - games.loc[(code, "late"), "answer"]) / 2
+        assert games.loc[(code, "hand"), "text"] in ("left", "right")
+    assert answers.attrs["origin"] == "scripted hands, no person took part"
+
+
+def test_a_changed_bit_is_found_and_its_participant_left_out(rehearsed):
+    left_out = rehearsed.exclusions()
+    second = rehearsed.plan.orders["P01"][1]
+    assert left_out.values.tolist() == [["P01", second, "the replay of its commands differs"]]
+    assert set(rehearsed.complete()["participant"]) == {"P02", "P03", "P04"}
+    assert "4 begun, 3 complete and verified" in rehearsed.summary()
+    result = rehearsed.analysis("p_r")
+    wide = rehearsed.complete().set_index(["participant", "condition"])["p_r"].unstack()  # noqa: PD010
+    difference = wide["C1"] - wide["C3"]
+    assert pytest.approx(3 * difference.mean() ** 2 / difference.var(), rel=1e-9) == result.F  # t² of three pairs
+
+
+def test_sessions_are_like_any_other_and_the_folder_is_as_it_was(rehearsed):
+    before = {path: path.stat().st_mtime_ns for path in rehearsed.plan.folder.rglob("*")}
+    again = tl.read_live_study(rehearsed.plan.folder)
+    assert again.measures().equals(rehearsed.measures())
+    session = again.sessions()[0]
+    assert session.metadata.synthetic
+    assert {"verified", "thresholds_from", "performance_window", "lap_times"} <= set(session.metadata.more)
+    assert {path: path.stat().st_mtime_ns for path in rehearsed.plan.folder.rglob("*")} == before
+    with pytest.raises(ValueError, match="dv must be one of"):
+        again.analysis("p_rr")
+
+
+def test_a_study_that_has_hardly_begun_can_be_read(make_plan):
+    plan = make_plan()
+    study = tl.read_live_study(plan.folder)
+    assert study.measures().empty
+    assert list(study.answers()) == ["participant", "position", "condition", "page", "item", "answer", "text"]
+    assert len(study.exclusions()) == 6
+    assert "3 participants planned, 0 begun, 0 complete" in study.summary()
+    assert study.participants()["pages_done"].tolist() == [0, 0, 0]
+    with pytest.raises(ValueError, match="this study is for people"):
+        plan.rehearse()
+
+
+# the identifying drive -------------------------------------------------------------------------------------------------------
+
+
+def drive(participant, *phases):
+    mode = np.concatenate([np.full(round(10 * seconds), which) for which, seconds in phases])
+    session = drive_modes(mode, published_operator(participant), seed=1)
+    return session.with_metadata(performance_window=100.0)
+
+
+def test_a_drive_too_short_falls_back_to_the_plan_and_says_so(make_plan):
+    plan = make_plan()
+    found = identified(plan, drive(2, (1, 30.0), (0, 30.0)))
+    assert found["source"] == FROM_STAND_IN
+    assert found["why"].startswith("no model: ")
+    assert (found["model"], found["thresholds"]) == tuple(plan.content["stand_in"].values())
+    assert model_of(found["model"]) == tl.published_models()["2"]
+
+
+@pytest.mark.long
+def test_what_a_drive_leaves_undetermined_is_held_and_the_rest_is_the_participants_own(make_plan):
+    """Levels of a simulated operator within 0.1 of those it was made with; Table 2.1 is the oracle."""
+    plan = make_plan(identification=[(1, 200.0), (0, 200.0), (1, 150.0), (0, 150.0), (1, 150.0), (0, 150.0)])
+    phases = [tuple(phase) for phase in plan.content["identification"]]
+    for participant in (2, 4):
+        found = identified(plan, drive(participant, *phases))
+        assert found["source"] in (FROM_FIT, FROM_PART)
+        assert found["why"].startswith("held at the stand-in's value: ")
+        own = model_of(found["model"])
+        true = tl.published_models()[str(participant)]
+        assert own.human.p_max == pytest.approx(true.human.p_max, abs=0.1)
+        assert own.robot.p_max == pytest.approx(true.robot.p_max, abs=0.1)
+        lower, upper = found["thresholds"]
+        assert lower < upper
