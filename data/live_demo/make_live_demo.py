@@ -1,0 +1,70 @@
+"""
+Measure a live study on this machine, and take pictures of its pages: what notebook 11 shows where it cannot do so itself.
+
+    .venv/bin/python data/live_demo/make_live_demo.py        # five minutes; needs Chromium and an otherwise idle machine
+
+Scripted hands drive and scripted participants send rows; no person takes part.
+"""
+
+import csv
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parents[1]), str(HERE.parents[1] / "notebooks")]
+
+from live_pictures import taken  # noqa: E402
+
+from benchmarks.live import DRIVE, DRIVERS, PEOPLE, browsers, load, losses  # noqa: E402
+
+
+def figures():
+    """Yield case, figure, value, unit and goal of everything that is measured."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        found = load(Path(folder) / "study")
+        waits = np.array(found["waits_ms"])
+        case = f"{PEOPLE} scripted participants without a browser"
+        yield case, "row on disk and acknowledged, median", np.median(waits), "ms", ""
+        yield case, "row on disk and acknowledged, 99th percentile", np.percentile(waits, 99), "ms", "≤ 50"
+        yield case, "rows lost", found["lost"], "", "0"
+        yield case, "memory of the server", found["memory_mb"], "MB", ""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        found = browsers(Path(folder) / "study")
+        period = 1e3 * np.array(found["periods"])
+        case = f"{DRIVERS} participants at once in Chromium, {DRIVE:g} s"
+        yield case, "log period, median", np.median(period), "ms", "100"
+        yield case, "log period, longest", period.max(), "ms", "≤ 200"
+        yield case, "frames per second, slowest page", min(found["fps"]), "1/s", "≥ 50"
+        yield case, "memory of the server", found["memory_mb"], "MB", "≤ 400"
+        yield case, "rows lost", found["lost"], "", "0"
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        for loss in losses(Path(folder) / "study"):
+            yield (
+                loss["what"],
+                f"rows lost of {loss['rows']}",
+                loss["lost"],
+                "",
+                "≤ 10" if "browser" in loss["what"] else "0",
+            )
+
+
+def main():
+    """Write measured.csv and the pictures."""
+    for name, picture in taken().items():
+        (HERE / f"{name}.png").write_bytes(picture)
+    with (HERE / "measured.csv").open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(["case", "figure", "value", "unit", "goal", "load", "cores"])
+        for case, figure, value, unit, goal in figures():
+            row = [case, figure, f"{value:.4g}", unit, goal, f"{os.getloadavg()[0]:.1f}", os.cpu_count()]
+            table.writerow(row)
+            file.flush()
+            print(*row, sep=" | ", flush=True)
+
+
+if __name__ == "__main__":
+    main()
