@@ -9,6 +9,7 @@ CASES = (
     "arx",
     "greybox",
     "imports",
+    "first_use",
     "simulation",
     "sessions",
     "repeated_measures",

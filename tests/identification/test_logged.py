@@ -146,7 +146,9 @@ def test_a_second_valley_as_deep_is_named(operators):
     row = fit.table().loc["human_p_min"]
     assert not row["ci_low"] <= model.human.p_min <= row["ci_high"]
     assert not fit.success
-    assert re.search(r"Other values explain these data nearly as well: .*human_p_min = 0\.39\d+ for 0\.42\d+", fit.message)
+    assert re.search(
+        r"Other values explain these data nearly as well: .*human_p_min = 0\.39\d+ for 0\.42\d+", fit.message
+    )
     # The negative control: phases that move the model leave one valley.
     assert "Other values" not in tl.fit_human(windowed(model, 30.0, 42, "open", "after")).message
 

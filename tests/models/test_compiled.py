@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from trustlab.models.compiled import NOTICE, _Notice
+
 ROOT = Path(__file__).parents[2]
 RUN = """
 import numba, trustlab as tl
@@ -83,3 +85,19 @@ def test_an_edit_of_a_function_in_another_file_is_seen(first):
     assert not unchanged & {"models.human", "models.tsc", "allocation.simulation"}
     human.write_text(text)
     assert run(folder)[0][0] == before
+
+
+def test_compilation_is_announced_once_after_two_seconds_and_quick_ones_not_at_all(capsys):
+    quick, slow = _Notice(), _Notice()
+    quick.on_start(None)
+    quick.on_end(None)
+    quick.timer.join()
+    assert capsys.readouterr().err == ""
+    slow.spent = 1.99  # of functions compiled before
+    for _ in range(2):
+        slow.on_start(None)
+        slow.on_start(None)  # one that the first calls
+        slow.timer.join()
+        slow.on_end(None)
+        slow.on_end(None)
+    assert capsys.readouterr().err == NOTICE + "\n"

@@ -1,7 +1,10 @@
 """The columns a session can have: their units, ranges and meaning; and the units in which a log may hold them."""
 
+import csv
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from trustlab.models.checks import shown
 from trustlab.sessions.errors import alternatives
@@ -18,59 +21,17 @@ class Column:
     high: float | None = None
 
 
-def _axes(stem: str, unit: str, meaning: str) -> list[Column]:
-    return [Column(f"{stem}_{axis}", unit, f"{meaning}, {axis} axis") for axis in "xyz"]
+def _columns() -> Iterator[Column]:
+    """Yield the columns of vocabulary.csv; a name that ends with * stands for three, one for each axis."""
+    with (Path(__file__).parent / "vocabulary.csv").open(encoding="utf-8", newline="") as file:
+        for name, unit, low, high, meaning in list(csv.reader(file))[1:]:
+            limits = (float(low) if low else None, float(high) if high else None)
+            for axis in "xyz" if name.endswith("*") else ("",):
+                own = f"{meaning}, {axis} axis" if axis else meaning
+                yield Column(name.replace("*", axis), unit, own, *limits)
 
 
-VOCABULARY: dict[str, Column] = {
-    column.name: column
-    for column in [
-        Column("mode", "1", "who drives: 1 manual, 0 autonomous, between them the manual share α", 0.0, 1.0),
-        Column("p_r", "measure", "robot performance P_r as measured"),
-        Column("p_h", "measure", "human performance P_h as measured"),
-        Column("r", "1", "human utilization r", 0.0, 1.0),
-        Column("tsc", "1", "trust and self-confidence TSC"),
-        Column("path_error", "m", "deviation e from the path or target (a distance)", 0.0),
-        Column("step_distance", "m", "distance Δd from the previous sample", 0.0),
-        Column("v_command", "m/s", "linear velocity commanded by the operator"),
-        Column("w_command", "rad/s", "angular velocity commanded by the operator ((2.7) takes |ω|)"),
-        Column("suggested_mode", "1", "mode suggested by the decision aid; −1 for no suggestion", -1.0, 1.0),
-        *_axes("robot", "m", "robot position"),
-        *_axes("reference", "m", "position of the path or target"),
-        *_axes("human", "m", "position commanded by the operator"),
-        *_axes("u_h", "1", "the operator's command u_h"),
-        *_axes("u_a", "1", "the autonomous controller's command u_a"),
-        *_axes("u_i", "1", "the ideal command u_i"),
-        *_axes("velocity", "m/s", "robot velocity"),
-        Column("yaw", "rad", "robot heading"),
-        Column("alpha", "1", "share α of the operator in the command (3.1)", 0.0, 1.0),
-        Column("beta", "1", "force feedback scaling β", 0.0),
-        Column("trust_hr", "1", "human-to-robot trust T_hr, in units of its model"),
-        Column("trust_rh", "1", "robot-to-human trust T_rh, in units of its model"),
-        *_axes("device", "m", "position of the haptic device"),
-        *_axes("device_velocity", "m/s", "velocity of the haptic device"),
-        *_axes("r_m", "m/s", "output r_m of the haptic device"),
-        *_axes("f_h", "N", "force of the operator's hand"),
-        *_axes("f_m", "N", "force feedback at the haptic device"),
-        *_axes("r_s", "m/s", "command at the robot's port, scaled by α"),
-        *_axes("f_s", "N", "force feedback at the robot's port"),
-        *_axes("guide", "N", "force at the haptic device less the channel's own damping: what guidance adds"),
-        Column(
-            "port_share",
-            "1",
-            "share that the passivity controller lets pass, of a port's velocity or of the force",
-            0.0,
-            1.0,
-        ),
-        Column("energy_operator", "J", "energy given by the operator's hand so far"),
-        Column("energy_device", "J", "energy stored in the haptic device, V_hd"),
-        Column("energy_dissipated", "J", "energy dissipated in the haptic device so far"),
-        Column("energy_channel", "J", "energy in the channel: what went in less what came out so far"),
-        Column("energy_robot", "J", "energy taken by the robot's port so far"),
-        Column("energy_port", "J", "energy taken by the operator's port so far, ∫ r_mᵀ f_m dt"),
-        Column("energy_target", "J", "energy that the moving target gave to the guiding spring so far"),
-    ]
-}
+VOCABULARY: dict[str, Column] = {column.name: column for column in _columns()}
 
 
 def vocabulary():
