@@ -149,7 +149,7 @@ def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions
     return cost, True
 
 
-@njit
+@njit(_nrt=True)  # it allocates, also where its caller counts no references
 def search(constants, c_b, target, budget, start, r0, p0, before, standard, steps, thresholds, waiting, states, plan):
     """
     Search the mode sequences from r0, p0, the thresholds `start` and the mode before; fill `states` and the actions `plan`.
