@@ -29,7 +29,7 @@ COLUMNS = tomllib.loads((Path(__file__).parent / "templates" / "columns.toml").r
 
 def style_table(table: Tag) -> None:
     """Head a table by words, and mark and write its numbers."""
-    heads = [row for row in table.find_all("tr") if not row.find("td")]
+    heads = [row for row in table.find_all("tr") if row.find("th") and not row.find("td")]
     # pandas writes the names of the rows below those of the columns, in a row that is empty but for them.
     if len(heads) > 1 and not heads[-1].find_all("th")[-1].get_text(strip=True):
         _join_names(heads[-2], heads.pop())
@@ -40,12 +40,13 @@ def style_table(table: Tag) -> None:
             _write_cell(cell, P_VALUE.fullmatch(name) is not None)
     first = next((row.find_all(["th", "td"]) for row in table.find_all("tr") if row not in heads), [])
     for head in heads if not table.select("thead [colspan]") else heads[-1:]:
-        for name, cell in zip(reversed(head.find_all("th")), reversed(first), strict=False):
+        for title, cell in zip(reversed(head.find_all("th")), reversed(first), strict=False):
             if "number" in cell.get_attribute_list("class"):
-                _mark(name, "number")
-    for name in table.find_all("th", string=lambda text: text in COLUMNS):
-        name["title"] = name["data-value"] = name.string
-        name.string = COLUMNS[name["title"]]
+                _mark(title, "number")
+    for title in table.find_all("th", string=lambda text: text in COLUMNS):
+        code = title.get_text()
+        title["title"] = title["data-value"] = code
+        title.string = COLUMNS[code]
 
 
 def _join_names(above: Tag, last: Tag) -> None:

@@ -79,4 +79,8 @@ function equip(table, place) {
   table.closest(".scroll").before(bar);
 }
 
-addEventListener("DOMContentLoaded", () => document.querySelectorAll(".scroll table").forEach(equip));
+addEventListener("DOMContentLoaded", () => {
+  document.querySelectorAll(".scroll table").forEach(equip);
+  // What scrolls can be reached by keyboard.
+  document.querySelectorAll(".equation, pre").forEach((one) => { if (one.scrollWidth > one.clientWidth) one.tabIndex = 0; });
+});
