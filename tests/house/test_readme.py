@@ -44,7 +44,7 @@ def test_code_that_does_not_run_is_python_and_says_so(path):
 @pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
 def test_recipes_can_be_followed(path, tmp_path):
     for language, caption, _, code in blocks(path):
-        if language == "toml":
+        if language == "toml" and "[columns]" in code:
             (tmp_path / caption).write_text(code)
             load_recipe(tmp_path / caption)
 

@@ -89,6 +89,14 @@ class LiveStudy:
     ValueError
         If an argument is not understood, the participants do not fill whole squares, or the folder holds another plan or other
         files.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import trustlab as tl
+    >>> folder = tempfile.mkdtemp()
+    >>> tl.LiveStudy(f"{folder}/rehearsal", ["C1", "C3"], participants=4, seed=0, rehearsal=True)
+    LiveStudy('rehearsal': 4 participants, C1, C3)
     """
 
     def __init__(

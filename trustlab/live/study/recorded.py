@@ -48,6 +48,18 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     ------
     ValueError
         If there is no study in the folder, or a file of it was damaged; the error names file and line.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import trustlab as tl
+    >>> plan = tl.LiveStudy(tempfile.mkdtemp() + "/rehearsal", ["C1", "C3"], participants=4, seed=0, rehearsal=True)
+    >>> tl.read_live_study(plan.folder).participants()[["participant", "order", "pages_done"]]
+      participant  order  pages_done
+    0         P01  C3 C1           0
+    1         P02  C1 C3           0
+    2         P03  C1 C3           0
+    3         P04  C3 C1           0
     """
     plan = LiveStudy.open(folder)
     deleted = plan.deleted()
