@@ -20,6 +20,7 @@ import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 from trustlab.publishing.__main__ import main
+from trustlab.publishing.index_page import held, write_index
 from trustlab.publishing.inputs import Checkout, input_digest, list_files
 from trustlab.publishing.notebooks import publish
 from trustlab.publishing.report_page import page_faults
@@ -142,6 +143,18 @@ def test_index_has_a_card_for_each(world):
     assert 'href="02_bad.html"' not in text
     assert '<a href="./benchmarks.html">Bench &amp; marks</a>' in text
     assert text.count(base64.b64encode(b"\x89PNG")[:4].decode()) >= 1
+
+
+def test_index_links_the_documentation_where_it_is(tmp_path):
+    checkout = Checkout.find(make(tmp_path))
+    index = checkout.reports / "index.html"
+    with held(checkout, print):
+        write_index(checkout, [], "")
+        assert "docs/index.html" not in index.read_text()
+        (checkout.reports / "docs").mkdir()
+        (checkout.reports / "docs" / "index.html").touch()
+        write_index(checkout, [], "")
+    assert '<a href="docs/index.html">Documentation</a>' in index.read_text()
 
 
 def test_rebuilt_only_when_an_input_changed(world):

@@ -128,6 +128,7 @@ def write_index(checkout: Checkout, notebooks: list[Path], shared: str) -> None:
         math=to_mathml,
         css=stylesheet(),
         cards=cards,
+        docs=(checkout.reports / "docs" / "index.html").is_file(),
         others=_others(checkout, {notebook.stem for notebook in notebooks}),
         summary=f"{len(built)} of {len(cards)} notebooks published" + (f"; {failed} failed." if failed else "."),
     )
