@@ -8,6 +8,7 @@ Scripted hands drive and scripted participants send rows; no person takes part.
 
 import csv
 import os
+import runpy
 import sys
 import tempfile
 from pathlib import Path
@@ -15,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE.parents[1]), str(HERE.parents[1] / "notebooks")]
-
-from live_pictures import taken  # noqa: E402
+ROOT = HERE.parents[1]
+sys.path.insert(0, str(ROOT))
 
 from benchmarks.live import DRIVE, DRIVERS, PEOPLE, browsers, load, losses  # noqa: E402
 
@@ -54,6 +54,7 @@ def figures():
 
 def main():
     """Write measured.csv and the pictures."""
+    taken = runpy.run_path(str(ROOT / "notebooks" / "live_pictures.py"))["taken"]
     for name, picture in taken().items():
         (HERE / f"{name}.png").write_bytes(picture)
     with (HERE / "measured.csv").open("w", encoding="utf-8", newline="") as file:

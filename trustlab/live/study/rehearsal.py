@@ -41,7 +41,7 @@ def _drive(course: Course, step: Step, rng: np.random.Generator) -> None:
     header = course.participant.header(attempt_name(step, about["attempt"]))
     assert header is not None
     config = header["config"]
-    made, _ = scripted_drive(config, HumanHand(config, rng.integers(2**32)))
+    made, _ = scripted_drive(config, HumanHand(config, int(rng.integers(2**32))))
     stamped = [[k, 1000.0 * config["sample_time"] * k, *row] for k, row in enumerate(made.tolist())]
     for first in range(0, len(stamped), SENT_AT_ONCE):
         course.rows(about | {"rows": stamped[first : first + SENT_AT_ONCE]})
