@@ -44,7 +44,40 @@ p_r = { column = "sine_a" }
 p_h = { column = "sine_b" }
 mode = { column = "status_flags", map = { 0x00 = 0, 0x02 = 0, 0x11 = 1, 0x31 = 1 } }
 """
+JOINTS = """
+kind = "bag"
+[time]
+stamp = "header"
+[resampling]
+method = "previous"
+sample_time = 0.01
+[columns]
+p_r = { topic = "/fake_joints_state", field = 'position[name="joint_3"]' }
+"""
+MOTOR = """
+kind = "table"
+[time]
+column = "t"
+unit = "s"
+repeated = "first"
+[resampling]
+method = "linear"
+sample_time = 0.001
+[columns]
+v_command = { column = "velocity", unit = "m/s" }
+p_r = { column = "motor_speed", scale = 0.001 }
+"""
 LOGS = {
+    "fake_joint_state.bag": (
+        "https://github.com/facontidavide/PlotJuggler, datasamples/fake_joint_state.bag at ddcbd05b",
+        "8468b520caf307e5835a52a1701e55ef4c20a17526f62ad14b5b95a1ddae6413",
+        JOINTS,
+    ),
+    "motor_data.csv": (
+        "https://github.com/facontidavide/PlotJuggler, datasamples/motor_data.csv at ddcbd05b",
+        "fc261901c81fa9b634a1e27b18af3626a6947ee4b29783ed77df975bd4478b61",
+        MOTOR,
+    ),
     "sample_log_small.ulg": (
         "https://github.com/PX4/pyulog, test/sample_log_small.ulg at 3cf1779",
         "68d1020f688109f027dba08d2950247cc0ae34aaefdcf37e4a7d60838f3e1aa3",
@@ -112,3 +145,27 @@ def test_an_export_in_the_manner_of_plotjuggler():
     session, frame = read_session(path, recipe=recipe), pd.read_csv(path)
     np.testing.assert_array_equal(session["p_r"], frame["sine_a"])
     np.testing.assert_array_equal(session["mode"], [int(flag, 16) & 1 for flag in frame["status_flags"]])
+
+
+def test_a_bag_of_joints_selected_by_name():
+    path, recipe = public("fake_joint_state.bag")
+    session = read_session(path, recipe=recipe)
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([path]) as reader:
+        own = [reader.deserialize(data, connection.msgtype) for connection, _, data in reader.messages()]
+    stamps = np.array([message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in own])
+    times = (stamps - stamps[0]) / 1e9
+    positions = np.array([message.position[message.name.index("joint_3")] for message in own])
+    held = positions[np.searchsorted(times, session.t + 1e-8, side="right") - 1]
+    np.testing.assert_array_equal(session["p_r"], held)
+    assert session.metadata.more["start_time"] == stamps[0] / 1e9
+
+
+def test_a_motor_logged_at_a_kilohertz():
+    path, recipe = public("motor_data.csv")
+    session, frame = read_session(path, recipe=recipe), pd.read_csv(path).drop_duplicates("t")
+    np.testing.assert_allclose(session["v_command"], np.interp(session.t, frame["t"], frame["velocity"]), atol=1e-9)
+    np.testing.assert_allclose(
+        session["p_r"], 0.001 * np.interp(session.t, frame["t"], frame["motor_speed"]), atol=1e-9
+    )
