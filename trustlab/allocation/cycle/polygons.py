@@ -161,13 +161,14 @@ def propagate_cycle(poly, k, error, lower, upper, c, most, out, corners, errors)
     """Propagate a polygon through a manual and an autonomous phase, as `propagate`."""
     half = np.empty((PARTS, CORNERS, 2))
     half_corners, half_errors = np.empty(PARTS, np.int64), np.empty(PARTS)
-    middle, steps = propagate(True, poly, k, error, upper, c, most, half, half_corners, half_errors)
+    manual = k >= 0  # no literals True and False: numba would compile `propagate` once for each
+    middle, steps = propagate(manual, poly, k, error, upper, c, most, half, half_corners, half_errors)
     if middle < 0:
         return middle, steps
     parts = 0
     for j in range(middle):
         room = out[parts : parts + PARTS], corners[parts:], errors[parts:]
-        more, stepped = propagate(False, half[j], half_corners[j], half_errors[j], lower, c, most, *room)
+        more, stepped = propagate(not manual, half[j], half_corners[j], half_errors[j], lower, c, most, *room)
         steps += stepped
         if more < 0:
             return more, steps
@@ -232,7 +233,7 @@ def narrow(low, high, over, lower, upper, c, cells, cycles, most, budget):
                 # The utilizations one sample earlier, in the autonomous phase, limit the overshoot of this cell.
                 cell_over = min(over, overshoot(False, left / c.a_r, min(right / c.a_r, 1.0), lower, c))
                 strip(left, right, cell_over, lower, c, poly)
-                parts, steps = propagate_cycle(poly, 4, 0.0, lower, upper, c, most, out, corners, errors)
+                parts, steps = propagate_cycle(poly, np.int64(4), 0.0, lower, upper, c, most, out, corners, errors)
                 stepped += steps + 40
                 if stepped > budget or (parts < 0 and (top > 60 or right < left * (1.0 + 1e-6))):
                     return low, high, over, done

@@ -156,11 +156,12 @@ def phase_image(manual, low, high, start, over, target, c, cells, most):
 @njit
 def enclose(low, high, over, lower, upper, c, cells, most):
     """Propagate r in [low, high] with overshoot up to `over` as a manual phase begins through one cycle."""
-    ends, manual = phase_image(True, low, high, lower, over, upper, c, cells, most)
+    first_phase = cells > 0  # no literals True and False: numba would compile `phase_image` once for each
+    ends, manual = phase_image(first_phase, low, high, lower, over, upper, c, cells, most)
     if not ends:
         return Enclosure(-1, low, high, over, NO_IMAGE, 0.0, 1.0, NO_IMAGE)
     first, last = max(manual.r_low - ROUNDING, 0.0), min(manual.r_high + ROUNDING, 1.0)
-    ends, autonomous = phase_image(False, first, last, upper, manual.overshoot, lower, c, cells, most)
+    ends, autonomous = phase_image(not first_phase, first, last, upper, manual.overshoot, lower, c, cells, most)
     return Enclosure(1 if ends else -2, low, high, over, manual, first, last, autonomous)
 
 
