@@ -1,6 +1,7 @@
 """Links and figures of README, CONTRIBUTING and the documentation's sources are there, and their code runs."""
 
 import re
+import tomllib
 
 import matplotlib as mpl
 import pytest
@@ -54,6 +55,12 @@ def test_targets_of_make_are_there(path):
     phony = re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.M)[1].split()
     shell = "".join(code for language, _, _, code in blocks(path) if language == "sh")
     assert set(re.findall(r"^make (\S+)", shell, re.M)) <= set(phony)
+
+
+def test_every_equation_is_shown():
+    printed = tomllib.loads((ROOT / "data" / "published" / "equations.toml").read_text())
+    page = (ROOT / "docs" / "concepts" / "equations.md").read_text()
+    assert sorted(" ".join(re.findall(r"^```\{equation\} (.*)$", page, re.M)).split()) == sorted(printed)
 
 
 def test_readme_is_one_page():
