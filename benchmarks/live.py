@@ -147,7 +147,8 @@ def driving(context: Any, url: str) -> Any:
         page.click("form button")
         page.wait_for_selector("main > button")
     page.click("main > button")
-    time.sleep(3.0)
+    while page.evaluate("self.study.rows") < 20:
+        time.sleep(0.1)
     return page
 
 
