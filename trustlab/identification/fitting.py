@@ -212,7 +212,7 @@ def estimate_runs(
         valleys += [settle(problem, problem.vector(start), limits, robust, **ROUGHLY) for problem, start in begun]
     lowest = min(valleys, key=lambda one: one.deviance)
     if len(hypotheses) > 1:  # what the structure guesses from averages may miss a valley
-        valleys += list(_elsewhere(lowest, limits, robust))
+        valleys += list(_elsewhere(lowest, limits))
         lowest = min(valleys, key=lambda one: one.deviance)
     rivals = tuple(one for one in valleys if one.deviance < lowest.deviance + RIVAL)
     for one in rivals:
@@ -220,19 +220,19 @@ def estimate_runs(
     return replace(estimate(lowest.problem, lowest.theta, limits, noise, robust), rivals=rivals)
 
 
-def _elsewhere(valley: Valley, limits: Mapping, robust: bool) -> Iterator[Valley]:
+def _elsewhere(valley: Valley, limits: Mapping) -> Iterator[Valley]:
     """Yield what the search finds with bounded initial states held at other places, and when they are let go there."""
-    problem = valley.problem
+    problem = valley.problem  # with the outliers left out that this valley shows, so that deviances can be compared
     bounded = [one.name for one in problem.structure.initial if 0.0 < np.ptp(limits[one.name]) < np.inf]
     for share in (0.1, 0.3, 0.5, 0.8) if bounded else ():
         at = {name: limits[name][0] + share * np.ptp(limits[name]) for name in bounded}
         start = valley.theta.copy()
         for j, parameter in enumerate(problem.structure.initial):
             start[problem.shared + j :: problem.own] = at.get(parameter.name, start[problem.shared + j :: problem.own])
-        held = settle(problem, start, {**limits, **{name: (own, own) for name, own in at.items()}}, robust, **ROUGHLY)
+        held = settle(problem, start, {**limits, **{name: (own, own) for name, own in at.items()}}, False, **ROUGHLY)
         yield held
         if held.deviance < valley.deviance + SHALLOW:
-            yield settle(problem, held.theta, limits, robust, **ROUGHLY)
+            yield settle(problem, held.theta, limits, False, **ROUGHLY)
 
 
 def _starts(structure: Structure, runs: list[Run], limits: Mapping, guess: Mapping | None) -> list[dict]:
