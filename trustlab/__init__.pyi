@@ -53,7 +53,11 @@ from .identification import (
     fit_transfer_function as fit_transfer_function,
     fit_tsc as fit_tsc,
 )
-from .live import LiveStudy as LiveStudy, read_live_study as read_live_study
+from .live import (
+    LiveGroundRobot as LiveGroundRobot,
+    LiveStudy as LiveStudy,
+    read_live_study as read_live_study,
+)
 from .models import (
     HumanModel as HumanModel,
     RobotModel as RobotModel,

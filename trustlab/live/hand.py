@@ -5,8 +5,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from trustlab.live.runs import Drive, session_of
+from trustlab.live.runs import Drive, drive_config, session_of
+from trustlab.models.checks import whole_number
+from trustlab.reproduction.published import published_models, published_table
 from trustlab.sessions.session import Session
 from trustlab.testbeds.ground_robot.course import path_point
 
@@ -95,14 +98,53 @@ class IdealHand:
         return self.robot["max_speed"], 2.5 * bearing
 
 
-def scripted_drive(config: Mapping[str, Any], hand: Any, follows: bool = True) -> tuple[np.ndarray, Session]:
-    """Return rows and session of a whole drive by a hand that follows suggestions, or stays with the first mode."""
-    drive = Drive(config)
-    wanted = float(config["task"]["first_mode"])
+def live_difficulty(seeds: int = 3, laps: int = 2) -> pd.DataFrame:
+    """
+    Return how hard the live task is: P_r and P_h of scripted hands, driving alone, beside the printed people's.
+
+    Parameters
+    ----------
+    seeds : int
+        How many drives of each hand.
+    laps : int
+        How many laps each; means are over what follows the first 100 s, in which the window of (2.4) and (2.7) fills.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns who, source ("simulated" or "printed"), p_r, p_h [m/s] and path_error [m]. The printed rows are the means of
+        Table 2.5, C1 to C5, in which the robot drives a part of the time, and the participants' P_r,max and P_h,max of Table 2.1.
+
+    Raises
+    ------
+    ValueError
+        If a number is not whole and positive.
+    """
+    seeds, laps = whole_number("seeds", seeds), whole_number("laps", laps, least=2)
+    rows = []
+    for kind in (IdealHand, HumanHand):
+        for seed in range(seeds):
+            config = drive_config("training", laps=laps, seed=seed)
+            hand = kind(config, seed) if kind is HumanHand else kind(config)
+            data = scripted_drive(config, hand)[1].data
+            rows.append((kind.__name__, "simulated", *data.loc[100.0:, ["p_r", "p_h", "path_error"]].mean()))
+    columns = ["who", "source", "p_r", "p_h", "path_error"]
+    hands = pd.DataFrame(rows, columns=columns).groupby(["who", "source"], sort=False, as_index=False).mean()
+    table, models = published_table("2.5"), published_models()
+    means = table[["P_r_mean", "P_h_mean"]].astype(float)
+    printed = [(f"people, {c}", "printed", p_r, p_h, np.nan) for c, p_r, p_h in means.itertuples()]
+    best = [(f"participant {n}", "printed", models[n].robot.p_max, models[n].human.p_max, np.nan) for n in "12345"]
+    return pd.concat([hands, pd.DataFrame(printed + best, columns=columns)], ignore_index=True)
+
+
+def scripted_drive(config: Mapping[str, Any], hand: Any) -> tuple[np.ndarray, Session]:
+    """Return rows and session of a whole drive by a hand that follows suggestions, or the drive's schedule of modes."""
+    drive, phases = Drive(config), config["schedule"] or [[config["task"]["first_mode"], np.inf]]
+    ends = np.cumsum([length for _, length in phases]) / config["sample_time"]
+    suggested = -1.0
     while not drive.done:
         v, w = hand.step(drive.state)
-        row = drive.step(v, w, wanted)
-        if follows and row["suggested_mode"] >= 0.0:
-            wanted = float(row["suggested_mode"])
+        scheduled = phases[min(int(np.searchsorted(ends, drive.k, side="right")), len(phases) - 1)][0]
+        suggested = drive.step(v, w, scheduled if suggested < 0.0 else suggested)["suggested_mode"]
     rows = drive.rows[: drive.k].copy()
     return rows, session_of(config, rows, participant=type(hand).__name__, synthetic=True)

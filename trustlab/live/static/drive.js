@@ -348,7 +348,7 @@ function furnish(root, config, toggle) {
 }
 
 export async function drive(root, config, wasm, on) {
-  const physics = await Physics.load(wasm, config), dt = 1000 * config.sample_time, scheduled = wanting(config);
+  const physics = await Physics.load(wasm, config), dt = (1000 * config.sample_time) / (config.pace ?? 1), scheduled = wanting(config);
   let wanted = config.task.first_mode, row = null, running = true, paused = null, last = performance.now(), behind = 0, frames = [], stamps = [], timer = 0;
   const hands = new Hands(root, config.ramp, () => running && on.note("focus lost: keys released"));
   const { camera, gauges, panel, away } = furnish(root, config, () => { hands.toggles += 1; });
@@ -402,7 +402,6 @@ export async function drive(root, config, wasm, on) {
     if (!running || paused !== null) return;
     if (gap > 250) {
       on.note(`pause of ${(gap / 1000).toFixed(2)} s: the page did not run`);
-      hands.clear();
       return;
     }
     behind += gap;
@@ -443,6 +442,7 @@ export async function drive(root, config, wasm, on) {
     if (physics.done) finish("complete");
   }
 
+  // How the page keeps up: frames a second, the log's period [s], and what the hands are on.
   function telemetry() {
     const periods = stamps.slice(1).map((x, i) => x - stamps[i]).sort((a, b) => a - b);
     const fps = frames.length > 1 ? (1000 * (frames.length - 1)) / (frames.at(-1) - frames[0]) : 0;
