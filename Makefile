@@ -1,6 +1,6 @@
 # `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
 .DEFAULT_GOAL := help
-.PHONY: environment reports docs test test-long lock bench lab study data calibration kernel clean help
+.PHONY: environment reports docs test test-long coverage lock bench lab study data calibration kernel clean help
 
 PYTHON ?= python3
 VENV := .venv
@@ -47,6 +47,10 @@ test: $(VENV)/.stamp  ## formatting, linting, types and every test but the long 
 
 test-long: $(VENV)/.stamp  ## the tests that take too long for every time
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m long
+
+coverage: $(VENV)/.stamp  ## the same tests, and which lines of the package they run; fails below the floor in pyproject.toml
+	$(BIN)/python -m trustlab.publishing.compile_kernels
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m "not long" --cov --cov-report=term-missing:skip-covered
 
 bench: $(VENV)/.stamp  ## benchmarks beside the peers, written under reports/ (ONLY=arx runs one)
 	@$(MAKE) --no-print-directory benchmarks/.venv/.stamp || echo "peers could not be installed; see above"

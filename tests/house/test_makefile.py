@@ -127,6 +127,7 @@ def test_the_environment_is_built_once_and_every_recipe_runs(house, uv):
     for target, said in {
         "test": "pytest",
         "test-long": "pytest",
+        "coverage": "--cov",
         "reports": "python -m trustlab.publishing",
         "docs": "python -m sphinx",
         "bench": "python -m benchmarks",

@@ -287,8 +287,8 @@ def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
     ("arguments", "error", "words"),
     [
         ({"scheme": "TMIX"}, ValueError, "did you mean 'TMI"),
-        ({"scheme": "TMGI"}, ValueError, "did you mean 'TMIG'"),
-        ({"scheme": 3}, ValueError, "no scheme 3"),
+        ({"scheme": "tmigg"}, ValueError, "did you mean 'TMIG'"),
+        ({"scheme": 3}, ValueError, "scheme must be one of 'M', 'MI', .*, or a trustlab.Scheme, got 3"),
         ({"study": "third"}, ValueError, "study must be one of"),
         ({"operator": "me"}, ValueError, "operator must be of class Teleoperator"),
         ({"task": 1}, ValueError, "task must be of class TrackingTask"),

@@ -182,6 +182,12 @@ def ranges_table(result: Any, dwell_manual: tuple, dwell_autonomous: tuple) -> p
     return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high"]).rename_axis("quantity")
 
 
+def ranges_text(result: Any) -> str:
+    """Return the ranges of r, P_r and TSC that a result has, in a line."""
+    ends = {name: (getattr(result, f"{it}_low"), getattr(result, f"{it}_high")) for name, it in RANGES.items()}
+    return ", ".join(f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in ends.items())
+
+
 def check_thresholds(
     tsc: TscModel, lower: float, upper: float, limits: ThresholdLimits | None = None
 ) -> tuple[float, float]:

@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trustlab.allocation.limits import check_thresholds
-from trustlab.allocation.rules import (
-    PerformanceRule,
-    ThresholdRule,
-    begun,
-    decision,
-    performance_suggestion,
-)
+from trustlab.allocation.rules import PerformanceRule, ThresholdRule, begun, decision, performance_suggestion
 from trustlab.models.checks import between, finite_number, of_class, whole_number
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc_at

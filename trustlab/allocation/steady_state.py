@@ -8,7 +8,7 @@ import numpy as np
 
 from trustlab.allocation.cycle.limit_cycle import limit_cycle
 from trustlab.allocation.cycle.phases import longest_phase
-from trustlab.allocation.limits import check_thresholds, ranges_table, step_bounds, threshold_limits
+from trustlab.allocation.limits import check_thresholds, ranges_table, ranges_text, step_bounds, threshold_limits
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import between
@@ -63,10 +63,7 @@ class SteadyStateBounds:
         return as_html(f"Bounds as printed, δ_TSC = {self.delta_tsc:.3g}", self.table())
 
     def __repr__(self) -> str:
-        return (
-            f"SteadyStateBounds(r {self.r_low:.4g} to {self.r_high:.4g}, P_r {self.p_r_low:.4g} to {self.p_r_high:.4g}, "
-            f"TSC {self.tsc_low:.4g} to {self.tsc_high:.4g}, delta_tsc={self.delta_tsc:.3g})"
-        )
+        return f"SteadyStateBounds({ranges_text(self)}, delta_tsc={self.delta_tsc:.3g})"
 
     def table(self):
         """
@@ -126,8 +123,8 @@ class SteadyStateBounds:
 class PerformanceRange(NamedTuple):
     """P_rl and P_ru (2.15), and the dwell times between them (2.16), (2.20) and (2.21), in samples."""
 
-    p_low: np.ndarray
-    p_high: np.ndarray
+    p_r_low: np.ndarray
+    p_r_high: np.ndarray
     dwell_autonomous: np.ndarray
     dwell_manual_low: np.ndarray
     dwell_manual_high: np.ndarray
@@ -222,22 +219,19 @@ def steady_state_bounds(tsc: TscModel, lower: float, upper: float, delta_tsc: fl
     delta_tsc = between("delta_tsc", delta_tsc, 0.0, 2.0)  # TSC lies in [−1, 1]
     robot = tsc.robot
     found = performance_as_printed(tsc.constants(), lower, upper, delta_tsc)
-    p_low, p_high, *dwells = (float(x) for x in found)
+    numbers = {name: float(value) for name, value in found._asdict().items()}
+    p_low, p_high = numbers["p_r_low"], numbers["p_r_high"]
     if not p_low < p_high:
         raise ValueError(
             f"the thresholds ({lower:g}, {upper:g}) leave no range of robot performance: (2.15) gives P_rl = {p_low:.4g} "
             f"and P_ru = {p_high:.4g} within [{robot.p_min}, {robot.p_max}]; move them towards each other's middle"
         )
-    autonomous, manual_low, manual_high = dwells
-    r_low, r_high = utilization_as_printed(tsc.human.a, manual_low, manual_high, autonomous)
+    dwells = found.dwell_manual_low, found.dwell_manual_high, found.dwell_autonomous
+    r_low, r_high = utilization_as_printed(tsc.human.a, *dwells)
     return SteadyStateBounds(
         tsc_low=lower - delta_tsc,
         tsc_high=upper + delta_tsc,
-        p_r_low=p_low,
-        p_r_high=p_high,
-        dwell_autonomous=autonomous,
-        dwell_manual_low=manual_low,
-        dwell_manual_high=manual_high,
+        **numbers,
         r_low=float(r_low),
         r_high=float(r_high),
         delta_tsc=delta_tsc,

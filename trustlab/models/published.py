@@ -10,19 +10,6 @@ from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 
-# The pilot operator's parameters as printed in Sections 2.2.2 and 2.2.3.
-PILOT = {
-    "a_r": "0.9991",
-    "b_r": "0.0009",
-    "P_h_min": "0.391",
-    "P_h_max": "0.4602",
-    "beta": "0.74",
-    "a_pr": "0.996",
-    "b_pr": "0.0013",
-    "P_r_min": "0.24",
-    "P_r_max": "0.39",
-}
-
 
 class ByName(dict):
     """A dictionary by name that takes 2 for "2", and whose KeyError says which names there are and which is nearest."""
@@ -74,6 +61,11 @@ def published_table(number: str) -> pd.DataFrame:
     return pd.read_csv(paths[name], dtype=str, index_col=[0, 1] if name == "2.3" else 0)
 
 
+def printed_pilot() -> dict[str, str]:
+    """Return the pilot operator's parameters as printed in Sections 2.2.2 and 2.2.3."""
+    return pd.read_csv(published_folder() / "pilot.csv", dtype=str, index_col=0)["pilot"].to_dict()
+
+
 def published_models() -> dict[str, TscModel]:
     """
     Return the models with the printed parameters: the pilot operator and the five participants of Table 2.1.
@@ -89,9 +81,9 @@ def published_models() -> dict[str, TscModel]:
     >>> list(tl.published_models())
     ['pilot', '1', '2', '3', '4', '5']
     """
-    models = ByName()
-    for name, printed in ({"pilot": PILOT} | published_table("2.1").to_dict()).items():
-        value = {key: float(printed[key]) for key in PILOT}
+    models, pilot = ByName(), printed_pilot()
+    for name, printed in ({"pilot": pilot} | published_table("2.1").to_dict()).items():
+        value = {key: float(printed[key]) for key in pilot}
         human = HumanModel(value["a_r"], value["beta"], value["P_h_min"], value["P_h_max"])
         robot = RobotModel(value["a_pr"], value["P_r_min"], value["P_r_max"], value["P_h_max"])
         models[name] = TscModel(robot, human)

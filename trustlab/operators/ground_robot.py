@@ -212,7 +212,7 @@ class Operator:
         return 1.0 + self.learning * (1.0 - 0.5**self.sessions) - self.fatigue * self.sessions
 
     @property
-    def numbers(self) -> tuple:
+    def numbers(self) -> Any:
         """The operator as plain numbers, `OperatorNumbers`."""
         human = (self.human.a, self.human.beta, self.human.p_min, self.human.p_max)
         return OperatorNumbers._make((*human, *(getattr(self, name) for name in OperatorNumbers._fields[4:])))

@@ -136,20 +136,23 @@ class Teleoperator:
         camera_delay : float
             How late pictures arrive [s].
         """
+        same = (
+            "proportional",
+            "derivative",
+            "compensation",
+            "crossover",
+            "reach",
+            "stiffness",
+            "damping",
+            "noise",
+            "shift",
+        )
         return HandNumbers(
-            self.proportional,
-            self.derivative,
-            self.compensation,
-            self.crossover,
-            sample_time / max(self.adaptation, sample_time),
-            max(round((self.reaction + camera_delay) / sample_time), 1),
-            math.exp(-sample_time / self.lag),
-            self.reach,
-            self.stiffness,
-            self.damping,
-            self.noise,
-            self.shift,
-            max(round(self.patience / sample_time), 1),
+            **{name: getattr(self, name) for name in same},
+            learned=sample_time / max(self.adaptation, sample_time),
+            delay=max(round((self.reaction + camera_delay) / sample_time), 1),
+            decay=math.exp(-sample_time / self.lag),
+            patience=max(round(self.patience / sample_time), 1),
         )
 
 

@@ -33,11 +33,11 @@ def condition_measures(
     if lap_times is not None:
         found["speed"] = float(log["step_distance"].mean()) / SAMPLE_TIME
     found |= {"manual_share": float(log["mode"].mean()), "switches": int(np.count_nonzero(np.diff(log["mode"])))}
-    laps: dict[str, float] = {}
     if lap_times is not None:
         found["laps"] = int(lap_times.size)
-        laps = {"lap_time": float(lap_times[-1] / lap_times.size)}
-    found |= {"duration": float(t[-1] - t[0])} | laps
+    found["duration"] = float(t[-1] - t[0])
+    if lap_times is not None:
+        found["lap_time"] = float(lap_times[-1] / lap_times.size)
     states = [state for _, _, _, state in suggestion_episodes(t, log["mode"], log["suggested_mode"], DEADLINE)]
     followed, decided = states.count(FOLLOWED), states.count(FOLLOWED) + states.count(NOT_FOLLOWED)
     found |= {"suggestions": decided, "followed_percent": 100.0 * followed / decided if decided else np.nan}

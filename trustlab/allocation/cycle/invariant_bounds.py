@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from trustlab.allocation.cycle.phases import EFFORT, endless_phase
 from trustlab.allocation.cycle.polygons import REST, narrow
 from trustlab.allocation.cycle.propagation import ROUNDING, enclose, nest
-from trustlab.allocation.limits import check_thresholds, ranges_table
+from trustlab.allocation.limits import check_thresholds, ranges_table, ranges_text
 from trustlab.models.checks import whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
@@ -60,10 +60,7 @@ class InvariantBounds:
         return as_html(self.reason, self.table())
 
     def __repr__(self) -> str:
-        return (
-            f"InvariantBounds(guaranteed={self.guaranteed}, r {self.r_low:.4g} to {self.r_high:.4g}, P_r {self.p_r_low:.4g} to "
-            f"{self.p_r_high:.4g}, TSC {self.tsc_low:.4g} to {self.tsc_high:.4g}, cycles={self.cycles})"
-        )
+        return f"InvariantBounds(guaranteed={self.guaranteed}, {ranges_text(self)}, cycles={self.cycles})"
 
     def table(self):
         """

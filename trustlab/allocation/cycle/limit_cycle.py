@@ -8,19 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.allocation.cycle.phases import (
-    CYCLE,
-    EFFORT,
-    Seen,
-    endless_phase,
-    longest_phase,
-    record,
-    resampled,
-    return_map,
-    settle,
-    watched,
-)
-from trustlab.allocation.limits import check_thresholds, ranges_table
+from trustlab.allocation.cycle import phases
+from trustlab.allocation.limits import check_thresholds, ranges_table, ranges_text
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import whole_number
 from trustlab.models.html import as_html
@@ -124,10 +113,7 @@ class LimitCycle:
     def __repr__(self) -> str:
         if not self.exists:
             return f"LimitCycle(exists=False, reason={self.reason!r})"
-        return (
-            f"LimitCycle(r {self.r_low:.4g} to {self.r_high:.4g}, P_r {self.p_r_low:.4g} to {self.p_r_high:.4g}, "
-            f"TSC {self.tsc_low:.4g} to {self.tsc_high:.4g}, always={self.always})"
-        )
+        return f"LimitCycle({ranges_text(self)}, always={self.always})"
 
     def table(self):
         """
@@ -167,7 +153,7 @@ class LimitCycle:
         for value, label in ((self.lower, "$TSC_l$"), (self.upper, "$TSC_u$")):
             line = (value + model.b_T * p_h) / model.a_T
             axes.plot(r, line, "--", lw=1.5, label=f"{label} = {value:g}")
-        settled = longest_phase(model.constants())
+        settled = phases.longest_phase(model.constants())
         run = simulate_allocation(model, self.lower, self.upper, 2 * settled, r0=0.1)
         first, last = run.iloc[: settled // 2], run.iloc[settled:]
         axes.plot(first["r"], first["p_r"], lw=0.6, color="C2", label="from near rest")
@@ -225,13 +211,13 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
     starts = whole_number("starts", starts)
     c = tsc.constants()
     motions, followed = Motions(c, lower, upper), 0
-    for r, p_r in watched(_initial_states(tsc, lower, starts, motions), "limit cycle", starts + 1):
-        if motions.spent > EFFORT:
+    for r, p_r in phases.watched(_initial_states(tsc, lower, starts, motions), "limit cycle", starts + 1):
+        if motions.spent > phases.EFFORT:
             break
         motions.follow(r, p_r)
         followed += 1
     found, stopped = motions.found, motions.stopped
-    endless = endless_phase(tsc, lower, upper)
+    endless = phases.endless_phase(tsc, lower, upper)
     stays = ""
     if stopped:
         code, r, p_r = stopped[0]
@@ -246,14 +232,14 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
     seen = [motion.seen for motion in found]
     periods = {motion.period for motion in found}
     period = periods.pop() if len(periods) == 1 else None
-    slope, unique = _return_map(float(rows["r"].mean()), lower, upper, resampled(tsc).constants())
+    slope, unique = _return_map(float(rows["r"].mean()), lower, upper, phases.resampled(tsc).constants())
     how = _how(found, rows, period)
     if stopped:
         how += f"; but from {len(stopped)} of {followed} starts it {stays}"
     elif endless:
         how += f"; but {endless}"
     if followed < starts + 1:
-        how += f"; {followed} of {starts + 1} starts were simulated, in about {EFFORT:.0e} samples"
+        how += f"; {followed} of {starts + 1} starts were simulated, in about {phases.EFFORT:.0e} samples"
     return LimitCycle(
         exists=True,
         reason=how,
@@ -306,7 +292,7 @@ class Motion:
     """One steady motion: rows of `CYCLE`, extremes and sums over its samples, and after how many cycles it repeats, if it does."""
 
     rows: np.ndarray
-    seen: Seen
+    seen: phases.Seen
     period: int | None
 
     def same(self, other: Motion) -> bool:
@@ -326,28 +312,28 @@ class Motions:
     def __init__(self, c: TscConstants, lower: float, upper: float):
         self.found: list[Motion] = []
         self.stopped: list[tuple[int, float, float]] = []
-        self.most, self.spent = longest_phase(c), 0.0
+        self.most, self.spent = phases.longest_phase(c), 0.0
         self._system = lower, upper, c
-        self._repeating = np.empty(0, CYCLE)
+        self._repeating = np.empty(0, phases.CYCLE)
 
     def follow(self, r: float, p_r: float) -> None:
         """Simulate until transients have decayed, and keep the motion if it is new."""
         known = np.ascontiguousarray(self._repeating["r"]), np.ascontiguousarray(self._repeating["p_r"])
-        code, r, p_r, samples = settle(r, p_r, *self._system, self.most, self.most, *known, REPEATED)
+        code, r, p_r, samples = phases.settle(r, p_r, *self._system, self.most, self.most, *known, REPEATED)
         self.spent += samples
         if code < 0:
             self.stopped.append((code, r, p_r))
         if code != 0 or any(motion.passes(r, p_r) for motion in self.found if motion.period is None):
             return
-        rows, seen = record(r, p_r, *self._system, FEWEST_CYCLES, self.most)
+        rows, seen = phases.record(r, p_r, *self._system, FEWEST_CYCLES, self.most)
         period = _period(rows)
         if period is None:
-            cycles = min(MOST_CYCLES, max(FEWEST_CYCLES, int(EFFORT / seen.samples * FEWEST_CYCLES)))
-            rows, seen = record(r, p_r, *self._system, cycles, self.most)
+            cycles = min(MOST_CYCLES, max(FEWEST_CYCLES, int(phases.EFFORT / seen.samples * FEWEST_CYCLES)))
+            rows, seen = phases.record(r, p_r, *self._system, cycles, self.most)
             period = _period(rows)
             self.spent += seen.samples
         if period is not None:
-            rows, seen = record(r, p_r, *self._system, period, self.most)
+            rows, seen = phases.record(r, p_r, *self._system, period, self.most)
         motion = Motion(rows, seen, period)
         if not any(own.same(motion) for own in self.found):
             self.found.append(motion)
@@ -375,15 +361,15 @@ def _how(found: list[Motion], rows: np.ndarray, period: int | None) -> str:
 
 def _return_map(middle: float, lower: float, upper: float, c: TscConstants) -> tuple[float, bool]:
     """Return the slope of the return map without overshoot about `middle`, and whether it has one fixed point."""
-    most = longest_phase(c)
+    most = phases.longest_phase(c)
     ends = np.geomspace(1e-15, 0.015, 16)
     grid = np.r_[ends, np.linspace(0.0, 1.0, 65)[1:-1], 1.0 - ends[::-1]]
-    gap = np.array([return_map(x, lower, upper, c, most) for x in grid]) - grid
+    gap = np.array([phases.return_map(x, lower, upper, c, most) for x in grid]) - grid
     # From rest the map leads upwards or nowhere, and from full load downwards or nowhere.
     signs = np.r_[1.0, np.sign(gap[np.isfinite(gap)]), -1.0]
     signs = signs[signs != 0.0]
     reach = max(1e-4 * min(middle, 1.0 - middle), 1e-12)
     around = (max(middle - reach, 0.0), min(middle + reach, 1.0))
-    after = [return_map(x, lower, upper, c, most) for x in around]
+    after = [phases.return_map(x, lower, upper, c, most) for x in around]
     slope = float((after[1] - after[0]) / (around[1] - around[0]))
     return slope, bool(np.count_nonzero(np.diff(signs)) == 1)

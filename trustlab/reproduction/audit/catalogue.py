@@ -11,7 +11,7 @@ import pandas as pd
 
 from trustlab.models.checks import did_you_mean, shown
 from trustlab.reproduction.printed_number import PrintedNumber
-from trustlab.reproduction.published import PILOT, published_folder, published_table
+from trustlab.reproduction.published import printed_pilot, published_folder, published_table
 from trustlab.reproduction.published_study import published_studies
 
 PARTICIPANTS = ("1", "2", "3", "4", "5")
@@ -46,7 +46,7 @@ def _tables() -> Iterator[PrintedNumber]:
 
 
 def _pilot() -> Iterator[PrintedNumber]:
-    for key, text in PILOT.items():
+    for key, text in printed_pilot().items():
         where = "Section 2.2.2" if key.startswith(("a_p", "b_p", "P_r")) else "Section 2.2.3"
         yield PrintedNumber(f"pilot/{key}", where, f"{key} of the pilot operator", text)
 

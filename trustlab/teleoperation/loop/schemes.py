@@ -2,12 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from difflib import SequenceMatcher
 
 import numpy as np
 
 from trustlab.allocation.blending import best_share
-from trustlab.models.checks import shown
+from trustlab.models.checks import one_of, shown
 from trustlab.models.compiled import njit
 from trustlab.models.trust import logistic_scale
 from trustlab.teleoperation.loop.parts import Part
@@ -143,17 +142,4 @@ SCHEMES = {
 
 def scheme_named(name: str | Scheme) -> Scheme:
     """Return the scheme of this name, or one's own as it is; an unknown name is refused with the nearest."""
-    if isinstance(name, Scheme):
-        return name
-    if isinstance(name, str) and name in SCHEMES:
-        return SCHEMES[name]
-    likeness = {known: _likeness(str(name).upper(), known) for known in SCHEMES}
-    near = max(likeness, key=likeness.get)
-    hint = f"; did you mean {near!r}?" if likeness[near][0] >= 0.3 else ""
-    raise ValueError(f"no scheme {name!r}: there are {', '.join(SCHEMES)}{hint}")
-
-
-def _likeness(name: str, known: str) -> tuple[float, int]:
-    """Return how alike two names are, and how many letters they share in any order, which decides between equals."""
-    shared = sum(min(name.count(letter), known.count(letter)) for letter in set(name))
-    return SequenceMatcher(None, name, known).ratio(), shared
+    return name if isinstance(name, Scheme) else SCHEMES[one_of("scheme", name, SCHEMES, also="a trustlab.Scheme")]

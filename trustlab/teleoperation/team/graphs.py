@@ -146,11 +146,8 @@ def _on_all(names: tuple, t: float, some: tuple, adjacency: np.ndarray, connecte
     """Return a graph of some robots as one of all: those that are absent see nobody and are seen by nobody."""
     place = {name: i for i, name in enumerate(names)}
     at = np.array([place[name] for name in some])
-    whole, present, may_lead = (
-        np.zeros((len(names), len(names))),
-        np.zeros(len(names), bool),
-        np.zeros(len(names), bool),
-    )
+    whole = np.zeros((len(names), len(names)))
+    present, may_lead = np.zeros((2, len(names)), bool)
     whole[np.ix_(at, at)], present[at] = adjacency, True
     may_lead[at] = roots(adjacency) if connected else True
     return TeamGraph(t, whole, present, may_lead)

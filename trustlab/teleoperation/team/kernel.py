@@ -384,13 +384,9 @@ def run_team(n, team, robots, memory, first, last, every, states, log, modes):
             row.v_fs, row.v_e, row.v_filter = v_fs, v_e, v_filter
             row.v_e_delayed = m.held[late] if late >= 0 else m.held[0]
             row.v_t = state.v_h + n.budget + v_hd + state.v_ch + v_fs + row.v_e_delayed + v_filter
-            row.supply_team, row.supply_error, row.supply_hand = (
-                state.supply_team,
-                state.supply_error,
-                state.supply_hand,
-            )
-            row.supply_device, row.supply_filter = state.supply_device, state.supply_filter
-            row.supply_links = state.supply_links
+            row.supply_team, row.supply_error = state.supply_team, state.supply_error
+            row.supply_hand, row.supply_device = state.supply_hand, state.supply_device
+            row.supply_filter, row.supply_links = state.supply_filter, state.supply_links
             row.lost_device, row.lost_team = state.lost_device, state.lost_team
             row.lost_error, row.lost_error_delayed = state.lost_error, state.lost_error_delayed
         state.v_h += T * (state.seen_power - state.hand_power)

@@ -13,21 +13,8 @@ from trustlab.operators.ground_robot import Operator
 from trustlab.operators.teleoperator import Teleoperator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.records import log_of
+from trustlab.testbeds import deciding
 from trustlab.testbeds.condition_run import ConditionRun, condition_measures
-from trustlab.testbeds.deciding import (
-    SAMPLE_TIME,
-    SCHEDULE,
-    SETTLING,
-    decided_by,
-    measured,
-    planned,
-    ruled,
-    sample_times,
-    seed_facts,
-    task_of,
-    tsc_facts,
-    warn_if_too_short,
-)
 from trustlab.testbeds.ground_robot import kernel
 from trustlab.testbeds.ground_robot.course import Course, default_course
 from trustlab.testbeds.ground_robot.participants import (
@@ -154,14 +141,14 @@ def run_condition(
     laps = whole_number("laps", 8 if laps is None else laps, most=MOST_LAPS)
     most = _longest(laps, course)
     if rule is None:
-        task, thresholds = planned(condition, operator, model, thresholds, printed, E_MAX, laps, r0)
+        task, thresholds = deciding.planned(condition, operator, model, thresholds, printed, E_MAX, laps, r0)
         data, lap_times = _drive(task, most, robot, course, operator, seed)
     else:
-        rule, task, condition = ruled(rule, mode, (condition, thresholds), operator, model, E_MAX, laps, r0)
+        rule, task, condition = deciding.ruled(rule, mode, (condition, thresholds), operator, model, E_MAX, laps, r0)
         drive = partial(_drive, task, most, robot, course, operator, seed)
-        data, lap_times = decided_by(rule, task, most, drive)
-    warn_if_too_short(data.size * SAMPLE_TIME)
-    facts = {"laps": laps, "settling": SETTLING} | tsc_facts(thresholds)
+        data, lap_times = deciding.decided_by(rule, task, most, drive)
+    deciding.warn_if_too_short(data.size * deciding.SAMPLE_TIME)
+    facts = {"laps": laps, "settling": deciding.SETTLING} | deciding.tsc_facts(thresholds)
     session = _session(_frame(data), operator, condition, seed, **facts)
     return GroundRobotRun(
         session=session,
@@ -185,9 +172,9 @@ def measured_condition(
 ) -> tuple[dict[str, float], float]:
     """Return the measures of `run_condition` with its defaults, and the last utilization, without making a session."""
     course = default_course()
-    task, _ = planned(condition, operator, model, None, thresholds, E_MAX, laps, r0)
+    task, _ = deciding.planned(condition, operator, model, None, thresholds, E_MAX, laps, r0)
     log, lap_times = _drive(task, _longest(laps, course), Pioneer(), course, operator, seed)
-    measures = condition_measures(log, sample_times(log.size), condition, operator, model, lap_times)
+    measures = condition_measures(log, deciding.sample_times(log.size), condition, operator, model, lap_times)
     return measures, float(log["r"][-1])
 
 
@@ -240,8 +227,8 @@ def drive_modes(
         raise ValueError(f"mode must be zeros and ones, but sample {k} is {modes[k]:g}")
     if modes.size < 2:
         raise ValueError(f"mode must have at least two samples, zeros and ones, got {modes.size}")
-    _steps(modes.size * SAMPLE_TIME, "mode")
-    task = task_of(SCHEDULE, E_MAX, first_mode=int(modes[0]), r0=r0)
+    _steps(modes.size * deciding.SAMPLE_TIME, "mode")
+    task = deciding.task_of(deciding.SCHEDULE, E_MAX, first_mode=int(modes[0]), r0=r0)
     data, _ = _drive(task, modes.size, robot, course, operator, seed, modes.astype(np.int64))
     return _session(_frame(data).drop(columns=["tsc", "suggested_mode"]), operator, condition, seed)
 
@@ -291,13 +278,15 @@ def identification_session(
         finite_number("autonomous", autonomous),
         *finite_array("phase", phase, length=2),
     ]
-    if min(lengths) < SAMPLE_TIME or lengths[2] > lengths[3]:
-        raise ValueError(f"phases, (shortest, longest), must last at least {SAMPLE_TIME} s, got {min(lengths):g} s")
+    if min(lengths) < deciding.SAMPLE_TIME or lengths[2] > lengths[3]:
+        raise ValueError(
+            f"phases, (shortest, longest), must last at least {deciding.SAMPLE_TIME} s, got {min(lengths):g} s"
+        )
     mixed = whole_number("mixed", mixed, least=0, most=MOST_PHASES)
     _steps(lengths[0] + lengths[1] + mixed * lengths[3], "all phases together")
     stream = np.random.default_rng(spawned(seed, 4)[3])
     lengths = np.r_[lengths[:2], stream.uniform(lengths[2], lengths[3], size=mixed)]
-    steps = np.maximum(np.round(lengths / SAMPLE_TIME).astype(int), 1)
+    steps = np.maximum(np.round(lengths / deciding.SAMPLE_TIME).astype(int), 1)
     mode = np.repeat(1 - np.arange(steps.size) % 2, steps)
     return drive_modes(mode, operator, seed, robot, course, condition="identification")
 
@@ -324,12 +313,12 @@ def _who(participant, operator, model) -> tuple[Operator, TscModel, tuple[float,
 
 def _steps(seconds: float, what: str) -> int:
     """Return how many samples so many seconds are, unless they are too many."""
-    if seconds / SAMPLE_TIME > MOST_STEPS:
+    if seconds / deciding.SAMPLE_TIME > MOST_STEPS:
         raise ValueError(
-            f"{what} would take up to {seconds:.3g} s, more than the {MOST_STEPS * SAMPLE_TIME:.0f} s that one run may last; "
+            f"{what} would take up to {seconds:.3g} s, more than the {MOST_STEPS * deciding.SAMPLE_TIME:.0f} s that one run may last; "
             "split it into several runs"
         )
-    return int(np.ceil(seconds / SAMPLE_TIME))
+    return int(np.ceil(seconds / deciding.SAMPLE_TIME))
 
 
 def _checked(operator, robot, course) -> tuple[Operator, Pioneer, Course]:
@@ -350,22 +339,13 @@ def _drive(task, most, robot, course, operator, seed, schedule=None, correction=
     _, log = log_of(kernel.LOG, most)
     lap_times = np.empty(task.laps)
     streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
-    rows, done = kernel.drive(
-        task,
-        np.ones(1, np.int64) if schedule is None else schedule,
-        course.numbers,
-        robot.numbers,
-        operator.numbers,
-        *streams,
-        np.zeros(1, kernel.STATE),
-        log,
-        lap_times,
-        correction or no_correction(),
-        kernel.scratch(log.size, course.numbers),
-    )
+    modes = np.ones(1, np.int64) if schedule is None else schedule
+    numbers, state = (course.numbers, robot.numbers, operator.numbers), np.zeros(1, kernel.STATE)
+    room = correction or no_correction(), kernel.scratch(log.size, course.numbers)
+    rows, done = kernel.drive(task, modes, *numbers, *streams, state, log, lap_times, *room)
     if done < task.laps:
         raise ValueError(
-            f"only {done} of {task.laps} laps were done in {most * SAMPLE_TIME:.0f} s (an average of {SLOWEST} m/s would "
+            f"only {done} of {task.laps} laps were done in {most * deciding.SAMPLE_TIME:.0f} s (an average of {SLOWEST} m/s would "
             "do): this robot or operator does not keep to the course; check their parameters"
         )
     return log[:rows], lap_times[:done]
@@ -374,9 +354,9 @@ def _drive(task, most, robot, course, operator, seed, schedule=None, correction=
 def _frame(log: np.ndarray) -> pd.DataFrame:
     """Return a log of the ground robot as a table over time."""
     table = log.view(float).reshape(log.size, len(kernel.COLUMNS))
-    return pd.DataFrame(table, index=pd.Index(sample_times(log.size), name="t"), columns=kernel.COLUMNS)
+    return pd.DataFrame(table, index=pd.Index(deciding.sample_times(log.size), name="t"), columns=kernel.COLUMNS)
 
 
 def _session(data, operator, condition, seed, **facts) -> Session:
-    facts |= seed_facts(seed) | {"note": NOTE} | measured("(2.4), (2.7)")
+    facts |= deciding.seed_facts(seed) | {"note": NOTE} | deciding.measured("(2.4), (2.7)")
     return Session(data, Metadata(operator.participant, condition, "trustlab.testbeds.ground_robot", True, facts))

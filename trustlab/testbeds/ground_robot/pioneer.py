@@ -2,6 +2,7 @@
 
 from collections import namedtuple
 from dataclasses import astuple, dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -149,7 +150,7 @@ class Pioneer:
             object.__setattr__(self, item.name, value)
 
     @property
-    def numbers(self) -> tuple:
+    def numbers(self) -> Any:
         """The robot as plain numbers for compiled loops, by the names that they have here."""
         return PioneerNumbers(*astuple(self))
 

@@ -86,10 +86,8 @@ def noise(before, keep, rng):
 def operate(task, person, flight, rates, seen, row, state, hand):
     """Move the operator's hand: it acts on the ideal command of a delay ago (`seen`, a row of the log)."""
     wander, shaking = imperfection(skill_now(task, person, state), person, flight, task.e_max)
-    state.wander_x, state.wander_y = (
-        noise(state.wander_x, rates.wander, hand),
-        noise(state.wander_y, rates.wander, hand),
-    )
+    state.wander_x = noise(state.wander_x, rates.wander, hand)
+    state.wander_y = noise(state.wander_y, rates.wander, hand)
     state.shake_x, state.shake_y = noise(state.shake_x, rates.shake, hand), noise(state.shake_y, rates.shake, hand)
     state.hand_x = seen.u_i_x + rates.hand * (state.hand_x - seen.u_i_x)
     state.hand_y = seen.u_i_y + rates.hand * (state.hand_y - seen.u_i_y)

@@ -11,26 +11,15 @@ from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.records import log_of
+from trustlab.testbeds import deciding
 from trustlab.testbeds.condition_run import ConditionRun, condition_measures
-from trustlab.testbeds.deciding import (
-    SAMPLE_TIME,
-    SETTLING,
-    Task,
-    decided_by,
-    measured,
-    planned,
-    ruled,
-    sample_times,
-    seed_facts,
-    tsc_facts,
-)
 from trustlab.testbeds.tracking_task import TrackingTask, tracking_vehicle
 from trustlab.testbeds.uav_following import kernel
 from trustlab.testbeds.uav_following.people import P_R_MIN, following_operator
 
 # Length of a test, as printed [s], and in samples.
 DURATION = 360.0
-SAMPLES = round(DURATION / SAMPLE_TIME)
+SAMPLES = round(DURATION / deciding.SAMPLE_TIME)
 
 # Deviations that count as performance 0, from the leader [m] and of the command [m/s]; not printed.
 E_MAX, U_MAX = 1.0, 3.0
@@ -48,7 +37,7 @@ NOTE = "simulated stand-in for the UAV testbed of Fig. 2.10"
 @cache
 def flight() -> kernel.Flight:
     """Return the testbed's constants; left alone, the autopilot settles at the robot performance P_R_MIN."""
-    ((v_v, v_a), (a_v, a_a)), (v_u, a_u) = tracking_vehicle()[0].discrete(SAMPLE_TIME)
+    ((v_v, v_a), (a_v, a_a)), (v_u, a_u) = tracking_vehicle()[0].discrete(deciding.SAMPLE_TIME)
     followed = GAIN * DRIFT_TIME / (1.0 + GAIN * DRIFT_TIME)  # share of the drift's variance that the vehicle follows
     return kernel.Flight(
         u_max=U_MAX,
@@ -114,15 +103,19 @@ def fly_condition(
         model = own_model if model is None else model
     model = of_class("model", model, TscModel)
     if rule is None:
-        task, thresholds = planned(condition, someone, model, thresholds, own, E_MAX, 0, r0)
+        task, thresholds = deciding.planned(condition, someone, model, thresholds, own, E_MAX, 0, r0)
         (log,) = _fly(task, someone, seed)
     else:
-        rule, task, condition = ruled(rule, mode, (condition, thresholds), someone, model, E_MAX, 0, r0)
-        (log,) = decided_by(rule, task, SAMPLES, partial(_fly, task, someone, seed))
-    facts = {"duration": DURATION, "settling": SETTLING} | tsc_facts(thresholds) | seed_facts(seed)
-    facts |= {"note": NOTE} | measured(f"Section 2.4.2, e_max {E_MAX:g} m, Δu_max {U_MAX:g} m/s")
+        rule, task, condition = deciding.ruled(rule, mode, (condition, thresholds), someone, model, E_MAX, 0, r0)
+        (log,) = deciding.decided_by(rule, task, SAMPLES, partial(_fly, task, someone, seed))
+    facts = (
+        {"duration": DURATION, "settling": deciding.SETTLING}
+        | deciding.tsc_facts(thresholds)
+        | deciding.seed_facts(seed)
+    )
+    facts |= {"note": NOTE} | deciding.measured(f"Section 2.4.2, e_max {E_MAX:g} m, Δu_max {U_MAX:g} m/s")
     table = log.view(float).reshape(log.size, len(kernel.LOG.names))
-    data = pd.DataFrame(table, index=pd.Index(sample_times(log.size), name="t"), columns=kernel.LOG.names)
+    data = pd.DataFrame(table, index=pd.Index(deciding.sample_times(log.size), name="t"), columns=kernel.LOG.names)
     about = Metadata(someone.participant, condition, "trustlab.testbeds.uav_following", True, facts)
     return ConditionRun(session=Session(data, about), operator=someone, model=model, thresholds=thresholds)
 
@@ -136,18 +129,18 @@ def measured_flight(
     r0: float | None,
 ) -> tuple[dict[str, float], float]:
     """Return the measures of `fly_condition`, and the last utilization, without making a session."""
-    task, _ = planned(condition, operator, model, None, thresholds, E_MAX, 0, r0)
+    task, _ = deciding.planned(condition, operator, model, None, thresholds, E_MAX, 0, r0)
     (log,) = _fly(task, operator, seed)
-    return condition_measures(log, sample_times(log.size), condition, operator, model), float(log["r"][-1])
+    return condition_measures(log, deciding.sample_times(log.size), condition, operator, model), float(log["r"][-1])
 
 
 def _fly(
-    task: Task, operator: Operator, seed: int | np.random.SeedSequence, modes: np.ndarray | None = None
+    task: deciding.Task, operator: Operator, seed: int | np.random.SeedSequence, modes: np.ndarray | None = None
 ) -> tuple[np.ndarray]:
     """Return the log of one test, with the modes of a schedule where one is given."""
     _, log = log_of(kernel.LOG, SAMPLES)
     *streams, start = (np.random.default_rng(child) for child in spawned(seed, 4))
-    position, velocity = LEADER.path(sample_times(log.size), 0.0, start.uniform(0.0, 2.0 * np.pi))
+    position, velocity = LEADER.path(deciding.sample_times(log.size), 0.0, start.uniform(0.0, 2.0 * np.pi))
     schedule = np.ones(SAMPLES, np.int64) if modes is None else modes
     states = np.zeros(1, kernel.STATE)
     room = np.empty((2, SAMPLES))
