@@ -11,7 +11,7 @@ import trustlab as tl
 from trustlab.reproduction import write_calibration
 
 HERE = Path(__file__).resolve().parent
-SIMULATIONS, SEED = 800, 0
+SIMULATIONS, SEED = 400, 0
 OPERATORS = {"uav": 20, "ground_robot": 5}
 """As many as people took part."""
 

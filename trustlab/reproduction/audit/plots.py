@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
+import tomllib
+from functools import cache
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from trustlab.models.checks import shown
 from trustlab.reproduction.audit.verdict import VERDICTS
+from trustlab.reproduction.published import published_folder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLOURS = dict(zip(VERDICTS, ("C2", "C5", "C1", "#bbbbbb"), strict=True))
 
-PARTS = {
-    "2.2-2.4.1 models, limits and bounds": ("Table 2.1", "Table 2.2", "Section 2.2", "Remark 3"),
-    "2.4.1 case study I: ground robot": (
-        *("Table 2.3", "Table 2.4", "Table 2.5", "Table 2.6"),
-        *("Section 2.4.1", "Remark 7"),
-    ),
-    "2.4.2 case study II: UAV": ("Section 2.1", "Section 2.4.2"),
-    "2.5 correction of thresholds": ("Section 2.5", "Fig. 2.18"),
-    "3.8 preliminary study": ("Table 3.1", "Section 3.8"),
-    "3.9 main study": ("Section 3.1", "Section 3.9"),
-    "Appendix A": ("Appendix",),
-}
-"""Parts of the dissertation, by how the places of their numbers begin."""
+
+@cache
+def parts() -> dict[str, list[str]]:
+    """Return the parts of the dissertation, and how the places of their numbers begin."""
+    return tomllib.loads((published_folder() / "parts.toml").read_text(encoding="utf-8"))
 
 
 def part_of(where: str) -> str:
@@ -43,8 +38,8 @@ def part_of(where: str) -> str:
     ValueError
         If the place is in no part.
     """
-    for part, starts in PARTS.items():
-        if where.startswith(starts):
+    for part, starts in parts().items():
+        if where.startswith(tuple(starts)):
             return part
     raise ValueError(f"no part of the dissertation for {shown(where)}")
 
