@@ -90,12 +90,12 @@ def formula_model(
     formula: str,
     data: pd.DataFrame,
     groups: Hashable,
-    random: str = "1",
-    bootstrap: int = 0,
-    seed: int = 0,
-    family: str = "normal",
-    trials: str | None = None,
-    points: int = 15,
+    random: str,
+    bootstrap: int,
+    seed: int,
+    family: str,
+    trials: str | None,
+    points: int,
 ) -> FormulaModel:
     """Fit a mixed model by formula; the arguments are those of `mixed_model`."""
     of_class("formula", formula, str)

@@ -43,6 +43,14 @@ AXES = {
 }
 """What power is computed against, and how a figure labels it."""
 
+ENDS = ("power", "ci_low", "ci_high", "replicates")
+COLUMNS = (
+    ("noncentrality", "test", *ENDS, "closed_form"),
+    ("a", "b", "d_z", "adjust", *ENDS, "closed_form"),
+    ("adjust", "claims", *ENDS, "expected_found"),
+)
+"""What the tables of F, of pairs and of claims have after `AXES`."""
+
 MOST_CELLS, MOST_N, LEAST_REPLICATES = 10_000, 100_000, 100
 
 
@@ -288,37 +296,24 @@ def power_analysis(
     seed, where = whole_number("seed", seed, least=0), where_to_run(n_jobs, cluster, executor)
     sides = [x if isinstance(x, list) else [] if x is None else [x] for x in (within, between)]
     shares = one_of("family", family, ("normal", "binomial")) != "normal"
+    idle: dict[str, Any] = {"covariance": covariance, "data": data} if shares else {"trials": trials, "sd": sd}
     if shares or len(sides[0]) > 1 or sides[1]:
-        idle = {"effect_size": effect_size, "correlation": correlation, "epsilon": epsilon, "claims": claims}
-        others = {"covariance": covariance, "data": data} if shares else {"trials": trials, "sd": sd}
-        _refuse_idle(idle | {"labels": labels} | others)
-        several: Any = shares_of(mean, trials, sd) if shares else None
-        several = several or population_of(mean, covariance, data, dv, sides[0], sides[1], subject, order)
-        table = _power_of_effects(several, _listed("n", n), seed, replicates, alpha, level, where)
-        none = pd.DataFrame()
-        return PowerAnalysis(several, alpha, replicates, level, seed, ("n", "effect"), table, none, none)
-    _refuse_idle({"trials": trials, "sd": sd})
+        idle |= {"effect_size": effect_size, "correlation": correlation, "epsilon": epsilon, "claims": claims}
+        _refuse_idle(idle | {"labels": labels})
+        cells = (mean, covariance, data, dv, sides[0], sides[1], subject, order)
+        several = shares_of(mean, trials, sd) if shares else population_of(*cells)
+        return _power_of_effects(several, _listed("n", n), seed, replicates, alpha, level, where)
+    _refuse_idle(idle)
     population = conditions_from(mean, covariance, data, dv, sides[0][0], subject, order, labels)
     mask = claims_mask(claims, population)
-    axes = (n, effect_size, correlation, epsilon)
-    grid = [_listed(name, values) for name, values in zip(AXES, axes, strict=True)]
-    cells = _cells(population, grid)
-    drawn = [(cell, size, _draws(seed, size, cell)) for size, cell in cells]
+    axes = zip(AXES, (n, effect_size, correlation, epsilon), strict=True)
+    grid = [_listed(name, values) for name, values in axes]
+    studies = _cells(population, grid)
+    drawn = [(cell, size, _draws(seed, size, cell)) for size, cell in studies]
     counted = run_counts(count_findings, drawn, {"replicates": replicates, "alpha": alpha, "claims": mask}, where)
-    pairs = zip(cells, counted, strict=True)
+    pairs = zip(studies, counted, strict=True)
     parts = [_rows(cell, size, counts, replicates, alpha, level, mask) for (size, cell), counts in pairs]
-    ends = ["power", "ci_low", "ci_high", "replicates"]
-    columns = (
-        [*AXES, "noncentrality", "test", *ends, "closed_form"],
-        [*AXES, "a", "b", "d_z", "adjust", *ends, "closed_form"],
-        [*AXES, "adjust", "claims", *ends, "expected_found"],
-    )
-    tables = [
-        pd.DataFrame(list(chain.from_iterable(rows)), columns=names)
-        for rows, names in zip(zip(*parts, strict=True), columns, strict=True)
-    ]
-    for table in tables:
-        table.attrs["origin"] = population.simulated_origin
+    tables = _tables(parts, population.simulated_origin)
     varied = tuple(name for name, values in zip(AXES, grid, strict=True) if len(values) > 1)
     return PowerAnalysis(population, alpha, replicates, level, seed, varied, *tables)
 
@@ -333,16 +328,25 @@ def _listed(name: str, value: Any) -> list:
     return values
 
 
+def _tables(parts: list[tuple], origin: str) -> list[pd.DataFrame]:
+    """Return the tables of F, of pairs and of claims from the rows of every cell."""
+    tables = []
+    for rows, names in zip(zip(*parts, strict=True), COLUMNS, strict=True):
+        tables.append(pd.DataFrame(list(chain.from_iterable(rows)), columns=[*AXES, *names]))
+        tables[-1].attrs["origin"] = origin
+    return tables
+
+
 def _power_of_effects(
     population: NormalCells | Shares, n: list, seed: int, replicates: int, alpha: float, level: float, where: dict
-) -> pd.DataFrame:
+) -> PowerAnalysis:
     """Return the power of every effect with each n participants in a group."""
-    sizes = _sizes(n)
+    sizes, none = _sizes(n), pd.DataFrame()
     cells = [(population, x, np.random.SeedSequence(seed, spawn_key=(x,))) for x in sizes]
     counted = run_counts(count_effects, cells, {"replicates": replicates, "alpha": alpha}, where)
     table = effects_power(population, sizes, counted, alpha, level)
     table.attrs["origin"] = population.simulated_origin
-    return table
+    return PowerAnalysis(population, alpha, replicates, level, seed, ("n", "effect"), table, none, none)
 
 
 def _refuse_idle(arguments: dict[str, Any]) -> None:
