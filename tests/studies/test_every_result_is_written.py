@@ -97,5 +97,5 @@ def test_one_wide_row_is_printed_as_a_column(tmp_path):
 
 
 def test_what_is_no_result_is_refused():
-    with pytest.raises(ValueError, match=r"frame must be a table with dv=, within= and subject=, or a result, got int"):
+    with pytest.raises(ValueError, match=r"frame must be a table with dv=, within=, subject=, or a result, got int"):
         tl.report(3)

@@ -140,7 +140,7 @@ def test_same_seed_same_table_wherever_it_runs():
     ("arguments", "message"),
     [
         ({"mean": MEANS.iloc[:-1]}, r"mean: no number for cell \('high', 'hard'\) of autonomy × difficulty"),
-        ({"mean": [1.0, 2.0]}, "indexed by the levels of autonomy, difficulty, got 1 level"),
+        ({"mean": [1.0, 2.0]}, "indexed by autonomy, difficulty, got 1 level"),
         ({"n": 2}, "at least 3 subjects"),
         ({"effect_size": 0.2}, "effect_size has no effect here"),
         ({"trials": 4}, "trials has no effect here"),

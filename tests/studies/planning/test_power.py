@@ -20,14 +20,14 @@ MEANS = [0.0, 0.1, 0.4, 0.5, 0.5]
 # --- closed forms ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("n", [3, 12, 36])
-@pytest.mark.parametrize("k", [2, 3, 5])
-@pytest.mark.parametrize("strength", [0.0, 2.0, 15.0])
 def conditions_from(mean, covariance):
     """The population with these means and covariance, its conditions numbered from 1."""
     return Conditions(range(1, len(mean) + 1), np.asarray(mean, dtype=float), np.asarray(covariance))
 
 
+@pytest.mark.parametrize("n", [3, 12, 36])
+@pytest.mark.parametrize("k", [2, 3, 5])
+@pytest.mark.parametrize("strength", [0.0, 2.0, 15.0])
 def test_noncentral_f_is_scipys(n, k, strength):
     df1, df2 = k - 1, (k - 1) * (n - 1)
     critical = stats.f.isf(0.05, df1, df2)
