@@ -420,7 +420,7 @@ def test_bad_long_tables_are_refused(trust):
     with pytest.raises(ValueError, match="item 'deceptive' occurs twice"):
         score_trust_checklist(pd.concat([melted, melted.iloc[:1]]), **args)
     with pytest.raises(
-        ValueError, match="'warry' in column 'what' is not an item of this questionnaire; did you mean 'wary'"
+        ValueError, match="'warry' in column 'what' is no item of this questionnaire; did you mean 'wary'"
     ):
         score_trust_checklist(melted.replace({"what": {"wary": "warry"}}), **args)
     with pytest.raises(ValueError, match="response: no column 'anser'; did you mean 'answer'"):
