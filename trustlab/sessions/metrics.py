@@ -230,9 +230,9 @@ def with_performance(
         equations = "Section 2.4.2.4"
     else:
         u_h, u_i, u_a = vector("u_h"), vector("u_i"), vector("u_a")
-        error = vector("reference") - vector("robot")
+        apart = vector("reference") - vector("robot")
         share = session["alpha" if "alpha" in session else "mode"]
-        p_r, p_h = mixed_initiative(u_h, u_a, u_i, error, share, u_max, e_max)
+        p_r, p_h = mixed_initiative(u_h, u_a, u_i, apart, share, u_max, e_max)
         equations = "(3.26), (3.27)"
     p_r, p_h = (window_mean(values, session.sample_time, window) for values in (p_r, p_h))
     note = f"{equations}, window {window:g} s"
