@@ -36,6 +36,8 @@ html_context = {"default_mode": "auto"}
 html_theme_options = {
     "navbar_end": ["theme-switcher"],
     "show_nav_level": 1,
+    # What unfolds the other branches has no name that a screen reader could say.
+    "collapse_navigation": True,
     "show_toc_level": 2,
     "footer_start": ["copyright"],
     "footer_end": [],
