@@ -50,5 +50,5 @@ def plot_effects(study: str, simulated: Mapping[str, pd.DataFrame]) -> np.ndarra
         axis.set_xlim(-0.4, x[-1] + 0.2 + 0.15 * len(simulated))
         axis.set_xticks(x, [effect.contrast for effect in own], rotation=45)
         axis.set_title(UNITS.get(measure, measure), fontsize="medium")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2 + len(simulated))
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2 + len(simulated))
     return axes.ravel()[: len(measures)]
