@@ -172,6 +172,21 @@ def check_report(study, browser):
     assert str(study.plan.folder.parent) not in path.read_text()
 
 
+@pytest.mark.long
+def test_a_drive_of_sixty_seconds_in_real_time_is_verified(make_plan, browser):
+    plan = make_plan(training=60.0)
+    with StudyServer(plan) as server:
+        page = driving(browser.new_context(), server.links()["P01"])
+        page.keyboard.down("ArrowUp")
+        until(page, "self.study.page === 2", 120)
+    assert on_disk(plan.folder) == 600
+    events = plan.participant("P01").events
+    assert [event["verified"] for event in events if event.get("name") == "training"] == [True]
+    commands = tl.read_session(plan.folder / "P01" / "01-training.0.csv")["v_command"]
+    assert commands.max() > 0.0
+    assert (commands == commands.max()).sum() > 500  # the key was down, but for the ramp and where the page slept
+
+
 # what goes wrong -----------------------------------------------------------------------------------------------------------
 
 
