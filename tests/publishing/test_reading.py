@@ -134,14 +134,16 @@ def lost_links(path):
 def small_text(path):
     """Return sizes of text in the figures of a page that are too small where they are as wide as the page [pt]."""
     small = []
-    for data in re.findall(r'<img[^>]*src="data:image/svg\+xml;base64,([^"]*)"', path.read_text(encoding="utf-8")):
+    figure = r'<figure><img[^>]*src="data:image/svg\+xml;base64,([^"]*)"'
+    for data in re.findall(figure, path.read_text(encoding="utf-8")):
         picture = base64.b64decode(data).decode()
-        width = float(re.search(r'width="([\d.]+)pt"', picture)[1])
+        found = re.search(r'width="([\d.]+)pt"', picture)  # as Matplotlib writes it
+        width = float(found[1]) if found else 0.0
         # Matplotlib draws letters at a size of 100 and scales them to theirs; half of the size is an index.
         sizes = [
             100.0 * float(size) for size in re.findall(r'<g [^>]*transform="translate[^"]*scale\(([\d.]+) -', picture)
         ]
-        small += [size for size in sizes if size * min(1.0, PAGE_WIDTH / width) < LEAST_TEXT]
+        small += [size for size in sizes if size * min(1.0, PAGE_WIDTH / max(width, 1.0)) < LEAST_TEXT]
     return small
 
 

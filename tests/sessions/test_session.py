@@ -104,7 +104,7 @@ def test_other_faults():
 
 def test_metadata_travels_and_can_be_added():
     session = tl.Session(frame(), tl.Metadata(participant=3, condition="C1", synthetic=True, more={"trial": 2}))
-    assert session.label == "participant 3, C1, trial 2, synthetic"
+    assert session.label == "operator 3, C1, trial 2, synthetic"
     assert repr(session).endswith("columns mode; metadata.more: trial)")
     changed = session.with_metadata(condition="C2", block=1)
     assert changed.metadata.as_dict() == {
@@ -164,7 +164,7 @@ def test_paths_of_several_sessions():
         return tl.Session(frame(30, **columns), tl.Metadata(participant=1, synthetic=synthetic))
 
     axes = tl.sessions.plot_paths([moving(False), moving(True)], plane="yz")
-    assert [axis.get_title() for axis in axes] == ["participant 1", "participant 1, synthetic"]
+    assert [axis.get_title() for axis in axes] == ["participant 1", "operator 1, synthetic"]
     assert [line.get_label() for line in axes[0].lines] == ["operator", "robot", "reference"]
     assert axes[0].figure.get_suptitle() == "synthetic data"
     assert tl.sessions.plot_paths([moving(False)], "yz", titles=["one"])[0].figure.get_suptitle() == ""

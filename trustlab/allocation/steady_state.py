@@ -93,7 +93,7 @@ class SteadyStateBounds:
         robot, human = self.model.robot, self.model.human
         dwells = (self.dwell_autonomous, self.dwell_manual_low, self.dwell_manual_high)
         steps = np.arange(2 * max((d for d in dwells if math.isfinite(d)), default=500.0))
-        axes = axes_or_new(columns=3, figsize=(12, 3.4))
+        axes = axes_or_new(columns=3, figsize=(10, 3.4))
 
         def approach(axis, start, goal, dwell, color, label):
             axis.plot(steps * sample_time, goal + (start - goal) * robot.a**steps, color=color, label=label)
@@ -107,14 +107,24 @@ class SteadyStateBounds:
         for axis, title in zip(axes, ("autonomous, from $P_{ru}$", "manual, from $P_{rl}$"), strict=False):
             for bound in (self.p_r_low, self.p_r_high):
                 axis.axhline(bound, color="0.5", lw=0.8)
-            axis.set(xlabel="dwell time [s]", ylabel="$P_r$", title=title)
+            axis.set(xlabel="dwell time [s]", ylabel="robot performance $P_r$", title=title)
         settled = longest_phase(self.model.constants())
         run = simulate_allocation(self.model, self.lower, self.upper, settled + 4000, r0=0.1)
         axes[2].plot(np.arange(4000) * sample_time, run["r"].iloc[settled:], label="r under (2.8)")
-        for bound, label in ((self.r_low, "$r_l$, $r_u$ (2.33)"), (self.r_high, None)):
-            axes[2].axhline(bound, color="C1", ls="--", label=label)
+        # The bounds are those of two periodic motions, one of each dwell time in the manual mode.
+        for bound, manual, low, label in (
+            (self.r_low, self.dwell_manual_low, True, r"period $\tau_{dml} + \tau_{da}$, to $r_l$"),
+            (self.r_high, self.dwell_manual_high, False, r"period $\tau_{dmu} + \tau_{da}$, to $r_u$"),
+        ):
+            color = "C1" if low else "C2"
+            axes[2].axhline(bound, color=color, ls="--", lw=0.8)
+            if math.isfinite(manual) and math.isfinite(self.dwell_autonomous):
+                mode = np.resize(np.repeat([1.0, 0.0], [int(manual), int(self.dwell_autonomous)]), 4001)
+                start = bound if low else bound * human.a**self.dwell_autonomous
+                r, _ = human.simulate(mode, start)
+                axes[2].plot(np.arange(4000) * sample_time, r[:4000], color=color, lw=1, label=label)
         axes[2].axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
-        axes[2].set(xlabel="time [s]", ylabel="r", title="utilization in steady state")
+        axes[2].set(xlabel="time [s]", ylabel="utilization r", title="utilization in steady state")
         for axis in axes:
             axis.legend(fontsize="small")
         return axes

@@ -82,14 +82,16 @@ class ThresholdChoice:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (3,)
         """
-        axes = axes_or_new(columns=3, figsize=(12, 3.6))
+        axes = axes_or_new(columns=3, figsize=(10, 3.4))
         for axis, name, label in (
             (axes[0], "mean_p_r", "mean robot performance"),
-            (axes[1], "mean_r", "mean utilization"),
+            (axes[1], "mean_r", "mean utilization r"),
         ):
-            points = axis.scatter("lower", "upper", c=name, data=self.candidates, s=14, marker="s")
+            points = axis.scatter(
+                "lower", "upper", c=name, data=self.candidates, s=14, marker="s", label="feasible pair"
+            )
             axis.plot(self.lower, self.upper, "k*", ms=12, label="choice")
-            axis.set(xlabel="$TSC_l$", ylabel="$TSC_u$", title=label)
+            axis.set(xlabel="lower threshold $TSC_l$", ylabel="upper threshold $TSC_u$", title=label)
             axis.legend(loc="lower right", fontsize="small")
             axis.figure.colorbar(points, ax=axis)
         trade_off, means = axes[2], ("mean_r", "mean_p_r")

@@ -6,6 +6,9 @@ import numpy as np
 
 from trustlab.sessions.vocabulary import VOCABULARY
 
+LABELS = {"p_r": "robot\nperformance", "p_h": "human\nperformance", "r": "utilization", "tsc": "TSC"}
+"""Columns in words, for axes."""
+
 
 def shade_manual(axes, t: np.ndarray, mode: np.ndarray) -> None:
     """Shade the manual phases of one panel: in proportion to the manual share, above one half where it varies much."""
@@ -34,7 +37,8 @@ def plot_session(session, columns: str | list[str] | None = None):
     for panel, name in zip(axes[:, 0], columns, strict=True):
         panel.plot(session.t, session[name], lw=1)
         unit = "s" if name == "t" else VOCABULARY[name].unit
-        panel.set_ylabel(name if unit in ("1", "measure") else f"{name} [{unit}]")
+        words = LABELS.get(name, name)
+        panel.set_ylabel(words if unit in ("1", "measure") else f"{words} [{unit}]")
         if "mode" in session and name != "mode":
             shade_manual(panel, session.t, session["mode"])
     axes[-1, 0].set_xlabel("time [s]")
@@ -66,7 +70,7 @@ def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | No
     across, up = plane[0], plane[1]
     count = len(sessions)
     figure, axes = plt.subplots(1, count, sharex=True, sharey=True, squeeze=False, layout="constrained")
-    figure.set_size_inches(2.4 * count, 2.8)
+    figure.set_size_inches(min(2.4 * count, 10.0), 2.8)
     titles = [session.label for session in sessions] if titles is None else titles
     for axis, session, title in zip(axes[0], sessions, titles, strict=True):
         for who, label, style in (
@@ -77,7 +81,7 @@ def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | No
             axis.plot(session[f"{who}_{across}"], session[f"{who}_{up}"], label=label, **style)
         axis.set(title=title, xlabel=f"{across} [m]")
     axes[0, 0].set_ylabel(f"{up} [m]")
-    axes[0, 0].legend(fontsize="x-small")
+    axes[0, 0].legend(fontsize="small")
     if any(session.metadata.synthetic for session in sessions):
         figure.suptitle("synthetic data", fontsize="small")
     return axes[0]

@@ -113,9 +113,10 @@ class Session:
 
     @property
     def label(self) -> str:
-        """Participant, condition, trial and whether the data are synthetic, for captions."""
+        """Participant, or operator where the data are synthetic, condition and trial, for captions."""
         meta = self.metadata
-        parts = [f"participant {meta.participant}" if meta.participant is not None else ""]
+        who = "operator" if meta.synthetic else "participant"
+        parts = [f"{who} {meta.participant}" if meta.participant is not None else ""]
         named = "" if isinstance(meta.condition, str) else "condition "
         parts.append(f"{named}{meta.condition}" if meta.condition is not None else "")
         parts.append(f"trial {meta.more['trial']}" if "trial" in meta.more else "")

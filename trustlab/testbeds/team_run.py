@@ -217,17 +217,17 @@ class TeamRun:
         axes[1].step(t, data["number"], where="post", color="#444444", lw=1.0)
         axes[1].set(ylabel="leader", ylim=(-0.5, len(self.robots) - 0.5))
         if len(self.robots) <= 12:
-            axes[1].set_yticks(range(len(self.robots)), [str(name) for name in self.robots], fontsize="x-small")
+            axes[1].set_yticks(range(len(self.robots)), [str(name) for name in self.robots], fontsize="small")
         for name, colour in zip("xyz", ("#0072b2", "#d55e00", "#009e73"), strict=True):
             axes[2].plot(t, data[f"f_m_{name}"], lw=0.9, color=colour, label=f"$f_m$, {name}")
         axes[2].set_ylabel("force\nfeedback [N]")
-        axes[2].legend(fontsize="x-small", ncols=3)
+        axes[2].legend(fontsize="small", ncols=3)
         for name, label in ENERGIES.items():
             if name != "v_filter" or data[name].any():
                 axes[3].plot(t, data[name], lw=0.9, label=label)
         axes[3].plot(t, data["v_t"] - self.budget, lw=1.6, color="black", label=r"$V_T - \beta_h$ (4.32)")
         axes[3].set(ylabel="energy [J]", xlabel="time [s]", xlim=(t[0], t[-1]))
-        axes[3].legend(fontsize="x-small", ncols=4)
+        axes[3].legend(fontsize="small", ncols=4)
         for axis in axes:
             for at in self.switches:
                 axis.axvline(at, color="0.85", lw=0.6, zorder=0)

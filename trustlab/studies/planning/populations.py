@@ -193,7 +193,7 @@ class GroundRobotPopulation:
         from trustlab.testbeds.deciding import SAMPLE_TIME
 
         printed = pd.DataFrame([self._values(_coordinates(label)) for label in PRINTED])
-        _, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
+        _, axes = plt.subplots(1, 3, figsize=(10, 3.4), layout="constrained")
         for frame, style, label in (
             (self.draw(n, seed), {"marker": ".", "ms": 3, "alpha": 0.5}, "drawn"),
             (printed, {"marker": "x", "ms": 8, "color": "black"}, "the five printed"),

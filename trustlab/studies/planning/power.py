@@ -185,7 +185,7 @@ class PowerAnalysis:
             fontsize="small",
         )
         if others or len(tests) > 1:
-            axes.legend(fontsize="x-small")
+            axes.legend(fontsize="small")
         return axes
 
     def __repr__(self) -> str:
