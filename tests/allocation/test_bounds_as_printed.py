@@ -230,6 +230,9 @@ def test_the_plot_shows_what_dwell_times_are_derived_from(operators):
     # (2.16): after τ_da samples, rounded down, P_r has fallen from P_ru to P_rl but for the part of a sample.
     at = np.interp([0.1 * bounds.dwell_autonomous, 0.1 * bounds.dwell_autonomous + 0.1], *curve.get_data())
     assert at[0] >= bounds.p_r_low >= at[1]
-    assert [line.get_label() for line in utilization.lines][:2] == ["r under (2.8)", "$r_l$, $r_u$ (2.33)"]
+    # (2.33): the bounds are the least and the greatest utilization of the two periodic motions.
+    lines = {line.get_label(): line.get_ydata() for line in utilization.lines}
+    low, high = (next(line for label, line in lines.items() if label.endswith(end)) for end in ("$r_l$", "$r_u$"))
+    assert (low.min(), high.max()) == pytest.approx((bounds.r_low, bounds.r_high), abs=1e-9)
     assert len(manual.lines) == 6 - math.isinf(bounds.dwell_manual_high)
     plt.close("all")

@@ -95,8 +95,8 @@ class ThresholdChoice:
             axis.legend(loc="lower right", fontsize="small")
             axis.figure.colorbar(points, ax=axis)
         trade_off, means = axes[2], ("mean_r", "mean_p_r")
-        trade_off.plot(*means, "-", data=self.front(), color="C1", lw=3, alpha=0.5, label="Pareto front")
-        style = {"s": 10, "color": "0.35", "lw": 0, "zorder": 3}
+        trade_off.plot(*means, "-", data=self.front(), color="C1", lw=1.5, zorder=4, label="Pareto front")
+        style = {"s": 24, "color": "0.65", "lw": 0, "zorder": 3}
         trade_off.scatter(*means, data=self.candidates, label="feasible pairs", **style)
         trade_off.plot(self.cycle.mean_r, self.cycle.mean_p_r, "k*", ms=12, label="choice")
         trade_off.axvline(self.model.human.beta, color="k", lw=0.8, ls=":", label="β")
