@@ -62,12 +62,12 @@ class Attempt:
 
     def answer(self, said: Mapping[str, Any]) -> dict[str, Any]:
         """Return the answer to a message of the browser: rows to keep, a note, the beginning or the end of the drive."""
-        new: list[Any]
         if said.get("rows"):
-            fresh = [
-                self._checked(row) for row in said["rows"] if isinstance(row, list) and row and row[0] >= len(self.rows)
-            ]
-            new = [row for n, row in enumerate(fresh, start=len(self.rows)) if row[0] == n]
+            new = []
+            for row in said["rows"]:
+                number, *_ = self._checked(row)
+                if number == len(self.rows) + len(new):
+                    new.append(row)
             self._append([json.dumps(row) for row in new])
         else:
             new = [{"note": str(said["note"])[:200], "row": len(self.rows)}] if "note" in said else []
@@ -78,7 +78,11 @@ class Attempt:
         return {"have": len(self.rows)} | ({"rows": self.rows} if said.get("begin") else {})
 
     def _checked(self, row: Any) -> list:
-        if len(row) != 2 + len(self.config["columns"]) or not all(type(x) in (int, float) for x in row):
+        if (
+            not isinstance(row, list)
+            or len(row) != 2 + len(self.config["columns"])
+            or not all(type(x) in (int, float) for x in row)
+        ):
             raise ValueError(f"a row is {2 + len(self.config['columns'])} numbers, got {shown(row)}")
         return row
 
