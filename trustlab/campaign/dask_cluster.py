@@ -1,7 +1,8 @@
 """The workers of a Dask cluster; the extra `cluster` is imported here and nowhere else."""
 
+import asyncio
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from time import monotonic
 from typing import Any
@@ -98,6 +99,7 @@ def _client(cluster: Any) -> tuple[Any, bool]:
             f"'tcp://127.0.0.1:8786', got {cluster!r}"
         )
     try:
+        _reach(address)
         return Client(address, timeout=CONNECT, set_as_default=False), True
     except Exception as error:
         raise CampaignError(
@@ -105,3 +107,18 @@ def _client(cluster: Any) -> tuple[Any, bool]:
             f"({str(error) or type(error).__name__}); start one with `dask scheduler`, and mind port, firewalls and, "
             "where it asks for TLS, give a Client with its `security`"
         ) from error
+
+
+def _reach(address: str) -> None:
+    """Connect to a scheduler and disconnect: unlike a Client, this fails quietly and within the time limit."""
+    from distributed.comm import connect
+
+    async def greet() -> None:
+        await (await connect(address, timeout=CONNECT)).close()
+
+    # In a thread of its own, because a notebook already runs an event loop in this one.
+    thread = ThreadPoolExecutor(1)
+    try:
+        thread.submit(asyncio.run, asyncio.wait_for(greet(), CONNECT)).result(2 * CONNECT)
+    finally:
+        thread.shutdown(wait=False)
