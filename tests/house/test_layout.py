@@ -12,7 +12,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[2] / "trustlab"
 FILES = sorted(PACKAGE.rglob("*.py"))
-MOST_LINES = 25_000
+MOST_LINES = 25_250
 SLOT = re.compile(r"\b(?:c|row|log|state|out)\[(?:\w+, *)?\d+\]")
 
 SILENT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
