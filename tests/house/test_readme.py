@@ -18,7 +18,8 @@ def test_links_and_figures_are_there(path):
     missing += [place for place in targets if place.startswith("api/") and path.parent.name != "docs"]
     named = re.findall(r"`((?:data|notebooks|reports|tests|trustlab)/[\w./]+)`", path.read_text())
     missing += [place for place in named if not (ROOT / place).exists()]
-    assert [place for place in missing if not place.startswith("data/external")] == []
+    # what users fetch by hand, and what `make docs` builds
+    assert [place for place in missing if not place.startswith(("data/external", "reports/docs"))] == []
 
 
 # One worker runs them all, so that what they compile and read is there for all.

@@ -10,6 +10,7 @@ import importlib
 import pkgutil
 import re
 import shutil
+import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -28,6 +29,7 @@ from trustlab.publishing import report_page
 from trustlab.publishing.execution import anonymous
 from trustlab.publishing.report_page import ReportError, page_faults, report_html
 from trustlab.reproduction.calibration import Calibration
+from trustlab.reproduction.performance_line import PerformanceLine
 from trustlab.reproduction.reconstruction.reconstruction import reconstruct_study
 from trustlab.sessions.metadata import Metadata
 from trustlab.sessions.session import Session
@@ -165,10 +167,20 @@ def late():
     measures = ("tracking_error", "guidance_felt", "energy_target", "energy_port_min")
     rows = [{"guidance": f"{NAME} {i}", "scheme": NAME, "participant": j} for i in range(2) for j in range(2)]
     guided = GuidanceComparison(pd.DataFrame(rows).assign(**dict.fromkeys(measures, 1.0)))
-    formula = FormulaModel(NAME, NAME, NAME, 5, 15, scores(), scores(), scores(), 0.0, False, 0, NAME)
-    own = type("OwnCalibration", (Calibration,), {"checks": lambda self: scores(), "table": lambda self: scores()})
-    calibration = own(NAME, {}, scores(), scores(), np.arange(2), {"simulations": NAME, "n": NAME})
-    return guided, formula, calibration, report(scores(), **columns())
+    formula = FormulaModel(NAME, NAME, NAME, "normal", 5, 15, scores(), scores(), scores(), 0.0, False, 0, NAME)
+    tables = dict.fromkeys(("checks", "table", "reach"), lambda self: scores())
+    own = type("OwnCalibration", (Calibration,), tables | {"words": NAME})
+    calibration = own(NAME, {}, scores(), (NAME,), scores(), (NAME,), {"simulations": NAME, "n": NAME})
+    means = pd.DataFrame(1.0, [f"{NAME} {i}" for i in range(3)], ["p_r", "p_h", "r"])
+    return guided, formula, calibration, report(scores(), **columns()), PerformanceLine(NAME, means, 0.0, 1.0), *live()
+
+
+def live():
+    """A live study and what it has recorded, in a folder with a hostile name."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place) / NAME.replace("/", "")[:200]
+        plan = tl.LiveStudy(folder, ["C1", "C3"], participants=2)
+        return plan, tl.read_live_study(folder)
 
 
 MODEL = tl.published_models()["2"]
