@@ -56,6 +56,7 @@ from .identification import (
 from .live import (
     LiveGroundRobot as LiveGroundRobot,
     LiveStudy as LiveStudy,
+    LiveTracking as LiveTracking,
     read_live_study as read_live_study,
 )
 from .models import (
