@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import shutil
 import subprocess
@@ -161,7 +162,7 @@ def losses(folder: Path) -> Iterator[dict[str, Any]]:
     folder : pathlib.Path
         Where the study is kept.
     """
-    from playwright.sync_api import sync_playwright
+    from playwright.sync_api import Error, sync_playwright
 
     def outcome(what: str, code: str, made: int, seconds: float = 15.0) -> dict[str, Any]:
         end = time.monotonic() + seconds
@@ -201,7 +202,8 @@ def losses(folder: Path) -> Iterator[dict[str, Any]]:
             made = page.evaluate("self.study.rows")
             found = subprocess.run(["pgrep", "-f", f"user-data-dir={profile}"], capture_output=True, text=True)
             subprocess.run(["kill", "-9", *found.stdout.split()])
-            context.close()
+            with contextlib.suppress(Error):  # closing may find that the browser is gone
+                context.close()
             if away:
                 served.start()
             for lock in profile.glob("Singleton*"):

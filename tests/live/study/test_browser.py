@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import time
+from contextlib import suppress
 
 import pytest
 
@@ -17,6 +18,7 @@ from tests.live.study.test_crashes import Server, plant_torn_line
 from trustlab.live.study.server import StudyServer
 from trustlab.live.study.store import read_tokens
 
+Error = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").Error
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 OPTIONS = {"executable_path": CHROMIUM, "args": ["--no-sandbox", "--disable-gpu"]}
 ATTACK = '<script>window.top.fired=1</script><img src=x onerror="window.top.fired=1">'
@@ -275,7 +277,8 @@ def browser_killed(make_plan, chromium, tmp_path, seconds):
     mine = subprocess.run(["pgrep", "-f", f"user-data-dir={profile}"], capture_output=True, text=True).stdout.split()
     assert mine
     subprocess.run(["kill", f"-{signal.SIGKILL.value}", *mine])
-    context.close()
+    with suppress(Error):  # closing may find that the browser is gone
+        context.close()
     for lock in profile.glob("Singleton*"):
         lock.unlink()
     server.start()
