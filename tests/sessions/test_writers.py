@@ -238,6 +238,25 @@ def test_a_feather_file_of_one_batch_says_how_large_it_is(tmp_path, packing, tex
     assert feather_size(path.read_bytes()) == 0
 
 
+def test_a_feather_file_that_claims_more_blocks_than_it_has_bytes_is_refused_at_once(tmp_path):
+    path = tmp_path / "b.feather"
+    feather.write_feather(pa.table({"p_r": np.zeros(1000)}), path, compression="zstd", chunksize=1000)
+    data = bytearray(path.read_bytes())
+    refused = 0
+    for at in range(len(data) - 400, len(data) - 10):  # the footer, whose list of batches has the length 1
+        if data[at : at + 4] == b"\1\0\0\0":
+            claimed = bytearray(data)
+            claimed[at : at + 4] = (2**31).to_bytes(4, "little")
+            path.write_bytes(claimed)
+            try:
+                assert feather_size(path.read_bytes()) < 2**20
+            except ValueError as error:
+                refused += "longer than the file" in str(error)
+                with pytest.raises(SessionError, match=r"b\.feather: not a Feather file, or a damaged"):
+                    read_session(path)
+    assert refused
+
+
 def test_a_feather_file_that_unpacks_to_much_is_refused_before_it_does(tmp_path, monkeypatch):
     path = tmp_path / "b.feather"
     table = pa.table({"t": 0.1 * np.arange(2**19), "p_r": np.zeros(2**19)})

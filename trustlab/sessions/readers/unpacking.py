@@ -113,6 +113,7 @@ def feather_size(data: bytes | memoryview) -> int:
     3 compression). A compressed buffer begins with the size it unpacks to, −1 where it is not compressed after all.
     """
     data = memoryview(data)
+    unread = len(data)
 
     def number(kind: str, at: int) -> int:
         return struct.unpack_from(f"<{kind}", data, at)[0]
@@ -128,10 +129,15 @@ def feather_size(data: bytes | memoryview) -> int:
         return at + number("I", at)
 
     def entries(table: int, index: int, size: int) -> range:
+        nonlocal unread
         if field(table, index) is None:
             return range(0)
         at = inner(table, index)
-        return range(at + 4, at + 4 + size * number("I", at), size)
+        length = size * number("I", at)
+        unread -= length
+        if unread < 0:  # one damaged number can claim 4·10⁹ entries, and lists that overlap their product
+            raise ValueError("its lists of blocks say that they are longer than the file")
+        return range(at + 4, at + 4 + length, size)
 
     footer = len(data) - 10 - number("i", len(data) - 10)
     footer += number("I", footer)
