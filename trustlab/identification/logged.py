@@ -8,8 +8,8 @@ import numpy as np
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import Parameter, Structure
 
+# Time [s] by which the mode acts later than the log says; negative where it is stamped late.
 DELAY = Parameter("mode_delay", guess=0.0)
-"""Time [s] by which the mode acts later than the log says; negative where it is stamped late."""
 
 
 def counts(size: int, window: int) -> np.ndarray:

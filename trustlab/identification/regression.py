@@ -12,8 +12,8 @@ from trustlab.identification.structure import IdentificationError, Structure
 from trustlab.models.checks import whole_number
 from trustlab.models.html import as_html
 
+# Up to this condition number (equilibrated) the normal equations are used, beyond it a singular value decomposition.
 CONDITION_LIMIT = 1e5
-"""Up to this condition number (equilibrated) the normal equations are used, beyond it a singular value decomposition."""
 
 
 @dataclass(frozen=True, eq=False)

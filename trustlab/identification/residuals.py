@@ -7,11 +7,11 @@ from scipy import special
 
 from trustlab.models.compiled import njit
 
+# Lags of the Ljung–Box test that chooses between white and robust standard errors.
 LAGS = 25
-"""Lags of the Ljung–Box test that chooses between white and robust standard errors."""
 
+# Robust standard deviations beyond which a sudden residual counts as an outlier: of white noise one sample in 5·10⁸ is.
 FAR = 6.0
-"""Robust standard deviations beyond which a sudden residual counts as an outlier: of white noise one sample in 5·10⁸ is."""
 
 
 def pooled_autocorrelation(residuals: list[np.ndarray], lags: int) -> np.ndarray:

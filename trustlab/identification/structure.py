@@ -9,15 +9,15 @@ import numpy as np
 
 from trustlab.models.checks import between, did_you_mean, finite_number, one_of, shown
 
+# How close to 0 and 1 a parameter of (0, 1) may come during the search.
 UNIT_MARGIN = 1e-9
-"""How close to 0 and 1 a parameter of (0, 1) may come during the search."""
 
+# Relative step of central differences: truncation (∝ step²) and rounding (∝ 1/step) are then about equal.
 DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
-"""Relative step of central differences: truncation (∝ step²) and rounding (∝ 1/step) are then about equal."""
 
 
+# Step [s] of the dissertation's models.
 MODEL_STEP = 0.1
-"""Step [s] of the dissertation's models."""
 
 
 class IdentificationError(ValueError):
@@ -52,12 +52,12 @@ class Coordinate(NamedTuple):
 
     to: Callable
     back: Callable
+    # Derivative of the parameter by the coordinate.
     slope: Callable
-    """Derivative of the parameter by the coordinate."""
     low: float = -np.inf
     high: float = np.inf
+    # Greatest half-width of a 95 % interval at a value of the parameter; wider ones mark it as weak.
     useful: Callable = lambda value: np.inf
-    """Greatest half-width of a 95 % interval at a value of the parameter; wider ones mark it as weak."""
 
 
 COORDINATES = {

@@ -13,8 +13,8 @@ from trustlab.identification.structure import IdentificationError, Parameter, St
 from trustlab.models.checks import finite_array, positive, whole_number
 from trustlab.models.uav import TransferFunction
 
+# Relative step of complex-step derivatives: no digits cancel, so it may be as small as one likes.
 COMPLEX_STEP = 1e-30
-"""Relative step of complex-step derivatives: no digits cancel, so it may be as small as one likes."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
 
 GREEK = ("alpha", "beta", "gamma", "delta", "zeta", "theta", "mu", "sigma", "tau", "phi", "omega")
+# Lines and ticks of a panel that are described one by one.
 MOST_LINES = 8
-"""Lines and ticks of a panel that are described one by one."""
 
 
 def spoken(text: str) -> str:

@@ -21,8 +21,8 @@ with extra("reports"):
     from nbformat import NotebookNode
     from papermill.exceptions import PapermillExecutionError
 
+# Libraries told to sum in one thread: with more, the last digits differ from machine to machine.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-"""Libraries told to sum in one thread: with more, the last digits differ from machine to machine."""
 
 
 class Kernels:

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 
+# Okabe and Ito's colours (2008), told apart with any colour vision; yellow is left out, too pale on white.
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
-"""Okabe and Ito's colours (2008), told apart with any colour vision; yellow is left out, too pale on white."""
 
 CAPTION_ID = "trustlab-caption"
 MARK_ID = "trustlab-synthetic"

@@ -20,12 +20,12 @@ with extra("reports"):
     from jinja2 import Environment, FileSystemLoader
 
 
+# What a record of a report that was built holds.
 KINDS = {
     **dict.fromkeys(("digest", "sources", "started", "title", "sentence", "thumbnail"), str),
     "seconds": float,
     "parameters": dict,
 }
-"""What a record of a report that was built holds."""
 
 
 @contextlib.contextmanager

@@ -9,8 +9,8 @@ from typing import Any
 from trustlab.publishing.inputs import Checkout, file_digest, folder_digest, list_files
 
 LISTED = ("trustlab", "numpy", "scipy", "pandas", "matplotlib", "numba", "statsmodels", "pingouin", "casadi")
+# Digits of a digest that a reader sees.
 SHORT = 12
-"""Digits of a digest that a reader sees."""
 
 
 def commit(root: str | Path) -> str:

@@ -27,11 +27,11 @@ with extra("reports"):
 
 Heading = tuple[int, str, str]  # level, anchor, HTML
 TEMPLATES = Path(__file__).parent / "templates"
+# Number of headings from which a page has a list of contents.
 CONTENTS_FROM = 5
-"""Number of headings from which a page has a list of contents."""
 
+# Forms of an output, the best first: a page shows one of them.
 SHOWN = ("text/html", "text/markdown", "text/latex", *IMAGES, "application/javascript", "text/plain")
-"""Forms of an output, the best first: a page shows one of them."""
 
 # What a cell that ends with a call of Matplotlib returns: no reader wants to see it.
 LEFT_OVER = re.compile(r"\[?(<Axes|<matplotlib\.|<Figure|Text\(|\(?array\(\[<Axes|<[\w. ]+ at 0x[0-9a-f]+>)")

@@ -17,14 +17,14 @@ P_VALUE = re.compile(
     r"|p[ _](gg|hf|holm|bonferroni|corrected|adjusted|uncorrected|value|mauchly|anova|friedman|mixed|shapiro_least)"
 )
 LEAST_P = 0.001
+# Significant digits that are shown as they are; of more, one less than that is shown.
 MOST_DIGITS = 6
-"""Significant digits that are shown as they are; of more, one less than that is shown."""
 
+# Characters from which a cell's text goes over several lines.
 LONG = 60
-"""Characters from which a cell's text goes over several lines."""
 
+# Names in code, and what a table is headed by instead.
 COLUMNS = tomllib.loads((Path(__file__).parent / "templates" / "columns.toml").read_text(encoding="utf-8"))
-"""Names in code, and what a table is headed by instead."""
 
 
 def style_table(table: Tag) -> None:

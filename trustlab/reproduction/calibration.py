@@ -31,6 +31,7 @@ from trustlab.reproduction import effects_simulated
 from trustlab.reproduction.effects import Effect
 from trustlab.reproduction.effects_simulated import ALLOCATION, effects_of, simulated_effects
 
+# Ranges of the uniform priors. Learning and fatigue cancel in a balanced design and are left out.
 PRIORS = {
     "attention_cost": (0.0, 0.3),
     "trust_bias": (-0.4, 0.4),
@@ -39,10 +40,9 @@ PRIORS = {
     "load_utilization": (0.0, 1.0),
     "load_switching": (0.0, 0.2),
 }
-"""Ranges of the uniform priors. Learning and fatigue cancel in a balanced design and are left out."""
 
+# Simulations that must be kept for every coefficient of the local regression.
 LEAST_PER_SUMMARY = 5
-"""Simulations that must be kept for every coefficient of the local regression."""
 
 
 @dataclass(frozen=True, eq=False)

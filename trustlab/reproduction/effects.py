@@ -106,8 +106,8 @@ def printed_effects() -> pd.DataFrame:
 FREE = "in C2 and C4 it depends on which suggestions people follow, which no model says"
 NO_MODEL = "no model of anyone in this study is printed"
 NOT_MODELLED = "(2.1)-(2.6) say nothing of this measure"
+# Samples of the model's motion; the second half counts.
 STEPS = 200_000
-"""Samples of the model's motion; the second half counts."""
 
 
 def model_effects() -> pd.DataFrame:

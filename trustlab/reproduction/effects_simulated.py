@@ -20,19 +20,19 @@ from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES
 from trustlab.testbeds.deciding import CONDITIONS
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
+# Testbeds of the studies under C1–C5.
 ALLOCATION = {"table_2.4": "ground_robot", "table_2.5": "ground_robot", "table_2.6": "ground_robot", "uav": "uav"}
-"""Testbeds of the studies under C1–C5."""
 
+# Settings, schemes and points of the scale of satisfaction of the studies of Chapter 3.
 TELEOPERATION = {
     "table_3.1": ("preliminary", ("M", "MI", "MMI", "TMIG", "TMIS"), 5),
     "teleop": ("main", ("M", "OMI", "MMI", "TMIG"), 7),
 }
-"""Settings, schemes and points of the scale of satisfaction of the studies of Chapter 3."""
 
 SIMULATED = ["simulated", "se", "operators", "p_simulated", "agrees", "reason"]
 SILENT = "simulated operators answer no questionnaire unless load_utilization or load_switching is assumed"
+# Satisfaction was answered from 1 to 5 in Section 2.4.1, and is simulated from 1 to 7.
 FIVE_POINTS = 4.0 / 6.0
-"""Satisfaction was answered from 1 to 5 in Section 2.4.1, and is simulated from 1 to 7."""
 
 
 def simulated_effects(

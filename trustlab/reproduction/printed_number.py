@@ -7,10 +7,11 @@ from decimal import ROUND_HALF_EVEN, ROUND_HALF_UP, Decimal, InvalidOperation
 
 from trustlab.models.checks import shown
 
+# Both conventions for a 5 that is rounded off; which one a printed number followed is not known.
 ROUNDINGS = (ROUND_HALF_EVEN, ROUND_HALF_UP)
-"""Both conventions for a 5 that is rounded off; which one a printed number followed is not known."""
 
 COUNTED = ("one", "two", "three", "four", "five", "six", "seven", "eight")
+# Printed words that stand for a number or a rank.
 WORDS = {
     **{word: float(i) for i, word in enumerate(COUNTED, start=1)},
     "thirty two": 32.0,
@@ -18,7 +19,6 @@ WORDS = {
     **dict.fromkeys(("smallest", "lowest", "highest", "worst"), 1.0),
     "third best": 3.0,
 }
-"""Printed words that stand for a number or a rank."""
 
 
 def _parsed(text: str, name: str) -> tuple[str, Decimal]:

@@ -16,8 +16,8 @@ from trustlab.models.checks import of_class, shown, whole_number
 from trustlab.reproduction.printed_number import printed_decimal, printed_interval
 from trustlab.reproduction.published import ByName, published_folder
 
+# What a study may print of each test.
 STATISTICS = {"mauchly": ("chi2", "df", "p"), "anova": ("F", "df1", "df2", "p", "eta2"), "t_test": ("t", "df", "p")}
-"""What a study may print of each test."""
 
 
 class PublishedStudyError(ValueError):

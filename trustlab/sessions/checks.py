@@ -8,8 +8,8 @@ from trustlab.models.checks import did_you_mean
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.vocabulary import VOCABULARY
 
+# How far a time step may differ from the median step, as a share of it, before sampling counts as irregular.
 STEP_TOLERANCE = 0.01
-"""How far a time step may differ from the median step, as a share of it, before sampling counts as irregular."""
 
 
 def check_rising(t: np.ndarray, place: Callable[[int], str] = "row {}".format, remedy: str = "") -> np.ndarray:

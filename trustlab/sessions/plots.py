@@ -6,8 +6,8 @@ import numpy as np
 
 from trustlab.sessions.vocabulary import VOCABULARY
 
+# Columns in words, for axes.
 LABELS = {"p_r": "robot\nperformance", "p_h": "human\nperformance", "r": "utilization", "tsc": "TSC"}
-"""Columns in words, for axes."""
 
 
 def shade_manual(axes, t: np.ndarray, mode: np.ndarray) -> None:

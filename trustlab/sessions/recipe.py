@@ -104,8 +104,8 @@ Rule = TypeVar("Rule")
 
 _SHIPPED = Path(__file__).parent / "recipes"
 
+# How a number is written in a table.
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-"""How a number is written in a table."""
 
 
 # The schema: every table of the file is a dataclass whose fields are the table's keys, each with the check that its

@@ -15,14 +15,14 @@ from trustlab.sessions.metadata import Metadata
 if TYPE_CHECKING:
     from trustlab.sessions.recipe import ColumnRule, Resampling
 
+# The longest log that is read or made by resampling (five and a half hours at 1 kHz).
 MAX_SAMPLES = 20_000_000
-"""The longest log that is read or made by resampling (five and a half hours at 1 kHz)."""
 
+# Ways to resample, by name.
 METHODS = ("previous", "linear", "nearest")
-"""Ways to resample, by name."""
 
+# Columns that name a state; "linear" holds their previous value, as the log never was in half a state.
 STATES = ("mode", "suggested_mode")
-"""Columns that name a state; "linear" holds their previous value, as the log never was in half a state."""
 
 
 @dataclass

@@ -57,8 +57,8 @@ _SIZES = {
     "rad": {"rad": 1.0, "deg": math.pi / 180.0},
     "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
 }
+# Name of a unit: its SI unit, and how many of those it is.
 UNITS = {unit: (si, size) for si, sizes in _SIZES.items() for unit, size in sizes.items()}
-"""Name of a unit: its SI unit, and how many of those it is."""
 
 
 def to_si(unit: str, wanted: str) -> float:

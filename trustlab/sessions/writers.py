@@ -18,8 +18,8 @@ from trustlab.sessions.readers.csv_files import COMMENT
 from trustlab.sessions.readers.folder import TEMPORARY
 from trustlab.sessions.session import Session
 
+# Formats by name, and the suffix that chooses each; a rosbag2 folder (sqlite3) has none.
 FORMATS = {"csv": ".csv", "parquet": ".parquet", "bag": ".bag", "mcap": ".mcap", "rosbag2": ""}
-"""Formats by name, and the suffix that chooses each; a rosbag2 folder (sqlite3) has none."""
 
 
 def write_session(session: Session, path: str | os.PathLike, format: str | None = None) -> Path:

@@ -13,8 +13,8 @@ from trustlab.reproduction.audit.verdict import NOTHING, Numbers, Row, listing, 
 
 LIMITS = ("TSC_lb", "TSC_ub", "b_pr")
 BOUNDS = ("P_rl", "P_ru", "r_l", "r_u")
+# Cap on a misfit, in half units; also the misfit of an output that cannot be computed.
 FARTHEST = 1e3
-"""Cap on a misfit, in half units; also the misfit of an output that cannot be computed."""
 
 
 @dataclass(frozen=True)

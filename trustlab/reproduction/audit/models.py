@@ -13,8 +13,8 @@ from trustlab.reproduction.audit.catalogue import PARTICIPANTS, why_unchecked
 from trustlab.reproduction.audit.verdict import Check, Finding, Formula, Numbers, Possible, Remark
 
 PERFORMANCE = ("P_r_min", "P_r_max", "P_h_min", "P_h_max")
+# The target of a strict inequality, as a difference that must be positive.
 HOLDS = (1e-12, np.inf)
-"""The target of a strict inequality, as a difference that must be positive."""
 
 
 def robot_gain(v: dict) -> np.ndarray:

@@ -23,6 +23,7 @@ from trustlab.reproduction.printed_number import PrintedNumber
 
 LIKERT_1_5, SHARE, PERCENT = (1.0, 5.0), (0.0, 1.0), (0.0, 100.0)
 UNBOUNDED = (0.0, math.inf)
+# Ends of the scales that the text gives or the measure has; those of the other questionnaires are not printed.
 SCALES = {
     "table_2.4/tlx": PERCENT,
     "table_2.4/satisfaction": LIKERT_1_5,
@@ -37,15 +38,14 @@ SCALES = {
     "teleop.tracking_error": UNBOUNDED,
     "teleop.tlx": PERCENT,
 }
-"""Ends of the scales that the text gives or the measure has; those of the other questionnaires are not printed."""
 
+# Whole points per respondent of a task load index: six scales, or fifteen weights, in steps of 5 or 1.
 TLX_RULES = {
     "raw, steps of 5": Fraction(6, 5),
     "weighted, steps of 5": Fraction(3),
     "raw, steps of 1": Fraction(6),
     "weighted, steps of 1": Fraction(15),
 }
-"""Whole points per respondent of a task load index: six scales, or fifteen weights, in steps of 5 or 1."""
 
 MOST_ITEMS = 40
 EXPECTED_ITEMS = {

@@ -4,8 +4,8 @@ import numpy as np
 
 from trustlab.reproduction.audit.verdict import Check, Finding, Formula, Numbers, Remark
 
+# Who says how far answers of a study went: both studies have the questionnaire of the one before.
 SCALES = {"uav.satisfaction": "section_2_4_1_3/scale", "teleop.satisfaction": "section_3_8_2/scale"}
-"""Who says how far answers of a study went: both studies have the questionnaire of the one before."""
 
 
 def _on_the_scale(study: str, numbers: Numbers) -> Check:

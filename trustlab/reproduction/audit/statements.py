@@ -11,11 +11,11 @@ from trustlab.reproduction.printed_number import ROUNDINGS, last_unit
 
 SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
 HIGHER_IS_BETTER = {"error": False, "tlx": False, "trust": True, "preference": True}
+# Latin squares balanced for order and carry-over: id, id of the participants, number of orders.
 SQUARES = (
     ("section_2_4_2_2/square", "section_2_4_2_2/participants", 10),
     ("section_3_9_3/square", "section_3_9_2/participants", 4),
 )
-"""Latin squares balanced for order and carry-over: id, id of the participants, number of orders."""
 
 
 def _rank(number: str, numbers: Numbers) -> Check:

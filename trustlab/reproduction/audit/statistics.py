@@ -28,8 +28,8 @@ def chi2_of_epsilon(epsilon: np.ndarray, n: np.ndarray, k: int, greatest: bool) 
         return -mauchly_factor(n, k) * np.log(w)
 
 
+# What the symbols of formulas stand for within a study.
 SYMBOLS = {"F": "anova.F", "df1": "anova.df1", "df2": "anova.df2", "n": "n", "p": "mauchly.p", "ε": "epsilon"}
-"""What the symbols of formulas stand for within a study."""
 
 
 def _ids(name: str) -> dict[str, str]:

@@ -276,8 +276,8 @@ class Remark:
         return row_about(numbers[self.number], "not checkable", self.reason, id=id, quantity=quantity)
 
 
+# What a maker of checks returns: a row, or what gives one.
 Finding = Check | Possible | Remark | Row
-"""What a maker of checks returns: a row, or what gives one."""
 
 
 def rows_of(checks: Iterable[Finding], numbers: Numbers) -> list[Row]:

@@ -18,8 +18,8 @@ from trustlab.reproduction.published_study import PublishedStudy, published_stud
 from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
 from trustlab.studies.analysis.sphericity import mauchly_p_value
 
+# Adjustments of pairwise p-values for the number of comparisons.
 ADJUSTMENTS = ("bonferroni", "holm", "sidak", "none")
-"""Adjustments of pairwise p-values for the number of comparisons."""
 
 ALPHA = 0.05
 Interval = tuple[float, float]

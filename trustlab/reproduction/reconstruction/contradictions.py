@@ -10,12 +10,12 @@ from trustlab.reproduction.printed_number import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import Constraint, constraints, size_interval
 
+# Printed numbers that fix one statistic: kind to its name and theirs; those first believed come first.
 COMPARED = {
     "epsilon": ("epsilon", ("epsilon", "anova.df2", "anova.df1")),
     "f_ratio": ("F", ("anova.F", "anova.eta2")),
     "chi2": ("chi-square", ("mauchly.chi2", "mauchly.p")),
 }
-"""Printed numbers that fix one statistic: kind to its name and theirs; those first believed come first."""
 
 
 def _largest_agreement(group: Sequence[Constraint]) -> list[Constraint]:

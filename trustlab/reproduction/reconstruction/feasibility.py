@@ -13,11 +13,11 @@ from trustlab.reproduction.reconstruction.contradictions import arithmetic_confl
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
 from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
 
+# How far inside the printed intervals solutions are sought, as shares of their half-widths, one after the other.
 MARGINS = (0.3, 0.1, 0.02)
-"""How far inside the printed intervals solutions are sought, as shares of their half-widths, one after the other."""
 
+# What the deletion filter leaves out first: numbers that follow from others, or that rarely matter.
 LEAST_MISSED = ("sd", "anova.eta2", "anova.df2", "anova.df1", "anova.p", "epsilon", "mauchly.p", "mauchly")
-"""What the deletion filter leaves out first: numbers that follow from others, or that rarely matter."""
 
 
 @dataclass(frozen=True, eq=False)

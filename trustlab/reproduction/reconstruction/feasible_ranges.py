@@ -11,8 +11,8 @@ from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Mo
 from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
 from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
 
+# Every end is attained this far inside the printed intervals, as a share of their half-widths.
 INSIDE = 0.02
-"""Every end is attained this far inside the printed intervals, as a share of their half-widths."""
 
 
 def feasible_ranges(problem: MomentProblem, rng: np.random.Generator, conditions: tuple[str, ...]) -> pd.DataFrame:

@@ -17,8 +17,8 @@ import numpy as np
 from trustlab.reproduction.reconstruction.constraints import Constraint
 from trustlab.reproduction.reconstruction.moment_statistics import MomentStatistics, pair_indices
 
+# Unit of violation of a statement that is open to one side: natural logarithm of a p, or a share of chi-square.
 OPEN_UNIT = 0.05
-"""Unit of violation of a statement that is open to one side: natural logarithm of a p, or a share of chi-square."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,8 +23,8 @@ from trustlab.reproduction.reconstruction.reanalysis import agrees, printed_ends
 from trustlab.reproduction.reconstruction.sampling import sample_with_moments
 
 NOTE = "Reconstructed data: not measurements, but values that have the printed statistics."
+# The mark that every table made from such data carries in its `attrs`.
 RECONSTRUCTED = {"reconstructed": True, "note": NOTE}
-"""The mark that every table made from such data carries in its `attrs`."""
 
 
 class ReconstructionError(ValueError):

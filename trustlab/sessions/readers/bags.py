@@ -21,8 +21,8 @@ from trustlab.sessions.readers.unpacking import Budget, bags_within
 from trustlab.sessions.recipe import Recipe, TopicField, mapped
 from trustlab.sessions.resampling import MAX_SAMPLES, RawLog, Stream
 
+# Where the topics of a bag stand that `write_session` wrote: t, metadata and one per column.
 PREFIX = "/trustlab/"
-"""Where the topics of a bag stand that `write_session` wrote: t, metadata and one per column."""
 
 _DAMAGED = "not a bag, or a damaged or truncated one"
 _guard = partial(damage_named, _DAMAGED, "try `ros2 bag reindex` or `rosbag reindex`, or record it again")

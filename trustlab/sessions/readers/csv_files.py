@@ -24,11 +24,11 @@ from trustlab.sessions.readers.unpacking import Budget
 from trustlab.sessions.recipe import NUMBER, Recipe, TableRule
 from trustlab.sessions.resampling import RawLog
 
+# The start of the first line of a CSV file whose rest is metadata.
 COMMENT = "# trustlab "
-"""The start of the first line of a CSV file whose rest is metadata."""
 
+# How many characters a line may have.
 LONGEST_LINE = 1 << 24
-"""How many characters a line may have."""
 
 _FILL = "fill it or cut it out before reading, by a rule that you state"
 _NOT_A_NUMBER = {"nan", "na", "n/a", "null", "none", "inf", "-inf", "+inf", "infinity", "-infinity", "-"}

@@ -19,8 +19,8 @@ _TEXTS = (".csv", ".csv.gz", ".tsv", ".txt")
 _ARRAYS = (".mat", ".h5", ".hdf5")
 _TABLES = (*_TEXTS, ".parquet", ".feather", *_ARRAYS)
 _BAGS = (".bag", ".mcap", ".db3", ".ulg", ".xdf")
+# Suffixes of the files that can be read; a rosbag2 recording may also be a folder.
 SUFFIXES = (*_TABLES, *_BAGS)
-"""Suffixes of the files that can be read; a rosbag2 recording may also be a folder."""
 
 
 def read_session(

@@ -15,8 +15,8 @@ from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.recipe import Recipe, plain_key
 from trustlab.sessions.session import Session
 
+# How the names of folders begin in which files are made.
 TEMPORARY = ".trustlab-"
-"""How the names of folders begin in which files are made."""
 
 
 class Sessions(list):

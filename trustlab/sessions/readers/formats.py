@@ -16,8 +16,8 @@ from trustlab.sessions.readers.unpacking import Budget
 from trustlab.sessions.recipe import Recipe, TopicField, mapped
 from trustlab.sessions.resampling import RawLog
 
+# Name of a topic: its times [ns], and its fields by name.
 Topics = dict[str, tuple[np.ndarray, dict[str, Any]]]
-"""Name of a topic: its times [ns], and its fields by name."""
 
 
 def _guard(format: str):

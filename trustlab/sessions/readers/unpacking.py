@@ -13,8 +13,8 @@ from typing import Any
 from trustlab.models.extras import extra
 from trustlab.sessions.errors import SessionError
 
+# How many bytes a file may unpack to where it says nothing else, if these are more than ten times its own size.
 MAX_BYTES = 2**28
-"""How many bytes a file may unpack to where it says nothing else, if these are more than ten times its own size."""
 
 
 class Budget:

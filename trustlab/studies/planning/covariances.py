@@ -13,8 +13,8 @@ from trustlab.models.checks import finite_array, finite_number, positive, whole_
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
 from trustlab.studies.columns import labels_of
 
+# Least eigenvalue, as a share of the greatest, that counts as positive.
 _LEAST = 1e-12
-"""Least eigenvalue, as a share of the greatest, that counts as positive."""
 
 
 def checked_covariance(name: str, values: np.ndarray, size: int | None = None) -> np.ndarray:

@@ -28,8 +28,8 @@ from trustlab.studies.factors.logistic_model import Logistic
 from trustlab.studies.planning.closed_form_power import clopper_pearson
 from trustlab.studies.planning.covariances import checked_covariance
 
+# Scores drawn at a time.
 _CHUNK = 1 << 20
-"""Scores drawn at a time."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,8 @@ from trustlab.operators.ground_robot import Operator, model_of, person_of, share
 from trustlab.operators.teleoperator import RANGES, REACH, Teleoperator
 from trustlab.studies.planning.covariances import checked_covariance
 
+# What is normally distributed. τ = 1/(1 − a) in samples. A place is a share of a range: for TSC_l, of the limits (2.9)-(2.10) at
+# δ_Ph = 0; for TSC_u, of what lies between TSC_l and the upper limit.
 COORDINATES = (
     "ln tau_r",
     "logit beta",
@@ -30,16 +32,14 @@ COORDINATES = (
     "logit place of TSC_l",
     "logit place of TSC_u",
 )
-"""What is normally distributed. τ = 1/(1 − a) in samples. A place is a share of a range: for TSC_l, of the limits (2.9)-(2.10) at
-δ_Ph = 0; for TSC_u, of what lies between TSC_l and the upper limit."""
 
+# Mixed into the seed, so that people and their runs have different streams.
 PEOPLE = 0x70656F70
-"""Mixed into the seed, so that people and their runs have different streams."""
 
 MOST_TRIES = 1000
 
+# The participants of Tables 2.1 to 2.3.
 PRINTED = ("1", "2", "3", "4", "5")
-"""The participants of Tables 2.1 to 2.3."""
 
 
 def _stream(seed: int, who: int) -> np.random.Generator:

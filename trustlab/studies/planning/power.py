@@ -35,21 +35,21 @@ from trustlab.studies.planning.power_simulation import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+# What power is computed against, and how a figure labels it.
 AXES = {
     "n": "participants n",
     "effect_size": "population partial η²",
     "correlation": "correlation of conditions",
     "epsilon": "ε of the population",
 }
-"""What power is computed against, and how a figure labels it."""
 
 ENDS = ("power", "ci_low", "ci_high", "replicates")
+# What the tables of F, of pairs and of claims have after `AXES`.
 COLUMNS = (
     ("noncentrality", "test", *ENDS, "closed_form"),
     ("a", "b", "d_z", "adjust", *ENDS, "closed_form"),
     ("adjust", "claims", *ENDS, "expected_found"),
 )
-"""What the tables of F, of pairs and of claims have after `AXES`."""
 
 MOST_CELLS, MOST_N, LEAST_REPLICATES = 10_000, 100_000, 100
 

@@ -13,17 +13,17 @@ from trustlab.studies.analysis.batch import repeated_measures_batch
 from trustlab.studies.analysis.sphericity import CORRECTIONS
 from trustlab.studies.planning.covariances import Conditions
 
+# Corrections of the omnibus F; "auto" is Greenhouse–Geisser where Mauchly's test rejects.
 TESTS = (*CORRECTIONS, "auto")
-"""Corrections of the omnibus F; "auto" is Greenhouse–Geisser where Mauchly's test rejects."""
 
+# The correction that `repeated_measures` makes by default.
 USUAL_TEST = "greenhouse-geisser"
-"""The correction that `repeated_measures` makes by default."""
 
+# Adjustments of the pairs' p-values, and their names in `PairwiseBatch`.
 ADJUSTMENTS = {"none": "p", "bonferroni": "p_bonferroni", "holm": "p_holm"}
-"""Adjustments of the pairs' p-values, and their names in `PairwiseBatch`."""
 
+# Scores drawn at a time, so that memory does not grow with the number of replicates.
 _CHUNK = 1 << 20
-"""Scores drawn at a time, so that memory does not grow with the number of replicates."""
 
 
 def run_counts(task: Callable, cells: Sequence[tuple], fixed: Mapping, where: Mapping) -> list[dict]:

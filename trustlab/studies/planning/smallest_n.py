@@ -23,8 +23,8 @@ from trustlab.studies.planning.power_simulation import (
     run_counts,
 )
 
+# How many n are simulated at the same time where there are workers for it.
 AHEAD = 4
-"""How many n are simulated at the same time where there are workers for it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,8 @@ from trustlab.testbeds.uav_following.people import FollowingPopulation
 from trustlab.testbeds.uav_following.run import measured_flight
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
+# What makes an operator of a row of the population's draw, by testbed.
 PERSONS = {"ground_robot": GroundRobotPopulation.person, "uav_following": FollowingPopulation.person}
-"""What makes an operator of a row of the population's draw, by testbed."""
 
 
 def session_file(participant: int, position: int, condition: str) -> str:

@@ -17,18 +17,18 @@ from trustlab.testbeds.uav_following.people import FollowingPopulation
 
 Population = GroundRobotPopulation | FollowingPopulation | TeleoperatorPopulation
 
+# How messages call the testbeds.
 WORDS = {
     "ground_robot": "the ground-robot testbed",
     "uav": "the UAV testbed",
     "uav_following": "the testbed of the UAV that follows a leader",
 }
-"""How messages call the testbeds."""
 
+# Where the measures come from, for headers and captions.
 ORIGIN = "simulated operators"
-"""Where the measures come from, for headers and captions."""
 
+# Columns of the table of measures that identify a session.
 KEYS = ("participant", "position", "condition", "synthetic")
-"""Columns of the table of measures that identify a session."""
 
 TEST = ("n", "k", "F", "df1", "df2", "p", "correction", "epsilon_gg")
 EFFECT = ("eta2_partial", "eta2_partial_low", "eta2_partial_high")
