@@ -10,6 +10,7 @@ from trustlab.identification.fit_result import FitResult
 from trustlab.identification.fitting import check_data, estimate_runs, result
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import IdentificationError, Parameter, Structure
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_array, positive, whole_number
 from trustlab.models.uav import TransferFunction
 
@@ -40,10 +41,7 @@ class TransferFunctionFit(FitResult):
 
     def plot(self, ax=None):
         """Plot the first run, measured and simulated, on given axes or new ones; return the axes."""
-        if ax is None:
-            import matplotlib.pyplot as plt
-
-            ax = plt.subplots()[1]
+        ax = axes_or_new(ax)
         ax.plot(self.runs[0].t, self.measured[0], color="0.6", label="measured")
         ax.plot(self.runs[0].t, self.fitted[0], label=f"fitted, {self.fit_percent:.1f} %")
         ax.set(xlabel="t [s]", ylabel="velocity [m/s]")

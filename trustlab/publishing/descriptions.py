@@ -1,20 +1,10 @@
 """What one sees in a figure of Matplotlib: in words for who does not see it, and in numbers for the viewer of a report."""
 
-from __future__ import annotations
-
 import json
 import re
 import unicodedata
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
 GREEK = ("alpha", "beta", "gamma", "delta", "zeta", "theta", "mu", "sigma", "tau", "phi", "omega")
 # Lines and ticks of a panel that are described one by one.
@@ -28,7 +18,7 @@ def spoken(text: str) -> str:
     return " ".join(re.sub(r"[${}\\]", "", text).split())
 
 
-def describe(figure: Figure) -> str:
+def describe(figure) -> str:
     """Return a figure in words: for each panel its axes with their ranges, and how each named line runs."""
     panels = [axes for axes in figure.axes if axes.get_visible() and (axes.axison or axes.name == "3d")]
     told = [_panel(axes) for axes in panels if axes.get_label() != "<colorbar>"]
@@ -38,7 +28,7 @@ def describe(figure: Figure) -> str:
     return " ".join([*count, *filter(None, told), *colours])
 
 
-def _panel(axes: Axes) -> str:
+def _panel(axes) -> str:
     """Return one panel in words."""
     title = next((spoken(words) for side in ("left", "center", "right") if (words := axes.get_title(loc=side))), "")
     against = f"{_axis(axes.yaxis)} against {_axis(axes.xaxis)}"
@@ -53,13 +43,13 @@ def _panel(axes: Axes) -> str:
     return "; ".join(filter(None, [title, against, *runs])) + "."
 
 
-def _name(artist: Artist) -> str:
+def _name(artist) -> str:
     """Return the name that an author gave to a line, or nothing."""
     label = str(artist.get_label())
     return "" if label.startswith("_") else spoken(label)
 
 
-def _axis(axis: Axis) -> str:
+def _axis(axis) -> str:
     """Return label and range of an axis, or the names along it."""
     label = spoken(axis.get_label_text()) or ("horizontal axis" if axis.axis_name == "x" else "vertical axis")
     names = [spoken(tick.get_text()) for tick in axis.get_ticklabels()]
@@ -69,7 +59,7 @@ def _axis(axis: Axis) -> str:
     return f"{label} from {low:.3g} to {high:.3g}"
 
 
-def _run(line: Line2D) -> str:
+def _run(line) -> str:
     """Return how a line runs: where it begins and ends, and its extremes between."""
     heights = np.asarray(line.get_ydata(orig=False), dtype=float)
     heights = heights[np.isfinite(heights)]
@@ -82,7 +72,7 @@ def _run(line: Line2D) -> str:
     return run if {low, high} == {first, last} else f"{run}, between {low:.3g} and {high:.3g}"
 
 
-def calibrate(figure: Figure) -> None:
+def calibrate(figure) -> None:
     """Name the panels and lines of a figure in its drawing so that a viewer can read values from it."""
     for axes in figure.axes:
         if axes.name != "rectilinear" or not {axes.get_xscale(), axes.get_yscale()} <= {"linear", "log"}:

@@ -1,18 +1,11 @@
 """The house style of figures: readable, distinguishable without colour vision, honest about synthetic data."""
 
-from __future__ import annotations
-
 import os
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from trustlab.models.checks import one_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.text import Text
 
 # Okabe and Ito's colours (2008), told apart with any colour vision; yellow is left out, too pale on white.
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
@@ -62,7 +55,7 @@ def _describe_figures(formatter: Any) -> None:
 
     draw = formatter.lookup_by_type(Figure)
 
-    def drawn(figure: Figure) -> tuple[str, dict[str, str]]:
+    def drawn(figure) -> tuple[str, dict[str, str]]:
         calibrate(figure)
         words = [text for text in figure.texts if text.get_gid() == CAPTION_ID]
         for text in words:
@@ -73,16 +66,16 @@ def _describe_figures(formatter: Any) -> None:
     formatter.for_type(Figure, drawn)
 
 
-def _figure(where: Figure | Axes) -> Figure:
+def _figure(where):
     return where.figure.figure  # axes -> (sub)figure -> figure; a figure is its own
 
 
-def _remove(where: Figure | Axes, gid: str) -> None:
+def _remove(where, gid: str) -> None:
     for old in [artist for artist in where.texts if artist.get_gid() == gid]:
         old.remove()
 
 
-def caption(where: Figure | Axes, text: str, synthetic: bool | str = False) -> Text:
+def caption(where, text: str, synthetic: bool | str = False):
     """Write a caption below a figure; it becomes the alternative text of the figure in a report.
 
     Parameters
@@ -112,7 +105,7 @@ def _label(synthetic: bool | str) -> str:
     return SYNTHETIC if synthetic is True else f"{SYNTHETIC}: {synthetic}"
 
 
-def label_synthetic(where: Figure | Axes, synthetic: bool | str = True) -> Text:
+def label_synthetic(where, synthetic: bool | str = True):
     """Mark a figure as made from synthetic or reconstructed data, in its upper right corner.
 
     Parameters

@@ -23,6 +23,7 @@ from scipy import special
 from scipy.spatial import KDTree
 
 from trustlab.campaign.run import run_campaign, where_to_run
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import between, in_order, one_of, whole_number
 from trustlab.models.compiled import _digest
 from trustlab.models.html import as_html
@@ -204,17 +205,14 @@ class Calibration:
         -------
         numpy.ndarray of matplotlib.axes.Axes
         """
-        import matplotlib.pyplot as plt
-
         size = (2.2 * len(self.priors), 2.6)
-        figure, axes = plt.subplots(1, len(self.priors), squeeze=False, layout="constrained", figsize=size)
+        axes = axes_or_new(columns=len(self.priors), title=f"{self.words}; dashed: prior", squeeze=False, figsize=size)
         for axis, (name, (low, high)) in zip(axes[0], self.priors.items(), strict=True):
             axis.hist(self.posterior[name], bins=20, range=(low, high), density=True, color="#0072b2")
             axis.axhline(1.0 / (high - low), color="black", ls="--", lw=1.0)
             axis.set(xlabel=name.replace("_", " "), yticks=[])
             if name in self.extrapolated:
                 axis.set_title("extrapolated", fontsize="small")
-        figure.suptitle(f"{self.words}; dashed: prior", fontsize="medium")
         return axes[0]
 
     def plot_sign(self, effect: str, x: str = "attention_cost", y: str = "trust_bias", axes=None):
@@ -239,13 +237,11 @@ class Calibration:
         ValueError
             If the effect or an assumption is unknown.
         """
-        import matplotlib.pyplot as plt
-
         printed = {found.id: found.printed for found in self.observed}
         one_of("effect", effect, printed)
         u, v = (self.simulations[one_of("an assumption", name, self.priors)].to_numpy() for name in (x, y))
         size = self.simulations[effect].to_numpy()
-        axis = plt.subplots(layout="constrained")[1] if axes is None else axes
+        axis = axes_or_new(axes)
         most = np.abs(size).max()
         dots = axis.scatter(u, v, c=size, cmap="RdBu", vmin=-most, vmax=most, s=9)
         axis.figure.colorbar(dots, ax=axis, label=effect)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import one_of
 from trustlab.models.html import as_html
 from trustlab.reproduction.published import published_table
@@ -62,9 +63,7 @@ class PerformanceLine:
         -------
         matplotlib.axes.Axes
         """
-        import matplotlib.pyplot as plt
-
-        axis = plt.subplots(layout="constrained")[1] if axes is None else axes
+        axis = axes_or_new(axes)
         table = self.table()
         ends = table["r_p_h"].agg(["min", "max"])
         axis.plot(ends, self.intercept + self.slope * ends, color="black", lw=1.0)

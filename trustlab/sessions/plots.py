@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from trustlab.models.axes import axes_or_new
 from trustlab.sessions.vocabulary import VOCABULARY
 
 # Columns in words, for axes.
@@ -25,15 +26,14 @@ def shade_manual(axes, t: np.ndarray, mode: np.ndarray) -> None:
 
 def plot_session(session, columns: str | list[str] | None = None):
     """Plot columns of a session against time, one panel each; p_r, p_h and r (or all) when none are named."""
-    import matplotlib.pyplot as plt
-
     if isinstance(columns, str):
         columns = [columns]
     if columns is None:
         columns = [name for name in ("p_r", "p_h", "r") if name in session] or session.columns
     session.require(*columns)
+    title = session.label + (" (manual phases shaded)" if "mode" in session else "")
     size = (8, 1.2 + 1.5 * len(columns))
-    figure, axes = plt.subplots(len(columns), sharex=True, squeeze=False, figsize=size, layout="constrained")
+    axes = axes_or_new(None, len(columns), title=title, sharex=True, squeeze=False, figsize=size)
     for panel, name in zip(axes[:, 0], columns, strict=True):
         panel.plot(session.t, session[name], lw=1)
         unit = "s" if name == "t" else VOCABULARY[name].unit
@@ -42,8 +42,6 @@ def plot_session(session, columns: str | list[str] | None = None):
         if "mode" in session and name != "mode":
             shade_manual(panel, session.t, session["mode"])
     axes[-1, 0].set_xlabel("time [s]")
-    shaded = " (manual phases shaded)" if "mode" in session else ""
-    figure.suptitle(session.label + shaded, fontsize="medium")
     return axes[:, 0]
 
 
@@ -64,13 +62,11 @@ def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | No
     -------
     numpy.ndarray of matplotlib.axes.Axes
     """
-    import matplotlib.pyplot as plt
-
     sessions = list(sessions)
     across, up = plane[0], plane[1]
     count = len(sessions)
-    figure, axes = plt.subplots(1, count, sharex=True, sharey=True, squeeze=False, layout="constrained")
-    figure.set_size_inches(min(2.4 * count, 10.0), 2.8)
+    size = (min(2.4 * count, 10.0), 2.8)
+    axes = axes_or_new(columns=count, sharex=True, sharey=True, squeeze=False, figsize=size)
     titles = [session.label for session in sessions] if titles is None else titles
     for axis, session, title in zip(axes[0], sessions, titles, strict=True):
         for who, label, style in (
@@ -83,7 +79,7 @@ def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | No
     axes[0, 0].set_ylabel(f"{up} [m]")
     axes[0, 0].legend(fontsize="small")
     if any(session.metadata.synthetic for session in sessions):
-        figure.suptitle("synthetic data", fontsize="small")
+        axes[0, 0].figure.suptitle("synthetic data", fontsize="small")
     return axes[0]
 
 
@@ -106,10 +102,8 @@ def plot_by_participant(table, value: str, by: str = "autonomy", axis=None):
     -------
     matplotlib.axes.Axes
     """
-    import matplotlib.pyplot as plt
-
     wide = table.pivot_table(index="participant", columns=by, values=value)
-    axis = plt.subplots(figsize=(6, 3.4), layout="constrained")[1] if axis is None else axis
+    axis = axes_or_new(axis, figsize=(6, 3.4))
     axis.plot(wide.columns, wide.T, "o-", lw=0.8, ms=3, color="0.7")
     axis.plot(wide.columns, wide.mean(), "o-", lw=2.2, color="C0", label=f"mean of {len(wide)} participants")
     axis.set(xlabel=by, ylabel=value)

@@ -1,19 +1,14 @@
 """Figures of the audit: how many verdicts of each kind, ranges within rounding, and how far slips lie outside them."""
 
-from __future__ import annotations
-
 import tomllib
 from functools import cache
-from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import shown
 from trustlab.reproduction.audit.verdict import VERDICTS
 from trustlab.reproduction.published import published_folder
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 COLOURS = dict(zip(VERDICTS, ("C2", "C5", "C1", "#bbbbbb"), strict=True))
 
@@ -63,7 +58,7 @@ def verdict_counts(verdicts: pd.DataFrame) -> pd.DataFrame:
     return counts.assign(all=counts.sum(axis=1))
 
 
-def plot_verdicts(verdicts: pd.DataFrame, ax: Axes | None = None) -> Axes:
+def plot_verdicts(verdicts: pd.DataFrame, ax=None):
     """
     Draw how many numbers have each verdict, part by part.
 
@@ -74,14 +69,14 @@ def plot_verdicts(verdicts: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure when not given.
     """
-    ax, counts = _axes(ax, 3.0), verdict_counts(verdicts)[list(VERDICTS)]
+    ax, counts = axes_or_new(ax, figsize=(7.2, 3.0)), verdict_counts(verdicts)[list(VERDICTS)]
     counts.plot.barh(stacked=True, color=COLOURS, width=0.8, ax=ax, xlabel="numbers and statements", ylabel="")
     ax.invert_yaxis()
     ax.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.35, 1.0), frameon=False)
     return ax
 
 
-def plot_ranges(rows: pd.DataFrame, ax: Axes | None = None) -> Axes:
+def plot_ranges(rows: pd.DataFrame, ax=None):
     """
     Draw recomputed values, their ranges within rounding, and the printed numbers.
 
@@ -92,7 +87,7 @@ def plot_ranges(rows: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure when not given.
     """
-    ax = _axes(ax, 0.3 + 0.5 * len(rows))
+    ax = axes_or_new(ax, figsize=(7.2, 0.3 + 0.5 * len(rows)))
     for i, row in enumerate(rows.itertuples()):
         ax.plot([row.low, row.high], [i, i], color="#999999", lw=6, solid_capstyle="butt", zorder=1)
         ax.plot(row.recomputed, i, "o", color="black", zorder=2)
@@ -103,7 +98,7 @@ def plot_ranges(rows: pd.DataFrame, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_slips(rows: pd.DataFrame, ax: Axes | None = None) -> Axes:
+def plot_slips(rows: pd.DataFrame, ax=None):
     """
     Draw how far printed numbers lie outside their ranges within rounding, in half-widths of the range.
 
@@ -115,7 +110,7 @@ def plot_slips(rows: pd.DataFrame, ax: Axes | None = None) -> Axes:
         Where to draw; a new figure when not given.
     """
     rows = rows[rows["high"] > rows["low"]]
-    ax = _axes(ax, 0.5 + 0.5 * len(rows))
+    ax = axes_or_new(ax, figsize=(7.2, 0.5 + 0.5 * len(rows)))
     middle, half = 0.5 * (rows["low"] + rows["high"]), 0.5 * (rows["high"] - rows["low"])
     places = (rows["printed"].astype(float) - middle) / half
     for i, (place, verdict) in enumerate(zip(places, rows["verdict"], strict=True)):
@@ -127,13 +122,4 @@ def plot_slips(rows: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.set_xlim(min(1.3 * places.min(), -3), max(1.3 * places.max(), 3))
     ax.invert_yaxis()
     ax.set_xlabel("printed (diamond), range within rounding (bar); unit: half the range")
-    return ax
-
-
-def _axes(ax: Axes | None, height: float) -> Axes:
-    if ax is not None:
-        return ax
-    import matplotlib.pyplot as plt
-
-    _, ax = plt.subplots(figsize=(7.2, height))
     return ax

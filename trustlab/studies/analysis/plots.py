@@ -5,6 +5,7 @@ import textwrap
 import numpy as np
 import pandas as pd
 
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import one_of
 from trustlab.studies.analysis.score_table import ScoreTable
 
@@ -61,12 +62,9 @@ def _clouds(scores: ScoreTable, axes) -> None:
 
 def plot_conditions(result, kind: str = "means", interval: str = "between", axes=None):
     """Draw the conditions of one analysis side by side; the arguments are those of `RepeatedMeasures.plot`."""
-    import matplotlib.pyplot as plt
-
     one_of("kind", kind, ("means", "raincloud", "paired"))
     one_of("interval", interval, ("between", "within"))
-    if axes is None:
-        _, axes = plt.subplots(figsize=(max(4.2, 1.6 + 0.9 * result.k), 3.6), layout="constrained")
+    axes = axes_or_new(axes, figsize=(max(4.2, 1.6 + 0.9 * result.k), 3.6))
     if kind == "raincloud":
         _clouds(result.scores, axes)
     else:
@@ -85,11 +83,7 @@ def plot_conditions(result, kind: str = "means", interval: str = "between", axes
 
 def plot_pair(result, axes=None) -> np.ndarray:
     """Draw both conditions of a paired t-test subject by subject, and the differences beside them."""
-    import matplotlib.pyplot as plt
-
-    if axes is None:
-        _, axes = plt.subplots(1, 2, figsize=(7.2, 3.6), width_ratios=[2, 1], layout="constrained")
-    left, right = axes
+    left, right = axes_or_new(axes, columns=2, figsize=(7.2, 3.6), width_ratios=[2, 1])
     _subjects(result.scores, left)
     _means(result.descriptives(), left)
     _label_conditions(result.scores, left)

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import one_of
 from trustlab.models.html import as_html
 from trustlab.studies.analysis.effect_sizes import noncentrality_limit
@@ -256,10 +257,7 @@ class FactorialMeasures:
         -------
         matplotlib.axes.Axes
         """
-        import matplotlib.pyplot as plt
-
-        if axes is None:
-            _, axes = plt.subplots(figsize=(6.0, 3.8), layout="constrained")
+        axes = axes_or_new(axes, figsize=(6.0, 3.8))
         first, *others = self.within
         table = self.descriptives()
         lines = table.groupby([*self.between, *others], sort=False) if self.between or others else [((), table)]

@@ -9,6 +9,7 @@ import pandas as pd
 from scipy import special
 
 from trustlab.allocation.limits import threshold_limits
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_array, finite_number, one_of, positive, whole_number
 from trustlab.models.published import published_models, published_table
 from trustlab.models.tsc import TscModel
@@ -188,12 +189,10 @@ class GroundRobotPopulation:
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (3,)
         """
-        import matplotlib.pyplot as plt
-
         from trustlab.testbeds.deciding import SAMPLE_TIME
 
         printed = pd.DataFrame([self._values(_coordinates(label)) for label in PRINTED])
-        _, axes = plt.subplots(1, 3, figsize=(10, 3.4), layout="constrained")
+        axes = axes_or_new(columns=3, figsize=(10, 3.4))
         for frame, style, label in (
             (self.draw(n, seed), {"marker": ".", "ms": 3, "alpha": 0.5}, "drawn"),
             (printed, {"marker": "x", "ms": 8, "color": "black"}, "the five printed"),

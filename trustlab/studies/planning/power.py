@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations, product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from trustlab.campaign.run import where_to_run
+from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import one_of, open_unit, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
@@ -31,9 +32,6 @@ from trustlab.studies.planning.power_simulation import (
     count_findings,
     run_counts,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # What power is computed against, and how a figure labels it.
 AXES = {
@@ -130,7 +128,7 @@ class PowerAnalysis:
         """Where these numbers come from, for headers and captions."""
         return self.conditions.simulated_origin
 
-    def plot(self, against: str | None = None, test: str | Sequence[str] = USUAL_TEST, axes: Axes | None = None):
+    def plot(self, against: str | None = None, test: str | Sequence[str] = USUAL_TEST, axes=None):
         """
         Plot the power of the omnibus F with its Monte-Carlo intervals; crosses mark the closed form.
 
@@ -152,16 +150,13 @@ class PowerAnalysis:
         ValueError
             If an argument is none of those.
         """
-        import matplotlib.pyplot as plt
-
         tests = [test] if isinstance(test, str) else list(test)
         for name in tests:
             one_of("test", name, TESTS)
         tests = ["likelihood ratio"] if isinstance(self.conditions, Shares) else tests
         against = against or (self.varied[0] if self.varied else "n")
         one_of("against", against, AXES)
-        if axes is None:
-            _, axes = plt.subplots(figsize=(6.0, 3.8), layout="constrained")
+        axes = axes_or_new(axes, figsize=(6.0, 3.8))
         others = [name for name in self.varied if name != against]
         table = self.omnibus[self.omnibus["test"].isin(tests)]
         # Values as computed differ in the last bits between the cells of one line.
