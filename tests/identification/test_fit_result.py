@@ -123,15 +123,16 @@ def test_plots_and_html_say_that_data_are_synthetic(session):
     assert isinstance(fit.initial_states, pd.DataFrame)
 
 
-def test_noise_of_the_measured_input_is_allowed_for(operators, make_session, switching):
+@pytest.mark.parametrize(("seeds", "margin"), [(50, 0.3), pytest.param(150, 0.2, marks=pytest.mark.long)])
+def test_noise_of_the_measured_input_is_allowed_for(operators, make_session, switching, seeds, margin):
     # The spread of estimates over seeds is what the standard errors say, input noise ten times that of the output.
     model = operators["pilot"]
     z = []
-    for seed in range(150):
+    for seed in range(seeds):
         session = make_session(model, switching, noise=0.002, seed=seed)
         rng = np.random.default_rng(1000 + seed)
         noisy = session.with_columns(p_h=session["p_h"] + 0.03 * rng.standard_normal(len(session)))
         row = tl.fit_robot(noisy, p_h_max=model.robot.p_h_max, noise="white").table().loc["p_max"]
         z.append((row["value"] - model.robot.p_max) / row["stderr"])
-    assert 0.8 < np.std(z) < 1.2
+    assert abs(np.std(z) - 1.0) < margin  # three sd of a standard deviation of so few, 1/√(2 seeds) each
     assert abs(np.mean(z)) < 0.5
