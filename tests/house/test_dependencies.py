@@ -1,6 +1,7 @@
 """What is imported is declared in pyproject.toml, and what is declared is imported."""
 
 import ast
+import functools
 import re
 import sys
 import tomllib
@@ -49,6 +50,7 @@ def imports(source):
                 yield top, node not in guarded
 
 
+@functools.cache
 def distributions(folder):
     """Distributions that the files of a folder import: all, and those imported without `extra` or another guard."""
     known = packages_distributions()

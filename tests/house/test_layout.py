@@ -1,6 +1,7 @@
 """The house stays small and readable: lines of code, files in a folder, length of functions, slots, circles, repeats."""
 
 import ast
+import functools
 import io
 import re
 import tokenize
@@ -14,7 +15,7 @@ PACKAGE = Path(__file__).parents[2] / "trustlab"
 FILES = sorted(PACKAGE.rglob("*.py"))
 MOST_LINES = 25_250
 SLOT = re.compile(r"\b(?:c|row|log|state|out)\[(?:\w+, *)?\d+\]")
-
+pytestmark = pytest.mark.xdist_group("layout")  # one worker reads all files, once
 SILENT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 
 
@@ -28,6 +29,7 @@ def docstring_lines(tree):
     return lines
 
 
+@functools.cache
 def code_lines(source):
     """The numbers of the lines that hold code."""
     lines = set()
@@ -113,6 +115,7 @@ def module(path):
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@functools.cache
 def sources():
     return {module(path): path.read_text() for path in FILES}
 
@@ -122,11 +125,9 @@ def test_lines_of_code():
     assert sum(len(code_lines(source)) for source in rooms.values()) <= MOST_LINES
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_a_file_holds_one_idea(path):
-    source = path.read_text()
-    assert len(code_lines(source)) <= 400
-    assert long_functions(source, 60) == {}
+def test_a_file_holds_one_idea():
+    assert {name: n for name, source in sources().items() if (n := len(code_lines(source))) > 400} == {}
+    assert {name: found for name, source in sources().items() if (found := long_functions(source, 60))} == {}
 
 
 def test_no_folder_shows_more_than_16_files():
