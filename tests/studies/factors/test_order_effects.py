@@ -72,10 +72,11 @@ def test_adjusted_differences_do_not_see_carry_over_and_raw_means_do():
     np.testing.assert_allclose(carried["p"], clean["p"], rtol=1e-6)
 
 
-def test_type_one_error():
-    rejected = [run(williams(8, seed)).table().set_index("effect")["p"] < 0.05 for seed in range(300)]
+@pytest.mark.parametrize("studies", [100, pytest.param(300, marks=pytest.mark.long)])
+def test_type_one_error(studies):
+    rejected = [run(williams(8, seed)).table().set_index("effect")["p"] < 0.05 for seed in range(studies)]
     share = pd.concat(rejected, axis=1).mean(axis=1)
-    assert (share < 0.05 + 4.0 * np.sqrt(0.05 * 0.95 / 300)).all()
+    assert (share < 0.05 + 4.0 * np.sqrt(0.05 * 0.95 / studies)).all()
     assert run(williams(12, effect=3.0)).table().set_index("effect").loc["condition", "p"] < 0.001
 
 

@@ -54,20 +54,21 @@ def test_closed_form_is_the_noncentral_f_written_out():
     assert closed["difficulty"] == pytest.approx(exact, abs=1e-10)
 
 
-def test_a_plain_loop_finds_the_same_share():
-    """A mixed design without sphericity: 300 studies drawn and analysed one by one."""
+@pytest.mark.parametrize("studies", [100, pytest.param(300, marks=pytest.mark.long)])
+def test_a_plain_loop_finds_the_same_share(studies):
+    """A mixed design without sphericity: studies drawn and analysed one by one."""
     covariance = graded_covariance(3, 0.3, 0.7)
     means = pd.Series({(g, c): 0.45 * (c == "c") * (g == "h") for g in "gh" for c in "abc"})
     table = tl.power_analysis(means, covariance, within="c", between="g", n=12, replicates=4000).table()
     power = table.set_index(["effect", "test"]).loc[("g × c", "greenhouse-geisser"), "power"]
     rng, found = np.random.default_rng(5), 0
-    for _ in range(300):
+    for _ in range(studies):
         scores = rng.multivariate_normal(np.zeros(3), covariance, 24)
         scores[12:, 2] += 0.45
         frame = pd.DataFrame({"s": np.repeat(range(24), 3), "g": np.repeat(["g", "h"], 36), "c": list("abc") * 24})
         result = tl.repeated_measures(frame.assign(v=scores.ravel()), "v", "c", "s", between="g").table()
         found += result.set_index("effect").loc["g × c", "p_corrected"] < 0.05
-    assert within_simulation_error(found / 300, power, 300)
+    assert within_simulation_error(found / studies, power, studies)
 
 
 def test_without_effects_the_level_is_held():
