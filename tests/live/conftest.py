@@ -1,10 +1,36 @@
-"""Browsers depend on what else the machine does: a test in a browser that fails is run once more, and says so."""
+"""
+Chromium for the tests that drive and fly in it.
 
+Browsers depend on what else the machine does: a test in a browser that fails is run once more, and says so.
+"""
+
+import shutil
 import warnings
 
+import pytest
 from _pytest.runner import runtestprotocol
 
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+OPTIONS = {"executable_path": CHROMIUM, "args": ["--no-sandbox", "--disable-gpu"]}
 FIXTURES = {"browser", "chromium"}
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    """Playwright's Chromium; skipped with a line where there is none."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine: nobody drives")
+    with sync_api.sync_playwright() as playwright:
+        yield playwright.chromium
+
+
+@pytest.fixture(scope="module")
+def browser(chromium):
+    """One browser for the tests of a module."""
+    started = chromium.launch(**OPTIONS)
+    yield started
+    started.close()
 
 
 def pytest_runtest_protocol(item, nextitem):

@@ -5,7 +5,6 @@ Oracle: the loop of `TeleoperationLoop`, stepped here under the hands that were 
 
 import json
 import math
-import shutil
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ import trustlab as tl
 from trustlab.live.ground_robot import module_of
 from trustlab.live.tracking import LiveTracking
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 HOME = "https://tracking.test/"
 PAGE = """<!doctype html><meta charset="utf-8"><div id="place"></div><script type="module">
 import widget from "./widget.js";
@@ -193,17 +191,6 @@ def test_the_comm_handler_hears_and_answers(monkeypatch):
 def test_a_session_needs_two_samples():
     with pytest.raises(ValueError, match="at least two samples"):
         tl.LiveTracking("M").session  # noqa: B018
-
-
-@pytest.fixture(scope="module")
-def browser():
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine: nobody flies")
-    with sync_api.sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield started
-        started.close()
 
 
 def serving(kind, body):

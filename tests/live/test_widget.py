@@ -7,7 +7,6 @@ import hashlib
 import json
 import math
 import os
-import shutil
 import statistics
 
 import numpy as np
@@ -23,7 +22,6 @@ from trustlab.testbeds import Course
 from trustlab.testbeds.ground_robot.course import path_point
 from trustlab.testbeds.ground_robot.kernel import COLUMNS
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 HOME = "https://live.test/"
 MODEL = tl.published_models()["2"]
 SHORT = Course(((0, 0), (4, 0), (4, 4), (0, 4)), radius=1.9)
@@ -47,17 +45,6 @@ NOW = """() => { const d = document.querySelector('.tl-drive').driving, p = d.ph
   return [p.get('x'), p.get('y'), p.get('yaw'), p.get('w'), p.get('arc'), p.get('laps'), p.k, p.done ? 1 : 0]; }"""
 PAD = """window.pad = { connected: true, index: 0, axes: [0, 0, 0, 0], buttons: [...Array(17)].map(() => ({ pressed: false })) };
 navigator.getGamepads = () => [window.pad, null, null, null];"""
-
-
-@pytest.fixture(scope="module")
-def browser():
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine: nobody drives")
-    with sync_api.sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield started
-        started.close()
 
 
 def serving(kind, body):
@@ -171,6 +158,19 @@ def test_a_drive_by_script_is_verified_and_read_as_a_session(notebook):
     assert one.faults == []
 
 
+def test_the_pictures_keep_the_pixels_of_the_screen(notebook):
+    one = notebook(configured())
+    one.start()
+    for wide in (1000, 640):
+        one.page.set_viewport_size({"width": wide, "height": 700})
+        one.page.wait_for_timeout(150)
+        sizes = one.page.evaluate(
+            "[...document.querySelectorAll('.tl-drive canvas')].map((c) => [c.width, c.clientWidth, c.parentElement.clientWidth])"
+        )
+        assert [own == shown == room for own, shown, room in sizes] == [True, True], sizes
+    assert one.faults == []
+
+
 @pytest.mark.slow
 def test_two_laps_by_real_key_events(notebook):
     one, down = notebook(configured()), set()
@@ -235,6 +235,12 @@ def test_hands(notebook):
     assert len(late) >= 18
     if os.getloadavg()[0] <= os.cpu_count() / 2:
         assert statistics.median(late) <= 100.0
+    page.evaluate(
+        "window.heard = []; for (const type of ['keydown', 'keyup']) document.addEventListener(type, (event) => heard.push(event.key))"
+    )
+    for key in ("x", "d", "d", "0", "Enter"):
+        page.keyboard.press(key)
+    assert page.evaluate("heard") == [], "a notebook's shortcuts would cut the cell or restart the kernel"
     page.keyboard.press("Space")
     one.until(lambda: page.evaluate("document.querySelector('.tl-drive').driving.row[0]") == 0, 2)
     assert page.inner_text(".tl-drive .mode") == "AUTONOMOUS"

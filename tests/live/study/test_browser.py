@@ -5,7 +5,6 @@ Oracle: the rows that the page says it has made, against the files on the disk. 
 
 import json
 import re
-import shutil
 import signal
 import subprocess
 import time
@@ -14,13 +13,12 @@ from contextlib import suppress
 import pytest
 
 import trustlab as tl
+from tests.live.conftest import OPTIONS
 from tests.live.study.test_crashes import Server, plant_torn_line
 from trustlab.live.study.server import StudyServer
 from trustlab.live.study.store import read_tokens
 
 Error = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").Error
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-OPTIONS = {"executable_path": CHROMIUM, "args": ["--no-sandbox", "--disable-gpu"]}
 ATTACK = '<script>window.top.fired=1</script><img src=x onerror="window.top.fired=1">'
 FILL = """(words) => {
   const groups = new Map();
@@ -32,23 +30,6 @@ FILL = """(words) => {
   for (const area of document.querySelectorAll('textarea')) area.value = words;
   document.querySelector('form button').click();
 }"""
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    """Playwright's Chromium, started once; skipped with a line where there is none."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine: nobody takes part in the study")
-    with sync_api.sync_playwright() as playwright:
-        yield playwright.chromium
-
-
-@pytest.fixture(scope="module")
-def browser(chromium):
-    started = chromium.launch(**OPTIONS)
-    yield started
-    started.close()
 
 
 def opened(context, url):

@@ -7,7 +7,7 @@ export const STYLE = `
 .tl-drive { position: relative; display: grid; grid-template-columns: minmax(0, 3fr) minmax(12em, 1fr); gap: .5em; max-width: 70em;
   font: 15px/1.4 system-ui, sans-serif; color: #1b2430; background: #fff; padding: .4em; border-radius: 6px; touch-action: none; user-select: none; }
 .tl-drive:focus { outline: 3px solid #0072b2; outline-offset: 2px; }
-.tl-drive canvas { width: 100%; display: block; border-radius: 4px; }
+.tl-drive canvas { display: block; will-change: transform; } /* layers of their own: the page around is not painted again with each frame */
 .tl-drive .panel { display: flex; flex-direction: column; gap: .5em; }
 .tl-drive .mode { font-weight: 700; font-size: 1.15em; padding: .3em .6em; border-radius: 4px; color: #fff; background: #0072b2; }
 .tl-drive .mode.autonomous { background: #a04800; }
@@ -27,6 +27,11 @@ function element(tag, className = "", text = "") {
   made.className = className;
   made.textContent = text;
   return made;
+}
+
+// Words that stand there already would be laid out again.
+function say(place, words) {
+  if (place.textContent !== words) place.textContent = words;
 }
 
 // The kernel: numba's tick in WebAssembly, its records in memory by the layout that the configuration states.
@@ -107,14 +112,14 @@ export class Hands {
     this.stop = new AbortController();
     const listen = (target, type, act, more = {}) => target.addEventListener(type, act, { signal: this.stop.signal, ...more });
     listen(root, "keydown", (event) => {
-      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      if (event.ctrlKey || event.metaKey || event.altKey || event.code === "Tab") return;
+      event.stopPropagation();          // a notebook has shortcuts of its own: an x beside the keys would cut the cell
       if (event.code === "Space") this.toggles += event.repeat ? 0 : 1;
       else if (event.code in KEYS) {
         this.down.add(event.code);
         this.source = "keyboard";
       } else return;
       event.preventDefault();
-      event.stopPropagation();          // a notebook has shortcuts of its own
     });
     listen(root, "keyup", (event) => { this.down.delete(event.code); event.stopPropagation(); });
     listen(root, "blur", () => { this.clear(); onBlur(); });
@@ -183,13 +188,30 @@ function script(hand, config, physics) {
   };
 }
 
+// Make a canvas opaque and keep its pixels those of the screen: without a graphics card scaling costs more than drawing.
+function fitted(canvas, shape, resized, signal) {
+  const g = canvas.getContext("2d", { alpha: false });
+  const fit = () => {
+    const wide = Math.floor(canvas.parentElement.clientWidth), dense = Math.min(devicePixelRatio, 2);
+    if (!wide || canvas.width === Math.round(wide * dense)) return;
+    canvas.width = Math.round(wide * dense);
+    canvas.height = Math.round(canvas.width * shape);
+    canvas.style.width = `${canvas.width / dense}px`;
+    canvas.style.height = `${canvas.height / dense}px`;
+    resized();
+  };
+  const watch = new ResizeObserver(fit);
+  watch.observe(canvas.parentElement);
+  signal.addEventListener("abort", () => watch.disconnect());
+  fit();
+  return g;
+}
+
 // What the robot's camera shows: gates of posts within range, over a floor with a grid for the eye to hold on to.
 class Camera {
-  constructor(canvas, config) {
-    canvas.width = 960;
-    canvas.height = 440;
-    this.g = canvas.getContext("2d");
-    Object.assign(this, { config, canvas, focal: canvas.width / 2 / Math.tan(config.view.field / 2), past: [] });
+  constructor(canvas, config, signal) {
+    Object.assign(this, { config, canvas, past: [], course: config.view.map ? new CourseMap(config.path) : null });
+    this.g = fitted(canvas, 11 / 24, () => { this.focal = canvas.width / 2 / Math.tan(config.view.field / 2); }, signal);
   }
 
   // Remember a pose; frames show the one of `delay` ago.
@@ -210,9 +232,7 @@ class Camera {
     if (!this.past.length) return;
     const { g, canvas, config, focal } = this, { range, height, delay } = config.view;
     const at = this.pose(time - delay / config.sample_time), cos = Math.cos(at.yaw), sin = Math.sin(at.yaw);
-    const horizon = 0.36 * canvas.height, middle = canvas.width / 2;
-    const seen = ([x, y]) => [cos * (x - at.x) + sin * (y - at.y), cos * (y - at.y) - sin * (x - at.x)];
-    const down = (ahead, z) => horizon + (focal * (height - z)) / ahead;
+    const horizon = Math.round(0.36 * canvas.height), middle = canvas.width / 2, aside = Math.tan(config.view.field / 2) + 0.05;
     g.fillStyle = "#cfdbe6";
     g.fillRect(0, 0, canvas.width, horizon);
     g.fillStyle = "#e9e5da";
@@ -220,43 +240,58 @@ class Camera {
     g.fillStyle = "#b9b29f";
     for (let x = Math.floor(at.x - range); x <= at.x + range; x += 0.5) {
       for (let y = Math.floor(at.y - range); y <= at.y + range; y += 0.5) {
-        const [ahead, left] = seen([x, y]);
-        if (ahead > 0.35 && Math.hypot(ahead, left) < range) g.fillRect(middle - (focal * left) / ahead, down(ahead, 0), 12 / ahead, 4 / ahead);
+        const ahead = cos * (x - at.x) + sin * (y - at.y), left = cos * (y - at.y) - sin * (x - at.x);
+        if (ahead < 0.35 || Math.abs(left) > aside * ahead || ahead * ahead + left * left > range * range) continue;
+        const near = focal / ahead;                       // whole pixels, which need no smoothing
+        g.fillRect(Math.round(middle - near * left), Math.round(horizon + near * height), Math.ceil(0.035 * near), Math.ceil(0.012 * near));
       }
     }
-    const posts = config.posts.map((post, i) => [...seen(post), i]).filter(([ahead, left]) => ahead > 0.15 && Math.hypot(ahead, left) < range);
-    for (const [ahead, left, i] of posts.sort((a, b) => b[0] - a[0])) {
-      g.globalAlpha = clamp((range - Math.hypot(ahead, left)) / 0.8, 0, 1);     // posts come out of the haze
+    const posts = [];
+    config.posts.forEach(([x, y], i) => {
+      const ahead = cos * (x - at.x) + sin * (y - at.y), left = cos * (y - at.y) - sin * (x - at.x), away = Math.hypot(ahead, left);
+      if (ahead > 0.15 && away < range) posts.push({ ahead, left, away, i });
+    });
+    for (const { ahead, left, away, i } of posts.sort((a, b) => b.ahead - a.ahead)) {
+      const near = focal / ahead;
+      g.globalAlpha = clamp((range - away) / 0.8, 0, 1);                        // posts come out of the haze
       g.fillStyle = i % 2 ? "#0b7a55" : "#b3402e";                              // right and left of the way
-      const wide = (focal * 0.09) / ahead;
-      g.fillRect(middle - (focal * left) / ahead - wide / 2, down(ahead, 0.9), wide, down(ahead, 0) - down(ahead, 0.9));
+      g.fillRect(middle - near * (left + 0.045), horizon + near * (height - 0.9), 0.09 * near, 0.9 * near);
     }
     g.globalAlpha = 1;
-    if (config.view.map) this.map(at);
+    this.course?.draw(g, at);
   }
+}
 
-  map(at) {
-    const { g, config } = this, xs = config.path.map((p) => p[0]), ys = config.path.map((p) => p[1]);
-    const low = [Math.min(...xs), Math.min(...ys)], scale = 150 / (Math.max(...xs) - low[0]);
-    const place = (x, y) => [10 + scale * (x - low[0]), 130 - scale * (y - low[1])];
+// The small map for experimenters: the path, drawn once, and where the robot is.
+class CourseMap {
+  constructor(path) {
+    const xs = path.map((p) => p[0]), ys = path.map((p) => p[1]), low = [Math.min(...xs), Math.min(...ys)];
+    const scale = 150 / (Math.max(...xs) - low[0]);
+    this.place = (x, y) => [10 + scale * (x - low[0]), 130 - scale * (y - low[1])];
+    this.sheet = Object.assign(element("canvas"), { width: 172, height: 140 });
+    const g = this.sheet.getContext("2d");
     g.fillStyle = "rgba(255,255,255,.85)";
     g.fillRect(0, 0, 172, 140);
     g.strokeStyle = "#555";
     g.beginPath();
-    for (const [x, y] of config.path) g.lineTo(...place(x, y));
+    for (const [x, y] of path) g.lineTo(...this.place(x, y));
     g.stroke();
-    const [x, y] = place(at.x, at.y);
+  }
+
+  draw(g, at) {
+    const [x, y] = this.place(at.x, at.y);
+    g.drawImage(this.sheet, 0, 0);
     g.fillStyle = "#0072b2";
     g.fillRect(x - 4, y - 4, 8, 8);
   }
 }
 
-// P_r, P_h, r and TSC over the last minutes, each with its number; thresholds and best performance as lines.
+// P_r, P_h, r and TSC over the last minutes, each with its number; thresholds and best performance as lines. Drawn five times a second.
 class Gauges {
-  constructor(canvas, config) {
-    canvas.width = 960;
-    canvas.height = 120;
-    this.g = canvas.getContext("2d");
+  constructor(canvas, config, signal) {
+    this.canvas = canvas;
+    this.stale = true;
+    this.g = fitted(canvas, 1 / 8, () => { this.stale = true; }, signal);
     const { task, columns } = config, top = 1.25 * config.robot.max_speed;
     const tsc = task.scheme === 2 ? [task.lower, task.upper] : [];
     const shown = [["p_r", "robot P_r", 0, top, task.p_max ? [task.p_max] : []], ["p_h", "you P_h", 0, top, []], ["r", "how busy, r", 0, 1, []], ["tsc", "trust, TSC", -1, 1, tsc]];
@@ -268,10 +303,15 @@ class Gauges {
       panel.past.push(row[panel.at]);
       if (panel.past.length > 1800) panel.past.shift();        // three minutes
     }
+    this.added = (this.added ?? 0) + 1;
+    this.stale ||= this.added % 2 === 0;
   }
 
   draw() {
-    const g = this.g, wide = 960 / this.panels.length;
+    if (!this.stale) return;
+    this.stale = false;
+    const g = this.g, wide = 960 / this.panels.length, size = this.canvas.width / 960;
+    g.setTransform(size, 0, 0, size, 0, 0);
     g.fillStyle = "#fff";
     g.fillRect(0, 0, 960, 120);
     g.font = "16px system-ui, sans-serif";
@@ -316,12 +356,12 @@ class Panel {
 
   show(row, laps) {
     const [mode, suggested] = row, { task } = this.config, stands = suggested >= 0 && suggested !== mode;
-    this.mode.textContent = NAMES[mode];
+    say(this.mode, NAMES[mode]);
     this.mode.classList.toggle("autonomous", mode === 0);
     this.suggestion.classList.toggle("now", stands);
     const said = stands ? `${task.forced ? "Switching to" : "Suggested:"} ${NAMES[suggested]}. ${reason(this.config, suggested, row)}.` : "";
-    if (this.suggestion.textContent !== said) this.suggestion.textContent = said;
-    this.clock.textContent = task.laps ? `Lap ${Math.min(laps + 1, task.laps)} of ${task.laps}` : "";
+    say(this.suggestion, said);
+    say(this.clock, task.laps ? `Lap ${Math.min(laps + 1, task.laps)} of ${task.laps}` : "");
   }
 }
 
@@ -331,28 +371,31 @@ function wanting(config) {
   return (k) => (ends.find(([, end]) => k * config.sample_time < end) ?? ends.at(-1))?.[0] ?? null;
 }
 
-function furnish(root, config, toggle) {
+function furnish(root, config, toggle, signal) {
   const sheet = new CSSStyleSheet(), home = root.getRootNode();
   sheet.replaceSync(STYLE);
   home.adoptedStyleSheets = [...(home.adoptedStyleSheets ?? []), sheet];
   root.classList.add("tl-drive");
   root.tabIndex = 0;
-  const camera = element("canvas"), gauges = element("canvas", "gauges"), away = element("div", "away", "Paused: click here to go on");
-  const panel = new Panel(root, config, toggle);
+  const camera = element("canvas"), gauges = element("canvas"), away = element("div", "away", "Paused: click here to go on");
+  const panel = new Panel(root, config, toggle), front = element("div"), below = element("div", "gauges");
   camera.setAttribute("aria-label", "what the robot's camera shows");
   gauges.setAttribute("aria-label", "performance, utilization and trust over the last minutes");
   away.hidden = true;
-  root.replaceChildren(camera, panel.root, gauges, away);
+  front.append(camera);
+  below.append(gauges);
+  root.replaceChildren(front, panel.root, below, away);
   root.focus({ preventScroll: true });
-  return { camera: new Camera(camera, config), gauges: new Gauges(gauges, config), panel, away };
+  return { camera: new Camera(camera, config, signal), gauges: new Gauges(gauges, config, signal), panel, away };
 }
 
 export async function drive(root, config, wasm, on) {
   const physics = await Physics.load(wasm, config), dt = (1000 * config.sample_time) / (config.pace ?? 1), scheduled = wanting(config);
   let wanted = config.task.first_mode, row = null, running = true, paused = null, last = performance.now(), behind = 0, frames = [], stamps = [], timer = 0;
   const hands = new Hands(root, config.ramp, () => running && on.note("focus lost: keys released"));
-  const { camera, gauges, panel, away } = furnish(root, config, () => { hands.toggles += 1; });
   const hand = config.hand ? script(config.hand, config, physics) : null, leaving = new AbortController();
+  const { camera, gauges, panel, away } = furnish(root, config, () => { hands.toggles += 1; }, leaving.signal);
+  let shown = null;
 
   function take(v, w) {
     row = physics.tick(v, w, scheduled(physics.k) ?? wanted);
@@ -392,7 +435,7 @@ export async function drive(root, config, wasm, on) {
   function draw() {
     camera.draw(physics.k + behind / dt);
     gauges.draw();
-    if (row) panel.show(row, physics.get("laps"));
+    if (row !== shown) panel.show((shown = row), physics.get("laps"));
   }
 
   // Samples that are due by the clock. A gap, in which the page slept, is a pause of the robot, and is logged as one.
