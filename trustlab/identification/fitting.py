@@ -314,8 +314,9 @@ def result(found: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame] | None = N
         model = values if structure.model is None else structure.model(**values)
     except IdentificationError as error:
         # What is wrong with the data may be why no model comes of them.
-        lacking = f"these data do not determine {', '.join(each.name for each in weak)}: " if weak else ""
-        raise IdentificationError(" ".join([f"{lacking}{error}", *doubts]), error.parameters) from error
+        lost = tuple(each.name for each in weak)
+        lacking = f"these data do not determine {', '.join(lost)}; hold some of them with fixed={{…}}: " if weak else ""
+        raise IdentificationError(" ".join([f"{lacking}{error}", *doubts]), lost or error.parameters) from error
     return FitResult(
         model=model,
         method="output_error",

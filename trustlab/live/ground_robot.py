@@ -1,7 +1,7 @@
 """`tl.LiveGroundRobot`: a person drives the ground robot in a notebook; the kernel stays out of the loop."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from trustlab.allocation.correction.corrector import threshold_pair
 from trustlab.allocation.limits import check_thresholds, threshold_limits
@@ -14,6 +14,9 @@ from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import check_participant
 from trustlab.sessions.session import Session
 from trustlab.testbeds.deciding import CONDITIONS, suggested_by_tsc
+
+if TYPE_CHECKING:
+    from trustlab.identification.fit_result import FitResult
 
 with extra("live"):
     import anywidget
@@ -56,7 +59,7 @@ class LiveGroundRobot(anywidget.AnyWidget):
     thresholds : (float, float), optional
         TSC_l and TSC_u of (2.8), in C2 and C3 only.
     laps : int
-        How many laps, at most 8.
+        How many laps, at most 8. For a fit of the driver's model take 8, in a condition with both modes.
     participant : str or int
         Who drives.
     seed : int
@@ -112,7 +115,7 @@ class LiveGroundRobot(anywidget.AnyWidget):
         check_participant(participant)
         thresholds = checked_thresholds(condition, model, thresholds)
         config = drive_config(condition, model, thresholds, laps, seed, map=flag("show_map", show_map))
-        self.attempt = Attempt(folder, str(participant), config)
+        self.model, self.attempt = model, Attempt(folder, str(participant), config)
         super().__init__(config=config, wasm=WASM.read_bytes(), key=self.attempt.key)
         self.on_msg(lambda _widget, said, _buffers: self.send({"id": said["id"]} | self.attempt.answer(said)))
 
@@ -125,3 +128,20 @@ class LiveGroundRobot(anywidget.AnyWidget):
     def verified(self) -> bool:
         """Whether all rows so far are what numba computes from their commands."""
         return self.attempt.verified
+
+    def fit(self) -> "FitResult":
+        """
+        Identify the driver's model: `fit_tsc`, with what the drive leaves undetermined held at the values of `model`.
+
+        Eight laps in both modes determine levels of performance and hardly a time constant: `fit_tsc(live.session)` marks the
+        others weak. Here what it calls weak or at its bound is held and the rest fitted again, as for a participant of `LiveStudy`;
+        the table of parameters says which ("fixed"). Two laps determine nothing: half of them passes until the window of (2.4) is full.
+
+        Raises
+        ------
+        IdentificationError
+            If no level of performance remains that is the driver's own.
+        """
+        from trustlab.live.fit import fit_holding  # compiles only where it is called
+
+        return fit_holding(self.session, self.model)

@@ -21,16 +21,7 @@ from trustlab.sessions.session import Session
 from trustlab.testbeds.deciding import WINDOW
 
 if TYPE_CHECKING:
-    from trustlab.identification.fit_result import FitResult
     from trustlab.live.study.plan import LiveStudy
-
-UNDETERMINED = ("weak", "at bound")
-"""What a fit says of a parameter that the data do not determine."""
-
-UNUSABLE = "do not use the numbers"
-"""What a fit says whose search did not end at a minimum."""
-
-LEVELS = ("human_p_min", "human_p_max", "robot_p_min", "robot_p_max")
 
 FROM_FIT, FROM_PART, FROM_STAND_IN = "own drive", "own drive in part", "stand-in"
 """Where a participant's model and thresholds come from."""
@@ -66,50 +57,32 @@ def stand_in(plan: LiveStudy, why: str, detail: str = "") -> dict[str, Any]:
     return {"source": FROM_STAND_IN, "why": why, "detail": detail, **plan.content["stand_in"]}
 
 
-def _fit(session: Session, held: Mapping[str, float]) -> tuple[FitResult | None, list[str], str]:
-    """Return a fit with some parameters held, the parameters that the drive does not determine even so, and what the fit says."""
-    from trustlab.identification.structure import IdentificationError
-    from trustlab.identification.tsc import fit_tsc
-
-    try:
-        fit = fit_tsc(session, fixed=held)
-    except IdentificationError as error:
-        return None, list(error.parameters), str(error)
-    return fit, list(fit.parameters.index[fit.parameters["status"].isin(UNDETERMINED)]), fit.message
-
-
 def identified(plan: LiveStudy, session: Session) -> dict[str, Any]:
     """
     Return a participant's model and thresholds from the identifying drive, as far as the drive determines them.
 
-    Utilization is 0 at the beginning by definition. What the drive leaves undetermined (mostly time constants, which are minutes
-    long) is held at the stand-in model's value and the rest fitted again; where no level of performance is left that is the
-    participant's own, or no thresholds keep switching, model and thresholds are the stand-in's. In a study everybody must go on,
-    so that none of this is an error; it is recorded, shown to the experimenter, and said in the report.
+    The fit is `fit_holding`, with the stand-in model's values; where it fails, or no thresholds keep switching, model and
+    thresholds are the stand-in's. In a study everybody must go on, so that none of this is an error; it is recorded, shown to the
+    experimenter, and said in the report.
     """
     # Only here: a server that comes back after a crash must not compile what it does not need yet.
     from trustlab.allocation.threshold_choice import choose_thresholds
+    from trustlab.identification.structure import IdentificationError
+    from trustlab.live.fit import fit_holding
 
-    other = plan.content["stand_in"]["model"]
-    known = {f"{who}_{name}": value for who, own in other.items() for name, value in own.items()}
-    held = {"r0": 0.0}
     try:
-        fit, weak, said = _fit(session, held)
-        while weak := [name for name in weak if name in known and name not in held]:
-            slow = [name for name in weak if name not in LEVELS]
-            held |= {name: known[name] for name in slow or weak}
-            fit, weak, said = _fit(session, held)
-        if fit is None or UNUSABLE in said or not set(LEVELS) - set(held):
-            return stand_in(plan, f"no model: {said[:160].rpartition(' ')[0]} …", said)
+        fit = fit_holding(session, model_of(plan.content["stand_in"]["model"]))
         model = of_class("model", fit.model, TscModel)
         chosen = choose_thresholds(model)
+    except IdentificationError as error:
+        return stand_in(plan, f"no model: {str(error)[:160].rpartition(' ')[0]} …", str(error))
     except ValueError as error:
         return stand_in(plan, "the model that fits has no thresholds", str(error))
-    names = ", ".join(name for name in held if name != "r0")
+    names = ", ".join(fit.parameters.index[fit.parameters["status"] == "fixed"])
     return {
         "source": FROM_PART if names else FROM_FIT,
         "why": f"held at the stand-in's value: {names}" if names else "",
-        "detail": said,
+        "detail": fit.message,
         "model": asdict(model),
         "thresholds": [chosen.lower, chosen.upper],
         "fit_percent": pd.Series(fit.fit_percent).astype(float).to_dict(),

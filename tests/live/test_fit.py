@@ -1,0 +1,48 @@
+"""A driver's model from a live drive, what the drive leaves undetermined held.
+
+Oracle: `fit_tsc` called by hand with the same values held.
+"""
+
+import numpy as np
+import pytest
+
+import trustlab as tl
+from trustlab.live.hand import HumanHand, scripted_drive
+
+OTHER = tl.published_models()["2"]
+
+
+@pytest.fixture
+def driven(tmp_path):
+    """A function that returns a widget whose drive is done, by a scripted hand with a person's limits."""
+
+    def drive(laps):
+        live = tl.LiveGroundRobot("C3", OTHER, (0.0, 0.35), laps=laps, folder=tmp_path / str(laps))
+        rows, _ = scripted_drive(live.attempt.config, HumanHand(live.attempt.config, 1))
+        live.attempt.answer(
+            {"rows": np.column_stack([np.arange(len(rows)), 100.0 * np.arange(len(rows)), rows]).tolist()}
+        )
+        return live
+
+    return drive
+
+
+def test_what_a_drive_leaves_undetermined_is_held_at_the_drives_model(driven):
+    live = driven(4)
+    with pytest.raises(tl.IdentificationError, match=r"do not determine human_a.*fixed=") as caught:
+        tl.fit_tsc(live.session)
+    assert "human_a" in caught.value.parameters
+    found = live.fit().parameters
+    held = found.index[found["status"] == "fixed"]
+    assert {"human_a", "human_beta", "robot_a"} <= set(held)
+    known = {"human": OTHER.human, "robot": OTHER.robot}
+    values = {name: getattr(known[name.partition("_")[0]], name.partition("_")[2]) for name in held}
+    assert found.loc[held, "value"].to_dict() == values
+    again = tl.fit_tsc(live.session, fixed=values | {"r0": 0.0})
+    assert (found["status"] == "estimated").any()
+    assert found["value"].to_dict() == again.parameters["value"].to_dict()
+
+
+def test_two_laps_tell_nothing_about_the_driver_and_the_error_says_what_would(driven):
+    with pytest.raises(tl.IdentificationError, match=r"no level of performance.*laps=8"):
+        driven(2).fit()
