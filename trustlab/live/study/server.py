@@ -258,6 +258,8 @@ class StudyServer:
                 f"address {address!r} can be reached from other machines, and what people type there would travel unencrypted: "
                 "give certificate= and key= (files in PEM format), or serve on 127.0.0.1 behind a proxy that has them"
             )
+        if key is not None and certificate is None:
+            raise ValueError(f"key {str(key)!r} is of no use without certificate=")
         if plan.content["kernel"] != kernel_digest():
             raise ValueError(
                 f"the study was frozen with physics {plan.content['kernel'][:16]}, this version of trustlab has "
@@ -267,7 +269,17 @@ class StudyServer:
         self.tls = None
         if certificate is not None:
             self.tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-            self.tls.load_cert_chain(certificate, key)
+            try:
+                self.tls.load_cert_chain(certificate, key)
+            except OSError as error:  # ssl.SSLError is one
+                given = (
+                    f"certificate {str(certificate)!r} and key {str(key)!r}"
+                    if key
+                    else f"certificate {str(certificate)!r}"
+                )
+                raise ValueError(
+                    f"{given} cannot be used for TLS ({error}); give files in PEM format, the key without a password"
+                ) from error
         self.names = tuple(names)
         self.files = {path.name: path.read_bytes() for path in STATIC.iterdir() if path.suffix in TYPES}
         self.hosts: set[str] = set()
