@@ -2,23 +2,18 @@
 
 import math
 import re
+import tomllib
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, ROUND_HALF_UP, Decimal, InvalidOperation
 
 from trustlab.models.checks import shown
+from trustlab.models.published import published_folder
 
 # Both conventions for a 5 that is rounded off; which one a printed number followed is not known.
 ROUNDINGS = (ROUND_HALF_EVEN, ROUND_HALF_UP)
 
-COUNTED = ("one", "two", "three", "four", "five", "six", "seven", "eight")
 # Printed words that stand for a number or a rank.
-WORDS = {
-    **{word: float(i) for i, word in enumerate(COUNTED, start=1)},
-    "thirty two": 32.0,
-    **dict.fromkeys(("4 and 5", "4 and 11"), 2.0),  # two participants, by their numbers
-    **dict.fromkeys(("smallest", "lowest", "highest", "worst"), 1.0),
-    "third best": 3.0,
-}
+WORDS = tomllib.loads((published_folder() / "words.toml").read_text(encoding="utf-8"))
 
 
 def _parsed(text: str, name: str) -> tuple[str, Decimal]:

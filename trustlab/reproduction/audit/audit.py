@@ -7,12 +7,10 @@ from dataclasses import astuple, fields, replace
 import pandas as pd
 
 from trustlab.reproduction.audit.catalogue import printed_numbers, why_unchecked
-from trustlab.reproduction.audit.claims import claim_checks
 from trustlab.reproduction.audit.joint_consistency import joint_rows
 from trustlab.reproduction.audit.models import model_checks
 from trustlab.reproduction.audit.sample_moments import sample_checks
-from trustlab.reproduction.audit.settings import setting_checks
-from trustlab.reproduction.audit.statements import statement_checks
+from trustlab.reproduction.audit.statements import claim_checks, setting_checks, statement_checks
 from trustlab.reproduction.audit.statistics import study_checks
 from trustlab.reproduction.audit.verdict import Remark, Row, rows_of
 

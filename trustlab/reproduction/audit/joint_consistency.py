@@ -1,7 +1,5 @@
 """Whether all limits and bounds of one participant can come from one set of parameters, in Tables 2.1 and 2.2."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -82,7 +80,7 @@ class JointCheck:
         )
         return float(result.fun)
 
-    def row(self, explain: Callable[[JointCheck], str]) -> Row:
+    def row(self, explain: Callable[["JointCheck"], str]) -> Row:
         """Return the verdict; `explain` says what would give the outputs where they do not fit."""
         names, miss = ", ".join(self.outputs), self.least_misfit()
         verdict = "within rounding" if miss == 0.0 else "differs" if miss > 1.0 else "not checkable"

@@ -1,6 +1,7 @@
 """The audit of printed means and SDs: what scales, sample sizes and whole points leave possible."""
 
 import math
+import tomllib
 from collections.abc import Mapping
 from fractions import Fraction
 
@@ -20,38 +21,11 @@ from trustlab.reproduction.audit.verdict import (
     show,
 )
 from trustlab.reproduction.printed_number import PrintedNumber
+from trustlab.reproduction.published import published_folder
 
-LIKERT_1_5, SHARE, PERCENT = (1.0, 5.0), (0.0, 1.0), (0.0, 100.0)
-UNBOUNDED = (0.0, math.inf)
-# Ends of the scales that the text gives or the measure has; those of the other questionnaires are not printed.
-SCALES = {
-    "table_2.4/tlx": PERCENT,
-    "table_2.4/satisfaction": LIKERT_1_5,
-    "table_2.5/r": SHARE,
-    "table_3.1/error": UNBOUNDED,
-    "table_3.1/preference": LIKERT_1_5,
-    "table_3.1/tlx": PERCENT,
-    "uav.robot_performance": SHARE,
-    "uav.utilization": SHARE,
-    "uav.tlx": PERCENT,
-    "uav.followed": PERCENT,
-    "teleop.tracking_error": UNBOUNDED,
-    "teleop.tlx": PERCENT,
-}
-
-# Whole points per respondent of a task load index: six scales, or fifteen weights, in steps of 5 or 1.
-TLX_RULES = {
-    "raw, steps of 5": Fraction(6, 5),
-    "weighted, steps of 5": Fraction(3),
-    "raw, steps of 1": Fraction(6),
-    "weighted, steps of 1": Fraction(15),
-}
-
+MEASURES = tomllib.loads((published_folder() / "measures.toml").read_text(encoding="utf-8"))
+TLX_RULES = {rule: Fraction(points) for rule, points in MEASURES["tlx_rules"].items()}
 MOST_ITEMS = 40
-EXPECTED_ITEMS = {
-    "trust": ("12 items", "the checklist of [50] has as many"),
-    "table_2.4/satisfaction": ("3 items", "the text names three aspects"),
-}
 
 
 def attainable(number: PrintedNumber, units: Fraction) -> float:
@@ -106,9 +80,9 @@ def _kind(measure: str) -> str:
 def _sd(measure: str, mean: str) -> Possible | Remark:
     """Return the range of an SD that the mean and the ends of the scale leave."""
     sd = mean.replace("_mean", "_sd").replace("/mean.", "/sd.")
-    if measure not in SCALES:
+    if measure not in MEASURES["scales"]:
         return Remark(sd, "Depends on scores that are not printed, on a scale that is not printed.")
-    least, most = SCALES[measure]
+    least, most = MEASURES["scales"][measure]
     inputs = {"M": mean, "n": _size(measure)}
 
     def between_ends(v: dict) -> np.ndarray:
@@ -130,7 +104,8 @@ def _units(measure: str, condition: str, numbers: Numbers, per_person: Fraction)
 
 def _expected_items(measure: str) -> tuple[str, str] | None:
     """Return how many items a questionnaire should have, and who says so; None where nothing is known."""
-    return EXPECTED_ITEMS.get(measure) or EXPECTED_ITEMS.get(_kind(measure))
+    expected = MEASURES["expected_items"]
+    return expected.get(measure) or expected.get(_kind(measure))
 
 
 def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Remark | Row]:

@@ -1,21 +1,22 @@
-"""The audit of statements.csv: ranks, comparisons, counts, and numbers printed in two places."""
+"""The audit of statements.csv and relations.toml: ranks, comparisons, counts, settings, numbers printed in two places."""
 
+import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from decimal import ROUND_HALF_UP, Decimal
 
 import numpy as np
 
-from trustlab.reproduction.audit.catalogue import study_names
+from trustlab.reproduction.audit.catalogue import claims, study_names
 from trustlab.reproduction.audit.verdict import Check, Finding, Formula, Numbers, Remark, Row, row_about
 from trustlab.reproduction.printed_number import ROUNDINGS, last_unit
+from trustlab.reproduction.published import published_folder
 
 SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
 HIGHER_IS_BETTER = {"error": False, "tlx": False, "trust": True, "preference": True}
-# Latin squares balanced for order and carry-over: id, id of the participants, number of orders.
-SQUARES = (
-    ("section_2_4_2_2/square", "section_2_4_2_2/participants", 10),
-    ("section_3_9_3/square", "section_3_9_2/participants", 4),
-)
+
+# Who says how far answers of a study went: both studies have the questionnaire of the one before.
+SCALES = {"uav.satisfaction": "section_2_4_1_3/scale", "teleop.satisfaction": "section_3_8_2/scale"}
 
 
 def _rank(number: str, numbers: Numbers) -> Check:
@@ -36,35 +37,14 @@ def _rank(number: str, numbers: Numbers) -> Check:
     )
 
 
-def _comparison(statement: str, mean: str, rest: tuple[str, ...], sign: float) -> Check:
-    """Return the check that both conditions with TSC exceed all of the rest, or fall short of them at sign −1."""
-    tsc = ("C2", "C3")
+def _comparison(number: str, measure: str, sign: float, tsc: list[str], rest: list[str]) -> Check:
+    """Return the check that the conditions with TSC exceed all of the rest, or fall short of them at sign −1."""
     gap = Formula(
         f"least of {sign:+.0f} × ({', '.join(tsc)} − {', '.join(rest)})",
-        {c: mean.format(c) for c in tsc + rest},
+        {c: measure.format(c) for c in tsc + rest},
         lambda v: np.minimum.reduce([sign * (v[a] - v[b]) for a in tsc for b in rest]),
     )
-    return Check(f"section_2_4_1_3/{statement}", gap, target=(1e-12, np.inf))
-
-
-def _comparisons() -> list[Check]:
-    others, manual = ("C1", "C4", "C5"), ("C1",)
-    return [
-        _comparison("trust", "table_2.4/{}/trust_mean", others, 1.0),
-        _comparison("satisfaction", "table_2.4/{}/satisfaction_mean", others, 1.0),
-        _comparison("workload", "table_2.4/{}/tlx_mean", others, -1.0),
-        _comparison("robot_performance", "table_2.5/{}/P_r_mean", manual, 1.0),
-        _comparison("human_performance", "table_2.5/{}/P_h_mean", manual, 1.0),
-        _comparison("utilization", "table_2.5/{}/r_mean", manual, -1.0),
-    ]
-
-
-def _combined(number: str, first: str, sign: str, second: str) -> Check:
-    """Return the check of a sum or product of two numbers of one section."""
-    section, _, _ = number.partition("/")
-    ids = {"a": f"{section}/{first}", "b": f"{section}/{second}"}
-    text = f"{first} {sign.replace('*', '×')} {second}"
-    return Check(number, Formula.of(f"a {sign} b", ids, text=text))
+    return Check(number, gap, target=(1e-12, np.inf))
 
 
 def _number_of(text: str, ids: Mapping[str, str]) -> Formula:
@@ -78,14 +58,12 @@ def _anovas(chapter: str, numbers: Numbers) -> Formula:
 
 
 def _counts(numbers: Numbers) -> list[Check]:
-    """Return the checks of counts of laps, variables, analyses and levels."""
+    """Return the checks of counts of variables, analyses and levels."""
     uav = [name for name in study_names(numbers) if name.startswith("uav")]
     tested = [name for name in uav if f"{name}/t_test.t" in numbers]
     same = "number of printed measures of the UAV study, which has the same variables"
     rows = {scheme: f"table_3.1/{scheme}/error_mean" for scheme in SCHEMES}
     return [
-        _combined("section_2_4_1_3/laps_in_all", "sets", "*", "laps"),
-        _combined("section_3_8_2/variables", "objective", "+", "subjective"),
         Check(
             "section_2_4_2_4/anovas",
             _anovas("uav", numbers),
@@ -94,20 +72,19 @@ def _counts(numbers: Numbers) -> list[Check]:
         Check("section_3_9_4/anovas", _anovas("teleop", numbers)),
         Check("section_2_4_1_2/variables", _number_of(same, {name: f"{name}/n" for name in uav})),
         Check("section_3_8_2/levels", _number_of("rows of Table 3.1", rows)),
-        Check("section_3_9_1/levels", Formula.of("df1 + 1", {"df1": "teleop.tlx/anova.df1"})),
     ]
 
 
-def _participants() -> list[Check]:
-    """Return the checks of numbers of participants, by sex and in Latin squares."""
-    checks = [
-        _combined(f"{section}/participants", "female", "+", "male")
-        for section in ("section_2_4_2_2", "section_3_8_2_1", "section_3_9_2")
-    ]
-    for number, people, orders in SQUARES:
-        left = Formula.of(f"participants % {orders}", {"participants": people})
-        note = f"A square balanced for order and carry-over has {orders} orders; those dropped break the balance."
-        checks.append(Check(number, left, target=(0.0, 0.0), note=note))
+def _relations(numbers: Numbers) -> list[Check]:
+    """Return the checks of relations.toml: comparisons of conditions, and numbers that are arithmetic of others."""
+    listed = tomllib.loads((published_folder() / "relations.toml").read_text(encoding="utf-8"))
+    checks = [_comparison(**row) for row in listed["comparisons"]]
+    for number, row in listed["arithmetic"].items():
+        folder, _, _ = number.rpartition("/")
+        beside = {id.removeprefix(f"{folder}/"): id for id in numbers if id.startswith(f"{folder}/")}
+        ids = beside | row.pop("inputs", {})
+        formula = Formula.of(row.pop("formula"), ids, row.pop("label", ""), row.pop("text", ""))
+        checks.append(Check(number, formula, **row))
     return checks
 
 
@@ -147,6 +124,119 @@ def _captions_and_appendix(numbers: Numbers) -> list[Finding]:
 
 
 def statement_checks(numbers: Numbers) -> list[Finding]:
-    """Return the checks of statements.csv but those of the models and of sphericity."""
+    """Return the checks of statements.csv but those of the models and of sphericity, and those of relations.toml."""
     ranks = [_rank(id, numbers) for id in numbers if id.startswith("section_3_8_3/")]
-    return [*ranks, *_comparisons(), *_counts(numbers), *_participants(), *_captions_and_appendix(numbers)]
+    return [*ranks, *_counts(numbers), *_relations(numbers), *_captions_and_appendix(numbers)]
+
+
+def _on_the_scale(study: str, numbers: Numbers) -> Check:
+    """Return the check that no mean exceeds the greatest answer."""
+    means = {id.rpartition(".")[2]: id for id in numbers if id.startswith(f"{study}/mean.")}
+    greatest = Formula("greatest mean", means, lambda v: np.maximum.reduce(list(v.values())))
+    scale = numbers[SCALES[study]]
+    note = f"The dependent variables of {study} are said to be those of the study before, answered from 1 to {scale.printed}."
+    return Check(scale.id, greatest, suffix=f"/{study}", target=(1.0, scale.value), note=note)
+
+
+def _perfect_operator(numbers: Numbers) -> Check:
+    """Return the check that nobody who is measured performs better than a perfect operator, u_h = u_i."""
+    means = {id.rpartition(".")[2]: id for id in numbers if id.startswith("uav.human_performance/mean.")}
+    perfect = Formula("(u_i − u_h)/du_max at u_h = u_i", means, lambda v: np.zeros(()))
+    best = max(numbers[id].value for id in means.values())
+    note = f"Means up to {best:g} are printed as performance: a quality would be 1 − |u_i − u_h|/du_max."
+    return Check("section_2_4_2/Z_Ph", perfect, target=(best, np.inf), note=note)
+
+
+def _heaviest_handle(section: str, numbers: Numbers) -> Remark:
+    """Return a remark on (3.10) at rest, B ≥ M Λ."""
+    B, rate = numbers[f"{section}/B"], numbers[f"{section}/Lambda"]
+    grams = 1000.0 * B.value / rate.value
+    found = f"(3.10) needs B ≥ MΛ: with B = {B.printed} and Λ = {rate.printed} the handle may weigh {grams:.3g} g"
+    if grams < 50.0:  # no handle of a haptic device is so light
+        return Remark(B.id, f"Suspicious: {found}, less than any that a hand holds; its mass is not printed.")
+    return Remark(B.id, f"{found}; its mass is not printed.")
+
+
+def setting_checks(numbers: Numbers) -> list[Finding]:
+    """Return the checks of settings that other printed numbers bear on."""
+    minutes = {name: f"section_2_4_2_3/{name}" for name in ("tutorial", "identification", "task")}
+    minutes |= {"trials": "section_2_4_2_2/trials"}
+    needed = Formula.of("(tutorial + identification + 5 * trials * task) / 60", minutes, "five conditions")
+    study = numbers["section_2_4_2_3/study"]
+    rest = "The rest is for questionnaires, consent and breaks."
+    return [
+        *(_on_the_scale(name, numbers) for name in SCALES),
+        _perfect_operator(numbers),
+        *(_heaviest_handle(section, numbers) for section in ("section_3_8_1", "section_3_9")),
+        Check(study.id, needed, target=(0.0, study.value), note=rest),
+    ]
+
+
+def _relative(after: str, before: str) -> Formula:
+    """Return the magnitude of a change relative to `before`, in %."""
+    ids = {"after": after, "before": before}
+    return Formula.of("100 * abs(after - before) / before", ids, "relative change")
+
+
+def _by_range(number: str, after: str, before: str) -> Check:
+    """Return the check of a difference of two robot performances in % of the range, or relative to the first."""
+    ids = {"after": after, "before": before, "P_r_min": "remark_7/P_r_min", "P_r_max": "remark_7/P_r_max"}
+    change = "100 * (after - before)"
+    difference = Formula.of(f"{change} / (P_r_max - P_r_min)", ids, "difference of two values of (2.39)")
+    relative = Formula.of(f"{change} / (before - P_r_min)", ids, "relative change of (2.39)")
+    return Check(number, difference, (relative,))
+
+
+def _in_points(number: str, after: str, before: str, scale: float, numbers: Numbers) -> Check:
+    """Return the check of a difference times `scale`, which is 100 for shares, or of a relative change."""
+    relative = _relative(after, before)
+    label = "difference in units of the measure, printed as %" if scale == 1.0 else "percentage points"
+    difference = "abs(after - before)" if scale == 1.0 else f"{scale:g} * abs(after - before)"
+    points = Formula.of(difference, relative.inputs, label)
+    would, _, _ = relative.range(numbers)
+    note = f"Printed with a % sign, which reads as a relative change; that would be {would:.1f} %."
+    return Check(number, points, (relative,), note=note)
+
+
+def _as_change(number: str, after: str, before: str, numbers: Numbers) -> Check:
+    """Return the check of a relative change; a mean of two decimals may have been used with three."""
+    relative, mean = _relative(after, before), numbers[after]
+    finer = [mean.value + k / 1000 for k in (-1, 1, -2, 2, -3, 3, -4, 4) if mean.decimals == 2]
+    condition = after.partition("/")[2].removeprefix("mean.")
+
+    def with_mean(value: float) -> Formula:
+        label = f"the mean of {condition} was {value:.3f}, printed as {mean.printed}"
+        return replace(relative, label=label, changed={"after": value})
+
+    return Check(number, relative, explanations=tuple(map(with_mean, finer)))
+
+
+def _claim(number: str, reading: str, after: str, before: str, numbers: Numbers) -> Check:
+    """Return the check of a claim by its reading."""
+    if reading == "range":
+        return _by_range(number, after, before)
+    if reading == "relative":
+        return _as_change(number, after, before, numbers)
+    return _in_points(number, after, before, 100.0 if reading == "share" else 1.0, numbers)
+
+
+def _teleoperation(numbers: Numbers) -> list[Check]:
+    """Return the checks of the claims of Chapter 3 that are made twice."""
+    both = "claim/section_3_9_5/tmig_and_omi_lower_tracking_error_against_mmi_by"
+    mean = "teleop.{}/mean.{}".format
+    omi, before = numbers[mean("tracking_error", "OMI")], mean("tracking_error", "MMI")
+    tmig = _relative(mean("tracking_error", "TMIG"), before)
+    used = (replace(tmig, label=f"the value of OMI, {omi.printed}, was used", changed={"after": omi.value}),)
+    quantity = "{} lowers tracking error against MMI by [%]".format
+    return [
+        Check(both, _relative(omi.id, before), quantity=quantity("OMI")),
+        Check(both, tmig, explanations=used, suffix="/TMIG", quantity=quantity("TMIG")),
+        Check("section_3_1/error", tmig, explanations=used),
+        _in_points("section_3_1/workload", mean("tlx", "TMIG"), mean("tlx", "MMI"), 1.0, numbers),
+    ]
+
+
+def claim_checks(numbers: Numbers) -> list[Check]:
+    """Return the checks of the printed percentages and differences."""
+    read = [_claim(x.id, reading, after, before, numbers) for x, reading, after, before in claims() if reading]
+    return [*read, *_teleoperation(numbers)]

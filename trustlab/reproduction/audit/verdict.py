@@ -1,7 +1,5 @@
 """How a verdict is made: a formula of printed numbers, its range within their rounding, and what is printed."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -87,7 +85,7 @@ class Formula:
     as_printed: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, expression: str, ids: Mapping[str, str], label: str = "", text: str = "") -> Formula:
+    def of(cls, expression: str, ids: Mapping[str, str], label: str = "", text: str = "") -> "Formula":
         """
         Return the formula of an arithmetic expression, with those of `ids` that it names as inputs.
 
