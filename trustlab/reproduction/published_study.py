@@ -1,7 +1,5 @@
 """A within-subject study as printed: every number a string, so that "0.50" keeps its two decimals."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Mapping
@@ -173,7 +171,7 @@ class PublishedStudy:
         return pd.DataFrame(rows, columns=["statistic", "printed", "low", "high"]).set_index("statistic")
 
     @classmethod
-    def from_dict(cls, values: Mapping, name: str = "study") -> PublishedStudy:
+    def from_dict(cls, values: Mapping, name: str = "study") -> "PublishedStudy":
         """
         Build a study from a dictionary, such as a table of a TOML file.
 
@@ -201,7 +199,7 @@ class PublishedStudy:
         return cls(**{"name": name, **values})
 
     @classmethod
-    def from_toml(cls, path: str | Path) -> dict[str, PublishedStudy]:
+    def from_toml(cls, path: str | Path) -> "dict[str, PublishedStudy]":
         """
         Read the studies of a TOML file; tables may be nested one level, [group.measure].
 
@@ -344,7 +342,7 @@ def _check_pairs(study: PublishedStudy) -> None:
         _check_p(f"pairs.{name}", text)
 
 
-def published_studies() -> dict[str, PublishedStudy]:
+def published_studies() -> "dict[str, PublishedStudy]":
     """
     Return the eleven within-subject results printed in Sections 2.4.2.4 and 3.9.4.
 

@@ -7,11 +7,10 @@ from scipy import stats
 
 import trustlab as tl
 from trustlab.reproduction import compare_adjustments
-from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, constraints, select
-from trustlab.reproduction.reconstruction.contradictions import arithmetic_conflicts
+from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, arithmetic_conflicts, constraints, select
 from trustlab.reproduction.reconstruction.feasibility import moment_problem
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem
-from trustlab.reproduction.reconstruction.reanalysis import reanalyse
+from trustlab.reproduction.reconstruction.reconstruction import reanalyse
 from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
 
 STUDIES = tl.published_studies()

@@ -7,7 +7,7 @@ import pytest
 from trustlab.reproduction.reconstruction.constraints import Constraint
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem
 from trustlab.reproduction.reconstruction.moment_statistics import MomentStatistics
-from trustlab.reproduction.reconstruction.reanalysis import adjusted
+from trustlab.reproduction.reconstruction.reconstruction import adjusted
 from trustlab.studies.analysis.sphericity import mauchly_p_value
 
 

@@ -14,7 +14,7 @@ from scipy import stats
 
 import trustlab as tl
 from trustlab.reproduction import reconstruct_study
-from trustlab.reproduction.reconstruction.sampling import sample_with_moments
+from trustlab.reproduction.reconstruction.reconstruction import sample_with_moments
 
 STUDIES = tl.published_studies()
 SLIPS = {"teleop.tracking_error": {"anova.df1"}}

@@ -8,8 +8,13 @@ import pandas as pd
 
 from trustlab.models.checks import whole_number
 from trustlab.reproduction.published_study import PublishedStudy
-from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, Constraint, constraints, select
-from trustlab.reproduction.reconstruction.contradictions import arithmetic_conflicts
+from trustlab.reproduction.reconstruction.constraints import (
+    ADJUSTMENTS,
+    Constraint,
+    arithmetic_conflicts,
+    constraints,
+    select,
+)
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
 from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
 

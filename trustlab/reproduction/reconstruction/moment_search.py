@@ -6,8 +6,6 @@ constraint is how far its statistic lies outside the printed interval, in half-w
 violations is a solution (Levenberg 1944, Marquardt 1963; Gill & Murray 1978 for the scaling).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -38,7 +36,7 @@ class Moments:
         """Whether all constraints hold, shape (B,)."""
         return self.violation <= 0.0
 
-    def select(self, rows: np.ndarray) -> Moments:
+    def select(self, rows: np.ndarray) -> "Moments":
         """Return some of the candidates."""
         return Moments(self.mean[rows], self.factor[rows], self.violation[rows])
 

@@ -3,7 +3,7 @@ Data that have all statistics printed for a study.
 
 All printed statistics of a one-way within-subject study are functions of the means and the covariance matrix. A
 reconstruction therefore finds these moments first (`moment_search`), with every statistic within its rounding, and then draws
-n subjects with exactly these moments inside the scale of the measure (`sampling`). The values are continuous: they do not
+n subjects with exactly these moments inside the scale of the measure (`sample_with_moments`). The values are continuous: they do not
 follow the steps of a questionnaire. They are not measurements, and everything made from them says so.
 """
 
@@ -14,13 +14,14 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.html import as_html
+from trustlab.reproduction.printed_number import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy
-from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, constraints
+from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, ALPHA, Constraint, constraints, size_interval
 from trustlab.reproduction.reconstruction.feasibility import Verdict, decide, feasibility, generator, prepared
 from trustlab.reproduction.reconstruction.feasible_ranges import feasible_ranges
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
-from trustlab.reproduction.reconstruction.reanalysis import agrees, printed_ends, reanalyse
-from trustlab.reproduction.reconstruction.sampling import sample_with_moments
+from trustlab.studies.analysis.batch import repeated_measures_batch
+from trustlab.studies.analysis.pairwise import bonferroni, holm
 
 NOTE = "Reconstructed data: not measurements, but values that have the printed statistics."
 # The mark that every table made from such data carries in its `attrs`.
@@ -259,3 +260,97 @@ def _remedied(
         f"{study.name}: the printed numbers cannot hold together under p_adjust={p_adjust!r}, nor when"
         f" {', '.join(reasons)} are left out; feasibility() names the conflict, `without` leaves statistics out"
     )
+
+
+def _sidak(p: np.ndarray) -> np.ndarray:
+    return -np.expm1(len(p) * np.log1p(-p))
+
+
+def adjusted(p: np.ndarray, p_adjust: str) -> np.ndarray:
+    """Return p-values adjusted for their number."""
+    ways = {"bonferroni": bonferroni, "holm": holm, "sidak": _sidak, "none": lambda p: p}
+    return ways[p_adjust](p)
+
+
+def reanalyse(values: np.ndarray, study: PublishedStudy, p_adjust: str) -> dict[str, float]:
+    """
+    Return the statistics of data, shape (n, k), under the names of a study's constraints, in the units in which they are printed.
+
+    The study names the conditions and says whether degrees of freedom are corrected; Mauchly's p has the second-order term.
+    """
+    names = study.conditions
+    result = repeated_measures_batch(values[None])
+    ours, pairs = result.study(0), result.pairwise
+    factor, p = (ours["epsilon_gg"], ours["p_gg"]) if study.corrected else (1.0, ours["p"])
+    found = {f"mean.{c}": x for c, x in zip(names, result.mean[0], strict=True)}
+    found |= {f"sd.{c}": x for c, x in zip(names, result.sd[0], strict=True)}
+    found |= {"anova.F": ours["F"], "anova.p": p, "anova.eta2": ours["eta2_partial"]}
+    found |= {"anova.df1": factor * ours["df1"], "anova.df2": factor * ours["df2"]}
+    found |= {"epsilon": ours["epsilon_gg"], "mauchly.chi2": ours["mauchly_chi2"]}
+    found |= {"mauchly.p": ours["mauchly_p"], "mauchly.violated": ours["mauchly_p"]}
+    found |= {"t_test.t": pairs.t[0, 0], "t_test.p": pairs.p[0, 0], "t_test.df": pairs.df}
+    for a, b, value in zip(pairs.a, pairs.b, adjusted(pairs.p[0], p_adjust), strict=True):
+        found[f"pairs.{names[a]}-{names[b]}"] = found[f"pairs.{names[b]}-{names[a]}"] = value
+    return {name: float(value) for name, value in found.items()}
+
+
+def printed_ends(s: Constraint) -> tuple[float, float]:
+    """Return the values that agree with a constraint, in the units in which it is printed."""
+    if s.text == "not significant":
+        return ALPHA, 1.0
+    if s.text in ("significant", "sphericity violated, p < 0.05"):
+        return 0.0, ALPHA
+    low, high = printed_interval(s.text)
+    is_p = s.name.startswith("pairs.") or s.name.endswith(".p")
+    return (max(low, 0.0), min(high, 1.0)) if is_p else (low, high)
+
+
+def agrees(s: Constraint, value: float) -> bool:
+    """Return whether a value rounds to what is printed, or obeys the printed inequality; of a t only the size counts."""
+    low, high = printed_ends(s)
+    if s.name == "t_test.t":
+        (low, high), value = size_interval(s.text), abs(value)
+    if s.text == "not significant":
+        return low < value <= high
+    if s.text == "significant" or s.text.strip().startswith("<") or s.name == "mauchly.violated":
+        return value < high
+    return low <= value <= high
+
+
+def sample_with_moments(
+    mean: np.ndarray,
+    factor: np.ndarray,
+    n: int,
+    scale: tuple[float, float],
+    rng: np.random.Generator,
+    iterations: int = 2000,
+) -> np.ndarray | None:
+    """
+    Draw values, shape (n, k), with given means and covariance GG' (n − 1 in the denominator) within a scale.
+
+    Normal draws are given the moments exactly, X = 1m' + √(n − 1) U G' with UᵀU = I, Uᵀ1 = 0. While values lie outside the
+    scale they are moved to its ends, and the nearest values with the exact moments are taken: U is the orthogonal polar factor
+    of the centred values times G (orthogonal Procrustes problem, Schönemann 1966; alternating projections).
+
+    `factor` is G, of which only the first n − 1 columns may differ from 0; the ends of the scale may be infinite. None where
+    `iterations` projections find none.
+    """
+    factor = factor[:, : n - 1]
+    low, high = scale
+    inset = 1e-4 * (high - low) if np.isfinite(high - low) else 1e-3 * float(np.abs(factor).max())
+    values = mean + rng.standard_normal((n, factor.shape[1])) @ factor.T
+    for _ in range(iterations):
+        values = _with_moments(values, mean, factor)
+        if values.min() >= low and values.max() <= high:
+            return values
+        values = np.clip(values, low + inset, high - inset)
+    return None
+
+
+def _with_moments(values: np.ndarray, mean: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """Return the nearest values with exactly these moments."""
+    n = len(values)
+    left, _, right = np.linalg.svd((values - values.mean(axis=0)) @ factor, full_matrices=False)
+    whitened = left @ right
+    whitened = whitened - whitened.mean(axis=0)
+    return mean + np.sqrt(n - 1.0) * whitened @ factor.T

@@ -64,7 +64,8 @@ class _Relaxation:
         self.i, self.j = pair_indices(k)
         mean, sd = _cells(found, "mean", k, scale), _cells(found, "sd", k, (0.0, np.inf))
         self.empty = bool((mean[:, 0] > mean[:, 1]).any() or (sd[:, 0] > sd[:, 1]).any())
-        self.size = self._typical_variance(found, scale)
+        _, spread = problem.typical
+        self.size = spread**2  # the unit of the unknowns
         self.q = np.maximum(sd, 0.0) ** 2
         if np.isfinite(scale).all():
             middle = np.clip(0.5 * sum(scale), mean[:, 0], mean[:, 1])
@@ -82,15 +83,6 @@ class _Relaxation:
         chi2 = _cells(found, "chi2", 1, (0.0, np.inf))[0]
         self.log_w = -chi2[1] / mauchly_factor(n, k) if k > 2 else -np.inf
         self.empty |= self.epsilon[0] > self.epsilon[1] or chi2[0] > chi2[1]
-
-    @staticmethod
-    def _typical_variance(found: Sequence[Constraint], scale: Interval) -> float:
-        """Return the unit of the unknowns."""
-        sds = [0.5 * (s.low + s.high) for s in found if s.kind == "sd"]
-        if sds:
-            return float(np.mean(sds)) ** 2
-        width = scale[1] - scale[0]
-        return width**2 / 16.0 if np.isfinite(width) else 1.0
 
     def _difference_variances(self, mean: np.ndarray, log_p: np.ndarray) -> np.ndarray:
         """Return the least and greatest variance of each difference, n (m_i − m_j)²/t², from means and p."""
