@@ -79,8 +79,6 @@ the session's notes say how many have it.
 """
 
 # ruff: noqa: RUF009 - key() makes a dataclass field
-from __future__ import annotations
-
 import dataclasses
 import os
 import re
@@ -485,6 +483,13 @@ class Resampling:
     sample_time: float = key(positive, hint="the time between samples [s]")
 
 
+def asked_resampling(resample: str | None, sample_time: float | None) -> Resampling | None:
+    """Return the resampling that a user's arguments ask for; either needs the other."""
+    if resample is None and sample_time is None:
+        return None
+    return Resampling(method=resampling_method("resample", resample), sample_time=positive("sample_time", sample_time))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Splitting:
     """The gap [s] at which a log is split into several sessions."""
@@ -589,7 +594,7 @@ class Recipe:
         self._check_path_fields()
 
     @classmethod
-    def from_toml(cls, text: str, source: str = "recipe") -> Recipe:
+    def from_toml(cls, text: str, source: str = "recipe") -> "Recipe":
         """
         Return the recipe stated by a TOML text.
 
@@ -612,10 +617,6 @@ class Recipe:
                 where = "texts need quotes; help(trustlab.sessions.recipe) has every key"
                 raise RecipeError(f"not a TOML file ({error}); {where}") from error
             return parse(cls, document, "recipe", source=source)
-
-    def messages_folder(self) -> Path:
-        """Return the folder of the message definitions."""
-        return Path(self.source).parent / self.messages.folder
 
     def _check_columns(self) -> None:
         wrong, word = (TopicField, "topic") if self.kind == "table" else (TableColumn, "column")

@@ -59,22 +59,15 @@ def _known(origin: str, values: Mapping[str, object], where: str) -> object:
     return values[origin]
 
 
-def assemble_sessions(
-    log: RawLog,
-    recipe: Recipe | None,
-    values: Mapping[str, object],
-    wanted: Sequence[str] | None,
-    resampling: Resampling | None,
-) -> list[Session]:
-    """Return the sessions that a raw log makes: one, or one for each part between gaps if the recipe splits it there."""
-    parts = [log]
+def parts_of(log: RawLog, recipe: Recipe | None) -> list[RawLog]:
+    """Return the parts of a raw log that make a session each: one, or those between gaps if the recipe splits it there."""
     with source_named(log.source):
         if recipe and recipe.time.repeated:
             merge_repeats(log, recipe.time.repeated)
         if recipe and recipe.splitting:
             _check(log, uniform=False)
-            parts = split_at_gaps(log, recipe.splitting.gap)
-    return [assemble_session(part, recipe, values, wanted, resampling) for part in parts]
+            return split_at_gaps(log, recipe.splitting.gap)
+    return [log]
 
 
 def assemble_session(

@@ -32,7 +32,7 @@ def read_bag(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, bu
     """Return the log in a bag: a stream per topic of the recipe; without a recipe, what `write_session` wrote."""
     with _open(path, budget) as reader:
         if recipe is not None and recipe.messages is not None:
-            _define(reader, recipe.messages_folder())
+            _define(reader, Path(recipe.source).parent / recipe.messages.folder)
         if recipe is None:
             return _read_own(reader, wanted, str(path))
         rules = [rule for rule in map(recipe.columns.get, wanted) if isinstance(rule, TopicField)]

@@ -18,8 +18,7 @@ import numpy as np
 
 from trustlab.sessions.errors import SessionError, damage_named
 from trustlab.sessions.metadata import metadata_from_json
-from trustlab.sessions.readers.arrow_tables import numbers
-from trustlab.sessions.readers.tables import SourceColumn, select_columns, table_stream
+from trustlab.sessions.readers.tables import SourceColumn, numbers, select_columns, table_stream
 from trustlab.sessions.readers.unpacking import Budget
 from trustlab.sessions.recipe import NUMBER, Recipe, TableRule
 from trustlab.sessions.resampling import RawLog

@@ -1,18 +1,18 @@
 """Read one logged session: which reader a file needs, and with which recipe."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, positive, whole_number
+from trustlab.models.checks import of_class, whole_number
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
-from trustlab.sessions.readers.assembly import assemble_sessions, recipe_values
+from trustlab.sessions.readers.assembly import assemble_session, parts_of, recipe_values
 from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.readers.unpacking import budget_of
-from trustlab.sessions.recipe import Recipe, Resampling, TableRule, load_recipe, parse
-from trustlab.sessions.resampling import METHODS, RawLog
+from trustlab.sessions.recipe import Recipe, TableRule, asked_resampling, load_recipe, parse
+from trustlab.sessions.resampling import RawLog
 from trustlab.sessions.session import Session
 
 _TEXTS = (".csv", ".csv.gz", ".tsv", ".txt")
@@ -147,10 +147,8 @@ class FileReader:
     def __init__(self, recipe, columns, resample, sample_time, delimiter, decimal, max_bytes):
         self.max_bytes = None if max_bytes is None else whole_number("max_bytes", max_bytes)
         self.recipe = None if recipe is None else load_recipe(recipe)
-        self.columns, self.resampling = columns, self.recipe.resampling if self.recipe else None
-        if resample is not None or sample_time is not None:  # either needs the other
-            method, step = one_of("resample", resample, METHODS), positive("sample_time", sample_time)
-            self.resampling = Resampling(method=method, sample_time=step)
+        stated = self.recipe.resampling if self.recipe else None
+        self.columns, self.resampling = columns, asked_resampling(resample, sample_time) or stated
         layout = {"delimiter": delimiter, "decimal": decimal}
         self.given = {name: value for name, value in layout.items() if value is not None}
         if self.given and self.recipe is not None:
@@ -178,17 +176,22 @@ class FileReader:
                 log = self._raw_log(path, self._needed())
             except OSError as error:
                 raise SessionError(f"cannot be read ({error.strerror or error})") from error
-        return assemble_sessions(log, self.recipe, values, self._wanted(), self.resampling)
+        return self._assembled(log, values)
 
     def read_frame(self, frame: pd.DataFrame) -> list[Session]:
         """Return the session in a data frame, or all that the recipe splits it into."""
-        from trustlab.sessions.readers.arrow_tables import frame_log
+        from trustlab.sessions.readers.tables import frame_log
 
         if self.recipe is not None and self.recipe.kind != "table":
             raise RecipeError(f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a table")
         values = recipe_values(self.recipe, None, self.index) if self.recipe else {}
         log = frame_log(frame, self.recipe, self._needed())
-        return assemble_sessions(log, self.recipe, values, self._wanted(), self.resampling)
+        return self._assembled(log, values)
+
+    def _assembled(self, log: RawLog, values: Mapping[str, object]) -> list[Session]:
+        """Return the sessions that a raw log makes."""
+        parts = parts_of(log, self.recipe)
+        return [assemble_session(part, self.recipe, values, self._wanted(), self.resampling) for part in parts]
 
     def _needed(self) -> list[str] | None:
         """Return the columns wanted, and those that they are computed from."""
@@ -223,7 +226,7 @@ class FileReader:
             from trustlab.sessions.readers.csv_files import read_csv
 
             return read_csv(path, self.recipe, needed, self.layout, budget)
-        from trustlab.sessions.readers.arrow_tables import read_feather, read_parquet
+        from trustlab.sessions.readers.tables import read_feather, read_parquet
 
         read = read_parquet if suffix == ".parquet" else read_feather
         return read(path, self.recipe, needed, budget)

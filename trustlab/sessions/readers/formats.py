@@ -10,8 +10,8 @@ import numpy as np
 
 from trustlab.models.extras import extra
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, damage_named, listed
-from trustlab.sessions.readers.arrow_tables import arrow_log
 from trustlab.sessions.readers.bags import Series, series_log
+from trustlab.sessions.readers.tables import arrow_log
 from trustlab.sessions.readers.unpacking import Budget
 from trustlab.sessions.recipe import Recipe, TopicField, mapped
 from trustlab.sessions.resampling import RawLog
@@ -120,11 +120,7 @@ def _columns(name: str, shape: tuple[int, ...], read: Callable[[], np.ndarray]) 
         yield name, lambda: read().ravel()
     elif len(shape) == 2:
         for k in range(shape[1]):
-            yield f"{name}[{k}]", partial(_part, read, k)
-
-
-def _part(read: Callable[[], np.ndarray], k: int) -> np.ndarray:
-    return read()[:, k]
+            yield f"{name}[{k}]", lambda k=k: read()[:, k]
 
 
 def _matlab_arrays(path: Path, budget: Budget) -> Arrays:

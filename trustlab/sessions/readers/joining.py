@@ -3,12 +3,12 @@
 from collections import Counter
 from collections.abc import Sequence
 
-from trustlab.models.checks import of_class, one_of, positive
+from trustlab.models.checks import of_class
 from trustlab.sessions.errors import RecipeError, SessionError
 from trustlab.sessions.metadata import Metadata
 from trustlab.sessions.readers.assembly import assemble_session
-from trustlab.sessions.recipe import Resampling
-from trustlab.sessions.resampling import METHODS, RawLog, Stream
+from trustlab.sessions.recipe import asked_resampling
+from trustlab.sessions.resampling import RawLog, Stream
 from trustlab.sessions.session import Session
 
 
@@ -68,10 +68,7 @@ def join_sessions(
         Stream(session.t, {name: session[name] for name in session.columns}, "sample {}".format, session.label)
         for session in sessions
     ]
-    resampling = None
-    if resample is not None or sample_time is not None:
-        method = one_of("resample", resample, METHODS)
-        resampling = Resampling(method=method, sample_time=positive("sample_time", sample_time))
+    resampling = asked_resampling(resample, sample_time)
     metadata = Metadata().changed(**known, joined=[str(session.metadata.source) for session in sessions])
     try:
         return assemble_session(RawLog("joined", streams, metadata), None, {}, None, resampling)
