@@ -36,7 +36,7 @@ from trustlab.sessions.session import Session
 from trustlab.studies.analysis.rank_tests import friedman
 from trustlab.studies.analysis.report import report
 from trustlab.studies.factors.formula_model import FormulaModel
-from trustlab.studies.planning.virtual_report import VirtualStudy
+from trustlab.studies.planning.virtual_study import VirtualStudy
 from trustlab.studies.questionnaires.likert import ScaleScores
 from trustlab.testbeds.guidance_comparison import GuidanceComparison
 

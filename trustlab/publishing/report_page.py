@@ -1,7 +1,5 @@
 """An executed notebook to one HTML page by nbconvert: no script, nothing fetched, formulas as MathML."""
 
-from __future__ import annotations
-
 import html
 import re
 from pathlib import Path
@@ -129,7 +127,7 @@ class Page:
         self.index: int | None = None
         self.attachments = None
 
-    def __deepcopy__(self, memo: dict) -> Page:  # nbconvert copies what it passes on to the template
+    def __deepcopy__(self, memo: dict) -> "Page":  # nbconvert copies what it passes on to the template
         return self
 
     def enter(self, index: int) -> str:

@@ -1,4 +1,4 @@
-"""Every printed effect in simulated people, under named assumptions about them."""
+"""Every printed effect in simulated people, under named assumptions about them; and all three kinds in one figure."""
 
 import math
 import warnings
@@ -13,7 +13,8 @@ from trustlab.campaign.run import run_campaign, where_to_run
 from trustlab.models.checks import one_of, whole_number
 from trustlab.operators.answers import simulated_answers
 from trustlab.operators.ground_robot import checked_assumptions
-from trustlab.reproduction.effects import COLUMNS, Effect, effects
+from trustlab.reproduction.effects import COLUMNS, Effect, effects, model_effects
+from trustlab.studies.analysis.plots import panels
 from trustlab.studies.planning.populations import TeleoperatorPopulation
 from trustlab.studies.planning.virtual_study import virtual_study
 from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES
@@ -33,6 +34,8 @@ SIMULATED = ["simulated", "se", "operators", "p_simulated", "agrees", "reason"]
 SILENT = "simulated operators answer no questionnaire unless load_utilization or load_switching is assumed"
 # Satisfaction was answered from 1 to 5 in Section 2.4.1, and is simulated from 1 to 7.
 FIVE_POINTS = 4.0 / 6.0
+UNITS = {"p_r": "robot performance", "p_h": "human performance", "r": "utilization", "tlx": "task load"}
+UNITS |= {"error": "tracking error [m]", "followed_percent": "suggestions followed [%]"}
 
 
 def simulated_effects(
@@ -169,3 +172,39 @@ def _compared(effect: Effect, measures: pd.DataFrame) -> tuple[float, float, int
     p = float(2.0 * stats.t.sf(abs(mean) / se, count - 1)) if se > 0.0 else math.nan
     agrees = effect.low <= mean + 2.0 * se and mean - 2.0 * se <= effect.high
     return mean, se, count, p, agrees, ""
+
+
+def plot_effects(study: str, simulated: Mapping[str, pd.DataFrame]) -> np.ndarray:
+    """
+    Plot the effects of a study, a panel per measure: as printed, as the models predict, and as simulated.
+
+    Parameters
+    ----------
+    study : {"ground_robot", "uav", "table_2.4", "table_2.5", "table_2.6", "table_3.1", "teleop"}
+        The study.
+    simulated : mapping of str to pandas.DataFrame
+        Results of `simulated_effects` by what is assumed; bars are ± 2 standard errors.
+
+    Returns
+    -------
+    numpy.ndarray of matplotlib.axes.Axes
+    """
+    wanted = [effect for effect in effects_of(study) if np.isfinite(effect.printed)]
+    measures = list(dict.fromkeys(effect.measure for effect in wanted))
+    predicted = model_effects().set_index("id")
+    axes = panels(len(measures), 2.8)
+    for axis, measure in zip(axes, measures, strict=True):
+        own = [effect for effect in wanted if effect.measure == measure]
+        ids, x = [effect.id for effect in own], np.arange(len(own), dtype=float)
+        axis.axhline(0.0, color="black", lw=0.6)
+        axis.plot(x, [effect.printed for effect in own], "_", color="black", ms=16, mew=2, label="printed")
+        axis.plot(x, predicted.loc[ids, "model"], "x", color="#444444", label="model")
+        for i, (label, frame) in enumerate(simulated.items()):
+            found = frame.set_index("id").loc[ids]
+            place = x + 0.15 * (i + 1)
+            axis.errorbar(place, found["simulated"], 2.0 * found["se"], fmt="o", ms=3, label=f"simulated: {label}")
+        axis.set_xlim(-0.4, x[-1] + 0.2 + 0.15 * len(simulated))
+        axis.set_xticks(x, [effect.contrast for effect in own], rotation=45)
+        axis.set_title(UNITS.get(measure, measure), fontsize="medium")
+    axes[0].figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=2 + len(simulated))
+    return axes

@@ -39,8 +39,7 @@ from .planning.populations import (
 )
 from .planning.power import PowerAnalysis as PowerAnalysis, power_analysis as power_analysis
 from .planning.smallest_n import SmallestN as SmallestN, smallest_n as smallest_n
-from .planning.virtual_report import VirtualStudy as VirtualStudy
-from .planning.virtual_study import virtual_study as virtual_study
+from .planning.virtual_study import VirtualStudy as VirtualStudy, virtual_study as virtual_study
 from .questionnaires.likert import (
     LikertScale as LikertScale,
     ScaleScores as ScaleScores,

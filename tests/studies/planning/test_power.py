@@ -11,7 +11,7 @@ from scipy import stats
 import trustlab as tl
 from trustlab.studies import clopper_pearson, graded_covariance, noncentral_f_power, noncentrality
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, orthonormal_contrasts
-from trustlab.studies.planning import power_simulation as simulation
+from trustlab.studies.planning import power as simulation
 from trustlab.studies.planning.covariances import Conditions
 
 MEANS = [0.0, 0.1, 0.4, 0.5, 0.5]
@@ -231,7 +231,7 @@ def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
 def test_draws_do_not_depend_on_how_many_are_in_memory(monkeypatch):
     arguments = {"n": 10, "replicates": 300, "seed": 5, "claims": [(1, 3)]}
     whole = tl.power_analysis([0, 0, 1], graded_covariance(3), **arguments)
-    monkeypatch.setattr(simulation, "_CHUNK", 500)
+    monkeypatch.setattr("trustlab.studies.analysis.batch._CHUNK", 500)
     for name in ("table", "pairs", "claims"):
         pd.testing.assert_frame_equal(
             getattr(tl.power_analysis([0, 0, 1], graded_covariance(3), **arguments), name)(), getattr(whole, name)()

@@ -492,7 +492,7 @@ def test_likert_scale_with_subscales():
         (("x", ("a",), 1, 7, (), (Subscale("s", "a"),)), "subscale 's' must be a list of names"),
         (("x", ("a", "b"), 1, 7, (), (Subscale("s", ("a",), ("b",)),)), "reversed items of subscale 's': 'b' is not"),
         (("x", "ab", 1, 7), "items must be a list of names"),
-        (("x", ("a",), 7, 1), "low must lie below high"),
+        (("x", ("a",), 7, 1), "low must be below high"),
         (("x", ("a",), 1, np.inf), "high must be finite"),
         (("x", ("a",), 1, 7, ("b",)), "reversed: 'b' is not one of the items"),
         (("x", ("a",), 1, 7, (), (Subscale("s", ("b",)),)), "subscale 's': 'b' is not one of the items"),

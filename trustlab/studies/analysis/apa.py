@@ -71,13 +71,10 @@ def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
     frame = frame.copy()
     for name in frame.select_dtypes("float").columns.difference(["a", "b", "condition"], sort=False):
         p_value = name == "p" or name.startswith(("p_", "mauchly_p"))
-        texts = [_p_in_table(v) if p_value else apa_number(v, digits) for v in frame[name]]
+        shown = [apa_p(v) if p_value else apa_number(v, digits) for v in frame[name]]
+        texts = [text.removeprefix("p ").removeprefix("= ") for text in shown]
         frame[name] = np.where(frame[name].isna(), "", texts)
     return frame
-
-
-def _p_in_table(p: float) -> str:
-    return apa_p(p).removeprefix("p ").removeprefix("= ")
 
 
 def _df(value: float) -> str:

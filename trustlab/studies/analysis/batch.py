@@ -11,7 +11,7 @@ from trustlab.studies.analysis.pairwise import PairwiseBatch, paired_differences
 from trustlab.studies.analysis.score_table import ScoreTable
 from trustlab.studies.analysis.sphericity import corrected_tests, mauchly, orthonormal_contrasts
 
-# Scores analysed in one go.
+# Scores analysed or drawn in one go, so that memory does not grow with the number of studies.
 _CHUNK = 1 << 20
 
 # Size of scores beyond which their squares overflow, spread below which their own digits are lost, and spread below which
@@ -158,6 +158,12 @@ def checked_scores(array: np.ndarray) -> np.ndarray:
     return scores
 
 
+def chunks(studies: int, scores: int) -> list[range]:
+    """Return the numbers of studies of so many scores each, in the parts in which they are analysed or drawn."""
+    step = max(1, _CHUNK // scores)
+    return [range(first, min(first + step, studies)) for first in range(0, studies, step)]
+
+
 def unit_of(largest: np.ndarray) -> np.ndarray:
     """Return the unit in which to analyse scores of this size: a power of two, so that no digit changes."""
     return np.where(largest < _TINY, np.ldexp(1.0, np.frexp(np.maximum(largest, _LEAST))[1]), 1.0)
@@ -249,8 +255,7 @@ def repeated_measures_batch(array: np.ndarray) -> RepeatedMeasuresBatch:
     """
     scores = checked_scores(array)
     studies, n, k = scores.shape
-    step = max(1, _CHUNK // (n * k))
-    parts = [_analyse(scores[start : start + step], start) for start in range(0, studies, step)]
+    parts = [_analyse(scores[part.start : part.stop], part.start) for part in chunks(studies, n * k)]
     pairs = _joined([vars(part.pop("pairwise")) for part in parts])
     return RepeatedMeasuresBatch(
         n=n,

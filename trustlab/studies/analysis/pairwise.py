@@ -1,7 +1,5 @@
 """All pairs of conditions: paired t-tests, adjusted p-values and standardized differences; arrays of studies at once."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -40,7 +38,7 @@ class PairwiseBatch:
         hidden = ("a", "b", "sd_difference")
         return {name: value for name, value in vars(self).items() if name not in hidden}
 
-    def scaled(self, unit: np.ndarray) -> PairwiseBatch:
+    def scaled(self, unit: np.ndarray) -> "PairwiseBatch":
         """Return the statistics of scores that are `unit` times as large, shape (studies,)."""
         lengths = ("mean_difference", "sd_difference", "ci_low", "ci_high")
         return replace(self, **{name: getattr(self, name) * unit[:, None] for name in lengths})

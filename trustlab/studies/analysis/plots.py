@@ -12,6 +12,16 @@ from trustlab.studies.analysis.score_table import ScoreTable
 _BLUE, _GREY = "#1f5a8c", "0.6"
 
 
+def panels(count: int, height: float, title: str = "") -> np.ndarray:
+    """Return so many axes of a new figure, at most four in a row."""
+    columns = min(4, count)
+    rows = -(-count // columns)
+    axes = axes_or_new(None, rows, columns, title, squeeze=False, figsize=(3.2 * columns, height * rows))
+    for axis in axes.flat[count:]:
+        axis.axis("off")
+    return axes.ravel()[:count]
+
+
 def _subjects(scores: ScoreTable, axes) -> None:
     """Draw a line per subject."""
     places = np.arange(len(scores.conditions))

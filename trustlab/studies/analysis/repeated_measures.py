@@ -15,7 +15,7 @@ from trustlab.studies.analysis.effect_sizes import partial_eta_interval
 from trustlab.studies.analysis.mixed_model import MixedModel, fit_mixed_model
 from trustlab.studies.analysis.pairwise import bonferroni, holm
 from trustlab.studies.analysis.rank_tests import Friedman, friedman, normality_of_differences, rank_pairs, rating_notes
-from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, read_scores, same_for_all
+from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, labelled, read_scores, same_for_all
 from trustlab.studies.analysis.sphericity import CORRECTIONS, decided
 
 _DESIGN = ("dv", "within", "subject", "conditions", "subjects", "excluded")
@@ -83,18 +83,13 @@ class RepeatedMeasures(Omnibus):
     observed: ScoreTable
     batch: RepeatedMeasuresBatch
 
-    def _labelled(self, frame: pd.DataFrame) -> pd.DataFrame:
-        if self.origin:
-            frame.attrs["origin"] = self.origin
-        return frame
-
     def table(self) -> pd.DataFrame:
         """Return every omnibus statistic in one row, so that tables of several measures can be concatenated."""
         row = {"dv": self.dv, "within": self.within}
         names = [field.name for field in fields(self) if field.name not in _UNTABLED]
         row |= {name: getattr(self, name) for name in names}
         row["excluded"] = len(self.excluded)
-        return self._labelled(pd.DataFrame([row]))
+        return labelled(pd.DataFrame([row]), self.origin)
 
     def anova_table(self) -> pd.DataFrame:
         """
@@ -112,7 +107,7 @@ class RepeatedMeasures(Omnibus):
         columns = {"source": ["condition", "error", "subjects"], "ss": ss, "df": df, "ms": ss / df}
         for name in _OF_CONDITIONS:
             columns[name] = [getattr(self, name), np.nan, np.nan]
-        return self._labelled(pd.DataFrame(columns))
+        return labelled(pd.DataFrame(columns), self.origin)
 
     def corrections(self) -> pd.DataFrame:
         """Return the test under each correction: columns correction epsilon df1 df2 F p applies."""
@@ -125,7 +120,7 @@ class RepeatedMeasures(Omnibus):
             "p": (self.p, self.p_gg, self.p_hf),
             "applies": [name == self.correction for name in CORRECTIONS],
         }
-        return self._labelled(pd.DataFrame(rows))
+        return labelled(pd.DataFrame(rows), self.origin)
 
     def descriptives(self) -> pd.DataFrame:
         """
@@ -137,7 +132,7 @@ class RepeatedMeasures(Omnibus):
             Columns condition n mean sd se median minimum maximum, then two 95 % intervals of the mean: ci_low and
             ci_high between subjects, ci_low_within and ci_high_within after Cousineau and Morey.
         """
-        return self._labelled(describe(self.scores))
+        return labelled(describe(self.scores), self.origin)
 
     def pairs(self, method: str = "t") -> pd.DataFrame:
         """
@@ -163,13 +158,13 @@ class RepeatedMeasures(Omnibus):
             p = tests["p"].to_numpy()
             found = pd.concat([found[["a", "b"]], tests.assign(p_bonferroni=bonferroni(p), p_holm=holm(p))], axis=1)
         labels = pd.Index(self.conditions, tupleize_cols=False)
-        return self._labelled(found.assign(a=labels.take(found["a"]), b=labels.take(found["b"])))
+        return labelled(found.assign(a=labels.take(found["a"]), b=labels.take(found["b"])), self.origin)
 
     def normality(self) -> pd.DataFrame:
         """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
         pairwise = self.batch.pairwise
         tests = normality_of_differences(self.scores.values, pairwise.a, pairwise.b)
-        return self._labelled(pd.concat([self.pairs()[["a", "b"]], tests], axis=1))
+        return labelled(pd.concat([self.pairs()[["a", "b"]], tests], axis=1), self.origin)
 
     def friedman(self) -> Friedman:
         """Return Friedman's rank test with Kendall's W."""
@@ -197,7 +192,7 @@ class RepeatedMeasures(Omnibus):
             "mixed_F": mixed.F,
             "p_mixed": mixed.p,
         }
-        return self._labelled(pd.DataFrame([row]))
+        return labelled(pd.DataFrame([row]), self.origin)
 
     def mixed_model(self) -> MixedModel:
         """Return the mixed model of all scores, those of excluded subjects included."""
@@ -323,7 +318,7 @@ def repeated_measures(
     """
     factors = within if isinstance(within, list) else [within]
     if len(factors) != 1 or between is not None or covariate is not None:
-        from trustlab.studies.factors.reading import factorial_measures
+        from trustlab.studies.factors.factorial import factorial_measures
 
         groups = between if isinstance(between, list) else [] if between is None else [between]
         return factorial_measures(frame, dv, factors, subject, groups, covariate, missing, order, correction, alpha)

@@ -42,13 +42,19 @@ class ScoreTable:
     origin: str = ""
 
 
-def _origin(attrs: dict) -> str:
+def origin_of(attrs: dict) -> str:
     """Return "reconstructed data", "synthetic data", the text of attrs["origin"], or "" for measured data."""
     for kind in ("reconstructed", "synthetic"):
         if attrs.get(kind) is True:
             return f"{kind} data"
     origin = attrs.get("origin", "")
     return origin if isinstance(origin, str) else ""
+
+
+def labelled(frame: pd.DataFrame, origin: str, **more: object) -> pd.DataFrame:
+    """Return a table that says what kind of data it was made from where they were not measured, and what else is given."""
+    frame.attrs |= more | ({"origin": origin} if origin else {})
+    return frame
 
 
 def _how_to_melt(frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable) -> str:
@@ -82,11 +88,7 @@ def _codes(series: pd.Series, labels: list) -> np.ndarray:
 
 def levels_of(series: pd.Series, argument: str, order: Sequence | None = None) -> list:
     """Return each label of a column once, in the order asked for, else in that of the categories, else sorted."""
-    return _in_order(_labels(series, argument), series, order)
-
-
-def _in_order(labels: list, series: pd.Series, order: Sequence | None) -> list:
-    """Return the conditions in the order asked for, else in that of the categories, else sorted."""
+    labels = _labels(series, argument)
     if order is not None:
         wanted = list(order) if isinstance(order, Iterable) and not isinstance(order, str) else []
         if len(wanted) != len(labels) or any(label not in wanted for label in labels):
@@ -170,7 +172,7 @@ def read_scores(
         dv=dv,
         within=within,
         subject=subject,
-        origin=_origin(frame.attrs),
+        origin=origin_of(frame.attrs),
     )
 
 

@@ -7,7 +7,7 @@ import pandas as pd
 
 from trustlab.models.checks import one_of, positive
 from trustlab.studies.analysis.batch import analyse_table
-from trustlab.studies.analysis.score_table import complete_scores, read_scores
+from trustlab.studies.analysis.score_table import complete_scores, labelled, read_scores
 
 
 def bayes_factor(
@@ -84,8 +84,7 @@ def bayes_factor(
             rows.append((f"{names[i]} − {names[j]}", method, float(t), 1, n - 1, bf))
     table = pd.DataFrame(rows, columns=["comparison", "method", "statistic", "df1", "df2", "bf10"])
     table = table.assign(bf01=1.0 / table["bf10"], n=n)
-    table.attrs = {"excluded": excluded} | ({"origin": scores.origin} if scores.origin else {})
-    return table
+    return labelled(table, scores.origin, excluded=excluded)
 
 
 def intraclass_correlation(
@@ -134,5 +133,4 @@ def intraclass_correlation(
     low, high = np.array(found["CI95"].tolist()).T
     table = found[["Type", "ICC", "F", "df1", "df2", "pval"]].set_axis(["type", "icc", "F", "df1", "df2", "p"], axis=1)
     table = table.assign(ci_low=low, ci_high=high, n=n, raters=k).reset_index(drop=True)
-    table.attrs = {"excluded": excluded} | ({"origin": scores.origin} if scores.origin else {})
-    return table
+    return labelled(table, scores.origin, excluded=excluded)

@@ -10,7 +10,7 @@ from trustlab.models.checks import one_of, open_unit, positive, spawned, whole_n
 from trustlab.studies.analysis.batch import analyse_table
 from trustlab.studies.analysis.pairwise import holm, paired_differences
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures
-from trustlab.studies.analysis.score_table import complete_scores, read_scores
+from trustlab.studies.analysis.score_table import complete_scores, labelled, read_scores
 
 UNITS = ("raw", "d_z")
 
@@ -98,8 +98,7 @@ def equivalence(
     names = ["a", "b", "n", "mean_difference", "low", "high", "t_low", "p_low", "t_high", "p_high", "df", "p"]
     table = pd.DataFrame(rows, columns=[*names, "ci_low", "ci_high", "equivalent"])
     table.insert(len(names), "p_holm", holm(table["p"].to_numpy()))
-    table.attrs = {"excluded": excluded} | ({"origin": scores.origin} if scores.origin else {})
-    return table
+    return labelled(table, scores.origin, excluded=excluded)
 
 
 def simultaneous_intervals(

@@ -16,11 +16,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.studies.analysis.batch import checked_scores, unit_of
+from trustlab.studies.analysis.batch import checked_scores, chunks, unit_of
 from trustlab.studies.analysis.sphericity import corrected_tests, mauchly, orthonormal_contrasts
-
-# Scores analysed in one go.
-_CHUNK = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +167,5 @@ def factorial_batch(
     if design.df_error < 1:
         raise ValueError(f"{n} subjects in {codes.max() + 1} groups leave nothing to estimate the error from")
     levels = dict(zip(names, given.shape[2:], strict=True))
-    step = max(1, _CHUNK // scores[0].size)
-    starts = range(0, studies, step)
-    return pd.concat([effect_tests(scores[start : start + step], levels, design, start) for start in starts])
+    parts = chunks(studies, scores[0].size)
+    return pd.concat([effect_tests(scores[part.start : part.stop], levels, design, part.start) for part in parts])

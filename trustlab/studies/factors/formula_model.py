@@ -11,6 +11,7 @@ from scipy import special
 
 from trustlab.models.checks import of_class, one_of, spawned, whole_number
 from trustlab.models.html import as_html
+from trustlab.studies.analysis.score_table import labelled, origin_of
 from trustlab.studies.columns import column_of, refuse_missing_labels
 from trustlab.studies.factors.logistic_model import Logistic, checked_counts
 
@@ -125,10 +126,9 @@ def formula_model(
         estimates = _normal_estimates(normal, y, x, centre, scale)
     seeds = spawned(seed, len(terms))
     tests = [_test(name, terms, y, x, model, bootstrap, own) for name, own in zip(terms, seeds, strict=True)]
-    origin = data.attrs.get("origin", "synthetic data" if data.attrs.get("synthetic") is True else "")
+    origin = origin_of(data.attrs)
+    labelled(estimates["coefficients"], origin)
     table = pd.DataFrame(tests, columns=["term", "chi2", "df", "p_chi2", "p_bootstrap"])
-    for part in (table, estimates["coefficients"]):
-        part.attrs |= {"origin": origin} if origin else {}
     return FormulaModel(
         formula=formula,
         random=random,
@@ -136,7 +136,7 @@ def formula_model(
         family=family,
         n=len(labels),
         observations=len(y),
-        tests=table,
+        tests=labelled(table, origin),
         draws=bootstrap,
         origin=origin,
         **estimates,

@@ -11,7 +11,7 @@ import pandas as pd
 from trustlab.models.checks import of_class
 from trustlab.models.html import as_html
 from trustlab.studies.analysis.pairwise import holm
-from trustlab.studies.analysis.score_table import levels_of, read_scores
+from trustlab.studies.analysis.score_table import labelled, levels_of, read_scores
 from trustlab.studies.columns import column_of
 
 
@@ -147,8 +147,7 @@ def order_effects(
     tests.insert(0, _sequence_test(scores.values.mean(axis=1) * np.sqrt(k), names))
     columns = ["effect", "ss", "df1", "df2", "F", "p", "note"]
     table, pairs = pd.DataFrame(tests, columns=columns), _differences(scores.values, codes, conditions)
-    for part in (table, pairs):
-        part.attrs |= {"origin": scores.origin} if scores.origin else {}
+    table, pairs = labelled(table, scores.origin), labelled(pairs, scores.origin)
     return OrderEffects(dv, tuple(conditions), n, table, pairs, scores.origin)
 
 

@@ -1,7 +1,5 @@
 """Covariances of conditions: checked, measured from data, and built to a wanted correlation and sphericity."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any
@@ -122,7 +120,7 @@ class Conditions:
         s = self.covariance
         return (self.mean[a] - self.mean[b]) / np.sqrt(s[a, a] + s[b, b] - 2.0 * s[a, b])
 
-    def with_effect(self, eta2_partial: float) -> Conditions:
+    def with_effect(self, eta2_partial: float) -> "Conditions":
         """
         Return the population with its means scaled about their mean, to a given partial η².
 
@@ -147,7 +145,7 @@ class Conditions:
         mean = self.mean.mean() + apart * (wanted / now if eta2 > 0.0 else 0.0)
         return Conditions(self.labels, mean, self.covariance, self.origin)
 
-    def with_structure(self, correlation: float | None, epsilon: float | None) -> Conditions:
+    def with_structure(self, correlation: float | None, epsilon: float | None) -> "Conditions":
         """
         Return the population with `graded_covariance` of the same mean variance; what is None stays as it is.
 

@@ -1,7 +1,5 @@
 """Power of designs with several factors, groups, or shares of trials: simulated studies, analysed as real ones are."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +12,7 @@ from numpy.random import SeedSequence
 from scipy import special
 
 from trustlab.models.checks import array_between, not_negative, whole_number
+from trustlab.studies.analysis.batch import chunks
 from trustlab.studies.analysis.repeated_measures import repeated_measures
 from trustlab.studies.analysis.sphericity import CORRECTIONS, greenhouse_geisser
 from trustlab.studies.factors.effects import (
@@ -27,9 +26,6 @@ from trustlab.studies.factors.effects import (
 from trustlab.studies.factors.logistic_model import Logistic
 from trustlab.studies.planning.closed_form_power import clopper_pearson
 from trustlab.studies.planning.covariances import checked_covariance
-
-# Scores drawn at a time.
-_CHUNK = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +66,8 @@ class NormalCells:
         found: Counter = Counter()
         groups, design, sizes = self._design(n)
         root = np.linalg.cholesky(self.covariance).T
-        step = max(1, _CHUNK // (len(groups) * len(root)))
-        for first in range(0, replicates, step):
-            shape = (min(step, replicates - first), len(groups), len(root))
+        for part in chunks(replicates, len(groups) * len(root)):
+            shape = (len(part), len(groups), len(root))
             tests = effect_tests(rng.standard_normal(shape) @ root + self.mean[groups], sizes, design)
             for test, column in zip(CORRECTIONS, ("p", "p_gg", "p_hf"), strict=True):
                 hits = (tests[column] < alpha).groupby(level="effect").sum()

@@ -1,7 +1,5 @@
 """Populations from which simulated operators are drawn: stand-ins for people, with the identified spread."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -134,7 +132,7 @@ class GroundRobotPopulation:
         object.__setattr__(self, "follow", pairs)
 
     @classmethod
-    def published(cls, shrinkage: float = 0.5, spread: float = 1.0) -> GroundRobotPopulation:
+    def published(cls, shrinkage: float = 0.5, spread: float = 1.0) -> "GroundRobotPopulation":
         """
         Return the population with the means and spreads of the five participants of Tables 2.1, 2.2, 2.3 and 2.6.
 
@@ -315,14 +313,10 @@ class TeleoperatorPopulation:
 
     study: str = "main"
     testbed: str = field(default="uav", init=False)
+    origin: str = field(default="plausible ranges, not measured", init=False)
 
     def __post_init__(self):
         one_of("study", self.study, REACH)
-
-    @property
-    def origin(self) -> str:
-        """Where the numbers come from."""
-        return "plausible ranges, not measured"
 
     def table(self) -> pd.DataFrame:
         """Return the distribution: columns quantity, distribution, mean, sd."""

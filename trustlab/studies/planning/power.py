@@ -1,19 +1,21 @@
 """Power of a within-subject design by simulated studies, against n, effect size, correlation and sphericity."""
 
-from __future__ import annotations
-
-from collections.abc import Hashable, Sequence
+from collections import Counter
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations, product
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.random import SeedSequence
 
 from trustlab.campaign.run import where_to_run
 from trustlab.models.axes import axes_or_new
-from trustlab.models.checks import one_of, open_unit, whole_number
+from trustlab.models.checks import did_you_mean, one_of, open_unit, whole_number
 from trustlab.models.html import as_html
+from trustlab.studies.analysis.batch import chunks, repeated_measures_batch
+from trustlab.studies.analysis.sphericity import CORRECTIONS
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
 from trustlab.studies.planning.factorial_power import (
@@ -23,14 +25,6 @@ from trustlab.studies.planning.factorial_power import (
     effects_power,
     population_of,
     shares_of,
-)
-from trustlab.studies.planning.power_simulation import (
-    ADJUSTMENTS,
-    TESTS,
-    USUAL_TEST,
-    claims_mask,
-    count_findings,
-    run_counts,
 )
 
 # What power is computed against, and how a figure labels it.
@@ -50,6 +44,15 @@ COLUMNS = (
 )
 
 MOST_CELLS, MOST_N, LEAST_REPLICATES = 10_000, 100_000, 100
+
+# Corrections of the omnibus F; "auto" is Greenhouse–Geisser where Mauchly's test rejects.
+TESTS = (*CORRECTIONS, "auto")
+
+# The correction that `repeated_measures` makes by default.
+USUAL_TEST = "greenhouse-geisser"
+
+# Adjustments of the pairs' p-values, and their names in `PairwiseBatch`.
+ADJUSTMENTS = {"none": "p", "bonferroni": "p_bonferroni", "holm": "p_holm"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,3 +402,75 @@ def _rows(cell: Conditions, n: int, counts: dict, replicates: int, alpha: float,
             found = counts[f"claimed {name}"] / replicates
             together.append((*axes, name, int(mask.sum()), *power(f"claims {name}"), found))
     return omnibus, pairs, together
+
+
+def run_counts(task: Callable, cells: Sequence[tuple], fixed: Mapping, where: Mapping) -> list[dict]:
+    """Return what a task counts in each cell (population, n, draws), with the same further arguments for all."""
+    from trustlab.campaign import CampaignError, run_campaign
+
+    parameters = [{"population": population, "n": n, "draws": draws, **fixed} for population, n, draws in cells]
+    done = run_campaign(task, parameters, **where)
+    if done["failed"].any():
+        raise CampaignError(f"studies could not be simulated: {done.loc[done['failed'], 'error'].iloc[0]}")
+    return done.to_dict("records")
+
+
+def count_findings(
+    population: Conditions, n: int, draws: SeedSequence, replicates: int, alpha: float, claims: Any, seed: SeedSequence
+) -> dict[str, int]:
+    """
+    Draw studies from a normal population, analyse each, and count those that are significant: a task of `run_campaign`.
+
+    Keys: "F test" by `TESTS`; "pair i adjustment", pairs a < b in order; and where `claims` says which pairs are claimed,
+    "claims adjustment" (F under `USUAL_TEST` and every claimed pair in the claimed direction) and "claimed adjustment" (claimed
+    pairs found, summed over studies). `draws` is the seed: which one belongs to which study size is the caller's choice.
+    """
+    rng = np.random.default_rng(draws)
+    k = len(population.mean)
+    root = np.linalg.cholesky(population.covariance).T
+    a, b = np.triu_indices(k, 1)
+    expected = np.sign(population.mean[a] - population.mean[b])
+    counts: Counter = Counter()
+    for part in chunks(replicates, n * k):
+        scores = rng.standard_normal((len(part), n, k)) @ root + population.mean
+        batch = repeated_measures_batch(scores)
+        # An undefined p of Mauchly's test (n ≤ k − 1) counts as a rejection, as in `repeated_measures`.
+        rejected = ~(batch.mauchly_p >= alpha) if k > 2 else np.zeros(len(part), dtype=bool)
+        p_values = (batch.p, batch.p_gg, batch.p_hf, np.where(rejected, batch.p_gg, batch.p))
+        findings = {test: p < alpha for test, p in zip(TESTS, p_values, strict=True)}
+        for test, found in findings.items():
+            counts[f"F {test}"] += int(found.sum())
+        for name, attribute in ADJUSTMENTS.items():
+            hits = getattr(batch.pairwise, attribute) < alpha
+            for i, found in enumerate(hits.sum(axis=0)):
+                counts[f"pair {i} {name}"] += int(found)
+            if claims is not None:
+                right = hits & (np.sign(batch.pairwise.mean_difference) == expected)
+                counts[f"claims {name}"] += int((right[:, claims].all(axis=1) & findings[USUAL_TEST]).sum())
+                counts[f"claimed {name}"] += int(right[:, claims].sum())
+    return dict(counts)
+
+
+def claims_mask(claims: Sequence[tuple] | None, conditions: Conditions) -> np.ndarray | None:
+    """Return which pairs are claimed, over all pairs a < b; None without claims."""
+    if claims is None:
+        return None
+    labels = list(conditions.labels)
+    pairs = list(combinations(labels, 2))
+    mask = np.zeros(len(pairs), dtype=bool)
+    if isinstance(claims, str | bytes) or not hasattr(claims, "__iter__"):
+        raise ValueError(f"claims must be a list of pairs of conditions, got {claims!r:.60}")
+    for pair in claims:
+        if isinstance(pair, str) or not hasattr(pair, "__len__") or len(pair) != 2 or pair[0] == pair[1]:
+            raise ValueError(f"a comparison is a pair of two conditions (a, b), got {pair!r:.60}")
+        for label in pair:
+            if label not in labels:
+                there = ", ".join(map(str, labels))
+                raise ValueError(f"unknown condition {label!r}{did_you_mean(label, labels)} (there are {there})")
+        where = pairs.index(tuple(sorted(pair, key=labels.index)))
+        if mask[where]:
+            raise ValueError(f"pair {pair!r} is claimed twice")
+        mask[where] = True
+    if not mask.any():
+        raise ValueError("claims is empty: give pairs of conditions, or leave it out")
+    return mask

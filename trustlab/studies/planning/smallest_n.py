@@ -13,9 +13,10 @@ from trustlab.models.html import as_html
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
 from trustlab.studies.planning.covariances import Conditions, conditions_from
-from trustlab.studies.planning.power import LEAST_REPLICATES, MOST_N
-from trustlab.studies.planning.power_simulation import (
+from trustlab.studies.planning.power import (
     ADJUSTMENTS,
+    LEAST_REPLICATES,
+    MOST_N,
     TESTS,
     USUAL_TEST,
     claims_mask,

@@ -1,26 +1,52 @@
-"""A whole study with simulated operators: from its design to its statistics."""
+"""A whole study with simulated operators, from its design to its statistics, and its folder, laid out like a lab's."""
 
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
+from trustlab.campaign.folder import folder_path, refuse, writing_in
 from trustlab.campaign.run import run_campaign, where_to_run
 from trustlab.models.checks import finite_number, flag, not_negative, of_class, one_of, whole_number
+from trustlab.models.html import as_html
 from trustlab.operators.ground_robot import checked_assumptions
+from trustlab.studies.analysis.plots import panels
+from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
-from trustlab.studies.planning.virtual_folder import Folder
-from trustlab.studies.planning.virtual_participant import run_participant
-from trustlab.studies.planning.virtual_report import KEYS, ORIGIN, WORDS, Population, VirtualStudy
+from trustlab.studies.planning.virtual_participant import run_participant, session_file
 from trustlab.teleoperation.loop.schemes import SCHEMES
 from trustlab.testbeds.deciding import CONDITIONS, KNOWN, warn_if_too_short
 from trustlab.testbeds.ground_robot.conditions import MOST_LAPS
 from trustlab.testbeds.uav_following.people import FollowingPopulation
 
+Population = GroundRobotPopulation | FollowingPopulation | TeleoperatorPopulation
+
+# How messages call the testbeds.
+WORDS = {
+    "ground_robot": "the ground-robot testbed",
+    "uav": "the UAV testbed",
+    "uav_following": "the testbed of the UAV that follows a leader",
+}
+
+# Where the measures come from, for headers and captions.
+ORIGIN = "simulated operators"
+
+# Columns of the table of measures that identify a session.
+KEYS = ("participant", "position", "condition", "synthetic")
+
+TEST = ("n", "k", "F", "df1", "df2", "p", "correction", "epsilon_gg")
+EFFECT = ("eta2_partial", "eta2_partial_low", "eta2_partial_high")
+USUAL = {
+    **dict.fromkeys(("ground_robot", "uav_following"), ("p_r", "p_h", "r", "path_error")),
+    "uav": ("tracking_error", "p_r", "p_h", "hand_force"),
+}
 TESTBEDS = {"ground_robot": tuple(KNOWN), "uav": tuple(SCHEMES), "uav_following": tuple(KNOWN)}
 MAIN_SCHEMES = ("M", "OMI", "MMI", "TMIG")
 PRINTED_N = {"ground_robot": 20, "uav": 32, "uav_following": 20}
@@ -29,6 +55,175 @@ POPULATIONS: dict[str, type] = {
     "uav": TeleoperatorPopulation,
     "uav_following": FollowingPopulation,
 }
+FILES = ("participants.csv", "orders.csv", "measures.csv", "about.txt")
+
+
+@dataclass(frozen=True, eq=False)
+class VirtualStudy:
+    """
+    A study of simulated operators; no person took part.
+
+    Parameters
+    ----------
+    testbed : {"ground_robot", "uav", "uav_following"}
+        The testbed; "uav_following" is that of C1 to C5 on the UAV.
+    conditions : tuple of str
+        Its conditions, as given.
+    design : LatinSquareDesign
+        The order of conditions of every participant.
+    population : GroundRobotPopulation, FollowingPopulation or TeleoperatorPopulation
+        The population from which operators were drawn.
+    participants : pandas.DataFrame
+        Their parameters as drawn, a row each.
+    measures : pandas.DataFrame
+        A row per session: participant, position, condition, synthetic, and every measure of the testbed.
+    failures : pandas.DataFrame
+        Participants whose sessions could not be run: participant, error. They have no rows in `measures`.
+    settings : dict
+        seed, laps or duration [s], rest [s], assumptions, where given.
+    folder : pathlib.Path or None
+        Where sessions, measures and participants were written.
+    """
+
+    testbed: str
+    conditions: tuple[str, ...]
+    design: LatinSquareDesign
+    population: Population
+    participants: pd.DataFrame
+    measures: pd.DataFrame
+    failures: pd.DataFrame
+    settings: dict
+    folder: Path | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the measures."""
+        return tuple(name for name in self.measures.columns if name not in KEYS)
+
+    def analysis(self, dv: str, conditions: Sequence[str] | None = None, **options: Any) -> RepeatedMeasures:
+        """
+        Return the repeated-measures analysis of one measure.
+
+        Parameters
+        ----------
+        dv : str
+            The measure.
+        conditions : sequence of str, optional
+            Those to compare, all by default; a measure that some conditions do not have needs this.
+        **options : object
+            Passed on to `repeated_measures`.
+
+        Raises
+        ------
+        ValueError
+            If the measure or a condition is unknown, or the measure has missing values or no variance.
+        """
+        one_of("dv", dv, self.names)
+        wanted = self.conditions if conditions is None else tuple(conditions)
+        for condition in wanted:
+            one_of("condition", condition, self.conditions)
+        rows = self.measures[self.measures["condition"].isin(wanted)]
+        return repeated_measures(rows, dv, "condition", "participant", order=wanted, **options)
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the omnibus test of every measure.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row per measure: measure, conditions (that have it for everyone), n, k, F, df1, df2, p (corrected as `correction` says),
+            correction, epsilon_gg, eta2_partial, eta2_partial_low, eta2_partial_high, note. NaN where a test is not defined; the note
+            says why.
+        """
+        rows = []
+        for name in self.names:
+            there = self.measures[name].notna().groupby(self.measures["condition"]).all()
+            own = [condition for condition in self.conditions if there[condition]]
+            row: dict[str, Any] = dict.fromkeys([*TEST, *EFFECT], np.nan)
+            try:
+                if len(own) < 2:
+                    raise ValueError("fewer than two conditions have this measure for every participant")
+                result = self.analysis(name, own)
+            except ValueError as error:
+                row |= {"correction": "", "note": str(error)}
+            else:
+                row |= {key: getattr(result, key) for key in row}
+                row |= {"df1": result.df1_corrected, "df2": result.df2_corrected, "p": result.p_corrected}
+                gone = [c for c in self.conditions if c not in own]
+                row["note"] = f"without {', '.join(gone)}, which do not have it for everyone" if gone else ""
+            rows.append({"measure": name, "conditions": " ".join(own)} | row)
+        frame = pd.DataFrame(rows)
+        frame.attrs["origin"] = ORIGIN
+        return frame
+
+    def sessions(self):
+        """
+        Read the sessions again from the folder.
+
+        Returns
+        -------
+        list of Session
+
+        Raises
+        ------
+        ValueError
+            If the study was run without a folder.
+        """
+        from trustlab.sessions.readers import read_sessions
+
+        if self.folder is None:
+            raise ValueError("this study kept no sessions; run it with out= the name of a folder")
+        return read_sessions(self.folder / "sessions")
+
+    def plot(self, measures: Sequence[str] | None = None, kind: str = "means"):
+        """
+        Plot measures by condition, a panel each.
+
+        Parameters
+        ----------
+        measures : sequence of str, optional
+            Which; four of the testbed's by default.
+        kind : {"means", "raincloud", "paired"}
+            As for `RepeatedMeasures.plot`.
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes
+        """
+        measures = USUAL[self.testbed] if measures is None else measures
+        names = [measures] if isinstance(measures, str) else list(measures)
+        results = [self.analysis(name) for name in names]
+        axes = panels(len(names), 3.2, f"{ORIGIN}, n = {len(self.participants) - len(self.failures)}")
+        for axis, result in zip(axes, results, strict=True):
+            result.plot(kind, axes=axis)
+            axis.set(title="", xlabel="")
+        return axes
+
+    @property
+    def summary(self) -> str:
+        """What was simulated, in a sentence or two."""
+        setting = ", ".join(f"{name} {value}" for name, value in self.settings.items() if value is not None)
+        assumed = self.settings.get("assumptions", {})
+        carried, rest = "Every session begins with the same utilization", ": orders have no effect on results."
+        if self.settings.get("rest") is not None:
+            carried, rest = "Utilization is carried over from session to session by (2.5)", "; nothing else is."
+        if assumed.get("learning") or assumed.get("fatigue"):
+            rest = "; people learn or tire from session to session."
+        failed = f" {len(self.failures)} participant(s) failed and are left out." if len(self.failures) else ""
+        return (
+            f"Virtual study on {WORDS[self.testbed]}: {len(self.participants)} simulated operators ({self.population.origin}), "
+            f"conditions {', '.join(self.conditions)}; {setting}. No person took part. {carried}{rest}{failed}"
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"VirtualStudy({self.testbed}, {len(self.participants)} simulated operators, {', '.join(self.conditions)})"
+        )
+
+    def _repr_html_(self) -> str:
+        means = self.measures.groupby("condition", observed=True)[list(self.names)].mean().T
+        return as_html(self.summary, self.table()) + as_html(f"Means ({ORIGIN})", means[list(self.conditions)])
 
 
 def virtual_study(
@@ -157,17 +352,12 @@ def virtual_study(
         None if folder is None else folder.path,
     )
     if testbed != "uav":
-        _warn_of_idle_sessions(study)
+        warn_if_too_short(float(study.measures["duration"].max()))
+        if not study.measures["switches"].any():
+            warnings.warn("nobody switched in any session: the conditions differ by noise only", stacklevel=2)
     if folder is not None:
         folder.finish(study)
     return study
-
-
-def _warn_of_idle_sessions(study: VirtualStudy) -> None:
-    """Warn where sessions were too short for anybody to switch, or nobody did."""
-    warn_if_too_short(float(study.measures["duration"].max()))
-    if not study.measures["switches"].any():
-        warnings.warn("nobody switched in any session: the conditions differ by noise only", stacklevel=3)
 
 
 def _named(conditions: object, design: object, population: object) -> tuple[str, ...]:
@@ -272,3 +462,44 @@ def _tidy(done: pd.DataFrame, design: LatinSquareDesign, conditions: tuple[str, 
     frame = frame[[*KEYS, *names]].sort_values(["participant", "position"], ignore_index=True)
     frame.attrs = {"origin": ORIGIN}
     return frame
+
+
+class Folder:
+    """Where a virtual study is written; refused if it holds other things, or sessions not known to be of this study."""
+
+    def __init__(self, path: str | os.PathLike, design: LatinSquareDesign, fresh: bool = False):
+        self.path = folder_path(path)
+        self.sessions, self.campaign = self.path / "sessions", self.path / "campaign"
+        with writing_in(self.path):
+            present = {item.name for item in self.path.iterdir()} if self.path.exists() else set()
+            refuse(self.path, "other things", present - {"sessions", "campaign", *FILES})
+            self.sessions.mkdir(parents=True, exist_ok=True)
+        held = {item.name for item in self.sessions.iterdir() if not item.name.startswith(".")}
+        known = set()
+        if (self.campaign / "campaign.json").is_file():
+            known = {session_file(*row) for row in design.orders().itertuples(index=False)}
+            if fresh:
+                known = {name for name in held if fnmatchcase(name, "participant_*_trial_*.parquet")}
+        refuse(self.sessions, "sessions that are not known to be of this study", held - known)
+        if fresh:
+            for name in known & held:
+                (self.sessions / name).unlink()
+
+    def finish(self, study: VirtualStudy) -> None:
+        """Check that every session is there, and write the tables beside them."""
+        failed = set(study.failures["participant"])
+        orders = study.design.orders()
+        rows = orders[~orders["participant"].isin(failed)].itertuples(index=False)
+        wanted = [session_file(*row) for row in rows]
+        missing = [name for name in wanted if not (self.sessions / name).is_file()]
+        if missing:
+            raise ValueError(
+                f"{len(missing)} of {len(wanted)} sessions are missing from {self.sessions} ({missing[0]} first), although the "
+                "campaign beside it says that they were run; remove the folder and run the study again"
+            )
+        about = f"SIMULATED. {study.summary}\nOne file per session in sessions/: trustlab.read_sessions reads them.\n"
+        with writing_in(self.path):
+            study.participants.to_csv(self.path / "participants.csv", index=False)
+            orders.to_csv(self.path / "orders.csv", index=False)
+            study.measures.to_csv(self.path / "measures.csv", index=False)
+            (self.path / "about.txt").write_text(about, encoding="utf-8")

@@ -7,7 +7,7 @@ from typing import Required, TypedDict
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_number, of_class, one_of
+from trustlab.models.checks import finite_number, in_order, of_class, one_of
 from trustlab.models.html import as_html
 from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
 from trustlab.studies.questionnaires.reliability import cronbach_alpha
@@ -100,9 +100,7 @@ class LikertScale:
             taken.append(part.name)
             _check_names(f"subscale {part.name!r}", part.items, self.items)
             _check_names(f"reversed items of subscale {part.name!r}", part.reversed, part.items, least=0)
-        low, high = finite_number("low", self.low), finite_number("high", self.high)
-        if not low < high:
-            raise ValueError(f"low must lie below high, got {low:g} and {high:g}")
+        low, high = in_order("low", self.low, "high", self.high)
         if self.step is not None:
             steps = (high - low) / finite_number("step", self.step)
             if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-9):
