@@ -3,7 +3,7 @@
 import gc
 import os
 
-# Two workers on two cores: one thread each for linear algebra, set before NumPy is loaded.
+# As many workers as cores, and one: one thread each for linear algebra, set before NumPy is loaded.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
@@ -19,6 +19,19 @@ settings.register_profile(
     "trustlab", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 settings.load_profile("trustlab")
+
+
+def pytest_xdist_auto_num_workers():
+    """One worker more than cores: tests that drive in real time or wait for what they killed leave a core idle."""
+    return (os.cpu_count() or 1) + 1
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups
+def pytest_collection_modifyitems(items):
+    """Drive in browsers one after the other, in one worker, and from the start, as they take the longest."""
+    for item in items:
+        if "live" in item.path.parts and {"browser", "chromium"} & set(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.xdist_group("browser"))
 
 
 def pytest_collection_finish():
