@@ -11,6 +11,9 @@ ONLY ?=
 DIR ?=
 JOBS ?= auto
 
+# Containers set it to stay small; then every process that starts would compile the package's sources anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 # One at a time: the second of two commands in a fresh clone waits, and finds it built.
 $(VENV)/.stamp: environment.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
