@@ -352,12 +352,17 @@ def virtual_study(
         None if folder is None else folder.path,
     )
     if testbed != "uav":
-        warn_if_too_short(float(study.measures["duration"].max()))
-        if not study.measures["switches"].any():
-            warnings.warn("nobody switched in any session: the conditions differ by noise only", stacklevel=2)
+        _warn_of_idle_sessions(study)
     if folder is not None:
         folder.finish(study)
     return study
+
+
+def _warn_of_idle_sessions(study: VirtualStudy) -> None:
+    """Warn where sessions were too short for anybody to switch, or nobody did."""
+    warn_if_too_short(float(study.measures["duration"].max()))
+    if not study.measures["switches"].any():
+        warnings.warn("nobody switched in any session: the conditions differ by noise only", stacklevel=3)
 
 
 def _named(conditions: object, design: object, population: object) -> tuple[str, ...]:
