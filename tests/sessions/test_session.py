@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.sessions.checks import STEP_TOLERANCE, check_time
+from trustlab.sessions.session import STEP_TOLERANCE, check_time
 from trustlab.sessions.vocabulary import VOCABULARY
 
 

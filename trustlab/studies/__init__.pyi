@@ -1,6 +1,8 @@
 from .analysis.apa import apa_number as apa_number, apa_p as apa_p, apa_table as apa_table
 from .analysis.batch import (
     RepeatedMeasuresBatch as RepeatedMeasuresBatch,
+    bonferroni as bonferroni,
+    holm as holm,
     repeated_measures_batch as repeated_measures_batch,
 )
 from .analysis.effect_sizes import (
@@ -9,7 +11,6 @@ from .analysis.effect_sizes import (
 )
 from .analysis.mixed_model import MixedModel as MixedModel, mixed_model as mixed_model
 from .analysis.paired_t_test import PairedTTest as PairedTTest, paired_t_test as paired_t_test
-from .analysis.pairwise import bonferroni as bonferroni, holm as holm
 from .analysis.repeated_measures import RepeatedMeasures as RepeatedMeasures, repeated_measures as repeated_measures
 from .analysis.report import StudyReport as StudyReport, report as report
 from .analysis.winsorize import Winsorized as Winsorized, winsorize as winsorize
@@ -21,8 +22,12 @@ from .designs import (
     participants_needed as participants_needed,
     williams_square as williams_square,
 )
-from .evidence.bayes import bayes_factor as bayes_factor, intraclass_correlation as intraclass_correlation
-from .evidence.equivalence import equivalence as equivalence, simultaneous_intervals as simultaneous_intervals
+from .evidence import (
+    bayes_factor as bayes_factor,
+    equivalence as equivalence,
+    intraclass_correlation as intraclass_correlation,
+    simultaneous_intervals as simultaneous_intervals,
+)
 from .factors.effects import factorial_batch as factorial_batch
 from .factors.factorial import FactorialMeasures as FactorialMeasures
 from .factors.formula_model import FormulaModel as FormulaModel
@@ -41,10 +46,14 @@ from .planning.power import PowerAnalysis as PowerAnalysis, power_analysis as po
 from .planning.smallest_n import SmallestN as SmallestN, smallest_n as smallest_n
 from .planning.virtual_study import VirtualStudy as VirtualStudy, virtual_study as virtual_study
 from .questionnaires.likert import (
+    TRUST_CHECKLIST as TRUST_CHECKLIST,
     LikertScale as LikertScale,
     ScaleScores as ScaleScores,
     Subscale as Subscale,
+    satisfaction_scale as satisfaction_scale,
     score_likert as score_likert,
+    score_satisfaction as score_satisfaction,
+    score_trust_checklist as score_trust_checklist,
 )
 from .questionnaires.nasa_tlx import (
     TLX_RESCALINGS as TLX_RESCALINGS,
@@ -53,11 +62,3 @@ from .questionnaires.nasa_tlx import (
     tlx_weights as tlx_weights,
 )
 from .questionnaires.reliability import Reliability as Reliability, cronbach_alpha as cronbach_alpha
-from .questionnaires.satisfaction import (
-    satisfaction_scale as satisfaction_scale,
-    score_satisfaction as score_satisfaction,
-)
-from .questionnaires.trust_checklist import (
-    TRUST_CHECKLIST as TRUST_CHECKLIST,
-    score_trust_checklist as score_trust_checklist,
-)

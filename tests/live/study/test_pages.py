@@ -5,9 +5,8 @@ import re
 import pytest
 
 from trustlab.live.study.pages import AnswerError, Page, as_json, read_pages, steps_of
+from trustlab.studies.questionnaires.likert import SATISFACTION_ITEMS, TRUST_CHECKLIST
 from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES
-from trustlab.studies.questionnaires.satisfaction import SATISFACTION_ITEMS
-from trustlab.studies.questionnaires.trust_checklist import TRUST_CHECKLIST
 
 OWN = """
 [consent]

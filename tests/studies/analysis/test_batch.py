@@ -13,7 +13,7 @@ from statsmodels.stats.multitest import multipletests
 
 import trustlab as tl
 from trustlab.studies.analysis import batch as engine
-from trustlab.studies.analysis.pairwise import bonferroni, holm
+from trustlab.studies.analysis.batch import bonferroni, holm
 from trustlab.studies.analysis.sphericity import greenhouse_geisser, mauchly, mauchly_p_value, orthonormal_contrasts
 
 OMNIBUS = [

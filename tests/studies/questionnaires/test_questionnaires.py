@@ -10,11 +10,17 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from trustlab.studies.questionnaires.likert import LikertScale, Subscale, score_likert
+from trustlab.studies.questionnaires.likert import (
+    TRUST_CHECKLIST,
+    LikertScale,
+    Subscale,
+    satisfaction_scale,
+    score_likert,
+    score_satisfaction,
+    score_trust_checklist,
+)
 from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES, score_nasa_tlx, tlx_weights
 from trustlab.studies.questionnaires.reliability import cronbach_alpha
-from trustlab.studies.questionnaires.satisfaction import satisfaction_scale, score_satisfaction
-from trustlab.studies.questionnaires.trust_checklist import TRUST_CHECKLIST, score_trust_checklist
 
 ALPHAS = json.loads((Path(__file__).parents[1] / "reference" / "cronbach_alpha.json").read_text())["sets"]
 WEIGHTS = {"mental": 5, "physical": 0, "temporal": 4, "performance": 3, "effort": 2, "frustration": 1}

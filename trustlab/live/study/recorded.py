@@ -21,10 +21,14 @@ from trustlab.sessions.readers import read_session
 from trustlab.sessions.session import Session
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.factors.order_effects import OrderEffects, order_effects
-from trustlab.studies.questionnaires.likert import LikertScale, ScaleScores, score_likert
+from trustlab.studies.questionnaires.likert import (
+    LikertScale,
+    ScaleScores,
+    score_likert,
+    score_satisfaction,
+    score_trust_checklist,
+)
 from trustlab.studies.questionnaires.nasa_tlx import score_nasa_tlx
-from trustlab.studies.questionnaires.satisfaction import score_satisfaction
-from trustlab.studies.questionnaires.trust_checklist import score_trust_checklist
 from trustlab.testbeds.condition_run import condition_measures
 
 KEYS = ["participant", "position", "condition"]

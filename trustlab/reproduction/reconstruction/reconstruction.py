@@ -20,8 +20,7 @@ from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, ALPHA,
 from trustlab.reproduction.reconstruction.feasibility import Verdict, decide, feasibility, generator, prepared
 from trustlab.reproduction.reconstruction.feasible_ranges import feasible_ranges
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
-from trustlab.studies.analysis.batch import repeated_measures_batch
-from trustlab.studies.analysis.pairwise import bonferroni, holm
+from trustlab.studies.analysis.batch import bonferroni, holm, repeated_measures_batch
 
 NOTE = "Reconstructed data: not measurements, but values that have the printed statistics."
 # The mark that every table made from such data carries in its `attrs`.

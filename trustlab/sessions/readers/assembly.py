@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.sessions.checks import check_column, check_rising, check_time
 from trustlab.sessions.errors import RecipeError, SessionError, source_named
 from trustlab.sessions.metadata import Metadata, digest
 from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.readers.mending import merge_repeats, split_at_gaps
 from trustlab.sessions.recipe import Constant, MetadataColumn, MetadataRule, Recipe, Resampling, mapped, plain_key
 from trustlab.sessions.resampling import RawLog, require_common_times, resample
-from trustlab.sessions.session import Session
+from trustlab.sessions.session import Session, check_column, check_rising, check_time
 
 
 def recipe_values(recipe: Recipe, path: Path | None, index: SessionIndex | None) -> dict[str, object]:

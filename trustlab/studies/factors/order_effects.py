@@ -10,7 +10,7 @@ import pandas as pd
 
 from trustlab.models.checks import of_class
 from trustlab.models.html import as_html
-from trustlab.studies.analysis.pairwise import holm
+from trustlab.studies.analysis.batch import holm
 from trustlab.studies.analysis.score_table import labelled, levels_of, read_scores
 from trustlab.studies.columns import column_of
 

@@ -1,8 +1,12 @@
-"""Likert scales: reversed items, subscales, missing answers by a named rule, and scores that know their range."""
+"""
+Likert scales: reversed items, subscales, missing answers by a named rule, and scores that know their range.
+
+Two of them are at hand: satisfaction on five points (Chapter 2) or seven, and the trust checklist of Jian, Bisantz and Drury.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Required, TypedDict
+from typing import Any, Required, TypedDict, Unpack
 
 import numpy as np
 import pandas as pd
@@ -14,6 +18,9 @@ from trustlab.studies.questionnaires.reliability import cronbach_alpha
 
 # Every item must be answered; or a score is formed where at least half of its items are answered.
 MISSING_RULES = ("refuse", "half_rule")
+
+# The items of Section 2.4.1.3: satisfaction, comfort, and the feeling of being in control of the task.
+SATISFACTION_ITEMS = ("satisfaction", "comfort", "control")
 
 
 @dataclass(frozen=True)
@@ -299,3 +306,134 @@ def score_likert(
     table = pd.DataFrame(scores, index=answers.index).reset_index()
     table.attrs = dict(frame.attrs)  # synthetic answers give synthetic scores
     return ScaleScores(scale.source or scale.name, table, answers, ranges, coded, gaps)
+
+
+def satisfaction_scale(points: int, items: Any = SATISFACTION_ITEMS, reversed: Any = ()) -> LikertScale:
+    """
+    Return a satisfaction scale.
+
+    Parameters
+    ----------
+    points : {5, 7}
+        Answers run from 1 to this.
+    items : sequence of str
+        Short names of the items.
+    reversed : sequence of str
+        Items for which a high answer means little satisfaction.
+
+    Raises
+    ------
+    ValueError
+        If `points` is neither 5 nor 7, or a reversed item is none of the items.
+    """
+    if isinstance(points, bool) or points not in (5, 7):
+        raise ValueError(f"points must be 5 or 7, got {points!r}; for other scales use LikertScale")
+    source = f"satisfaction, 1 to {int(points)}"
+    return LikertScale("satisfaction", items, 1, int(points), reversed, source=source)
+
+
+def score_satisfaction(  # type: ignore[misc]  # `items` is among the columns too
+    frame: pd.DataFrame,
+    *,
+    points: int,
+    items: Mapping[str, str] | Sequence[str] = SATISFACTION_ITEMS,
+    reversed: Sequence[str] = (),
+    **columns: Unpack[AnswerColumns],
+) -> ScaleScores:
+    """
+    Score satisfaction: mean and sum of its items.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        Answers as given, not reversed: wide (a column per item) or, with `item` and `response`, long.
+    points : {5, 7}
+        Answers run from 1 to this.
+    items : sequence of str or dict
+        The items, which are the columns' names; or a dict of item → column (wide) or label in column `item` (long).
+    reversed : sequence of str
+        Items for which a high answer means little satisfaction.
+    **columns : AnswerColumns
+        The other keyword arguments of `score_likert`: subject, condition, item, response, missing.
+
+    Returns
+    -------
+    ScaleScores
+        Scores satisfaction_mean and satisfaction_sum.
+
+    Raises
+    ------
+    ValueError
+        Naming subject, condition and item of an answer that is missing, not a number, or not a whole number from 1 to
+        `points`.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> answers = pd.DataFrame({"person": [1, 2], "satisfaction": [6, 3], "comfort": [5, 4], "control": [7, 2]})
+    >>> tl.score_satisfaction(answers, points=7, subject="person").table()
+       person  satisfaction_mean  satisfaction_sum
+    0       1                6.0              18.0
+    1       2                3.0               9.0
+    """
+    if isinstance(items, str):
+        raise ValueError(f"items must be a list of columns, got the text {items!r}")
+    scale = satisfaction_scale(points, tuple(items), reversed)
+    names = dict(items) if isinstance(items, Mapping) else None
+    return score_likert(frame, scale, items=names, **columns)
+
+
+_DISTRUST = ("deceptive", "underhanded", "suspicious", "wary", "harmful")
+_TRUST = ("confident", "security", "integrity", "dependable", "reliable", "trust", "familiar")
+
+#: Items 1–5 (distrust) are reversed in mean and sum; both subscales are means of the answers as given.
+TRUST_CHECKLIST = LikertScale(
+    name="trust",
+    items=_DISTRUST + _TRUST,
+    low=1,
+    high=7,
+    reversed=_DISTRUST,
+    subscales=(Subscale("trust_subscale", _TRUST), Subscale("distrust_subscale", _DISTRUST)),
+    source="trust checklist (Jian, Bisantz and Drury 2000)",
+)
+
+
+def score_trust_checklist(frame: pd.DataFrame, **columns: Unpack[AnswerColumns]) -> ScaleScores:
+    """
+    Score the twelve-item trust checklist, 1 to 7, items 1–5 reversed.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        Answers as given, not reversed: wide (a column per item) or, with `item` and `response`, long.
+    **columns : AnswerColumns
+        The keyword arguments of `score_likert`: subject, condition, items, item, response, missing. `items` maps items of
+        TRUST_CHECKLIST to columns (wide) or to labels in column `item` (long), or lists those of items 1 to 12.
+
+    Returns
+    -------
+    ScaleScores
+        Scores trust_mean (1–7), trust_sum (12–84), trust_subscale (1–7, items 6–12) and distrust_subscale (1–7, items
+        1–5, where a high score is distrust).
+
+    Raises
+    ------
+    ValueError
+        Naming subject, condition and item of an answer that is missing, not a number, or not a whole number from 1 to 7.
+
+    References
+    ----------
+    J.-Y. Jian, A. M. Bisantz, C. G. Drury, Foundations for an empirically determined scale of trust in automated systems,
+    International Journal of Cognitive Ergonomics 4 (2000) 53-71.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> import trustlab as tl
+    >>> answers = pd.DataFrame([dict.fromkeys(tl.studies.TRUST_CHECKLIST.items, 4)]).assign(person=1)
+    >>> tl.score_trust_checklist(answers, subject="person").table()
+       person  trust_mean  trust_sum  trust_subscale  distrust_subscale
+    0       1         4.0       48.0             4.0                4.0
+    """
+    return score_likert(frame, TRUST_CHECKLIST, **columns)

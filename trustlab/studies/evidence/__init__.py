@@ -1,1 +1,0 @@
-"""Evidence beyond a significant difference: equivalence, Bayes factors, simultaneous intervals, agreement."""
