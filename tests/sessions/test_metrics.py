@@ -158,3 +158,10 @@ def test_real_tracking_error_is_the_published_one():
     )
     assert len(both) == 40
     np.testing.assert_allclose(both["traj_err"], both["traj_err_theirs"], rtol=0, atol=1e-9)
+
+
+def test_a_window_longer_than_the_log_is_told():
+    columns = {"mode": 1.0, "path_error": 0.0, "step_distance": 0.01, "v_command": 0.1, "w_command": 0.0}
+    session = tl.Session(pd.DataFrame(columns, index=0.1 * np.arange(50)))
+    with pytest.warns(UserWarning, match=r"lasts 4\.9 s, less than the window of 100 s"):
+        session.with_performance()

@@ -1,6 +1,7 @@
 """Recipes: what each rule does to a log, what a wrong recipe is told, header files and folders."""
 
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -258,7 +259,7 @@ def test_metadata_maps_without_a_way_out(tmp_path):
         ('unit = "mm"', 'unit = "mmm"', ["robot_x", "unknown unit 'mmm'", "did you mean 'mm'"]),
         ('unit = "mm"', 'unit = "ms"', ["robot_x", "'ms' measures s, but m is needed"]),
         (', unit = "mm"', "", ["robot_x", "needs its unit", "m"]),
-        ('unit = "ms"', 'unit = "furlong"', ["[time]", "unknown unit 'furlong'"]),
+        ('unit = "ms"', 'unit = "furlong"', ["[time]", "unit must be one of 'iso', 'clock'", "'furlong'"]),
         ("scale =", "scal =", ["robot_y", "unknown key 'scal'", "did you mean 'scale'"]),
         ("scale = -1.0", 'scale = "x"', ["robot_y: scale", "'x'"]),
         ("scale = -1.0", "scale = nan", ["robot_y: scale", "finite"]),
@@ -389,3 +390,46 @@ def test_tables_of_100_000_columns_in_linear_time(tmp_path):
     fails(lambda: read_session(tmp_path / "wide.csv"), "column 'c0' is not in the vocabulary")
     fails(lambda: read_session(tmp_path / "wide.csv", columns=["p_h"]), "'p_h' is missing")
     assert time.process_time() - begun < 5.0
+
+
+TABLE = """
+kind = "table"
+performance_window = 0
+[time]
+unit = "{unit}"
+[columns]
+mode = {{ column = "trigger", above = 2.5 }}
+p_r = {{ column = "p_r" }}
+"""
+
+
+def test_columns_that_are_no_means_are_said_to_be_none(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t,trigger,p_r\n0,0.1,0.3\n100,3.3,0.3\n200,3.3,0.3\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        session = read_session(path, recipe=Recipe.from_toml(TABLE.format(unit="ms")))
+    assert session.metadata.more["performance_window"] == 0.0
+    with pytest.warns(UserWarning, match=r"a\.csv: samples are 100 s apart; if these are milliseconds") as caught:
+        read_session(path, recipe=Recipe.from_toml(TABLE.format(unit="s")))
+    assert caught[0].filename == __file__
+
+
+def test_a_threshold_that_divides_nothing_is_told(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t,trigger,p_r\n0,0.1,0.3\n100,0.2,0.3\n200,0.1,0.3\n")
+    with pytest.warns(UserWarning, match=r"a\.csv: column mode is 0 throughout: 2\.5 divides no sample"):
+        read_session(path, recipe=Recipe.from_toml(TABLE.format(unit="ms")))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        ('unit = "s"', 'unit = "ISO8601"', r"'iso', 'clock', 's', .* got 'ISO8601'; did you mean 'iso'"),
+        ("[columns]", "[columns]\nperformance_window = 3", "performance_window goes above the first"),
+        ("mode =", "driver =", r"\[columns\] driver: not in the vocabulary.*trustlab\.sessions\.vocabulary\(\)"),
+    ],
+)
+def test_a_mistake_in_a_recipe_comes_with_the_remedy(before, after, says):
+    with pytest.raises(RecipeError, match=says):
+        Recipe.from_toml(TABLE.format(unit="s").replace(before, after))

@@ -60,7 +60,7 @@ def damage_named(what: str, remedy: str) -> Iterator[None]:
     # takes every Exception and hands on the cause.
     try:
         yield
-    except SessionError:
+    except (SessionError, ModuleNotFoundError):  # the second says what to install, and nothing of the file
         raise
     except Exception as error:
         reason = (str(error) or "no reason given").splitlines()[0][:200]

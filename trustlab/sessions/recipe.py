@@ -92,11 +92,11 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trustlab.models.checks import did_you_mean, finite_number, one_of, positive, shown, whole_number
+from trustlab.models.checks import did_you_mean, finite_number, not_negative, one_of, positive, shown, whole_number
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
 from trustlab.sessions.patterns import FieldPath, PathPattern
 from trustlab.sessions.resampling import METHODS
-from trustlab.sessions.vocabulary import VOCABULARY, to_si
+from trustlab.sessions.vocabulary import UNITS, VOCABULARY, to_si
 
 Rule = TypeVar("Rule")
 
@@ -383,7 +383,12 @@ _COLUMN_RULES = {
 def _column_rule(name: str, table: object) -> ColumnRule:
     where = f"[columns] {name}"
     if name not in VOCABULARY:
-        hint = " (time goes under [time])" if name == "t" else did_you_mean(name, VOCABULARY)
+        hint = (
+            did_you_mean(name, VOCABULARY)
+            + '; a column is ours = { column = "theirs" }, ours of trustlab.sessions.vocabulary()'
+        )
+        hint = " (time goes under [time])" if name == "t" else hint
+        hint = f"; {name} goes above the first [table]" if name in Recipe.__dataclass_fields__ else hint
         raise RecipeError(f"{where}: not in the vocabulary{hint}")
     found = [own for own in _COLUMN_RULES if isinstance(table, Mapping) and own in table]
     if len(found) == 1:
@@ -445,8 +450,10 @@ class TableTime:
     repeated: str | None = key(repeat_rule, None)
 
     def __post_init__(self):
-        if self.unit not in ("iso", "clock"):
+        if self.unit in UNITS:
             to_si(self.unit, "s")
+        else:
+            one_of("unit", self.unit, ("iso", "clock", *(name for name, (si, _) in UNITS.items() if si == "s")))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -550,7 +557,7 @@ class Recipe:
     metadata : mapping, optional
         Metadata name to its rule, in the order of evaluation.
     performance_window : float, optional
-        Length of the moving mean that the columns p_r and p_h are [s].
+        Length of the moving mean that the columns p_r and p_h are [s]; 0 if they are no means.
     header : HeaderRule, optional
         The table with one row per session.
     supersedes : Supersedes, optional
@@ -572,7 +579,7 @@ class Recipe:
     resampling: Resampling | None = key(_nested(Resampling), None)
     columns: Mapping[str, ColumnRule] = key(partial(_each, rule=_column_rule), hint="at least one column")
     metadata: Mapping[str, MetadataRule] | None = key(partial(_each, rule=_metadata_rule), None)
-    performance_window: float | None = key(positive, None)
+    performance_window: float | None = key(not_negative, None)
     header: HeaderRule | None = key(_nested(HeaderRule), None)
     supersedes: Supersedes | None = key(_nested(Supersedes), None)
     splitting: Splitting | None = key(_nested(Splitting), None)

@@ -338,10 +338,12 @@ def check_column(
     if np.isfinite([least, most]).all() and low <= least and most <= high:
         return values
     bad = ~np.isfinite(values)
-    why = "is missing or not finite; fill it or cut it out before reading, by a rule that you state"
+    why = (
+        'is missing or not finite; fill it, cut it out, or let a rule of a recipe fill it (blank = "hold" or "linear")'
+    )
     if not bad.any():
         bad = (values < low) | (values > high)
-        why = f"lies outside [{low:g}, {high:g}] ({column.meaning}); correct it, or scale it with a recipe"
+        why = f"lies outside [{low:g}, {high:g}] ({column.meaning}); correct it, or let a recipe scale it or divide it in two (scale, above)"
         if column.unit == "m" and low == 0.0:
             why += "; a signed deviation becomes a distance with absolute = true in the recipe's column"
     k = int(np.argmax(bad))

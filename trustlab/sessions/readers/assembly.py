@@ -1,5 +1,6 @@
 """From a raw log to a session: checks, resampling, constant and computed columns, metadata."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,9 @@ from trustlab.sessions.readers.mending import merge_repeats, split_at_gaps
 from trustlab.sessions.recipe import Constant, MetadataColumn, MetadataRule, Recipe, Resampling, mapped, plain_key
 from trustlab.sessions.resampling import RawLog, require_common_times, resample
 from trustlab.sessions.session import Session, check_column, check_rising, check_time
+
+# Mean time between samples from which times are probably not seconds: nobody logs control that slowly.
+SLOW = 10.0
 
 
 def recipe_values(recipe: Recipe, path: Path | None, index: SessionIndex | None) -> dict[str, object]:
@@ -96,13 +100,28 @@ def assemble_session(
                 columns[name] = np.full(t.size, _constant(rule, values))
         for name, rule in rules.items():
             if getattr(rule, "above", None) is not None and name in columns:
-                log.notes[f"{name} above {rule.above:g}"] = f"{int(columns[name].sum())} of {t.size} samples"
+                count = int(columns[name].sum())
+                log.notes[f"{name} above {rule.above:g}"] = f"{count} of {t.size} samples"
+                if count in (0, t.size):
+                    _warn(
+                        log,
+                        f"column {name} is {count and 1} throughout: {rule.above:g} divides no sample from the others",
+                    )
             if rule.needs and (wanted is None or name in wanted):
                 with np.errstate(over="ignore"):  # the session refuses what is not finite
                     columns[name] = rule.compute(columns)
         names = wanted or list(rules or columns)
         frame = pd.DataFrame({name: columns[name] for name in names}, index=pd.Index(t, name="t"), copy=False)
+        if t[-1] - t[0] >= SLOW * (t.size - 1):
+            _warn(
+                log,
+                f'samples are {t[1] - t[0]:g} s apart; if these are milliseconds, a recipe says so: [time] unit = "ms"',
+            )
         return Session(frame, _metadata(log, recipe, values))
+
+
+def _warn(log: RawLog, what: str) -> None:
+    warnings.warn(f"{log.source}: {what}", UserWarning, stacklevel=7)
 
 
 def _constant(rule: MetadataColumn, values: Mapping[str, object]) -> float:

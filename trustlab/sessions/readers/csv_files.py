@@ -29,7 +29,7 @@ COMMENT = "# trustlab "
 # How many characters a line may have.
 LONGEST_LINE = 1 << 24
 
-_FILL = "fill it or cut it out before reading, by a rule that you state"
+_FILL = 'fill it, cut it out, or let a rule of a recipe fill it (blank = "hold" or "linear")'
 _NOT_A_NUMBER = {"nan", "na", "n/a", "null", "none", "inf", "-inf", "+inf", "infinity", "-infinity", "-"}
 
 

@@ -120,7 +120,7 @@ def _columns(name: str, shape: tuple[int, ...], read: Callable[[], np.ndarray]) 
         yield name, lambda: read().ravel()
     elif len(shape) == 2:
         for k in range(shape[1]):
-            yield f"{name}[{k}]", lambda k=k: read()[:, k]
+            yield f"{name}[{k}]", partial(lambda k: read()[:, k], k)
 
 
 def _matlab_arrays(path: Path, budget: Budget) -> Arrays:

@@ -69,7 +69,9 @@ def _iso_time(text: object) -> float:
     try:
         time = datetime.fromisoformat(str(text).strip())
     except ValueError:
-        raise ValueError(f"{str(text)[:60]!r} is not a time such as 2026-03-01T12:00:00.5") from None
+        raise ValueError(
+            f"{str(text)[:60]!r} is not a time such as 2026-03-01T12:00:00.5; write it so, or in seconds"
+        ) from None
     time = time if time.tzinfo else time.replace(tzinfo=UTC)
     return (time - datetime.fromtimestamp(0, UTC)) / timedelta(seconds=1)
 

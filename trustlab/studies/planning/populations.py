@@ -304,6 +304,8 @@ class TeleoperatorPopulation:
         Study whose settings and target are used: that of Section 3.8 or 3.9.
     testbed : str
         "uav"; not an argument.
+    origin : str
+        Where the numbers come from; not an argument.
 
     Raises
     ------
