@@ -47,12 +47,10 @@ from .transparency import (
     dominance as dominance,
     gains as gains,
     ideal_distances as ideal_distances,
-    rendered_impedance as rendered_impedance,
-    tune_transparency as tune_transparency,
-)
-from .transparency_plots import (
     plot_rendered_spring as plot_rendered_spring,
     plot_scales as plot_scales,
     plot_transparency as plot_transparency,
     plot_tunings as plot_tunings,
+    rendered_impedance as rendered_impedance,
+    tune_transparency as tune_transparency,
 )

@@ -16,13 +16,13 @@ from .ground_robot.run import GroundRobotRun as GroundRobotRun
 from .guidance_comparison import GuidanceComparison as GuidanceComparison, compare_guidance as compare_guidance
 from .robot_team import simulate_team as simulate_team
 from .team_run import TeamRun as TeamRun
-from .teleoperation_measures import teleoperation_measures as teleoperation_measures
-from .teleoperation_plots import (
+from .teleoperation_measures import (
     plot_alpha as plot_alpha,
     plot_beside as plot_beside,
     plot_energies as plot_energies,
     plot_signals as plot_signals,
     plot_trajectory as plot_trajectory,
+    teleoperation_measures as teleoperation_measures,
 )
 from .tracking_task import TrackingTask as TrackingTask, tracking_vehicle as tracking_vehicle
 from .uav_following.people import FollowingPopulation as FollowingPopulation, following_operator as following_operator

@@ -305,6 +305,6 @@ class TeamRun:
         ValueError
             If `until` is not within the run, or `lasting` is not positive.
         """
-        from trustlab.testbeds.team_svg import animated_svg
+        from trustlab.testbeds.team_animation import animated_svg
 
         return animated_svg(self, until, lasting)
