@@ -1,5 +1,6 @@
 from .condition_run import ConditionRun as ConditionRun
 from .ground_robot.conditions import (
+    GroundRobotRun as GroundRobotRun,
     drive_modes as drive_modes,
     identification_session as identification_session,
     run_condition as run_condition,
@@ -12,7 +13,6 @@ from .ground_robot.participants import (
     published_thresholds as published_thresholds,
 )
 from .ground_robot.pioneer import Pioneer as Pioneer
-from .ground_robot.run import GroundRobotRun as GroundRobotRun
 from .guidance_comparison import GuidanceComparison as GuidanceComparison, compare_guidance as compare_guidance
 from .robot_team import simulate_team as simulate_team
 from .team_run import TeamRun as TeamRun

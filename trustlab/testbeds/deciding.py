@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from trustlab.allocation.correction.corrector import threshold_pair
 from trustlab.allocation.limits import check_thresholds, threshold_limits
@@ -102,17 +103,32 @@ def suggested_by_tsc(condition: str) -> bool:
     return condition in ("C2", "C3")
 
 
-def planned(
+def task_for(
     condition: str | None,
-    operator: Operator,
-    model: TscModel,
+    rule: Any,
+    mode: int | None,
     thresholds: tuple[float, float] | None,
     default: tuple[float, float] | None,
+    operator: Operator,
+    model: TscModel,
     e_max: float,
     laps: int,
     r0: float | None,
-) -> tuple[Task, tuple[float, float] | None]:
-    """Return the task of a condition, and the thresholds of its suggestions, checked: those given, or a default, in C2 and C3."""
+) -> tuple[Any, Task, tuple[float, float] | None, str]:
+    """
+    Return a rule of one's own or None, the task, the thresholds of suggestions, and what to call the condition, all checked.
+
+    Thresholds, those given or a default, belong to C2 and C3; `mode` to a rule, beside which there is no condition.
+    """
+    r0 = operator.r0 if r0 is None else r0
+    if rule is not None:
+        if condition is not None or thresholds is not None:
+            raise ValueError("condition and thresholds have no effect beside rule=, which decides; leave them out")
+        rule, mode = begun(rule, mode)
+        task = task_of(SCHEDULE, e_max, laps=laps, model=model, first_mode=mode, r0=r0)
+        return rule, task, None, f"rule {type(rule).__name__}"
+    if mode is not None:
+        raise ValueError("mode has no effect without rule=: the conditions begin in the manual mode; leave it out")
     condition = one_of("condition", condition, KNOWN, "rule=")
     scheme, forced = KNOWN[condition]
     if thresholds is not None and not suggested_by_tsc(condition):
@@ -130,35 +146,17 @@ def planned(
     lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
     if condition == "own":  # switches in C1 come at these values of measured TSC
         lower, upper = operator.lower - operator.trust_bias, operator.upper - operator.trust_bias
-    r0 = operator.r0 if r0 is None else r0
-    return task_of(scheme, e_max, forced, laps, lower, upper, model, r0=r0), thresholds
+    return None, task_of(scheme, e_max, forced, laps, lower, upper, model, r0=r0), thresholds, condition
 
 
-def ruled(
-    rule: Any,
-    mode: int | None,
-    named: tuple,
-    operator: Operator,
-    model: TscModel,
-    e_max: float,
-    laps: int,
-    r0: float | None,
-) -> tuple[Any, Task, str]:
-    """Return a rule of one's own, its task, and what to call the condition; `named` must hold neither condition nor thresholds."""
-    if any(one is not None for one in named):
-        raise ValueError("condition and thresholds have no effect beside rule=, which decides; leave them out")
-    rule, mode = begun(rule, mode)
-    r0 = operator.r0 if r0 is None else r0
-    task = task_of(SCHEDULE, e_max, laps=laps, model=model, first_mode=mode, r0=r0)
-    return rule, task, f"rule {type(rule).__name__}"
-
-
-def decided_by(rule: Any, task: Task, most: int, run: Callable[[np.ndarray], tuple]) -> tuple:
+def decided_by(rule: Any, task: Task, most: int, run: Callable[[np.ndarray | None], tuple]) -> tuple:
     """
-    Return what `run(modes)` returns, its log first, where a rule gives the modes of at most `most` samples.
+    Return what `run(modes)` returns, its log first, where a rule gives the modes of at most `most` samples; None gives none.
 
     The run is made again after each switch: with the same streams of noise, nothing before it changes.
     """
+    if rule is None:
+        return run(None)
     schedule, said = np.full(most, task.first_mode), np.full(most, -1.0)
     k, switched = round(SETTLING / SAMPLE_TIME), True
     while switched:
@@ -188,6 +186,19 @@ def warn_if_too_short(longest: float) -> None:
 def sample_times(count: int) -> np.ndarray:
     """Return the times of so many samples [s]."""
     return np.round(np.arange(count) * SAMPLE_TIME, 6)
+
+
+def framed(log: np.ndarray) -> pd.DataFrame:
+    """Return a log, all numbers, as a table over time."""
+    table = log.view(float).reshape(log.size, -1)
+    return pd.DataFrame(table, index=pd.Index(sample_times(log.size), name="t"), columns=log.dtype.names)
+
+
+def someone(participant: Any, operator: Operator | None, remedy: str) -> Any:
+    """Return whichever of the two is given; `remedy` says what to give where neither is."""
+    if (participant is None) == (operator is None):
+        raise ValueError(remedy if operator is None else "give either participant= or operator=, not both")
+    return operator if participant is None else participant
 
 
 def tsc_facts(thresholds: tuple[float, float] | None) -> dict[str, float]:

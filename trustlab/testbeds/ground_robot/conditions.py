@@ -1,7 +1,8 @@
 """A robot on a course, an operator, and who drives: a simulated stand-in for the Stage testbed of Fig. 2.1."""
 
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -15,16 +16,9 @@ from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.records import log_of
 from trustlab.testbeds import deciding
 from trustlab.testbeds.condition_run import ConditionRun, condition_measures
-from trustlab.testbeds.ground_robot import kernel
+from trustlab.testbeds.ground_robot import kernel, participants
 from trustlab.testbeds.ground_robot.course import Course, default_course
-from trustlab.testbeds.ground_robot.participants import (
-    participant_label,
-    published_model,
-    published_operator,
-    published_thresholds,
-)
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
-from trustlab.testbeds.ground_robot.run import GroundRobotRun
 from trustlab.testbeds.uav_following.run import fly_condition
 
 E_MAX = 2.0
@@ -37,6 +31,61 @@ MAKE_OPERATOR = (
     "make one with trustlab.operators.operator(participant, model) or trustlab.testbeds.published_operator(1)"
 )
 NOTE = "simulated stand-in for the Stage testbed of Fig. 2.1"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class GroundRobotRun(ConditionRun):
+    """
+    One simulated run on the ground-robot testbed.
+
+    Parameters
+    ----------
+    session, operator, model, thresholds : Session, Operator, TscModel, (float, float) or None
+        As for a `ConditionRun`.
+    course : Course
+        Where.
+    robot : Pioneer
+        What.
+    lap_times : numpy.ndarray, shape (laps,)
+        When each lap ended [s].
+    """
+
+    title: ClassVar[str] = "Ground-robot run"
+
+    course: Course
+    robot: Pioneer
+    lap_times: np.ndarray
+
+    def laps(self) -> pd.DataFrame:
+        """Return the laps: columns lap, start [s], end [s], duration [s], manual_share, p_r, path_error [m]."""
+        start = np.r_[0.0, self.lap_times[:-1]]
+        data = self.session.data
+        which = np.searchsorted(self.lap_times, data.index.to_numpy(), side="right").clip(max=start.size - 1)
+        means = data[["mode", "p_r", "path_error"]].groupby(which).mean().rename(columns={"mode": "manual_share"})
+        laps = pd.DataFrame({"lap": np.arange(1, start.size + 1), "start": start, "end": self.lap_times})
+        return laps.assign(duration=laps["end"] - laps["start"]).join(means)
+
+    def plot_path(self, start: float = 0.0, stop: float | None = None, axes=None):
+        """
+        Plot the desired path and where the robot went under manual and autonomous control, as Fig. 2.2 does.
+
+        Parameters
+        ----------
+        start, stop : float, optional
+            The part of the run to show [s]; to its end when `stop` is not given.
+        axes : matplotlib.axes.Axes, optional
+            Where to plot; a new figure when not given.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        from trustlab.testbeds.ground_robot.plots import plot_path
+
+        return plot_path(self.session, self.course, start, stop, axes)
+
+    def __repr__(self) -> str:
+        return f"GroundRobotRun({self.session.label}: {self.lap_times.size} laps in {self.session.duration:.0f} s)"
 
 
 def run_condition(
@@ -129,27 +178,22 @@ def run_condition(
     >>> run.session.metadata.synthetic
     True
     """
-    if rule is None and mode is not None:
-        raise ValueError("mode has no effect without rule=: the conditions begin in the manual mode; leave it out")
     if one_of("testbed", testbed, TESTBEDS) != "ground_robot":
         for name, value in (("laps", laps), ("robot", robot), ("course", course)):
             if value is not None:
                 raise ValueError(f"{name} has no effect on the UAV testbed; leave it out")
         return fly_condition(condition, participant, model, thresholds, seed, r0, operator, rule, mode)
-    operator, model, printed = _who(participant, operator, model)
-    operator, robot, course = _checked(operator, robot, course)
+    operator, model, printed = who_drives(participant, operator, model)
+    operator, robot, course = checked(operator, robot, course)
     laps = whole_number("laps", 8 if laps is None else laps, most=MOST_LAPS)
-    most = _longest(laps, course)
-    if rule is None:
-        task, thresholds = deciding.planned(condition, operator, model, thresholds, printed, E_MAX, laps, r0)
-        data, lap_times = _drive(task, most, robot, course, operator, seed)
-    else:
-        rule, task, condition = deciding.ruled(rule, mode, (condition, thresholds), operator, model, E_MAX, laps, r0)
-        drive = partial(_drive, task, most, robot, course, operator, seed)
-        data, lap_times = deciding.decided_by(rule, task, most, drive)
+    most = longest(laps, course)
+    who = operator, model, E_MAX, laps, r0
+    rule, task, thresholds, condition = deciding.task_for(condition, rule, mode, thresholds, printed, *who)
+    run = partial(driven, task, most, robot, course, operator, seed)
+    data, lap_times = deciding.decided_by(rule, task, most, run)
     deciding.warn_if_too_short(data.size * deciding.SAMPLE_TIME)
     facts = {"laps": laps, "settling": deciding.SETTLING} | deciding.tsc_facts(thresholds)
-    session = _session(_frame(data), operator, condition, seed, **facts)
+    session = session_of(deciding.framed(data), operator, condition, seed, **facts)
     return GroundRobotRun(
         session=session,
         course=course,
@@ -172,8 +216,9 @@ def measured_condition(
 ) -> tuple[dict[str, float], float]:
     """Return the measures of `run_condition` with its defaults, and the last utilization, without making a session."""
     course = default_course()
-    task, _ = deciding.planned(condition, operator, model, None, thresholds, E_MAX, laps, r0)
-    log, lap_times = _drive(task, _longest(laps, course), Pioneer(), course, operator, seed)
+    who = operator, model, E_MAX, laps, r0
+    _, task, _, _ = deciding.task_for(condition, None, None, None, thresholds, *who)
+    log, lap_times = driven(task, longest(laps, course), Pioneer(), course, operator, seed)
     measures = condition_measures(log, deciding.sample_times(log.size), condition, operator, model, lap_times)
     return measures, float(log["r"][-1])
 
@@ -217,7 +262,7 @@ def drive_modes(
     ValueError
         If a mode is neither 0 nor 1, or another argument is not understood.
     """
-    operator, robot, course = _checked(operator, robot, course)
+    operator, robot, course = checked(operator, robot, course)
     if not isinstance(condition, str):
         raise ValueError(f"condition must be a name for the metadata, got {condition!r:.60}")
     modes = finite_array("mode", mode)
@@ -229,8 +274,8 @@ def drive_modes(
         raise ValueError(f"mode must have at least two samples, zeros and ones, got {modes.size}")
     _steps(modes.size * deciding.SAMPLE_TIME, "mode")
     task = deciding.task_of(deciding.SCHEDULE, E_MAX, first_mode=int(modes[0]), r0=r0)
-    data, _ = _drive(task, modes.size, robot, course, operator, seed, modes.astype(np.int64))
-    return _session(_frame(data).drop(columns=["tsc", "suggested_mode"]), operator, condition, seed)
+    data, _ = driven(task, modes.size, robot, course, operator, seed, modes.astype(np.int64))
+    return session_of(deciding.framed(data).drop(columns=["tsc", "suggested_mode"]), operator, condition, seed)
 
 
 def identification_session(
@@ -291,13 +336,10 @@ def identification_session(
     return drive_modes(mode, operator, seed, robot, course, condition="identification")
 
 
-def _who(participant, operator, model) -> tuple[Operator, TscModel, tuple[float, float] | None]:
+def who_drives(participant, operator, model) -> tuple[Operator, TscModel, tuple[float, float] | None]:
     """Return the operator, the model, and the printed thresholds of a printed participant."""
-    if operator is not None and participant is not None:
-        raise ValueError("give either participant= or operator=, not both")
-    someone = operator if participant is None else participant
-    if someone is None:
-        raise ValueError("who drives? give participant=, 1 to 5 or 'pilot', or an Operator with model=")
+    remedy = "who drives? give participant=, 1 to 5 or 'pilot', or an Operator with model="
+    someone = deciding.someone(participant, operator, remedy)
     if isinstance(someone, Teleoperator):
         raise ValueError(
             "operator must be of class Operator, got Teleoperator, who flies a UAV (simulate_teleoperation); for the ground robot "
@@ -306,9 +348,9 @@ def _who(participant, operator, model) -> tuple[Operator, TscModel, tuple[float,
     if operator is not None or isinstance(someone, Operator):
         of_class("operator", someone, Operator, MAKE_OPERATOR)
         return someone, of_class("model", model, TscModel), None
-    label = participant_label(someone)
-    model = published_model(label) if model is None else of_class("model", model, TscModel)
-    return published_operator(label), model, published_thresholds(label)
+    label = participants.participant_label(someone)
+    model = participants.published_model(label) if model is None else of_class("model", model, TscModel)
+    return participants.published_operator(label), model, participants.published_thresholds(label)
 
 
 def _steps(seconds: float, what: str) -> int:
@@ -321,7 +363,8 @@ def _steps(seconds: float, what: str) -> int:
     return int(np.ceil(seconds / deciding.SAMPLE_TIME))
 
 
-def _checked(operator, robot, course) -> tuple[Operator, Pioneer, Course]:
+def checked(operator, robot, course) -> tuple[Operator, Pioneer, Course]:
+    """Return operator, robot and course, checked; the last two by default where they are None."""
     robot, course = Pioneer() if robot is None else robot, default_course() if course is None else course
     of_class("operator", operator, Operator, MAKE_OPERATOR)
     of_class("robot", robot, Pioneer)
@@ -329,12 +372,12 @@ def _checked(operator, robot, course) -> tuple[Operator, Pioneer, Course]:
     return operator, robot, course
 
 
-def _longest(laps: int, course: Course) -> int:
+def longest(laps: int, course: Course) -> int:
     """Return how many samples laps may take."""
     return _steps(laps * course.length / SLOWEST, f"{laps} laps of {course.length:.3g} m") + 1
 
 
-def _drive(task, most, robot, course, operator, seed, schedule=None, correction=None) -> tuple[np.ndarray, np.ndarray]:
+def driven(task, most, robot, course, operator, seed, schedule=None, correction=None) -> tuple[np.ndarray, np.ndarray]:
     """Return the log of at most `most` samples, and when laps ended; all that are wanted must be done by then."""
     _, log = log_of(kernel.LOG, most)
     lap_times = np.empty(task.laps)
@@ -351,12 +394,7 @@ def _drive(task, most, robot, course, operator, seed, schedule=None, correction=
     return log[:rows], lap_times[:done]
 
 
-def _frame(log: np.ndarray) -> pd.DataFrame:
-    """Return a log of the ground robot as a table over time."""
-    table = log.view(float).reshape(log.size, len(kernel.COLUMNS))
-    return pd.DataFrame(table, index=pd.Index(deciding.sample_times(log.size), name="t"), columns=kernel.COLUMNS)
-
-
-def _session(data, operator, condition, seed, **facts) -> Session:
+def session_of(data, operator, condition, seed, **facts) -> Session:
+    """Return a run as a session that says how it was made."""
     facts |= deciding.seed_facts(seed) | {"note": NOTE} | deciding.measured("(2.4), (2.7)")
     return Session(data, Metadata(operator.participant, condition, "trustlab.testbeds.ground_robot", True, facts))

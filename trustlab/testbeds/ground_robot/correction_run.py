@@ -11,17 +11,8 @@ from trustlab.allocation.correction.tests_in_a_row import CorrectionRun
 from trustlab.models.checks import not_negative, one_of, spawned, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
-from trustlab.testbeds.deciding import OWN, TSC, task_of
-from trustlab.testbeds.ground_robot.conditions import (
-    E_MAX,
-    MOST_LAPS,
-    _checked,
-    _drive,
-    _frame,
-    _longest,
-    _session,
-    _who,
-)
+from trustlab.testbeds.deciding import OWN, TSC, framed, task_of
+from trustlab.testbeds.ground_robot import conditions as bed
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 
@@ -105,27 +96,29 @@ def run_correction(
     Simulated: no person took part.
     """
     scheme, forced, adopted = HABITS[one_of("habit", habit, HABITS)]
-    operator, model, printed = _who(participant, None, model)
-    operator, robot, course = _checked(operator, robot, course)
+    operator, model, printed = bed.who_drives(participant, None, model)
+    operator, robot, course = bed.checked(operator, robot, course)
     corrector = ThresholdCorrector(model, target, c_b, horizon)
     if start is None and printed is None:
         raise ValueError("an Operator needs start=(TSC_l, TSC_u), the thresholds to begin with")
     start = threshold_pair("start", printed if start is None else start)
-    tests, laps = whole_number("tests", tests, most=100), whole_number("laps", laps, most=MOST_LAPS)
+    tests, laps = whole_number("tests", tests, most=100), whole_number("laps", laps, most=bed.MOST_LAPS)
     lag = not_negative("lag", lag)
     if habit == "lagging":
         operator = replace(operator, reaction_lag=lag)
-    most, now, parts, sessions = _longest(laps, course), start, [], []
+    most, now, parts, sessions = bed.longest(laps, course), start, [], []
     for test, child in enumerate(spawned(seed, tests), start=1):
         limits = (operator.lower, operator.upper) if scheme == OWN else now
         if adopted:
             limits = (limits[0] + now[0] - start[0], limits[1] + now[1] - start[1])
-        task = task_of(scheme, E_MAX, forced=forced, laps=laps, lower=limits[0], upper=limits[1], model=model, r0=r0)
+        task = task_of(
+            scheme, bed.E_MAX, forced=forced, laps=laps, lower=limits[0], upper=limits[1], model=model, r0=r0
+        )
         plan = loop_correction(model, now, corrector.target, corrector.c_b, corrector.horizon, most, adopted)
-        log, _ = _drive(task, most, robot, course, operator, child, correction=plan)
-        data = _frame(log)
+        log, _ = bed.driven(task, most, robot, course, operator, child, correction=plan)
+        data = framed(log)
         facts = {"laps": laps, "habit": habit, "test": test, "TSC_ld": target[0], "TSC_ud": target[1]}
-        sessions.append(_session(data, operator, f"correction, {habit}", child, **facts))
+        sessions.append(bed.session_of(data, operator, f"correction, {habit}", child, **facts))
         parts.append(_rows(test, data, plan.log[: len(data)], plan.thresholds))
         now = tuple(plan.thresholds.tolist())
     frame = pd.concat(parts, ignore_index=True)

@@ -4,7 +4,6 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from trustlab.models.checks import of_class, spawned
 from trustlab.models.tsc import TscModel
@@ -93,31 +92,22 @@ def fly_condition(
     not measured.
     """
     own = None
-    if operator is not None and participant is not None:
-        raise ValueError("give either participant= or operator=, not both")
-    someone = operator if participant is None else participant
-    if someone is None:
-        raise ValueError("who flies? give participant=, 1 to 20, or an Operator with model=")
+    remedy = "who flies? give participant=, 1 to 20, or an Operator with model="
+    someone = deciding.someone(participant, operator, remedy)
     if not isinstance(someone, Operator):
         someone, own_model, own = following_operator(someone)
         model = own_model if model is None else model
     model = of_class("model", model, TscModel)
-    if rule is None:
-        task, thresholds = deciding.planned(condition, someone, model, thresholds, own, E_MAX, 0, r0)
-        (log,) = _fly(task, someone, seed)
-    else:
-        rule, task, condition = deciding.ruled(rule, mode, (condition, thresholds), someone, model, E_MAX, 0, r0)
-        (log,) = deciding.decided_by(rule, task, SAMPLES, partial(_fly, task, someone, seed))
-    facts = (
-        {"duration": DURATION, "settling": deciding.SETTLING}
-        | deciding.tsc_facts(thresholds)
-        | deciding.seed_facts(seed)
-    )
-    facts |= {"note": NOTE} | deciding.measured(f"Section 2.4.2, e_max {E_MAX:g} m, Δu_max {U_MAX:g} m/s")
-    table = log.view(float).reshape(log.size, len(kernel.LOG.names))
-    data = pd.DataFrame(table, index=pd.Index(deciding.sample_times(log.size), name="t"), columns=kernel.LOG.names)
+    who = someone, model, E_MAX, 0, r0
+    rule, task, thresholds, condition = deciding.task_for(condition, rule, mode, thresholds, own, *who)
+    (log,) = deciding.decided_by(rule, task, SAMPLES, partial(_fly, task, someone, seed))
+    facts: dict[str, Any] = {"duration": DURATION, "settling": deciding.SETTLING} | deciding.tsc_facts(thresholds)
+    facts |= deciding.seed_facts(seed) | {"note": NOTE}
+    facts |= deciding.measured(f"Section 2.4.2, e_max {E_MAX:g} m, Δu_max {U_MAX:g} m/s")
     about = Metadata(someone.participant, condition, "trustlab.testbeds.uav_following", True, facts)
-    return ConditionRun(session=Session(data, about), operator=someone, model=model, thresholds=thresholds)
+    return ConditionRun(
+        session=Session(deciding.framed(log), about), operator=someone, model=model, thresholds=thresholds
+    )
 
 
 def measured_flight(
@@ -129,7 +119,8 @@ def measured_flight(
     r0: float | None,
 ) -> tuple[dict[str, float], float]:
     """Return the measures of `fly_condition`, and the last utilization, without making a session."""
-    task, _ = deciding.planned(condition, operator, model, None, thresholds, E_MAX, 0, r0)
+    who = operator, model, E_MAX, 0, r0
+    _, task, _, _ = deciding.task_for(condition, None, None, None, thresholds, *who)
     (log,) = _fly(task, operator, seed)
     return condition_measures(log, deciding.sample_times(log.size), condition, operator, model), float(log["r"][-1])
 
