@@ -14,10 +14,8 @@ around the reachable states grow wide within a few cycles, so Σ f is bounded ph
    choice of ρ or v loosens the bound but never invalidates it.
 
 A node is a mode with a cell of r: autonomous phases are nodes 0 … CELLS − 1, manual ones CELLS … 2 CELLS − 1, and the
-current phase is the last node, START.
+current phase is START. An unfinished phase is an edge to END, from which nothing goes on.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,14 +27,14 @@ from trustlab.models.tsc import human_at, human_range, tsc_at
 # Cells of utilization, over [0, 1].
 CELLS = 800
 
-START = 2 * CELLS
-NODES = START + 1
+START, END = 2 * CELLS, 2 * CELLS + 1
 
 # Columns of arrays of intervals.
 LOW, HIGH = 0, 1
 
-# Pieces of a threshold's interval; the first the narrowest, each 1.35 times the one before.
+# Where the interval of a threshold is cut into pieces; the first is the narrowest, each 1.35 times the one before.
 PIECES = 14
+CUTS = np.append(0.0, np.cumsum(1.35 ** np.arange(PIECES)) / np.sum(1.35 ** np.arange(PIECES)))
 
 # Most samples of tubes to follow, in all and per step of the horizon; beyond, nothing is proved.
 WORK, WORK_EACH = 4_000_000, 100
@@ -48,20 +46,9 @@ POOL = 1_500_000
 TIGHT = 1e-9
 
 
-class Phases(NamedTuple):
-    """All phases that can follow the current one: for each node its interval of r and, in pools, the sums for each length."""
-
-    first: np.ndarray  # where a node's lengths begin in the pools; −1 where no phase begins in it
-    last: np.ndarray  # its greatest length
-    ends: np.ndarray  # its interval of r
-    least: np.ndarray  # pool: least sign·Σ of performance's share over so many samples
-    leave: np.ndarray  # pool: the same where the phase can end there, else infinity
-
-
-@njit
-def is_manual(node, mode):
-    """Return whether a node's phase is manual; `mode` is that of the current phase."""
-    return mode == 1.0 if node == START else node >= CELLS
+# A phase of so many samples from a node to the nodes `first` … `last`; effort is the least sign·Σ f + v (r at its end − r at
+# its beginning), where the end of an unfinished phase counts as the r of now.
+EDGE = np.dtype([("start", int), ("first", int), ("last", int), ("length", int), ("effort", float)])
 
 
 @njit
@@ -145,43 +132,33 @@ def busy(manual, x, t, keep, share):
 
 
 @njit
-def edge(manual, xa, xb, t, keep, share, sign, v):
-    """Return the least of sign·Σ r + v·(r after − r before) over x in [xa, xb], which is linear in x."""
-    sum_a, after_a = busy(manual, xa, t, keep, share)
-    sum_b, after_b = busy(manual, xb, t, keep, share)
-    return min(sign * sum_a + v * (after_a - xa), sign * sum_b + v * (after_b - xb))
+def all_phases(r, p, mode, k, limits, sign, v, c):
+    """
+    Follow the current phase, then one from every cell in which a phase can begin.
 
-
-@njit
-def all_phases(r, p, mode, k, limits, sign, c):
-    """Follow the current phase, then one from every cell in which a phase can begin; return them and whether all were followed."""
+    Returns the edges, where those of each node begin and end among them, and whether all phases were followed.
+    """
     span = c.p_r_max - c.p_r_min
     p_most = max(p, c.p_r_min + c.b_pr * max(c.p_h_max, 0.0) / (1.0 - c.a_pr)) + 1e-12
     p_least = min(p, c.p_r_min + c.b_pr * min(c.p_h_min, 0.0) / (1.0 - c.a_pr)) - 1e-12
     # With a rounded b_pr, f can leave [0, 2] and rates are cut at 0: subtract by how much f can be outside.
     offset = max((p_most - c.p_r_min) / span - 1.0, 0.0) if sign > 0 else max((c.p_r_min - p_least) / span, 0.0)
-    first, last, cells = np.full(NODES, -1, np.int64), np.zeros(NODES, np.int64), np.zeros((NODES, 2))
-    phases = Phases(first, last, cells, np.empty(POOL), np.empty(POOL))
-    queue, queued = np.empty(NODES, np.int64), np.zeros(NODES, np.bool_)
+    edges, begin, end = np.empty(2 * POOL, EDGE), np.zeros(END, np.int64), np.zeros(END, np.int64)
+    # Of one node, over so many samples: least sign·Σ of performance's share, and the same where the phase can end there.
+    least, leave = np.empty(k + 2), np.empty(k + 2)
+    queue, queued = np.empty(END, np.int64), np.zeros(END, np.bool_)
     allowed = WORK + WORK_EACH * k
     h = np.empty((k + 2, 2))
-    weights = 1.35 ** np.arange(PIECES)
-    whole, cuts = weights.sum(), np.zeros(PIECES + 1)
-    sums = np.cumsum(weights)
-    for j in range(PIECES):
-        cuts[j + 1] = sums[j] / whole
-    queue[0], queued[START], head, tail, used, work = START, True, 0, 1, 0, 0
+    queue[0], queued[START], head, tail, used, count, work = START, True, 0, 1, 0, 0, 0
     while head < tail:
         node = queue[head]
         head += 1
-        start, manual = node == START, is_manual(node, mode)
+        start = node == START
+        manual = mode == 1.0 if start else node >= CELLS
         xa = r if start else (node % CELLS) / CELLS
         xb = r if start else (node % CELLS + 1) / CELLS
         room = min(k, POOL - used - 1)
-        phases.first[node] = used
-        phases.ends[node, LOW], phases.ends[node, HIGH] = xa, xb
-        mine, gone = phases.least[used : used + room + 1], phases.leave[used : used + room + 1]
-        mine[0], gone[0] = 0.0, np.inf
+        least[0], leave[0] = 0.0, np.inf
         h[0, LOW], h[0, HIGH] = human_range(xa, xb, c)
         known, length = 1, 0
         goal = limits[UPPER] if manual else limits[LOWER]
@@ -194,56 +171,63 @@ def all_phases(r, p, mode, k, limits, sign, c):
             low = high = p
             if not start:
                 # Narrow pieces where P_r is least (or greatest), since the extreme of the sum lies there.
-                one = a + (b - a) * (cuts[j] if sign > 0 else 1.0 - cuts[j + 1])
-                two = a + (b - a) * (cuts[j + 1] if sign > 0 else 1.0 - cuts[j])
+                one = a + (b - a) * (CUTS[j] if sign > 0 else 1.0 - CUTS[j + 1])
+                two = a + (b - a) * (CUTS[j + 1] if sign > 0 else 1.0 - CUTS[j])
                 low = max((one - TIGHT + c.b_T * h[0, LOW]) / c.a_T, p_least)
                 high = min((two + TIGHT + c.b_T * h[0, HIGH]) / c.a_T, p_most)
             if low > high:
                 continue
-            t, known = tube(manual, xa, xb, low, high, goal, room, sign, offset, c, h, known, mine, gone)
+            t, known = tube(manual, xa, xb, low, high, goal, room, sign, offset, c, h, known, least, leave)
             work += t
             length = max(length, t)
         if (length == room and room < k) or work > allowed:
-            return phases, False
-        phases.last[node] = length
+            return edges, begin, end, False
         used += length + 1
-        for t in range(1, length + 1):
-            if gone[t] < np.inf:
-                one, two = next_cells(manual, xa, xb, t, c.a_r**t)
-                for other in range(one, two + 1):
-                    if not queued[other]:
-                        queued[other] = True
-                        queue[tail] = other
-                        tail += 1
-    return phases, True
+        begin[node] = count
+        for t in range(length + 1):
+            keep = c.a_r**t
+            share, stay, go = (1.0 - keep) / (1.0 - c.a_r), np.inf, np.inf
+            for x in (xa, xb):  # both are linear in x
+                total, after = busy(manual, x, t, keep, share)
+                stay, go = min(stay, sign * total + v * (r - x)), min(go, sign * total + v * (after - x))
+            edge = edges[count]
+            edge.start, edge.first, edge.last, edge.length, edge.effort = node, END, END, t, least[t] + stay
+            count += 1
+            if leave[t] == np.inf:
+                continue
+            one, two = next_cells(manual, xa, xb, t, keep)
+            edge = edges[count]
+            edge.start, edge.first, edge.last, edge.length, edge.effort = node, one, two, t, leave[t] + go
+            count += 1
+            for other in range(one, two + 1):
+                if not queued[other]:
+                    queued[other] = True
+                    queue[tail] = other
+                    tail += 1
+        end[node] = count
+    return edges, begin, end, True
 
 
 @njit
-def shortest(mode, phases, sign, rho, v, keeps, shares, passes, dist, back, taken):
+def shortest(edges, begin, end, rho, passes, dist, back):
     """Fill `dist` with the shortest paths from the current phase; return whether they have converged (Bellman–Ford)."""
     dist[:] = np.inf
     dist[START] = 0.0
-    back[:], taken[:] = -1, 0
-    fresh, again = np.zeros(NODES, np.bool_), np.zeros(NODES, np.bool_)
+    back[:] = -1
+    fresh, again = np.zeros(END + 1, np.bool_), np.zeros(END + 1, np.bool_)
     fresh[START] = True
     for _ in range(passes):
         again[:] = False
         moved = False
-        for node in range(NODES):
+        for node in range(END):
             if not fresh[node]:
                 continue
-            manual, base = is_manual(node, mode), phases.first[node]
-            xa, xb = phases.ends[node]
-            for t in range(1, phases.last[node] + 1):
-                gone = phases.leave[base + t]
-                if gone == np.inf:
-                    continue
-                to = dist[node] + gone + edge(manual, xa, xb, t, keeps[t], shares[t], sign, v) - rho * t
-                one, two = next_cells(manual, xa, xb, t, keeps[t])
-                for other in range(one, two + 1):
+            for i in range(begin[node], end[node]):
+                edge = edges[i]
+                to = dist[node] + edge.effort - rho * edge.length
+                for other in range(edge.first, edge.last + 1):
                     if to < dist[other]:
-                        dist[other] = to
-                        back[other], taken[other] = node, t
+                        dist[other], back[other] = to, i
                         again[other], moved = True, True
         if not moved:
             return True
@@ -252,26 +236,22 @@ def shortest(mode, phases, sign, rho, v, keeps, shares, passes, dist, back, take
 
 
 @njit
-def cycle_mean(mode, phases, sign, v, keeps, shares, back, taken):
+def cycle_mean(edges, back):
     """Return the least mean of f over the cycles among the predecessors; infinity where there is none."""
-    seen = np.zeros(NODES, np.int64)
+    seen = np.zeros(END, np.int64)
     best = np.inf
-    for begin in range(NODES):
+    for first in range(END):
         # Go back along predecessors until a node repeats: one seen in this walk closes a cycle, one seen earlier gives nothing new.
-        node = begin
+        node = first
         while node >= 0 and seen[node] == 0:
-            seen[node] = begin + 1
-            node = back[node]
-        if node < 0 or seen[node] != begin + 1:
+            seen[node] = first + 1
+            node = edges[back[node]].start if back[node] >= 0 else -1
+        if node < 0 or seen[node] != first + 1:
             continue
         total, length, at = 0.0, 0, node
         while True:
-            before, t = back[at], taken[at]
-            xa, xb = phases.ends[before]
-            total += phases.leave[phases.first[before] + t]
-            total += edge(is_manual(before, mode), xa, xb, t, keeps[t], shares[t], sign, v)
-            length += t
-            at = before
+            edge = edges[back[at]]
+            total, length, at = total + edge.effort, length + edge.length, edge.start
             if at == node:
                 break
         best = min(best, total / length)
@@ -286,36 +266,11 @@ def least_effort(r, p, mode, k, limits, sign, v, c):
     The first sample has r and P_r, and the mode that (2.8) gives there. `limits` are the least and the greatest value of
     TSC_l, then of TSC_u, over these samples. `v` is any number.
     """
-    phases, done = all_phases(r, p, mode, k, limits, sign, c)
-    if not done:
-        return 0.0, -np.inf
-    longest = phases.last.max()
-    keeps = np.empty(longest + 1)
-    for t in range(longest + 1):
-        keeps[t] = c.a_r**t
-    shares = (1.0 - keeps) / (1.0 - c.a_r)
-    dist, back, taken = np.empty(NODES), np.empty(NODES, np.int64), np.empty(NODES, np.int64)
-    rho, found = 2.0 if sign > 0 else 0.0, False
-    for _ in range(12):
-        if shortest(mode, phases, sign, rho, v, keeps, shares, 40, dist, back, taken):
-            found = True
-            break
-        mean = cycle_mean(mode, phases, sign, v, keeps, shares, back, taken)
-        rho = min(mean, rho) - 1e-4
-    if not found:
-        return 0.0, -np.inf
-    # Add what an unfinished phase can contribute, and subtract the terms of v.
-    worst = np.inf
-    for node in range(NODES):
-        base = phases.first[node]
-        if base < 0 or dist[node] == np.inf:
-            continue
-        manual = is_manual(node, mode)
-        for t in range(phases.last[node] + 1):
-            rest = phases.least[base + t]
-            if rest == np.inf:
-                continue
-            for x in phases.ends[node]:
-                own = sign * busy(manual, x, t, keeps[t], shares[t])[0] - rho * t
-                worst = min(worst, dist[node] + own + rest + v * (r - x))
-    return rho, worst
+    edges, begin, end, done = all_phases(r, p, mode, k, limits, sign, v, c)
+    dist, back = np.empty(END + 1), np.empty(END + 1, np.int64)
+    rho = 2.0 if sign > 0 else 0.0
+    for _ in range(12 if done else 0):
+        if shortest(edges, begin, end, rho, 40, dist, back):
+            return rho, dist[END]
+        rho = min(cycle_mean(edges, back), rho) - 1e-4
+    return 0.0, -np.inf

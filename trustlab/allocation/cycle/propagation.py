@@ -37,7 +37,6 @@ class Enclosure(NamedTuple):
     high: float
     over: float
     manual: PhaseImage
-    autonomous_low: float
     autonomous_high: float
     autonomous: PhaseImage
 
@@ -159,10 +158,10 @@ def enclose(low, high, over, lower, upper, c, cells, most):
     first_phase = cells > 0  # no literals True and False: numba would compile `phase_image` once for each
     ends, manual = phase_image(first_phase, low, high, lower, over, upper, c, cells, most)
     if not ends:
-        return Enclosure(-1, low, high, over, NO_IMAGE, 0.0, 1.0, NO_IMAGE)
+        return Enclosure(-1, low, high, over, NO_IMAGE, 1.0, NO_IMAGE)
     first, last = max(manual.r_low - ROUNDING, 0.0), min(manual.r_high + ROUNDING, 1.0)
     ends, autonomous = phase_image(not first_phase, first, last, upper, manual.overshoot, lower, c, cells, most)
-    return Enclosure(1 if ends else -2, low, high, over, manual, first, last, autonomous)
+    return Enclosure(1 if ends else -2, low, high, over, manual, last, autonomous)
 
 
 def nest(lower, upper, c, cells, cycles, most, shrink):
