@@ -1,6 +1,7 @@
 """Maps of the steady cycle over thresholds and model parameters, and what it depends on most."""
 
 import functools
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -164,15 +165,13 @@ def cycle_at(
     try:
         cycle = limit_cycle(varied_model(tsc, values), lower, upper, starts)
     except ValueError as error:
-        nothing = dict.fromkeys(QUANTITIES, float("nan"))
+        nothing = dict.fromkeys(QUANTITIES, math.nan)
         return {"exists": False, **nothing, "reason": f"not defined: {error}"}
-    table = cycle.table()
-    measures = {"exists": cycle.exists, "mean_p_r": cycle.mean_p_r, "mean_r": cycle.mean_r}
-    rows = {"p_r": "P_r", "r": "r"}
-    rows |= {"dwell_manual": "dwell time manual", "dwell_autonomous": "dwell time autonomous"}
-    for name, row in rows.items():
-        measures |= {f"{name}_{side}": float(table.loc[row, side]) for side in ("low", "high")}
-    return measures | {"reason": cycle.reason}
+    measures = {name: getattr(cycle, name) for name in QUANTITIES if hasattr(cycle, name)}
+    for name in ("dwell_manual", "dwell_autonomous"):
+        low, high = getattr(cycle, name) or (math.nan, math.nan)
+        measures |= {f"{name}_low": float(low), f"{name}_high": float(high)}
+    return {"exists": cycle.exists} | measures | {"reason": cycle.reason}
 
 
 def sweep(

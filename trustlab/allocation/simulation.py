@@ -1,19 +1,15 @@
 """The model under rule (2.8), Algorithm 2 or a user's own rule, sample by sample."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds
 from trustlab.allocation.rules import PerformanceRule, ThresholdRule, begun, decision, performance_suggestion
 from trustlab.models.checks import between, finite_number, of_class, whole_number
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc_at
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 # Longest simulation: 40 bytes are kept of every sample.
 MOST_STEPS = 100_000_000
@@ -96,8 +92,6 @@ def simulate_allocation(
     >>> len(tl.simulate_allocation(model, rule=Relay(), steps=5000))
     5000
     """
-    import pandas as pd
-
     of_class("tsc", tsc, TscModel)
     if (rule is None) == (lower is None and upper is None):
         raise ValueError("give either lower= and upper=, the thresholds of (2.8), or rule=, and not both")

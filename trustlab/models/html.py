@@ -1,14 +1,10 @@
 """HTML that shows what others wrote: their words are escaped, and a page runs and fetches nothing but what it brings."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import html
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    import pandas as pd
+import pandas as pd
 
 # Rows of a table that a result shows of itself; `table()` returns all.
 MOST_ROWS = 60
@@ -18,8 +14,6 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; form-act
 
 def as_html(text: str, *tables: pd.DataFrame, title: str = "") -> str:
     """Return a result as a title in bold, a sentence, and tables; nothing in them is read as markup or as a formula."""
-    import pandas as pd
-
     bold = f"<b>{html.escape(title)}</b>: " if title else ""
     parts = [
         table.to_html(

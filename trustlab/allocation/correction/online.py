@@ -1,11 +1,11 @@
 """The correction on a robot: measured performance in at 10 Hz, suggestions out, Algorithm 3."""
 
-from __future__ import annotations
-
 import math
-from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
 
 from trustlab.allocation.correction.corrector import ThresholdCorrector, check_mode, threshold_pair
 from trustlab.allocation.correction.dynamics import suggestion_now
@@ -16,12 +16,8 @@ from trustlab.models.checks import between, finite_number, of_class, one_of
 from trustlab.models.human import next_utilization
 from trustlab.models.tsc import tsc_at
 
-if TYPE_CHECKING:
-    import pandas as pd
 
-
-@dataclass(frozen=True, slots=True)
-class OnlineStep:
+class OnlineStep(NamedTuple):
     """
     The outcome of one sample.
 
@@ -168,10 +164,7 @@ class OnlineCorrection:
         pandas.DataFrame
             One row per sample; the fields of `OnlineStep`, status by name.
         """
-        import pandas as pd
-
-        names = OnlineStep.__slots__
-        frame = pd.DataFrame({name: [getattr(step, name) for step in self._steps] for name in names})
+        frame = pd.DataFrame(self._steps, columns=OnlineStep._fields)
         frame["status"] = [step.status.name for step in self._steps]
         return frame
 
@@ -198,8 +191,6 @@ class OnlineCorrection:
 
 def plot_latency(latency, axes=None):
     """Plot a histogram of latencies [s], with median and 99th percentile, and return its axes."""
-    import numpy as np
-
     micro = 1e6 * np.asarray(latency, dtype=float)
     if micro.size == 0:
         raise ValueError("there is no latency to plot yet; feed samples with update(p_r, p_h, mode) first")

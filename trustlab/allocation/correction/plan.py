@@ -1,17 +1,12 @@
 """The result of a correction: the actions, their predicted effect, and a bound on how far from optimal they are."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from trustlab.models.axes import axes_or_new
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 # Rows of arrays that hold both thresholds.
 LOWER, UPPER = 0, 1
@@ -138,8 +133,6 @@ class CorrectionPlan:
         pandas.DataFrame
             Index `step` (0..N); columns r, p_r, lower, upper, mode, c_l, c_u, the last three NaN at step N.
         """
-        import pandas as pd
-
         columns = {"r": self.r, "p_r": self.p_r, "lower": self.lower, "upper": self.upper}
         columns |= {"mode": self.mode, "c_l": self.actions_l, "c_u": self.actions_u}
         # As series, so that pandas fills step N of the last three, which have one value less, with NaN.

@@ -1,13 +1,12 @@
 """Corrections over several consecutive tests, as in Fig. 2.18, on the model."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from string import ascii_lowercase
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from trustlab.allocation.correction.corrector import ThresholdCorrector, threshold_pair
 from trustlab.allocation.correction.incentive import within_range
@@ -19,9 +18,6 @@ from trustlab.models.html import as_html
 from trustlab.models.human import next_utilization, performance_at
 from trustlab.models.robot import next_performance
 from trustlab.models.tsc import TscConstants, TscModel, threshold_mode, tsc_at
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 # How operators respond to suggestions.
 HABITS = ("following", "lagging", "ignoring")
@@ -68,8 +64,6 @@ class CorrectionRun:
             summed over both thresholds; NaN where they began there), p_r, r, manual_share (means), switches, held (samples without
             a plan), largest_gap (of all plans, relative), latency_median, latency_p99 [s].
         """
-        import pandas as pd
-
         data, tests = self.data, self.data.groupby("test", sort=True)
         table = pd.DataFrame({side: (data[side] + data[c]).groupby(data["test"]).last() for side, c in SIDES})
         way = abs(self.target[0] - self.start[0]) + abs(self.target[1] - self.start[1])
@@ -209,8 +203,6 @@ def correct_pattern(
     >>> run.table().columns.tolist()[:5]
     ['test', 'lower', 'upper', 'remaining', 'p_r']
     """
-    import pandas as pd
-
     if "operator" in options:
         warn_renamed("correct_pattern(operator=…)", "correct_pattern(habit=…)")
         habit = options.pop("operator")
