@@ -190,11 +190,9 @@ class Operator:
             check = finite_number if item.name in ("lower", "upper", *SHARES, *RANGES) else not_negative
             check = positive if item.name in POSITIVE else check
             object.__setattr__(self, item.name, check(item.name, getattr(self, item.name)))
-        for name, most in MOST.items():
-            if getattr(self, name) > most:
-                raise ValueError(f"{name} must be at most {most:g}, got {getattr(self, name):g}")
-        for name, limits in (dict.fromkeys(SHARES, (0.0, 1.0)) | RANGES).items():
-            between(name, getattr(self, name), *limits)
+        limits = {name: (0.0, most) for name, most in MOST.items()} | dict.fromkeys(SHARES, (0.0, 1.0)) | RANGES
+        for name, (low, high) in limits.items():
+            between(name, getattr(self, name), low, high)
         object.__setattr__(self, "sessions", whole_number("sessions", self.sessions, least=0, most=MOST_SESSIONS))
         if not self.lower < self.upper:
             raise ValueError(
