@@ -21,7 +21,7 @@ from trustlab.testbeds import (
     published_thresholds,
     run_condition,
 )
-from trustlab.testbeds.ground_robot.plots import plot_path, plot_run
+from trustlab.testbeds.ground_robot.plots import plot_path
 
 matplotlib.use("Agg")
 
@@ -68,7 +68,6 @@ CALLS = {
             "delay": 0.2,
         },
     ),
-    "plot_run": (plot_run, {"run": RUN, "bounds": {"r": (0.1, 0.9)}}),
     "GroundRobotRun.plot": (RUN.plot, {"bounds": {"r": (0.1, 0.9)}}),
     "plot_path": (plot_path, {"session": RUN.session, "course": RUN.course, "start": 0.0, "stop": 5.0}),
     "half_unit": (half_unit, {"printed": "0.320"}),

@@ -7,13 +7,23 @@ import numpy as np
 import pandas as pd
 
 from trustlab.allocation.suggestions import FOLLOWED, NOT_FOLLOWED, followed_suggestions, suggestion_episodes
+from trustlab.models.axes import axes_or_new
+from trustlab.models.checks import finite_array, one_of
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 from trustlab.operators.answers import allocation_answers
 from trustlab.operators.ground_robot import Operator
+from trustlab.sessions.plots import shade_manual
 from trustlab.sessions.session import Session
 from trustlab.testbeds.deciding import DEADLINE, KNOWN, OWN, SAMPLE_TIME, SCHEDULE
 
+# Panels of the figure of a run, by column.
+PANELS = {
+    "p_r": "robot performance\n$P_r$",
+    "r": "human utilization\n$r$",
+    "p_h": "human performance\n$P_h$",
+    "tsc": "TSC",
+}
 MEANS = ("p_r", "p_h", "r", "tsc", "path_error")
 
 
@@ -99,7 +109,7 @@ class ConditionRun:
 
     def plot(self, bounds: dict[str, tuple[float, float]] | None = None):
         """
-        Plot P_r, r, P_h and TSC against time, as Fig. 2.9 does.
+        Plot P_r, r, P_h and TSC against time, manual phases shaded, as Fig. 2.9 does.
 
         Parameters
         ----------
@@ -109,10 +119,37 @@ class ConditionRun:
         Returns
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (4,)
-        """
-        from trustlab.testbeds.ground_robot.plots import plot_run
 
-        return plot_run(self, bounds)
+        Raises
+        ------
+        ValueError
+            If bounds name a column that is not plotted, or are not two finite numbers.
+        """
+        session = self.session
+        try:
+            bounds = dict(bounds if bounds is not None else {})
+        except (TypeError, ValueError):
+            raise ValueError(f"bounds must map columns to (low, high), got {bounds!r:.60}") from None
+        for name, pair in bounds.items():
+            one_of("a column of bounds", name, PANELS)
+            bounds[name] = tuple(finite_array(f"bounds[{name!r}]", pair, length=2))
+        if self.thresholds is not None:
+            bounds.setdefault("tsc", self.thresholds)
+        axes = axes_or_new(None, len(PANELS), sharex=True, figsize=(8.0, 7.6))
+        unit = " [m/s]" if "v_command" in session else ""  # on the UAV testbed performance is a share
+        for panel, (name, label) in zip(axes, PANELS.items(), strict=True):
+            panel.plot(session.t, session[name], lw=1.2, color="#0072b2")
+            values = np.r_[session[name], bounds.get(name, ())]
+            margin = 0.08 * max(float(np.ptp(values)), 1e-6)
+            panel.set_ylim(values.min() - margin, values.max() + margin)
+            for bound in bounds.get(name, ()):
+                panel.axhline(bound, ls="--", lw=1.0, color="#d55e00")
+            panel.set_ylabel(label + unit * (name in ("p_r", "p_h")))
+            shade_manual(panel, session.t, session["mode"])
+        axes[-1].set(xlabel="time [s]", xlim=(session.t[0], session.t[-1]))
+        lines = "; dashed: " + ("thresholds" if set(bounds) == {"tsc"} else "bounds") if bounds else ""
+        axes[0].figure.suptitle(f"{session.label} (manual phases shaded{lines})", fontsize="medium")
+        return axes
 
     def _repr_html_(self) -> str:
         words = f"{self.session.label}; {self.session.metadata.more.get('note', '')}"
