@@ -86,17 +86,17 @@ class Notebook:
             self.page.wait_for_timeout(50)
         raise AssertionError(f"waited {seconds} s; {len(self.attempt.rows)} rows, faults {self.faults}")
 
-    def steer(self, act, seconds):
-        """Drive by what `act(forward, bearing)` does until the drive is over."""
+    def steer(self, act, seconds, every=60):
+        """Drive by what `act(forward, bearing)` does, every so many ms, until the drive is over."""
         path = np.array(self.attempt.config["path"])
-        for _ in range(int(seconds / 0.03)):
+        for _ in range(int(1000 * seconds / every)):
             x, y, yaw, w, arc, _, _, done = self.page.evaluate(NOW)
             if done:
                 return
             px, py, _, _ = path_point(arc + 0.9, path)
             bearing = math.remainder(math.atan2(py - y, px - x) - yaw - 0.25 * w, 2 * math.pi)
             act(abs(bearing) < 0.8, bearing)
-            self.page.wait_for_timeout(30)
+            self.page.wait_for_timeout(every)
         raise AssertionError("the laps were not done in time")
 
 
@@ -127,15 +127,16 @@ def test_chromium_gives_the_bits_of_numba(notebook):
     commands = np.concatenate([commands_of(seen), rest])
     rows, _ = driven(config, commands)
     page = notebook(config).page
+    page.route(HOME + "commands", serving("application/octet-stream", commands.tobytes()))
     page.wait_for_function("() => window.given !== undefined")
     found = page.evaluate(
-        """async (commands) => {
-          const physics = await Physics.load(given.wasm.buffer, given.config), rows = new Float64Array(15 * commands.length);
-          commands.forEach(([v, w, wanted], k) => rows.set(physics.tick(v, w, wanted), 15 * k));
+        """async () => {
+          const commands = new Float64Array(await (await fetch("./commands")).arrayBuffer()), count = commands.length / 3;
+          const physics = await Physics.load(given.wasm.buffer, given.config), rows = new Float64Array(15 * count);
+          for (let k = 0; k < count; k += 1) rows.set(physics.tick(...commands.subarray(3 * k, 3 * k + 3)), 15 * k);
           const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", rows.buffer));
           return [...digest].map((x) => x.toString(16).padStart(2, "0")).join("");
-        }""",
-        commands.tolist(),
+        }"""
     )
     assert len(rows) == 36_000
     assert found == hashlib.sha256(rows.tobytes()).hexdigest()
@@ -203,14 +204,15 @@ def test_two_laps_by_real_key_events(notebook):
 
 
 @pytest.mark.slow
-def test_two_laps_by_a_gamepad_four_times_as_fast(notebook):
-    one = notebook(configured() | {"pace": 4}, PAD)
+def test_two_laps_by_a_gamepad_six_times_as_fast(notebook):
+    one = notebook(configured() | {"pace": 6}, PAD)
     one.start()
     one.steer(
         lambda forward, bearing: one.page.evaluate(
             "(axes) => { pad.axes = axes; }", [-max(min(1.8 * bearing, 1), -1), -0.9 * forward, 0, 0]
         ),
         40,
+        every=20,
     )
     one.until(lambda: one.attempt.finished, 15)
     assert one.attempt.session.metadata.more["verified"] is True
@@ -225,14 +227,14 @@ def test_hands(notebook):
     page.evaluate("""() => { window.late = []; let pressed = 0; const root = document.querySelector('.tl-drive'), d = root.driving;
       root.addEventListener('keydown', (event) => { if (!event.repeat && event.code === 'KeyW') pressed = performance.now(); }, true);
       setInterval(() => { if (pressed && d.row[9] > 0) { late.push(performance.now() - pressed); pressed = 0; } }, 2); }""")
-    for n in range(20):
+    for n in range(10):
         page.keyboard.down("KeyW")
         page.wait_for_timeout(190 + 7 * n % 60)
         page.keyboard.up("KeyW")
         page.wait_for_timeout(250 + 13 * n % 60)
     late = page.evaluate("late")
     print(f"keypress to command: median {statistics.median(late):.0f} ms, most {max(late):.0f} ms of {len(late)}")
-    assert len(late) >= 18
+    assert len(late) >= 9
     if os.getloadavg()[0] <= os.cpu_count() / 2:
         assert statistics.median(late) <= 100.0
     page.evaluate(
@@ -279,13 +281,13 @@ def test_hands(notebook):
 
 def test_rows_wait_for_a_kernel_that_restarts(browser, notebook):
     context = browser.new_context()
-    config = configured("C1") | {"pace": 4, "hand": {}}
+    config = configured("C1", laps=1) | {"pace": 8, "hand": {}}
     one = notebook(config, context=context)
     one.start()
     one.until(lambda: len(one.attempt.rows) > 40, 10)
     one.away = True
     kept = len(one.attempt.rows)
-    one.page.wait_for_timeout(1500)
+    one.page.wait_for_timeout(500)
     made = one.page.evaluate(NOW)[6]
     assert made > kept + 20
     one.page.wait_for_timeout(600)  # rows are handed to IndexedDB twice a second
@@ -294,7 +296,7 @@ def test_rows_wait_for_a_kernel_that_restarts(browser, notebook):
     assert again.attempt.key == one.attempt.key
     assert len(again.attempt.rows) == kept, "what was acknowledged is on the disk"
     again.start()
-    assert len(again.attempt.rows) >= made - 20, "what was on its way came back, but for the last half second"
+    assert len(again.attempt.rows) >= made - 5, "what was on its way came back, but for the last half second"
     again.until(lambda: again.attempt.finished, 40)
     assert again.attempt.verified
     assert Attempt(again.attempt.path.parent, "me", config).key != one.attempt.key, (

@@ -49,7 +49,7 @@ def until(page, script, seconds=60):
         found = page.evaluate(script)
         if found:
             return found
-        time.sleep(0.03)
+        time.sleep(0.06)
     raise TimeoutError(f"{script}: {page.evaluate('document.body.innerText')[:300]}")
 
 
@@ -116,7 +116,7 @@ def test_three_people_at_once_from_consent_to_report(make_plan, browser):
                         del people[code]
                     else:
                         go_on(page, kind, f"{code}: {ATTACK}")
-            time.sleep(0.02)
+            time.sleep(0.15)
         assert not people, where
         until(experimenter, "document.querySelectorAll('tbody tr').length === 3")
         until(experimenter, "document.body.innerText.split('Thank you').length === 4")
