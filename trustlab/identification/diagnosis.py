@@ -1,14 +1,12 @@
 """What residuals say against a fit: a mode stamped early or late, coarse numbers, a window that nobody stated, slow noise."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from trustlab.identification.output_error import NOT_WHITE, Estimate, Problem
-from trustlab.identification.residuals import hac_lags, hac_matrix, robust_deviation
-from trustlab.identification.runs import Run
-from trustlab.identification.structure import IdentificationError
+from trustlab.identification.output_error import NOT_WHITE, ROUGHLY, Estimate, Problem, settle
+from trustlab.identification.residuals import hac_lags, robust_deviation
 
 CERTAIN = 3.3
 """Standard errors from which on a delay counts: of sound fits one in a thousand is doubted."""
@@ -20,17 +18,13 @@ STRETCHES = 60
 """Correlation times that a record must hold for intervals that cover: in simulations they fall short below."""
 
 
-def doubted(found: Estimate, refit: Callable[[list[Run]], Estimate]) -> Iterator[str]:
-    """
-    Say for each reason why the intervals of a fit cannot be trusted what it is, and what to do.
-
-    `refit` fits the same structure to other runs, with white noise.
-    """
+def doubted(found: Estimate) -> Iterator[str]:
+    """Say for each reason why the intervals of a fit cannot be trusted what it is, and what to do."""
     if (found.normal.squares <= 1e-4 * found.problem.floors).any():
         return
     yield from _sparse(found)
     yield from _coarse(found)
-    yield from _window(found, refit)
+    yield from _window(found)
     yield from _delay(found)
     yield from _slow(found)
     yield from _rivals(found)
@@ -79,52 +73,28 @@ def _coarse(found: Estimate) -> Iterator[str]:
 
 def _delay(found: Estimate) -> Iterator[str]:
     """Test whether a mode that acts later or earlier than its stamp explains part of the residuals."""
-    problem = found.problem
-    if not {"mode"} <= set(problem.structure.inputs) <= {"mode", "p_h"} or "mode_delay" in problem.structure.names:
-        return
-    weights, step = problem.weights(found.normal.squares), problem.runs[0].sample_time
-    parts, by_all = [], np.zeros(found.theta.size)
-    for i, run in enumerate(problem.runs):
-        for j, simulated in enumerate(problem.latest[i][0]):
-            # Mode acting later shifts the whole simulation, but for initial states, which are estimated.
-            (slope,), _ = problem.whitened(i, j, -np.gradient(problem.seen(i, simulated), run.sample_time))
-            error, jacobian = problem.errors[i][j]
-            where = problem.where[i][problem.moved[j]]
-            by_all[where] += weights[j] * (slope @ jacobian)
-            parts.append((slope, error, jacobian, where, weights[j]))
-    answer = np.zeros(found.theta.size)
-    answer[found.free] = found.inverse @ by_all[found.free]
-    information = score = spread = 0.0
-    for slope, error, jacobian, where, weight in parts:
-        own = slope - jacobian @ answer[where]
-        information += weight * (own @ own)
-        score += weight * (own @ error)
-        if found.sandwiched:
-            spread += weight**2 * hac_matrix((own * error)[:, None], hac_lags([error])).item()
-    if information <= 1e-9 * sum(weight * (slope @ slope) for slope, *_, weight in parts):
-        return
-    delay, stderr = score / information, np.sqrt(spread if found.sandwiched else information) / information
+    delay, stderr = found.delay.value, found.delay.stderr
     if abs(delay) > CERTAIN * stderr:
         early = "early" if delay > 0.0 else "late"
         yield (
             f"The residuals look as if mode were stamped {abs(delay):.2g} s {early} (± {2.0 * stderr:.1g} s, samples are "
-            f"{step:g} s apart): estimate it with mode_delay=True."
+            f"{found.problem.runs[0].sample_time:g} s apart): estimate it with mode_delay=True."
         )
 
 
-def _window(found: Estimate, refit: Callable[[list[Run]], Estimate]) -> Iterator[str]:
+def _window(found: Estimate) -> Iterator[str]:
     """Test whether the outputs are means over a window that nobody stated."""
     problem = found.problem
     if found.simple_p >= NOT_WHITE or any(run.window > 1 for run in problem.runs):
         return
     now, best = problem.deviance(found.normal.squares), (0.0, 0.0)
+    guess = dict(zip(problem.names, found.theta, strict=True))
     for window in _windows(problem):
-        try:
-            other = refit([replace(run, window=window, kept={}) for run in problem.runs])
-        except IdentificationError:
-            continue
-        gain = now - other.problem.deviance(other.normal.squares)
-        best = max(best, (gain, window * problem.runs[0].sample_time))
+        runs = [replace(run, window=window, kept={}) for run in problem.runs]
+        for unwindow in (True, False):
+            other = Problem(problem.structure, runs, guess, unwindow)
+            valley = settle(other, found.theta, found.limits, False, **ROUGHLY)
+            best = max(best, (now - valley.deviance, window * problem.runs[0].sample_time))
     if best[0] > GAIN:
         outputs = " and ".join(problem.structure.outputs)
         yield (

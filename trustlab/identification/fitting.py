@@ -10,7 +10,17 @@ from scipy import special
 from trustlab.identification.diagnosis import doubted
 from trustlab.identification.fit_result import FitResult, parameter_table, run_fits
 from trustlab.identification.logged import as_logged, averaged, undo_window, window_means
-from trustlab.identification.output_error import NOISES, NOT_WHITE, SHALLOW, Estimate, Problem, Valley, estimate, settle
+from trustlab.identification.output_error import (
+    NOISES,
+    NOT_WHITE,
+    ROUGHLY,
+    SHALLOW,
+    Estimate,
+    Problem,
+    Valley,
+    estimate,
+    settle,
+)
 from trustlab.identification.regression import regress
 from trustlab.identification.runs import HowLogged, Run, joined, read_runs
 from trustlab.identification.structure import IdentificationError, Parameter, Structure
@@ -19,9 +29,6 @@ from trustlab.sessions.session import Session
 
 HALF_WIDTH = float(special.ndtri(0.975))
 """Standard errors from the middle of a 95 % interval to its end."""
-
-ROUGHLY = {"tolerance": 0.1, "max_iterations": 40}
-"""How valleys are searched before the deepest is known."""
 
 RIVAL = 10.0
 """Deviance by which another valley may lie higher and still hold the truth: odds of e^5 = 150 to 1."""
@@ -76,8 +83,8 @@ def fit(
         Whether to estimate the delay between the logged time of a change of mode and its effect [s], as a further
         parameter `mode_delay`.
     stamp_error : float, optional
-        Standard deviation of the errors in the logged times of switches [s], independent from switch to switch; it
-        widens the intervals. By default 0.29 samples, the error of a rounded time, for sessions that were resampled,
+        Standard deviation of the errors in the logged times of switches [s], independent from switch to switch; they
+        widen the intervals, and so does an error that all share, as far as the residuals allow for one. By default 0.29 samples, the error of a rounded time, for sessions that were resampled,
         and 0 for others.
     robust : bool
         Whether to leave out samples that lie far from the model, such as dropouts; the message says how many.
@@ -190,28 +197,25 @@ def estimate_runs(
     one_of("noise", noise, NOISES)
     if guess is not None:
         structure.check_names(guess, "guess")
-    if all(run.window == 1 for run in runs):
-        views, hypotheses = [runs], [False]
-    else:
+    windowed, views = any(run.window > 1 for run in runs), {False: runs}
+    if windowed:
         # Noise may be in what the window averages, or come on top of the means: the likelihoods of both decide. Means of a
         # linear model are what the means of its inputs give, but for the beginning: good enough to start from.
-        views = [
-            [averaged(run, structure.outputs, undo_window) for run in runs],
-            [averaged(run, structure.inputs, window_means) for run in runs],
-        ]
-        hypotheses = [True, False]
-    starts = [one for view in views for one in _starts(structure, view, limits, guess)]
-    valleys = []
-    for unwindow in hypotheses:
-        begun = [(Problem(structure, runs, start, unwindow), start) for start in starts]
-        if len(begun) == len(hypotheses) == 1:
-            problem, start = begun[0]
-            return estimate(problem, problem.vector(start), limits, noise, robust)
-        if len(hypotheses) > 1:
-            begun = [min(begun, key=lambda one: one[0].normal(one[0].vector(one[1])).value)]
-        valleys += [settle(problem, problem.vector(start), limits, robust, **ROUGHLY) for problem, start in begun]
+        views = {
+            True: [averaged(run, structure.outputs, undo_window) for run in runs],
+            False: [averaged(run, structure.inputs, window_means) for run in runs],
+        }
+    begun = []
+    for unwindow, view in views.items():
+        for start in _starts(structure, view, limits, guess):
+            problem = Problem(structure, runs, start, unwindow)
+            begun.append((problem, problem.vector(start)))
+    if len(begun) == 1:
+        problem, at = begun[0]
+        return estimate(problem, at, limits, noise, robust)
+    valleys = [settle(problem, at, limits, robust, **ROUGHLY) for problem, at in begun]
     lowest = min(valleys, key=lambda one: one.deviance)
-    if len(hypotheses) > 1:  # what the structure guesses from averages may miss a valley
+    if windowed:  # what the structure guesses from averages may miss a valley
         valleys += list(_elsewhere(lowest, limits))
         lowest = min(valleys, key=lambda one: one.deviance)
     rivals = tuple(one for one in valleys if one.deviance < lowest.deviance + RIVAL)
@@ -298,10 +302,7 @@ def result(found: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame] | None = N
                 f"{parameter.name} is weakly determined by these data ({value:.4g} ± {HALF_WIDTH * stderr:.2g}); "
                 f"{parameter.hint}, or fix it."
             )
-    guess = (
-        None if structure.guess is not None else dict(zip(structure.names, found.theta[problem.where[0]], strict=True))
-    )
-    doubts = list(doubted(found, lambda runs: estimate_runs(structure, runs, found.limits, "white", guess, False)))
+    doubts = list(doubted(found))
     sentences += [*_of_the_initial_states(found), *_of_the_runs(problem), *_of_the_noise(found), *doubts]
     # NaN for what was fixed; rows of what a bound holds are NaN already.
     stderr = np.sqrt(np.where(found.fixed, np.nan, np.diag(found.covariance)))

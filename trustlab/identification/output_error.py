@@ -30,6 +30,9 @@ NOT_WHITE = 1e-3
 SHALLOW = 30.0
 """Deviance by which a valley of the likelihood may lie above the deepest found roughly and still be searched."""
 
+ROUGHLY = {"tolerance": 0.1, "max_iterations": 40}
+"""How valleys are searched before the deepest is known."""
+
 SINGULAR = 1e-10
 """Smallest eigenvalue of the information matrix, scaled to unit diagonal, that still counts as information."""
 
@@ -208,6 +211,14 @@ class Problem:
         return minimise(self.search_normal, to(start), to(low), to(high), **options)
 
 
+class Delay(NamedTuple):
+    """By how much later than its stamp mode acts [s], as residuals show it; `shift` is what a second does to the estimates."""
+
+    value: float
+    stderr: float
+    shift: np.ndarray
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """
@@ -215,8 +226,8 @@ class Estimate:
 
     `covariance` is 0 in rows of fixed parameters and NaN in rows of those at a bound; `inverse` is the inverse of
     `normal.matrix`, the information matrix, for the `free` ones. `simple_p` is the p value of the whiteness test before
-    the noise was modelled, `whiteness_p` after; `sandwiched` where the covariance allows for what is left. `rivals` are
-    valleys of the likelihood that are nearly as deep.
+    the noise was modelled, `whiteness_p` after; `sandwiched` where the covariance allows for what is left. `delay` is that of
+    the mode that the residuals show. `rivals` are valleys of the likelihood that are nearly as deep.
     """
 
     problem: Problem
@@ -231,6 +242,7 @@ class Estimate:
     simple_p: float
     noise: str
     sandwiched: bool
+    delay: Delay
     rivals: tuple["Valley", ...] = ()
 
     @property
@@ -322,10 +334,13 @@ def estimate(
     covariance[found.at_bound, :] = covariance[:, found.at_bound] = np.nan
     covariance[np.ix_(free, free)] = sandwich(inverse, meat, problem.counts.sum())
     covariance[np.ix_(free, free)] += _of_stamps(problem, theta, inverse, free, normal.squares)
+    delay = _delay(problem, inverse, free, normal.squares, sandwiched)
+    if any(run.stamp_error > 0.0 for run in problem.runs):
+        # Stamps that are not exact may share an error, too: of any size that the residuals allow.
+        covariance[np.ix_(free, free)] += (delay.value**2 + delay.stderr**2) * np.outer(delay.shift, delay.shift)
     allowed_for = "correlated" if modelled else "hac" if sandwiched else "white"
-    return Estimate(
-        problem, limits, theta, covariance, fixed, found, normal, inverse, p_value, simple_p, allowed_for, sandwiched
-    )
+    tests = (p_value, simple_p, allowed_for, sandwiched, delay)
+    return Estimate(problem, limits, theta, covariance, fixed, found, normal, inverse, *tests)
 
 
 def _exact(problem: Problem, normal: NormalEquations) -> np.ndarray:
@@ -405,6 +420,35 @@ def _of_stamps(
             shift = run.stamp_error * inverse @ by_all[free]
             added += np.outer(shift, shift)
     return added
+
+
+def _delay(problem: Problem, inverse: np.ndarray, free: np.ndarray, squares: np.ndarray, sandwiched: bool) -> Delay:
+    """Return the delay of the mode's effect that the residuals show, to first order; 0 where they cannot show one."""
+    weights, parts, by_all = problem.weights(squares), [], np.zeros(len(problem.names))
+    inputs = set(problem.structure.inputs)
+    if not {"mode"} <= inputs <= {"mode", "p_h"} or "mode_delay" in problem.structure.names:
+        return Delay(0.0, 0.0, np.zeros(free.size))
+    for i, run in enumerate(problem.runs):
+        for j, simulated in enumerate(problem.latest[i][0]):
+            # Mode acting later shifts the whole simulation, but for initial states, which are estimated.
+            (slope,), _ = problem.whitened(i, j, -np.gradient(problem.seen(i, simulated), run.sample_time))
+            error, jacobian = problem.errors[i][j]
+            where = problem.where[i][problem.moved[j]]
+            by_all[where] += weights[j] * (slope @ jacobian)
+            parts.append((slope, error, jacobian, where, weights[j]))
+    answer = np.zeros(by_all.size)
+    answer[free] = inverse @ by_all[free]
+    information = score = spread = 0.0
+    for slope, error, jacobian, where, weight in parts:
+        own = slope - jacobian @ answer[where]
+        information += weight * (own @ own)
+        score += weight * (own @ error)
+        if sandwiched:
+            spread += weight**2 * hac_matrix((own * error)[:, None], hac_lags([error])).item()
+    if information <= 1e-9 * sum(weight * (slope @ slope) for slope, *_, weight in parts):
+        return Delay(0.0, 0.0, answer[free])
+    stderr = np.sqrt(spread if sandwiched else information) / information
+    return Delay(float(score / information), float(stderr), answer[free])
 
 
 def _meat(problem: Problem, squares: np.ndarray) -> np.ndarray:

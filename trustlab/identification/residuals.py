@@ -78,10 +78,11 @@ def hac_lags(residuals: list[np.ndarray]) -> int:
 
 
 def hac_matrix(scores: np.ndarray, lags: int) -> np.ndarray:
-    """Return the Bartlett-weighted sum of products of scores, shape (n, p), over lags (Newey–West; by statsmodels)."""
-    from statsmodels.stats.sandwich_covariance import S_hac_simple
-
-    return S_hac_simple(scores, nlags=lags)
+    """Return the Bartlett-weighted sum of products of scores, shape (n, p), over lags (Newey–West)."""
+    # Sums over lags + 1 scores in a row hold each product at lag l in lags + 1 − l places: as Bartlett weights it.
+    total = np.cumsum(np.pad(scores, ((lags + 1, lags), (0, 0))), axis=0)
+    sums = total[lags + 1 :] - total[: -lags - 1]
+    return sums.T @ sums / (lags + 1)
 
 
 def sandwich(bread: np.ndarray, meat: np.ndarray | None, samples: float) -> np.ndarray:
