@@ -433,3 +433,11 @@ def test_a_threshold_that_divides_nothing_is_told(tmp_path):
 def test_a_mistake_in_a_recipe_comes_with_the_remedy(before, after, says):
     with pytest.raises(RecipeError, match=says):
         Recipe.from_toml(TABLE.format(unit="s").replace(before, after))
+
+
+def test_positions_come_from_the_log():
+    """A recipe at random: a position that is computed from itself raised a bare KeyError."""
+    for rule in ('{ travelled = "robot", axes = ["x"] }', '{ distance = ["robot", "reference"], axes = ["x"] }'):
+        text = f'kind = "table"\n[time]\nunit = "s"\n[columns]\nr = {{ column = "r" }}\nrobot_x = {rule}\n'
+        with pytest.raises(RecipeError, match=r"robot_x: needs column 'robot_x', which is itself computed"):
+            Recipe.from_toml(text)

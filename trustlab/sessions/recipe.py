@@ -630,9 +630,10 @@ class Recipe:
         for name, rule in self.columns.items():
             if isinstance(rule, wrong):
                 raise RecipeError(f'[columns] {name}: {word} does not go with kind = "{self.kind}"')
-            missing = [need for need in rule.needs if need not in self.columns]
-            if missing:
-                raise RecipeError(f"[columns] {name}: needs column {missing[0]!r}, which has no rule")
+            for need in rule.needs:
+                if need not in self.columns or self.columns[need].needs:
+                    fault = "is itself computed" if need in self.columns else "has no rule"
+                    raise RecipeError(f"[columns] {name}: needs column {need!r}, which {fault}")
         if not any(isinstance(rule, TableColumn | TopicField) for rule in self.columns.values()):
             raise RecipeError("[columns]: at least one column must come from the log")
         by_key = {name: rule.column for name, rule in self.columns.items() if isinstance(rule, TableColumn)}
