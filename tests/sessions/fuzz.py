@@ -3,12 +3,15 @@ Damage logs of every format at random and read them: only our errors may come ou
 
 Times are the processor's, so that a busy machine does not make a log look slow.
 
-Run it by hand: `python tests/sessions/fuzz.py --logs 100000 --seed 0`. Each format has a process of its own, one after
-the other; what fails is printed with its seed, and `--only FORMAT --first SEED --logs 1` repeats it.
+Run it by hand: `python tests/sessions/fuzz.py --logs 100000`. Each format has a process of its own, one after the other;
+what fails is printed with its seed, and `--only FORMAT --first SEED --logs 1` repeats it. With `--section recipes` it is what
+recipes say that is damaged, and the cells of the tables that they read: rules of every kind put together at random,
+selectors, joins, splitting at gaps, data frames, folders.
 """
 
 import argparse
 import gzip
+import json
 import logging
 import multiprocessing
 import resource
@@ -18,6 +21,8 @@ import tempfile
 import time
 import traceback
 import warnings
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -27,7 +32,16 @@ from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy import io
 
-from trustlab.sessions import Metadata, Session, SessionError, read_session, write_session
+from trustlab.sessions import (
+    Metadata,
+    Session,
+    SessionError,
+    join_sessions,
+    read_frame,
+    read_session,
+    read_sessions,
+    write_session,
+)
 from trustlab.sessions.recipe import Recipe
 
 MOST_SECONDS, MOST_BYTES = 5.0, 2 * 2**30
@@ -67,7 +81,7 @@ RECIPES = {"rules": RULES, "tf": TF, "ulg": POSE, "xdf": ARM}
 
 
 def transforms(path: Path) -> Path:
-    """Write a bag in which two robots publish their places in turn."""
+    """Write a bag in which two robots publish their places in turn, and a wheeled one the state of its joints."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     of = lambda kind, **fields: store.types[kind](**fields)  # noqa: E731
     with Writer(path, version=8) as writer:
@@ -87,6 +101,18 @@ def transforms(path: Path) -> Path:
             )
             message = of("tf2_msgs/msg/TFMessage", transforms=[stamped])
             writer.write(topic, k * 10**9, store.serialize_cdr(message, "tf2_msgs/msg/TFMessage"))
+        topic = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+        for k in range(40):
+            stamp = of("builtin_interfaces/msg/Time", sec=k, nanosec=10**8 * (k % 3))
+            joints = of(
+                "sensor_msgs/msg/JointState",
+                header=of("std_msgs/msg/Header", stamp=stamp, frame_id=""),
+                name=["wheel_left", "wheel_right"][: 1 + k % 2],
+                position=np.array([0.1 * k, -0.1 * k])[: 1 + k % 2],
+                velocity=np.array([]),
+                effort=np.array([]),
+            )
+            writer.write(topic, k * 10**9 + 1, store.serialize_cdr(joints, "sensor_msgs/msg/JointState"))
     return path
 
 
@@ -181,6 +207,224 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
+# --- recipes at random -----------------------------------------------------------------------------------------------
+
+ODD = [
+    "",
+    "nan",
+    "inf",
+    "-1e999",
+    "x",
+    "1,5",
+    "(1, 2",
+    "()",
+    "(nan, 1, 2)",
+    "(1, 2, 3, 4)",
+    "0x10",
+    "1e308",
+    "1_000",
+    " 1 ",
+]
+ODD += [
+    "12:61:00",
+    "2026-13-01T00:00:00",
+    "23:59:59.9",
+    "MANUAL",
+    "AUTO",
+    "true",
+    "None",
+    "\x00",
+    '"',
+    "9" * 400,
+    "٣",
+    "-0",
+]
+UNITS = ["mm", "s", "us", "%", "deg", "N", "furlong", ""]
+POSITIONS = ["robot_x", "robot_y", "reference_x", "reference_y", "path_error"]
+CELLS = ["t", "mode", "pedal", "speed", "err", "pos", "who"]
+OTHER = 'transforms[child_frame_id="b"].transform'
+TOPICS = {
+    "/tf": [f"{OTHER}.translation.x", f"yaw({OTHER}.rotation)", "transforms[0].transform.translation.y"],
+    "/joint_states": ['position[name="wheel_right"]', 'position[name="wheel_left"]', "position[0]", "header.stamp.sec"],
+    "pose": ["x"],
+    "arm": ["x"],
+}
+PATHS = [OTHER, f"{OTHER}.translation", "position[1]", "name[0]", "effort[0]", "x[0]", "[", 'a[b="', "yaw(x)"]
+PATHS += ['transforms[child_frame_id="c"].transform.translation.x', "header.stamp", "position", "transforms"]
+
+
+def one_of(rng: np.random.Generator, values):
+    return values[int(rng.integers(len(values)))]
+
+
+def toml(value) -> str:
+    """Return a value as TOML: tables inline, all else as JSON writes it."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(str(name))} = {toml(each)}" for name, each in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    return repr(value) if isinstance(value, float) else json.dumps(value)
+
+
+def mostly(rng: np.random.Generator, good, odd):
+    """Return one of the good values, and now and then an odd one."""
+    return one_of(rng, odd if rng.random() < 0.03 else good)
+
+
+def some(rng: np.random.Generator, share: float, **keys) -> dict:
+    """Return some of the keys, each with one of its good or odd values."""
+    return {name: mostly(rng, *values) for name, values in keys.items() if rng.random() < share}
+
+
+def random_column(rng: np.random.Generator, name: str, topics: list[str]) -> dict:
+    """Return the rule of a column of a table, or of a bag with these topics."""
+    numbers = [1, -1, 0.5, 2.5], [0, 1e308, -1e308, 1e-320, 10**30, "x", True]
+    kind = rng.random()
+    if kind < 0.06:
+        return {"value": mostly(rng, *numbers)} | ({"unit": "m"} if name in POSITIONS else {})
+    if kind < 0.10:
+        return {"from": mostly(rng, ["participant", "block"], ["trial", "header.share", "start_time"])}
+    if kind < 0.16:
+        way, stems = one_of(rng, [("distance", ["robot", "reference"]), ("travelled", "robot")])
+        return {way: stems, "axes": mostly(rng, [["x"], ["x", "y"]], [["z"], []])}
+    if topics:
+        topic = mostly(rng, topics, ["/none", "pose", "/tf"])
+        rule = {"topic": topic, "field": mostly(rng, TOPICS.get(topic, PATHS), PATHS)}
+        rule |= some(rng, 0.15, hold=([True, False], ["x"]))
+    else:
+        own = {"mode": ["mode", "pedal"]}.get(name, ["pedal", "speed", "err", "pos"])
+        rule = {"column": mostly(rng, own, [*CELLS, 0, 3, 99])}
+        rule |= {"item": mostly(rng, [0, 1, 2], [7, -1])} if rule["column"] == "pos" else {}
+        rule |= {"blank": mostly(rng, ["hold", "linear"], ["drop"])} if rng.random() < 0.6 else {}
+        rule |= {"above": mostly(rng, *numbers)} if rule["column"] == "pedal" and name == "mode" else {}
+        rule |= {"map": {"MANUAL": 1, "AUTO": 0, "1": 0.5}} if rule["column"] == "mode" and rng.random() < 0.4 else {}
+    rule |= {"unit": mostly(rng, ["m", "mm"], UNITS)} if name in POSITIONS and rng.random() < 0.98 else {}
+    maps = [{"1": 0.5, "0": 2}], [{"x": 1e308}, {}]
+    rule |= some(rng, 0.05, scale=numbers, offset=numbers, above=numbers, map=maps, unit=(["m"], UNITS))
+    return rule | some(rng, 0.1, absolute=([True, False], [0]), resample=(["previous", "linear", "nearest"], ["cubic"]))
+
+
+def random_recipe(rng: np.random.Generator, topics: list[str], unit: str = "s") -> str:
+    """Return a recipe put together at random; one in ten is damaged as a text."""
+    names = ["mode", "p_r", "p_h", "r", "beta", *POSITIONS]
+    names = [str(name) for name in rng.permutation(names)[: rng.integers(1, 4)]]
+    tables = {"columns": {name: random_column(rng, name, topics) for name in names}}
+    repeats = ["first", "last", "mean"], ["median"]
+    if topics:
+        tables["time"] = some(rng, 0.3, stamp=(["receive"], ["header", "x"]), repeated=repeats)
+        tables["time"] |= {"topics": {"/joint_states": "header"}} if rng.random() < 0.2 else {}
+    else:
+        tables["time"] = {"unit": mostly(rng, [unit], ["m", "us", "s", "iso", "clock"])}
+        tables["time"] |= some(rng, 0.6, from_zero=([True, False], [1]), repeated=repeats)
+        tables["time"] |= some(rng, 0.05, column=(["t"], ["pos", 0, 99]))
+        styles = {"header": ([True], [False]), "delimiter": ([","], [";", "x"]), "decimal": (["."], [","])}
+        tables["table"] = some(rng, 0.1, **styles, skip_lines=([0], [1, 7, 10**6]))
+    if rng.random() < 0.6:
+        steps = mostly(rng, [0.1, 0.03, 1.0, 1e-3], [1e-9, 1e9, 0, "x"])
+        tables["resampling"] = {"method": one_of(rng, ["previous", "linear", "nearest"]), "sample_time": steps}
+    tables["splitting"] = some(rng, 0.97, gap=([0.15, 0.5, 5.0], [1e-9, 1e300, 0, -1])) if rng.random() < 0.4 else None
+    if rng.random() < 0.3:
+        origin = {"from": (["participant"], ["trial", "none"])}
+        tables["metadata"] = {
+            "participant": some(rng, 0.95, value=([3], [True, 1e308, "x"])),
+            "block": some(rng, 0.95, **origin, bins=([[1, 2]], [[2, 1], []])) | some(rng, 0.03, default=([0], ["x"])),
+        }
+    text = f'kind = "{"bag" if topics else "table"}"\n' + "performance_window = 100\n" * int(rng.random() < 0.1)
+    for title, table in tables.items():
+        if table is not None:
+            text += f"[{title}]\n" + "".join(f"{json.dumps(key)} = {toml(value)}\n" for key, value in table.items())
+    return damaged(text.encode(), rng).decode(errors="replace") if rng.random() < 0.1 else text
+
+
+def random_table(rng: np.random.Generator, unit: str) -> pd.DataFrame:
+    """Return a table with times that repeat, jump or turn back, blanks, and cells that somebody typed."""
+    rows = int(rng.integers(1, 60))
+    steps = np.full(rows, 0.1)
+    if rng.random() < 0.4:
+        steps = rng.choice([0.1, 0.11, 0.0, 7.0, -0.2], rows, p=[0.7, 0.1, 0.1, 0.08, 0.02])
+    t = np.cumsum(steps)
+    dates = pd.Timestamp("2026-03-01T23:59:57") + pd.to_timedelta(t, unit="s")
+    frame = pd.DataFrame(
+        {
+            "t": {
+                "s": t,
+                "ms": 1000.0 * t,
+                "iso": one_of(rng, [dates.astype(str), dates]),
+                "clock": dates.strftime("%H:%M:%S.%f"),
+            }[unit],
+            "mode": one_of(rng, [rng.integers(0, 2, rows), rng.choice(["MANUAL", "AUTO"], rows)]),
+            "pedal": rng.random(rows),
+            "speed": np.where(rng.random(rows) < 0.3, np.nan, rng.random(rows)),
+            "err": mostly(rng, [rng.random(rows)], [rng.integers(-(2**60), 2**60, rows), rng.random(rows) < 0.5]),
+            "pos": [f"({x:.3f}, {y:.3f}, 0)" for x, y in rng.random((rows, 2))],
+            "who": "a",
+        }
+    )
+    if rng.random() < 0.3:
+        frame = frame.astype(object)
+        for _ in range(rng.integers(1, 4)):
+            frame.iloc[int(rng.integers(rows)), int(rng.integers(len(CELLS)))] = one_of(
+                rng, [*ODD, np.nan, None, 1e308]
+            )
+    return frame
+
+
+def random_file(rng: np.random.Generator, folder: Path, unit: str) -> Path:
+    """Write a random table in one of the formats for tables."""
+    frame = random_table(rng, unit)
+    kind = one_of(rng, ["csv", "csv", "tsv", "txt", "csv.gz", "parquet", "feather", "mat", "h5"])
+    path = folder / f"a.{kind}"
+    if kind in ("csv", "tsv", "txt", "csv.gz"):
+        text = frame.to_csv(index=False, sep="\t" if kind == "tsv" else ",").encode()
+        path.write_bytes(gzip.compress(text) if kind == "csv.gz" else text)
+        return path
+    texts = frame.apply(lambda cells: cells.astype(str) if cells.dtype == object else cells)
+    if kind == "parquet":
+        texts.to_parquet(path)
+    elif kind == "feather":
+        texts.to_feather(path)
+    else:
+        numbers = {name: cells.to_numpy(float) for name, cells in texts.select_dtypes("number").items()}
+        if kind == "mat":
+            io.savemat(path, numbers)
+        else:
+            with h5py.File(path, "w") as file:
+                for name, values in numbers.items():
+                    file[name] = values
+    return path
+
+
+def read_by_random_recipe(
+    name: str, folder: Path, bags: list[tuple[Path, list[str]]], rng: np.random.Generator
+) -> list[Session]:
+    """Write a recipe and something to read by it; return the sessions."""
+    recipe = folder / "lab.toml"
+    bag, topics = one_of(rng, bags) if name == "bags" else ("", [])
+    unit = one_of(rng, ["s", "s", "ms", "iso", "clock"])
+    recipe.write_bytes(random_recipe(rng, topics, unit).encode())
+    options = {"recipe": recipe} | (
+        {"resample": "linear", "sample_time": mostly(rng, [0.1], [1e-7, 1e9])} if rng.random() < 0.2 else {}
+    )
+    if name == "bags":
+        return [read_session(bag, **options)]
+    if name == "frame":
+        return [read_frame(random_table(rng, unit), **options)]
+    path = random_file(rng, folder, unit)
+    try:
+        if name == "file":
+            return [read_session(path, **options)]
+        if name == "folder":
+            return list(read_sessions(folder, **options, on_error=one_of(rng, ["raise", "collect"])))
+        other = read_frame(pd.DataFrame({"t": np.arange(30) / 7, "trust_hr": rng.random(30)}))
+        ways = {"resample": one_of(rng, ["linear", "previous"]), "sample_time": mostly(rng, [0.1, 0.03], [1e-9, 1e9])}
+        return [join_sessions([read_session(path, **options), other], **(ways if rng.random() < 0.9 else {}))]
+    finally:
+        path.unlink()
+
+
+READS = ("file", "frame", "folder", "join", "bags")
+
+
 def fuzz_alone(name: str, first: int, logs: int, failures) -> None:
     """Fuzz in a process of its own, in which too much memory is a MemoryError and not the end of the machine."""
     logging.disable()  # libraries report what they find damaged
@@ -192,21 +436,39 @@ def fuzz_alone(name: str, first: int, logs: int, failures) -> None:
     print(f"{name}: at most {memory / 1e6:.0f} MB", flush=True)
 
 
-def fuzz(name: str, first: int, logs: int, failures) -> None:
-    """Read damaged logs of one format, and put what fails into the queue."""
+def reading(name: str, folder: Path) -> Callable[[np.random.Generator], list[Session]]:
+    """Return what writes something damaged and reads it: a log of the format, or one by a recipe at random."""
+    files = originals(folder)
+    if name in READS:
+        (folder / "read").mkdir()
+        topics = {"tf": ["/tf", "/joint_states"], "ulg": ["pose"], "xdf": ["arm"]}
+        return partial(
+            read_by_random_recipe, name, folder / "read", [(files[bag][0], own) for bag, own in topics.items()]
+        )
+    path, file = files[name]
+    options = {name: {"recipe": recipe} for name, recipe in RECIPES.items()}.get(name, {})
+    options |= {"columns": ["p_r", "mode"]} if name in ("mat", "h5") else {}
+    data = file.read_bytes()
+
+    def read(rng: np.random.Generator) -> list[Session]:
+        file.write_bytes(damaged(data, rng))
+        return [read_session(path, **options)]
+
+    return read
+
+
+def fuzz(name: str, first: int, logs: int, failures) -> int:
+    """Read damaged logs of one format, and put what fails into the queue; return how many were read."""
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        path, file = originals(Path(folder))[name]
-        options = {name: {"recipe": recipe} for name, recipe in RECIPES.items()}.get(name, {})
-        options |= {"columns": ["p_r", "mode"]} if name in ("mat", "h5") else {}
-        data = file.read_bytes()
-        slowest = 0.0
+        read = reading(name, Path(folder))
+        slowest, good = 0.0, 0
         for seed in range(first, first + logs):
-            file.write_bytes(damaged(data, np.random.default_rng([seed, len(name)])))
             begun = time.process_time()
             try:
-                read = read_session(path, **options)
-                assert np.isfinite(read.data.to_numpy()).all()
+                found = read(np.random.default_rng([seed, len(name)]))
+                assert all(np.isfinite(each.data.to_numpy()).all() and (np.diff(each.t) > 0).all() for each in found)
+                good += len(found) > 0
             except SessionError as error:
                 assert len(str(error)) < 3000  # noqa: PT017
             except BaseException:
@@ -214,17 +476,20 @@ def fuzz(name: str, first: int, logs: int, failures) -> None:
             slowest = max(slowest, time.process_time() - begun)
             if time.process_time() - begun > MOST_SECONDS:
                 failures.put((name, seed, f"took {time.process_time() - begun:.1f} s"))
-        print(f"{name}: {logs} logs, the slowest {slowest:.2f} s", flush=True)
+        print(f"{name}: {logs} logs, {good} of them read, the slowest {slowest:.2f} s", flush=True)
+    return good
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--logs", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--section", choices=["logs", "recipes"], default="logs")
     parser.add_argument("--only")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        names = [arguments.only] if arguments.only else list(originals(Path(folder)))
+        every = READS if arguments.section == "recipes" else list(originals(Path(folder)))
+        names = [arguments.only] if arguments.only else every
     failures: multiprocessing.Queue = multiprocessing.get_context("spawn").Queue()
     found = []
     for name in names:

@@ -6,6 +6,7 @@ import importlib.util
 import queue
 import sqlite3
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -346,12 +347,13 @@ def test_px4_and_the_lab_streaming_layer(tmp_path):
     assert "brought together" in session.metadata.more["clocks"]
 
 
-@pytest.mark.parametrize("name", ["rules", "tf", "feather", "tsv", "csv.gz", "mat", "h5", "ulg", "xdf"])
-def test_damaged_logs(name):
-    """Whatever is damaged, only our errors come out; tests/sessions/fuzz.py searches further."""
+@pytest.mark.parametrize("name", ["rules", "tf", "feather", "tsv", "csv.gz", "mat", "h5", "ulg", "xdf", *fuzz.READS])
+def test_damaged_logs_and_recipes_at_random(name):
+    """Whatever is damaged, only our errors come out; some logs are read. tests/sessions/fuzz.py searches further."""
     failures = queue.Queue()
-    fuzz.fuzz(name, first=0, logs=25, failures=failures)
+    good = fuzz.fuzz(name, first=0, logs=40 if name in fuzz.READS else 25, failures=failures)
     assert list(failures.queue) == []
+    assert good >= 2 or name not in fuzz.READS
 
 
 def test_an_error_that_is_not_ours_is_noticed(monkeypatch):
@@ -360,3 +362,12 @@ def test_an_error_that_is_not_ours_is_noticed(monkeypatch):
     monkeypatch.setattr("trustlab.sessions.readers.formats._guard", lambda format: contextlib.nullcontext())
     fuzz.fuzz("ulg", first=0, logs=25, failures=failures)
     assert not failures.empty()
+
+
+def test_an_answer_that_is_no_session_is_noticed(monkeypatch):
+    # Negative control.
+    failures = queue.Queue()
+    backwards = SimpleNamespace(data=pd.DataFrame({"r": [0.5, 0.5]}), t=np.array([1.0, 0.0]))
+    monkeypatch.setattr(fuzz, "read_frame", lambda *_, **__: backwards)
+    fuzz.fuzz("frame", first=0, logs=3, failures=failures)
+    assert failures.qsize() == 3
