@@ -89,16 +89,21 @@ def test_the_sdist_can_be_tested(built):
     assert {f"data/published/{path.name}" for path in (ROOT / "data" / "published").iterdir()} <= names
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_page_runs(page, installed, tmp_path):
-    write_files(ROOT / page, tmp_path)
-    check = f"import trustlab\nassert trustlab.__file__.startswith({str(installed)!r}), trustlab.__file__\n"
+def test_pages_run(installed, tmp_path):
+    """Each page in a folder and a namespace of its own, all in one process, which imports and loads what they need once."""
+    code = f"import contextlib, io, os, trustlab\nassert trustlab.__file__.startswith({str(installed)!r}), trustlab.__file__\n"
+    for number, page in enumerate(PAGES):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        write_files(ROOT / page, folder)
+        code += f"os.chdir({str(folder)!r})\nwith contextlib.redirect_stdout(io.StringIO()) as said:\n"
+        code += f"    exec(compile({python(ROOT / page)!r}, {page!r}, 'exec'), {{'__name__': '__main__'}})\n"
+        code += f"assert said.getvalue().strip(), {page!r}\n"
     done = subprocess.run(
-        [sys.executable, "-c", check + python(ROOT / page)],
+        [sys.executable, "-c", code],
         cwd=tmp_path,
         env=os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": str(installed)},
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    assert done.stdout.strip()
