@@ -4,11 +4,14 @@ import re
 import tomllib
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from matplotlib import pyplot as plt
 
+import trustlab as tl
 from tests.house.documents import DOCUMENTS, ROOT, blocks, name_of, python, write_files
 from trustlab.sessions import load_recipe
+from trustlab.teleoperation.loop.state import STATE
 
 
 @pytest.mark.parametrize("path", [*DOCUMENTS, ROOT / "CONTRIBUTING.md"], ids=name_of)
@@ -33,6 +36,49 @@ def test_code_runs(path, tmp_path, monkeypatch, capsys):
         exec(compile(python(path), name_of(path), "exec"), {"__name__": "__main__"})
         plt.close("all")
     assert capsys.readouterr().out.strip()
+
+
+@pytest.fixture(scope="module")
+def scheme_page():
+    """What the code of the page about one's own scheme and trust defines."""
+    found = {}
+    exec(python(ROOT / "docs" / "how_to" / "scheme.md"), found)
+    return found
+
+
+@pytest.mark.xdist_group("docs")
+def test_trust_of_the_example_sets_its_scales(scheme_page):
+    run, scheme = scheme_page["run"].data, tl.Scheme("mine", scheme_page["shares"])
+    # T_hr sets α and T_rh sets β, on a falling straight line
+    for scale, trust in (("alpha", "trust_hr"), ("beta", "trust_rh")):
+        slope, at_zero = np.polyfit(run[trust], run[scale], 1)
+        assert np.ptp(run[scale]) > 0.1
+        assert slope < 0
+        assert np.allclose(at_zero + slope * run[trust], run[scale], rtol=0, atol=1e-12)
+    others = {"vehicle": scheme_page["vehicle"], "guidance": "tank", "tank": 0.5, "seed": 0, "duration": 60.0}
+    constant = tl.simulate_teleoperation(scheme, trust=lambda state: (0.5, 0.5), **others).data
+    assert np.ptp(constant["alpha"]) == np.ptp(constant["beta"]) == 0.0  # negative control
+    assert (run["robot_x"] != constant["robot_x"]).any()
+
+
+@pytest.mark.xdist_group("docs")
+def test_memory_of_the_example_matters(scheme_page):
+    def forgetful(state):
+        return scheme_page["trust"](state, np.zeros(16))
+
+    run, loop = scheme_page["run"].data, scheme_page["loop"]
+    without = tl.TeleoperationLoop(
+        loop.scheme, trust=forgetful, vehicle=loop.vehicle, guidance="tank", tank=0.5, seed=0
+    ).run(60.0)
+    assert np.ptp(run["trust_hr"] - without["trust_hr"]) > 0.01
+
+
+def test_names_of_the_state_on_the_page_are_its_own():
+    page = (ROOT / "docs" / "how_to" / "scheme.md").read_text()
+    listed = re.findall(r"^\| (`.*?) \|", page, re.M)
+    names = re.findall(r"`(\w+)`", " ".join(listed))
+    assert len(names) > 30
+    assert set(names) <= set(STATE.names)
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
