@@ -86,3 +86,13 @@ def test_arrays_are_floats_in_one_piece():
     assert array.flags.c_contiguous
     with pytest.raises(ValueError, match="must have 4 samples, got 5"):
         finite_array("x", array, length=4)
+
+
+def test_warnings_point_at_the_users_line():
+    """However deep inside the package the reason was found: oracle, the file of this test."""
+    data = tl.read_session("data/sessions/pilot.csv").data
+    unsaid = tl.Session(data, tl.Metadata(participant=1))
+    for fit in (tl.fit_tsc, tl.fit_robot, tl.fit_human):
+        with pytest.warns(UserWarning, match="moving window") as caught:
+            fit(unsaid)
+        assert caught[0].filename == __file__

@@ -206,6 +206,7 @@ def failing(state):
         ({"scheme": tl.Scheme("s", lambda s: (0.5 + s.t, 0.3))}, r"alpha in \[0.2, 1\]"),
         ({"scheme": tl.Scheme("s", lambda s: (0.5, -0.1 * s.t + 0.1))}, r"beta in \[0.05, 0.5\]"),
         ({"scheme": tl.Scheme("s", lambda s: 1.0 / (s.t - 1.0))}, "scheme .* raised TypeError"),
+        ({"scheme": tl.Scheme("s", lambda s: (s.robot_x, 0.3))}, "raised AttributeError: the state has no 'robot_x'"),
         ({"operator": failing}, "operator .* raised RuntimeError: the hand slipped"),
         ({"operator": partial(failing)}, "operator .* raised RuntimeError: the hand slipped"),
         (

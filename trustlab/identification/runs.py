@@ -1,6 +1,5 @@
 """What identification reads from sessions: columns as arrays, checked once."""
 
-import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -8,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.identification.structure import IdentificationError
-from trustlab.models.checks import not_negative, of_class
+from trustlab.models.checks import not_negative, of_class, warn
 from trustlab.sessions.session import Session
 
 HOW_TO_GET = (
@@ -110,11 +109,10 @@ def _windows(sessions: list[Session], window: float | None, needed: tuple[str, .
     stated = [session.metadata.more.get("performance_window") if window is None else window for session in sessions]
     unsaid = [s for s, own in zip(sessions, stated, strict=True) if own is None and not s.metadata.synthetic]
     if unsaid and {"p_r", "p_h"} & set(needed):
-        warnings.warn(
+        warn(
             f"{unsaid[0].label}: nothing says whether p_r and p_h are means over a moving window, as (2.4) and (2.7) are, "
             "and a fit that takes means for the values themselves is wrong: state window=… [s], or window=0 if they are no "
-            "means (in a recipe: performance_window = …; Session.with_performance notes its own)",
-            stacklevel=4,
+            "means (in a recipe: performance_window = …; Session.with_performance notes its own)"
         )
     for session, own in zip(sessions, stated, strict=True):
         if own and session.metadata.more.get("performance_cut"):

@@ -6,6 +6,8 @@ Every check returns the value in the type that the caller works with, and raises
 
 import difflib
 import math
+import sys
+import warnings
 from collections.abc import Callable, Iterable
 from numbers import Integral, Real
 from typing import Any, TypeVar
@@ -22,6 +24,14 @@ def shown(value: object) -> str:
     except ValueError:  # Python refuses to print integers of more than 4,300 digits
         text = "a number of very many digits"
     return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def warn(message: str, category: type[Warning] = UserWarning) -> None:
+    """Warn at the user's line, the first outside trustlab, however deep inside it the reason was found."""
+    frame, level = sys._getframe(1), 2
+    while frame and frame.f_globals.get("__name__", "").startswith(("trustlab.", "contextlib")):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, category, stacklevel=level)
 
 
 def did_you_mean(name: object, known: Iterable[object]) -> str:

@@ -1,12 +1,11 @@
 """Performance measured from logs: (2.4), (2.7), their UAV variants, (3.26)-(3.27), and the tracking error of trials."""
 
-import warnings
 from collections.abc import Iterable
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import array_between, finite_array, mode_array, one_of, positive
+from trustlab.models.checks import array_between, finite_array, mode_array, one_of, positive, warn
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.metadata import Metadata
 
@@ -238,7 +237,7 @@ def with_performance(
     p_r, p_h = (window_mean(values, session.sample_time, window) for values in (p_r, p_h))
     if window > session.duration:
         short = f"{session.label} lasts {session.duration:g} s, less than the window of {window:g} s"
-        warnings.warn(f"{short}: every value is the mean of what there was so far", stacklevel=3)
+        warn(f"{short}: every value is the mean of what there was so far")
     note = f"{equations}, window {window:g} s"
     return session.with_columns(p_r=p_r, p_h=p_h).with_metadata(performance=note, performance_window=float(window))
 

@@ -1,6 +1,5 @@
 """From a raw log to a session: checks, resampling, constant and computed columns, metadata."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from trustlab.models.checks import warn
 from trustlab.sessions.errors import RecipeError, SessionError, source_named
 from trustlab.sessions.metadata import Metadata, digest
 from trustlab.sessions.readers.index import SessionIndex
@@ -103,9 +103,8 @@ def assemble_session(
                 count = int(columns[name].sum())
                 log.notes[f"{name} above {rule.above:g}"] = f"{count} of {t.size} samples"
                 if count in (0, t.size):
-                    _warn(
-                        log,
-                        f"column {name} is {count and 1} throughout: {rule.above:g} divides no sample from the others",
+                    warn(
+                        f"{log.source}: column {name} is {count and 1} throughout: {rule.above:g} divides no sample from the others"
                     )
             if rule.needs and (wanted is None or name in wanted):
                 with np.errstate(over="ignore"):  # the session refuses what is not finite
@@ -113,15 +112,10 @@ def assemble_session(
         names = wanted or list(rules or columns)
         frame = pd.DataFrame({name: columns[name] for name in names}, index=pd.Index(t, name="t"), copy=False)
         if t[-1] - t[0] >= SLOW * (t.size - 1):
-            _warn(
-                log,
-                f'samples are {t[1] - t[0]:g} s apart; if these are milliseconds, a recipe says so: [time] unit = "ms"',
+            warn(
+                f'{log.source}: samples are {t[1] - t[0]:g} s apart; if these are milliseconds, a recipe says so: [time] unit = "ms"'
             )
         return Session(frame, _metadata(log, recipe, values))
-
-
-def _warn(log: RawLog, what: str) -> None:
-    warnings.warn(f"{log.source}: {what}", UserWarning, stacklevel=7)
 
 
 def _constant(rule: MetadataColumn, values: Mapping[str, object]) -> float:

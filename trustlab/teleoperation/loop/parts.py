@@ -116,7 +116,7 @@ def compiled(port: str, function: Callable) -> tuple[Any, str]:
                 state.raised = True
 
         return numba.cfunc(SIGNATURE)(part), "compiled"
-    except (errors.NumbaError, NotImplementedError) as error:
+    except (errors.NumbaError, NotImplementedError, KeyError) as error:  # the last for a field that the state has not
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         return None, f"Python: numba cannot compile it ({shown(next(iter(lines[1:]), type(error).__name__))})"
 
