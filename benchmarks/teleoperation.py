@@ -99,7 +99,7 @@ def as_arrays(given: dict) -> dict[str, np.ndarray]:
     given : dict
         Arguments of the compiled loop by name.
     """
-    inputs, setup = given["inputs"], given["setups"][0]
+    inputs, setup, state = given["inputs"], given["setups"][0], given["states"][0]
     data = {name: inputs[name] for name in ("reference", "detected", "motor", "pushed")}
     data |= {"moving": inputs["reference_velocity"], "delays": given["delays"]}
     data |= {name: setup["vehicle"][name] for name in ("phi", "gamma")}
@@ -107,6 +107,9 @@ def as_arrays(given: dict) -> dict[str, np.ndarray]:
         numbers = flat(setup[kind])
         if kind == "loop":
             numbers |= {one: float(setup["device"][one][0]) for one in ("mass", "damping", "stiffness", "weight")}
+            numbers |= {"sample_time": float(state["sample_time"]), "b": float(setup["near"]["b"])}
+            for scale in ("alpha", "beta"):
+                numbers |= {f"{scale}.low": float(state[f"{scale}_min"]), f"{scale}.high": float(state[f"{scale}_max"])}
         data[name], data[f"names_{name}"] = np.array([*numbers.values()]), np.array([*numbers])
     return data
 
@@ -141,27 +144,27 @@ def linear_case() -> tuple[dict, dict[str, np.ndarray]]:
         "delay_1": LATE * PERIOD, "delay_2": LATE * PERIOD, "guard": "off", "guidance": "through_channel", "push": push, "read_out": "interpolated",
     }  # fmt: skip
     given, _ = captured(**arguments)
-    n, hand = settings.numbers(PERIOD), still.numbers(PERIOD, task.camera_delay)
+    ends, gain, guidance = settings.scattering, settings.scattering.gain, settings.numbers(PERIOD)["guidance"]
     phi, gamma = (given["setups"]["vehicle"][name][0] for name in ("phi", "gamma"))
     reference, moving = given["inputs"]["reference"], given["inputs"]["reference_velocity"]
-    into, back = (np.sqrt(2.0 * n.b / top) for top in (n.alpha.high, n.beta.high))
-    stiff, damp = settings.stiffness + hand.stiffness, settings.damping + hand.damping
+    into, back = (np.sqrt(2.0 * ends.b / top) for top in (ends.alpha_max, ends.beta_max))
+    stiff, damp = settings.stiffness + still.stiffness, settings.damping + still.damping
     inertia, tip = 2.0 * settings.mass / PERIOD, 1.0 + 0.5 * PERIOD * settings.weight
-    drag = n.force_scaling * n.beta.high
+    drag = settings.force_scaling * ends.beta_max
 
     def master(state, inputs):
-        x, v, force, wave = state[:3], state[3:], inputs[:3], n.gain * inputs[3:]
-        right = inertia * v - stiff * x + force - drag * (n.b * settings.weight * x + back * wave)
-        middle = right / (inertia + damp + 0.5 * PERIOD * stiff + drag * n.b * tip)
-        sent = np.sqrt(2.0 * n.b * n.beta.low) * (tip * middle + settings.weight * x)
-        return x + PERIOD * middle, 2.0 * middle - v, sent + np.sqrt(n.beta.low / n.beta.high) * wave, x
+        x, v, force, wave = state[:3], state[3:], inputs[:3], gain * inputs[3:]
+        right = inertia * v - stiff * x + force - drag * (ends.b * settings.weight * x + back * wave)
+        middle = right / (inertia + damp + 0.5 * PERIOD * stiff + drag * ends.b * tip)
+        sent = np.sqrt(2.0 * ends.b * ends.beta_min) * (tip * middle + settings.weight * x)
+        return x + PERIOD * middle, 2.0 * middle - v, sent + np.sqrt(ends.beta_min / ends.beta_max) * wave, x
 
     def slave(state, inputs):
-        vehicle, wave = state.reshape(3, 3), n.gain * inputs[3:]
-        force = -n.guidance * (inputs[:3] - vehicle[:, 0])
-        command = n.alpha.high * (into * wave - force) / n.b
+        vehicle, wave = state.reshape(3, 3), gain * inputs[3:]
+        force = -guidance * (inputs[:3] - vehicle[:, 0])
+        command = ends.alpha_max * (into * wave - force) / ends.b
         after = np.einsum("ijk,ik->ij", phi, vehicle) + gamma * command[:, None]
-        sent = np.sqrt(2.0 * n.alpha.low / n.b) * force - np.sqrt(n.alpha.low / n.alpha.high) * wave
+        sent = np.sqrt(2.0 * ends.alpha_min / ends.b) * force - np.sqrt(ends.alpha_min / ends.alpha_max) * wave
         return after.ravel(), sent, vehicle[:, 0]
 
     turn = np.hypot(moving[0, 0] / task.size_x, 0.0) / abs(np.sqrt(1.0 - (reference[0, 0] / task.size_x) ** 2))

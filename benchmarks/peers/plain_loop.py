@@ -32,7 +32,7 @@ class PlainLoop:
         self.state[:, 0] = self.inputs["reference"][0]
         self.seen, self.left, self.right = [], [], []
         self.books = [[0, 0.0, -1.0], [0, 0.0, -1.0]]
-        self.trust = [s["trust_hr.start"], s["trust_rh.start"]]
+        self.trust = [0.5, 0.5]
         self.good = deque(maxlen=int(s["window"]))
         self.sums = [0.0, 0.0]
         self.work = self.lost = self.channel = self.robot = 0.0
@@ -80,7 +80,7 @@ class PlainLoop:
         reference, position, velocity = (given["reference"][k], self.state[:, 0].copy(), self.state[:, 1].copy())
         error = reference - position
         self.seen.append(error)
-        ideal = given["moving"][k] + auto["ideal"] * error
+        ideal = given["moving"][k] + error
         steered, late = np.zeros(3), k - int(auto["delay"])
         if late >= 1 and given["detected"][late]:
             rate = (self.seen[late] - self.seen[late - 1]) / period if given["detected"][late - 1] else np.zeros(3)
@@ -90,9 +90,7 @@ class PlainLoop:
             self.integral = np.where(free, summed, self.integral)
             steered = np.clip(wanted + auto["integral"] * self.integral, -auto["reach"], auto["reach"])
         alpha, beta = (
-            s[f"{name}.high"]
-            - (s[f"{name}.high"] - s[f"{name}.low"])
-            / (1.0 + exp(-s[f"{name}.steepness"] * (trust - s[f"{name}.midpoint"])))
+            s[f"{name}.high"] - (s[f"{name}.high"] - s[f"{name}.low"]) / (1.0 + exp(-s["steepness"] * (trust - 0.5)))
             for name, trust in zip(("alpha", "beta"), self.trust, strict=True)
         )
         view, wanted = k - int(hand["delay"]), np.zeros(3)

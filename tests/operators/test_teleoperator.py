@@ -43,9 +43,9 @@ def test_an_operator_has_a_stream_of_its_own():
 
 def test_numbers_are_the_operators_own():
     numbers = Teleoperator(reaction=0.3, lag=0.2, patience=2.0).numbers(0.01, 0.1)
-    assert numbers.delay == 40
-    assert numbers.decay == pytest.approx(np.exp(-0.05))
-    assert numbers.patience == 200
+    assert numbers["delay"] == 40
+    assert numbers["decay"] == pytest.approx(np.exp(-0.05))
+    assert numbers["patience"] == 200
 
 
 @pytest.mark.parametrize(

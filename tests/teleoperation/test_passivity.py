@@ -87,7 +87,7 @@ def test_damping_of_a_yielding_port_takes_the_power_demanded(power, square, comp
         (lambda: PassivityController(T).step([1.0], [np.nan]), "must be finite"),
         (lambda: PassivityController(T).step([1.0], [1.0, 2.0]), "one shape"),
         (lambda: PassivityController(T).run([[1.0], [1.0]], [[1.0], [np.inf]]), "sample 1"),
-        (lambda: PassivityController(T).run(np.ones((3, 2)), np.ones((3, 1))), "one shape"),
+        (lambda: PassivityController(T).run(np.ones((3, 2)), np.ones((3, 1))), "same shape"),
     ],
 )
 def test_bad_input_is_refused(make, words):

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import not_negative, one_of, positive, spawned, whole_number
+from trustlab.models.checks import between, not_negative, one_of, positive, spawned, whole_number
 from trustlab.operators.ground_robot import check_participant
 from trustlab.teleoperation.loop.defaults import LAWS
-from trustlab.teleoperation.loop.state import HandNumbers
+from trustlab.teleoperation.loop.state import HAND
+from trustlab.teleoperation.records import filled
 
 # Largest command [m/s] that operators of each study ask for, above the speed of its target.
 REACH = {"preliminary": 2.5, "main": 1.0}
@@ -122,10 +123,9 @@ class Teleoperator:
             check = positive if item.name in above_zero else not_negative
             object.__setattr__(self, item.name, check(item.name, getattr(self, item.name)))
         for name, most in (("reaction", 2.0), ("lag", 5.0), ("shift", 1.0), ("preview", 10.0)):
-            if getattr(self, name) > most:
-                raise ValueError(f"{name} must not exceed {most}, got {getattr(self, name)}")
+            between(name, getattr(self, name), 0.0, most)
 
-    def numbers(self, sample_time: float, camera_delay: float) -> HandNumbers:
+    def numbers(self, sample_time: float, camera_delay: float) -> np.void:
         """
         Return the operator as compiled loops take it.
 
@@ -136,24 +136,14 @@ class Teleoperator:
         camera_delay : float
             How late pictures arrive [s].
         """
-        same = (
-            "proportional",
-            "derivative",
-            "compensation",
-            "crossover",
-            "reach",
-            "stiffness",
-            "damping",
-            "noise",
-            "shift",
-        )
-        return HandNumbers(
-            **{name: getattr(self, name) for name in same},
-            learned=sample_time / max(self.adaptation, sample_time),
-            delay=max(round((self.reaction + camera_delay) / sample_time), 1),
-            decay=math.exp(-sample_time / self.lag),
-            patience=max(round(self.patience / sample_time), 1),
-        )
+        numbers = {name: getattr(self, name) for name in HAND.names if hasattr(self, name)}
+        numbers |= {
+            "learned": sample_time / max(self.adaptation, sample_time),
+            "delay": max(round((self.reaction + camera_delay) / sample_time), 1),
+            "decay": math.exp(-sample_time / self.lag),
+            "patience": max(round(self.patience / sample_time), 1),
+        }
+        return filled(HAND, **numbers)
 
 
 # Of operators who adapt: ω_c over their whole delay [rad], of which the camera and the channel take some [s].

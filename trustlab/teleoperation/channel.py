@@ -14,7 +14,7 @@ from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.ports import waves as equations
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts, read_wave
 from trustlab.teleoperation.ports.waves import Scattering
-from trustlab.teleoperation.records import robot_numbers, signal
+from trustlab.teleoperation.records import robot_numbers, signals
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,14 +140,6 @@ def _run(r_m, f_s, ends, near, far, alpha, beta, delays, read_out, sample_time, 
     return ChannelRun(period * np.arange(count), r_m, f_m, r_s, f_s, *waves, period)
 
 
-def _signals(r_m, f_s) -> tuple[np.ndarray, np.ndarray]:
-    """Return both signals as arrays of shape (N, n)."""
-    r_m, f_s = signal("r_m", r_m, least=2), signal("f_s", f_s, least=2)
-    if r_m.shape != f_s.shape:
-        raise ValueError(f"r_m and f_s must have the same shape, got {r_m.shape} and {f_s.shape}")
-    return r_m, f_s
-
-
 def lost_waves(lost, count: int) -> np.ndarray:
     """Return which waves arrive, shape (2, count), from those that a user says are lost; all when none are named."""
     if lost is None:
@@ -215,7 +207,7 @@ def channel_run(
     >>> bool(run.energy.min() > -1e-9)
     True
     """
-    r_m, f_s = _signals(r_m, f_s)
+    r_m, f_s = signals(2, r_m=r_m, f_s=f_s)
     of_class("scattering", scattering, Scattering)
     count, scales = len(r_m), []
     for name, given, default in (("alpha", alpha, scattering.alpha_max), ("beta", beta, scattering.beta_max)):
@@ -285,7 +277,7 @@ def switched_channel_run(
         raise ValueError("ends must hold one Scattering per robot, got none")
     for place, end in enumerate(ends):
         of_class(f"ends[{place}]", end, Scattering)
-    r_m, f_s = _signals(r_m, f_s)
+    r_m, f_s = signals(2, r_m=r_m, f_s=f_s)
     count, robots = len(r_m), len(ends)
     far = robot_numbers("leaders", leaders, count, robots)
     near = far if operator_leaders is None else robot_numbers("operator_leaders", operator_leaders, count, robots)

@@ -6,7 +6,7 @@ import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number, not_negative, of_class, positive, set_checked
 from trustlab.teleoperation.ports.device import PassivityError
-from trustlab.teleoperation.records import signal
+from trustlab.teleoperation.records import signal, signals
 
 SLACK = 1e-12
 
@@ -197,9 +197,7 @@ class TwoPortFilter:
             If the inputs are not finite or differ in shape.
         """
         step = positive("sample_time", sample_time)
-        first, second = (signal(name, value) for name, value in (("u_1", u_1), ("u_2", u_2)))
-        if first.shape != second.shape:
-            raise ValueError(f"u_1 and u_2 must have the same shape, got {first.shape} and {second.shape}")
+        first, second = signals(u_1=u_1, u_2=u_2)
         low = (_low_pass(first, self.cutoff, step), _low_pass(second, self.cutoff, step))
         y_1, y_2 = low[0][0] - self.k12 * second, self.k21 * first + low[1][0]
         supply = step * np.cumsum((first * y_2 - second * y_1).sum(axis=1))

@@ -11,6 +11,14 @@ def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = 
     return np.dtype(fields)
 
 
+def filled(kind: np.dtype, **values) -> np.void:
+    """Return a record of these values by name; what is not given is zero."""
+    out = np.zeros(1, kind)[0]
+    for name, value in values.items():
+        out[name] = value
+    return out
+
+
 def columns_of(log: np.dtype) -> tuple[str, ...]:
     """Return the column names of a log record, vectors spelt out by axis."""
     names = []
@@ -44,6 +52,14 @@ def signal(name: str, values, rows: int | None = None, columns: int | None = Non
         k, i = np.argwhere(~np.isfinite(array))[0]
         raise ValueError(f"{name} must be finite, but sample {k}, axis {i} is {array[k, i]}")
     return array
+
+
+def signals(least: int = 1, **given) -> list[np.ndarray]:
+    """Return two signals by name as finite arrays of the same shape (N, n)."""
+    (one, first), (other, second) = ((name, signal(name, values, least=least)) for name, values in given.items())
+    if first.shape != second.shape:
+        raise ValueError(f"{one} and {other} must have the same shape (N, n), got {first.shape} and {second.shape}")
+    return [first, second]
 
 
 def robot_numbers(name: str, values, count: int, robots: int) -> np.ndarray:

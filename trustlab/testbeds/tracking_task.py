@@ -6,7 +6,8 @@ import numpy as np
 
 from trustlab.models.checks import between, not_negative, positive
 from trustlab.models.uav import PRINTED_UAV, TransferFunction
-from trustlab.teleoperation.loop.state import AutonomyNumbers
+from trustlab.teleoperation.loop.state import AUTONOMY
+from trustlab.teleoperation.records import filled
 
 
 def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
@@ -90,7 +91,7 @@ class TrackingTask:
             object.__setattr__(self, name, check(name, getattr(self, name)))
         between("view", self.view, 0.0, 1e6)
 
-    def controller(self, sample_time: float) -> AutonomyNumbers:
+    def controller(self, sample_time: float) -> np.void:
         """
         Return the autonomous controller as the compiled loop takes it.
 
@@ -100,8 +101,8 @@ class TrackingTask:
             T [s].
         """
         late = max(round(self.camera_delay / sample_time), 1)
-        ideal = 1.0  # gain of the ideal controller u_i = reference velocity + error
-        return AutonomyNumbers(self.proportional, self.integral, self.derivative, late, self.reach, self.view, ideal)
+        gains = {name: getattr(self, name) for name in ("proportional", "integral", "derivative", "reach")}
+        return filled(AUTONOMY, **gains, picture=self.view, delay=late)
 
     def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -192,7 +192,7 @@ def decide(setup, alpha, state):
     """Let autonomy, scheme and operator decide; return the part that failed, DONE where none did. α may be given."""
     parts = setup.parts
     for i in range(3):
-        state.u_i[i] = state.reference_velocity[i] + setup.auto.ideal * state.error[i]
+        state.u_i[i] = state.reference_velocity[i] + state.error[i]  # the ideal controller has the gain 1/s
     call(parts.autonomy, state, setup)
     if state.raised or not finite(state.u_a):
         return AUTONOMY

@@ -14,20 +14,8 @@ from trustlab.teleoperation.loop.parts import Part
 
 @njit(error_model="numpy", forceinline=True)
 def share_of_range(trust, model):
-    """Return trust as a share of its range."""
+    """Return trust as a share of its range; the scales (3.5) and (3.6) have their midpoint at half of it."""
     return (trust - model.t_min) / (model.t_max - model.t_min)
-
-
-@njit(error_model="numpy", forceinline=True)
-def logistic(numbers, trust):
-    """Return (3.5) at a trust that is a share of its range."""
-    return logistic_scale(numbers.low, numbers.high, numbers.steepness, numbers.midpoint, trust)
-
-
-@njit(error_model="numpy", forceinline=True)
-def stepped(numbers, trust):
-    """Return (3.6) at a trust that is a share of its range."""
-    return numbers.low if trust >= numbers.midpoint else numbers.high
 
 
 @Part
@@ -40,16 +28,17 @@ def manual(state, setup):
 def logistic_by_trust(state, setup):
     """Set both scales by trust (3.5)."""
     n = setup.loop
-    state.alpha = logistic(n.alpha, share_of_range(state.trust_hr, n.trust_hr))
-    state.beta = logistic(n.beta, share_of_range(state.trust_rh, n.trust_rh))
+    hr, rh = share_of_range(state.trust_hr, n.trust_hr), share_of_range(state.trust_rh, n.trust_rh)
+    state.alpha = logistic_scale(state.alpha_min, state.alpha_max, n.steepness, 0.5, hr)
+    state.beta = logistic_scale(state.beta_min, state.beta_max, n.steepness, 0.5, rh)
 
 
 @Part
 def stepped_by_trust(state, setup):
     """Set both scales by trust (3.6)."""
     n = setup.loop
-    state.alpha = stepped(n.alpha, share_of_range(state.trust_hr, n.trust_hr))
-    state.beta = stepped(n.beta, share_of_range(state.trust_rh, n.trust_rh))
+    state.alpha = state.alpha_min if share_of_range(state.trust_hr, n.trust_hr) >= 0.5 else state.alpha_max
+    state.beta = state.beta_min if share_of_range(state.trust_rh, n.trust_rh) >= 0.5 else state.beta_max
 
 
 @Part

@@ -7,9 +7,10 @@ import numpy as np
 from trustlab.models.checks import finite_array, finite_number, of_class, one_of, positive, set_checked
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
 from trustlab.sessions.session import Session
-from trustlab.teleoperation.loop.state import LoopNumbers, ScaleNumbers, TrustNumbers
+from trustlab.teleoperation.loop.state import LOOP
 from trustlab.teleoperation.ports.device import HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.records import filled
 
 STUDY_NAMES = ("preliminary", "main")
 
@@ -134,7 +135,7 @@ class LoopSettings:
             LogisticScaling(low, high, self.steepness, None, trust.t_min, trust.t_max) for low, high, trust in pairs
         )
 
-    def numbers(self, sample_time: float) -> LoopNumbers:
+    def numbers(self, sample_time: float) -> np.void:
         """
         Return the settings as the compiled loop takes them.
 
@@ -143,15 +144,12 @@ class LoopSettings:
         sample_time : float
             T [s].
         """
-        alpha, beta = self.scalings()
-        return LoopNumbers(
-            sample_time=sample_time,
+        return filled(
+            LOOP,
             force_scaling=self.force_scaling,
-            b=self.scattering.b,
             gain=self.scattering.gain,
             guidance=-self.k_ffa if self.printed_sign else self.k_ffa,
-            alpha=_scale_numbers(alpha, self.steepness),
-            beta=_scale_numbers(beta, self.steepness),
+            steepness=self.steepness,
             trust_hr=_trust_numbers(self.human_to_robot, sample_time),
             trust_rh=_trust_numbers(self.robot_to_human, sample_time),
             window=max(round(self.window / sample_time), 1),
@@ -160,16 +158,9 @@ class LoopSettings:
         )
 
 
-def _scale_numbers(scaling: LogisticScaling, steepness: float) -> ScaleNumbers:
-    """Return a scaling with its midpoint as a share of the range of trust."""
-    midpoint = (scaling.midpoint - scaling.t_min) / (scaling.t_max - scaling.t_min)
-    return ScaleNumbers(scaling.low, scaling.high, steepness, midpoint)
-
-
-def _trust_numbers(trust: TrustModel, sample_time: float) -> TrustNumbers:
-    """Return a trust model for one sample time; trust starts in the middle of its range."""
-    ranges = (trust.p_min, trust.p_max, trust.t_min, trust.t_max)
-    return TrustNumbers(trust.decay(sample_time), trust.b / trust.a, 0.5, *ranges)
+def _trust_numbers(trust: TrustModel, sample_time: float) -> tuple:
+    """Return a trust model for one sample time, a record of TRUST."""
+    return trust.decay(sample_time), trust.b / trust.a, trust.p_min, trust.p_max, trust.t_min, trust.t_max
 
 
 # Printed settings. The device's mass, the rates of trust and y_max are not printed: the first is near the

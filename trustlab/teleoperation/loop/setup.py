@@ -11,20 +11,20 @@ from trustlab.models.uav import TransferFunction, three_axes
 from trustlab.teleoperation.loop.defaults import linear_vehicle
 from trustlab.teleoperation.loop.parts import Part
 from trustlab.teleoperation.loop.settings import LoopSettings
-from trustlab.teleoperation.loop.state import MEMORY, SETUP, STATE, VEHICLE, AutonomyNumbers, HandNumbers
+from trustlab.teleoperation.loop.state import MEMORY, SETUP, STATE, VEHICLE
 from trustlab.teleoperation.ports import device as haptic
 
 # States that a vehicle given by matrices may have: its memory also holds where it started.
 MOST_STATES = MEMORY - 3
 
 
-def setup_of(settings: LoopSettings, hand: HandNumbers, auto: AutonomyNumbers, sample_time: float) -> np.ndarray:
+def setup_of(settings: LoopSettings, hand: np.void, auto: np.void, sample_time: float) -> np.ndarray:
     """Return the constants of a loop, a record of SETUP, without parts and vehicle."""
     setups, device, ends = np.zeros(1, SETUP), settings.device(), settings.scattering
     held = haptic.held_device.py_func(
         *(np.diag(m) for m in (device.mass, device.damping, device.stiffness, device.weight)),
-        hand.stiffness,
-        hand.damping,
+        hand["stiffness"],
+        hand["damping"],
         sample_time,
     )
     setup = setups[0]
@@ -38,14 +38,13 @@ def setup_of(settings: LoopSettings, hand: HandNumbers, auto: AutonomyNumbers, s
 
 def state_of(settings: LoopSettings, sample_time: float) -> np.ndarray:
     """Return the state before the first sample, a record of STATE: scales at their upper bounds, trust mid-way."""
-    states, ends, n = np.zeros(1, STATE), settings.scattering, settings.numbers(sample_time)
+    states, ends = np.zeros(1, STATE), settings.scattering
     states["sample_time"] = sample_time
     for name in ("alpha", "beta"):
         states[f"{name}_min"], states[f"{name}_max"] = getattr(ends, f"{name}_min"), getattr(ends, f"{name}_max")
         states[name] = states[f"{name}_max"]
-    for name in ("trust_hr", "trust_rh"):
-        model = getattr(n, name)
-        states[name] = model.t_min + (model.t_max - model.t_min) * model.start
+    for name, model in (("trust_hr", settings.human_to_robot), ("trust_rh", settings.robot_to_human)):
+        states[name] = model.t_min + (model.t_max - model.t_min) * 0.5
     return states
 
 

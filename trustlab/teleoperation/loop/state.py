@@ -1,7 +1,5 @@
 """What the compiled loop reads and leaves: the records of its state, its log, its inputs, its history and its constants."""
 
-from typing import NamedTuple, get_type_hints
-
 import numpy as np
 
 from trustlab.allocation.blending import DEGREE
@@ -70,91 +68,36 @@ VEHICLE = np.dtype([("phi", float, (3, 3, 3)), ("gamma", float, (3, 3))])
 # The haptic device in its hand, axis by axis.
 DEVICE = record(vectors=" ".join(haptic.Device._fields))
 
+# A `TrustModel` for one sample time; `gain` is b/a.
+TRUST = record(numbers="decay gain p_min p_max t_min t_max")
 
-class ScaleNumbers(NamedTuple):
-    """A scale as a function of trust, (3.5) or (3.6), trust being a share of its range."""
+# Channel, guidance, trust, scales and measures of performance; see `LoopSettings`.
+NUMBERS = record(numbers="force_scaling gain guidance steepness command_range error_range", counts="window")
+LOOP = np.dtype([*NUMBERS.descr, ("trust_hr", TRUST), ("trust_rh", TRUST)])
 
-    low: float
-    high: float
-    steepness: float
-    midpoint: float
+# The simulated hand and eye: gains on the error seen, delay in samples, lag, impedance, and handling of α; `learned` is the
+# share of what is new, per sample, in what an operator knows of the channel.
+HAND = record(
+    numbers="proportional derivative compensation crossover learned decay reach stiffness damping noise shift",
+    counts="delay patience",
+)
 
+# The autonomous controller (PID on what the camera saw `delay` samples ago), and half its picture's width.
+AUTONOMY = record(numbers="proportional integral derivative reach picture", counts="delay")
 
-class TrustNumbers(NamedTuple):
-    """A `TrustModel` for one sample time; `start` is a share of the range of trust, `gain` is b/a."""
-
-    decay: float
-    gain: float
-    start: float
-    p_min: float
-    p_max: float
-    t_min: float
-    t_max: float
-
-
-class LoopNumbers(NamedTuple):
-    """Channel, guidance, trust and scales as plain numbers; see `LoopSettings`."""
-
-    sample_time: float
-    force_scaling: float
-    b: float
-    gain: float
-    guidance: float
-    alpha: ScaleNumbers
-    beta: ScaleNumbers
-    trust_hr: TrustNumbers
-    trust_rh: TrustNumbers
-    window: int
-    command_range: float
-    error_range: float
-
-
-class HandNumbers(NamedTuple):
-    """The simulated hand and eye: gains on the error seen, delay in samples, lag, impedance, and handling of α."""
-
-    proportional: float
-    derivative: float
-    compensation: float
-    crossover: float
-    learned: float  # share of what is new in what an operator knows of the channel, per sample
-    delay: int
-    decay: float
-    reach: float
-    stiffness: float
-    damping: float
-    noise: float
-    shift: float
-    patience: int
-
-
-class AutonomyNumbers(NamedTuple):
-    """The autonomous controller (PID on what the camera saw `delay` samples ago), half its picture's width, and the ideal one."""
-
-    proportional: float
-    integral: float
-    derivative: float
-    delay: int
-    reach: float
-    picture: float
-    ideal: float
-
-
-def record_of(kind: type) -> np.dtype:
-    """Return the record that holds a NamedTuple of numbers and of NamedTuples."""
-    hints = get_type_hints(kind)
-    return np.dtype([(name, record_of(one) if hasattr(one, "_fields") else one) for name, one in hints.items()])
-
+# One end of the channel: what multiplies velocity or force and waves, see `OperatorEnd` and `RobotEnd`.
+END = record(numbers=" ".join(waves.OperatorEnd._fields))
 
 # What stays the same during a run; `parts` holds the addresses of the compiled parts.
 SETUP = np.dtype(
     [
-        ("loop", record_of(LoopNumbers)),
-        ("hand", record_of(HandNumbers)),
-        ("auto", record_of(AutonomyNumbers)),
+        ("loop", LOOP),
+        ("hand", HAND),
+        ("auto", AUTONOMY),
         ("device", DEVICE),
         ("admittance", float, 3),
-        ("near", record_of(waves.OperatorEnd)),
-        ("far", record_of(waves.RobotEnd)),
+        ("near", END),
+        ("far", END),
         ("vehicle", VEHICLE),
         ("blend", float, (3, DEGREE + 1, 5, 5)),
         ("tank", float),

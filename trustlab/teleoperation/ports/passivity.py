@@ -6,7 +6,7 @@ import numpy as np
 
 from trustlab.models.checks import not_negative, one_of, positive
 from trustlab.models.compiled import njit
-from trustlab.teleoperation.records import signal
+from trustlab.teleoperation.records import signals
 
 OFF, CANCEL, REPAY = 0, 1, 2
 METHODS = {"off": OFF, "cancel": CANCEL, "repay": REPAY}
@@ -165,9 +165,7 @@ class PassivityController:
         """
         import pandas as pd
 
-        v, f = signal("velocity", velocity), signal("force", force)
-        if v.shape != f.shape:
-            raise ValueError(f"velocity and force must have one shape (N, n), got {v.shape} and {f.shape}")
+        v, f = signals(velocity=velocity, force=force)
         steps = [self.step(*sample) for sample in zip(v, f, strict=True)]
         rows = [(*done.force, done.z, done.energy, done.deficit) for done in steps]
         forces = [f"force_{i}" for i in range(v.shape[1])]

@@ -29,22 +29,8 @@ MEAN_1, MEAN_2 = 2.0 * np.sqrt(2.0 / np.pi), np.sqrt(np.pi / 2.0)
 STRETCH = 1.2
 
 
-class Flight(NamedTuple):
-    """The testbed's constants for the compiled loop, and the vehicle's exact matrices over one sample, the same on x and y."""
-
-    u_max: float
-    gain: float
-    wander_time: float
-    shake_time: float
-    drift: float
-    drift_time: float
-    anchoring_time: float
-    v_v: float
-    v_a: float
-    v_u: float
-    a_v: float
-    a_a: float
-    a_u: float
+# The testbed's constants for the compiled loop, and the vehicle's exact matrices over one sample, the same on x and y.
+FLIGHT = record(numbers="u_max gain wander_time shake_time drift drift_time anchoring_time v_v v_a v_u a_v a_a a_u")
 
 
 class Rates(NamedTuple):

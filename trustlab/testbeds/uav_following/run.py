@@ -9,7 +9,7 @@ from trustlab.models.checks import of_class, spawned
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Metadata, Session
-from trustlab.teleoperation.records import log_of
+from trustlab.teleoperation.records import filled, log_of
 from trustlab.testbeds import deciding
 from trustlab.testbeds.condition_run import ConditionRun, condition_measures
 from trustlab.testbeds.tracking_task import TrackingTask, tracking_vehicle
@@ -34,11 +34,12 @@ NOTE = "simulated stand-in for the UAV testbed of Fig. 2.10"
 
 
 @cache
-def flight() -> kernel.Flight:
+def flight() -> np.void:
     """Return the testbed's constants; left alone, the autopilot settles at the robot performance P_R_MIN."""
     ((v_v, v_a), (a_v, a_a)), (v_u, a_u) = tracking_vehicle()[0].discrete(deciding.SAMPLE_TIME)
     followed = GAIN * DRIFT_TIME / (1.0 + GAIN * DRIFT_TIME)  # share of the drift's variance that the vehicle follows
-    return kernel.Flight(
+    return filled(
+        kernel.FLIGHT,
         u_max=U_MAX,
         gain=GAIN,
         wander_time=6.0,
