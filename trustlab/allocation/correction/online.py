@@ -1,8 +1,8 @@
 """The correction on a robot: measured performance in at 10 Hz, suggestions out, Algorithm 3."""
 
 import math
+from dataclasses import dataclass
 from time import perf_counter
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,8 @@ from trustlab.models.human import next_utilization
 from trustlab.models.tsc import tsc_at
 
 
-class OnlineStep(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class OnlineStep:
     """
     The outcome of one sample.
 
@@ -164,7 +165,8 @@ class OnlineCorrection:
         pandas.DataFrame
             One row per sample; the fields of `OnlineStep`, status by name.
         """
-        frame = pd.DataFrame(self._steps, columns=OnlineStep._fields)
+        names = OnlineStep.__slots__
+        frame = pd.DataFrame({name: [getattr(step, name) for step in self._steps] for name in names})
         frame["status"] = [step.status.name for step in self._steps]
         return frame
 
