@@ -15,7 +15,7 @@ from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.metadata import metadata_to_json
 from trustlab.sessions.readers.bags import PREFIX, check_sqlite_path
 from trustlab.sessions.readers.csv_files import COMMENT
-from trustlab.sessions.readers.folder import TEMPORARY
+from trustlab.sessions.readers.file import TEMPORARY
 from trustlab.sessions.session import Session
 
 # Formats by name, and the suffix that chooses each; a rosbag2 folder (sqlite3) has none.

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
-from trustlab.studies.factors.aligned_ranks import aligned
+from trustlab.studies.factors.factorial import aligned
 
 SETS = json.loads((Path(__file__).parents[1] / "reference" / "aligned_ranks.json").read_text())["sets"]
 ARTOOL = tl.sessions.external_data("artool")
