@@ -25,7 +25,6 @@ class Run:
     columns: Mapping[str, np.ndarray]
     synthetic: bool = False
     participant: object = None
-    performance_measure: object = None
     window: int = 1
     stamp_error: float = 0.0
     kept: dict[tuple, np.ndarray] = field(default_factory=dict)
@@ -89,7 +88,6 @@ def read_runs(sessions: Session | Iterable[Session], *needed: str, how: HowLogge
             {name: session[name].copy() for name in needed},
             session.metadata.synthetic,
             session.metadata.participant,
-            session.metadata.more.get("performance"),
             own,
             _stamp_error(session, how.stamp_error),
         )

@@ -1,7 +1,6 @@
 """The columns a session can have: their units, ranges and meaning; and the units in which a log may hold them."""
 
 import csv
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,14 +20,19 @@ class Column:
     high: float | None = None
 
 
+def _rows(name: str) -> list[list[str]]:
+    """Return the rows of a file beside this one, without the names of its columns."""
+    with (Path(__file__).parent / name).open(encoding="utf-8", newline="") as file:
+        return list(csv.reader(file))[1:]
+
+
 def _columns() -> Iterator[Column]:
     """Yield the columns of vocabulary.csv; a name that ends with * stands for three, one for each axis."""
-    with (Path(__file__).parent / "vocabulary.csv").open(encoding="utf-8", newline="") as file:
-        for name, unit, low, high, meaning in list(csv.reader(file))[1:]:
-            limits = (float(low) if low else None, float(high) if high else None)
-            for axis in "xyz" if name.endswith("*") else ("",):
-                own = f"{meaning}, {axis} axis" if axis else meaning
-                yield Column(name.replace("*", axis), unit, own, *limits)
+    for name, unit, low, high, meaning in _rows("vocabulary.csv"):
+        limits = (float(low) if low else None, float(high) if high else None)
+        for axis in "xyz" if name.endswith("*") else ("",):
+            own = f"{meaning}, {axis} axis" if axis else meaning
+            yield Column(name.replace("*", axis), unit, own, *limits)
 
 
 VOCABULARY: dict[str, Column] = {column.name: column for column in _columns()}
@@ -49,16 +53,8 @@ def vocabulary():
     return table[["unit", "low", "high", "meaning"]]
 
 
-_SIZES = {
-    "1": {"1": 1.0, "%": 0.01, "percent": 0.01},
-    "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0},
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
-    "m/s": {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001, "km/h": 1.0 / 3.6},
-    "rad": {"rad": 1.0, "deg": math.pi / 180.0},
-    "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
-}
-# Name of a unit: its SI unit, and how many of those it is.
-UNITS = {unit: (si, size) for si, sizes in _SIZES.items() for unit, size in sizes.items()}
+# Name of a unit: its SI unit, and how many of those it is (km/h: 1/3.6 m/s; deg: π/180 rad).
+UNITS = {unit: (si, float(size)) for unit, si, size in _rows("units.csv")}
 
 
 def to_si(unit: str, wanted: str) -> float:
