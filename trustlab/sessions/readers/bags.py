@@ -1,4 +1,4 @@
-"""ROS 1 and ROS 2 bags, read without ROS."""
+"""Logs by topic: ROS 1 and ROS 2 bags, read without ROS, and those of PX4 (ULog) and of the lab streaming layer (XDF)."""
 
 import dataclasses
 import math
@@ -20,6 +20,9 @@ from trustlab.sessions.patterns import Selector
 from trustlab.sessions.readers.unpacking import Budget, bags_within
 from trustlab.sessions.recipe import Recipe, TopicField, mapped
 from trustlab.sessions.resampling import MAX_SAMPLES, RawLog, Stream
+
+# Of a ULog or XDF file: name of a topic to its times [ns], and its fields by name.
+Topics = dict[str, tuple[np.ndarray, dict[str, Any]]]
 
 # Where the topics of a bag stand that `write_session` wrote: t, metadata and one per column.
 PREFIX = "/trustlab/"
@@ -330,3 +333,73 @@ def _yaw(value, kind: str, here: str) -> float:
     if not abs(norm - 1.0) <= 0.01:
         raise SessionError(f"{here}: the quaternion has norm {norm:.6g}, but a rotation has norm 1")
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def read_topics(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None) -> RawLog:
+    """Return a stream per topic of a ULog or XDF file; a field is named as there, or channel[0] and so on in XDF."""
+    with extra("formats"):
+        import pyulog
+        import pyxdf
+    ulog = path.suffix.lower() == ".ulg"
+    kind = "ULog" if ulog else "XDF"
+    with damage_named(f"not a {kind} file, or a damaged or truncated one", "copy it again"):
+        if ulog:
+            topics = _ulog_topics(pyulog.ULog(str(path)).data_list)
+        else:
+            # Clocks are brought together by the offsets in the file, as its recorder means it; times are not smoothed.
+            topics = _xdf_topics(pyxdf.load_xdf(str(path), dejitter_timestamps=False)[0])
+    if recipe is None:
+        raise SessionError(f"a {path.suffix} file needs a recipe (topics: {listed(topics)})")
+    groups: dict[str, list[TopicField]] = {}
+    for rule in (recipe.columns[name] for name in wanted):
+        if isinstance(rule, TopicField):
+            if rule.topic not in topics:
+                hint = alternatives(rule.topic, topics, "it has")
+                raise SessionError(f"topic {rule.topic!r} (for {rule.name}) is not in the file{hint}")
+            groups.setdefault(rule.topic, []).append(rule)
+    series = []
+    for topic, rules in groups.items():
+        stamps, fields = topics[topic]
+        if recipe.time.of(topic) == "header" or not len(stamps):
+            what = "has one time only, that of receipt" if len(stamps) else "has no messages"
+            raise RecipeError(f"topic {topic!r} {what}")
+        values = {rule.name: _column_of(topic, rule, fields) for rule in rules}
+        series.append(Series((topic, ""), rules, stamps, np.arange(len(stamps)), values))
+    return series_log(str(path), series, {} if ulog else {"clocks": "brought together by the offsets in the file"})
+
+
+def _column_of(topic: str, rule: TopicField, fields: dict[str, Any]) -> np.ndarray:
+    where = f"topic {topic!r}, field {rule.path.text!r} ({rule.name})"
+    if rule.path.text not in fields:
+        raise RecipeError(f"{where}: there is no such field{alternatives(rule.path.text, fields, 'it has')}")
+    values = fields[rule.path.text]
+    if rule.map:
+        return np.array([mapped(rule.map, value, f"{where}, message {k} (from 0)") for k, value in enumerate(values)])
+    if np.asarray(values).dtype.kind not in "biuf":
+        raise RecipeError(f"{where}: holds texts, not numbers; give it a map")
+    return np.asarray(values, dtype=float)
+
+
+def _ulog_topics(data_list) -> Topics:
+    topics = {}
+    for data in data_list:
+        name = data.name if data.multi_id == 0 else f"{data.name}:{data.multi_id}"
+        topics[name] = (data.data["timestamp"].astype(np.int64) * 1000, dict(data.data))
+    return topics
+
+
+def _xdf_topics(streams) -> Topics:
+    topics: Topics = {}
+    for stream in streams:
+        info, series = stream["info"], stream["time_series"]
+        columns = list(np.asarray(series).T) if len(series) else []
+        fields = {f"channel[{k}]": column for k, column in enumerate(columns)}
+        described = (info.get("desc") or [None])[0] or {}
+        channels = (described.get("channels") or [None])[0] or {}
+        labels = [(channel.get("label") or [""])[0] for channel in channels.get("channel", [])]
+        fields |= {str(label): column for label, column in zip(labels, columns, strict=False) if label}
+        name = info["name"][0]
+        if name in topics:
+            raise SessionError(f"two streams are called {name!r}, so that neither can be named in a recipe")
+        topics[name] = (np.round(np.asarray(stream["time_stamps"], dtype=float) * 1e9).astype(np.int64), fields)
+    return topics

@@ -11,7 +11,10 @@ from trustlab.models.checks import of_class, one_of, whole_number
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
 from trustlab.sessions.patterns import PathMatch, PathPattern, natural_key
 from trustlab.sessions.readers.assembly import assemble_session, parts_of, recipe_values
+from trustlab.sessions.readers.bags import read_bag, read_topics
+from trustlab.sessions.readers.csv_files import read_csv
 from trustlab.sessions.readers.index import SessionIndex
+from trustlab.sessions.readers.tables import frame_log, read_arrays, read_feather, read_parquet
 from trustlab.sessions.readers.unpacking import budget_of
 from trustlab.sessions.recipe import Recipe, TableRule, asked_resampling, load_recipe, parse, plain_key
 from trustlab.sessions.resampling import RawLog
@@ -185,8 +188,6 @@ class FileReader:
 
     def read_frame(self, frame: pd.DataFrame) -> list[Session]:
         """Return the session in a data frame, or all that the recipe splits it into."""
-        from trustlab.sessions.readers.tables import frame_log
-
         if self.recipe is not None and self.recipe.kind != "table":
             raise RecipeError(f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a table")
         values = recipe_values(self.recipe, None, self.index) if self.recipe else {}
@@ -214,25 +215,15 @@ class FileReader:
         if path.is_file() and path.stat().st_size == 0:
             raise SessionError("the file is empty")
         budget = budget_of(path, self.max_bytes)
-        # Each format is imported when it is first read: rosbags and pyarrow are heavy.
+        # Each reader imports what it reads with when it is called: rosbags and pyarrow are heavy.
         if suffix in (".ulg", ".xdf"):
-            from trustlab.sessions.readers.formats import read_topics
-
             return read_topics(path, self.recipe, needed)
         if suffix in _ARRAYS:
-            from trustlab.sessions.readers.formats import read_arrays
-
             return read_arrays(path, self.recipe, needed, budget)
         if kind == "bag":
-            from trustlab.sessions.readers.bags import read_bag
-
             return read_bag(path, self.recipe, needed, budget)
         if suffix in _TEXTS:
-            from trustlab.sessions.readers.csv_files import read_csv
-
             return read_csv(path, self.recipe, needed, self.layout, budget)
-        from trustlab.sessions.readers.tables import read_feather, read_parquet
-
         read = read_parquet if suffix == ".parquet" else read_feather
         return read(path, self.recipe, needed, budget)
 

@@ -1,9 +1,9 @@
-"""Tables of numbers, in Parquet and Feather files and data frames: which columns are read, and the raw log that they make."""
+"""Tables of numbers, in Parquet, Feather, MATLAB and HDF5 files and data frames: which columns are read, and the raw log that they make."""
 
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from trustlab.models.checks import did_you_mean
+from trustlab.models.extras import extra
 from trustlab.sessions.errors import SessionError, damage_named, listed
 from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.readers.mending import fill_blanks
@@ -278,3 +279,68 @@ def numbers(values, column: SourceColumn) -> np.ndarray:
     if not pa.types.is_signed_integer(values.type):  # large times stay exact until their start is subtracted
         values = values.cast(pa.float64(), safe=False)
     return values.to_numpy(zero_copy_only=False)
+
+
+def read_arrays(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget) -> RawLog:
+    """Return the table that arrays of a MATLAB or HDF5 file make: "name", "group/name", or "name[1]" of a matrix."""
+    import pyarrow as pa
+
+    with _guard("MATLAB or HDF5"):
+        arrays = dict(_matlab_arrays(path, budget) if path.suffix.lower() == ".mat" else _hdf5_arrays(path, budget))
+
+        def load(names: list[str]) -> Any:
+            columns = {name: arrays[name]() for name in names}
+            sizes = {name: len(column) for name, column in columns.items()}
+            if len(set(sizes.values())) > 1:
+                found = ", ".join(f"{name} {size}" for name, size in sizes.items())
+                raise SessionError(f"the columns differ in their number of values: {found}")
+            return pa.table(columns)
+
+        return arrow_log(str(path), pa.schema([(name, pa.null()) for name in arrays]), 1, load, recipe, wanted)
+
+
+Arrays = Iterator[tuple[str, Callable[[], np.ndarray]]]
+
+
+def _columns(name: str, shape: tuple[int, ...], read: Callable[[], np.ndarray]) -> Arrays:
+    """Yield the columns of an array: a row of values counts as a column of them."""
+    if len(shape) == 1 or (len(shape) == 2 and 1 in shape):
+        yield name, lambda: read().ravel()
+    elif len(shape) == 2:
+        for k in range(shape[1]):
+            yield f"{name}[{k}]", partial(lambda k: read()[:, k], k)
+
+
+def _matlab_arrays(path: Path, budget: Budget) -> Arrays:
+    from scipy import io
+
+    try:
+        found = io.whosmat(path)
+    except NotImplementedError:  # from version 7.3 on, these are HDF5 files with rows and columns changed over
+        yield from _hdf5_arrays(path, budget, transposed=True)
+        return
+    budget.take(sum(8 * math.prod(shape) for _, shape, _ in found))
+    for name, value in io.loadmat(path, simplify_cells=True).items():
+        parts = {f"{name}.{own}": each for own, each in value.items()} if isinstance(value, dict) else {name: value}
+        for own, each in parts.items():
+            if isinstance(each, np.ndarray) and each.dtype.kind in "biuf":
+                yield from _columns(own, each.shape, partial(np.asarray, each))
+
+
+def _hdf5_arrays(path: Path, budget: Budget, transposed: bool = False) -> Arrays:
+    with extra("formats"):
+        import h5py
+
+    def read(name: str) -> np.ndarray:
+        with h5py.File(path, "r") as file:
+            budget.take(8 * math.prod(file[name].shape))
+            values = file[name][()]
+        return values.T if transposed else values
+
+    with h5py.File(path, "r") as file:
+        shapes: dict[str, tuple[int, ...]] = {}
+        file.visititems(
+            lambda name, item: shapes.update({name: item.shape}) if isinstance(item, h5py.Dataset) else None
+        )
+    for name, shape in shapes.items():
+        yield from _columns(name, shape[::-1] if transposed else shape, partial(read, name))
