@@ -1,6 +1,6 @@
 # `make reports` and `make test` are the whole set-up: both build .venv from environment.lock first.
 .DEFAULT_GOAL := help
-.PHONY: environment reports docs test test-long coverage lock bench lab study data calibration kernel clean help
+.PHONY: environment reports docs test test-long coverage lock bench lab study data calibration simulated kernel clean help
 
 PYTHON ?= python3
 VENV := .venv
@@ -82,6 +82,9 @@ data: $(VENV)/.stamp  ## write data/sessions/ again from its seeds
 
 calibration: $(VENV)/.stamp  ## simulate the studies behind data/calibration/ again; goes on where it was stopped
 	$(BIN)/python data/calibration/make_calibration.py
+
+simulated: $(VENV)/.stamp  ## make the simulations again that the reports only read, data/simulated/
+	$(BIN)/python data/simulated/make_simulated.py
 
 kernel: $(VENV)/.stamp  ## compile the live drive's physics to WebAssembly again (needs wasm-ld or the package ziglang)
 	$(BIN)/python -m trustlab.live.build

@@ -1,0 +1,34 @@
+"""The simulations that the reports only read (`make simulated`): a part of each, made again, is as stored."""
+
+import json
+
+import numpy as np
+import pandas as pd
+
+import trustlab as tl
+from tests.house.documents import ROOT
+from trustlab.testbeds.guidance_comparison import VARIANTS, compare_guidance
+
+DATA = ROOT / "data" / "simulated"
+SEED = json.loads((DATA / "guidance.json").read_text())["seed"]
+
+
+def stored(name):
+    return pd.read_csv(DATA / f"{name}.csv")
+
+
+def test_guidance():
+    own = stored("guidance")
+    again = compare_guidance(30, ["TMIG"], seed=SEED, variants={"tank, 1 J": VARIANTS["tank, 1 J"]}, n_jobs=1).runs
+    before = own[(own["guidance"] == "tank, 1 J") & (own["scheme"] == "TMIG")]
+    # Between machines the last bits of a run of 12,000 samples may differ.
+    np.testing.assert_allclose(again["tracking_error"], before["tracking_error"], rtol=1e-6)
+    other = own[(own["guidance"] == "tank, empty") & (own["scheme"] == "TMIG")]
+    assert np.abs(again["tracking_error"].to_numpy() - other["tracking_error"].to_numpy()).max() > 1e-3
+
+
+def test_adjustments():
+    own = stored("adjustments").set_index(["study", "p_adjust"])
+    study = tl.published_studies()["uav.robot_performance"]
+    again = tl.reproduction.compare_adjustments({"uav.robot_performance": study}, seed=SEED + 1)
+    assert again["status"].to_dict() == own.loc[again.index, "status"].to_dict()
