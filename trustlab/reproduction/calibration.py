@@ -30,7 +30,7 @@ from trustlab.models.html import as_html
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.reproduction import effects_simulated
 from trustlab.reproduction.effects import Effect
-from trustlab.reproduction.effects_simulated import ALLOCATION, effects_of, simulated_effects
+from trustlab.reproduction.effects_simulated import ALLOCATION, UNITS, effects_of, simulated_effects
 
 # Ranges of the uniform priors. Learning and fatigue cancel in a balanced design and are left out.
 PRIORS = {
@@ -205,7 +205,7 @@ class Calibration:
         -------
         numpy.ndarray of matplotlib.axes.Axes
         """
-        size = (2.2 * len(self.priors), 2.6)
+        size = (min(2.2 * len(self.priors), 10.0), 2.6)
         axes = axes_or_new(columns=len(self.priors), title=f"{self.words}; dashed: prior", squeeze=False, figsize=size)
         for axis, (name, (low, high)) in zip(axes[0], self.priors.items(), strict=True):
             axis.hist(self.posterior[name], bins=20, range=(low, high), density=True, color="#0072b2")
@@ -237,18 +237,20 @@ class Calibration:
         ValueError
             If the effect or an assumption is unknown.
         """
-        printed = {found.id: found.printed for found in self.observed}
-        one_of("effect", effect, printed)
+        known = {found.id: found for found in self.observed}
+        measured = known[one_of("effect", effect, known)]
         u, v = (self.simulations[one_of("an assumption", name, self.priors)].to_numpy() for name in (x, y))
         size = self.simulations[effect].to_numpy()
         axis = axes_or_new(axes)
         most = np.abs(size).max()
         dots = axis.scatter(u, v, c=size, cmap="RdBu", vmin=-most, vmax=most, s=9)
-        axis.figure.colorbar(dots, ax=axis, label=effect)
+        axis.figure.colorbar(
+            dots, ax=axis, label=f"{UNITS.get(measured.measure, measured.measure)}, {measured.contrast}"
+        )
         surface = np.linalg.lstsq(_quadratic(u, v), size, rcond=None)[0]
         across, up = np.meshgrid(*(np.linspace(*self.priors[name], 60) for name in (x, y)))
         height = (_quadratic(across.ravel(), up.ravel()) @ surface).reshape(across.shape)
-        for level, style in ((0.0, "-"), (printed[effect], "--")):
+        for level, style in ((0.0, "-"), (measured.printed, "--")):
             axis.contour(across, up, height, [level], colors="black", linestyles=style)
         axis.set(xlabel=x.replace("_", " "), ylabel=y.replace("_", " "), title="simulated; —: 0; - -: as printed")
         return axis

@@ -92,7 +92,7 @@ class CorrectionRun:
         numpy.ndarray of matplotlib.axes.Axes, shape (tests,)
         """
         tests = self.data["test"].unique()
-        size = (3 * tests.size + 0.5, 3.2)
+        size = (min(3 * tests.size + 0.5, 10.0), 3.2)
         axes = axes_or_new(columns=tests.size, sharey=True, squeeze=False, figsize=size)
         for axis, test, letter in zip(axes[0], tests, ascii_lowercase * tests.size, strict=False):
             part = self.data[self.data["test"] == test]

@@ -16,7 +16,7 @@ def panels(count: int, height: float, title: str = "") -> np.ndarray:
     """Return so many axes of a new figure, at most four in a row."""
     columns = min(4, count)
     rows = -(-count // columns)
-    axes = axes_or_new(None, rows, columns, title, squeeze=False, figsize=(3.2 * columns, height * rows))
+    axes = axes_or_new(None, rows, columns, title, squeeze=False, figsize=(2.5 * columns, height * rows))
     for axis in axes.flat[count:]:
         axis.axis("off")
     return axes.ravel()[:count]
