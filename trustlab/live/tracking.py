@@ -217,8 +217,9 @@ class LiveTracking(anywidget.AnyWidget):
     -----
     The page sends the hand's position with its time 30 times a second; the kernel advances by the samples of 0.01 s that have
     passed by the page's clock, each under the newest hand sent before it, and answers with what is to be drawn. A round
-    trip takes 40 ms in the median on one machine, and as long as the kernel is busy with another cell nothing moves: this is a
-    delay in the eye, besides the camera's, which the log does not know. For studies of reaction times use `LiveGroundRobot`,
+    trip takes 40 ms in the median on one machine, and as long as the kernel is busy with another cell nothing moves, unless it
+    answers in a thread of its own, as ipykernel 7 does in JupyterLab: this is a delay in the eye, besides the camera's, which the
+    log does not know. For studies of reaction times use `LiveGroundRobot`,
     which is computed in the browser.
 
     The device moves on two horizontal axes. The third is held at zero: no climb is commanded, and the UAV starts at the target's

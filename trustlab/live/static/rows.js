@@ -117,6 +117,7 @@ export class Rows {
   }
 
   close() {
+    this.keep();                                  // for the page that goes on with this key
     clearInterval(this.timer);
     this.timer = null;
     removeEventListener("pagehide", this.leaving);
