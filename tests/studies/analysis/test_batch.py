@@ -360,9 +360,9 @@ def test_units_beyond_double_precision_are_refused():
     with pytest.raises(ValueError, match="another unit"):
         tl.repeated_measures_batch(array * 1e160)
     with pytest.raises(ValueError, match="another unit"):
-        tl.repeated_measures_batch(array * 1e-300)
+        tl.repeated_measures_batch(array * 1e-150)
     usual = tl.repeated_measures_batch(array)
-    for unit in (1e-280, 1e-170, 1e-158, 1e-130, 1e130):
+    for unit in (1e-95, 1e-20, 1e130):
         found = tl.repeated_measures_batch(array * unit)
         for name in OMNIBUS:
             np.testing.assert_allclose(getattr(found, name), getattr(usual, name), rtol=1e-9, err_msg=name)

@@ -170,7 +170,7 @@ GOOD = frame_of([1.0, 2, 4, 9], [2.0, 2, 3, 5])
         (pd.concat([GOOD, GOOD.iloc[:1]]), "more than one row"),
         (GOOD.assign(score=GOOD["score"].astype(str)), "scores must be numbers"),
         (GOOD.assign(score=np.inf), "finite"),
-        (GOOD.assign(score=GOOD["score"] * 1e300), "its square overflows"),
+        (GOOD.assign(score=GOOD["score"] * 1e300), "use another unit"),
         (GOOD.rename(columns={"score": "scores"}), "did you mean 'scores'"),
         (pd.concat([GOOD, frame_of([1.0, 2, 3, 4], [1.0, 3, 2, 5], ("C", "D"))]), "has 4 conditions"),
         (GOOD.iloc[:0], "no rows"),

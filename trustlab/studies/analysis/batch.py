@@ -4,7 +4,7 @@ Repeated-measures analyses of many studies at once: the engine under `repeated_m
 All pairs of conditions come with them: paired t-tests, adjusted p-values and standardized differences.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from itertools import combinations
 from typing import Any
 
@@ -20,9 +20,8 @@ from trustlab.studies.analysis.sphericity import corrected_tests, mauchly, ortho
 # Scores analysed or drawn in one go, so that memory does not grow with the number of studies.
 _CHUNK = 1 << 20
 
-# Size of scores beyond which their squares overflow, spread below which their own digits are lost, and spread below which
-# squares would underflow, so that a study is analysed in a smaller unit.
-_GREATEST, _LEAST, _TINY = 1e140, 1e-290, 1e-100
+# Sizes of scores beyond which squares would overflow, and below which they would underflow.
+_GREATEST, _LEAST = 1e140, 1e-100
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +52,6 @@ class PairwiseBatch:
         """Return what tables show, by name and in their order."""
         hidden = ("a", "b", "sd_difference")
         return {name: value for name, value in vars(self).items() if name not in hidden}
-
-    def scaled(self, unit: np.ndarray) -> "PairwiseBatch":
-        """Return the statistics of scores that are `unit` times as large, shape (studies,)."""
-        lengths = ("mean_difference", "sd_difference", "ci_low", "ci_high")
-        return replace(self, **{name: getattr(self, name) * unit[:, None] for name in lengths})
 
 
 def bonferroni(p: np.ndarray) -> np.ndarray:
@@ -264,9 +258,11 @@ def checked_scores(array: np.ndarray) -> np.ndarray:
         s, i, j = np.argwhere(bad)[0]
         found = f"{scores[s, i, j]}, not a finite number"
         raise ValueError(f"array[{s}, {i}, {j}] (study {s}, subject {i}, condition {j}) is {found}")
-    largest = np.abs(scores).max()
-    if largest > _GREATEST:
-        raise ValueError(f"a score of size {largest:.3g} is too large: its square overflows; use another unit")
+    largest = np.abs(scores).max(axis=(1, 2))
+    out = (largest > _GREATEST) | ((largest > 0.0) & (largest < _LEAST))
+    if out.any():
+        found = f"study {int(np.argmax(out))} has scores of size {largest[np.argmax(out)]:.3g}"
+        raise ValueError(f"{found}, whose squares no number holds; use another unit")
     return scores
 
 
@@ -276,20 +272,13 @@ def chunks(studies: int, scores: int) -> list[range]:
     return [range(first, min(first + step, studies)) for first in range(0, studies, step)]
 
 
-def unit_of(largest: np.ndarray) -> np.ndarray:
-    """Return the unit in which to analyse scores of this size: a power of two, so that no digit changes."""
-    return np.where(largest < _TINY, np.ldexp(1.0, np.frexp(np.maximum(largest, _LEAST))[1]), 1.0)
-
-
 def _analyse(scores: np.ndarray, first: int) -> dict:
     """Return every statistic of some studies; `first` is the number of the first, for errors."""
     studies, n, k = scores.shape
     d = k - 1
-    largest = np.abs(scores).max(axis=(1, 2))
-    unit = unit_of(largest)
-    if (unit != 1.0).any():
-        scores, largest = scores / unit[:, None, None], largest / unit
-    rounding = 4.0 * np.finfo(float).eps * largest  # a spread of differences below this is no variance
+    rounding = (
+        4.0 * np.finfo(float).eps * np.abs(scores).max(axis=(1, 2))
+    )  # a spread of differences below this is no variance
     grand = scores.mean(axis=(1, 2))
     centred = scores - grand[:, None, None]
     mean = centred.mean(axis=1)
@@ -301,24 +290,24 @@ def _analyse(scores: np.ndarray, first: int) -> dict:
     ss_effect = n * ((mean @ contrasts) ** 2).sum(axis=1)
     ss_error = (n - 1) * np.trace(covariance, axis1=1, axis2=2)
     ss_subjects = (residual.sum(axis=2) ** 2).sum(axis=1) / k
-    flat = (ss_error <= (n - 1) * d * rounding**2) | (largest * unit < _LEAST)
+    flat = ss_error <= (n - 1) * d * rounding**2
     if flat.any():
         study = int(np.argmax(flat))
         effect = bool(ss_effect[study] > n * d * rounding[study] ** 2)
-        raise ValueError(f"study {first + study}: {_why_flat(scores[study] * unit[study], effect)}")
+        raise ValueError(f"study {first + study}: {_why_flat(scores[study], effect)}")
     sphericity = mauchly(covariance, n, rounding**2)
     return {
-        "mean": scores.mean(axis=1) * unit[:, None],
-        "sd": sd * unit[:, None],
-        "ss_effect": ss_effect * unit**2,
-        "ss_subjects": ss_subjects * unit**2,
-        "ss_error": ss_error * unit**2,
+        "mean": scores.mean(axis=1),
+        "sd": sd,
+        "ss_effect": ss_effect,
+        "ss_subjects": ss_subjects,
+        "ss_error": ss_error,
         "mauchly_w": sphericity.w,
         "mauchly_chi2": sphericity.chi2,
         "mauchly_p": sphericity.p,
         "mauchly_p_first_order": sphericity.p_first_order,
         "eta2_generalized": ss_effect / (ss_effect + ss_subjects + ss_error),
-        "pairwise": paired_differences(centred, sd, rounding).scaled(unit),
+        "pairwise": paired_differences(centred, sd, rounding),
     } | corrected_tests(ss_effect, ss_error, covariance, 1, n - 1)
 
 
@@ -326,8 +315,6 @@ def _why_flat(values: np.ndarray, effect: bool) -> str:
     """Return why a study has no error variance; `effect` says whether its conditions differ."""
     if np.ptp(values) == 0.0:
         return f"every score is {values.flat[0]:g}; there is nothing to analyse"
-    if np.ptp(values) < _LEAST:
-        return f"the scores spread over {np.ptp(values):.3g} only; use another unit"
     found = "all subjects differ by the same amounts" if effect else "no subject's scores differ"
     return f"the error variance is zero ({found} between conditions), so that F and t are not defined"
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.studies.analysis.batch import checked_scores, chunks, unit_of
+from trustlab.studies.analysis.batch import checked_scores, chunks
 from trustlab.studies.analysis.sphericity import corrected_tests, mauchly, orthonormal_contrasts
 
 
@@ -95,10 +95,7 @@ def effect_tests(scores: np.ndarray, levels: Mapping[str, int], design: BetweenD
     `scores` have shape (studies, subjects, cells), the last factor of `levels` varying fastest; `first` is the first study's
     number.
     """
-    largest = np.abs(scores).max(axis=(1, 2))
-    unit = unit_of(largest)
-    scores = scores / unit[:, None, None]
-    rounding = 4.0 * np.finfo(float).eps * largest / unit
+    rounding = 4.0 * np.finfo(float).eps * np.abs(scores).max(axis=(1, 2))
     scores = scores - scores.mean(axis=(1, 2), keepdims=True)
     rows, identity = [], np.eye(design.matrix.shape[1])
     errors = np.zeros(len(scores))
@@ -122,7 +119,6 @@ def effect_tests(scores: np.ndarray, levels: Mapping[str, int], design: BetweenD
     studies = pd.RangeIndex(first, first + len(scores), name="study")
     table = pd.concat([pd.DataFrame(row, index=studies) for row in rows])
     table["eta2_generalized"] = table["ss_effect"] / (table["ss_effect"] + np.tile(errors, len(rows)))
-    table[["ss_effect", "ss_error"]] *= np.tile(unit**2, len(rows))[:, None]
     return table.set_index("effect", append=True).sort_index(level="study", sort_remaining=False, kind="stable")
 
 
