@@ -509,7 +509,7 @@ class TestBadInput:
             ({"min_dwell": 0.2}, "greater than the delay"),
             ({"min_dwell": 0.1}, "greater than the delay"),
             ({"policy": GivenSequence([0, 7])}, "names robot 7, which does not exist"),
-            ({"policy": GivenSequence([0, 1], times=[0.0, 1.0])}, "robot 0 leads for 1 s"),
+            ({"policy": GivenSequence([0, 1], times=[0.0, 1.0])}, r"switches at t = 1 s, less than min_dwell"),
             ({"policy": GivenSequence([0, 1], every=1.0)}, "less than min_dwell"),
             ({"policy": "best"}, "policy must be one of"),
             ({"policy": "sequense"}, "did you mean 'sequence'"),

@@ -14,7 +14,7 @@ from trustlab.teleoperation.delays import Delay, delays_in_samples
 from trustlab.teleoperation.filters import TwoPortFilter, WaveFilter, corrected_filter, passivity_margin, printed_filter
 from trustlab.teleoperation.loop.settings import DivergenceError
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
-from trustlab.teleoperation.records import log_of, robot_numbers, signal
+from trustlab.teleoperation.records import filled, log_of, robot_numbers, signal
 from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.graphs import TeamGraph, formation_on, graphs_in_time
 from trustlab.teleoperation.team.leader_policies import Decision, LeaderPolicy, LivePolicy, is_live, policy_named
@@ -151,20 +151,21 @@ def simulate_team(
     q0, zeta0, pushed = _given(start, inner, push, len(names), count, streams[0])
     plan = _plan(graphs, settings, len(names), duration, count, T, streams[1])
     budget = operator.budget * (1.0 + 0.5 * float(np.sum((q0 - goal) ** 2) + np.sum(zeta0**2)))
-    filtering = _filters(filters, float(np.mean([end.b for end in ends])))
+    title, filtering = _filters(filters, float(np.mean([end.b for end in ends])))
     numbers = _numbers(settings, operator, filtering, T, rate, read_out, vision, budget, q0 - goal, tolerance)
     memory = _memory(delays, pushed, q0 - goal, zeta0)
-    live = Leading(policy, graphs, names, plan, dwell, streams[2]) if is_live(policy) else None
+    leading = Leading(policy, graphs, names, plan, dwell, streams[2])
+    live = leading if is_live(policy) else None
     if live is None:
-        memory.leads[:] = _chosen(policy, plan, graphs, names, dwell, streams[2])[plan.decision]
+        memory.samples["lead"] = leading.ahead()[plan.decision]
     switched = flag("switch_scattering", switch_scattering)
     robots = _robots(settings, ends, T)
     table, log, modes = _fly(numbers, robots, memory, graphs, plan, settings, live, switched, goal, every)
     rows = len(modes)
     log["leader"] += goal
     t = np.round(T * every * np.arange(rows), 9)
-    facts = _facts(policy, filtering, numbers, seed, read_out, greatest, vision, dwell)
-    data = pd.DataFrame(table[:rows], index=pd.Index(t, name="t"), columns=list(kernel.COLUMNS))
+    facts = _facts(policy, title, numbers, seed, read_out, greatest, vision, dwell)
+    data = pd.DataFrame(table, index=pd.Index(t, name="t"), columns=list(kernel.COLUMNS))
     positions = modes.transpose(0, 2, 1) + goal
     trust = plan.trust[_intervals(t, plan.step, len(plan.trust))]
     later = tuple((graph.since, graph.adjacency) for graph in graphs[1:])
@@ -184,25 +185,27 @@ def _fly(
     numbers, robots, memory, graphs: list[TeamGraph], plan: Plan, settings, live, switched: bool, goal, every: int
 ):
     """Run the kernel from change to change of the graph, with a live policy from decision to decision; return what is logged."""
-    T, count, size = numbers.sample_time, len(plan.decision), len(robots)
+    T, count, size = numbers["sample_time"].item(), len(plan.decision), len(robots)
     rows = -(-count // every)
-    table, log = log_of(kernel.LOG, rows + 1)  # the last row is the kernel's scratch
+    table, log = log_of(kernel.LOG, rows)
     modes, states = np.empty((rows, 3, size)), np.zeros(1, kernel.STATE)
-    team = now = None
+    row = states.view(float)[: table.shape[1]]
+    team, now, leads = None, None, memory.samples["lead"]
     for first, last in _spans(plan, live is not None):
         graph = graphs[plan.graph[plan.decision[first]]]
         if graph is not now:
-            team, now = (
-                _regroup(team, formation_on(graph, settings.coupling, 0.5 * T), settings, memory, states[0]),
-                graph,
-            )
+            formation, now = formation_on(graph, settings.coupling, 0.5 * T), graph
+            team = _regroup(team, formation, settings, memory, states[0])
         if live is not None:
             where = partial(_positions, team, memory, goal)
-            memory.leads[first:last] = live.choose(plan.decision[first], first * T, where)
-        memory.heads[first:last] = memory.leads[first:last] if switched else memory.leads[0]
-        done, block = kernel.run_team(numbers, team, robots, memory, first, last, every, states, log, modes)
+            leads[first:last] = live.choose(plan.decision[first], first * T, where)
+        memory.samples["head"][first:last] = leads[first:last] if switched else leads[0]
+        done, block = kernel.run_team(numbers, team, robots, memory, first, last, every, states, row, table, modes)
         if block >= 0:
-            raise _diverged(block, (done - 1) * T)
+            raise DivergenceError(
+                f"the team diverged at t = {(done - 1) * T:g} s in the {kernel.BLOCKS[block]}; push less, switch the scattering "
+                "with the leader, or use a filter that is passive"
+            )
         recorded = slice(-(-first // every), -(-last // every))
         modes[recorded] = modes[recorded] @ team.vectors.T
         modes[recorded, :, ~graph.present] = np.nan  # a robot that is not in the team is nowhere
@@ -228,13 +231,10 @@ def _spans(plan: Plan, live: bool) -> list[tuple[int, int]]:
 
 def _memory(delays, pushed, distance, zeta) -> kernel.Memory:
     """Return what a run remembers, at its start; w and z are positions until the first formation gives them a basis."""
-    count, size = len(pushed), len(distance)
-    leads, w, z = np.zeros(count, np.int64), distance.T.copy(), zeta.T.copy()
-    u_l, u_r, sent, seen = np.zeros((4, count, 3))
-    return kernel.Memory(
-        leads, leads.copy(), delays, np.ones((2, count), bool), accounts(), pushed, u_l, u_r, sent, seen,
-        np.zeros(count), np.zeros(count + 1), w, z, np.full(size, 0.5),
-    )  # fmt: skip
+    samples, arrives = np.zeros(len(pushed), kernel.SAMPLE), np.ones((2, len(pushed)), bool)
+    samples["pushed"] = pushed
+    (u_l, u_r), w, z = np.zeros((2, len(pushed), 3)), distance.T.copy(), zeta.T.copy()
+    return kernel.Memory(samples, delays, arrives, accounts(), u_l, u_r, w, z, np.full(len(distance), 0.5))
 
 
 def _positions(team: kernel.Formation, memory: kernel.Memory, goal: np.ndarray) -> np.ndarray:
@@ -255,22 +255,11 @@ def _regroup(before: kernel.Formation | None, team: kernel.Formation, settings, 
     return team
 
 
-def _facts(policy, filtering, numbers, seed, read_out, delay, vision, dwell) -> dict:
+def _facts(policy, title, numbers, seed, read_out, delay, vision, dwell) -> dict:
     """Return how a run was made."""
-    return {
-        "policy": policy.title,
-        "filter": filtering.title,
-        "k12": filtering.k12,
-        "k21": filtering.k21,
-        "seed": str(seed),
-        "read_out": read_out,
-        "delay": delay,
-        "vision_delay": vision,
-        "min_dwell": dwell,
-        "sample_time": numbers.sample_time,
-        "push": numbers.push,
-        "note": NOTE,
-    }
+    facts = {"policy": policy.title, "filter": title} | {name: numbers[name].item() for name in ("k12", "k21")}
+    facts |= {"seed": str(seed), "read_out": read_out, "delay": delay, "vision_delay": vision, "min_dwell": dwell}
+    return facts | {name: numbers[name].item() for name in ("sample_time", "push")} | {"note": NOTE}
 
 
 def _given(start, inner, push, robots: int, count: int, rng) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -280,14 +269,6 @@ def _given(start, inner, push, robots: int, count: int, rng) -> tuple[np.ndarray
         signal("start", drawn if start is None else start, robots, 3),
         signal("inner", none if inner is None else inner, robots, 3),
         signal("push", np.zeros((count, 3)) if push is None else push, count, 3),
-    )
-
-
-def _diverged(block: int, t: float) -> DivergenceError:
-    """Return the error of a run that grew without bound."""
-    return DivergenceError(
-        f"the team diverged at t = {t:g} s in the {kernel.BLOCKS[block]}; push less, switch the scattering with the leader, or use a "
-        "filter that is passive"
     )
 
 
@@ -333,34 +314,22 @@ def _dwell(min_dwell, delay: float) -> float:
     return dwell
 
 
-def _numbers(
-    settings, operator, filtering, T, rate, read_out, vision, budget, distance, tolerance
-) -> kernel.TeamNumbers:
+def _numbers(settings, operator, filtering, T, rate, read_out, vision, budget, distance, tolerance) -> np.void:
     """Return device, filters and operator as the compiled loop takes them."""
-    device = settings.device()
-    return kernel.TeamNumbers(
+    own = ("mass", "damping", "stiffness", "weight", "steepness", "lead_gain", "force_gain")
+    return filled(
+        kernel.NUMBERS,
+        **{name: getattr(settings, name) for name in own},
+        **{name: getattr(operator, name) for name in ("reach", "drag", "guarded")},
+        **filtering,
         sample_time=T,
-        mass=device.mass[0, 0],
-        damping=device.damping[0, 0],
-        stiffness=device.stiffness[0, 0],
-        weight=device.weight[0, 0],
         gain=float(np.sqrt(1.0 - rate)),
         read_out=READ_OUTS[read_out],
-        filtering=filtering.kind,
-        cutoff=filtering.cutoff,
-        k12=filtering.k12,
-        k21=filtering.k21,
         push=operator.stiffness(vision),
-        reach=operator.reach,
-        drag=operator.drag,
         budget=budget,
         reserve=operator.reserve * budget,
-        guarded=operator.guarded,
         vision=round(vision / T),
         error_range=max(float(np.linalg.norm(distance, axis=1).max()), tolerance),
-        steepness=settings.steepness,
-        lead_gain=settings.lead_gain,
-        force_gain=settings.force_gain,
     )
 
 
@@ -388,49 +357,26 @@ def _trust(settings: TeamSettings, size: int, count: int, step: float, rng) -> n
     return trust
 
 
-def _chosen(policy, plan: Plan, graphs: list[TeamGraph], names: tuple, dwell: float, rng) -> np.ndarray:
-    """Return the leader at each decision as a policy says it before the run, checked."""
-    present = np.array([graph.present for graph in graphs])[plan.graph]
-    trust = np.where(present, plan.trust, -np.inf)
-    leaders = policy.leaders(trust, names, plan.step, dwell, rng)
-    chosen = robot_numbers("the policy's answer, one leader per decision,", leaders, len(trust), len(names))
-    since = None
-    for d in np.flatnonzero(np.diff(chosen, prepend=-1) | np.diff(plan.graph, prepend=-1)):
-        since = _checked(
-            chosen[d], chosen[d - 1] if d else None, since, d * plan.step, graphs[plan.graph[d]], names, dwell
-        )
-    return chosen
-
-
-def _checked(
-    leader: int, before: int | None, since: float | None, t: float, graph: TeamGraph, names: tuple, dwell: float
-):
-    """Return since when the leader leads; it must be there, be seen by all, and take over from one that has led for τ_min."""
-    if not graph.present[leader]:
-        raise ValueError(f"at t = {t:g} s the policy picks robot {names[leader]!r}, which is not in the team then")
-    if not graph.may_lead[leader]:
-        raise ValueError(
-            f"at t = {t:g} s the policy picks robot {names[leader]!r}, which not all others see, directly or through others, so "
-            f"that it cannot lead them; who can: {[names[i] for i in np.flatnonzero(graph.may_lead)]}"
-        )
-    if leader == before:
-        return since
-    if before is not None and graph.present[before] and t - since < dwell - 1e-6:
-        raise ValueError(
-            f"the policy switches at t = {t:g} s, less than min_dwell = {dwell:g} s after the switch before"
-        )
-    return t
-
-
 class Leading:
-    """A live policy while the run goes on: who leads since when, and what the policy remembers."""
+    """Who leads since when, as a policy says it, checked: before the run, or at one decision after the other while it goes on."""
 
     def __init__(self, policy, graphs: list[TeamGraph], names: tuple, plan: Plan, dwell: float, rng):
         self.policy, self.graphs, self.names, self.plan, self.dwell, self.rng = policy, graphs, names, plan, dwell, rng
         self.leader, self.since, self.memory = None, None, {}
 
+    def ahead(self) -> np.ndarray:
+        """Return the leader at each decision as the policy says it before the run."""
+        plan = self.plan
+        present = np.array([graph.present for graph in self.graphs])[plan.graph]
+        trust = np.where(present, plan.trust, -np.inf)
+        leaders = self.policy.leaders(trust, self.names, plan.step, self.dwell, self.rng)
+        chosen = robot_numbers("the policy's answer, one leader per decision,", leaders, len(trust), len(self.names))
+        for d in np.flatnonzero(np.diff(chosen, prepend=-1) | np.diff(plan.graph, prepend=-1)):
+            self._lead(chosen[d], d * plan.step, self.graphs[plan.graph[d]])
+        return chosen
+
     def choose(self, d: int, t: float, where) -> int:
-        """Return the leader from decision number `d` on."""
+        """Return the leader from decision number `d` on, asking a live policy."""
         graph = self.graphs[self.plan.graph[d]]
         trust = np.where(graph.present, self.plan.trust[d], -np.inf)
         now = Decision(
@@ -438,33 +384,40 @@ class Leading:
         )
         answer = self.policy.leader(now)
         number = robot_numbers(f"the policy's answer at t = {t:g} s", [answer], 1, len(self.names)).item()
-        self.since = _checked(number, self.leader, self.since, t, graph, self.names, self.dwell)
-        self.leader = number
+        self._lead(number, t, graph)
         return number
 
+    def _lead(self, leader, t, graph: TeamGraph) -> None:
+        """Let a robot lead; it must be there, be seen by all, and take over from one that has led for τ_min."""
+        picks = f"at t = {t:g} s the policy picks robot {self.names[leader]!r}, which"
+        if not graph.present[leader]:
+            raise ValueError(f"{picks} is not in the team then")
+        if not graph.may_lead[leader]:
+            raise ValueError(
+                f"{picks} not all others see, directly or through others, so that it cannot lead them; who can: "
+                f"{[self.names[i] for i in np.flatnonzero(graph.may_lead)]}"
+            )
+        if leader == self.leader:
+            return
+        if self.leader is not None and graph.present[self.leader] and t - self.since < self.dwell - 1e-6:
+            raise ValueError(
+                f"the policy switches at t = {t:g} s, less than min_dwell = {self.dwell:g} s after the switch before"
+            )
+        self.leader, self.since = leader, t
 
-class Filtering(NamedTuple):
-    """F1 and F2 of Fig. 4.1 as numbers, and what they are."""
 
-    kind: int
-    cutoff: float
-    k12: float
-    k21: float
-    title: str
-
-
-def _filters(filters, impedance: float) -> Filtering:
-    """Return the filters that a user names or gives."""
+def _filters(filters, impedance: float) -> tuple[str, dict]:
+    """Return what the filters F1 and F2 of Fig. 4.1 are, and their numbers, from what a user names or gives."""
     if isinstance(filters, str) and filters in FILTERS:
         if filters == "none":
-            return Filtering(kernel.NO_FILTER, 1.0, 0.0, 0.0, "no filter")
+            return "no filter", {"filtering": kernel.NO_FILTER, "cutoff": 1.0}
         named = {"waves": WaveFilter(CUTOFF), "printed": printed_filter(CUTOFF)}
         filters = named.get(filters) or corrected_filter(CUTOFF, impedance)
     if isinstance(filters, WaveFilter):
-        return Filtering(kernel.WAVES, filters.cutoff, 0.0, 0.0, f"waves, {filters.cutoff:g} rad/s")
+        return f"waves, {filters.cutoff:g} rad/s", {"filtering": kernel.WAVES, "cutoff": filters.cutoff}
     if not isinstance(filters, TwoPortFilter):
         one_of("filters", filters, FILTERS, also="a TwoPortFilter or a WaveFilter")
+    numbers = {name: getattr(filters, name) for name in ("cutoff", "k12", "k21")}
     margin = passivity_margin([filters.cutoff], [1.0, filters.cutoff], filters.k12, filters.k21)
     kind = "two-port" if margin.is_passive else "two-port that is not passive"
-    title = f"{kind}, {filters.cutoff:g} rad/s"
-    return Filtering(kernel.TWO_PORT, filters.cutoff, filters.k12, filters.k21, title)
+    return f"{kind}, {filters.cutoff:g} rad/s", numbers | {"filtering": kernel.TWO_PORT}

@@ -2,7 +2,7 @@
 The teleoperated team (Fig. 4.1), compiled: O(N) per step in the Laplacian's eigenbasis, O(N²) on a directed graph.
 
 `run_team` holds what needs arrays: the team's modes, and whatever is looked up in the past. The operator's end and the robots'
-end of the channel are one compiled function each, between records of STATE and LOG. All that a run remembers stands in
+end of the channel are one compiled function each, on a record of STATE. All that a run remembers stands in
 `Memory` and STATE, so that a run may pause at any sample: the graph and the leader change between two calls.
 """
 
@@ -30,52 +30,33 @@ LOG = record(
 
 COLUMNS = columns_of(LOG)
 
-# The state proper: the device, and what the filters F1 (near) and F2 (far), or the filters of waves, hold.
-KEPT = "device device_velocity near_velocity near_force far_velocity far_force filtered_l filtered_r"
+# The state proper beside the device's place, which the log has: its velocity before the sample and in its middle, and what
+# the filters F1 (near) and F2 (far), or the filters of waves, hold.
+KEPT = "device_velocity middle near_velocity near_force far_velocity far_force filtered_l filtered_r"
 # Looked up or worked out before each end is solved: error as the operator sees it, added force, waves, force at rest.
 ARRIVED = "error pushed v_l v_r open_force"
 # The operator's end, affine in what is still unknown: r_m = yielded + mobility · push, f_m = held + resistance · r_m.
 SIGNALS = "u_l u_r yielded mobility held resistance channel_force wanted"
-# Energies since the start: storages that are integrals, supplies and losses; what the log shows under the same names.
-ENERGIES = (
-    "v_h v_ch supply_team supply_error supply_hand supply_device supply_filter supply_links lost_device lost_team lost_error "
-    "lost_error_delayed"
-)
-# What both ends read and leave.
-STATE = record(
+WITHIN = record(
     vectors=f"{KEPT} {ARRIVED} {SIGNALS}",
-    numbers=f"seen_power near_power far_power hand_power device_power device_loss {ENERGIES}",
+    numbers="seen_power near_power far_power hand_power device_power device_loss",
 )
+# What both ends read and leave; it begins with the row of the log, so that energies since the start stand there alone.
+STATE = np.dtype([*LOG.descr, *WITHIN.descr])
 
 # One robot: its end of the channel, and its trust in the operator.
 ROBOT = record(numbers="b beta_min beta_max decay gain t_min t_max")
 
 
-class TeamNumbers(NamedTuple):
-    """Device, filters, operator and how delays are read, as plain numbers; see `TeamSettings` and `TeamOperator`."""
-
-    sample_time: float
-    mass: float
-    damping: float
-    stiffness: float
-    weight: float
-    gain: float
-    read_out: int
-    filtering: int
-    cutoff: float
-    k12: float
-    k21: float
-    push: float
-    reach: float
-    drag: float
-    budget: float
-    reserve: float
-    guarded: bool
-    vision: int
-    error_range: float
-    steepness: float
-    lead_gain: float
-    force_gain: float
+# Device, filters, operator and how delays are read; see `TeamSettings` and `TeamOperator`.
+NUMBERS = record(
+    numbers=(
+        "sample_time mass damping stiffness weight gain cutoff k12 k21 push reach drag budget reserve error_range steepness "
+        "lead_gain force_gain"
+    ),
+    counts="read_out filtering vision",
+    flags="guarded",
+)
 
 
 class Formation(NamedTuple):
@@ -99,29 +80,27 @@ class Formation(NamedTuple):
     stiffness: np.ndarray  # what the team does to a leader's push, shape (N,)
 
 
+# What a run keeps of each sample: the robot that leads, and the one for which the operator's end of the channel is set (the
+# same, unless that end fails to switch); force added to the hand's, velocity sent to the leader, and its distance to the goal;
+# dissipation and storage of the error system.
+SAMPLE = record(vectors="pushed sent seen", numbers="lost held", counts="lead head")
+
+
 class Memory(NamedTuple):
     """
     What a run keeps from sample to sample, K samples and N robots; changed in place.
 
-    leads, heads, shape (K,): the robot that leads in each sample, and the one for which the operator's end of the channel is set
-    (the same, unless that end fails to switch). delays, arrives, shape (2, K): in samples, and whether waves arrive. accounts:
-    `ledger.accounts()`. pushed, shape (K, 3): force added to the hand's. waves u_l, u_r, velocities `sent` to the leader and
-    its distance to the goal `seen`, shape (K, 3). lost and held, shapes (K,) and (K + 1,): dissipation and storage of the error
-    system. w, z, shape (3, N): modes of the robots' distance to the goal and of ζ. trust, shape (N,): in the operator, (4.2).
+    samples, shape (K,): records of SAMPLE. delays, arrives, shape (2, K): in samples, and whether waves arrive. accounts:
+    `ledger.accounts()`. waves u_l, u_r, shape (K, 3). w, z, shape (3, N): modes of the robots' distance to the goal and of ζ.
+    trust, shape (N,): in the operator, (4.2).
     """
 
-    leads: np.ndarray
-    heads: np.ndarray
+    samples: np.ndarray
     delays: np.ndarray
     arrives: np.ndarray
     accounts: np.ndarray
-    pushed: np.ndarray
     u_l: np.ndarray
     u_r: np.ndarray
-    sent: np.ndarray
-    seen: np.ndarray
-    lost: np.ndarray
-    held: np.ndarray
     w: np.ndarray
     z: np.ndarray
     trust: np.ndarray
@@ -156,9 +135,9 @@ def push_share(budget, power, pull, stir, square, drag):
 
 
 @njit(error_model="numpy", forceinline=True)
-def operator_side(n, device, filters, end, beta, spendable, state, row):
+def operator_side(n, device, filters, end, spendable, state):
     """
-    Solve the operator's end of the channel with filter, device and hand, in closed form, and step the device.
+    Solve the operator's end of the channel with filter, device and hand, in closed form, and the device's velocity.
 
     `spendable` is what V_h leaves above the reserve [J].
     """
@@ -166,14 +145,14 @@ def operator_side(n, device, filters, end, beta, spendable, state, row):
     wanted = n.push * distance
     stiffness = n.push * min(1.0, n.reach / wanted) if wanted > 0.0 else 0.0
     admittance = device.lever / device.inertia
-    loaded = 1.0 + beta * end.b * filters.k12
+    loaded = 1.0 + state.beta * end.b * filters.k12
     pull = stir = square = 0.0
     for i in range(3):
         # the channel's force at its port, given what the filter holds of the velocity: force = held + resistance r_m
         velocity = filters.decay * state.near_velocity[i]
-        state.channel_force[i] = beta * (end.b * velocity + end.arriving * state.v_l[i]) / loaded
+        state.channel_force[i] = state.beta * (end.b * velocity + end.arriving * state.v_l[i]) / loaded
         state.held[i] = filters.decay * state.near_force[i] + filters.gate * state.channel_force[i]
-        state.resistance[i] = filters.k21 + filters.gate * (beta * end.b * filters.gate / loaded)
+        state.resistance[i] = filters.k21 + filters.gate * (state.beta * end.b * filters.gate / loaded)
         under = 1.0 + admittance * (state.resistance[i] + n.drag)
         state.wanted[i] = stiffness * state.error[i]
         state.mobility[i] = admittance / under
@@ -182,28 +161,25 @@ def operator_side(n, device, filters, end, beta, spendable, state, row):
         pull += state.wanted[i] * state.yielded[i] * (1.0 - 2.0 * n.drag * state.mobility[i])
         stir += state.mobility[i] * state.wanted[i] ** 2 * (1.0 - n.drag * state.mobility[i])
         square += state.yielded[i] ** 2
-    row.push = 1.0
+    state.push = 1.0
     if n.guarded:
         most = spendable / n.sample_time + state.seen_power
-        row.push = push_share(spendable, most, pull, stir, square, n.drag)
+        state.push = push_share(spendable, most, pull, stir, square, n.drag)
     state.hand_power = state.device_power = state.device_loss = state.near_power = 0.0
     for i in range(3):
-        row.device[i] = state.device[i]
-        row.r_m[i] = state.yielded[i] + state.mobility[i] * row.push * state.wanted[i]
-        row.f_m[i] = state.held[i] + state.resistance[i] * row.r_m[i]
-        row.f_h[i] = row.push * state.wanted[i] - n.drag * row.r_m[i] + state.pushed[i]
-        force = state.channel_force[i] + beta * end.b * filters.gate / loaded * row.r_m[i]
-        velocity = filters.decay * state.near_velocity[i] + filters.gate * row.r_m[i] - filters.k12 * force
+        state.r_m[i] = state.yielded[i] + state.mobility[i] * state.push * state.wanted[i]
+        state.f_m[i] = state.held[i] + state.resistance[i] * state.r_m[i]
+        state.f_h[i] = state.push * state.wanted[i] - n.drag * state.r_m[i] + state.pushed[i]
+        force = state.channel_force[i] + state.beta * end.b * filters.gate / loaded * state.r_m[i]
+        velocity = filters.decay * state.near_velocity[i] + filters.gate * state.r_m[i] - filters.k12 * force
         state.u_l[i] = waves.operator_wave(end, velocity, state.v_l[i])
         x, v = state.device[i], state.device_velocity[i]
-        v_middle = haptic.midpoint_velocity(device, x, v, row.f_h[i], row.f_m[i])
-        state.hand_power += row.r_m[i] * row.f_h[i]
-        state.device_power += row.r_m[i] * (row.f_h[i] - row.f_m[i])
+        state.middle[i] = v_middle = haptic.midpoint_velocity(device, x, v, state.f_h[i], state.f_m[i])
+        state.hand_power += state.r_m[i] * state.f_h[i]
+        state.device_power += state.r_m[i] * (state.f_h[i] - state.f_m[i])
         state.device_loss += haptic.device_loss(device, x + 0.5 * n.sample_time * v_middle, v_middle)
         state.near_power += velocity * force
-        state.device[i] = x + n.sample_time * v_middle
-        state.device_velocity[i] = 2.0 * v_middle - v
-        state.near_velocity[i] += passed(filters, row.r_m[i], state.near_velocity[i])
+        state.near_velocity[i] += passed(filters, state.r_m[i], state.near_velocity[i])
         state.near_force[i] += passed(filters, force, state.near_force[i])
 
 
@@ -214,7 +190,7 @@ def passed(filters, u, held):
 
 
 @njit(error_model="numpy", forceinline=True)
-def robot_side(filters, end, stiffness, state, row):
+def robot_side(filters, end, stiffness, state):
     """
     Solve the robots' end of the channel with filter and leader: f_s = open_force + stiffness · r_s.
 
@@ -230,12 +206,12 @@ def robot_side(filters, end, stiffness, state, row):
         free = end.arriving * state.v_r[i] / end.b
         velocity = (free - force / end.b) / (1.0 + resistance / end.b)
         force += resistance * velocity
-        row.r_s[i] = held + share * velocity
-        row.f_s[i] = state.open_force[i] + stiffness * row.r_s[i]
+        state.r_s[i] = held + share * velocity
+        state.f_s[i] = state.open_force[i] + stiffness * state.r_s[i]
         state.u_r[i] = waves.robot_wave(end, force, state.v_r[i])
         state.far_power += velocity * force
         state.far_velocity[i] += passed(filters, velocity, state.far_velocity[i])
-        state.far_force[i] += passed(filters, row.f_s[i], state.far_force[i])
+        state.far_force[i] += passed(filters, state.f_s[i], state.far_force[i])
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -298,52 +274,50 @@ def move_directed(team, lead, h, drive, w, z, i):
 
 
 @njit(error_model="numpy")
-def run_team(n, team, robots, memory, first, last, every, states, log, modes):
+def run_team(n, team, robots, memory, first, last, every, states, row, table, modes):
     """
-    Run the team from sample `first` to before `last`, with a record of `log` and a row of `modes` every `every` samples.
+    Run the team from sample `first` to before `last`, with a row of `table` and of `modes` every `every` samples.
 
-    The log's last record is scratch. team: a Formation. robots, shape (N,): records of ROBOT. states, shape (1,): a record of
-    STATE. modes, shape (rows, 3, N): of the distance to the goal. Returns the samples done and the block that diverged
-    (−1: none).
+    n: a record of NUMBERS. team: a Formation. robots, shape (N,): records of ROBOT. states, shape (1,): a record of STATE, of
+    which `row` is the part that is logged. modes, shape (rows, 3, N): of the distance to the goal. Returns the samples done and
+    the block that diverged (−1: none).
     """
     m, T = memory, n.sample_time
     w, z, size, h, g, felt = m.w, m.z, memory.trust.size, 0.5 * T, n.lead_gain, n.force_gain
-    at = np.zeros(3)
-    state, spare = states[0], log[log.size - 1]
+    state = states[0]
     device = haptic.held_device(n.mass, n.damping, n.stiffness, n.weight, 0.0, 0.0, T)
     pole = h * n.cutoff
     low_pass = FilterStep(1.0 / (1.0 + pole), pole / (1.0 + pole), n.k12, n.k21, pole)
     port = n.filtering == TWO_PORT
     filters = low_pass if port else FilterStep(0.0, 1.0, 0.0, 0.0, 0.0)
     for k in range(first, last):
-        lead, recorded = m.leads[k], k % every == 0
-        row = log[k // every] if recorded else spare
+        now, late = m.samples[k], k - n.vision
+        past, lead, recorded = m.samples[max(late, 0)], now.lead, k % every == 0
         # storage at the start of this sample; energy that enters by the leader's port appears in the team g and g/felt times
-        v_hd = v_filter = 0.0
-        v_fs, v_e = storages(team, w, z)
-        v_fs *= felt / g
-        v_e /= g
+        state.v_hd = state.v_filter = 0.0
+        state.v_fs, state.v_e = storages(team, w, z)
+        state.v_fs *= felt / g
+        state.v_e /= g
         for i in range(3):
-            v_hd += haptic.device_storage(device, state.device[i], state.device_velocity[i])
+            state.v_hd += haptic.device_storage(device, state.device[i], state.device_velocity[i])
             if port:
                 velocities = state.near_velocity[i] ** 2 + state.far_velocity[i] ** 2
                 forces = state.near_force[i] ** 2 + state.far_force[i] ** 2
-                v_filter += (n.k21 * velocities + n.k12 * forces) / n.cutoff
-        m.held[k] = v_e
+                state.v_filter += (n.k21 * velocities + n.k12 * forces) / n.cutoff
+        now.held = state.v_e
         # what the operator sees: the leader of `vision` samples ago, and what it was told to do
-        late = k - n.vision
         state.seen_power = square = 0.0
         for i in range(3):
-            state.error[i] = -m.seen[late, i] if late >= 0 else 0.0
-            state.pushed[i] = m.pushed[k, i]
+            state.error[i] = -past.seen[i] if late >= 0 else 0.0
+            state.pushed[i] = now.pushed[i]
             square += state.error[i] ** 2
             if late >= 0:
-                state.seen_power += m.sent[late, i] * state.error[i]
+                state.seen_power += past.sent[i] * state.error[i]
         good = max(1.0 - np.sqrt(square) / n.error_range, 0.0) if late >= 0 and n.push > 0.0 else 0.0
         # the leader's trust in the operator sets β; the trust of all follows how near the goal the leader is
         leader, told = robots[lead], m.trust[lead]
         share = min(max(told, 0.0), 1.0)
-        beta = logistic_scale(leader.beta_min, leader.beta_max, n.steepness, 0.5, share)
+        state.beta = logistic_scale(leader.beta_min, leader.beta_max, n.steepness, 0.5, share)
         for i in range(size):
             m.trust[i] = trust_step(m.trust[i], good, robots[i].decay, robots[i].gain)
         read_wave(m.u_l, m.arrives[0], k, m.delays[0, k], n.gain, n.read_out, T, m.accounts[0], state.v_r)
@@ -351,12 +325,12 @@ def run_team(n, team, robots, memory, first, last, every, states, log, modes):
         if n.filtering == WAVES:
             filter_wave(low_pass, state.v_r, state.filtered_r)
             filter_wave(low_pass, state.v_l, state.filtered_l)
-        head = robots[m.heads[k]]
+        head = robots[now.head]
         near_end = waves.operator_end(head.b, head.beta_min, head.beta_max)
-        operator_side(n, device, filters, near_end, beta, state.v_h + n.budget - n.reserve, state, row)
+        operator_side(n, device, filters, near_end, state.v_h + n.budget - n.reserve, state)
         for i in range(3):
             state.open_force[i] = felt * force_at_rest(team, lead, h, w, z, i)
-        robot_side(filters, waves.robot_end(leader.b, 1.0, 1.0), felt * g * team.stiffness[lead], state, row)
+        robot_side(filters, waves.robot_end(leader.b, 1.0, 1.0), felt * g * team.stiffness[lead], state)
         if recorded:
             for i in range(3):
                 for j in range(size):
@@ -364,31 +338,28 @@ def run_team(n, team, robots, memory, first, last, every, states, log, modes):
         supplied = away = filtered = team_loss = error_loss = 0.0
         for i in range(3):
             if team.directed:
-                at[i], pulled, bent = move_directed(team, lead, h, g * row.r_s[i], w, z, i)
+                state.leader[i], pulled, bent = move_directed(team, lead, h, g * state.r_s[i], w, z, i)
             else:
-                at[i], pulled, bent = move_modes(team, lead, h, g * row.r_s[i], w, z, i)
+                state.leader[i], pulled, bent = move_modes(team, lead, h, g * state.r_s[i], w, z, i)
             team_loss += felt / g * pulled
             error_loss += bent / g
-            supplied += row.r_s[i] * row.f_s[i]
-            away += row.r_s[i] * at[i]
-            filtered += row.r_m[i] * row.f_m[i] - row.r_s[i] * row.f_s[i]
+            supplied += state.r_s[i] * state.f_s[i]
+            away += state.r_s[i] * state.leader[i]
+            filtered += state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i]
             m.u_l[k, i], m.u_r[k, i] = state.u_l[i], state.u_r[i]
-            m.sent[k, i], m.seen[k, i] = row.r_s[i], at[i]
-        m.lost[k] = error_loss
+            now.sent[i], now.seen[i] = state.r_s[i], state.leader[i]
+        now.lost = error_loss
         if recorded:
-            for i in range(3):
-                row.leader[i] = at[i]
-            row.number, row.beta = lead, beta
-            row.trust_rh = leader.t_min + (leader.t_max - leader.t_min) * told
-            row.v_h, row.v_hd, row.v_ch = state.v_h, v_hd, state.v_ch
-            row.v_fs, row.v_e, row.v_filter = v_fs, v_e, v_filter
-            row.v_e_delayed = m.held[late] if late >= 0 else m.held[0]
-            row.v_t = state.v_h + n.budget + v_hd + state.v_ch + v_fs + row.v_e_delayed + v_filter
-            row.supply_team, row.supply_error = state.supply_team, state.supply_error
-            row.supply_hand, row.supply_device = state.supply_hand, state.supply_device
-            row.supply_filter, row.supply_links = state.supply_filter, state.supply_links
-            row.lost_device, row.lost_team = state.lost_device, state.lost_team
-            row.lost_error, row.lost_error_delayed = state.lost_error, state.lost_error_delayed
+            state.number = lead
+            state.trust_rh = leader.t_min + (leader.t_max - leader.t_min) * told
+            state.v_e_delayed = past.held
+            stored = state.v_h + n.budget + state.v_hd + state.v_ch + state.v_fs
+            state.v_t = stored + state.v_e_delayed + state.v_filter
+            for i in range(row.size):
+                table[k // every, i] = row[i]
+        for i in range(3):
+            state.device[i] += T * state.middle[i]
+            state.device_velocity[i] = 2.0 * state.middle[i] - state.device_velocity[i]
         state.v_h += T * (state.seen_power - state.hand_power)
         state.v_ch += T * (state.near_power - state.far_power)
         state.supply_team += T * supplied
@@ -400,12 +371,12 @@ def run_team(n, team, robots, memory, first, last, every, states, log, modes):
         state.lost_team += T * team_loss
         state.lost_error += T * error_loss
         if late >= 0:
-            state.lost_error_delayed += T * m.lost[late]
+            state.lost_error_delayed += T * past.lost
         # written as "not <", so that NaN counts as diverged
-        if not v_hd < 1e12:
+        if not state.v_hd < 1e12:
             return k + 1, 0
         if not abs(state.v_ch) < 1e12:
             return k + 1, 1
-        if not v_e < 1e12:
+        if not state.v_e < 1e12:
             return k + 1, 2
     return last, -1

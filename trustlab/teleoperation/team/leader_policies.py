@@ -179,7 +179,7 @@ class GivenSequence:
     ------
     ValueError
         If a robot follows itself, times do not fit the robots, or both `times` and `every` are given; later, in `leaders`, if a
-        robot does not exist or leads for less than τ_min.
+        robot does not exist, and in `simulate_team`, as for every policy, if one leads for less than τ_min.
     """
 
     robots: Sequence[Hashable] | None = None
@@ -235,19 +235,9 @@ class GivenSequence:
                 raise ValueError(f"the policy names robot {name!r}, which does not exist; robots are {list(names)}")
         numbers, count = np.array([names[name] for name in chosen]), len(trust)
         if self.times is not None:
-            starts = np.asarray(self.times)
-            short = np.diff(starts) < dwell - 1e-9
-            if short.any():
-                place = int(np.argmax(short))
-                raise ValueError(
-                    f"robot {chosen[place]!r} leads for {np.diff(starts)[place]:g} s from {starts[place]:g} s on, less than "
-                    f"min_dwell = {dwell:g} s"
-                )
-            begins = np.ceil(starts / step - 1e-9)
+            begins = np.ceil(np.asarray(self.times) / step - 1e-9)
             return numbers[np.searchsorted(begins, np.arange(count), side="right") - 1]
         every = 2.0 * dwell if self.every is None else self.every
-        if every < dwell - 1e-9:
-            raise ValueError(f"every = {every:g} s is less than min_dwell = {dwell:g} s")
         return numbers[(np.arange(count) // _hold(every, step)) % len(numbers)]
 
 
