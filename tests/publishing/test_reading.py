@@ -81,6 +81,7 @@ def world(root):
     heads = "".join(f"<th>{name}</th>" for name in ("place", "number", "p_holm", "why"))
     table = f"<table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>"
     words = "# A title\n\nBy (2.3) and report 02.\n\n## One\n\n## Two\n\n### Three\n\n$$P_r = a$$\n\n## Four"
+    words += "\n\n```python\nimport numpy as np  # as axe sees only code that is not folded\n\nx = np.sqrt(1.5)\n```"
     answer = cell({"text/markdown": "**It holds.** By (2.8)."}, tags=["answer"])
     cells = [new_markdown_cell(words), answer, panels(5), panels(1), cell({"text/html": table})]
     nbformat.write(new_notebook(cells=cells), root / "notebooks" / "01_a.ipynb")

@@ -223,7 +223,7 @@ def report_html(
 def stylesheet() -> str:
     """Return the style sheet of reports and index, with the colours of code."""
     own = (TEMPLATES / "report.css").read_text(encoding="utf-8")
-    light, dark = (HtmlFormatter(style=style, nobackground=True) for style in ("friendly", "github-dark"))
+    light, dark = (HtmlFormatter(style=style, nobackground=True) for style in ("xcode", "github-dark"))
     defs = dark.get_style_defs(".highlight")
     return f"{own}{light.get_style_defs('.highlight')}\n@media screen and (prefers-color-scheme: dark) {{{defs}}}"
 
