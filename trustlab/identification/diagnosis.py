@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trustlab.identification.output_error import NOT_WHITE, ROUGHLY, Estimate, Problem, settle
+from trustlab.identification.output_error import NOT_WHITE, Estimate, Problem, settle
 from trustlab.identification.residuals import hac_lags, robust_deviation
 
 CERTAIN = 3.3
@@ -93,7 +93,7 @@ def _window(found: Estimate) -> Iterator[str]:
         runs = [replace(run, window=window, kept={}) for run in problem.runs]
         for unwindow in (True, False):
             other = Problem(problem.structure, runs, guess, unwindow)
-            valley = settle(other, found.theta, found.limits, False, **ROUGHLY)
+            valley = settle(other, found.theta, found.limits, False, rough=True)
             best = max(best, (now - valley.deviance, window * problem.runs[0].sample_time))
     if best[0] > GAIN:
         outputs = " and ".join(problem.structure.outputs)

@@ -342,11 +342,9 @@ def run_fits(
     structure: Structure, runs: list[Run], fitted: list[list[np.ndarray]], errors: list[list[np.ndarray]] | None = None
 ) -> list[RunFit]:
     """Put every run beside its fitted outputs and prediction errors, which are given by output, then by run."""
-    if errors is None:
-        errors = [
-            [run[name] - own[j] for run, own in zip(runs, fitted, strict=True)]
-            for j, name in enumerate(structure.outputs)
-        ]
+    errors = errors or [
+        [run[name] - own[j] for run, own in zip(runs, fitted, strict=True)] for j, name in enumerate(structure.outputs)
+    ]
     return [
         RunFit(
             run.label,

@@ -10,17 +10,7 @@ from scipy import special
 from trustlab.identification.diagnosis import doubted
 from trustlab.identification.fit_result import FitResult, parameter_table, run_fits
 from trustlab.identification.logged import as_logged, averaged, undo_window, window_means
-from trustlab.identification.output_error import (
-    NOISES,
-    NOT_WHITE,
-    ROUGHLY,
-    SHALLOW,
-    Estimate,
-    Problem,
-    Valley,
-    estimate,
-    settle,
-)
+from trustlab.identification.output_error import NOISES, NOT_WHITE, SHALLOW, Estimate, Problem, Valley, estimate, settle
 from trustlab.identification.regression import regress
 from trustlab.identification.runs import HowLogged, Run, joined, read_runs
 from trustlab.identification.structure import IdentificationError, Parameter, Structure
@@ -213,7 +203,7 @@ def estimate_runs(
     if len(begun) == 1:
         problem, at = begun[0]
         return estimate(problem, at, limits, noise, robust)
-    valleys = [settle(problem, at, limits, robust, **ROUGHLY) for problem, at in begun]
+    valleys = [settle(problem, at, limits, robust, rough=True) for problem, at in begun]
     lowest = min(valleys, key=lambda one: one.deviance)
     if windowed:  # what the structure guesses from averages may miss a valley
         valleys += list(_elsewhere(lowest, limits))
@@ -233,10 +223,10 @@ def _elsewhere(valley: Valley, limits: Mapping) -> Iterator[Valley]:
         start = valley.theta.copy()
         for j, parameter in enumerate(problem.structure.initial):
             start[problem.shared + j :: problem.own] = at.get(parameter.name, start[problem.shared + j :: problem.own])
-        held = settle(problem, start, {**limits, **{name: (own, own) for name, own in at.items()}}, False, **ROUGHLY)
+        held = settle(problem, start, {**limits, **{name: (own, own) for name, own in at.items()}}, False, rough=True)
         yield held
         if held.deviance < valley.deviance + SHALLOW:
-            yield settle(problem, held.theta, limits, False, **ROUGHLY)
+            yield settle(problem, held.theta, limits, False, rough=True)
 
 
 def _starts(structure: Structure, runs: list[Run], limits: Mapping, guess: Mapping | None) -> list[dict]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ NOT_WHITE = 1e-3
 SHALLOW = 30.0
 """Deviance by which a valley of the likelihood may lie above the deepest found roughly and still be searched."""
 
-ROUGHLY = {"tolerance": 0.1, "max_iterations": 40}
+ROUGHLY: dict = {"tolerance": 0.1, "max_iterations": 40}
 """How valleys are searched before the deepest is known."""
 
 SINGULAR = 1e-10
@@ -151,11 +152,7 @@ class Problem:
             scale = robust_deviation([error[~lost] for error, lost in zip(own, known, strict=True)])
             found.append([outliers(error, scale) for error in own])
             few = few and sum(one.sum() for one in found[-1]) < 0.25 * sum(run.size for run in self.runs)
-        same = all(
-            np.array_equal(*pair)
-            for now, old in zip(found, self.missing, strict=True)
-            for pair in zip(now, old, strict=True)
-        )
+        same = all(map(np.array_equal, chain(*found), chain(*self.missing)))
         # More than a quarter are no outliers: the model does not describe these data.
         if same or not few:
             return False
@@ -285,12 +282,32 @@ class Valley(NamedTuple):
 
     def inverse(self) -> np.ndarray:
         """Return the inverse of the information about the free parameters; raise where there is none about one."""
-        return _inverse(self.normal.matrix, self.free, self.problem)
+        free, names = self.free, self.problem.names
+        part = self.normal.matrix[np.ix_(free, free)]
+        if free.size == 0:
+            return part
+        diagonal = np.diag(part).copy()
+        lost = diagonal <= 1e-30 * diagonal.max(initial=1e-300)
+        if not lost.any():
+            # Scaled to unit diagonal, so that the units of the parameters do not decide what is singular.
+            scale = np.sqrt(diagonal)
+            values, vectors = np.linalg.eigh(part / np.outer(scale, scale))
+            if values[0] > SINGULAR:
+                return (vectors / values) @ vectors.T / np.outer(scale, scale)
+            # Parameters with a share in the direction that the data say nothing about.
+            lost = np.abs(vectors[:, 0]) > 0.25
+        unknown = tuple(names[free[j]] for j in np.flatnonzero(lost))
+        raise IdentificationError(
+            f"these data do not determine {' and '.join(unknown)} ({_why(self.problem)}); record phases that move the model more, "
+            f"or fix a parameter, for example fixed={{{unknown[-1].split('[')[0]!r}: ...}}",
+            unknown,
+        )
 
 
-def settle(problem: Problem, start: np.ndarray, limits: Mapping, robust: bool, **options: float) -> Valley:
+def settle(problem: Problem, start: np.ndarray, limits: Mapping, robust: bool, rough: bool = False) -> Valley:
     """Search from `start` within the limits of every name, and again without the outliers that show."""
     low, high = (problem.vector({name: pair[side] for name, pair in limits.items()}) for side in (0, 1))
+    options = ROUGHLY if rough else {}
     valley = _search(problem, start, low, high, **options)
     for _ in range(5):
         if not robust or not valley.normal.finite or _exact(problem, valley.normal).all() or not problem.leave_out():
@@ -316,7 +333,12 @@ def estimate(
     """Search from `start`, leave out outliers, model the noise, then give covariance and diagnostics."""
     low, high = (problem.vector({name: pair[side] for name, pair in limits.items()}) for side in (0, 1))
     valley = settle(problem, start, limits, robust)
-    _check_finite(problem, valley.theta, valley.normal)
+    if not valley.normal.finite:
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(problem.names, valley.theta, strict=True))
+        raise ValueError(
+            f"structure {problem.structure.name!r} simulates values that are not finite at {values}; start elsewhere "
+            "with guess={...} or narrow the bounds"
+        )
     simple_p = _whiteness(problem, valley.normal)
     if noise == "correlated" or (noise == "auto" and simple_p < NOT_WHITE):
         # The noise model belongs to the residuals, and these to the parameters: three rounds settle both.
@@ -352,39 +374,6 @@ def _whiteness(problem: Problem, normal: NormalEquations) -> float:
     """Return the least p value of the Ljung–Box tests of all outputs."""
     exact = _exact(problem, normal)
     return float(min(1.0 if exact[j] else whiteness_p(own) for j, own in enumerate(problem.residuals())))
-
-
-def _check_finite(problem: Problem, theta: np.ndarray, normal: NormalEquations) -> None:
-    """Refuse to go on from a simulation that is not finite."""
-    if not normal.finite:
-        values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(problem.names, theta, strict=True))
-        raise ValueError(
-            f"structure {problem.structure.name!r} simulates values that are not finite at {values}; start elsewhere "
-            "with guess={...} or narrow the bounds"
-        )
-
-
-def _inverse(matrix: np.ndarray, free: np.ndarray, problem: Problem) -> np.ndarray:
-    """Invert the free part of the information matrix, or name what it says nothing about."""
-    part = matrix[np.ix_(free, free)]
-    if free.size == 0:
-        return part
-    diagonal = np.diag(part).copy()
-    lost = diagonal <= 1e-30 * diagonal.max(initial=1e-300)
-    if not lost.any():
-        # Scaled to unit diagonal, so that the units of the parameters do not decide what is singular.
-        scale = np.sqrt(diagonal)
-        values, vectors = np.linalg.eigh(part / np.outer(scale, scale))
-        if values[0] > SINGULAR:
-            return (vectors / values) @ vectors.T / np.outer(scale, scale)
-        # Parameters with a share in the direction that the data say nothing about.
-        lost = np.abs(vectors[:, 0]) > 0.25
-    names = tuple(problem.names[free[j]] for j in np.flatnonzero(lost))
-    raise IdentificationError(
-        f"these data do not determine {' and '.join(names)} ({_why(problem)}); record phases that move the model more, "
-        f"or fix a parameter, for example fixed={{{names[-1].split('[')[0]!r}: ...}}",
-        names,
-    )
 
 
 def _why(problem: Problem) -> str:

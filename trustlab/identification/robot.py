@@ -89,10 +89,7 @@ def fit_robot(
     for given in (fixed, bounds):
         if isinstance(given, Mapping) and "p_h_max" in given:
             raise ValueError("p_h_max is not a parameter of the search; give it as fit_robot(..., p_h_max=...)")
-    runs, any_operator = (
-        read_runs(sessions, "mode", "p_h", "p_r", how=how),
-        robot_structure(1.0),
-    )
+    runs, any_operator = read_runs(sessions, "mode", "p_h", "p_r", how=how), robot_structure(1.0)
     if method == "output_error" and (how.step or how.mode_delay or any(run.window > 1 for run in runs)):
         return _driven_by_the_operator(runs, p_h_max, fixed, bounds, noise, how)
     limits = any_operator.limits(fixed, bounds)
