@@ -14,7 +14,7 @@ TITLE = "First use"
 LIMIT_S = 10.0
 TIMED = "import time, trustlab as tl; tsc = tl.published_models()['2']; a = time.perf_counter(); {}; print(time.perf_counter() - a)"
 CALLS = {
-    "virtual_study": 'tl.virtual_study(n=2, conditions=["C1", "C3"], laps=2, seed=0)',
+    "virtual_study": 'tl.virtual_study(n=4, conditions=["C1", "C3"], laps=2, seed=0)',
     "run_condition": 'tl.run_condition("C3", participant=2, laps=1, seed=0)',
     "choose_thresholds": "tl.choose_thresholds(tsc)",
     "ThresholdCorrector": "tl.ThresholdCorrector(tsc, target=(0.0, 0.35), horizon=200)"
