@@ -15,6 +15,7 @@ import json
 import logging
 import multiprocessing
 import resource
+import sqlite3
 import struct
 import sys
 import tempfile
@@ -29,7 +30,7 @@ import h5py
 import numpy as np
 import pandas as pd
 from rosbags.rosbag2 import Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy import io
 
 from trustlab.sessions import (
@@ -73,6 +74,9 @@ robot_x = { topic = "/tf", field = 'transforms[child_frame_id="b"].transform.tra
 """)
 
 
+CLOCK = "builtin_interfaces/msg/Time"
+HAND = "std_msgs/Header header\nfloat64 grip\n"
+FILES = ["csv", "tsv", "txt", "csv.gz", "parquet", "feather", "mat", "h5"]
 POSE, ARM = (
     Recipe.from_toml(f'kind = "bag"\n[columns]\np_r = {{ topic = "{topic}", field = "x" }}')
     for topic in ("pose", "arm")
@@ -87,7 +91,7 @@ def transforms(path: Path) -> Path:
     with Writer(path, version=8) as writer:
         topic = writer.add_connection("/tf", "tf2_msgs/msg/TFMessage", typestore=store)
         for k in range(40):
-            stamp = of("builtin_interfaces/msg/Time", sec=k, nanosec=0)
+            stamp = of(CLOCK, sec=k, nanosec=0)
             transform = of(
                 "geometry_msgs/msg/Transform",
                 translation=of("geometry_msgs/msg/Vector3", x=0.1 * k, y=0.0, z=0.0),
@@ -103,7 +107,7 @@ def transforms(path: Path) -> Path:
             writer.write(topic, k * 10**9, store.serialize_cdr(message, "tf2_msgs/msg/TFMessage"))
         topic = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
         for k in range(40):
-            stamp = of("builtin_interfaces/msg/Time", sec=k, nanosec=10**8 * (k % 3))
+            stamp = of(CLOCK, sec=k, nanosec=10**8 * (k % 3))
             joints = of(
                 "sensor_msgs/msg/JointState",
                 header=of("std_msgs/msg/Header", stamp=stamp, frame_id=""),
@@ -113,6 +117,21 @@ def transforms(path: Path) -> Path:
                 effort=np.array([]),
             )
             writer.write(topic, k * 10**9 + 1, store.serialize_cdr(joints, "sensor_msgs/msg/JointState"))
+    return path
+
+
+def undefined(path: Path) -> Path:
+    """Write a bag as ROS 2 before Iron wrote it, which does not define its messages."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(HAND, "lab_msgs/msg/Hand"))
+    hand, header, clock = (store.types[kind] for kind in ("lab_msgs/msg/Hand", "std_msgs/msg/Header", CLOCK))
+    with Writer(path, version=8) as writer:
+        topic = writer.add_connection("/hand", "lab_msgs/msg/Hand", typestore=store)
+        for k in range(20):
+            message = hand(header=header(stamp=clock(sec=k, nanosec=0), frame_id=""), grip=0.05 * k)
+            writer.write(topic, k * 10**9, store.serialize_cdr(message, "lab_msgs/msg/Hand"))
+    with sqlite3.connect(next(path.glob("*.db3"))) as database:
+        database.execute("DELETE FROM message_definitions")
     return path
 
 
@@ -248,6 +267,7 @@ TOPICS = {
     "/joint_states": ['position[name="wheel_right"]', 'position[name="wheel_left"]', "position[0]", "header.stamp.sec"],
     "pose": ["x"],
     "arm": ["x"],
+    "/hand": ["grip", "header.stamp.nanosec"],
 }
 PATHS = [OTHER, f"{OTHER}.translation", "position[1]", "name[0]", "effort[0]", "x[0]", "[", 'a[b="', "yaw(x)"]
 PATHS += ['transforms[child_frame_id="c"].transform.translation.x', "header.stamp", "position", "transforms"]
@@ -283,7 +303,7 @@ def random_column(rng: np.random.Generator, name: str, topics: list[str]) -> dic
     if kind < 0.06:
         return {"value": mostly(rng, *numbers)} | ({"unit": "m"} if name in POSITIONS else {})
     if kind < 0.10:
-        return {"from": mostly(rng, ["participant", "block"], ["trial", "header.share", "start_time"])}
+        return {"from": mostly(rng, ["participant", "block", "header.share"], ["trial", "kind", "start_time"])}
     if kind < 0.16:
         way, stems = one_of(rng, [("distance", ["robot", "reference"]), ("travelled", "robot")])
         return {way: stems, "axes": mostly(rng, [["x"], ["x", "y"]], [["z"], []])}
@@ -323,6 +343,19 @@ def random_recipe(rng: np.random.Generator, topics: list[str], unit: str = "s") 
         steps = mostly(rng, [0.1, 0.03, 1.0, 1e-3], [1e-9, 1e9, 0, "x"])
         tables["resampling"] = {"method": one_of(rng, ["previous", "linear", "nearest"]), "sample_time": steps}
     tables["splitting"] = some(rng, 0.97, gap=([0.15, 0.5, 5.0], [1e-9, 1e300, 0, -1])) if rng.random() < 0.4 else None
+    if topics:
+        wanted = 0.95 if topics == ["/hand"] else 0.05
+        tables["messages"] = {"folder": mostly(rng, ["."], ["none", ".."])} if rng.random() < wanted else None
+    elif rng.random() < 0.3:
+        tables["files"] = {
+            "pattern": mostly(rng, ["a.{kind}", "read/a.{kind}"], ["*", "{kind:int}.csv", "{", "{a}{b}"])
+        }
+        tables["header"] = some(rng, 0.97, file=(["head.index"], ["../head.index", "none.csv", "a.{kind}", "{x}"]))
+        tables["header"] |= some(rng, 0.97, keys=([{"kind": "kind"}], [{"kind": "share"}, {"trial": "kind"}, {}]))
+        pairs = [{"csv": "tsv"}, {"mat": "h5", "h5": "mat"}, {"csv": "csv"}]
+        tables["supersedes"] = {"field": mostly(rng, ["kind"], ["x"]), "pairs": one_of(rng, pairs)}
+        tables["header"] = tables["header"] if rng.random() < 0.7 else None
+        tables["supersedes"] = tables["supersedes"] if rng.random() < 0.3 else None
     if rng.random() < 0.3:
         origin = {"from": (["participant"], ["trial", "none"])}
         tables["metadata"] = {
@@ -372,7 +405,7 @@ def random_table(rng: np.random.Generator, unit: str) -> pd.DataFrame:
 def random_file(rng: np.random.Generator, folder: Path, unit: str) -> Path:
     """Write a random table in one of the formats for tables."""
     frame = random_table(rng, unit)
-    kind = one_of(rng, ["csv", "csv", "tsv", "txt", "csv.gz", "parquet", "feather", "mat", "h5"])
+    kind = one_of(rng, FILES)
     path = folder / f"a.{kind}"
     if kind in ("csv", "tsv", "txt", "csv.gz"):
         text = frame.to_csv(index=False, sep="\t" if kind == "tsv" else ",").encode()
@@ -406,10 +439,15 @@ def read_by_random_recipe(
         {"resample": "linear", "sample_time": mostly(rng, [0.1], [1e-7, 1e9])} if rng.random() < 0.2 else {}
     )
     if name == "bags":
+        definition = damaged(HAND.encode(), rng) if rng.random() < 0.3 else HAND.encode()
+        (folder / "lab_msgs" / "Hand.msg").write_bytes(definition)
         return [read_session(bag, **options)]
     if name == "frame":
         return [read_frame(random_table(rng, unit), **options)]
     path = random_file(rng, folder, unit)
+    header = "kind,share\n" + "".join(f"{kind},0.5\n" for kind in mostly(rng, [[path.name[2:]]], [FILES, []]))
+    head = damaged(header.encode(), rng) if rng.random() < 0.2 else header.encode()
+    (folder / "head.index").write_bytes(head)
     try:
         if name == "file":
             return [read_session(path, **options)]
@@ -440,11 +478,10 @@ def reading(name: str, folder: Path) -> Callable[[np.random.Generator], list[Ses
     """Return what writes something damaged and reads it: a log of the format, or one by a recipe at random."""
     files = originals(folder)
     if name in READS:
-        (folder / "read").mkdir()
+        (folder / "read" / "lab_msgs").mkdir(parents=True)
         topics = {"tf": ["/tf", "/joint_states"], "ulg": ["pose"], "xdf": ["arm"]}
-        return partial(
-            read_by_random_recipe, name, folder / "read", [(files[bag][0], own) for bag, own in topics.items()]
-        )
+        bags = [(files[bag][0], own) for bag, own in topics.items()] + [(undefined(folder / "hand"), ["/hand"])]
+        return partial(read_by_random_recipe, name, folder / "read", bags)
     path, file = files[name]
     options = {name: {"recipe": recipe} for name, recipe in RECIPES.items()}.get(name, {})
     options |= {"columns": ["p_r", "mode"]} if name in ("mat", "h5") else {}
