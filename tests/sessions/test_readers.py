@@ -282,7 +282,11 @@ def test_plain_parquet(tmp_path):
     [
         ({"t": [0.0, 1.0, 2.0], "p_r": [1.0, None, 3.0]}, ["row 1", "'p_r'", "missing"]),
         ({"t": [0.0, 1.0, 1.0], "p_r": [1.0, 2.0, 3.0]}, ["row 2", "repeats"]),
-        ({"t": [0.0, 1.0], "p_r": ["a", "b"]}, ["'p_r'", "string", "write numbers"]),
+        ({"t": [0.0, 1.0], "p_r": ["a", "b"]}, ["'p_r'", "holds string", "write numbers", "recipe's map"]),
+        (
+            {"t": [0.0, 1.0], "p_r": pa.array(["a", "b"]).dictionary_encode()},
+            ["'p_r'", "holds string", "write numbers"],
+        ),
         ({"t": pd.to_datetime(["2026-01-01", "2026-01-02"]), "p_r": [1.0, 2.0]}, ["'t'", "timestamp", "seconds"]),
         ({"t": [0.0, 1.0], "p_r": [[1.0], [2.0]]}, ["'p_r'", "list"]),
         ({"t": pa.array([], pa.float64()), "p_r": pa.array([], pa.float64())}, ["no rows"]),

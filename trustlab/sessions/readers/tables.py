@@ -270,9 +270,10 @@ def numbers(values, column: SourceColumn) -> np.ndarray:
             except ValueError as error:
                 raise SessionError(f"row {k} (from 0), column {column.label}: {error}") from None
         return read
-    kind = values.type
+    kind = values.type.value_type if pa.types.is_dictionary(values.type) else values.type
     if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)):
-        hint = "write seconds since the start as numbers" if pa.types.is_temporal(kind) else "write numbers"
+        words = "write numbers, or turn words into numbers with a recipe's map"
+        hint = "write seconds since the start as numbers" if pa.types.is_temporal(kind) else words
         raise SessionError(f"column {column.label}: holds {kind}, not numbers; {hint}")
     if pa.types.is_boolean(kind):
         values = values.cast(pa.int8())
