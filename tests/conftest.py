@@ -21,6 +21,7 @@ settings.register_profile(
 settings.load_profile("trustlab")
 
 
+@pytest.hookimpl(optionalhook=True)  # pytest may run without pytest-xdist
 def pytest_xdist_auto_num_workers():
     """One worker more than cores: tests that drive in real time or wait for what they killed leave a core idle."""
     return (os.cpu_count() or 1) + 1
