@@ -31,7 +31,7 @@ def pytest_xdist_auto_num_workers():
 def pytest_collection_modifyitems(items):
     """Drive in browsers one after the other, in one worker, and from the start, as they take the longest."""
     for item in items:
-        if "live" in item.path.parts and {"browser", "chromium"} & set(getattr(item, "fixturenames", ())):
+        if item.nodeid.startswith("tests/live/") and {"browser", "chromium"} & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.xdist_group("browser"))
 
 
