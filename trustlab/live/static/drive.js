@@ -6,7 +6,7 @@
 export const STYLE = `
 .tl-drive { position: relative; display: grid; grid-template-columns: minmax(0, 3fr) minmax(12em, 1fr); gap: .5em; max-width: 70em;
   font: 15px/1.4 system-ui, sans-serif; color: #1b2430; background: #fff; padding: .4em; border-radius: 6px; touch-action: none; user-select: none; }
-.tl-drive:focus { outline: 3px solid #0072b2; outline-offset: 2px; }
+.tl-drive:focus { outline: 3px solid #0072b2; outline-offset: -3px; }
 .tl-drive canvas { display: block; will-change: transform; } /* layers of their own: the page around is not painted again with each frame */
 .tl-drive .panel { display: flex; flex-direction: column; gap: .5em; }
 .tl-drive .mode { font-weight: 700; font-size: 1.15em; padding: .3em .6em; border-radius: 4px; color: #fff; background: #0072b2; }
@@ -190,7 +190,7 @@ function script(hand, config, physics) {
 
 // Make a canvas opaque and keep its pixels those of the screen: without a graphics card scaling costs more than drawing.
 function fitted(canvas, shape, resized, signal) {
-  const g = canvas.getContext("2d", { alpha: false });
+  const g = canvas.getContext("2d", { alpha: false, desynchronized: true });   // shown past the page's own painting: sooner, and for less
   const fit = () => {
     const wide = Math.floor(canvas.parentElement.clientWidth), dense = Math.min(devicePixelRatio, 2);
     if (!wide || canvas.width === Math.round(wide * dense)) return;
@@ -501,7 +501,7 @@ export async function drive(root, config, wasm, on) {
   };
   if (running && config.clock === "accelerated") setTimeout(rush, 0);
   else if (running) {
-    timer = setInterval(advance, 20);                          // beside frames, which a busy machine may hold back
+    timer = setInterval(advance, 40);                          // beside frames, which a busy machine may hold back
     requestAnimationFrame(frame);
   }
   return { stop, pause, resume, resume_from, telemetry, physics, hands, get row() { return row; } };
