@@ -41,8 +41,8 @@ OFFSET = 1
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("** power", "* power", r"source of __main__.task changed: “return .*” is now"),
-        ("x + 1", "x + 2", r"source of __main__.inner changed: “return x \+ 1” is now “return x \+ 2”"),
+        ("** power", "* power", "source of __main__.task changed"),
+        ("x + 1", "x + 2", r"source of __main__.inner changed"),
         ("SCALE = 2.0", "SCALE = 2.5", "SCALE in __main__.task was 2.0, is 2.5"),
         ("OFFSET = 1", "OFFSET = 3", "OFFSET in __main__.task was 1, is 3"),
         ("power=2", "power=3", "source of __main__.task changed"),
@@ -75,9 +75,7 @@ def test_a_task_of_a_notebook_runs_in_processes_and_is_known_again(tmp_path):
     table = tl.run_campaign(define(BASE), runs, n_jobs=2, out=tmp_path)
     assert list(table["y"]) == [2.0 * (x + 1) ** 2 + 2 for x in range(8)]
     assert tl.run_campaign(define(BASE), runs, n_jobs=2, out=tmp_path).attrs["resumed"] == 8
-    with pytest.raises(
-        CampaignError, match=r"source of __main__.inner changed: “return x \+ 1” is now “return x \+ 3”"
-    ):
+    with pytest.raises(CampaignError, match=r"source of __main__.inner changed"):
         tl.run_campaign(define(BASE.replace("x + 1", "x + 3")), runs, n_jobs=2, out=tmp_path)
 
 

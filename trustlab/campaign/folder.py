@@ -1,14 +1,12 @@
-"""A campaign on disk: what it is, its parameters, and one Parquet file per finished chunk."""
+"""A campaign on disk: what it is, and one Parquet file per finished chunk."""
 
 import contextlib
-import gzip
 import hashlib
 import json
 import os
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +15,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from trustlab.campaign.errors import CampaignError
-from trustlab.campaign.identity import cut, differences, parameter_texts, versions
+from trustlab.campaign.identity import differences, parameter_texts, versions
 from trustlab.campaign.table import assembled
 
 FORMAT = 1
-MANIFEST, PARAMETERS, CHUNKS, LOCK = "campaign.json", "parameters.txt.gz", "chunks", ".lock"
+MANIFEST, CHUNKS, LOCK = "campaign.json", "chunks", ".lock"
 CHUNK = re.compile(r"runs-(\d+)-(\d+)-([0-9a-f]{32})\.parquet")
 PARTIAL = ".partial-"
 ENTRIES = {"format": int, "runs": int, "parameters": str, "names": list, "task": dict, "seed": str, "versions": dict}
-OWN = {MANIFEST, PARAMETERS, CHUNKS, LOCK, "parameters.parquet"}  # the last as written before version 0.3
+OWN = {MANIFEST, CHUNKS, LOCK, "parameters.txt.gz"}  # the last as versions before this one wrote it
 REMEDY = "restore it, use another folder, or fresh=True to remove what is there"
 
 
@@ -52,7 +50,7 @@ class Folder:
             self.close = stack.pop_all().close  # until then, other processes are kept out
 
     def _create(self, identity: dict, parameters: Sequence[Mapping]) -> None:
-        """Write parameters first and the manifest last, so that chunks without a manifest are never trusted."""
+        """Write the manifest; chunks that are there without one are never trusted."""
         _refuse_foreign(self.path)
         chunks = self.path / CHUNKS
         chunks.mkdir(exist_ok=True)
@@ -61,9 +59,7 @@ class Folder:
                 f"{self.path} is half a campaign: {len(list(chunks.glob('*.parquet')))} chunks, but {MANIFEST}, which "
                 f"says of what, is missing; {REMEDY}"
             )
-        lines = b"".join(_lines(parameters, identity["names"]))
-        write_whole(self.path / PARAMETERS, gzip.compress(lines, compresslevel=1))
-        digest = hashlib.sha256(lines).hexdigest()
+        digest = _digest_of(parameters, identity["names"])
         content = {"format": FORMAT, "runs": len(parameters), "parameters": digest, **identity}
         self._write_manifest(content | {"versions": versions()})
 
@@ -97,32 +93,15 @@ class Folder:
             changed.append(f"seed was {before['seed']}, is {identity['seed']}")
         if before["names"] != names:
             changed.append(f"parameters were {', '.join(before['names'])}, are {', '.join(names)}")
-        digest = hashlib.sha256(b"".join(_lines(parameters, names))).hexdigest()
-        if digest != before["parameters"]:
+        if _digest_of(parameters, names) != before["parameters"]:
             runs, now = before["runs"], len(parameters)
-            counts = "" if runs == now else f"{runs:,} runs then, {now:,} now; "
-            changed.append(f"parameters changed: {counts}{self._first_change(parameters, names)}")
+            found = f"{runs:,} runs then, {now:,} now" if runs != now else "runs have other values, or another order"
+            changed.append(f"parameters changed: {found}")
         if changed:
             raise CampaignError(
                 f"{self.path} holds another campaign: {'; '.join(changed)}. Use another folder for this one, or "
                 "fresh=True to remove what is there"
             )
-
-    def _first_change(self, parameters: Sequence[Mapping], names: list[str]) -> str:
-        """Return where the parameters of the folder first differ from those given."""
-        try:
-            with gzip.open(self.path / PARAMETERS) as file:
-                for run, (old, new) in enumerate(zip_longest(file, _lines(parameters, names))):
-                    if new is None:
-                        return f"all {run:,} given are as they were"
-                    if old is None:
-                        return f"the first {run:,} are as they were"
-                    if old != new:
-                        old, new = (line.decode().rstrip("\n") for line in (old, new))
-                        return f"run {run} had {cut(old, 200)}, now has {cut(new, 200)}"
-        except (OSError, EOFError) as error:
-            return f"those of the folder cannot be read ({error})"
-        return f"{PARAMETERS} does not hold those with which the campaign began"
 
     def _clear(self) -> None:
         """Remove a campaign, chunks first, so that a kill leaves a folder that is refused rather than trusted."""
@@ -213,10 +192,12 @@ def write_whole(path: Path, data: bytes) -> None:
         raise
 
 
-def _lines(parameters: Sequence[Mapping], names: list[str]) -> Iterator[bytes]:
-    """Yield the parameters of each run as a line."""
+def _digest_of(parameters: Sequence[Mapping], names: list[str]) -> str:
+    """Return a digest that is the same for equal parameters of all runs, in their order."""
+    digest = hashlib.sha256()
     for text in parameter_texts(parameters, names):
-        yield text.encode("utf-8", "backslashreplace") + b"\n"
+        digest.update(text.encode("utf-8", "backslashreplace") + b"\n")
+    return digest.hexdigest()
 
 
 def _digest(data: bytes) -> str:

@@ -254,23 +254,12 @@ def differences(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
             continue
         if old is None or new is None:
             said.append(f"{key} is {'new' if old is None else 'gone'}")
-        elif key.startswith("source of"):
-            said.append(f"{key} changed: {_first_line(old, new)}")
-        elif key.startswith(("code of", "module ")):
+        elif key.startswith(("source of", "code of", "module ")):
             said.append(f"{key} changed")
         else:
-            said.append(f"{key} was {cut(old)}, is {cut(new)}")
+            said.append(f"{key} was {_cut(old)}, is {_cut(new)}")
     return said
 
 
-def _first_line(old: str, new: str) -> str:
-    before, now = old.splitlines(), new.splitlines()
-    for a, b in zip(before, now, strict=False):
-        if a != b:
-            return f"“{cut(a.strip())}” is now “{cut(b.strip())}”"
-    return f"{len(before)} lines then, {len(now)} now"
-
-
-def cut(text: str, length: int = 120) -> str:
-    """Return a text cut to so many characters."""
-    return text if len(text) <= length else text[: length - 1] + "…"
+def _cut(text: str) -> str:
+    return text if len(text) <= 120 else text[:119] + "…"

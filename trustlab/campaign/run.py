@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import inspect
 import os
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from time import perf_counter
@@ -16,7 +15,7 @@ import numpy as np
 from trustlab.campaign.errors import CampaignWarning
 from trustlab.campaign.parameters import checked_names
 from trustlab.campaign.worker import running_task
-from trustlab.models.checks import flag, one_of, whole_number
+from trustlab.models.checks import flag, one_of, warn, whole_number
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -226,11 +225,10 @@ def _summed(table: pd.DataFrame, resumed: int, facts: dict) -> pd.DataFrame:
     if failed:
         worst = table.loc[table["failed"], ["run", "error"]].iloc[0]
         words += f"; first run {worst['run']}: {worst['error']}"
-        warnings.warn(
+        warn(
             f"{failed:,} of {len(table):,} runs failed; run {worst['run']}: {worst['error']} (see the columns failed, "
             "error and traceback)",
             CampaignWarning,
-            stacklevel=3,
         )
     if resumed:
         words += f"; {resumed:,} were there already"

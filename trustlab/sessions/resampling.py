@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trustlab.models.checks import warn
 from trustlab.sessions.errors import RecipeError, SessionError
 from trustlab.sessions.metadata import Metadata
 
@@ -144,4 +144,4 @@ def _warn_of_gap(t: np.ndarray, sample_time: float, source: str) -> None:
     if steps[k] > 10.0 * max(float(np.median(steps)), sample_time):
         what = f"{source}: resampling bridges a gap of {steps[k]:.6g} s at t = {t[k]:.6g} s"
         remedy = "if the log was interrupted, cut the session there (session.between)"
-        warnings.warn(f"{what}; {remedy}", stacklevel=2)
+        warn(f"{what}; {remedy}")

@@ -1,14 +1,13 @@
 """Orders of conditions: complete balanced Latin squares (Williams 1949), and the balance of any set of orders."""
 
 import numbers
-import warnings
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import flag, of_class, spawned, whole_number
+from trustlab.models.checks import flag, of_class, spawned, warn, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.columns import column_of, labels_of, refuse_missing_labels
 
@@ -277,7 +276,7 @@ def latin_square_design(
         text = f"{n} participants do not fill whole squares: {multiple}; {remedy}"
         if whole_squares:
             raise ValueError(text)
-        warnings.warn(f"{text}; this design is not balanced", stacklevel=2)
+        warn(f"{text}; this design is not balanced")
     squares = -(-n // size)
     labels, *batches = spawned(seed, 1 + squares)
     drawn = np.random.default_rng(labels).permutation(k)

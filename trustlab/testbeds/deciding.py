@@ -1,6 +1,5 @@
 """Who decides when in conditions C1–C5 (Section 2.4.1.2): one step of own thresholds and of suggestions, for all testbeds."""
 
-import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -10,7 +9,7 @@ import pandas as pd
 from trustlab.allocation.correction.corrector import threshold_pair
 from trustlab.allocation.limits import check_thresholds, threshold_limits
 from trustlab.allocation.rules import begun, decision, performance_suggestion
-from trustlab.models.checks import between, one_of
+from trustlab.models.checks import between, one_of, warn
 from trustlab.models.compiled import njit
 from trustlab.models.human import performance_at
 from trustlab.models.tsc import TscModel, threshold_mode
@@ -175,11 +174,9 @@ def decided_by(rule: Any, task: Task, most: int, run: Callable[[np.ndarray | Non
 def warn_if_too_short(longest: float) -> None:
     """Warn where runs of at most `longest` seconds end before anybody may switch."""
     if longest <= SETTLING:
-        warnings.warn(
+        warn(
             f"nobody may switch in the first {SETTLING:g} s, when the window of measured performance fills, and no run lasts longer "
-            f"than {longest:.0f} s: all conditions are the same but for noise; take more laps",
-            UserWarning,
-            stacklevel=3,
+            f"than {longest:.0f} s: all conditions are the same but for noise; take more laps"
         )
 
 

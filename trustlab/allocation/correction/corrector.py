@@ -2,7 +2,6 @@
 
 import importlib
 import inspect
-import warnings
 from collections.abc import Callable
 from time import perf_counter
 from typing import Any
@@ -11,7 +10,7 @@ from trustlab.allocation.correction.incentive import incentive_box, within_range
 from trustlab.allocation.correction.plan import CorrectionPlan
 from trustlab.allocation.cycle.limit_cycle import limit_cycle
 from trustlab.allocation.limits import threshold_limits
-from trustlab.models.checks import between, in_order, of_class, one_of, positive, shown, whole_number
+from trustlab.models.checks import between, in_order, of_class, one_of, positive, shown, warn, whole_number
 from trustlab.models.tsc import TscModel
 
 # Module and class of each engine; imported when asked for.
@@ -166,11 +165,10 @@ def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, flo
             "(trustlab.limit_cycle), for example with trustlab.choose_thresholds(tsc)"
             + (", or between the limits" if limits.feasible else "")
         )
-    warnings.warn(
+    warn(
         f"{where}, so the theorem does not promise that the rule keeps switching; its steady cycle does exist, from "
         "every start that was simulated (trustlab.limit_cycle)",
         TargetWarning,
-        stacklevel=3,
     )
     return lower, upper
 

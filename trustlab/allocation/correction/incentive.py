@@ -1,10 +1,8 @@
 """How much correction an operator can be expected to accept, (2.41)-(2.42)."""
 
-import warnings
-
 import numpy as np
 
-from trustlab.models.checks import between, finite_number, positive
+from trustlab.models.checks import between, finite_number, positive, warn
 from trustlab.models.compiled import njit
 from trustlab.models.published import published_models
 from trustlab.models.robot import RobotModel
@@ -80,11 +78,9 @@ def incentive_bounds(
     """
     if model is None:
         model = published_models()["pilot"]
-        warnings.warn(
+        warn(
             f"incentive_bounds takes the pilot operator's range of robot performance, {model.robot.p_min} to "
-            f"{model.robot.p_max} m/s, as no model= was given; pass the TscModel of your operator and robot",
-            UserWarning,
-            stacklevel=2,
+            f"{model.robot.p_max} m/s, as no model= was given; pass the TscModel of your operator and robot"
         )
     robot = model.robot if isinstance(model, TscModel) else model
     if not isinstance(robot, RobotModel):

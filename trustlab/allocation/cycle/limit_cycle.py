@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from trustlab.allocation.cycle import phases
 from trustlab.allocation.limits import check_thresholds, ranges_table, ranges_text
 from trustlab.models.axes import axes_or_new
-from trustlab.models.checks import whole_number
+from trustlab.models.checks import warn, whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
 
@@ -94,11 +93,10 @@ class LimitCycle:
     @property
     def exhaustive(self) -> bool:
         """False: all motions are no longer searched for, as that changed next to nothing; an old name."""
-        warnings.warn(
+        warn(
             "LimitCycle.exhaustive is always False and goes with the next version: limit_cycle reports what the simulated "
             "starts settle to; for bounds on every trajectory use trustlab.invariant_bounds",
             DeprecationWarning,
-            stacklevel=2,
         )
         return False
 

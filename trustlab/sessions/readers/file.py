@@ -1,14 +1,13 @@
 """Read logged sessions: one, all of a folder, or several logs of one run joined; which reader a file needs, with which recipe."""
 
 import os
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, whole_number
+from trustlab.models.checks import of_class, one_of, warn, whole_number
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
 from trustlab.sessions.metadata import Metadata
 from trustlab.sessions.patterns import PathMatch, PathPattern, natural_key
@@ -424,7 +423,7 @@ def _superseded(folder: str, recipe: Recipe, sessions: dict[str, PathMatch]) -> 
     gone = {old: new for old, new in recipe.supersedes.pairs.items() if old in present and new in present}
     for old, new in gone.items():
         what = f"the sessions of {name} {old} were superseded by those of {name} {new}"
-        warnings.warn(f"{folder}: {what} (recipe {recipe.name!r}) and are left out", stacklevel=4)
+        warn(f"{folder}: {what} (recipe {recipe.name!r}) and are left out")
     return set(gone)
 
 

@@ -1,7 +1,6 @@
 """A whole study with simulated operators, from its design to its statistics, and its folder, laid out like a lab's."""
 
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -13,7 +12,7 @@ import pandas as pd
 
 from trustlab.campaign.folder import folder_path, refuse, writing_in
 from trustlab.campaign.run import run_campaign, where_to_run
-from trustlab.models.checks import finite_number, flag, not_negative, of_class, one_of, whole_number
+from trustlab.models.checks import finite_number, flag, not_negative, of_class, one_of, warn, whole_number
 from trustlab.models.html import as_html
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.studies.analysis.plots import panels
@@ -362,7 +361,7 @@ def _warn_of_idle_sessions(study: VirtualStudy) -> None:
     """Warn where sessions were too short for anybody to switch, or nobody did."""
     warn_if_too_short(float(study.measures["duration"].max()))
     if not study.measures["switches"].any():
-        warnings.warn("nobody switched in any session: the conditions differ by noise only", stacklevel=3)
+        warn("nobody switched in any session: the conditions differ by noise only")
 
 
 def _named(conditions: object, design: object, population: object) -> tuple[str, ...]:
@@ -430,10 +429,9 @@ def _designed(design: object, n: int | None, conditions: tuple, seed: int, testb
     # The first k orders of a square for odd k are a Latin square by themselves: every condition once at every position.
     whole = latin_square_design(conditions, n + k, seed=seed)
     half = tuple(row for row in whole.rows[n - k :] if row <= k)
-    warnings.warn(
+    warn(
         f"{n} participants fill half of the last square: each of the {k} conditions stands equally often at every position, but does "
-        f"not follow every other one equally often; {n + k} participants would balance both",
-        stacklevel=3,
+        f"not follow every other one equally often; {n + k} participants would balance both"
     )
     return replace(whole, participants=tuple(range(1, n + 1)), rows=whole.rows[: n - k] + half)
 
