@@ -61,11 +61,12 @@ def test_bootstrap():
     assert "19 simulated data sets" in first._repr_html_()
 
 
-def test_origin_is_said():
+@pytest.mark.parametrize("kind", ["synthetic", "reconstructed"])
+def test_origin_is_said(kind):
     frame = trials()
-    frame.attrs["synthetic"] = True
+    frame.attrs[kind] = True
     found = tl.mixed_model("error ~ trial", data=frame, groups="who")
-    assert found.origin == found.table().attrs["origin"] == "synthetic data"
+    assert found.origin == found.table().attrs["origin"] == found.coefficients.attrs["origin"] == f"{kind} data"
 
 
 @pytest.mark.parametrize(
