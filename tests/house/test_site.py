@@ -12,6 +12,7 @@ import pytest
 
 import trustlab as tl
 from tests.house.documents import ROOT
+from tests.publishing.test_reading import serious
 
 ELSEWHERE = ("http:", "https:", "mailto:", "data:", "javascript:")
 MOST_BYTES = 2.5e6
@@ -130,6 +131,8 @@ def test_pages_in_a_browser(site):
                     found.append(f"{path.name} is {wide} wide at {width}")
             tab.close()
         tab = browser.new_page()
+        for name in ("index", "start", "api/fit_robot", "api/room_models", "how_to/recipe", "concepts/glossary"):
+            found += serious(tab, site / f"{name}.html")
         tab.goto(f"{(site / 'search.html').as_uri()}?q=threshold")
         tab.wait_for_selector("#search-results ul.search li")
         browser.close()
