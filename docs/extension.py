@@ -21,6 +21,7 @@ ROOT = Path(__file__).parents[1]
 EQUATIONS_PAGE = "concepts/equations"
 PRINTED = ROOT / "data" / "published" / "equations.toml"
 EQUATIONS = tomllib.loads(PRINTED.read_text(encoding="utf-8"))
+BETWEEN_EQUATIONS = re.compile(r"(?<=,)\s*\\quad\s")
 NUMBER = re.compile(r"\(((?:\d|A)\.\d+)\)")
 ROOMS = [
     "models",
@@ -170,8 +171,10 @@ def visit_formula(translator, node: nodes.math) -> None:
 
 
 def visit_equation(translator, node: nodes.math_block) -> None:
-    """Write a formula on a line of its own; one that is wider than the page scrolls by itself."""
-    translator.body.append(f'<div class="formula" tabindex="0">{to_mathml(node.astext(), display=True)}</div>')
+    """Write a formula on a line of its own, broken between its equations where the page is narrow; a wide equation scrolls."""
+    equations = BETWEEN_EQUATIONS.split(node.astext())
+    written = "".join(f"<span>{to_mathml(one, display=True)}</span>" for one in equations)
+    translator.body.append(f'<div class="formula" tabindex="0">{written}</div>')
     raise nodes.SkipNode
 
 

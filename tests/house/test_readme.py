@@ -82,11 +82,11 @@ def test_names_of_the_state_on_the_page_are_its_own():
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
-def test_code_that_does_not_run_is_python_and_says_so(path):
+def test_code_that_does_not_run_is_python_and_needs_what_tests_lack(path):
     for language, _, runs, code in blocks(path):
         if language == "python" and not runs:
             compile(code, name_of(path), "exec")
-            assert "not run here" in path.read_text()
+            assert path.name in {"live_study.md", "cluster.md"}  # a server, a cluster or a notebook
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
