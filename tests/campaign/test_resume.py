@@ -254,11 +254,6 @@ def test_other_versions_are_refused_by_name_and_allowed_by_name(tmp_path):
     with pytest.raises(CampaignError, match=r"numpy was 1\.26\.4, "):
         go(tmp_path)  # a mixed table is never returned without being asked for
     assert tl.read_campaign(tmp_path).attrs["versions"] == mixed
-    content = json.loads(manifest.read_text())
-    del content["versions"]  # as campaigns were written at first
-    manifest.write_text(json.dumps(content))
-    with pytest.raises(CampaignError, match="trustlab was not recorded"):
-        go(tmp_path)
     with pytest.raises(ValueError, match=r"other_versions must be one of .*did you mean 'numpy'"):
         go(tmp_path, other_versions=["nunpy"])
 
@@ -328,7 +323,7 @@ def test_damaged_and_foreign_folders_are_refused(tmp_path):
     other.mkdir()
     (other / "thesis.tex").write_text("years of work")
     for fresh in (False, True):
-        with pytest.raises(CampaignError, match=r"holds other files \(thesis.tex\)"):
+        with pytest.raises(CampaignError, match=r"holds other files, such as thesis.tex;"):
             go(other, fresh=fresh)
     assert (other / "thesis.tex").exists()
     with pytest.raises(CampaignError, match=r"thesis.tex is a file"):

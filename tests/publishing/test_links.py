@@ -9,8 +9,8 @@ import nbformat
 import pytest
 
 import trustlab as tl
-from trustlab.publishing.links import linker
 from trustlab.publishing.mathml import to_mathml
+from trustlab.publishing.report_page import linker
 
 ROOT = Path(__file__).parents[2]
 EQUATIONS = tomllib.loads((ROOT / "data" / "published" / "equations.toml").read_text(encoding="utf-8"))

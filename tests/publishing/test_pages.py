@@ -15,10 +15,9 @@ from IPython.core.interactiveshell import InteractiveShell
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
 from trustlab.publishing import figures
-from trustlab.publishing.descriptions import describe
-from trustlab.publishing.inputs import Checkout, input_digest
+from trustlab.publishing.figures import describe
 from trustlab.publishing.notebooks import declared_parameters, find_notebooks, parameters_for, parse_value
-from trustlab.publishing.provenance import commit, provenance
+from trustlab.publishing.provenance import Checkout, commit, input_digest, provenance
 from trustlab.publishing.report_page import ReportError, page_faults, report_html
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"

@@ -21,8 +21,8 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 from trustlab.publishing.__main__ import main
 from trustlab.publishing.index_page import held, write_index
-from trustlab.publishing.inputs import Checkout, input_digest, list_files
 from trustlab.publishing.notebooks import publish
+from trustlab.publishing.provenance import Checkout, input_digest, list_files
 from trustlab.publishing.report_page import page_faults
 
 PICTURE = """from IPython.display import Image, display

@@ -15,8 +15,8 @@ from IPython.core.interactiveshell import InteractiveShell
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
 from trustlab.publishing import figures
-from trustlab.publishing.inputs import Checkout
 from trustlab.publishing.notebooks import publish
+from trustlab.publishing.provenance import Checkout
 
 ROOT = Path(__file__).parents[2]
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

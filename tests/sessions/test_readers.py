@@ -360,8 +360,9 @@ def test_no_warnings_and_no_shadowed_names(tmp_path, session):
 
 
 def test_old_names_work_and_say_the_new_one():
-    with pytest.warns(DeprecationWarning, match=r"sessions\.recipes is now trustlab\.sessions\.recipe;"):
-        assert tl.sessions.__getattr__("recipes") is tl.sessions.recipe
+    with pytest.warns(DeprecationWarning, match=r"is now trustlab\.sessions\.recipe\.Recipe") as caught:
+        assert tl.sessions.recipes.Recipe is tl.sessions.Recipe
+    assert caught[0].filename == __file__
     with pytest.warns(DeprecationWarning, match=r"is now trustlab\.sessions\.recipe\.Recipe"):
         from trustlab.sessions.recipes import Recipe
     assert Recipe is tl.sessions.Recipe

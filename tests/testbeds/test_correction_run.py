@@ -5,7 +5,7 @@ import pytest
 
 import trustlab as tl
 from trustlab.testbeds import run_condition, run_correction
-from trustlab.testbeds.ground_robot.participants import published_model, published_operator
+from trustlab.testbeds.ground_robot.conditions import published_model, published_operator
 
 TARGET = (0.05, 0.4)
 

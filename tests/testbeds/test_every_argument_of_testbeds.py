@@ -21,7 +21,7 @@ from trustlab.testbeds import (
     published_thresholds,
     run_condition,
 )
-from trustlab.testbeds.ground_robot.plots import plot_path
+from trustlab.testbeds.ground_robot.conditions import plot_path
 
 matplotlib.use("Agg")
 

@@ -5,7 +5,7 @@ import pytest
 
 import trustlab as tl
 from trustlab.testbeds import drive_modes, published_model, published_operator, published_thresholds, run_condition
-from trustlab.testbeds.ground_robot.participants import participant_label
+from trustlab.testbeds.ground_robot.conditions import participant_label
 
 PEOPLE = ("1", "2", "3", "4", "5")
 

@@ -4,9 +4,8 @@ from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
-from trustlab.models.checks import finite_number, in_order, not_negative, shown, whole_number
+from trustlab.models.checks import finite_number, in_order, not_negative, shown, warn_renamed, whole_number
 from trustlab.models.compiled import njit
-from trustlab.models.deprecation import warn_renamed
 from trustlab.models.tsc import threshold_mode
 
 # How far below P_max, as a share of P_max − P_min, performance still counts as P_max in Algorithm 2. As printed it is 0,

@@ -23,7 +23,7 @@ MANIFEST, CHUNKS, LOCK = "campaign.json", "chunks", ".lock"
 CHUNK = re.compile(r"runs-(\d+)-(\d+)-([0-9a-f]{32})\.parquet")
 PARTIAL = ".partial-"
 ENTRIES = {"format": int, "runs": int, "parameters": str, "names": list, "task": dict, "seed": str, "versions": dict}
-OWN = {MANIFEST, CHUNKS, LOCK, "parameters.txt.gz"}  # the last as versions before this one wrote it
+OWN = {MANIFEST, CHUNKS, LOCK}
 REMEDY = "restore it, use another folder, or fresh=True to remove what is there"
 
 
@@ -109,8 +109,7 @@ class Folder:
         for file in (self.path / CHUNKS).glob("*"):
             if CHUNK.fullmatch(file.name) or PARTIAL in file.name:
                 file.unlink()
-        for name in OWN - {CHUNKS, LOCK}:
-            (self.path / name).unlink(missing_ok=True)
+        (self.path / MANIFEST).unlink(missing_ok=True)
 
     def add(self, table: pa.Table) -> None:
         """Write a finished chunk under a name that holds its digest, complete or not at all."""
@@ -172,8 +171,8 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
         table = assembled(chunks, manifest["names"], None)
     else:
         table = pd.DataFrame(columns=["run", *manifest["names"], "failed", "error", "traceback"])
-    table.attrs = {"runs": manifest["runs"], "finished": len(table), "failed": int(table["failed"].sum())}
-    table.attrs["versions"] = manifest["versions"]
+    facts = {name: manifest[name] for name in ("runs", "versions")}
+    table.attrs = facts | {"finished": len(table), "failed": int(table["failed"].sum())}
     return table
 
 
@@ -226,8 +225,7 @@ def writing_in(folder: Path, remedy: str = "choose a folder that has room and th
 def refuse(folder: Path, what: str, names: set[str]) -> None:
     """Raise if there are names of files that a folder must not hold."""
     if names:
-        more = " …" if len(names) > 3 else ""
-        raise CampaignError(f"{folder} holds {what} ({', '.join(sorted(names)[:3])}{more}); give a new or empty folder")
+        raise CampaignError(f"{folder} holds {what}, such as {min(names)}; give a new or empty folder")
 
 
 @contextlib.contextmanager
@@ -262,7 +260,6 @@ def _manifest(folder: Path) -> dict:
     path = folder / MANIFEST
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        content.setdefault("versions", {})  # which were not recorded at first
         wrong = [name for name, kind in ENTRIES.items() if not isinstance(content[name], kind)]
         texts = [*content["names"], *content["task"].values(), *content["versions"].values()]
         if wrong or not all(isinstance(text, str) for text in texts):

@@ -257,9 +257,5 @@ def differences(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
         elif key.startswith(("source of", "code of", "module ")):
             said.append(f"{key} changed")
         else:
-            said.append(f"{key} was {_cut(old)}, is {_cut(new)}")
+            said.append(f"{key} was {old:.120}, is {new:.120}")
     return said
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= 120 else text[:119] + "…"

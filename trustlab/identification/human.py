@@ -18,8 +18,8 @@ from trustlab.identification.structure import (
     Parameter,
     Structure,
 )
+from trustlab.models.checks import warn_renamed
 from trustlab.models.compiled import njit
-from trustlab.models.deprecation import warn_renamed
 from trustlab.models.human import HumanModel, performance_curve
 from trustlab.sessions.session import Session
 

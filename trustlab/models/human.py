@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import between, in_order, mode_array, open_unit
+from trustlab.models.checks import between, in_order, mode_array, open_unit, warn_renamed
 from trustlab.models.compiled import njit
-from trustlab.models.deprecation import warn_renamed
 
 
 @njit

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.models.checks import array_between, between, finite_array, finite_number, in_order, positive
+from trustlab.models.checks import array_between, between, finite_array, finite_number, in_order, positive, warn_renamed
 from trustlab.models.compiled import njit
-from trustlab.models.deprecation import warn_renamed
 
 
 @njit(error_model="numpy", forceinline=True)

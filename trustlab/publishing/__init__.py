@@ -7,7 +7,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     submodules=["figures", "notebooks", "provenance"],
     submod_attrs={
         "figures": ["caption", "label_synthetic", "use_house_style"],
-        "inputs": ["Checkout"],
+        "provenance": ["Checkout"],
         "mathml": ["to_mathml"],
         "notebooks": ["Built", "publish"],
     },

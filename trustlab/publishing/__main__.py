@@ -7,9 +7,8 @@ import sys
 import textwrap
 import time
 
-from trustlab.publishing.inputs import Checkout
 from trustlab.publishing.notebooks import Built, publish
-from trustlab.publishing.provenance import duration
+from trustlab.publishing.provenance import Checkout, duration
 
 
 def _arguments(words: list[str] | None) -> argparse.Namespace:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trustlab.models.extras import extra
-from trustlab.publishing.inputs import Checkout
+from trustlab.publishing.provenance import Checkout
 
 with extra("reports"):
     import nbformat

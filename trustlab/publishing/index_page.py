@@ -10,11 +10,18 @@ from pathlib import Path
 
 from trustlab.models.extras import extra
 from trustlab.models.html import policy
-from trustlab.publishing.inputs import Checkout, input_digest
-from trustlab.publishing.links import linker, read_equations, read_finder
 from trustlab.publishing.mathml import to_mathml
-from trustlab.publishing.provenance import duration
-from trustlab.publishing.report_page import TEMPLATES, check_page, page_faults, script, stylesheet
+from trustlab.publishing.provenance import Checkout, duration, input_digest
+from trustlab.publishing.report_page import (
+    TEMPLATES,
+    check_page,
+    linker,
+    page_faults,
+    read_equations,
+    read_finder,
+    script,
+    stylesheet,
+)
 
 with extra("reports"):
     from jinja2 import Environment, FileSystemLoader

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from trustlab.models.checks import did_you_mean, positive, shown, whole_number
 from trustlab.models.extras import extra
-from trustlab.publishing.inputs import Checkout, input_digest, shared_digest
-from trustlab.publishing.provenance import duration, provenance
+from trustlab.publishing.provenance import Checkout, duration, input_digest, provenance, shared_digest
 
 if TYPE_CHECKING:
     from trustlab.publishing.execution import Kernels

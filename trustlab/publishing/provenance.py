@@ -1,12 +1,154 @@
-"""Where a report comes from: commit, locked environment, inputs, parameters, seeds, versions, time taken."""
+"""What a report is made from, and digests of it: a report is built again only when one of them changed."""
 
+from __future__ import annotations
+
+import hashlib
 import importlib.metadata
+import json
+import os
 import platform
 import subprocess
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from trustlab.publishing.inputs import Checkout, file_digest, folder_digest, list_files
+Place = str | os.PathLike[str]
+SKIPPED = ("__pycache__", ".ipynb_checkpoints")
+
+
+@dataclass(frozen=True)
+class Checkout:
+    """The folders one `make reports` reads and writes.
+
+    Parameters
+    ----------
+    root : pathlib.Path
+        The repository.
+    notebooks : pathlib.Path
+        Folder of the notebooks; also the working directory they run in.
+    reports : pathlib.Path
+        Folder the reports are written to.
+    package : pathlib.Path
+        The package ``trustlab``.
+    data : pathlib.Path
+        Committed data; ``external`` in it is not part of it.
+    lock : pathlib.Path
+        The locked environment.
+    external : pathlib.Path
+        Third-party data: what ``TRUSTLAB_DATA`` names, else ``data/external``. It may be absent.
+    """
+
+    root: Path
+    notebooks: Path
+    reports: Path
+    package: Path
+    data: Path
+    lock: Path
+    external: Path
+
+    @classmethod
+    def find(cls, root: Place | None = None, notebooks: Place | None = None, reports: Place | None = None) -> Checkout:
+        """Return the checkout around a folder.
+
+        Parameters
+        ----------
+        root : path-like, optional
+            The repository; by default the parent of ``notebooks``, else the working directory, else the one the
+            package lies in: the first that has a folder ``notebooks``.
+        notebooks : path-like, optional
+            Folder of the notebooks, by default ``notebooks`` in the repository.
+        reports : path-like, optional
+            Folder of the reports, by default ``reports`` in the repository.
+
+        Returns
+        -------
+        Checkout
+            Absolute folders.
+
+        Raises
+        ------
+        ValueError
+            If there is no such folder of notebooks.
+        """
+        own = Path(__file__).resolve().parents[1]
+        if root is None:
+            places = [Path.cwd(), own.parent] if notebooks is None else [Path(notebooks).resolve().parent]
+            root = next((place for place in places if (place / "notebooks").is_dir()), places[0])
+        root = Path(root).resolve()
+        notebooks = Path(notebooks).resolve() if notebooks is not None else root / "notebooks"
+        if not notebooks.is_dir():
+            raise ValueError(f"no folder of notebooks at {notebooks}: run in the repository, or give --notebooks")
+        package = root / "trustlab"
+        data = root / "data"
+        external = os.environ.get("TRUSTLAB_DATA") or data / "external"
+        return cls(
+            root=root,
+            notebooks=notebooks,
+            reports=Path(reports).resolve() if reports is not None else root / "reports",
+            package=package if package.is_dir() else own,
+            data=data,
+            lock=root / "environment.lock",
+            external=(root / external).resolve(),
+        )
+
+
+def list_files(folder: Place, without: Iterable[Place] = ()) -> list[Path]:
+    """Return every file below a folder in order of path; caches, hidden files and the folders `without` are left out.
+
+    Links are followed, but not into a folder that the link lies in.
+    """
+    without, found = {Path(place) for place in without}, []
+    root = Path(folder).resolve()
+    above = {Path(folder): {root, *root.parents}}  # folder → itself and what it lies in, links resolved
+    for place, folders, files in os.walk(folder, followlinks=True):
+        here = Path(place)
+        visible = [here / name for name in folders if name not in SKIPPED and not name.startswith(".")]
+        real = {path: path.resolve() for path in visible if path not in without}
+        above |= {path: above[here] | {to} for path, to in real.items() if to not in above[here]}
+        folders[:] = [path.name for path in real if path in above]
+        found += [here / name for name in files if not name.startswith(".") and not name.endswith((".pyc", "~"))]
+    return sorted(path for path in found if path.is_file())  # a pipe would never end, a broken link has no content
+
+
+def file_digest(path: Place) -> str:
+    """Return the SHA-256 of a file's content, or "absent"."""
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except FileNotFoundError:
+        return "absent"
+
+
+def folder_digest(folder: Place, times: bool = False) -> str:
+    """Return a digest of names and sizes of a folder's files, and of their times of last change; or "absent"."""
+    if not Path(folder).is_dir():
+        return "absent"
+    digest = hashlib.sha256()
+    for path in list_files(folder):
+        status = path.stat()
+        line = [path.relative_to(folder).as_posix(), status.st_size, status.st_mtime_ns if times else 0]
+        digest.update(json.dumps(line).encode())
+    return digest.hexdigest()
+
+
+def shared_digest(checkout: Checkout) -> str:
+    """Return the digest of what every report depends on: package, committed data, lock, Python, external data."""
+    digest = hashlib.sha256(f"{platform.python_version()} {platform.machine()}".encode())
+    for folder in (checkout.package, checkout.data):
+        for path in list_files(folder, without=[checkout.data / "external", checkout.external]):
+            digest.update(f"{path.relative_to(folder.parent).as_posix()} {file_digest(path)}\n".encode())
+    digest.update(f"lock {file_digest(checkout.lock)}\n".encode())
+    digest.update(f"external {folder_digest(checkout.external, times=True)}\n".encode())
+    return digest.hexdigest()
+
+
+def input_digest(checkout: Checkout, notebook: Place, parameters: dict | None = None, shared: str | None = None) -> str:
+    """Return the digest of all that one report depends on; `shared` is the `shared_digest` where it is at hand."""
+    shared = shared_digest(checkout) if shared is None else shared
+    line = [shared, file_digest(notebook), sorted((parameters or {}).items())]
+    return hashlib.sha256(json.dumps(line, default=repr).encode()).hexdigest()
+
 
 LISTED = ("trustlab", "numpy", "scipy", "pandas", "matplotlib", "numba", "statsmodels", "pingouin", "casadi")
 # Digits of a digest that a reader sees.

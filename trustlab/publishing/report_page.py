@@ -1,18 +1,21 @@
 """An executed notebook to one HTML page by nbconvert: no script, nothing fetched, formulas as MathML."""
 
+import contextlib
+import csv
 import html
 import re
+import tomllib
+from collections.abc import Callable
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
 from trustlab.models.extras import extra
 from trustlab.models.html import policy
 from trustlab.publishing.execution import CellError
-from trustlab.publishing.links import linker, plain, slug
+from trustlab.publishing.figures import IMAGES, image_uri, said_of
 from trustlab.publishing.mathml import MathError, to_mathml
-from trustlab.publishing.pictures import IMAGES, image_uri, said_of
 from trustlab.publishing.provenance import duration
-from trustlab.publishing.tables import style_table
 
 with extra("reports"):
     from bs4 import BeautifulSoup, Tag
@@ -259,3 +262,128 @@ def check_page(page: str, what: str) -> None:
     faults = page_faults(page)
     if faults:
         raise ReportError(f"the {what} would not be self-contained: {'; '.join(faults)}")
+
+
+with extra("reports"):
+    from bs4 import Tag
+
+NUMBER = re.compile(r"(?:[<>]\s*)?[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|[-+]?inf|\u2013|-")
+P_VALUE = re.compile(
+    r"p|p, .*|mauchly_p"
+    r"|p[ _](gg|hf|holm|bonferroni|corrected|adjusted|uncorrected|value|mauchly|anova|friedman|mixed|shapiro_least)"
+)
+LEAST_P = 0.001
+# Significant digits that are shown as they are; of more, one less than that is shown.
+MOST_DIGITS = 6
+
+# Characters from which a cell's text goes over several lines.
+LONG = 60
+
+# Names in code, and what a table is headed by instead.
+COLUMNS = tomllib.loads((Path(__file__).parent / "templates" / "columns.toml").read_text(encoding="utf-8"))
+
+
+def style_table(table: Tag) -> None:
+    """Head a table by words, and mark and write its numbers."""
+    heads = [row for row in table.find_all("tr") if row.find("th") and not row.find("td")]
+    # pandas writes the names of the rows below those of the columns, in a row that is empty but for them.
+    if len(heads) > 1 and not heads[-1].find_all("th")[-1].get_text(strip=True):
+        _join_names(heads[-2], heads.pop())
+    names = [name.get_text(strip=True) for name in heads[-1].find_all("th")] if heads else []
+    for row in table.find_all("tr"):
+        # From the right, as the first cells of a row may be those of a row above.
+        for cell, name in zip(reversed(row.find_all(["th", "td"])), chain(reversed(names), repeat("")), strict=False):
+            _write_cell(cell, P_VALUE.fullmatch(name) is not None)
+    first = next((row.find_all(["th", "td"]) for row in table.find_all("tr") if row not in heads), [])
+    for head in heads if not table.select("thead [colspan]") else heads[-1:]:
+        for title, cell in zip(reversed(head.find_all("th")), reversed(first), strict=False):
+            if "number" in cell.get_attribute_list("class"):
+                _mark(title, "number")
+    for title in table.find_all("th", string=lambda text: text in COLUMNS):
+        code = title.get_text()
+        title["title"] = title["data-value"] = code
+        title.string = COLUMNS[code]
+
+
+def _join_names(above: Tag, last: Tag) -> None:
+    """Put the names of the rows into the row of the head above them."""
+    for name, cell in zip(last.find_all("th"), above.find_all("th"), strict=False):
+        if words := name.get_text(strip=True):
+            of_columns = cell.get_text(strip=True)
+            cell.string = f"{words}, by {of_columns}" if of_columns else words
+    last.decompose()
+
+
+def _write_cell(cell: Tag, is_p: bool) -> None:
+    """Mark a cell by what is in it, and write a number as papers do."""
+    text = cell.get_text(strip=True)
+    if cell.name == "td" and len(text) > LONG:
+        _mark(cell, "long")
+    if cell.name == "td" and len(text) < LONG and NUMBER.fullmatch(text):
+        _mark(cell, "number")
+        if (written := _as_papers_write(text, is_p)) != text:
+            cell["data-value"], cell.string = text, written
+
+
+def _as_papers_write(text: str, is_p: bool) -> str:
+    """Return a small p-value as a bound, a long fraction rounded, and a zero without a minus."""
+    with contextlib.suppress(ValueError):
+        if is_p and float(text) < LEAST_P:
+            return "< .001"
+        digits = re.sub(r"[eE].*|\D", "", text).lstrip("0")
+        if re.search("[.e]", text) and len(digits) > MOST_DIGITS:
+            return f"{float(text):.{MOST_DIGITS - 1}g}"
+    return re.sub(r"^[-\u2212](?=0(\.0*)?$)", "", text)
+
+
+def _mark(cell: Tag, name: str) -> None:
+    cell["class"] = " ".join(filter(None, [*cell.get_attribute_list("class"), name]))
+
+
+LINKABLE = re.compile(
+    r"(?s)<(?:a|pre|code|math|h\d)\b.*?</(?:a|pre|code|math|h\d)>|<[^>]*>"
+    r"|\b[Rr]eport (?P<report>\d\d)\b|\((?P<equation>[2-4A]\.\d+)\)"
+    # A figure or table is linked where a cell or paragraph begins with it: in a list of places, not in running prose.
+    r"|(?<=>)(?:Section [\d.]+, )?(?P<entry>(?:Fig\.|Table) \d\.\d+)(?=\W)"
+)
+
+
+def plain(markup: str) -> str:
+    """Return the text of markup, each formula as its LaTeX."""
+    markup = re.sub(r'<math[^>]*alttext="([^"]*)".*?</math>', r"\1", markup, flags=re.DOTALL)
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", "", markup)).split())
+
+
+def slug(words: str) -> str:
+    """Return the anchor of a heading that has these words."""
+    return re.sub(r"\W+", "-", words.lower()).strip("-") or "section"
+
+
+def read_finder(notebooks: Path) -> list[dict[str, str]]:
+    """Return what became of each figure, table, theorem and study, with the address of the section that shows it."""
+    listed = notebooks / "finder.csv"
+    if not listed.is_file():
+        return []
+    with listed.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    return [row | {"link": row["report"] and f"{row['report']}.html#{slug(row['section'])}"} for row in rows]
+
+
+def read_equations(notebooks: Path) -> dict[str, dict[str, str]]:
+    """Return the dissertation's equations by number."""
+    listed = notebooks.parent / "data" / "published" / "equations.toml"
+    return tomllib.loads(listed.read_text(encoding="utf-8")) if listed.is_file() else {}
+
+
+def linker(notebooks: Path, name: str) -> Callable[[str], str]:
+    """Return what links, in the markup of the page `name`, what it names; places on the page itself are not linked."""
+    reports = {path.name[:2]: f"{path.stem}.html" for path in notebooks.glob("[0-9][0-9]_*.ipynb")}
+    equations = {number: f"index.html#eq-{number.replace('.', '-')}" for number in read_equations(notebooks)}
+    shown = {row["entry"]: row["link"] for row in read_finder(notebooks)}
+
+    def link(found: re.Match[str]) -> str:
+        known = {"report": reports, "equation": equations, "entry": shown}.get(found.lastgroup or "", {})
+        address = known.get(found[found.lastgroup] if found.lastgroup else "", "")
+        return f'<a href="{address}">{found[0]}</a>' if address and not address.startswith(f"{name}.") else found[0]
+
+    return lambda markup: LINKABLE.sub(link, markup)

@@ -1,5 +1,5 @@
-from .audit.audit import audit as audit
-from .audit.plots import (
+from .audit.audit import (
+    audit as audit,
     part_of as part_of,
     plot_ranges as plot_ranges,
     plot_slips as plot_slips,

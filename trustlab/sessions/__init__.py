@@ -2,7 +2,4 @@
 
 import lazy_loader as lazy
 
-from trustlab.models.deprecation import old_names
-
-_lazy_getattr, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
-__getattr__ = old_names(__name__, _lazy_getattr, {"recipes": "recipe"})
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-from . import metrics as metrics, recipe as recipe
+from . import metrics as metrics, recipe as recipe, recipes as recipes
 from .errors import RecipeError as RecipeError, SessionError as SessionError
 from .external import external_data as external_data
 from .metadata import Metadata as Metadata

@@ -385,10 +385,10 @@ def _column_rule(name: str, table: object) -> ColumnRule:
     if name not in VOCABULARY:
         hint = (
             did_you_mean(name, VOCABULARY)
-            + '; a column is ours = { column = "theirs" }, ours of trustlab.sessions.vocabulary()'
+            + '; write ours = { column = "theirs" } (ours: trustlab.sessions.vocabulary())'
         )
-        hint = " (time goes under [time])" if name == "t" else hint
-        hint = f"; {name} goes above the first [table]" if name in Recipe.__dataclass_fields__ else hint
+        if name == "t" or name in Recipe.__dataclass_fields__:
+            hint = "; time goes under [time]" if name == "t" else f"; {name} goes above the first [table]"
         raise RecipeError(f"{where}: not in the vocabulary{hint}")
     found = [own for own in _COLUMN_RULES if isinstance(table, Mapping) and own in table]
     if len(found) == 1:

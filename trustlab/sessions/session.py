@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean
-from trustlab.models.deprecation import warn_renamed
+from trustlab.models.checks import did_you_mean, warn_renamed
 from trustlab.models.html import as_html
 from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.metadata import Metadata

@@ -1,13 +1,11 @@
 from .analysis.apa import apa_number as apa_number, apa_p as apa_p, apa_table as apa_table
 from .analysis.batch import (
+    PartialEtaInterval as PartialEtaInterval,
     RepeatedMeasuresBatch as RepeatedMeasuresBatch,
     bonferroni as bonferroni,
     holm as holm,
-    repeated_measures_batch as repeated_measures_batch,
-)
-from .analysis.effect_sizes import (
-    PartialEtaInterval as PartialEtaInterval,
     partial_eta_interval as partial_eta_interval,
+    repeated_measures_batch as repeated_measures_batch,
 )
 from .analysis.mixed_model import MixedModel as MixedModel, mixed_model as mixed_model
 from .analysis.paired_t_test import PairedTTest as PairedTTest, paired_t_test as paired_t_test
@@ -48,8 +46,10 @@ from .planning.virtual_study import VirtualStudy as VirtualStudy, virtual_study 
 from .questionnaires.likert import (
     TRUST_CHECKLIST as TRUST_CHECKLIST,
     LikertScale as LikertScale,
+    Reliability as Reliability,
     ScaleScores as ScaleScores,
     Subscale as Subscale,
+    cronbach_alpha as cronbach_alpha,
     satisfaction_scale as satisfaction_scale,
     score_likert as score_likert,
     score_satisfaction as score_satisfaction,
@@ -61,4 +61,3 @@ from .questionnaires.nasa_tlx import (
     score_nasa_tlx as score_nasa_tlx,
     tlx_weights as tlx_weights,
 )
-from .questionnaires.reliability import Reliability as Reliability, cronbach_alpha as cronbach_alpha

@@ -3,15 +3,13 @@ from .ground_robot.conditions import (
     GroundRobotRun as GroundRobotRun,
     drive_modes as drive_modes,
     identification_session as identification_session,
+    published_model as published_model,
+    published_operator as published_operator,
+    published_thresholds as published_thresholds,
     run_condition as run_condition,
 )
 from .ground_robot.correction_run import run_correction as run_correction
 from .ground_robot.course import Course as Course
-from .ground_robot.participants import (
-    published_model as published_model,
-    published_operator as published_operator,
-    published_thresholds as published_thresholds,
-)
 from .ground_robot.pioneer import Pioneer as Pioneer
 from .guidance_comparison import GuidanceComparison as GuidanceComparison, compare_guidance as compare_guidance
 from .robot_team import simulate_team as simulate_team

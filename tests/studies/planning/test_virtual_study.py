@@ -14,7 +14,7 @@ import trustlab as tl
 from trustlab.allocation.limits import threshold_limits
 from trustlab.campaign import CampaignError, CampaignWarning
 from trustlab.studies import GroundRobotPopulation, TeleoperatorPopulation
-from trustlab.studies.planning import virtual_participant as one_participant
+from trustlab.studies.planning import virtual_study as one_participant
 from trustlab.studies.planning.populations import COORDINATES
 
 PUBLISHED = GroundRobotPopulation.published()
@@ -325,7 +325,7 @@ def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
 def test_folders_of_others_are_refused(tmp_path):
     arguments = {"n": 4, "conditions": ["C1", "C4"], "laps": 1}
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(ValueError, match=r"holds other things \(notes.txt\)"):
+    with pytest.raises(ValueError, match=r"holds other things, such as notes.txt;"):
         tl.virtual_study(**arguments, out=tmp_path)
     with pytest.raises(ValueError, match=r"but .*notes\.txt is a file"):
         tl.virtual_study(**arguments, out=tmp_path / "notes.txt")

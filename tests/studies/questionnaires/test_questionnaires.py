@@ -14,13 +14,13 @@ from trustlab.studies.questionnaires.likert import (
     TRUST_CHECKLIST,
     LikertScale,
     Subscale,
+    cronbach_alpha,
     satisfaction_scale,
     score_likert,
     score_satisfaction,
     score_trust_checklist,
 )
 from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES, score_nasa_tlx, tlx_weights
-from trustlab.studies.questionnaires.reliability import cronbach_alpha
 
 ALPHAS = json.loads((Path(__file__).parents[1] / "reference" / "cronbach_alpha.json").read_text())["sets"]
 WEIGHTS = {"mental": 5, "physical": 0, "temporal": 4, "performance": 3, "effort": 2, "frustration": 1}

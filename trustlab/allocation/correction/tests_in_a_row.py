@@ -12,8 +12,7 @@ from trustlab.allocation.correction.corrector import ThresholdCorrector, thresho
 from trustlab.allocation.correction.incentive import within_range
 from trustlab.allocation.correction.online import OnlineCorrection
 from trustlab.models.axes import axes_or_new
-from trustlab.models.checks import between, not_negative, one_of, positive, whole_number
-from trustlab.models.deprecation import warn_renamed
+from trustlab.models.checks import between, not_negative, one_of, positive, warn_renamed, whole_number
 from trustlab.models.html import as_html
 from trustlab.models.human import next_utilization, performance_at
 from trustlab.models.robot import next_performance

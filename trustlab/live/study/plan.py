@@ -27,7 +27,7 @@ from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 from trustlab.studies.designs import latin_square_design
 from trustlab.testbeds.deciding import CONDITIONS
-from trustlab.testbeds.ground_robot.participants import published_model, published_thresholds
+from trustlab.testbeds.ground_robot.conditions import published_model, published_thresholds
 
 FORMAT = 1
 

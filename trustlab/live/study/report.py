@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trustlab.live.study.store import EVENTS, PLAN, write_whole
-from trustlab.publishing.inputs import Checkout, file_digest
-from trustlab.publishing.provenance import provenance
+from trustlab.publishing.provenance import Checkout, file_digest, provenance
 
 if TYPE_CHECKING:
     from trustlab.live.study.recorded import RecordedStudy

@@ -16,7 +16,7 @@ from trustlab.models.checks import did_you_mean
 from trustlab.models.extras import extra
 from trustlab.sessions.errors import SessionError, damage_named, listed
 from trustlab.sessions.metadata import metadata_from_json
-from trustlab.sessions.readers.mending import fill_blanks
+from trustlab.sessions.readers.assembly import fill_blanks
 from trustlab.sessions.readers.unpacking import Budget, feather_size
 from trustlab.sessions.recipe import NUMBER, Recipe, TableColumn, TableTime, looked_up
 from trustlab.sessions.resampling import RawLog, Stream

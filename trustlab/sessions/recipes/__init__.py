@@ -1,6 +1,6 @@
 """The TOML files of the recipes that come with the package; `trustlab.sessions.recipe` says what a recipe may hold."""
 
-from trustlab.models.deprecation import warn_renamed
+from trustlab.models.checks import warn_renamed
 
 
 def __getattr__(name: str) -> object:

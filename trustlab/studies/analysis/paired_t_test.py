@@ -9,8 +9,7 @@ import pandas as pd
 
 from trustlab.models.checks import open_unit
 from trustlab.models.html import as_html
-from trustlab.studies.analysis.batch import analyse_table
-from trustlab.studies.analysis.descriptives import describe, t_half_width
+from trustlab.studies.analysis.batch import analyse_table, describe, t_half_width
 from trustlab.studies.analysis.rank_tests import normality_of_differences, wilcoxon
 from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, read_scores, same_for_all
 

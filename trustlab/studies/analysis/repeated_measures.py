@@ -9,9 +9,15 @@ import pandas as pd
 
 from trustlab.models.checks import one_of, open_unit
 from trustlab.models.html import as_html
-from trustlab.studies.analysis.batch import Omnibus, RepeatedMeasuresBatch, analyse_table, bonferroni, holm
-from trustlab.studies.analysis.descriptives import describe
-from trustlab.studies.analysis.effect_sizes import partial_eta_interval
+from trustlab.studies.analysis.batch import (
+    Omnibus,
+    RepeatedMeasuresBatch,
+    analyse_table,
+    bonferroni,
+    describe,
+    holm,
+    partial_eta_interval,
+)
 from trustlab.studies.analysis.mixed_model import MixedModel, fit_mixed_model
 from trustlab.studies.analysis.rank_tests import Friedman, friedman, normality_of_differences, rank_pairs, rating_notes
 from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, labelled, read_scores, same_for_all

@@ -13,8 +13,7 @@ from scipy import special, stats
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import of_class, one_of, open_unit
 from trustlab.models.html import as_html
-from trustlab.studies.analysis.batch import bonferroni, holm
-from trustlab.studies.analysis.effect_sizes import noncentrality_limit
+from trustlab.studies.analysis.batch import bonferroni, holm, noncentrality_limit
 from trustlab.studies.analysis.rank_tests import rating_notes
 from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, labelled, levels_of, read_scores
 from trustlab.studies.analysis.sphericity import CORRECTIONS, decided, orthonormal_contrasts

@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, of_class, one_of
-from trustlab.models.deprecation import warn_renamed
+from trustlab.models.checks import did_you_mean, of_class, one_of, warn_renamed
 from trustlab.studies.columns import column_of, refuse_missing_labels
 from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
 from trustlab.studies.questionnaires.likert import ScaleScores, missing_answers

@@ -8,15 +8,17 @@ import numpy as np
 import pandas as pd
 
 from trustlab.allocation.correction.in_loop import no_correction
-from trustlab.models.checks import finite_array, finite_number, of_class, one_of, spawned, whole_number
+from trustlab.models.axes import axes_or_new
+from trustlab.models.checks import did_you_mean, finite_array, finite_number, of_class, one_of, spawned, whole_number
+from trustlab.models.published import published_models, published_table
 from trustlab.models.tsc import TscModel
-from trustlab.operators.ground_robot import Operator
+from trustlab.operators.ground_robot import Operator, operator
 from trustlab.operators.teleoperator import Teleoperator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.records import log_of
 from trustlab.testbeds import deciding
 from trustlab.testbeds.condition_run import ConditionRun, condition_measures
-from trustlab.testbeds.ground_robot import kernel, participants
+from trustlab.testbeds.ground_robot import kernel
 from trustlab.testbeds.ground_robot.course import Course, default_course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 from trustlab.testbeds.uav_following.run import fly_condition
@@ -80,8 +82,6 @@ class GroundRobotRun(ConditionRun):
         -------
         matplotlib.axes.Axes
         """
-        from trustlab.testbeds.ground_robot.plots import plot_path
-
         return plot_path(self.session, self.course, start, stop, axes)
 
     def __repr__(self) -> str:
@@ -348,9 +348,9 @@ def who_drives(participant, operator, model) -> tuple[Operator, TscModel, tuple[
     if operator is not None or isinstance(someone, Operator):
         of_class("operator", someone, Operator, MAKE_OPERATOR)
         return someone, of_class("model", model, TscModel), None
-    label = participants.participant_label(someone)
-    model = participants.published_model(label) if model is None else of_class("model", model, TscModel)
-    return participants.published_operator(label), model, participants.published_thresholds(label)
+    label = participant_label(someone)
+    model = published_model(label) if model is None else of_class("model", model, TscModel)
+    return published_operator(label), model, published_thresholds(label)
 
 
 def _steps(seconds: float, what: str) -> int:
@@ -398,3 +398,156 @@ def session_of(data, operator, condition, seed, **facts) -> Session:
     """Return a run as a session that says how it was made."""
     facts |= deciding.seed_facts(seed) | {"note": NOTE} | deciding.measured("(2.4), (2.7)")
     return Session(data, Metadata(operator.participant, condition, "trustlab.testbeds.ground_robot", True, facts))
+
+
+def plot_path(session: Session, course: Course, start: float = 0.0, stop: float | None = None, axes=None):
+    """
+    Plot the desired path, the guide posts, and the robot's track under manual and autonomous control.
+
+    Parameters
+    ----------
+    session : Session
+        With columns robot_x, robot_y and mode.
+    course : Course
+        The course.
+    start, stop : float, optional
+        The part of the session to show [s]; to its end when `stop` is not given.
+    axes : matplotlib.axes.Axes, optional
+        Where to plot; a new figure when not given.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    SessionError
+        If a column is missing.
+    ValueError
+        If an argument is not understood.
+    """
+    of_class("session", session, Session)
+    of_class("course", course, Course)
+    session.require("robot_x", "robot_y", "mode")
+    stop = session.t[-1] if stop is None else finite_number("stop", stop)
+    part = session.between(finite_number("start", start), stop)
+    axes = axes_or_new(axes, figsize=(8.0, 5.6))
+    axes.plot(*course.posts.T, ls="", marker="o", ms=4, mfc="none", color="0.55", label="guide posts")
+    for manual, style, label in ((1, "-", "manual"), (0, ":", "autonomous")):
+        here = part["mode"] == manual
+        shown = here | np.r_[False, here[:-1]]
+        x, y = np.where(shown, part["robot_x"], np.nan), np.where(shown, part["robot_y"], np.nan)
+        width = 0.9 if manual else 1.3
+        if here.any():
+            axes.plot(x, y, ls=style, lw=width, color="black" if manual else "#0072b2", label=label)
+    axes.plot(*course.path[:, :2].T, ls="--", lw=2.0, color="#d62728", label="desired")
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.set_title(session.label, fontsize="medium")
+    axes.legend(fontsize="small", ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.12), frameon=False)
+    return axes
+
+
+# TSC_l(0) and TSC_u(0) of the pilot operator, as printed in Section 2.5; Table 2.2 has no column for the pilot.
+PILOT_THRESHOLDS = ("0.02", "0.45")
+
+
+def participant_label(participant: int | str) -> str:
+    """
+    Return how a participant is called in the printed tables.
+
+    Parameters
+    ----------
+    participant : int or str
+        1 to 5, "1" to "5", or "pilot".
+
+    Raises
+    ------
+    ValueError
+        If there is no such participant; the error lists those there are, the nearest first where one is near.
+    """
+    known = list(published_models())
+    if isinstance(participant, str):
+        label = participant.strip().lower()
+    else:
+        try:
+            label = str(whole_number("participant", participant, most=10**6))
+        except ValueError:
+            label = ""
+    if label in known:
+        return label
+    meant = did_you_mean(label, known)
+    raise ValueError(
+        f"there is no participant {participant!r:.60} among the printed ones: {', '.join(known)}{meant}. For someone else give "
+        "an Operator as participant, with model="
+    )
+
+
+def published_model(participant: int | str) -> TscModel:
+    """
+    Return a participant's printed model, of Table 2.1 (the pilot's of Section 2.2).
+
+    Parameters
+    ----------
+    participant : int or str
+        1 to 5, "1" to "5", or "pilot".
+
+    Raises
+    ------
+    ValueError
+        If there is no such participant.
+    """
+    return published_models()[participant_label(participant)]
+
+
+def published_operator(participant: int | str) -> Operator:
+    """
+    Return the simulated stand-in for a participant, made of what is printed of them.
+
+    Utilization and performance are those of Table 2.1, own thresholds (mean and SD) those of Table 2.3, and the shares
+    of suggestions followed those of Table 2.6. Of the pilot operator only the model is printed (Sections 2.2.2 and
+    2.2.3): own thresholds have the means printed as decision thresholds in Section 2.5, their spread and the
+    shares are the defaults of `Operator`. How the hand drives and reacts is not printed of anyone and is that of `Operator`.
+
+    Parameters
+    ----------
+    participant : int or str
+        1 to 5, "1" to "5", or "pilot".
+
+    Raises
+    ------
+    ValueError
+        If there is no such participant.
+    """
+    label = participant_label(participant)
+    model = published_models()[label]
+    if label == "pilot":
+        lower, upper = published_thresholds(label)
+        return operator(label, model, lower=(lower, 0.1), upper=(upper, 0.1))
+    own, shares = published_table("2.3")[label].astype(float), published_table("2.6")[label].astype(float)
+    return operator(
+        label,
+        model,
+        lower=(own["TSC_l", "mean"], own["TSC_l", "sd"]),
+        upper=(own["TSC_u", "mean"], own["TSC_u", "sd"]),
+        follow=(shares["C2"] / 100.0, shares["C4"] / 100.0),
+    )
+
+
+def published_thresholds(participant: int | str) -> tuple[float, float]:
+    """
+    Return the decision thresholds TSC_l and TSC_u of Table 2.2 (the pilot's of Section 2.5).
+
+    Parameters
+    ----------
+    participant : int or str
+        1 to 5, "1" to "5", or "pilot".
+
+    Raises
+    ------
+    ValueError
+        If there is no such participant.
+    """
+    label = participant_label(participant)
+    printed = PILOT_THRESHOLDS if label == "pilot" else published_table("2.2").loc[["TSC_l", "TSC_u"], label]
+    lower, upper = map(float, printed)
+    return lower, upper
