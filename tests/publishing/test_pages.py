@@ -14,6 +14,7 @@ import pytest
 from IPython.core.interactiveshell import InteractiveShell
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
+from trustlab.models.compiled import NOTICE
 from trustlab.publishing import figures
 from trustlab.publishing.figures import describe
 from trustlab.publishing.notebooks import declared_parameters, find_notebooks, parameters_for, parse_value
@@ -125,6 +126,18 @@ def test_code_is_folded_and_hidden_where_tagged():
     assert "secret" not in page
     assert '<aside class="note">' in page
     assert "watch out</pre>" in page
+
+
+def test_that_kernels_were_compiled_is_no_word_of_a_report():
+    told = new_output("stream", name="stderr", text=f"{NOTICE}\n")
+    page, _ = page_of(new_code_cell("x", outputs=[told]))
+    assert "standard error" not in page
+    assert NOTICE not in page
+    told["text"] += "watch out"
+    page, _ = page_of(new_code_cell("x", outputs=[told]))
+    assert "standard error" in page
+    assert "watch out" in page
+    assert NOTICE not in page
 
 
 def test_title_sentence_anchors_and_contents():
