@@ -242,12 +242,14 @@ def test_panels_come_one_below_the_other_on_a_phone(browser, reports):
     page = browser.new_page(viewport={"width": 390, "height": 900})
     page.goto((reports / "01_a.html").as_uri())
     several = page.locator("figure").first
-    boxes = [one.bounding_box() for one in several.locator(".panels img").all()]
-    assert len(boxes) == 6  # five panels and the mark that they are synthetic
+    images = several.locator(".panels img")
+    # The page takes the figure apart once its picture is loaded.
+    page.wait_for_function("() => document.querySelector('figure').querySelectorAll('.panels img').length === 6")
+    boxes = [one.bounding_box() for one in images.all()]  # five panels and the mark that they are synthetic
     assert all(above["y"] + above["height"] <= below["y"] for above, below in itertools.pairwise(boxes))
     assert several.get_by_role("img").first.get_attribute("aria-label").startswith("5 panels. one run; ")
     page.set_viewport_size({"width": 1280, "height": 900})
-    assert several.locator("img").count() == 1
+    page.wait_for_function("() => document.querySelector('figure').querySelectorAll('img').length === 1")
     page.close()
 
 
