@@ -45,11 +45,11 @@ class _Notice(event.Listener):
         self.spent, self.timer = 0.0, None
 
     def on_start(self, event: Any) -> None:
-        if not self.begun and self.spent < 2.0:
+        self.begun.append(time.monotonic())
+        if len(self.begun) == 1 and self.spent < 2.0:
             self.timer = threading.Timer(2.0 - self.spent, print, [NOTICE], {"file": sys.stderr, "flush": True})
             self.timer.daemon = True
             self.timer.start()
-        self.begun.append(time.monotonic())
 
     def on_end(self, event: Any) -> None:
         taken = time.monotonic() - self.begun.pop()
