@@ -103,7 +103,7 @@ def logged_jitter(rng):
     """Sample within ± 40 ms of the nominal time and log when: reading such a log takes a rule for resampling."""
     frame = jitter(rng)
     frame = frame.set_axis(pd.Index(frame.attrs.pop("sampled_at"), name="t"))
-    return tl.read_frame(frame, resample="nearest", sample_time=0.1).with_metadata(synthetic=True)
+    return tl.read_frame(frame, resample="nearest", sample_time=0.1).with_metadata(performance_window=0.0)
 
 
 def closed_loop(rng, lower=0.05, upper=0.35, size=20_000):
@@ -178,12 +178,15 @@ def session_and_options(setting: str, seed: np.random.SeedSequence) -> tuple[tl.
         return windowed(rng, *WINDOWS[setting]), {}
     make, options = SETTINGS[setting]
     made = make(rng)
-    return made if isinstance(made, tl.Session) else tl.Session(made, tl.Metadata(synthetic=True)), options
+    if not isinstance(made, tl.Session):
+        # As a lab's log is read: no one says that it is simulated, so that its stamps are as exact as its sample time.
+        made = tl.Session(made, tl.Metadata(more={"performance_window": 0.0}))
+    return made, options
 
 
 def before(session: tl.Session) -> tuple[bool, pd.DataFrame]:
     """Fit without windows, outliers and diagnosis but of weak parameters, with errors that allow for autocorrelation."""
-    runs = read_runs(session, "mode", "p_h", "p_r", how=HowLogged(window=0.0))
+    runs = read_runs(session, "mode", "p_h", "p_r", how=HowLogged(window=0.0, stamp_error=0.0))
     found = estimate_runs(TSC, runs, TSC.limits(), "hac", robust=False)
     table = found_table(found)[0]
     success = found.search.converged and not weak_parameters(found, table)

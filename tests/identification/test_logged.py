@@ -266,9 +266,36 @@ def test_stamps_that_are_not_exact_widen_the_intervals(operators, make_session, 
     session = make_session(operators["pilot"], switching, noise=0.003)
     exact, rough = (tl.fit_human(session, stamp_error=error).table()["stderr"] for error in (0.0, 0.5))
     assert (rough > exact).all()
-    resampled = tl.fit_human(session.with_metadata(resampled="previous at 0.1 s")).table()["stderr"]
+    pd.testing.assert_series_equal(tl.fit_human(session).table()["stderr"], exact)  # simulated: switches on a sample
     same = tl.fit_human(session, stamp_error=0.1 / np.sqrt(12.0)).table()["stderr"]
-    pd.testing.assert_series_equal(resampled, same)
+    for changes in ({"resampled": "previous at 0.1 s"}, {"synthetic": False}):
+        logged = session.with_metadata(performance_window=0.0, **changes)
+        pd.testing.assert_series_equal(tl.fit_human(logged).table()["stderr"], same)
+        stated = logged.with_metadata(stamp_error=0.5)
+        pd.testing.assert_series_equal(tl.fit_human(stated).table()["stderr"], rough)
+
+
+def test_errors_of_many_stamps_are_worked_out_for_some_of_them(operators, make_session, monkeypatch):
+    session = make_session(operators["pilot"], np.repeat([1.0, 0.0] * 60, 100), noise=0.003)
+    monkeypatch.setattr("trustlab.identification.output_error.SWITCHES", 10_000)
+    every = tl.fit_human(session, stamp_error=0.3).table()["stderr"]
+    monkeypatch.setattr("trustlab.identification.output_error.SWITCHES", 35)
+    some = tl.fit_human(session, stamp_error=0.3).table()["stderr"]
+    assert not some.equals(every)
+    np.testing.assert_allclose(some, every, rtol=0.05)
+
+
+def test_a_delay_within_the_error_of_the_stamps_is_in_the_intervals_and_no_doubt(settings):
+    session = tl.Session(
+        settings.white(np.random.default_rng(3), settings.clean(late=0.2)), tl.Metadata(synthetic=True)
+    )
+    exact, rough = (tl.fit_tsc(session, stamp_error=error) for error in (0.0, 0.2))
+    assert "stamped" in exact.message
+    assert not exact.success
+    assert rough.success
+    names = list(settings.TRUTH)
+    apart = (rough.table().loc[names, "value"] - settings.truth()) / rough.table().loc[names, "stderr"]
+    assert apart.abs().max() < 3.0
 
 
 def test_ranges_that_give_no_weights_are_an_identification_error(operators, make_session, switching):

@@ -14,8 +14,8 @@ CERTAIN = 3.3
 GAIN = 30.0
 """Fall of the deviance from which on a window counts."""
 
-STRETCHES = 60
-"""Correlation times that a record must hold for intervals that cover: in simulations they fall short below."""
+STRETCHES = 200
+"""Correlation times that a record must hold for intervals that cover: with process noise they fall short below in simulations."""
 
 
 def doubted(found: Estimate) -> Iterator[str]:
@@ -74,7 +74,9 @@ def _coarse(found: Estimate) -> Iterator[str]:
 def _delay(found: Estimate) -> Iterator[str]:
     """Test whether a mode that acts later or earlier than its stamp explains part of the residuals."""
     delay, stderr = found.delay.value, found.delay.stderr
-    if abs(delay) > CERTAIN * stderr:
+    # Errors of the stamps' own size are in the intervals already.
+    known = max(run.stamp_error for run in found.problem.runs)
+    if abs(delay) > CERTAIN * np.hypot(stderr, known):
         early = "early" if delay > 0.0 else "late"
         yield (
             f"The residuals look as if mode were stamped {abs(delay):.2g} s {early} (± {2.0 * stderr:.1g} s, samples are "

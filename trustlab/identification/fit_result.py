@@ -325,16 +325,19 @@ def parameter_table(
     kept = np.flatnonzero(np.array(status) == "estimated")
     stderr = np.full(values.size, np.nan)
     stderr[kept] = np.sqrt(np.diag(covariance)[kept])
-    rows = [*zip(values.tolist(), stderr.tolist(), status, strict=True)]
-    known = np.nan_to_num(covariance)
+    known, more = np.nan_to_num(covariance), []
     for function in derived.values():
         value, slope = gradient(function, names, values)
         # NaN where nothing that the row depends on was estimated.
-        error = float(np.sqrt(slope @ known @ slope)) if slope[kept].any() else np.nan
-        rows.append((float(value), error, "derived"))
-    index = pd.Index([*names, *derived], name="parameter")
-    table = pd.DataFrame(rows, index=index, columns=["value", "stderr", "status"])
-    labels = index[kept]
+        more.append((float(value), np.sqrt(slope @ known @ slope) if slope[kept].any() else np.nan))
+    of_derived = np.reshape(more, (-1, 2))
+    columns = {
+        "value": np.concatenate([values, of_derived[:, 0]]),
+        "stderr": np.concatenate([stderr, of_derived[:, 1]]),
+        "status": [*status, *["derived"] * len(more)],
+    }
+    table = pd.DataFrame(columns, pd.Index([*names, *derived], name="parameter"))
+    labels = table.index[kept]
     return table, pd.DataFrame(known[np.ix_(kept, kept)], index=labels, columns=labels.rename(None))
 
 

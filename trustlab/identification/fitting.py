@@ -74,8 +74,9 @@ def fit(
         parameter `mode_delay`.
     stamp_error : float, optional
         Standard deviation of the errors in the logged times of switches [s], independent from switch to switch; they
-        widen the intervals, and so does an error that all share, as far as the residuals allow for one. By default 0.29 samples, the error of a rounded time, for sessions that were resampled,
-        and 0 for others.
+        widen the intervals, and so does an error that all share, as far as the residuals allow for one. By default what
+        the session's metadata say (`stamp_error`); else 0.29 samples, the error of a time that is rounded to a sample,
+        and 0 for simulated sessions that were not resampled.
     robust : bool
         Whether to leave out samples that lie far from the model, such as dropouts; the message says how many.
 
@@ -263,7 +264,8 @@ def found_table(found: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 def weak_parameters(found: Estimate, table: pd.DataFrame) -> list[Parameter]:
     """Return the shared parameters that a bound holds, or whose 95 % interval is too wide to be of use."""
-    values, stderrs, statuses = (table[column].to_dict() for column in ("value", "stderr", "status"))
+    names, columns = table.index, (table[column].tolist() for column in ("value", "stderr", "status"))
+    values, stderrs, statuses = (dict(zip(names, column, strict=True)) for column in columns)
     weak = []
     for parameter in found.problem.structure.parameters:
         status = statuses[parameter.name]
@@ -307,7 +309,8 @@ def result(found: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame] | None = N
         # What is wrong with the data may be why no model comes of them.
         lost = tuple(each.name for each in weak)
         lacking = f"these data do not determine {', '.join(lost)}; hold some of them with fixed={{…}}: " if weak else ""
-        raise IdentificationError(" ".join([f"{lacking}{error}", *doubts]), lost or error.parameters) from error
+        why = " ".join([f"{lacking}{error}{'.' if doubts else ''}", *doubts])
+        raise IdentificationError(why, lost or error.parameters) from error
     return FitResult(
         model=model,
         method="output_error",

@@ -37,6 +37,9 @@ ROUGHLY: dict = {"tolerance": 0.1, "max_iterations": 40}
 SINGULAR = 1e-10
 """Smallest eigenvalue of the information matrix, scaled to unit diagonal, that still counts as information."""
 
+SWITCHES = 200
+"""Switches of mode per session from which on errors of their stamps are worked out for some of them only."""
+
 
 class Problem:
     """
@@ -59,6 +62,9 @@ class Problem:
         firsts = [self.shared + i * self.own for i in range(len(runs))]
         self.where = [np.r_[: self.shared, first : first + self.own] for first in firsts]
         self.moved = [structure.columns_of(name) for name in structure.outputs]
+        moved = [[where[own] for own in self.moved] for where in self.where]
+        # What affects an output of a run: its places in a vector, and in a matrix.
+        self.places = [[(own, np.ix_(own, own)) for own in run] for run in moved]
         measured = [joined(runs, name) for name in structure.outputs]
         self.counts = np.array([values.size for values in measured], dtype=float)
         # The likelihood of data that are reproduced exactly is infinite: Σ e² has a floor at a billionth of the scale.
@@ -102,15 +108,16 @@ class Problem:
                 self.errors[i].append((error, jacobian))
                 self.logs += logs
                 squares[j] += error @ error
-                where = self.where[i][self.moved[j]]
+                where, square = self.places[i][j]
                 gradients[j, where] += error @ jacobian
-                matrices[j][where[:, None], where] += jacobian.T @ jacobian
+                matrices[j][square] += jacobian.T @ jacobian
         # With the variance of each output estimated as Σ e²/n, the likelihood is Σ n ln(Σ e²) but for a constant, and
         # its derivatives weight each output by n/Σ e²: no output needs a weight from the user.
         weights = self.weights(squares)
         value = float(self.counts @ np.log(squares + self.floors))
         exact = bool((squares <= 1e-6 * self.floors).all())
-        return NormalEquations(value, weights @ gradients, np.einsum("i,ijk", weights, matrices), squares, exact)
+        matrix = (weights @ matrices.reshape(outputs, -1)).reshape(p, p)
+        return NormalEquations(value, weights @ gradients, matrix, squares, exact)
 
     def differences(self, run: int, output: int) -> tuple[np.ndarray, np.ndarray]:
         """Return measured minus simulated at the latest point, and the derivatives: of window means, or of what they are made of."""
@@ -166,7 +173,7 @@ class Problem:
             parts = []
             for i in range(len(self.runs)):
                 error, jacobian = self.differences(i, j)
-                where = self.where[i][self.moved[j]]
+                where = self.places[i][j][0]
                 used = np.isin(where, free)
                 places = np.r_[0, 1 + np.searchsorted(free, where[used])]
                 parts.append((np.column_stack([error, jacobian[:, used]]), self.missing[j][i], places))
@@ -347,8 +354,8 @@ def estimate(
             valley = _search(problem, valley.theta, low, high)
     _, found, theta, normal, _, free = valley
     inverse, fixed = valley.inverse(), low == high
-    p_value = _whiteness(problem, normal)
     modelled = any(one != Noise() for one in problem.noise)
+    p_value = _whiteness(problem, normal) if modelled else simple_p
     sandwiched = noise == "hac" or (noise in ("auto", "correlated") and p_value < NOT_WHITE)
     # The inverse information matrix is the covariance for white residuals; else it is the bread of a sandwich.
     meat = _meat(problem, normal.squares)[np.ix_(free, free)] if sandwiched else None
@@ -396,7 +403,10 @@ def _of_stamps(
         if run.stamp_error == 0.0 or "mode" not in run.columns:
             continue
         mode, values = run["mode"], dict(zip(problem.structure.names, theta[problem.where[i]], strict=True))
-        for k in np.flatnonzero(np.diff(mode > 0.5)) + 1:
+        switches = np.flatnonzero(np.diff(mode > 0.5)) + 1
+        # Neighbours add about the same: of thousands of switches some stand for all.
+        chosen = switches[:: 1 + switches.size // SWITCHES]
+        for k in chosen:
             # One switch a sample later, and what the estimates make of it.
             moved = mode.copy()
             moved[k] = mode[k - 1]
@@ -405,9 +415,9 @@ def _of_stamps(
             for j, (_, jacobian) in enumerate(problem.errors[i]):
                 change = problem.seen(i, outputs[j] - problem.latest[i][0][j]) / run.sample_time
                 (change,), _ = problem.whitened(i, j, change)
-                by_all[problem.where[i][problem.moved[j]]] += weights[j] * (change @ jacobian)
+                by_all[problem.places[i][j][0]] += weights[j] * (change @ jacobian)
             shift = run.stamp_error * inverse @ by_all[free]
-            added += np.outer(shift, shift)
+            added += np.outer(shift, shift) * switches.size / chosen.size
     return added
 
 
@@ -422,7 +432,7 @@ def _delay(problem: Problem, inverse: np.ndarray, free: np.ndarray, squares: np.
             # Mode acting later shifts the whole simulation, but for initial states, which are estimated.
             (slope,), _ = problem.whitened(i, j, -np.gradient(problem.seen(i, simulated), run.sample_time))
             error, jacobian = problem.errors[i][j]
-            where = problem.where[i][problem.moved[j]]
+            where = problem.places[i][j][0]
             by_all[where] += weights[j] * (slope @ jacobian)
             parts.append((slope, error, jacobian, where, weights[j]))
     answer = np.zeros(by_all.size)

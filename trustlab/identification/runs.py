@@ -64,8 +64,7 @@ def read_runs(sessions: Session | Iterable[Session], *needed: str, how: HowLogge
     """
     Take the columns that a fit needs out of one or several sessions with the same sample time.
 
-    What `how` leaves open each session says: the window, 0 for none; and that it was resampled, so that a switch of mode
-    may have been anywhere within its sample.
+    What `how` leaves open each session says: the window, 0 for none; and how exact its stamps of mode are.
     """
     how = how or HowLogged()
     # A table, a mapping or a path can be iterated over too, but what comes out says nothing of the mistake.
@@ -97,9 +96,13 @@ def read_runs(sessions: Session | Iterable[Session], *needed: str, how: HowLogge
 
 def _stamp_error(session: Session, given: float | None) -> float:
     """Return the standard deviation of the mode's time stamps [s]."""
+    known = session.metadata.more
+    given = known.get("stamp_error") if given is None else given
     if given is not None:
         return not_negative("stamp_error", given)
-    return session.sample_time / np.sqrt(12.0) if "resampled" in session.metadata.more else 0.0
+    # People switch at any time between two samples, simulations on one.
+    exact = session.metadata.synthetic and "resampled" not in known
+    return 0.0 if exact else session.sample_time / np.sqrt(12.0)
 
 
 def _windows(sessions: list[Session], window: float | None, needed: tuple[str, ...]) -> list[int]:

@@ -240,6 +240,7 @@ def session_of(config: Mapping[str, Any], rows: np.ndarray, **metadata: Any) -> 
     facts = {"seed": config["seed"], "settling": task["settling"], "performance_window": task["window"] * SAMPLE_TIME}
     facts |= {"laps": task["laps"]} if task["laps"] else {}
     facts |= {"TSC_l": task["lower"], "TSC_u": task["upper"]} if config["condition"] in ("C2", "C3") else {}
+    facts |= {"stamp_error": 0.0}  # the drive switches on a sample
     facts |= {"lap_times": driven(config, commands_of(table))[1].tolist()}
     frame = pd.DataFrame(table, columns=COLUMNS, index=pd.Index(sample_times(len(table)), name="t"))
     about = Metadata(condition=config["condition"], source="trustlab.live", more=facts)
