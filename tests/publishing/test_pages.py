@@ -229,6 +229,12 @@ def test_notebooks_are_found_by_name(checkout):
         ("trustlab/a.py", True),
         ("trustlab/recipe.toml", True),
         ("data/published/t.csv", True),
+        ("data/calibration/uav.csv", True),
+        ("data/simulated/checks.csv", True),
+        ("data/coverage/fits.csv", True),
+        ("data/live_demo/measured.csv", True),
+        ("notebooks/noise_settings.py", True),
+        ("notebooks/finder.csv", True),
         ("environment.lock", True),
         ("data/external/x", True),
         ("notebooks/01_a.ipynb", True),
@@ -241,6 +247,7 @@ def test_digest_follows_the_inputs_and_nothing_else(checkout, name, matters):
     path = write(checkout, "01_a", "x = 1")
     before = input_digest(checkout, path)
     assert input_digest(checkout, path) == before
+    (checkout.root / name).parent.mkdir(exist_ok=True)
     (checkout.root / name).write_text("changed")
     assert (input_digest(checkout, path) != before) == matters
 
@@ -261,6 +268,22 @@ def test_provenance_outside_git_names_no_path(checkout):
     assert found["seeds"] == {"my_seed": 1}
     assert list(found["inputs"]) == ["data/published/t.csv"]
     assert str(checkout.root) not in repr(found)
+
+
+READ = {
+    "01": {"data/coverage", "data/sessions", "notebooks/noise_settings.py"},
+    "05": {"data/simulated"},
+    "07": {"data/simulated"},
+    "10": {"data/calibration", "data/simulated"},
+    "11": {"data/live_demo", "notebooks/live_pictures.py"},
+}
+
+
+@pytest.mark.parametrize("notebook", find_notebooks(Checkout.find(NOTEBOOKS.parent)), ids=lambda path: path.stem)
+def test_provenance_lists_what_the_notebook_reads(notebook):
+    names = provenance(Checkout.find(NOTEBOOKS.parent), notebook)["inputs"]
+    found = {name if name.startswith("notebooks/") else name.rpartition("/")[0] for name in names}
+    assert found == {"data/published"} | READ.get(notebook.stem[:2], set())
 
 
 def test_folder_without_notebooks_is_refused(tmp_path):

@@ -7,6 +7,7 @@ import importlib.metadata
 import json
 import os
 import platform
+import re
 import subprocess
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -132,12 +133,31 @@ def folder_digest(folder: Place, times: bool = False) -> str:
     return digest.hexdigest()
 
 
+def read_files(checkout: Checkout, notebook: Place) -> dict[str, Path]:
+    """Return by name what a notebook reads: modules beside it that it imports, printed numbers, folders of data that these name."""
+    text, found = Path(notebook).read_text(encoding="utf-8"), {}
+    for module in sorted(checkout.notebooks.glob("*.py")):
+        if re.search(rf"\b(from|import) {module.stem}\b", text):
+            found[f"{checkout.notebooks.name}/{module.name}"] = module
+            text += module.read_text(encoding="utf-8")
+    # data/simulated, or "data" / "simulated", whose quotes have a backslash in a notebook's JSON
+    named = re.findall(r'\bdata\\?"?\s*/\s*\\?"?(\w+)', text)
+    for name in sorted({"published", *named} - {"external"}):
+        found |= {path.relative_to(checkout.data.parent).as_posix(): path for path in list_files(checkout.data / name)}
+    return found
+
+
 def shared_digest(checkout: Checkout) -> str:
-    """Return the digest of what every report depends on: package, committed data, lock, Python, external data."""
+    """Return the digest of what every report depends on: package, committed data, lock, Python, external data.
+
+    With them go the modules beside the notebooks, and the finder, which reports link by.
+    """
     digest = hashlib.sha256(f"{platform.python_version()} {platform.machine()}".encode())
-    for folder in (checkout.package, checkout.data):
-        for path in list_files(folder, without=[checkout.data / "external", checkout.external]):
-            digest.update(f"{path.relative_to(folder.parent).as_posix()} {file_digest(path)}\n".encode())
+    without = [checkout.data / "external", checkout.external]
+    files = [path for folder in (checkout.package, checkout.data) for path in list_files(folder, without)]
+    files += [*sorted(checkout.notebooks.glob("*.py")), checkout.notebooks / "finder.csv"]
+    for path in files:
+        digest.update(f"{os.path.relpath(path, checkout.root)} {file_digest(path)}\n".encode())
     digest.update(f"lock {file_digest(checkout.lock)}\n".encode())
     digest.update(f"external {folder_digest(checkout.external, times=True)}\n".encode())
     return digest.hexdigest()
@@ -202,11 +222,9 @@ def provenance(
     -------
     dict
         ``notebook notebook_sha256 commit environment_lock inputs external_data parameters seeds versions platform started
-        seconds``; ``inputs`` maps every file of ``data/published`` and ``data/sessions`` to its SHA-256.
+        seconds``; ``inputs`` maps every file that `read_files` finds to its SHA-256.
     """
     parameters = dict(parameters or {})
-    folders = [checkout.data / "published", checkout.data / "sessions"]
-    files = [path for folder in folders for path in list_files(folder)]
     external = folder_digest(checkout.external)
     if external != "absent":
         count = len(list_files(checkout.external))
@@ -216,7 +234,7 @@ def provenance(
         "notebook_sha256": file_digest(notebook),
         "commit": commit(checkout.root),
         "environment_lock": file_digest(checkout.lock)[:SHORT],
-        "inputs": {path.relative_to(checkout.data.parent).as_posix(): file_digest(path) for path in files},
+        "inputs": {name: file_digest(path) for name, path in read_files(checkout, notebook).items()},
         "external_data": external,
         "parameters": parameters,
         "seeds": {name: value for name, value in parameters.items() if "seed" in name.lower()},
