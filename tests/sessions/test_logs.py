@@ -5,6 +5,7 @@ import gzip
 import importlib.util
 import queue
 import sqlite3
+from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -203,6 +204,27 @@ def test_dates_and_clock_times(tmp_path, unit, times, t):
     frame.replace(times[1], "soon").to_csv(tmp_path / "run.csv", index=False)
     with pytest.raises(SessionError, match=r"line 3, column 't': 'soon' is not a time"):
         read_session(tmp_path / "run.csv", recipe=recipe(text))
+
+
+@pytest.mark.parametrize("zone", ["", "Z", "+01:00"])
+def test_dates_keep_their_digits(tmp_path, zone):
+    """Oracle: fractions of integers, exact to the rounding of one float; seconds since 1970 keep 2e-7 s."""
+    text = '[time]\nunit = "iso"\nfrom_zero = true\n[columns]\np_r = { column = "a" }'
+    nanoseconds = [999_999_999 + 123_456_789 * k for k in range(400)]  # every step has nine digits
+    times = [f"2026-03-01T12:00:{ns // 10**9:02}.{ns % 10**9:09}" for ns in nanoseconds]
+    frame = pd.DataFrame({"t": [f"{time}{zone}" for time in times], "a": 1.0})
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    frame.to_parquet(tmp_path / "run.parquet")
+    expected = [float(Fraction(ns - nanoseconds[0], 10**9)) for ns in nanoseconds]
+    for name in ("run.csv", "run.parquet"):
+        session = read_session(tmp_path / name, recipe=recipe(text))
+        assert session.t.tolist() == expected
+        assert session.metadata.more["start_time"] == pd.Timestamp(frame["t"][0]).timestamp()
+    frame = frame.iloc[:6].copy()
+    frame["t"] = [f"2026-03-01T12:00:00{end}{zone}" for end in ("", ".1", ".2", ".3", ".4000", ".500000")]
+    assert read_frame(frame, recipe(text)).t.tolist() == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]
+    since_1970 = read_frame(frame, recipe(text.replace("true", "false"))).t
+    assert since_1970.tolist() == [pd.Timestamp(time).timestamp() for time in frame["t"]]
 
 
 def test_cells_of_several_numbers_and_an_analogue_channel(tmp_path):

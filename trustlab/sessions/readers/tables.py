@@ -53,8 +53,9 @@ def select_columns(
             _check_names(names, where)
             wanted = [name for name in names if name != "t"]
         keys = {name: name for name in ["t", *wanted]}
-    time = recipe.time.unit if recipe else "s"
-    texts = {"t": {"iso": _iso_time, "clock": _clock_time}.get(time)}
+    time = recipe.time if recipe else TableTime(unit="s")
+    stamps: dict[str, Callable[[object], float]] = {"iso": _IsoTimes(time.from_zero), "clock": _clock_time}
+    texts = {"t": stamps.get(time.unit)}
     for name, rule in rules.items():
         texts[name] = partial(_item, rule.item) if rule.item is not None else None
         texts[name] = partial(looked_up, rule.map) if rule.map else texts[name]
@@ -65,16 +66,25 @@ def select_columns(
     ]
 
 
-def _iso_time(text: object) -> float:
-    """Return the seconds since 1970 of a date and time; without a time zone, as if it were UTC."""
-    try:
-        time = datetime.fromisoformat(str(text).strip())
-    except ValueError:
-        raise ValueError(
-            f"{str(text)[:60]!r} is not a time such as 2026-03-01T12:00:00.5; write it so, or in seconds"
-        ) from None
-    time = time if time.tzinfo else time.replace(tzinfo=UTC)
-    return (time - datetime.fromtimestamp(0, UTC)) / timedelta(seconds=1)
+class _IsoTimes:
+    """Reads dates and times as seconds since the first of them, or since 1970; without a time zone, as if they were UTC."""
+
+    def __init__(self, from_first: bool):
+        # Nanoseconds, as integers: in seconds since 1970 a float would lose all but seven decimals.
+        self.start = None if from_first else 0
+
+    def __call__(self, text: object) -> float:
+        try:
+            time = datetime.fromisoformat(str(text).strip())
+        except ValueError:
+            raise ValueError(
+                f"{str(text)[:60]!r} is not a time such as 2026-03-01T12:00:00.5; write it so, or in seconds"
+            ) from None
+        since = (time if time.tzinfo else time.replace(tzinfo=UTC)) - datetime.fromtimestamp(0, UTC)
+        finer = re.search(r"[.,]\d{6}(\d{1,3})", str(text))  # digits that datetime drops
+        stamp = since // timedelta(microseconds=1) * 1000 + (int(finer[1].ljust(3, "0")) if finer else 0)
+        self.start = stamp if self.start is None else self.start
+        return (stamp - self.start) / 10**9
 
 
 def _clock_time(text: object) -> float:
@@ -147,7 +157,9 @@ def table_stream(
     factor = 1.0 if time.unit in ("iso", "clock") else to_si(time.unit, "s")
     with np.errstate(over="ignore", invalid="ignore"):
         if time.from_zero and t.size and np.isfinite(t[0]):
-            notes["start_time"] = float(t[0]) * factor
+            stamps = next(own.text for own in selected if own.name == "t")
+            start = (stamps.start or 0) / 10**9 if isinstance(stamps, _IsoTimes) else 0.0
+            notes["start_time"] = start + float(t[0]) * factor
             t = t - t[0]  # before the conversion to float, which would round large integer stamps
         t = np.asarray(t, dtype=float)
         t = t * factor if factor != 1.0 else t
