@@ -1,5 +1,8 @@
 """Choosing thresholds (Algorithm 1), and reading them off an operator's own switches (Tables 2.3 and 2.6)."""
 
+import warnings
+from dataclasses import replace
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -26,6 +29,22 @@ def test_choice_encloses_beta_and_comes_near_the_best_performance(operators, cho
     assert cycle.p_r_high == pytest.approx(inside["p_r_high"].max(), abs=1e-4)
     again = choose_thresholds(model, points=12)
     assert (again.lower, again.upper) == (choice.lower, choice.upper)
+
+
+def test_a_fit_is_taken_and_warned_of_where_it_is_unsure(operators, make_session, switching):
+    fit = tl.fit_tsc(make_session(operators["2"], switching))
+    unsure = replace(fit, success=False, message="beta is weakly determined: record longer phases")
+    assert fit.success
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        choice = choose_thresholds(fit, points=4)
+    assert choice.model is fit.model
+    with pytest.warns(UserWarning, match="success = False: beta is weakly determined: record longer phases") as caught:
+        again = choose_thresholds(unsure, points=4)
+    assert [one.filename for one in caught] == [__file__]
+    assert (again.lower, again.upper) == (choice.lower, choice.upper)
+    with pytest.raises(ValueError, match=r"TscModel, got RobotModel; fit one with trustlab\.fit_tsc"):
+        choose_thresholds(tl.fit_robot(make_session(operators["2"], switching)))
 
 
 def test_margin_is_kept(operators, choice):

@@ -41,7 +41,7 @@ def test_a_live_session_is_one_like_any_other(driven, tmp_path):
         tl.fit_tsc(session)  # a scripted hand does not tire, and 200 s are few
 
 
-def test_an_identifying_drive_is_fitted():
+def test_an_identification_drive_is_fitted():
     config = drive_config("identification", MODEL, seed=3, schedule=[(1, 250.0), (0, 250.0), (1, 200.0)])
     _, session = scripted_drive(config, HumanHand(config, 1))
     assert session["mode"][[0, 2499, 2500, 4999, 5000]].tolist() == [1.0, 1.0, 0.0, 0.0, 1.0]

@@ -76,7 +76,7 @@ def run(condition, seed=7, laps=4, **assumed):
 
 @pytest.mark.parametrize("condition", BEFORE)
 def test_with_assumptions_off_sessions_are_those_of_before(condition):
-    found = tl.run_condition(condition, participant=2, laps=4, seed=7).measures()
+    found = tl.run_condition(condition, participant=2, laps=4, seed=7).measures
     assert {name: found[name] for name in BEFORE[condition]} == pytest.approx(BEFORE[condition], rel=1e-12)
 
 

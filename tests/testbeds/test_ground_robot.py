@@ -250,7 +250,7 @@ def test_forced_suggestions_are_all_followed(one, model):
             assert set(states["state"]) <= {"followed", "open", "withdrawn"}
             assert (states["state"] == "followed").sum() >= 5
             assert 0.3 < states["delay"].median() < 6.0
-            assert run.measures()["followed_percent"] == 100.0
+            assert run.measures["followed_percent"] == 100.0
 
 
 @pytest.mark.parametrize(("name", "key"), [("C2", "follow_tsc"), ("C4", "follow_performance")])
@@ -274,7 +274,7 @@ def test_free_suggestions_are_followed_with_their_probability(one, model, name, 
 
 def test_an_operator_who_follows_nothing_still_switches_in_the_end(one, model):
     run = run_condition("C2", replace(one, follow_tsc=0.0), model, THRESHOLDS, seed=0)
-    assert run.measures()["switches"] >= 2
+    assert run.measures["switches"] >= 2
     assert (run.suggestions()["delay"].dropna() > 15.0).all()
 
 
@@ -301,7 +301,7 @@ def test_performance_suggestions_cost_more_utilization(one, model):
                 [m["p_r"], m["r"]]
                 for s in SEEDS
                 for pair in [THRESHOLDS if name == "C3" else None]
-                for m in [run_condition(name, one, model, pair, seed=s).measures()]
+                for m in [run_condition(name, one, model, pair, seed=s).measures]
             ],
             axis=0,
         )
@@ -312,7 +312,7 @@ def test_performance_suggestions_cost_more_utilization(one, model):
 
 def test_measures_and_laps(runs):
     for name, run in runs.items():
-        session, measures, laps = run.session, run.measures(), run.laps()
+        session, measures, laps = run.session, run.measures, run.laps()
         assert measures["laps"] == 8
         assert measures["p_r"] == session["p_r"].mean()
         assert measures["switches"] == np.abs(np.diff(session["mode"])).sum()

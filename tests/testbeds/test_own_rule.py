@@ -39,7 +39,7 @@ def test_a_rule_decides_from_what_is_measured():
         np.testing.assert_array_equal(again[name], log[name])
     assert log.metadata.condition == "rule Relay"
     assert log.metadata.synthetic
-    assert run.measures()["followed_percent"] == 100.0
+    assert run.measures["followed_percent"] == 100.0
 
 
 def test_a_rule_flies_too():

@@ -39,7 +39,7 @@ def test_measures_are_those_of_the_log(runs):
         apart = [session[f"reference_{axis}"] - session[f"robot_{axis}"] for axis in "xy"]
         np.testing.assert_allclose(session["path_error"], np.hypot(*apart), atol=1e-12)
         assert session.metadata.synthetic
-        assert run.measures()["p_r"] == session["p_r"].mean()
+        assert run.measures["p_r"] == session["p_r"].mean()
 
 
 def test_suggestions_are_those_of_the_rules(runs):
@@ -119,7 +119,7 @@ def test_same_seed_same_run_and_measures_without_a_session(runs):
     child = np.random.SeedSequence(3).spawn(1)[0]
     whole = tl.run_condition("C4", who, model, testbed="uav", seed=child)
     measures, last = measured_flight("C4", who, model, thresholds, child, None)
-    assert measures == whole.measures()
+    assert measures == whole.measures
     assert last == whole.session["r"][-1]
 
 

@@ -9,8 +9,9 @@ from trustlab.allocation.cycle.invariant_bounds import InvariantBounds, invarian
 from trustlab.allocation.cycle.limit_cycle import LimitCycle, limit_cycle
 from trustlab.allocation.cycle.phases import resampled, watched
 from trustlab.allocation.limits import ThresholdLimits, check_thresholds, threshold_limits
+from trustlab.identification.fit_result import FitResult
 from trustlab.models.axes import axes_or_new
-from trustlab.models.checks import finite_number, of_class, whole_number
+from trustlab.models.checks import finite_number, of_class, warn, whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 
@@ -105,7 +106,9 @@ class ThresholdChoice:
         return axes
 
 
-def choose_thresholds(tsc: TscModel, delta_p_h: float = 0.0, margin: float = 0.1, points: int = 24) -> ThresholdChoice:
+def choose_thresholds(
+    tsc: TscModel | FitResult, delta_p_h: float = 0.0, margin: float = 0.1, points: int = 24
+) -> ThresholdChoice:
     """
     Choose thresholds as Algorithm 1 asks: utilization encloses β, performance comes near its greatest.
 
@@ -114,8 +117,8 @@ def choose_thresholds(tsc: TscModel, delta_p_h: float = 0.0, margin: float = 0.1
 
     Parameters
     ----------
-    tsc : TscModel
-        The model.
+    tsc : TscModel or FitResult
+        The model, or a fit of one by `fit_tsc`: where its `success` is False, a warning gives its `message`.
     delta_p_h : float
         δ_Ph for the limits that the search keeps to. 0 takes them as TSC settles; whether a pair keeps switching is then
         seen from its cycle. This is not the default of `threshold_limits`, see Notes.
@@ -149,6 +152,10 @@ def choose_thresholds(tsc: TscModel, delta_p_h: float = 0.0, margin: float = 0.1
     >>> round(choice.lower, 3), round(choice.upper, 3)
     (-0.057, 0.439)
     """
+    if isinstance(tsc, FitResult):
+        if not tsc.success:
+            warn(f"thresholds for a model whose fit has success = False: {tsc.message}")
+        return choose_thresholds(of_class("tsc", tsc.model, TscModel), delta_p_h, margin, points)
     of_class("tsc", tsc, TscModel)
     margin = finite_number("margin", margin)
     if not 0.0 < margin < 0.5:

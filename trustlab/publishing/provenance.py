@@ -133,18 +133,13 @@ def folder_digest(folder: Place, times: bool = False) -> str:
     return digest.hexdigest()
 
 
-def read_files(checkout: Checkout, notebook: Place) -> dict[str, Path]:
-    """Return by name what a notebook reads: modules beside it that it imports, printed numbers, folders of data that these name."""
-    text, found = Path(notebook).read_text(encoding="utf-8"), {}
-    for module in sorted(checkout.notebooks.glob("*.py")):
-        if re.search(rf"\b(from|import) {module.stem}\b", text):
-            found[f"{checkout.notebooks.name}/{module.name}"] = module
-            text += module.read_text(encoding="utf-8")
+def read_files(checkout: Checkout, notebook: Place) -> list[Path]:
+    """Return what a notebook reads: the printed numbers, the folders of data that it names, and modules that it imports from beside it."""
+    text = Path(notebook).read_text(encoding="utf-8")
     # data/simulated, or "data" / "simulated", whose quotes have a backslash in a notebook's JSON
-    named = re.findall(r'\bdata\\?"?\s*/\s*\\?"?(\w+)', text)
-    for name in sorted({"published", *named} - {"external"}):
-        found |= {path.relative_to(checkout.data.parent).as_posix(): path for path in list_files(checkout.data / name)}
-    return found
+    named = {"published", *re.findall(r'\bdata\\?"?\s*/\s*\\?"?(\w+)', text)} - {"external"}
+    modules = [path for path in checkout.notebooks.glob("*.py") if re.search(rf"\b(from|import) {path.stem}\b", text)]
+    return sorted([*modules, *(path for name in named for path in list_files(checkout.data / name))])
 
 
 def shared_digest(checkout: Checkout) -> str:
@@ -234,7 +229,7 @@ def provenance(
         "notebook_sha256": file_digest(notebook),
         "commit": commit(checkout.root),
         "environment_lock": file_digest(checkout.lock)[:SHORT],
-        "inputs": {name: file_digest(path) for name, path in read_files(checkout, notebook).items()},
+        "inputs": {os.path.relpath(path, checkout.root): file_digest(path) for path in read_files(checkout, notebook)},
         "external_data": external,
         "parameters": parameters,
         "seeds": {name: value for name, value in parameters.items() if "seed" in name.lower()},

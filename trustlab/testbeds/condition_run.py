@@ -8,7 +8,7 @@ import pandas as pd
 
 from trustlab.allocation.suggestions import FOLLOWED, NOT_FOLLOWED, followed_suggestions, suggestion_episodes
 from trustlab.models.axes import axes_or_new
-from trustlab.models.checks import finite_array, one_of
+from trustlab.models.checks import finite_array, one_of, warn_renamed
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 from trustlab.operators.answers import allocation_answers
@@ -58,6 +58,15 @@ def condition_measures(
     return found
 
 
+class Measures(dict[str, float]):
+    """The measures of a run by name, which were a method."""
+
+    def __call__(self) -> dict[str, float]:
+        """Return them, with a warning that they are an attribute now."""
+        warn_renamed("measures()", "measures")
+        return dict(self)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ConditionRun:
     """
@@ -86,26 +95,25 @@ class ConditionRun:
         """Return the suggestions shown: columns start [s], suggested_mode, delay [s], followed, state (`followed_suggestions`)."""
         return followed_suggestions(self.session, DEADLINE)
 
-    def measures(self) -> dict[str, float]:
+    @property
+    def measures(self) -> Measures:
         """
-        Return the outcome measures of the run.
+        The outcome measures of the run, by name.
 
-        Returns
-        -------
-        dict of str to float
-            p_r, p_h, r, tsc: means; path_error [m], speed [m/s] (ground robot), manual_share: means; switches, laps (ground robot):
-            numbers; duration, lap_time [s] (ground robot): of the run, and the mean of its laps; suggestions: how many were to be
-            followed or not; followed_percent: share of them followed within 15 s, NaN without any; tlx, satisfaction, trust where the
-            operator answers (`allocation_answers`).
+        p_r, p_h, r, tsc: means; path_error [m], speed [m/s] (ground robot), manual_share: means; switches, laps (ground robot):
+        numbers; duration, lap_time [s] (ground robot): of the run, and the mean of its laps; suggestions: how many were to be
+        followed or not; followed_percent: share of them followed within 15 s, NaN without any; tlx, satisfaction, trust where the
+        operator answers (`allocation_answers`).
         """
         condition, lap_times = str(self.session.metadata.condition), getattr(self, "lap_times", None)
-        return condition_measures(self.session, self.session.t, condition, self.operator, self.model, lap_times)
+        found = condition_measures(self.session, self.session.t, condition, self.operator, self.model, lap_times)
+        return Measures(found)
 
     def table(self) -> pd.DataFrame:
         """Return participant, condition, synthetic and the measures in one row."""
         meta = self.session.metadata
         who = {"participant": meta.participant, "condition": meta.condition, "synthetic": meta.synthetic}
-        return pd.DataFrame([who | self.measures()])
+        return pd.DataFrame([who | self.measures])
 
     def plot(self, bounds: dict[str, tuple[float, float]] | None = None):
         """

@@ -111,18 +111,22 @@ def test_three_people_at_once_from_consent_to_report(make_plan, browser):
                 number, kind = page.evaluate("[self.study?.page ?? -1, self.study?.kind]")
                 if number > where[code] and page.evaluate("!!document.querySelector('h2')"):
                     where[code] = number
+                    shown = page.inner_text("#where")
                     if kind == "end":
+                        assert shown == code
                         assert page.faults == []
                         del people[code]
                     else:
+                        assert shown == f"{code} · page {number + 1} of {len(plan.steps(code)) - 1}"
                         go_on(page, kind, f"{code}: {ATTACK}")
             time.sleep(0.15)
         assert not people, where
         until(experimenter, "document.querySelectorAll('tbody tr').length === 3")
         until(experimenter, "document.body.innerText.split('Thank you').length === 4")
+        assert " of " not in experimenter.inner_text("tbody tr td:nth-child(3)")
         assert experimenter.faults == []
     study = tl.read_live_study(plan.folder)
-    measures = study.measures()
+    measures = study.measures
     assert study.participants()["complete"].all()
     assert measures["verified"].all()
     assert measures["synthetic"].all()

@@ -48,7 +48,7 @@ def rehearsed(tmp_path_factory):
 
 
 def test_measures_are_those_of_the_files(rehearsed):
-    measures = rehearsed.measures().set_index(["participant", "condition"])
+    measures = rehearsed.measures.set_index(["participant", "condition"])
     assert len(measures) == 8
     for (code, condition), row in measures.iterrows():
         (path,) = [
@@ -102,7 +102,10 @@ def test_a_changed_bit_is_found_and_its_participant_left_out(rehearsed):
 def test_sessions_are_like_any_other_and_the_folder_is_as_it_was(rehearsed):
     before = {path: path.stat().st_mtime_ns for path in rehearsed.plan.folder.rglob("*")}
     again = tl.read_live_study(rehearsed.plan.folder)
-    assert again.measures().equals(rehearsed.measures())
+    assert again.measures.equals(rehearsed.measures)
+    assert again.measures.attrs == {"origin": rehearsed.origin}
+    with pytest.warns(DeprecationWarning, match=r"measures\(\) is now measures"):
+        assert again.measures().equals(rehearsed.measures)
     session = again.sessions()[0]
     assert session.metadata.synthetic
     assert {"verified", "thresholds_from", "performance_window", "lap_times"} <= set(session.metadata.more)
@@ -114,7 +117,7 @@ def test_sessions_are_like_any_other_and_the_folder_is_as_it_was(rehearsed):
 def test_a_study_that_has_hardly_begun_can_be_read(make_plan):
     plan = make_plan()
     study = tl.read_live_study(plan.folder)
-    assert study.measures().empty
+    assert study.measures.empty
     assert list(study.answers()) == ["participant", "position", "condition", "page", "item", "answer", "text"]
     assert len(study.exclusions()) == 6
     assert "3 participants planned, 0 begun, 0 complete" in study.summary()
@@ -123,7 +126,7 @@ def test_a_study_that_has_hardly_begun_can_be_read(make_plan):
         plan.rehearse()
 
 
-# the identifying drive -------------------------------------------------------------------------------------------------------
+# the identification drive -------------------------------------------------------------------------------------------------------
 
 
 def drive(participant, *phases):

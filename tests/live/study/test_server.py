@@ -97,6 +97,31 @@ def test_wrong_tokens_lead_nowhere(served, client):
     assert events(served.plan) == []
 
 
+def test_who_opens_a_wrong_link_is_told_in_words_what_to_do(served, client):
+    """A page for browsers, the same for every wrong link, with the headers of all; scripts get the number."""
+    opened = {"Accept": "text/html,application/xhtml+xml,*/*;q=0.8"}
+    token = read_tokens(served.plan.folder)["P01"]
+    wrong = [f"/p/{token[:-1]}", f"/p/{'x' * 22}", f"/experimenter/{token}", "/p/", "/"]
+    answers = [client(f"{served.base}{path}", **opened) for path in wrong]
+    assert {answer.status for answer in answers} == {404}
+    assert len({answer.content for answer in answers}) == 1
+    words = answers[0].content.decode()
+    assert "ask the person who runs the study for your link" in words
+    assert not any(secret in words for secret in (token, "P01", "trustlab", "tornado"))
+    assert answers[0].headers["Content-Type"] == "text/html; charset=utf-8"
+    assert answers[0].headers["Content-Security-Policy"].startswith("default-src 'none'")
+    assert client(f"{served.base}/p/{'x' * 22}/state", Accept="*/*").json == {"error": 404}
+    assert client(f"{served.base}/p/{token}", **opened).status == 200
+
+
+def test_the_number_of_pages_leaves_out_the_end(served, client):
+    """As `pages` of the table of participants: pages that somebody has to do."""
+    pages = len(served.plan.steps("P01")) - 1
+    assert client(f"{served.links['P01']}/state").json["pages"] == pages
+    assert served.server.overview()["people"][0]["pages"] == pages
+    assert tl.read_live_study(served.plan.folder).participants()["pages"].tolist() == [pages] * 3
+
+
 def test_paths_lead_to_no_other_file(served, client):
     token = read_tokens(served.plan.folder)["P01"]
     assert client(f"{served.base}/static/rows.js").status == 200

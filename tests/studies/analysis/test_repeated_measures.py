@@ -353,6 +353,15 @@ def test_apa_sentence():
         analysed(table()).apa(adjust="fdr")
 
 
+@pytest.mark.parametrize(
+    ("within", "words"),
+    [("condition", "4 conditions, F"), ("Conditions", "4 conditions, F"), ("scheme", "4 conditions of scheme, F")],
+)
+def test_apa_does_not_say_conditions_of_condition(within, words):
+    frame = table().rename(columns={"condition": within})
+    assert words in tl.repeated_measures(frame, "score", within, "pid").apa()
+
+
 def test_numbers_as_conditions_do_not_read_as_arithmetic():
     text = analysed(table(24, effect=0.6, labels=[0.0, 0.2, 0.6, 0.8])).apa()
     assert "lower at 0.0 than at 0.8, t(23) = −" in text

@@ -138,6 +138,9 @@ def test_faults_are_named():
         plain.aligned_ranks("residual")
     with pytest.raises(ValueError, match="method must be one of 't', 'aligned_ranks'"):
         plain.pairs("x", method="wilcoxon")
+    one_factor = tl.repeated_measures(frame[frame["y"] == "a"], "v", ["x"], "who")
+    with pytest.raises(ValueError, match=r"needs several factors.*with one factor take \.friedman\(\)"):
+        one_factor.aligned_ranks()
     with pytest.raises(ValueError, match="'z' is not a factor"):
         plain.pairs("z", method="aligned_ranks")
 

@@ -133,7 +133,7 @@ def test_measures_are_those_of_the_runs_one_by_one(kept):
         given = thresholds if condition in ("C2", "C3") else None
         run = tl.run_condition(condition, operator, model, given, laps=2, seed=seeds[place])
         row = kept.measures.query("participant == @who and condition == @condition").iloc[0]
-        for name, value in run.measures().items():
+        for name, value in run.measures.items():
             assert row[name] == value or np.isnan(value), name
 
 

@@ -30,7 +30,7 @@ def test_measures_are_those_of_the_runs_one_by_one(study):
         given = thresholds if condition in ("C2", "C3") else None
         run = tl.run_condition(condition, people, model, given, testbed="uav", seed=seeds[place])
         row = study.measures.query("participant == 4 and condition == @condition").iloc[0]
-        assert {name: row[name] for name in run.measures()} == pytest.approx(run.measures(), rel=0, abs=0, nan_ok=True)
+        assert {name: row[name] for name in run.measures} == pytest.approx(run.measures, rel=0, abs=0, nan_ok=True)
 
 
 def test_all_anovas_and_the_t_test_of_the_printed_study(study):

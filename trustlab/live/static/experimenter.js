@@ -56,7 +56,7 @@ function update(who) {
   const [order, page, seen, drive, model, last] = person.cells;
   const away = who.seconds_ago === null ? "not yet" : who.seconds_ago < 5 ? "here" : `${Math.round(who.seconds_ago)} s ago`;
   order.textContent = who.order.join(" ");
-  page.textContent = `${who.page + 1} of ${who.pages}: ${who.title}${who.condition ? ` (${who.condition})` : ""}${who.ended ? ", ended" : ""}`;
+  page.textContent = `${who.page < who.pages ? `${who.page + 1} of ${who.pages}: ` : ""}${who.title}${who.condition ? ` (${who.condition})` : ""}${who.ended ? ", ended" : ""}`;
   seen.textContent = away;
   seen.className = away === "here" ? "" : "away";
   drive.textContent = pace(who) + (who.unverified.length ? ` Not verified: ${who.unverified.join(", ")}.` : "");

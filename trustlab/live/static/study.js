@@ -159,12 +159,13 @@ async function showDrive(now) {
 async function run() {
   for (;;) {
     const now = await ask("state");
-    if (now.status !== 200) return main.replaceChildren(element("p", { textContent: "This link leads to no study." }));
+    if (now.status !== 200) return main.replaceChildren(element("p", { textContent: "This link leads to no study. Please ask the person who runs the study for yours." }));
     await bringLeft(now.code);
     Object.assign(status, { page: now.page, kind: now.kind, rows: 0 });
     document.getElementById("rehearsal").hidden = !now.rehearsal;
-    document.getElementById("where").textContent = `${now.code} · page ${now.page + 1} of ${now.pages}`;
-    if (now.kind === "end") return main.replaceChildren(element("h2", { textContent: now.title }), ...paragraphs(now.text));
+    const ended = now.kind === "end";
+    document.getElementById("where").textContent = ended ? now.code : `${now.code} · page ${now.page + 1} of ${now.pages}`;
+    if (ended) return main.replaceChildren(element("h2", { textContent: now.title }), ...paragraphs(now.text));
     await (now.kind === "drive" ? showDrive(now) : showForm(now));
     scrollTo(0, 0);
   }

@@ -80,7 +80,13 @@ class Course:
         shown = self.steps[page].page
         items = [{key: value for key, value in vars(item).items() if key != "reversed"} for item in shown.items]
         words = {"kind": shown.kind, "title": shown.title, "text": shown.text, "items": items}
-        return {"code": self.code, "page": page, "pages": len(self.steps), "rehearsal": self.plan.rehearsal, **words}
+        return {
+            "code": self.code,
+            "page": page,
+            "pages": len(self.steps) - 1,
+            "rehearsal": self.plan.rehearsal,
+            **words,
+        }
 
     def _current(self, body: dict[str, Any], kind: str) -> tuple[Progress, Step]:
         """Return the page that a request is about, if it is the one to be shown: else another window, or a second click, was there."""
@@ -218,7 +224,7 @@ class Course:
             "code": self.code,
             "order": self.plan.orders[self.code],
             "page": page,
-            "pages": len(self.steps),
+            "pages": len(self.steps) - 1,  # the last step is the end, where nothing is done
             "title": step.page.title,
             "condition": step.condition,
             "rows": self.participant.count(name) if driving else None,

@@ -59,7 +59,7 @@ def stand_in(plan: LiveStudy, why: str, detail: str = "") -> dict[str, Any]:
 
 def identified(plan: LiveStudy, session: Session) -> dict[str, Any]:
     """
-    Return a participant's model and thresholds from the identifying drive, as far as the drive determines them.
+    Return a participant's model and thresholds from the identification drive, as far as the drive determines them.
 
     The fit is `fit_holding`, with the stand-in model's values; where it fails, or no thresholds keep switching, model and
     thresholds are the stand-in's. In a study everybody must go on, so that none of this is an error; it is recorded, shown to the
@@ -110,7 +110,7 @@ def drive_settings(
     plan: LiveStudy, code: str, step: Step, attempt: int, model: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Return the first line of an attempt's file: what determines the drive but for the commands, and where its model comes from."""
-    known = stand_in(plan, "no identifying drive") if model is None else dict(model)
+    known = stand_in(plan, "no identification drive") if model is None else dict(model)
     condition = step.condition or step.page.name
     config = drive_of(plan.content, condition, known, drive_seed(plan, code, step, attempt))
     return {"condition": condition, "source": known["source"], "why": known["why"], "config": config}

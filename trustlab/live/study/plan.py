@@ -32,14 +32,14 @@ from trustlab.testbeds.ground_robot.conditions import published_model, published
 FORMAT = 1
 
 IDENTIFICATION = ((1, 200.0), (0, 200.0), (1, 150.0), (0, 150.0), (1, 150.0), (0, 150.0))
-"""Modes of the identifying drive and how long each lasts [s]: Section 2.2.2's manual, autonomous and mixed phases, in 17 minutes."""
+"""Modes of the identification drive and how long each lasts [s]: Section 2.2.2's manual, autonomous and mixed phases, in 17 minutes."""
 
 STAND_IN = "2"
-"""The printed participant whose model and thresholds stand in where an identifying drive says too little."""
+"""The printed participant whose model and thresholds stand in where an identification drive says too little."""
 
 
 def _schedule(phases: Any) -> list[list[float]]:
-    """Return the phases of the identifying drive, checked: each of the modes must be driven."""
+    """Return the phases of the identification drive, checked: each of the modes must be driven."""
     if not isinstance(phases, Sequence) or not all(isinstance(p, Sequence) and len(p) == 2 for p in phases):
         raise ValueError(f"identification must be a list of (mode, seconds), got {shown(phases)}")
     checked = [[whole_number("a mode of identification", m, 0, 1), positive("its seconds", s)] for m, s in phases]
@@ -73,9 +73,9 @@ class LiveStudy:
     training : float
         Length of the training drive [s].
     identification : sequence of (int, float)
-        Mode (1 manual, 0 autonomous) and length [s] of each phase of the identifying drive.
+        Mode (1 manual, 0 autonomous) and length [s] of each phase of the identification drive.
     model : TscModel, optional
-        What stands in for a participant's own model where the identifying drive does not determine it; that of the printed
+        What stands in for a participant's own model where the identification drive does not determine it; that of the printed
         participant 2 by default.
     thresholds : (float, float), optional
         TSC_l and TSC_u that go with `model`; those of Table 2.2 by default.

@@ -19,7 +19,7 @@ class Progress:
     tabs : dict of (int, int) to str
         The window of a browser that drives, by page and attempt: the last one in which the drive was begun.
     model : dict or None
-        Model and thresholds from the identifying drive, or what stands in for them.
+        Model and thresholds from the identification drive, or what stands in for them.
     ended : bool
         Whether the experimenter has ended the participation.
     notes : list of dict

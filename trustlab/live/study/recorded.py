@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -15,7 +15,7 @@ from trustlab.live.study.pages import Page, Step
 from trustlab.live.study.plan import LiveStudy
 from trustlab.live.study.progress import Progress, progress_of
 from trustlab.live.study.store import EVENTS, read_lines
-from trustlab.models.checks import one_of
+from trustlab.models.checks import one_of, warn_renamed
 from trustlab.models.html import as_html
 from trustlab.sessions.readers import read_session
 from trustlab.sessions.session import Session
@@ -32,6 +32,7 @@ from trustlab.studies.questionnaires.nasa_tlx import score_nasa_tlx
 from trustlab.testbeds.condition_run import condition_measures
 
 KEYS = ["participant", "position", "condition"]
+Table = TypeVar("Table", bound=pd.DataFrame)
 REHEARSAL = "scripted hands, no person took part"
 
 
@@ -69,6 +70,15 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     deleted = plan.deleted()
     events = {code: read_lines(plan.folder / code / EVENTS) for code in plan.orders if code not in deleted}
     return RecordedStudy(plan, {code: progress_of(own) for code, own in events.items()}, tuple(deleted))
+
+
+class MeasuresTable(pd.DataFrame):
+    """The measures of a live study's drives, which were a method."""
+
+    def __call__(self) -> pd.DataFrame:
+        """Return them, with a warning that they are an attribute now."""
+        warn_renamed("measures()", "measures")
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +146,7 @@ class RecordedStudy:
             })  # fmt: skip
         return pd.DataFrame(rows).pipe(self._labelled)
 
-    def _labelled(self, frame: pd.DataFrame) -> pd.DataFrame:
+    def _labelled(self, frame: Table) -> Table:
         """Say of a table where its numbers come from, where no person took part."""
         if self.origin:
             frame.attrs["origin"] = self.origin
@@ -173,17 +183,15 @@ class RecordedStudy:
                 found[page.name] = _score(page, own.astype({"condition": str}), page.section == "each")
         return found
 
-    def measures(self) -> pd.DataFrame:
+    @property
+    def measures(self) -> MeasuresTable:
         """
-        Return the measures of every finished drive under a condition, and the scores of the questionnaires after it.
+        The measures of every finished drive under a condition, and the scores of the questionnaires after it.
 
-        Returns
-        -------
-        pandas.DataFrame
-            A row per drive: participant, position, condition, synthetic, attempt, verified (whether the replay of its commands gave
-            the same bits), thresholds_from, period_median and period_max [s] of the log, pauses; the measures of `run_condition`
-            (p_r, p_h, r, tsc, path_error, speed, manual_share, switches, laps, duration, lap_time, suggestions, followed_percent);
-            tlx_raw, trust_mean, satisfaction_mean and whatever other questionnaires score, NaN where they are not answered yet.
+        A row per drive: participant, position, condition, synthetic, attempt, verified (whether the replay of its commands gave
+        the same bits), thresholds_from, period_median and period_max [s] of the log, pauses; the measures of `run_condition`
+        (p_r, p_h, r, tsc, path_error, speed, manual_share, switches, laps, duration, lap_time, suggestions, followed_percent);
+        tlx_raw, trust_mean, satisfaction_mean and whatever other questionnaires score, NaN where they are not answered yet.
         """
         rows = []
         for session in self._sessions:
@@ -195,7 +203,7 @@ class RecordedStudy:
             laps = np.asarray(meta.more["lap_times"], dtype=float)
             rows.append(row | condition_measures(session, session.t, str(meta.condition), lap_times=laps))
         if not rows:
-            return pd.DataFrame(columns=KEYS)
+            return MeasuresTable(columns=KEYS)
         table = pd.DataFrame(rows)
         for name, score in self.scores().items():
             if self._page(name).section == "each":
@@ -205,7 +213,7 @@ class RecordedStudy:
                     if column in KEYS or column.endswith(("_raw", "_mean", "_subscale"))
                 ]
                 table = table.merge(score.scores[columns], how="left", on=["participant", "condition"])
-        return self._labelled(table)
+        return self._labelled(MeasuresTable(table))
 
     def _page(self, name: str) -> Page:
         return next(page for page in self.plan.pages if page.name == name)
@@ -232,7 +240,7 @@ class RecordedStudy:
 
     def complete(self) -> pd.DataFrame:
         """Return the measures of those participants who have all conditions, each verified."""
-        measures, left_out = self.measures(), set(self.exclusions()["participant"])
+        measures, left_out = self.measures, set(self.exclusions()["participant"])
         return measures[~measures["participant"].isin(left_out)].reset_index(drop=True)
 
     def analysis(self, dv: str) -> RepeatedMeasures:
@@ -317,7 +325,7 @@ class RecordedStudy:
 
     def table(self) -> pd.DataFrame:
         """Return `measures`."""
-        return self.measures()
+        return self.measures
 
     def _repr_html_(self) -> str:
         return as_html(self.summary(), self.participants(), title=f"Live study {self.plan.folder.name}")

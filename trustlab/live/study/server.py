@@ -125,8 +125,13 @@ class Base(tornado.web.RequestHandler):
         self.write(content)
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """Answer with the number of the error and nothing about the server."""
-        self.finish({"error": status_code})
+        """Answer with nothing about the server: the number of the error, or a page for who opened a link that leads nowhere."""
+        opened = self.request.method == "GET" and "text/html" in self.request.headers.get("Accept", "")
+        if status_code == 404 and opened:
+            self.page("missing.html")
+            self.finish()
+        else:
+            self.finish({"error": status_code})
 
     def log_exception(self, kind: Any, value: Any, traceback: Any) -> None:
         """Log a mistake of ours, without the address of the request, which is somebody's link."""

@@ -95,9 +95,10 @@ def _omnibus(result) -> str:
         f"[{apa_number(result.eta2_partial_low, below_one=True)}, {apa_number(result.eta2_partial_high, below_one=True)}], "
         f"ηG² = {apa_number(result.eta2_generalized, below_one=True)}"
     )
+    of_what = "" if str(result.within).lower() in ("condition", "conditions") else f" of {result.within}"
     return (
         f"A one-way repeated-measures ANOVA (N = {result.n}) showed that {result.dv} {verb} significantly between the "
-        f"{result.k} conditions of {result.within}, {statistic}."
+        f"{result.k} conditions{of_what}, {statistic}."
     )
 
 

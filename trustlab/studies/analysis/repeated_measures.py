@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pandas as pd
@@ -174,6 +174,23 @@ class RepeatedMeasures(Omnibus):
     def friedman(self) -> Friedman:
         """Return Friedman's rank test with Kendall's W."""
         return friedman(self.scores.values)
+
+    def aligned_ranks(self, error: str = "own") -> NoReturn:
+        """
+        Say what to take instead: ranks are aligned for one factor among several.
+
+        Parameters
+        ----------
+        error : str
+            As of a design with several factors; of no effect.
+
+        Raises
+        ------
+        ValueError
+            Always.
+        """
+        instead = 'with one factor take .friedman() and .pairs(method="wilcoxon")'
+        raise ValueError(f"aligned_ranks() needs several factors, within=[…, …] or between=…; {instead}")
 
     def assumptions(self) -> pd.DataFrame:
         """

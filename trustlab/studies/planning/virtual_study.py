@@ -591,7 +591,7 @@ class _Allocated:
             own["thresholds"] = self.thresholds
         run = run_condition(**self._arguments(condition, position), seed=seed, testbed=self.testbed, **own)
         self._rested(float(run.session["r"][-1]))
-        return run.session, run.measures()
+        return run.session, run.measures
 
     def measures(self, condition: str, position: int, seed: SeedSequence) -> dict[str, float]:
         arguments = self._arguments(condition, position) | {"thresholds": self.thresholds, "seed": seed}

@@ -150,7 +150,7 @@ def run_condition(
     Returns
     -------
     ConditionRun
-        With `.session`, `.measures()`, `.suggestions()` and `.plot()`; of the ground robot a `GroundRobotRun`, which has `.laps()`
+        With `.session`, `.measures`, `.suggestions()` and `.plot()`; of the ground robot a `GroundRobotRun`, which has `.laps()`
         and `.plot_path()` besides.
 
     Raises
