@@ -83,7 +83,10 @@ def world(root):
     words = "# A title\n\nBy (2.3) and report 02.\n\n## One\n\n## Two\n\n### Three\n\n$$P_r = a$$\n\n## Four"
     words += "\n\n```python\nimport numpy as np  # as axe sees only code that is not folded\n\nx = np.sqrt(1.5)\n```"
     answer = cell({"text/markdown": "**It holds.** By (2.8)."}, tags=["answer"])
-    cells = [new_markdown_cell(words), answer, panels(5), panels(1), cell({"text/html": table})]
+    counted = "".join(f"<tr><th>{i}</th><td>{2 * i}</td><td>p_r</td></tr>" for i in range(4))
+    counted = f"<table><thead><tr><th></th><th>by (2.5)</th><th>b</th></tr></thead><tbody>{counted}</tbody></table>"
+    tables = [cell({"text/html": one}) for one in (table, counted)]
+    cells = [new_markdown_cell(words), answer, panels(5), panels(1), *tables]
     nbformat.write(new_notebook(cells=cells), root / "notebooks" / "01_a.ipynb")
     nbformat.write(new_notebook(cells=[new_markdown_cell("# B\n\n## Where it is")]), root / "notebooks" / "02_b.ipynb")
     with mock.patch("trustlab.publishing.execution.execute", lambda path, *_: nbformat.read(path, as_version=4)):
@@ -256,7 +259,7 @@ def test_panels_come_one_below_the_other_on_a_phone(browser, reports):
 def test_long_table_is_folded_filtered_sorted_and_saved(browser, reports):
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.goto((reports / "01_a.html").as_uri())
-    rows = page.locator("main .scroll tbody tr:visible")
+    rows = page.locator("main .scroll").first.locator("tbody tr:visible")
     assert rows.count() == 15
     page.get_by_role("button", name="show all 40 rows").click()
     assert rows.count() == 40
@@ -271,10 +274,20 @@ def test_long_table_is_folded_filtered_sorted_and_saved(browser, reports):
     )
     assert rows.count() == 40  # on paper nothing is folded
     page.emulate_media(media="screen")
-    saved = page.get_by_role("link", name="CSV")
+    saved = page.get_by_role("link", name="CSV").first
     saved.evaluate("one => one.addEventListener('click', event => event.preventDefault())")
     saved.click()
     assert saved.get_attribute("href").startswith("data:text/csv;charset=utf-8,place%2Cnumber%2Cp_holm%2Cwhy%0A")
+    page.close()
+
+
+def test_rows_that_are_only_counted_lose_their_count(browser, reports):
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto((reports / "01_a.html").as_uri())
+    table = page.locator("main .scroll").nth(1)
+    assert table.locator("tr").first.inner_text().split() == ["by", "(2.5)", "b"]
+    assert table.locator("tr").nth(1).inner_text().split() == ["0", "robot", "performance", "P_r"]
+    assert table.locator("button a").count() == 0  # a link within a button is none
     page.close()
 
 

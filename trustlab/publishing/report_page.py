@@ -270,17 +270,17 @@ with extra("reports"):
 NUMBER = re.compile(r"(?:[<>]\s*)?[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|[-+]?inf|\u2013|-")
 P_VALUE = re.compile(
     r"p|p, .*|mauchly_p"
-    r"|p[ _](gg|hf|holm|bonferroni|corrected|adjusted|uncorrected|value|mauchly|anova|friedman|mixed|shapiro_least)"
+    r"|p[ _](gg|hf|holm|bonferroni|corrected|adjusted|uncorrected|value|mauchly|anova|friedman|mixed|shapiro_least|simulated|chi2)"
 )
 LEAST_P = 0.001
 # Significant digits that are shown as they are; of more, one less than that is shown.
 MOST_DIGITS = 6
 
-# Characters from which a cell's text goes over several lines.
-LONG = 60
+# Characters from which the text of a cell, and of a row's head, goes over several lines.
+LONG = {"td": 60, "th": 30}
 
-# Names in code, and what a table is headed by instead.
-COLUMNS = tomllib.loads((Path(__file__).parent / "templates" / "columns.toml").read_text(encoding="utf-8"))
+# Names in code, and what stands in a cell (td), or also heads a row or a column (th), instead.
+WORDS = tomllib.loads((TEMPLATES / "columns.toml").read_text(encoding="utf-8"))
 
 
 def style_table(table: Tag) -> None:
@@ -299,10 +299,10 @@ def style_table(table: Tag) -> None:
         for title, cell in zip(reversed(head.find_all("th")), reversed(first), strict=False):
             if "number" in cell.get_attribute_list("class"):
                 _mark(title, "number")
-    for title in table.find_all("th", string=lambda text: text in COLUMNS):
-        code = title.get_text()
-        title["title"] = title["data-value"] = code
-        title.string = COLUMNS[code]
+    for cell in table.find_all(["th", "td"]):
+        code = cell.get_text()
+        if words := (WORDS["td"] | WORDS[cell.name]).get(code):
+            cell["title"], cell["data-value"], cell.string = code, code, words
 
 
 def _join_names(above: Tag, last: Tag) -> None:
@@ -317,9 +317,9 @@ def _join_names(above: Tag, last: Tag) -> None:
 def _write_cell(cell: Tag, is_p: bool) -> None:
     """Mark a cell by what is in it, and write a number as papers do."""
     text = cell.get_text(strip=True)
-    if cell.name == "td" and len(text) > LONG:
+    if len(text) > LONG[cell.name]:
         _mark(cell, "long")
-    if cell.name == "td" and len(text) < LONG and NUMBER.fullmatch(text):
+    elif cell.name == "td" and NUMBER.fullmatch(text):
         _mark(cell, "number")
         if (written := _as_papers_write(text, is_p)) != text:
             cell["data-value"], cell.string = text, written

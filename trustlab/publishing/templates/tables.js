@@ -21,10 +21,19 @@ function order(table, column, upwards) {
   table.tBodies[0].append(...(upwards ? rows : rows.reverse()));
 }
 
+// pandas counts the rows of a table that have no names of their own; nobody reads that column.
+function dropCount(table) {
+  const cells = [...table.rows].map((row) => row.cells[0]);
+  const [head, first, ...others] = cells.map((cell) => cell?.textContent.trim());
+  if (head !== "" || first !== "0" || table.querySelector("[rowspan], [colspan]")) return;
+  if (others.every((text) => /^\d+$/.test(text))) cells.forEach((cell) => cell.remove());
+}
+
 function sortable(table) {
   const heads = [...table.tHead.rows].at(-1).cells;
   [...heads].forEach((head, column) => {
     const button = make("button", { type: "button", className: "sort", title: "sort by this column" });
+    head.querySelectorAll("a").forEach((link) => link.replaceWith(...link.childNodes));  // no link within a button
     button.append(...head.childNodes);
     head.append(button);
     button.addEventListener("click", () => {
@@ -67,7 +76,9 @@ function foldable(table, bar, count) {
 
 function equip(table, place) {
   const body = table.tBodies[0];
-  if (!table.tHead || !body || body.rows.length < 3) return;
+  if (!table.tHead || !body) return;
+  dropCount(table);
+  if (body.rows.length < 3) return;
   const bar = make("div", { className: "tools" });
   if (!body.querySelector("[rowspan], [colspan]")) {
     sortable(table);
