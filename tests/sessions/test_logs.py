@@ -6,6 +6,9 @@ import importlib.util
 import queue
 import sqlite3
 from fractions import Fraction
+
+
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -306,6 +309,34 @@ def test_frames():
         tl.read_frame(frame.assign(p_r=["a", 1.0]))
     with pytest.raises(ValueError, match="frame must be of class DataFrame"):
         tl.read_frame([1, 2])
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.parquet", "a.feather", "frame", "joined"])
+def test_the_columns_of_a_session_are_its_own(tmp_path, name):
+    frame = pd.DataFrame({"t": [0.0, 0.5, 1.0], "p_r": [1.0, 2.0, 3.0], "mode": [1, 0, 1]})
+    if name == "joined":
+        source = read_frame(frame)
+        session = join_sessions([source])
+        source.data.iloc[1, 0] = 7.0
+    elif name == "frame":
+        session = read_frame(frame)
+        frame.loc[1, "p_r"] = 7.0
+        frame.loc[1, "t"] = 0.6
+    else:
+        write = {
+            "a.csv": partial(frame.to_csv, index=False),
+            "a.parquet": frame.to_parquet,
+            "a.feather": frame.to_feather,
+        }
+        write[name](tmp_path / name)
+        session = read_session(tmp_path / name)
+        with (tmp_path / name).open("r+b") as file:
+            file.write(bytes((tmp_path / name).stat().st_size))
+    assert session.t.tolist() == [0.0, 0.5, 1.0]
+    assert session["p_r"].tolist() == [1.0, 2.0, 3.0]
+    assert session.data.dtypes.unique().tolist() == [float]
+    session.data.iloc[0, 0] = 4.0
+    assert session["p_r"][0] == 4.0
 
 
 def test_the_way_from_other_files_to_a_session(tmp_path):

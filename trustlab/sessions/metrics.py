@@ -274,8 +274,7 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
     trials = trials[~trials["training"].astype(bool)].copy()
     twice = trials[trials.duplicated(["participant", "trial"])]
     if len(twice):
-        first = twice.iloc[0]
-        raise SessionError(f"trial {first['trial']} of participant {first['participant']} occurs twice")
+        raise SessionError("trial {trial} of participant {participant} occurs twice".format(**twice.iloc[0]))
     order = trials.sort_values("trial").groupby(["participant", "block"]).cumcount()
     trials["traj_err"] = trials["traj_err"].where(order.reindex(trials.index) >= drop_first)
     table = trials.groupby(["participant", "autonomy"], as_index=False)[["traj_err"]].mean()

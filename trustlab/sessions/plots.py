@@ -64,9 +64,8 @@ def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | No
     """
     sessions = list(sessions)
     across, up = plane[0], plane[1]
-    count = len(sessions)
-    size = (min(2.4 * count, 10.0), 2.8)
-    axes = axes_or_new(columns=count, sharex=True, sharey=True, squeeze=False, figsize=size)
+    size = (min(2.4 * len(sessions), 10.0), 2.8)
+    axes = axes_or_new(columns=len(sessions), sharex=True, sharey=True, squeeze=False, figsize=size)
     titles = [session.label for session in sessions] if titles is None else titles
     for axis, session, title in zip(axes[0], sessions, titles, strict=True):
         for who, label, style in (

@@ -56,7 +56,8 @@ class Session:
             found = type(self.metadata).__name__
             raise SessionError(f"metadata must be a Metadata, for example {example}, got {found}")
         with source_named(self.metadata.source):
-            object.__setattr__(self, "data", _checked(self.data))
+            t, columns = _checked(self.data)
+        object.__setattr__(self, "data", pd.DataFrame(columns, index=pd.Index(t, name="t"), copy=True))
 
     def __eq__(self, other):
         if not isinstance(other, Session):
@@ -258,8 +259,16 @@ class Session:
         return f"Session({self.label}: {samples}, columns {', '.join(self.columns)}{more})"
 
 
-def _checked(data: pd.DataFrame) -> pd.DataFrame:
-    """Return a copy of a session's table with time as its index, every value checked."""
+def keep_table(data: pd.DataFrame, metadata: Metadata) -> Session:
+    """Return the session of a table of floats that nobody else holds: every value is checked, none is copied."""
+    _checked(data)
+    session = object.__new__(Session)
+    vars(session).update(data=data, metadata=metadata)
+    return session
+
+
+def _checked(data: pd.DataFrame) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return the times and the columns of a session's table, every value checked."""
     if not isinstance(data, pd.DataFrame):
         raise SessionError(f"data must be a pandas DataFrame indexed by time, got {type(data).__name__}")
     if data.index.name != "t" and "t" in data.columns:
@@ -276,8 +285,7 @@ def _checked(data: pd.DataFrame) -> pd.DataFrame:
     if data.columns.has_duplicates:
         twice = data.columns[data.columns.duplicated()][0]
         raise SessionError(f"column {twice!r} occurs twice; rename or remove one")
-    columns = {name: check_column(name, data[name].to_numpy(), t).copy() for name in data.columns}
-    return pd.DataFrame(columns, index=pd.Index(t, name="t"), copy=False)
+    return t, {name: check_column(name, data[name].to_numpy(), t) for name in data.columns}
 
 
 def check_rising(t: np.ndarray, place: Callable[[int], str] = "row {}".format, remedy: str = "") -> np.ndarray:

@@ -16,7 +16,7 @@ from trustlab.sessions.metadata import Metadata, digest
 from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.recipe import Constant, MetadataColumn, MetadataRule, Recipe, Resampling, mapped, plain_key
 from trustlab.sessions.resampling import STATES, RawLog, Stream, require_common_times, resample
-from trustlab.sessions.session import Session, check_column, check_rising, check_time
+from trustlab.sessions.session import Session, check_column, check_rising, check_time, keep_table
 
 Place = Callable[[int], str]
 
@@ -40,9 +40,8 @@ def fill_blanks(
             raw[name] = raw[name][known[np.searchsorted(known, np.arange(size), side="right") - 1]]
         notes[f"blanks of {name}"] = f"{size - known.size} of {size} cells, filled by {rule!r}"
     if first or stop < size:
-        notes["rows cut"] = (
-            f"{first} at the start and {size - max(stop, first)} at the end, where blanks have no neighbour"
-        )
+        last = size - max(stop, first)
+        notes["rows cut"] = f"{first} at the start and {last} at the end, where blanks have no neighbour"
     return {name: values[first:stop] for name, values in raw.items()}, lambda k: place(first + k), notes
 
 
@@ -59,13 +58,12 @@ def merge_repeats(log: RawLog, rule: str) -> None:
                 stream.columns[name] = np.add.reduceat(values, first) / (last - first + 1)
             else:
                 stream.columns[name] = values[first if rule == "first" else last]
-        stream.t, stream.place = stream.t[first], partial(_moved, stream.place, first)
+        stream.t, stream.place = (
+            stream.t[first],
+            partial(lambda place, rows, k: place(int(rows[k])), stream.place, first),
+        )
         label = f"repeated times {stream.topic}".strip()
         log.notes[label] = f"{new.size - first.size} of {new.size} samples merged by {rule!r}"
-
-
-def _moved(place: Place, rows: np.ndarray, k: int) -> str:
-    return place(int(rows[k]))
 
 
 def split_at_gaps(log: RawLog, gap: float) -> list[RawLog]:
@@ -80,9 +78,8 @@ def split_at_gaps(log: RawLog, gap: float) -> list[RawLog]:
     lost = len(starts) - 1 - len(parts)
     for k, part in enumerate(parts):
         part.notes["part"] = k
-        part.notes["split"] = (
-            f"part {k} (from 0) of {len(parts)}, between gaps of more than {gap:g} s; {lost} too short"
-        )
+        number = f"part {k} (from 0) of {len(parts)}"
+        part.notes["split"] = f"{number}, between gaps of more than {gap:g} s; {lost} too short"
     return parts
 
 
@@ -177,19 +174,22 @@ def assemble_session(
                 count = int(columns[name].sum())
                 log.notes[f"{name} above {rule.above:g}"] = f"{count} of {t.size} samples"
                 if count in (0, t.size):
-                    warn(
-                        f"{log.source}: column {name} is {count and 1} throughout: {rule.above:g} divides no sample from the others"
-                    )
+                    same = f"column {name} is {count and 1} throughout"
+                    warn(f"{log.source}: {same}: {rule.above:g} divides no sample from the others")
             if rule.needs and (wanted is None or name in wanted):
                 with np.errstate(over="ignore"):  # the session refuses what is not finite
                     columns[name] = rule.compute(columns)
         names = wanted or list(rules or columns)
-        frame = pd.DataFrame({name: columns[name] for name in names}, index=pd.Index(t, name="t"), copy=False)
+        # Arrays that belong to others (a frame, a mapped file, another session) are read-only, and those alone are copied.
+        own = {name: _own(columns[name]) for name in names}
+        frame = pd.DataFrame(own, index=pd.Index(_own(t), name="t"), copy=False)
         if t[-1] - t[0] >= 10.0 * (t.size - 1):  # nobody logs control that slowly
-            warn(
-                f'{log.source}: samples are {t[1] - t[0]:g} s apart; if these are milliseconds, a recipe says so: [time] unit = "ms"'
-            )
-        return Session(frame, _metadata(log, recipe, values))
+            remedy = 'if these are milliseconds, a recipe says so: [time] unit = "ms"'
+            warn(f"{log.source}: samples are {t[1] - t[0]:g} s apart; {remedy}")
+        return keep_table(frame, _metadata(log, recipe, values))
+
+
+_own = partial(np.require, dtype=float, requirements="CW")
 
 
 def _constant(rule: MetadataColumn, values: Mapping[str, object]) -> float:

@@ -133,7 +133,8 @@ def _fast(
     import pyarrow.csv
 
     types = {str(each.position): pa.string() if each.text else pa.float64() for each in selected}
-    parts: dict[str, list[np.ndarray]] = {each.name: [np.empty(0)] for each in selected}
+    # Buffers that grow as the blocks come, so that a long column is never in memory twice.
+    read = {each.name: io.BytesIO() for each in selected}
     names = [str(k) for k in range(width)]
     try:
         # Block by block, so that the text of a long log is never in memory as a whole.
@@ -154,14 +155,13 @@ def _fast(
         ):
             for block in blocks:
                 for each in selected:
-                    parts[each.name].append(numbers(block.column(str(each.position)), each))
+                    values = numbers(block.column(str(each.position)), each)
+                    if np.isinf(values).any() if each.blank else not np.isfinite(values).all():
+                        return None
+                    read[each.name].write(values.data)
     except (pa.ArrowException, ValueError, MemoryError):
         return None
-    for each in selected:
-        valid = (lambda part: ~np.isinf(part)) if each.blank else np.isfinite
-        if not all(valid(part).all() for part in parts[each.name]):
-            return None
-    return {each.name: np.concatenate(parts.pop(each.name)) for each in selected}
+    return {name: np.frombuffer(buffer.getbuffer()) for name, buffer in read.items()}
 
 
 def _scan(
