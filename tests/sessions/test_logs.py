@@ -6,8 +6,6 @@ import importlib.util
 import queue
 import sqlite3
 from fractions import Fraction
-
-
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
