@@ -1,5 +1,8 @@
 """The count of failing bounds against whole simulations of the same sets."""
 
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -29,7 +32,7 @@ def test_invariant_bounds_are_tested_from_the_return_to_manual_control_on_from_w
 
 def test_counts_are_those_of_the_same_sets_one_by_one():
     table = bound_failures(sets=60, seed=3, invariant=20)
-    root, kept, left = np.random.SeedSequence(3), 0, np.zeros(4, int)
+    root, kept, left = np.random.SeedSequence(3), 0, np.zeros(5, int)
     while kept < 60:
         rng = np.random.default_rng(root.spawn(1)[0])
         model, lower, upper = random_set(rng)
@@ -46,11 +49,23 @@ def test_counts_are_those_of_the_same_sets_one_by_one():
             tail["r"].max() > bounds.r_high + TOLERANCE,
             not tail["p_r"].between(bounds.p_r_low - TOLERANCE, bounds.p_r_high + TOLERANCE).all(),
             not tail["tsc"].between(bounds.tsc_low - TOLERANCE, bounds.tsc_high + TOLERANCE).all(),
+            tail["mode"].min() == tail["mode"].max(),
         ]
     assert table["left"].tolist() == [*left, 0, 0]
-    assert table["sets"].tolist() == [60] * 4 + [20] * 2
+    assert table["sets"].tolist() == [60] * 5 + [20] * 2
     assert left[1] > 5
-    assert left[2] == left[3] == 0
+    assert left[2] == left[3] == left[4] == 0
+
+
+def test_control_a_motion_that_stops_switching_is_counted(monkeypatch):
+    """With the conditions of Theorem 1 taken away, thresholds that TSC never meets end the switching."""
+    module = sys.modules["trustlab.allocation.bound_failures"]
+    everything = SimpleNamespace(contains=lambda lower, upper: True, feasible=True, lower=-0.9, upper=0.9)
+    bounds = SimpleNamespace(**{f"{name}_{end}": 0.0 for name in ("r", "p_r", "tsc") for end in ("low", "high")})
+    monkeypatch.setattr(module, "threshold_limits", lambda *_: everything)
+    monkeypatch.setattr(module, "random_set", lambda rng: (random_set(rng)[0], -1.5, 1.5))
+    monkeypatch.setattr(module, "steady_state_bounds", lambda *_, **__: bounds)
+    assert bound_failures(sets=3, seed=1).loc["switching (Theorem 1)", "left"] == 3
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 2.5, np.nan, None, "9", True, 10**7, []])

@@ -101,9 +101,7 @@ class Sweep:
             raise ValueError(f"x and y must be different, both are {x!r}")
         hidden = [name for name in names if name not in (x, y) and self.axes[name].size > 1]
         if hidden:
-            raise ValueError(
-                f"{hidden[0]} was varied too; a map shows two: sweep it at one value, or name it as x or y"
-            )
+            raise ValueError(f"{hidden[0]} was varied too; a map shows two: sweep one value of it, or name it x or y")
         axes = axes_or_new(axes, figsize=(5.6, 4.2))
         if y is None:
             axes.plot(self.points[x], self.points[quantity], "o-", ms=3, color="#0072b2")

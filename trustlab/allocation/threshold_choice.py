@@ -84,15 +84,13 @@ class ThresholdChoice:
         numpy.ndarray of matplotlib.axes.Axes, shape (3,)
         """
         axes = axes_or_new(columns=3, figsize=(10, 3.4))
-        for axis, name, label in (
-            (axes[0], "mean_p_r", "mean robot performance"),
-            (axes[1], "mean_r", "mean utilization r"),
-        ):
+        titles = {"mean_p_r": "mean robot performance", "mean_r": "mean utilization r"}
+        for axis, (name, title) in zip(axes, titles.items(), strict=False):
             points = axis.scatter(
                 "lower", "upper", c=name, data=self.candidates, s=14, marker="s", label="feasible pair"
             )
             axis.plot(self.lower, self.upper, "k*", ms=12, label="choice")
-            axis.set(xlabel="lower threshold $TSC_l$", ylabel="upper threshold $TSC_u$", title=label)
+            axis.set(xlabel="lower threshold $TSC_l$", ylabel="upper threshold $TSC_u$", title=title)
             axis.legend(loc="lower right", fontsize="small")
             axis.figure.colorbar(points, ax=axis)
         trade_off, means = axes[2], ("mean_r", "mean_p_r")
@@ -175,8 +173,7 @@ def choose_thresholds(
     table["encloses_beta"] = (table["r_low"] <= tsc.human.beta) & (tsc.human.beta <= table["r_high"])
     table["on_front"] = _front(table["mean_r"].to_numpy(), table["mean_p_r"].to_numpy())
     inside = table[table["encloses_beta"]]
-    encloses = not inside.empty
-    if encloses:
+    if not inside.empty:
         best = inside.sort_values(["p_r_high", "mean_p_r"], ascending=False, kind="stable").index[0]
         message = "Utilization encloses β; of all pairs for which it does, this one reaches the highest performance."
     else:
@@ -192,7 +189,7 @@ def choose_thresholds(
     message += _beside_limits(tsc, lower, upper, limits)
     if survey is not tsc:
         message += " Candidates were compared at a longer sample time, as the model's time constants are very long."
-    return ThresholdChoice(lower, upper, cycle, bounds, limits, encloses, message, table, tsc)
+    return ThresholdChoice(lower, upper, cycle, bounds, limits, not inside.empty, message, table, tsc)
 
 
 def _beside_limits(tsc: TscModel, lower: float, upper: float, limits: ThresholdLimits) -> str:

@@ -101,9 +101,8 @@ def output_html(markup: str) -> str:
         image["alt"] = ""
     for table in soup.find_all("table"):
         style_table(table)
-        table.wrap(
-            soup.new_tag("div", attrs={"class": "scroll", "tabindex": "0", "role": "region", "aria-label": "table"})
-        )
+        attributes = {"class": "scroll", "tabindex": "0", "role": "region", "aria-label": "table"}
+        table.wrap(soup.new_tag("div", attrs=attributes))
     return str(soup)
 
 
@@ -263,9 +262,6 @@ def check_page(page: str, what: str) -> None:
     if faults:
         raise ReportError(f"the {what} would not be self-contained: {'; '.join(faults)}")
 
-
-with extra("reports"):
-    from bs4 import Tag
 
 NUMBER = re.compile(r"(?:[<>]\s*)?[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|[-+]?inf|\u2013|-")
 P_VALUE = re.compile(

@@ -157,9 +157,7 @@ class Calibration:
             shares = [-1.0 if one.extrapolated else float(one.reach()["share"].iloc[-1]) for one in found]
             if max(shares) >= share:
                 return found[int(np.argmax(shares))]
-        raise ValueError(
-            f"no measure of {self.study} is within reach of the simulated studies, at a share of {share:g}"
-        )
+        raise ValueError(f"no measure of {self.study} is within reach of simulated studies, at a share of {share:g}")
 
     def checks(self, studies: int = 40, seed: int = 1, *, n_jobs: int | None = None) -> pd.DataFrame:
         """
@@ -191,9 +189,8 @@ class Calibration:
             prior = self.simulations[effect.id].min(), self.simulations[effect.id].max()
             low, high = done[effect.id].astype(float).quantile([0.025, 0.975])
             reached = prior[0] <= effect.high and effect.low <= prior[1]
-            rows.append(
-                (effect.id, effect.printed, *prior, reached, low, high, low <= effect.high and effect.low <= high)
-            )
+            predicted = low <= effect.high and effect.low <= high
+            rows.append((effect.id, effect.printed, *prior, reached, low, high, predicted))
         names = ["id", "printed", "prior_low", "prior_high", "reached", "low", "high", "predicted"]
         return pd.DataFrame(rows, columns=names)
 
@@ -244,9 +241,8 @@ class Calibration:
         axis = axes_or_new(axes)
         most = np.abs(size).max()
         dots = axis.scatter(u, v, c=size, cmap="RdBu", vmin=-most, vmax=most, s=9)
-        axis.figure.colorbar(
-            dots, ax=axis, label=f"{UNITS.get(measured.measure, measured.measure)}, {measured.contrast}"
-        )
+        label = f"{UNITS.get(measured.measure, measured.measure)}, {measured.contrast}"
+        axis.figure.colorbar(dots, ax=axis, label=label)
         surface = np.linalg.lstsq(_quadratic(u, v), size, rcond=None)[0]
         across, up = np.meshgrid(*(np.linspace(*self.priors[name], 60) for name in (x, y)))
         height = (_quadratic(across.ravel(), up.ravel()) @ surface).reshape(across.shape)
@@ -341,16 +337,13 @@ def calibrate(
         )
     ids = [effect.id for effect in observed_effects(study)]
     runs = [{"study": study, "n": n} | draw for draw in prior_draws(ranges, simulations, seed)]
-    done = run_campaign(
-        simulated_study, runs, seed=seed, out=out, progress=progress, **where_to_run(n_jobs, cluster, executor)
-    )
+    where = where_to_run(n_jobs, cluster, executor)
+    done = run_campaign(simulated_study, runs, seed=seed, out=out, progress=progress, **where)
     whole = done[~done["failed"].to_numpy(bool)]
     ids = [id for id in ids if whole[id].notna().any()]  # questionnaires are not answered under all assumptions
     whole = whole.dropna(subset=ids).reset_index(drop=True)
     if len(whole) < needed:
-        raise ValueError(
-            f"only {len(whole)} of {simulations} simulated studies have every effect, and {needed} are needed"
-        )
+        raise ValueError(f"{len(whole)} of {simulations} simulated studies have every effect; {needed} are needed")
     settings = {"n": n, "seed": seed, "simulations": simulations, "accepted": accepted}
     settings |= {"left_out": simulations - len(whole)}
     return calibrated(study, ranges, whole[[*ranges, *ids]].astype(float), settings)

@@ -1,5 +1,6 @@
 """Computed numbers beside printed ones: matching digits, ranges within rounding, and the least change that explains."""
 
+import contextlib
 from collections.abc import Callable, Mapping
 from decimal import Decimal
 from itertools import product
@@ -60,7 +61,7 @@ def compare(
     Returns
     -------
     pandas.DataFrame
-        Index `quantity`; columns ours, stderr, printed, matching_digits, printed_digits, verdict: "rounds to it"
+        Index `quantity`; columns ours, stderr, printed, matching_digits, printed_digits, verdict: "reproduced"
         when ours rounds to the printed number, "within 2 s.e." when half a unit of its last digit and twice the
         standard error cover the difference, else "differs".
 
@@ -73,13 +74,13 @@ def compare(
     --------
     >>> import trustlab as tl
     >>> tl.compare({"a_pr": 0.99598, "beta": 0.74}, {"a_pr": "0.996", "beta": "0.74"}).T
-    quantity                 a_pr          beta
-    ours                  0.99598          0.74
-    stderr                    NaN           NaN
-    printed                 0.996          0.74
-    matching_digits             3             2
-    printed_digits              3             2
-    verdict          rounds to it  rounds to it
+    quantity               a_pr        beta
+    ours                0.99598        0.74
+    stderr                  NaN         NaN
+    printed               0.996        0.74
+    matching_digits           3           2
+    printed_digits            3           2
+    verdict          reproduced  reproduced
     """
     if set(ours) != set(printed):
         only = sorted(set(ours) ^ set(printed))
@@ -91,7 +92,7 @@ def compare(
         error = float((stderr or {}).get(name, np.nan))
         verdict = "differs"
         if np.isfinite(value) and rounds_to(value, target):
-            verdict = "rounds to it"
+            verdict = "reproduced"
         elif np.isfinite(error) and abs(float(value) - float(target)) <= half_unit(text) + 2.0 * error:
             verdict = "within 2 s.e."
         digits = len(target.as_tuple().digits)
@@ -145,7 +146,7 @@ def recompute(
     -------
     pandas.DataFrame
         Index `quantity`; columns recomputed, printed, low, high, verdict: "reproduced" (rounds to the printed number),
-        "within rounding" (the range meets what rounds to it), else "not reproducible".
+        "within rounding" (the range meets what rounds to it), else "differs".
 
     Raises
     ------
@@ -160,23 +161,21 @@ def recompute(
     if len(inputs) <= 12:
         points = np.concatenate([points, np.array(list(product((-1.0, 1.0), repeat=len(inputs))))])
     exact = _outputs(compute, dict(zip(inputs, centre.tolist(), strict=True)), list(outputs))
-    low, high = dict(exact), dict(exact)
+    found = [exact]
     for point in points:
-        try:
-            found = compute(dict(zip(inputs, centre + half * point, strict=True)))
-        except ValueError:
-            continue
-        for name in outputs:
-            low[name], high[name] = min(low[name], found[name]), max(high[name], found[name])
-    rounds = compare({name: exact[name] for name in outputs}, outputs)["verdict"] == "rounds to it"
-    rows = []
+        with contextlib.suppress(ValueError):
+            found.append(compute(dict(zip(inputs, centre + half * point, strict=True))))
+    span = pd.DataFrame([{name: own[name] for name in outputs} for own in found]).agg(["min", "max"]).T
+    table = compare({name: exact[name] for name in outputs}, outputs).assign(low=span["min"], high=span["max"])
     for name, text in outputs.items():
         value, reach = float(text), half_unit(text)
-        meets = low[name] <= value + reach and high[name] >= value - reach
-        verdict = "reproduced" if rounds[name] else "within rounding" if meets else "not reproducible"
-        rows.append((name, exact[name], text, low[name], high[name], verdict))
-    columns = ["quantity", "recomputed", "printed", "low", "high", "verdict"]
-    return pd.DataFrame(rows, columns=columns).set_index("quantity")
+        if (
+            table.loc[name, "verdict"] == "differs"
+            and span["min"][name] <= value + reach
+            and span["max"][name] >= value - reach
+        ):
+            table.loc[name, "verdict"] = "within rounding"
+    return table.rename(columns={"ours": "recomputed"})[["recomputed", "printed", "low", "high", "verdict"]]
 
 
 def smallest_change(

@@ -40,15 +40,10 @@ class PerformanceLine:
 
     def table(self) -> pd.DataFrame:
         """Return condition, r_p_h, p_r, and distance, P_r minus the line."""
-        product = self.means["r"] * self.means["p_h"]
-        distance = self.means["p_r"] - self.intercept - self.slope * product
-        found = {
-            "condition": self.means.index.astype(str),
-            "r_p_h": product,
-            "p_r": self.means["p_r"],
-            "distance": distance,
-        }
-        return pd.DataFrame(found).reset_index(drop=True)
+        found = self.means.set_axis(self.means.index.astype(str)).rename_axis("condition").reset_index()
+        found["r_p_h"] = found["r"] * found["p_h"]
+        found["distance"] = found["p_r"] - self.intercept - self.slope * found["r_p_h"]
+        return found[["condition", "r_p_h", "p_r", "distance"]]
 
     def plot(self, axes=None):
         """
@@ -74,9 +69,8 @@ class PerformanceLine:
         return axis
 
     def _repr_html_(self) -> str:
-        return as_html(
-            f"{self.title}: P_r = {self.intercept:.3f} + {self.slope:.3f} r P_h through C2 to C5", self.table()
-        )
+        line = f"P_r = {self.intercept:.3f} + {self.slope:.3f} r P_h through C2 to C5"
+        return as_html(f"{self.title}: {line}", self.table())
 
 
 def performance_line(means: str | pd.DataFrame, title: str | None = None) -> PerformanceLine:

@@ -27,6 +27,15 @@ PANELS = {
 MEANS = ("p_r", "p_h", "r", "tsc", "path_error")
 
 
+class Measures(dict[str, float]):
+    """The measures of a run by name, which were a method."""
+
+    def __call__(self) -> dict[str, float]:
+        """Return them, with a warning that they are an attribute now."""
+        warn_renamed("measures()", "measures")
+        return dict(self)
+
+
 def condition_measures(
     log: Any,
     t: np.ndarray,
@@ -34,7 +43,7 @@ def condition_measures(
     operator: Operator | None = None,
     model: TscModel | None = None,
     lap_times: np.ndarray | None = None,
-) -> dict[str, float]:
+) -> Measures:
     """Return the outcome measures of a run from its log, anything with columns by name, as `ConditionRun.measures`.
 
     Without an operator nobody's answers are simulated: people give their own.
@@ -55,16 +64,7 @@ def condition_measures(
         scheme, forced = KNOWN.get(condition, (SCHEDULE, True))  # a rule of one's own is judged by nobody
         judged = 0 if forced else found["switches"] if scheme == OWN else decided
         found |= allocation_answers(log["mode"], log["tsc"], found, judged, operator, model)
-    return found
-
-
-class Measures(dict[str, float]):
-    """The measures of a run by name, which were a method."""
-
-    def __call__(self) -> dict[str, float]:
-        """Return them, with a warning that they are an attribute now."""
-        warn_renamed("measures()", "measures")
-        return dict(self)
+    return Measures(found)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -106,8 +106,7 @@ class ConditionRun:
         operator answers (`allocation_answers`).
         """
         condition, lap_times = str(self.session.metadata.condition), getattr(self, "lap_times", None)
-        found = condition_measures(self.session, self.session.t, condition, self.operator, self.model, lap_times)
-        return Measures(found)
+        return condition_measures(self.session, self.session.t, condition, self.operator, self.model, lap_times)
 
     def table(self) -> pd.DataFrame:
         """Return participant, condition, synthetic and the measures in one row."""

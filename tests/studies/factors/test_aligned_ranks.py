@@ -139,7 +139,7 @@ def test_faults_are_named():
     with pytest.raises(ValueError, match="method must be one of 't', 'aligned_ranks'"):
         plain.pairs("x", method="wilcoxon")
     one_factor = tl.repeated_measures(frame[frame["y"] == "a"], "v", ["x"], "who")
-    with pytest.raises(ValueError, match=r"needs several factors.*with one factor take \.friedman\(\)"):
+    with pytest.raises(ValueError, match=r"more factors are needed, .*; of one, \.friedman\(\)"):
         one_factor.aligned_ranks()
     with pytest.raises(ValueError, match="'z' is not a factor"):
         plain.pairs("z", method="aligned_ranks")

@@ -127,9 +127,7 @@ def _changed(numbers: Mapping[str, PrintedNumber], id: str, text: str) -> Printe
         meant = did_you_mean(id, numbers) if isinstance(id, str) else ""
         raise ValueError(f"no printed number has the id {shown(id)}{meant} (audit() lists all ids)")
     if not isinstance(text, str) or not text.strip():
-        raise ValueError(
-            f"the change of {id!r} must be a text as it would be printed, for example '0.390', got {shown(text)}"
-        )
+        raise ValueError(f"the change of {id!r} must be a text as printed, for example '0.390', got {shown(text)}")
     changed = replace(numbers[id], printed=text.strip())
     if math.isfinite(numbers[id].value) and not math.isfinite(changed.value):
         raise ValueError(f"the change of {id!r} must be a number as printed, got {shown(text)}")

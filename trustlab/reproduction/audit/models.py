@@ -142,9 +142,7 @@ def _participant(p: str, numbers: Numbers) -> list[Check]:
     limit, _, _ = one["TSC_ub"].range(numbers)
     chosen, below = numbers[f"table_2.2/TSC_u/{p}"], ""
     if limit < chosen.value:
-        below = (
-            f"With TSC_ub = {limit:.3f} as recomputed, the chosen TSC_u = {chosen.printed} of Table 2.2 lies above it."
-        )
+        below = f"The chosen TSC_u = {chosen.printed} of Table 2.2 lies above TSC_ub = {limit:.3f} as recomputed."
     upper = upper_limit_check(p)
     minus = Formula(
         "a_T δ_Pr − b_T δ_Ph",

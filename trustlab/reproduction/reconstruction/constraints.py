@@ -186,9 +186,7 @@ def select(found: Iterable[Constraint], without: Iterable[str]) -> list[Constrai
     known = {s.name for s in found} | {s.name.split(".")[0] for s in found}
     for name in without:
         if name not in known:
-            raise ValueError(
-                f"without: {name!r} is not among the study's statistics, which are {', '.join(sorted(known))}"
-            )
+            raise ValueError(f"without: {name!r} is not among its statistics {', '.join(sorted(known))}")
     return [s for s in found if s.name not in without and s.name.split(".")[0] not in without]
 
 

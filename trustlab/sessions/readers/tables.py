@@ -77,9 +77,7 @@ class _IsoTimes:
         try:
             time = datetime.fromisoformat(str(text).strip())
         except ValueError:
-            raise ValueError(
-                f"{str(text)[:60]!r} is not a time such as 2026-03-01T12:00:00.5; write it so, or in seconds"
-            ) from None
+            raise ValueError(f"{str(text)[:60]!r} is not a time such as 2026-03-01T12:00:00; or give seconds") from None
         since = (time if time.tzinfo else time.replace(tzinfo=UTC)) - datetime.fromtimestamp(0, UTC)
         finer = re.search(r"[.,]\d{6}(\d{1,3})", str(text))  # digits that datetime drops
         stamp = since // timedelta(microseconds=1) * 1000 + (int(finer[1].ljust(3, "0")) if finer else 0)

@@ -43,6 +43,11 @@ def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str
     return f"−{text}" if value < 0.0 and rounded != 0 else text
 
 
+def _share(value: float) -> str:
+    """Return a number that cannot exceed 1, such as an effect size, with two decimals."""
+    return apa_number(value, below_one=True)
+
+
 def apa_p(p: float) -> str:
     """
     Return "p = .012", "p < .001" or "p > .999".
@@ -91,9 +96,8 @@ def _omnibus(result) -> str:
     verb = "differed" if result.p_corrected < result.alpha else "did not differ"
     statistic = (
         f"F({_df(result.df1_corrected)}, {_df(result.df2_corrected)}) = {apa_number(result.F)}, "
-        f"{apa_p(result.p_corrected)}, ηp² = {apa_number(result.eta2_partial, below_one=True)}, 90% CI "
-        f"[{apa_number(result.eta2_partial_low, below_one=True)}, {apa_number(result.eta2_partial_high, below_one=True)}], "
-        f"ηG² = {apa_number(result.eta2_generalized, below_one=True)}"
+        f"{apa_p(result.p_corrected)}, ηp² = {_share(result.eta2_partial)}, 90% CI [{_share(result.eta2_partial_low)}, "
+        f"{_share(result.eta2_partial_high)}], ηG² = {_share(result.eta2_generalized)}"
     )
     of_what = "" if str(result.within).lower() in ("condition", "conditions") else f" of {result.within}"
     return (
@@ -107,14 +111,12 @@ def _sphericity(result) -> str:
         return ""
     name = {"greenhouse-geisser": "Greenhouse–Geisser", "huynh-feldt": "Huynh–Feldt"}.get(result.correction)
     epsilon = result.epsilon_hf if result.correction == "huynh-feldt" else result.epsilon_gg
-    applied = "degrees of freedom are not corrected"
-    if name:
-        applied = f"degrees of freedom are {name} corrected, ε = {apa_number(epsilon, below_one=True)}"
+    applied = f"degrees of freedom are {f'{name} corrected, ε = {_share(epsilon)}' if name else 'not corrected'}"
     if result.mauchly_reason:
         return f" {result.mauchly_reason.removesuffix('.')}; {applied}."
     found = "was violated" if result.mauchly_p < result.alpha else "was not rejected"
     return (
-        f" Sphericity {found} (Mauchly's W = {apa_number(result.mauchly_w, below_one=True)}, "
+        f" Sphericity {found} (Mauchly's W = {_share(result.mauchly_w)}, "
         f"χ²({result.mauchly_df}) = {apa_number(result.mauchly_chi2)}, {apa_p(result.mauchly_p)}); {applied}."
     )
 
@@ -204,8 +206,8 @@ def apa_effects(result) -> str:
         verb = "was" if row["p_corrected"] < result.alpha else "was not"
         sentences.append(
             f"{row['effect']} {verb} significant, F({_df(row['df1_corrected'])}, {_df(row['df2_corrected'])}) = "
-            f"{apa_number(row['F'])}, {apa_p(row['p_corrected'])}, ηp² = {apa_number(row['eta2_partial'], below_one=True)}, "
-            f"ηG² = {apa_number(row['eta2_generalized'], below_one=True)}"
+            f"{apa_number(row['F'])}, {apa_p(row['p_corrected'])}, ηp² = {_share(row['eta2_partial'])}, "
+            f"ηG² = {_share(row['eta2_generalized'])}"
         )
     factors = [len(levels) for levels in (*result.between.values(), *result.within.values())]
     kind = "mixed" if result.between else "repeated-measures"

@@ -189,8 +189,7 @@ class RepeatedMeasures(Omnibus):
         ValueError
             Always.
         """
-        instead = 'with one factor take .friedman() and .pairs(method="wilcoxon")'
-        raise ValueError(f"aligned_ranks() needs several factors, within=[…, …] or between=…; {instead}")
+        raise ValueError('more factors are needed, within=[…, …] or between=…; of one, .friedman(), .pairs("wilcoxon")')
 
     def assumptions(self) -> pd.DataFrame:
         """

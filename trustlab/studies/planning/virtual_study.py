@@ -220,9 +220,8 @@ class VirtualStudy:
         )
 
     def __repr__(self) -> str:
-        return (
-            f"VirtualStudy({self.testbed}, {len(self.participants)} simulated operators, {', '.join(self.conditions)})"
-        )
+        conditions = ", ".join(self.conditions)
+        return f"VirtualStudy({self.testbed}, {len(self.participants)} simulated operators, {conditions})"
 
     def _repr_html_(self) -> str:
         means = self.measures.groupby("condition", observed=True)[list(self.names)].mean().T
