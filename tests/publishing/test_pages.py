@@ -12,6 +12,8 @@ import matplotlib as mpl
 import nbformat
 import pytest
 from IPython.core.interactiveshell import InteractiveShell
+from matplotlib import pyplot
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
 import trustlab as tl
@@ -377,6 +379,27 @@ def drawn_as_in_a_notebook(figure, monkeypatch):
     finally:
         InteractiveShell.clear_instance()
     return new_output("display_data", data={"image/svg+xml": picture}, metadata={"image/svg+xml": about})
+
+
+@pytest.mark.parametrize(("styled", "before"), [(True, 0), (False, 1)])
+def test_pyplot_does_not_draw_what_a_notebook_draws_for_itself(styled, before, monkeypatch):
+    drawn, own = [], FigureCanvasAgg.draw
+    monkeypatch.setattr(FigureCanvasAgg, "draw", lambda canvas: (drawn.append(canvas), own(canvas)))
+    monkeypatch.setattr(pyplot, "_REPL_DISPLAYHOOK", pyplot._ReplDisplayHook.NONE)  # not that of another test's shell
+    shell, backend = InteractiveShell.instance(), mpl.get_backend()
+    try:
+        with mpl.rc_context():
+            pyplot.switch_backend("module://matplotlib_inline.backend_inline")
+            pyplot.ion()
+            if styled:
+                figures.use_house_style()
+            shell.run_cell("from matplotlib import pyplot\npyplot.subplots()").raise_error()
+    finally:
+        pyplot.close("all")
+        pyplot.ioff()
+        pyplot.switch_backend(backend)
+        InteractiveShell.clear_instance()
+    assert len(drawn) == before
 
 
 @pytest.mark.parametrize("words", ["What it means.", "What it means, at some length. " * 12])

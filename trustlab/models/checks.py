@@ -48,6 +48,8 @@ def did_you_mean(name: object, known: Iterable[object]) -> str:
 
 def finite_number(name: str, value: Any) -> float:
     """Return one finite real number as a float; text, booleans and arrays are refused."""
+    if type(value) is float and math.isfinite(value):  # as nearly always; what follows takes longer
+        return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, bool | np.bool_ | str | bytes | np.ndarray) or not hasattr(value, "__float__"):
@@ -103,6 +105,8 @@ def open_unit(name: str, value: Any) -> float:
 
 def whole_number(name: str, value: Any, least: int = 1, most: int | None = None) -> int:
     """Return a whole number from `least` to `most` as an int; a float counts where it is whole and below 2⁵³."""
+    if type(value) is int and value >= least and (most is None or value <= most):
+        return value
     allowed = f"{least} or more" if most is None else f"from {least} to {most}"
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]

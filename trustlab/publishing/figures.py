@@ -1,5 +1,7 @@
 """The house style of figures: readable, distinguishable without colour vision, honest about synthetic data."""
 
+from __future__ import annotations
+
 import base64
 import json
 import os
@@ -7,12 +9,14 @@ import re
 import textwrap
 import unicodedata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from trustlab.models.checks import one_of
-from trustlab.models.extras import extra
+
+if TYPE_CHECKING:  # nbformat takes longer to load than all else that a notebook needs
+    from nbformat import NotebookNode
 
 # Okabe and Ito's colours (2008), told apart with any colour vision; yellow is left out, too pale on white.
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
@@ -39,6 +43,7 @@ def use_house_style(inline: str = "svg") -> None:
     one_of("inline", inline, ("svg", "png"))
     import matplotlib as mpl
     from cycler import cycler
+    from matplotlib import pyplot
 
     sheet = Path(__file__).parent / "templates" / "house.mplstyle"
     mpl.rcParams.update(mpl.rc_params_from_file(sheet, use_default_template=False))
@@ -52,6 +57,12 @@ def use_house_style(inline: str = "svg") -> None:
     if shell is not None:
         set_matplotlib_formats(inline, **({"dpi": 150} if inline == "png" else {}))
         _describe_figures(shell.display_formatter.formatters["image/png" if inline == "png" else "image/svg+xml"])
+        if mpl.get_backend().endswith("inline"):
+            # After each cell pyplot would draw what the notebook then draws for itself, in half of a figure's time.
+            pyplot.switch_backend(
+                mpl.get_backend()
+            )  # before the first figure does, which asks for those drawings again
+            pyplot.uninstall_repl_displayhook()
 
 
 def _describe_figures(formatter: Any) -> None:
@@ -131,9 +142,6 @@ def label_synthetic(where, synthetic: bool | str = True):
         return where.text(1.0, 1.01, _label(synthetic), transform=where.transAxes, **style)
     return where.text(0.995, 1.0, _label(synthetic), **style)
 
-
-with extra("reports"):
-    from nbformat import NotebookNode
 
 IMAGES = ("image/svg+xml", "image/png", "image/jpeg")
 

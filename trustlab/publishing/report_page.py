@@ -19,8 +19,8 @@ from trustlab.publishing.provenance import duration
 
 with extra("reports"):
     from bs4 import BeautifulSoup, Tag
-    from nbconvert import HTMLExporter
-    from nbconvert.filters import strip_ansi
+    from nbconvert import HTMLExporter, TemplateExporter
+    from nbconvert.filters import Highlight2HTML, strip_ansi
     from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath, MathInlineParser
     from nbformat import NotebookNode
     from pygments.formatters import HtmlFormatter
@@ -198,15 +198,22 @@ class Page:
         return re.sub(r"</?(p|a)\b[^>]*>", "", markdown_html(words, folder=self.folder)).strip()
 
 
+class _Exporter(HTMLExporter):
+    """nbconvert's exporter without its second pass, which parses the finished page for what our template has written already."""
+
+    from_notebook_node = TemplateExporter.from_notebook_node
+
+
 def report_html(
     notebook: NotebookNode, name: str, origin: dict, given: dict | None = None, folder: str | Path = ""
 ) -> tuple[str, dict[str, Any]]:
     """Return an executed notebook as one self-contained page, and what the index shows of it."""
     page = Page(notebook, name, folder)
-    exporter = HTMLExporter(
+    filters = {"duration": duration, "image_uri": image_uri, "output_html": output_html, "result": result}
+    exporter = _Exporter(
         template_file="report.html.j2",
         extra_template_paths=[str(TEMPLATES)],
-        filters={"duration": duration, "image_uri": image_uri, "output_html": output_html, "result": result},
+        filters=filters | {"highlight_code": Highlight2HTML(pygments_lexer="ipython3")},
         config=Config({"NbConvertBase": {"display_data_priority": list(SHOWN)}}),
     )
     resources = {"page": page, "name": name, "origin": origin, "given": given or {}}

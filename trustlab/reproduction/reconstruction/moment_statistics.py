@@ -9,7 +9,7 @@ of a difference (Mauchly 1940; Greenhouse & Geisser 1959).
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy import special
@@ -19,6 +19,7 @@ from trustlab.studies.analysis.sphericity import mauchly_factor
 TINY = 1e-300
 
 
+@cache
 def pair_indices(k: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows i and columns j of all k(k − 1)/2 pairs, i < j, in the order of the statistics' last axis."""
     return np.triu_indices(k, 1)
