@@ -422,3 +422,17 @@ def test_an_answer_that_is_no_session_is_noticed(monkeypatch):
     monkeypatch.setattr(fuzz, "read_frame", lambda *_, **__: backwards)
     fuzz.fuzz("frame", first=0, logs=3, failures=failures)
     assert failures.qsize() == 3
+
+
+@pytest.mark.parametrize("start", [0.0, 1396293889.454, 1.7e9 + 0.001])
+@pytest.mark.parametrize("sample_time", [0.01, 0.05])
+@pytest.mark.parametrize("from_zero", ["true", "false"])
+def test_samples_stay_their_own_when_times_are_dates(start, sample_time, from_zero):
+    """Oracle: times on the grid, so that "previous" returns the samples as they are."""
+    k = np.arange(500)
+    frame = pd.DataFrame({"t": np.round(start + sample_time * k, 3), "p_r": k})
+    text = (
+        f'[time]\nunit = "s"\nfrom_zero = {from_zero}\n[resampling]\nmethod = "previous"\nsample_time = {sample_time}\n'
+    )
+    session = read_frame(frame, recipe(text + '[columns]\np_r = { column = "p_r" }'))
+    np.testing.assert_array_equal(session["p_r"], k)

@@ -81,14 +81,16 @@ def resample(
     start = max(stream.t[0] for stream in log.streams)
     stop = min(stream.t[-1] for stream in bounding) if bounding else max(s.t[-1] for s in log.streams)
     if len(log.streams) > 1 and stop <= start:
-        late = max(log.streams, key=lambda stream: stream.t[0])
+        last = max(log.streams, key=lambda stream: stream.t[0])
         early = min(bounding or log.streams, key=lambda stream: stream.t[-1])
-        what = f"{early.topic!r} ends {start - stop:.6g} s before {late.topic!r} starts"
+        what = f"{early.topic!r} ends {start - stop:.6g} s before {last.topic!r} starts"
         hint = "set hold = true for a topic whose last message holds to the end"
         raise SessionError(f"topics do not overlap: {what} ({hint})")
     grid = _time_grid(start, stop, sample_time)
+    # A grid time that rounding put just before a sample belongs to that sample; dates in seconds are rounded to 0.24 µs.
+    slack = max(1e-6 * sample_time, 2.0 * float(np.spacing(log.notes.get("start_time", 0.0) + stop)))
     columns = {
-        name: _interpolate(stream.t, values, grid, _method(name, method, rules.get(name)), name == "yaw")
+        name: _interpolate(stream.t, values, grid, slack, _method(name, method, rules.get(name)), name == "yaw")
         for stream in log.streams
         for name, values in stream.columns.items()
     }
@@ -120,8 +122,10 @@ def _method(name: str, method: str, rule: ColumnRule | None) -> str:
     return own or ("previous" if name in STATES and method == "linear" else method)
 
 
-def _interpolate(times: np.ndarray, values: np.ndarray, grid: np.ndarray, method: str, angle: bool) -> np.ndarray:
-    """Return values at the times of the grid, none of which is before the first sample."""
+def _interpolate(
+    times: np.ndarray, values: np.ndarray, grid: np.ndarray, slack: float, method: str, angle: bool
+) -> np.ndarray:
+    """Return values at the times of the grid, none of which is before the first sample; `slack` [s] is rounding."""
     if method == "linear":
         if not angle:
             return np.interp(grid, times, values)
@@ -132,8 +136,6 @@ def _interpolate(times: np.ndarray, values: np.ndarray, grid: np.ndarray, method
         right = np.clip(np.searchsorted(times, grid), 1, len(times) - 1) if len(times) > 1 else 0
         left = np.maximum(right - 1, 0)
         return values[np.where(grid - times[left] <= times[right] - grid, left, right)]
-    # A grid time that rounding put just before a sample belongs to that sample.
-    slack = 1e-6 * (grid[1] - grid[0])
     return values[np.maximum(np.searchsorted(times, grid + slack, side="right") - 1, 0)]
 
 
