@@ -1,17 +1,20 @@
 """
-Logs that others recorded and published, each with its source, checksum and recipe.
+Logs that others recorded and published, each with its source, licence, checksum and recipe.
 
 They are fetched by hand into the folder public_logs of data/external (or of TRUSTLAB_DATA) and never committed; a log that
-is not there is skipped. Oracle: the same columns by way of each format's own library, or of pandas.
+is not there is skipped. Oracle: the same columns by way of each format's own library, or of pandas; and what is known of
+the robots: how a follower was programmed, that distance is the integral of speed.
 """
 
 import hashlib
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from trustlab.sessions import external_data, read_session, read_sessions
+import trustlab as tl
+from trustlab.sessions import SessionError, external_data, read_session, read_sessions
 from trustlab.sessions.recipe import Recipe
 
 PX4 = """
@@ -67,29 +70,140 @@ sample_time = 0.001
 v_command = { column = "velocity", unit = "m/s" }
 p_r = { column = "motor_speed", scale = 0.001 }
 """
+# ROS 1: an operator leads a turtle through turtlesim, and another follows it on /tf (the tutorial of tf, recorded in 2014).
+TURTLES = """
+kind = "bag"
+[resampling]
+method = "linear"
+sample_time = 0.05
+[columns]
+mode = { value = 0 }
+robot_x = { topic = "/turtle2/pose", field = "x", unit = "m" }
+robot_y = { topic = "/turtle2/pose", field = "y", unit = "m" }
+yaw = { topic = "/turtle2/pose", field = "theta", unit = "rad" }
+human_x = { topic = "/tf", field = 'transforms[child_frame_id="turtle1"].transform.translation.x', unit = "m" }
+human_y = { topic = "/tf", field = 'transforms[child_frame_id="turtle1"].transform.translation.y', unit = "m" }
+v_command = { topic = "/turtle1/cmd_vel", field = "linear.x", unit = "m/s", hold = true }
+w_command = { topic = "/turtle1/cmd_vel", field = "angular.z", unit = "rad/s", hold = true }
+path_error = { distance = ["robot", "human"], axes = ["x", "y"] }
+step_distance = { travelled = "robot", axes = ["x", "y"] }
+"""
+# The commands of the same run as PlotJuggler exports them: a line per message, blank where others spoke.
+EXPORT = """
+kind = "table"
+[time]
+column = "__time"
+unit = "s"
+from_zero = true
+[resampling]
+method = "previous"
+sample_time = 0.05
+[columns]
+v_command = { column = "/turtle1/cmd_vel/linear/x", unit = "m/s", blank = "hold" }
+w_command = { column = "/turtle1/cmd_vel/angular/z", unit = "rad/s", blank = "hold" }
+u_a_x = { column = "/turtle2/cmd_vel/linear/x", blank = "hold" }
+"""
+# ROS 1: a turtle is driven in circles by hand, to the left and after a pause to the right.
+CIRCLES = """
+kind = "bag"
+[files]
+pattern = "turtlesim.bag"
+[splitting]
+gap = 2.5
+[resampling]
+method = "previous"
+sample_time = 0.5
+[columns]
+v_command = { topic = "/turtle1/cmd_vel", field = "linear.x", unit = "m/s" }
+w_command = { topic = "/turtle1/cmd_vel", field = "angular.z", unit = "rad/s" }
+"""
+# One of several automated vehicles that a remote operator leads past road works (Colley et al., CHI 2025). mode says
+# whether the operator had this vehicle in the main view; lengths are as logged.
+REMOTE = """
+kind = "table"
+[files]
+pattern = "log_{participant}_{trial:int}_{vehicle:int}.csv"
+[table]
+delimiter = ";"
+decimal = ","
+[time]
+column = "elapsedTimeSinceAccess"
+unit = "s"
+repeated = "first"
+[columns]
+mode = { column = "isMainRequest", map = { True = 1, False = 0 } }
+robot_x = { column = "vehiclePosition", item = 0, unit = "m" }
+robot_z = { column = "vehiclePosition", item = 2, unit = "m" }
+path_error = { column = "currentLaneDeviation", unit = "m", absolute = true }
+step_distance = { travelled = "robot", axes = ["x", "z"] }
+[metadata]
+participant = { from = "participant" }
+trial = { from = "trial" }
+vehicle = { from = "vehicle" }
+"""
+
+
+class Log(NamedTuple):
+    """A public log: where it is (repository at commit: path), its licence, its SHA-256 and our recipe."""
+
+    source: str
+    licence: str
+    digest: str
+    recipe: str
+
+
 LOGS = {
-    "fake_joint_state.bag": (
-        "https://github.com/facontidavide/PlotJuggler, datasamples/fake_joint_state.bag at ddcbd05b",
+    "example.bag": Log(
+        "https://github.com/facontidavide/PlotJuggler at ddcbd05b: datasamples/example.bag",
+        "MPL-2.0",
+        "6f8b495a7215a03099836955e1ffbf80f2abaff7f8bd65a1bdf9e52c809cef5d",
+        TURTLES,
+    ),
+    "turtle.csv": Log(
+        "https://github.com/facontidavide/PlotJuggler at ddcbd05b: datasamples/turtle.csv",
+        "MPL-2.0",
+        "3031e721d1b34dabd90e2ff9542e37ac559027e026d859b7f3daea737044c018",
+        EXPORT,
+    ),
+    "turtlesim.bag": Log(
+        "https://github.com/stl-apu/advanced_experiment_2022 at 69f5a13: turtlesim.bag",
+        "GPL-3.0",
+        "e46c09c89d105b9bc8757597fd9e2546d3f4128f25ffe40fb16267ab0c7815e2",
+        CIRCLES,
+    ),
+    "log_CT19_10_3.csv": Log(
+        "https://github.com/M-Colley/roads-chi25-data at 7e0c504: ClearedLogs/ClearedLogs/LogsDay4/CT19/10/log_CT19_10_3.csv",
+        "MIT (its LICENSE), CC BY 4.0 (its README)",
+        "897b7e9e3ba054eca0977c2c6e69c5a72abb70ca1446d514c18d50758212ef40",
+        REMOTE,
+    ),
+    "fake_joint_state.bag": Log(
+        "https://github.com/facontidavide/PlotJuggler at ddcbd05b: datasamples/fake_joint_state.bag",
+        "MPL-2.0",
         "8468b520caf307e5835a52a1701e55ef4c20a17526f62ad14b5b95a1ddae6413",
         JOINTS,
     ),
-    "motor_data.csv": (
-        "https://github.com/facontidavide/PlotJuggler, datasamples/motor_data.csv at ddcbd05b",
+    "motor_data.csv": Log(
+        "https://github.com/facontidavide/PlotJuggler at ddcbd05b: datasamples/motor_data.csv",
+        "MPL-2.0",
         "fc261901c81fa9b634a1e27b18af3626a6947ee4b29783ed77df975bd4478b61",
         MOTOR,
     ),
-    "sample_log_small.ulg": (
-        "https://github.com/PX4/pyulog, test/sample_log_small.ulg at 3cf1779",
+    "sample_log_small.ulg": Log(
+        "https://github.com/PX4/pyulog at 3cf1779: test/sample_log_small.ulg",
+        "BSD-3-Clause",
         "68d1020f688109f027dba08d2950247cc0ae34aaefdcf37e4a7d60838f3e1aa3",
         PX4,
     ),
-    "clock_resets.xdf": (
-        "https://github.com/xdf-modules/example-files, clock_resets.xdf at 76a6be7",
+    "clock_resets.xdf": Log(
+        "https://github.com/xdf-modules/example-files at 76a6be7: clock_resets.xdf",
+        "MIT",
         "88536b24df4ed09082a00b04c31f65fd2447fa7acb8b929ec264ff8fac29ccec",
         EEG,
     ),
-    "annotations_demo.csv": (
-        "https://github.com/facontidavide/PlotJuggler, datasamples/annotations_demo.csv at 5510257",
+    "annotations_demo.csv": Log(
+        "https://github.com/facontidavide/PlotJuggler at 5510257: datasamples/annotations_demo.csv",
+        "MPL-2.0",
         "e01381af39a0ee7bf0b6f94d29cf3ee4ab9b9cd82d1a1a5518128c34615247e9",
         DEMO,
     ),
@@ -98,12 +212,91 @@ LOGS = {
 
 def public(name):
     """Return the path of a log and its recipe; skip where it is absent, fail where it is another file."""
-    source, digest, text = LOGS[name]
-    folder = external_data("public_logs")
+    log, folder = LOGS[name], external_data("public_logs")
     if folder is None or not (folder / name).is_file():
-        pytest.skip(f"{name} is not there; it comes from {source}")
-    assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
-    return folder / name, Recipe.from_toml(text)
+        pytest.skip(f"{name} is not there; it comes from {log.source}, licence {log.licence}")
+    assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == log.digest
+    return folder / name, Recipe.from_toml(log.recipe)
+
+
+def test_a_turtle_that_follows_another():
+    path, recipe = public("example.bag")
+    session = read_session(path, recipe=recipe)
+    from rosbags.highlevel import AnyReader
+
+    times, heights = [], []
+    with AnyReader([path]) as reader:
+        for connection, stamp, data in reader.messages():
+            if connection.topic == "/turtle2/pose":
+                times.append(stamp / 1e9 - session.metadata.more["start_time"])
+                heights.append(reader.deserialize(data, connection.msgtype).y)
+    np.testing.assert_allclose(session["robot_y"], np.interp(session.t, times, heights), atol=1e-5)
+    notes = session.metadata.more
+    assert notes['selected /tf[child_frame_id="turtle1"]'] == "1344 of 2688 messages have the entry"
+    # The window of turtlesim is 11.1 m wide.
+    places = session.data[["robot_x", "robot_y", "human_x", "human_y"]].to_numpy()
+    assert places.min() >= 0.0
+    assert places.max() < 11.1
+    with pytest.raises(tl.IdentificationError, match="mode never changes"):
+        tl.fit_human(session.with_performance(window=5.0))
+
+
+def test_the_same_turtles_as_plotjuggler_exports_them():
+    bag, csv = public("example.bag"), public("turtle.csv")
+    session, run = read_session(csv[0], recipe=csv[1]), read_session(bag[0], recipe=bag[1])
+    assert session.metadata.more["blanks of u_a_x"] == "356 of 563 cells, filled by 'hold'"
+    assert session.metadata.more["rows cut"].startswith("6 at the start and 0 at the end")
+    frame = pd.read_csv(csv[0])
+    own = frame.dropna(subset=["/turtle1/cmd_vel/linear/x"])
+    start = session.metadata.more["start_time"]
+    held = np.searchsorted(own["__time"] - start, session.t + 1e-6, side="right") - 1
+    np.testing.assert_array_equal(session["v_command"], own["/turtle1/cmd_vel/linear/x"].to_numpy()[held])
+    np.testing.assert_array_equal(session["w_command"], own["/turtle1/cmd_vel/angular/z"].to_numpy()[held])
+    # The tutorial's follower drives at 0.5/s times the distance to the turtle that it follows.
+    sent = frame.dropna(subset=["/turtle2/cmd_vel/linear/x"])
+    t = sent["__time"] - run.metadata.more["start_time"]
+    during = t.between(run.t[0], run.t[-1])
+    speed = 0.5 * np.interp(t[during], run.t, run["path_error"])
+    assert during.sum() > 200
+    np.testing.assert_allclose(speed, sent["/turtle2/cmd_vel/linear/x"][during], atol=0.03)
+
+
+def test_a_turtle_driven_in_circles(tmp_path):
+    path, recipe = public("turtlesim.bag")
+    with pytest.raises(SessionError, match="splits the log at gaps into 2 sessions"):
+        read_session(path, recipe=recipe)
+    (tmp_path / path.name).symlink_to(path)
+    left, right = read_sessions(tmp_path, recipe=recipe)
+    assert (left.duration, right.duration) == (23.0, 25.0)
+    assert left.metadata.more["split"] == "part 0 (from 0) of 2, between gaps of more than 2.5 s; 0 too short"
+    for session, turn in ((left, 1.2), (right, -1.2)):
+        assert set(session["v_command"]) == {2.0}
+        assert set(session["w_command"]) == {turn}
+    with pytest.raises(SessionError, match=r"has no column 'mode' \(needed: mode, p_h"):
+        tl.fit_human(left)
+
+
+def test_a_vehicle_led_by_a_remote_operator():
+    path, recipe = public("log_CT19_10_3.csv")
+    session = read_session(path, recipe=recipe)
+    frame = pd.read_csv(path, sep=";", decimal=",").drop_duplicates("elapsedTimeSinceAccess")
+    places = frame["vehiclePosition"].str.strip("()").str.split(", ", expand=True).astype(float)
+    np.testing.assert_array_equal(session["robot_x"], places[0])
+    np.testing.assert_array_equal(session["robot_z"], places[2])
+    np.testing.assert_array_equal(session["path_error"], frame["currentLaneDeviation"].abs())
+    np.testing.assert_array_equal(session["mode"], frame["isMainRequest"])
+    assert session.metadata.more["repeated times"] == "1 of 1202 samples merged by 'first'"
+    assert (session.metadata.participant, session.metadata.more["vehicle"]) == ("CT19", 3)
+    # Distance is the integral of the speed that the vehicle reports [km/h].
+    travelled = frame["vehicleSpeed"].sum() / 3.6 * session.sample_time
+    assert session["step_distance"][1:].sum() == pytest.approx(travelled, rel=0.005)
+    # It was not logged how well the operator or the vehicle did, nor what the operator's hands commanded.
+    with pytest.raises(SessionError, match=r"has no column 'p_h'.*with_performance"):
+        tl.fit_robot(session)
+    with pytest.raises(SessionError, match="has no column 'v_command'"):
+        session.with_performance()
+    with pytest.raises(SessionError, match=r'one column only.*set \[table\] delimiter = ";"'):
+        read_session(path, recipe=Recipe.from_toml(REMOTE.replace('delimiter = ";"\ndecimal = ","', "")))
 
 
 def test_a_flight_logged_by_px4():
