@@ -383,10 +383,8 @@ _COLUMN_RULES = {
 def _column_rule(name: str, table: object) -> ColumnRule:
     where = f"[columns] {name}"
     if name not in VOCABULARY:
-        hint = (
-            did_you_mean(name, VOCABULARY)
-            + '; write ours = { column = "theirs" } (ours: trustlab.sessions.vocabulary())'
-        )
+        remedy = 'write ours = { column = "theirs" } (ours: trustlab.sessions.vocabulary())'
+        hint = f"{did_you_mean(name, VOCABULARY)}; {remedy}"
         if name == "t" or name in Recipe.__dataclass_fields__:
             hint = "; time goes under [time]" if name == "t" else f"; {name} goes above the first [table]"
         raise RecipeError(f"{where}: not in the vocabulary{hint}")

@@ -55,9 +55,8 @@ def _define(reader, folder: Path) -> None:
         with damage_named(f"{file} is not a message definition", "correct it"):
             types |= get_types_from_msg(file.read_text(encoding="utf-8"), f"{package}/msg/{file.stem}")
     with damage_named(f"the message definitions in {folder} do not go together", "correct them"):
-        reader.typestore.register(
-            {name: type for name, type in types.items() if name not in reader.typestore.fielddefs}
-        )
+        known = reader.typestore.fielddefs
+        reader.typestore.register({name: type for name, type in types.items() if name not in known})
 
 
 def check_sqlite_path(path: Path) -> None:
@@ -163,9 +162,8 @@ def _read_own(reader, wanted: Sequence[str] | None, source: str) -> RawLog:
             what = f"topic {topic!r} has {len(values)} messages where the metadata say {extra.get('samples')}"
             raise SessionError(f"{what}; the bag is damaged or truncated")
     columns = {topic.removeprefix(PREFIX): np.array(values) for topic, values in topics.items()}
-    return RawLog(
-        source, [Stream(columns.pop("t"), columns, "message {} (from 0)".format)], metadata, digests=extra["digests"]
-    )
+    stream = Stream(columns.pop("t"), columns, "message {} (from 0)".format)
+    return RawLog(source, [stream], metadata, digests=extra["digests"])
 
 
 def _read_topics(reader, rules: Sequence[TopicField], recipe: Recipe, source: str) -> RawLog:
@@ -314,9 +312,8 @@ def _selected(entries, parent, selector: Selector, here: str):
         try:
             names = [attrgetter(selector.key)(entry) for entry in entries]
         except AttributeError:
-            raise RecipeError(
-                f"{here}: neither the list's entries nor a list beside it are called {selector.key!r}"
-            ) from None
+            what = f"neither the list's entries nor a list beside it are called {selector.key!r}"
+            raise RecipeError(f"{here}: {what}") from None
     chosen = [entry for name, entry in zip(names, entries, strict=False) if str(name) == selector.value]
     if len(chosen) > 1:
         raise SessionError(f"{here}: {len(chosen)} entries are {selector}, so that it names none of them")

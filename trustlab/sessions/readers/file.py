@@ -250,10 +250,8 @@ def _existing(path: Path) -> Path:
         looked = "" if path.is_absolute() else f" (looked in {path.parent.absolute()})"
         raise SessionError(f"there is no such file{looked}{nearest_file(path)}")
     if path.suffix.lower() in (".xlsx", ".xls", ".ods"):
-        raise SessionError(
-            'a spreadsheet cannot be read; save it as "CSV UTF-8" and read that, or by way of pandas: '
-            "frame = pandas.read_excel(path); session = trustlab.read_frame(frame)"
-        )
+        way = "frame = pandas.read_excel(path); session = trustlab.read_frame(frame)"
+        raise SessionError(f'a spreadsheet cannot be read; save it as "CSV UTF-8" and read that, or with pandas: {way}')
     if path.is_dir():
         if not (path / "metadata.yaml").is_file():
             hint = "use read_sessions for a folder of sessions"
@@ -484,9 +482,8 @@ def join_sessions(
     counts = Counter(name for session in sessions for name in session.columns)
     twice = [name for name, count in counts.items() if count > 1]
     if twice or not sessions:
-        raise SessionError(
-            f"column {twice[0]!r} is in two of the sessions" if twice else "there are no sessions to join"
-        )
+        what = f"column {twice[0]!r} is in two of the sessions" if twice else "there are no sessions to join"
+        raise SessionError(what)
     known: dict[str, object] = {}
     for session in sessions:
         for name, value in session.metadata.as_dict().items():

@@ -172,9 +172,7 @@ def read_parquet(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None
     with _guard("Parquet"), pa.memory_map(str(path)) as source:
         schema = parquet.read_schema(source)
         # Texts stay a dictionary, as a long one that repeats takes next to nothing in the file.
-        texts = [
-            field.name for field in schema if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)
-        ]
+        texts = [each.name for each in schema if pa.types.is_string(each.type) or pa.types.is_large_string(each.type)]
         file = parquet.ParquetFile(source, read_dictionary=texts)
         rows = file.metadata.num_rows
 
