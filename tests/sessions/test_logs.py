@@ -436,3 +436,76 @@ def test_samples_stay_their_own_when_times_are_dates(start, sample_time, from_ze
     )
     session = read_frame(frame, recipe(text + '[columns]\np_r = { column = "p_r" }'))
     np.testing.assert_array_equal(session["p_r"], k)
+
+
+@pytest.mark.parametrize(
+    ("cells", "decimal", "found"),
+    [
+        (["(1,5; 2,5; 3)", "(1,5; -3,5; 3)"], ",", [2.5, -3.5]),
+        (["1,5 2,5 3", "1,5 3,5 3"], ",", [2.5, 3.5]),
+        (["(0.00, -0.44, 3)", "(1.00, 2.44, 3)"], ",", [-0.44, 2.44]),
+        (["{1.5, 2.5}", "{1.5,3.5}"], ".", [2.5, 3.5]),
+        (["[ 1.  nan  3.]", "[ 1.  4.  3.]"], ".", None),
+        (["(1,,3)", "(1,2,3)"], ".", None),
+        (["x: 1.5, y: 2.5", "x: 1.5, y: 2.5"], ".", None),
+        (["(1,2,3)", "(1,2,3)"], ",", None),
+    ],
+)
+def test_the_second_number_of_a_cell_or_none(tmp_path, cells, decimal, found):
+    text = f'[table]\ndelimiter = "|"\ndecimal = "{decimal}"\n[time]\nunit = "s"\n'
+    text += '[columns]\nrobot_x = { column = "pos", item = 1, unit = "m" }'
+    (tmp_path / "run.csv").write_text("t|pos\n" + "".join(f"{k}|{cell}\n" for k, cell in enumerate(cells)))
+    if found is None:
+        with pytest.raises(SessionError, match=r"line 2, column 'pos' \(robot_x\): .* has no number 1 \(from 0\)"):
+            read_session(tmp_path / "run.csv", recipe=recipe(text))
+    else:
+        assert read_session(tmp_path / "run.csv", recipe=recipe(text))["robot_x"].tolist() == found
+
+
+@pytest.mark.parametrize("word", ["", "NaN", "NA", "N/A", "null", "None", "-"])
+@pytest.mark.parametrize("row", ["", "\n"])  # with an empty line at the end, the file is read row by row
+def test_words_for_blanks(tmp_path, word, row):
+    (tmp_path / "run.csv").write_text(f"t,a,m\n0,1,AUTO\n1,{word},{word}\n2,3,NONE\n{row}")
+    text = '[time]\nunit = "s"\n[columns]\np_r = { column = "a", blank = "linear" }\n'
+    text += 'mode = { column = "m", blank = "hold", map = { AUTO = 0, NONE = 1 } }'
+    session = read_session(tmp_path / "run.csv", recipe=recipe(text))
+    assert session["p_r"].tolist() == [1, 2, 3]
+    assert session["mode"].tolist() == [0, 0, 1]
+    assert session.metadata.more["blanks of mode"] == "1 of 3 cells, filled by 'hold'"
+    with pytest.raises(SessionError, match=r"line 3, column 'a' \(p_r\)"):
+        read_session(tmp_path / "run.csv", recipe=recipe(text.replace(', blank = "linear"', "")))
+
+
+@pytest.mark.parametrize("name", ["mode", "suggested_mode", "yaw"])
+def test_states_and_angles_are_not_interpolated_over_blanks(name):
+    unit = ', unit = "deg"' if name == "yaw" else ""
+    rule = f'[time]\nunit = "s"\n[columns]\n{name} = {{ column = "a", blank = "linear"{unit} }}'
+    with pytest.raises(RecipeError, match=rf'{name} has no value between two others; fill it with blank = "hold"'):
+        recipe(rule)
+    frame = pd.DataFrame({"t": [0, 1, 2], "a": [1.0, np.nan, 0.0]})
+    held = read_frame(frame, recipe(rule.replace("linear", "hold")))[name]
+    assert held[1] == held[0] > held[2]
+
+
+def test_clock_times_after_midnight(tmp_path):
+    (tmp_path / "run.csv").write_text("t;a\n23:59:59,5;1\n00:00:00,0;2\n00:00:00,5;3\n")
+    text = '[table]\ndelimiter = ";"\ndecimal = ","\n[time]\nunit = "clock"\nfrom_zero = true\n[columns]\np_r = { column = "a" }'
+    session = read_session(tmp_path / "run.csv", recipe=recipe(text))
+    assert session.t.tolist() == [0.0, 0.5, 1.0]
+    assert session.metadata.more["midnights"] == "1 passed; times count on"
+    (tmp_path / "run.csv").write_text("t;a\n13:59:59,5;1\n12:00:00,0;2\n")
+    with pytest.raises(SessionError, match="line 3, column t: time runs backwards"):
+        read_session(tmp_path / "run.csv", recipe=recipe(text))
+
+
+def test_columns_separated_by_spaces_and_a_compressed_tsv(tmp_path):
+    (tmp_path / "run.txt").write_text("  t    p_r\n 0.0   1\n 0.5  20\n 1.0 300\n")
+    with pytest.raises(SessionError, match=r'one column only.*read it with delimiter=" "'):
+        read_session(tmp_path / "run.txt")
+    assert read_session(tmp_path / "run.txt", delimiter=" ")["p_r"].tolist() == [1, 20, 300]
+    (tmp_path / "run.txt").write_text("t a b\n0 1 2\n1  2\n2 3 4\n")
+    text = '[table]\ndelimiter = " "\n[time]\nunit = "s"\n[columns]\np_r = { column = "a", blank = "hold" }'
+    with pytest.raises(SessionError, match="line 3: has 2 cells, but the header names 3"):
+        read_session(tmp_path / "run.txt", recipe=recipe(text))
+    (tmp_path / "run.tsv.gz").write_bytes(gzip.compress(b"t\tp_r\n0\t1\n1\t2\n"))
+    assert read_session(tmp_path / "run.tsv.gz")["p_r"].tolist() == [1, 2]

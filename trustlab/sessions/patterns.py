@@ -52,9 +52,8 @@ class PathPattern:
         if {".", ".."} & set(self.text.split("/")):
             raise ValueError(f"pattern {self.text!r}: leads from a folder down, so that it has no . or .. in it")
         if max(part.count("*") for part in self.text.split("/")) > _MOST_STARS:
-            raise ValueError(
-                f"pattern {self.text!r}: has more than {_MOST_STARS} * in one name; name what they stand for"
-            )
+            what = f"has more than {_MOST_STARS} * in one name; name what they stand for"
+            raise ValueError(f"pattern {self.text!r}: {what}")
         types: dict[str, type] = {}
         parts: list[str] = []
         text_field = None  # where the last field of any length stands in `parts`, if fixed text alone has followed

@@ -17,7 +17,7 @@ for by name.
 
     [table]                         # kind = "table" only; these are the defaults
     header = true                   # false: no line of names, columns are numbered from 0
-    delimiter = ","                 # in .tsv files a tab
+    delimiter = ","                 # in .tsv files a tab; " " is any number of spaces
     decimal = "."
     skip_lines = 0                  # lines before the table
 
@@ -26,7 +26,8 @@ for by name.
     unit = "s"
     from_zero = false               # true: count from the first sample; its time becomes metadata start_time
 
-    # unit "iso": 2026-03-01T12:00:00.5, "clock": 12:00:00.5; repeated = "first", "last" or "mean" for times that repeat
+    # unit "iso": 2026-03-01T12:00:00.5, "clock": 12:00:00.5, also past midnight; repeated = "first", "last" or "mean" for
+    # times that repeat
 
     [time]                          # kind = "bag"; t counts from the first sample, metadata start_time says when
     stamp = "receive"               # or "header": the message's own stamp
@@ -44,8 +45,8 @@ for by name.
 
     [columns]                       # name of the vocabulary = exactly one of
     path_error = { column = "err", unit = "mm", absolute = true }  # a column; also scale, offset, map, resample
-    robot_y = { column = "pos", unit = "m", item = 1 }             # of cells such as "(x, y, z)", from 0
-    p_r = { column = "speed", blank = "hold" }                     # or "linear": fills blank cells
+    robot_y = { column = "pos", unit = "m", item = 1 }             # of cells such as "(x, y, z)" or "1,5; 2,5", from 0
+    p_r = { column = "speed", blank = "hold" }                     # or "linear": fills cells that are blank, NaN, NA or "-"
     mode = { column = "pedal", above = 0.5 }                       # 1 above this value, else 0; also for topics
     robot_x = { topic = "/odom", field = "pose.pose.position.x", unit = "m" }   # the same, and hold
     mode = { topic = "/mode", field = "data", map = { MANUAL = 1, AUTO = 0 }, hold = true }
@@ -95,7 +96,7 @@ from numpy.typing import ArrayLike
 from trustlab.models.checks import did_you_mean, finite_number, not_negative, one_of, positive, shown, whole_number
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
 from trustlab.sessions.patterns import FieldPath, PathPattern
-from trustlab.sessions.resampling import METHODS
+from trustlab.sessions.resampling import METHODS, STATES
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY, to_si
 
 Rule = TypeVar("Rule")
@@ -310,6 +311,8 @@ class TableColumn(_Measured):
     def __post_init__(self):
         if self.item is not None and self.map is not None:
             raise ValueError('item takes a number from a cell like "(x, y, z)", which has no map')
+        if self.blank == "linear" and self.above is None and self.name in (*STATES, "yaw"):
+            raise ValueError(f'{self.name} has no value between two others; fill it with blank = "hold"')
         super().__post_init__()
 
 

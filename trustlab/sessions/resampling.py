@@ -90,9 +90,9 @@ def resample(
     # A grid time that rounding put just before a sample belongs to that sample; dates in seconds are rounded to 0.24 µs.
     slack = max(1e-6 * sample_time, 2.0 * float(np.spacing(log.notes.get("start_time", 0.0) + stop)))
     columns = {
-        name: _interpolate(stream.t, values, grid, slack, _method(name, method, rules.get(name)), name == "yaw")
+        name: _interpolate(stream, name, grid, slack, _method(name, method, rules.get(name)))
         for stream in log.streams
-        for name, values in stream.columns.items()
+        for name in stream.columns
     }
     gap = max((float(np.diff(stream.t).max()) for stream in bounding if stream.t.size > 1), default=0.0)
     log.notes["resampled"] = f"{method} at {sample_time:g} s; longest gap in the log {gap:.6g} s"
@@ -122,12 +122,11 @@ def _method(name: str, method: str, rule: ColumnRule | None) -> str:
     return own or ("previous" if name in STATES and method == "linear" else method)
 
 
-def _interpolate(
-    times: np.ndarray, values: np.ndarray, grid: np.ndarray, slack: float, method: str, angle: bool
-) -> np.ndarray:
-    """Return values at the times of the grid, none of which is before the first sample; `slack` [s] is rounding."""
+def _interpolate(stream: Stream, name: str, grid: np.ndarray, slack: float, method: str) -> np.ndarray:
+    """Return a column at the times of the grid, none of which is before the first sample; `slack` [s] is rounding."""
+    times, values = stream.t, stream.columns[name]
     if method == "linear":
-        if not angle:
+        if name != "yaw":
             return np.interp(grid, times, values)
         # An angle turns the short way, and stays in [−π, π] if the samples are.
         turned = np.interp(grid, times, np.unwrap(values))

@@ -345,9 +345,8 @@ def check_column(
     if np.isfinite([least, most]).all() and low <= least and most <= high:
         return values
     bad = ~np.isfinite(values)
-    why = (
-        'is missing or not finite; fill it, cut it out, or let a rule of a recipe fill it (blank = "hold" or "linear")'
-    )
+    rule = 'let a rule of a recipe fill it (blank = "hold" or "linear")'
+    why = f"is missing or not finite; fill it, cut it out, or {rule}"
     if not bad.any():
         bad = (values < low) | (values > high)
         why = f"lies outside [{low:g}, {high:g}] ({column.meaning}); correct it, or let a recipe scale it or divide it in two (scale, above)"

@@ -18,7 +18,7 @@ import numpy as np
 
 from trustlab.sessions.errors import SessionError, damage_named
 from trustlab.sessions.metadata import metadata_from_json
-from trustlab.sessions.readers.tables import SourceColumn, numbers, select_columns, table_stream
+from trustlab.sessions.readers.tables import BLANKS, SourceColumn, is_blank, numbers, select_columns, table_stream
 from trustlab.sessions.readers.unpacking import Budget
 from trustlab.sessions.recipe import NUMBER, Recipe, TableRule
 from trustlab.sessions.resampling import RawLog
@@ -30,7 +30,6 @@ COMMENT = "# trustlab "
 LONGEST_LINE = 1 << 24
 
 _FILL = 'fill it, cut it out, or let a rule of a recipe fill it (blank = "hold" or "linear")'
-_NOT_A_NUMBER = {"nan", "na", "n/a", "null", "none", "inf", "-inf", "+inf", "infinity", "-infinity", "-"}
 
 
 def read_csv(
@@ -48,17 +47,21 @@ def read_csv(
             unpacked = file.read(budget.most + 1)
         budget.take(len(unpacked))
         opened = partial(io.BytesIO, unpacked)
-    layout = replace(layout, delimiter=layout.delimiter or ("\t" if path.suffix.lower() == ".tsv" else ","))
+    layout = replace(layout, delimiter=layout.delimiter or ("\t" if ".tsv" in path.name.lower()[-7:] else ","))
     lines = _lines(opened)
     first, metadata, extra, before = next(lines, ""), None, {}, layout.skip_lines
     if first.startswith(COMMENT) and not before:
         metadata, extra = metadata_from_json(first[len(COMMENT) :])
         before = 1
-        _check_end(opened)
+        with opened() as file:
+            file.seek(-1, os.SEEK_END)
+            if file.read() not in b"\r\n":
+                raise SessionError("its last line has no end, so the file was cut short; write it again")
     for _ in range(before):
         first = next(lines, "")
     where = f"line {before + 1}"
-    reader = csv.reader(itertools.chain([first], lines), delimiter=layout.delimiter)
+    spaces = layout.delimiter == " "  # a run of which separates once
+    reader = csv.reader(itertools.chain([first], lines), delimiter=layout.delimiter, skipinitialspace=spaces)
     try:
         names = [name.strip() for name in next(reader)]
     except csv.Error as error:
@@ -99,21 +102,13 @@ def _lines(opened: Callable[[], BinaryIO]) -> Iterator[str]:
             yield line
 
 
-def _check_end(opened: Callable[[], BinaryIO]) -> None:
-    """Raise where a file of ours does not end its last line."""
-    with opened() as file:
-        file.seek(-1, os.SEEK_END)
-        if file.read() not in b"\r\n":
-            raise SessionError("its last line has no end, so the file was cut short; write it again")
-
-
 def _check_header(
     names: Sequence[str], layout: TableRule, recipe: Recipe | None, wanted: Sequence[str] | None, where: str
 ) -> None:
     """Raise where the line of names shows that the table is written in another way."""
     if not recipe and names[0].startswith("#"):
         raise SessionError(f"{where}: found a comment instead of the names; skip it with [table] skip_lines")
-    other = next((mark for mark in ";\t|," if mark != layout.delimiter and mark in names[0]), None)
+    other = next((mark for mark in ";\t|, " if mark != layout.delimiter and mark in names[0]), None)
     if len(names) > 1 or other is None or (not recipe and (wanted is not None or other in "|,")):
         return
     written = "\\t" if other == "\t" else other
@@ -132,22 +127,23 @@ def _fast(
     import pyarrow as pa
     import pyarrow.csv
 
+    if layout.delimiter == " " and any(each.blank for each in selected):  # between two spaces there is no cell
+        return None
     types = {str(each.position): pa.string() if each.text else pa.float64() for each in selected}
     # Buffers that grow as the blocks come, so that a long column is never in memory twice.
     read = {each.name: io.BytesIO() for each in selected}
-    names = [str(k) for k in range(width)]
     try:
         # Block by block, so that the text of a long log is never in memory as a whole.
         with (
             opened() as file,
             pyarrow.csv.open_csv(
                 file,
-                pyarrow.csv.ReadOptions(column_names=names, skip_rows=before, block_size=1 << 22),
+                pyarrow.csv.ReadOptions(column_names=[*map(str, range(width))], skip_rows=before, block_size=1 << 22),
                 pyarrow.csv.ParseOptions(delimiter=layout.delimiter, ignore_empty_lines=False),
                 pyarrow.csv.ConvertOptions(
                     include_columns=list(types),
                     column_types=types,
-                    null_values=[""] if any(each.blank for each in selected) else [],
+                    null_values=[*BLANKS, *map(str.upper, BLANKS)] if any(each.blank for each in selected) else [],
                     strings_can_be_null=False,
                     decimal_point=layout.decimal,
                 ),
@@ -188,7 +184,7 @@ def _scan(
 
 def _rows(text: Iterable[str], layout: TableRule, width: int, basis: str, line: int) -> Iterator[tuple[int, list[str]]]:
     """Yield the line number and the cells of every row; empty lines are allowed at the end only."""
-    reader = csv.reader(text, delimiter=layout.delimiter)
+    reader = csv.reader(text, delimiter=layout.delimiter, skipinitialspace=layout.delimiter == " ")
     blank = None
     here = line
     try:
@@ -214,13 +210,13 @@ def _rows(text: Iterable[str], layout: TableRule, width: int, basis: str, line: 
 def _cell(column: SourceColumn, row: Sequence[str], layout: TableRule, line: int, k: int) -> float:
     """Return the number in one cell of row k."""
     where = f"line {line}, column {column.label}"
-    if column.blank and not row[column.position].strip():
-        return math.nan
     try:
         if column.text is not None:
             return float(column.text(row[column.position]))
         return _number(row[column.position].strip(" \t"), layout.decimal)
     except ValueError as error:
+        if column.blank and is_blank(row[column.position]):
+            return math.nan
         raise SessionError(f"{where}: {error}", row=k) from None
 
 
@@ -235,8 +231,9 @@ def _number(text: str, decimal: str) -> float:
             raise ValueError(f"{text[:60]!r} is too large for a number")
         return value
     shown = repr(text[:60])
-    if text.lower() in _NOT_A_NUMBER:
+    if is_blank(text) or text.lower().lstrip("+-") in ("inf", "infinity"):
         raise ValueError(f"{shown} is not a finite number; {_FILL}")
     if decimal == "." and re.fullmatch(r"[+-]?\d+,\d+", text):
         raise ValueError(f'{shown} is not a number; read the file with decimal=",", or set it in a recipe')
-    raise ValueError(f"{shown} is not a number; correct it, or turn words into numbers with a recipe's map")
+    dates = '[time] unit = "iso" or "clock" reads dates'
+    raise ValueError(f"{shown} is not a number; correct it, or turn words into numbers with a recipe's map ({dates})")

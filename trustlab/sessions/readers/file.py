@@ -21,7 +21,7 @@ from trustlab.sessions.recipe import Recipe, TableRule, asked_resampling, load_r
 from trustlab.sessions.resampling import RawLog, Stream
 from trustlab.sessions.session import Session
 
-_TEXTS = (".csv", ".csv.gz", ".tsv", ".txt")
+_TEXTS = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
 _ARRAYS = (".mat", ".h5", ".hdf5")
 _TABLES = (*_TEXTS, ".parquet", ".feather", *_ARRAYS)
 _BAGS = (".bag", ".mcap", ".db3", ".ulg", ".xdf")
@@ -495,10 +495,10 @@ def join_sessions(
         Stream(session.t, {name: session[name] for name in session.columns}, "sample {}".format, session.label)
         for session in sessions
     ]
-    resampling = asked_resampling(resample, sample_time)
     metadata = Metadata().changed(**known, joined=[str(session.metadata.source) for session in sessions])
     try:
-        return assemble_session(RawLog("joined", streams, metadata), None, {}, None, resampling)
+        log = RawLog("joined", streams, metadata)
+        return assemble_session(log, None, {}, None, asked_resampling(resample, sample_time))
     except RecipeError as error:
         how = 'join_sessions(sessions, resample="linear", sample_time=0.1)'
         raise RecipeError(f"the sessions have times of their own; name how to bring them together: {how}") from error

@@ -22,6 +22,9 @@ from trustlab.sessions.recipe import NUMBER, Recipe, TableColumn, TableTime, loo
 from trustlab.sessions.resampling import RawLog, Stream
 from trustlab.sessions.vocabulary import VOCABULARY, to_si
 
+# How cells without a number are written, in lower case.
+BLANKS = ("", "nan", "na", "n/a", "null", "none", "-")
+
 
 @dataclass(frozen=True)
 class SourceColumn:
@@ -57,7 +60,7 @@ def select_columns(
     stamps: dict[str, Callable[[object], float]] = {"iso": _IsoTimes(time.from_zero), "clock": _clock_time}
     texts = {"t": stamps.get(time.unit)}
     for name, rule in rules.items():
-        texts[name] = partial(_item, rule.item) if rule.item is not None else None
+        texts[name] = partial(_item, rule.item, recipe.table.decimal) if rule.item is not None else None
         texts[name] = partial(looked_up, rule.map) if rule.map else texts[name]
     blanks = {name: rule.blank for name, rule in rules.items()}
     return [
@@ -87,17 +90,22 @@ class _IsoTimes:
 
 def _clock_time(text: object) -> float:
     """Return the seconds since midnight."""
-    found = re.fullmatch(r"\s*(\d{1,2}):(\d{2}):(\d{2}(?:\.\d{1,12})?)\s*", str(text), re.ASCII)
+    written = str(text).replace(",", ".")
+    found = re.fullmatch(r"\s*(\d{1,2}):(\d{2}):(\d{2}(?:\.\d{1,12})?)\s*", written, re.ASCII)
     if not found:
         raise ValueError(f"{str(text)[:60]!r} is not a time of the day such as 12:00:00.5")
     hours, minutes, seconds = map(float, found.groups())
     return 3600.0 * hours + 60.0 * minutes + seconds
 
 
-def _item(index: int, text: object) -> float:
-    """Return one of the numbers in a cell such as "(x, y, z)"."""
-    parts = re.split(r"[\s,;]+", str(text).strip(" ()[]"))
-    if index >= len(parts) or not NUMBER.fullmatch(parts[index]) or not math.isfinite(float(parts[index])):
+def _item(index: int, decimal: str, text: object) -> float:
+    """Return one of the numbers in a cell such as "(x, y, z)", or "(x; y; z)" with decimal commas."""
+    cell = str(text).strip(" ()[]{}")
+    if decimal == "," and "." not in cell:
+        cell = re.sub(r"(?<=\d),(?=\d)", ".", cell)
+    parts = re.split(r"\s*[,;]\s*|\s+", cell)
+    counted = index < len(parts) and all(NUMBER.fullmatch(part) or is_blank(part) for part in parts)
+    if not counted or is_blank(parts[index]) or math.isinf(float(parts[index])):
         raise ValueError(f"{str(text)[:60]!r} has no number {index} (from 0)")
     return float(parts[index])
 
@@ -154,6 +162,10 @@ def table_stream(
     time = recipe.time if recipe else TableTime(unit="s")
     factor = 1.0 if time.unit in ("iso", "clock") else to_si(time.unit, "s")
     with np.errstate(over="ignore", invalid="ignore"):
+        if time.unit == "clock" and (np.diff(t) < -43200.0).any():  # half a day back is the day after
+            midnights = np.cumsum(np.diff(t, prepend=t[0]) < -43200.0)
+            notes["midnights"] = f"{midnights[-1]} passed; times count on"
+            t = t + 86400.0 * midnights
         if time.from_zero and t.size and np.isfinite(t[0]):
             stamps = next(own.text for own in selected if own.name == "t")
             start = (stamps.start or 0) / 10**9 if isinstance(stamps, _IsoTimes) else 0.0
@@ -255,17 +267,20 @@ def arrow_log(
     return RawLog(source, [stream], metadata, notes=notes, digests=extra.get("digests", {}))
 
 
+def is_blank(text: object) -> bool:
+    """Return whether a cell holds nothing, or one of the words for it."""
+    return str(text).strip().lower() in BLANKS
+
+
 def numbers(values, column: SourceColumn) -> np.ndarray:
     """Return the numbers of a column of Arrow; raise where it has none."""
     import pyarrow as pa
 
     def attempt(text: object) -> float:
-        if column.blank and (text is None or not str(text).strip()):
-            return math.nan
         try:
             return column.text(text)
         except ValueError:
-            return math.inf
+            return math.nan if column.blank and is_blank(text) else math.inf
 
     if column.text:
         coded = pa.chunked_array(values).combine_chunks().dictionary_encode()  # read every text once
@@ -281,10 +296,8 @@ def numbers(values, column: SourceColumn) -> np.ndarray:
     kind = values.type.value_type if pa.types.is_dictionary(values.type) else values.type
     if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)):
         words = "write numbers, or turn words into numbers with a recipe's map"
-        hint = "write seconds since the start as numbers" if pa.types.is_temporal(kind) else words
+        hint = 'write seconds, or set [time] unit = "iso" in a recipe' if pa.types.is_temporal(kind) else words
         raise SessionError(f"column {column.label}: holds {kind}, not numbers; {hint}")
-    if pa.types.is_boolean(kind):
-        values = values.cast(pa.int8())
     if not pa.types.is_signed_integer(values.type):  # large times stay exact until their start is subtracted
         values = values.cast(pa.float64(), safe=False)
     return values.to_numpy(zero_copy_only=False)
