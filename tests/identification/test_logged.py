@@ -327,14 +327,9 @@ def test_stored_coverage_is_met_or_doubted(settings):
     """Every setting of data/coverage: 90 % for each parameter, or fewer than one fit in ten reports success."""
     table = settings.by_parameter(pd.read_csv(STORED))
     table = table[(table["way"] != "before") & (table["successes"] >= 0.1 * table["fits"])]
-    # The standard deviation of a share of 95 % is 2.2 % for 100 fits. Not met: jitter that no stamp shows cannot be diagnosed, and
-    # process noise biases beta in the quarter of the fits that do not find it slow.
-    least = 0.9 - 2.0 * np.sqrt(0.9 * 0.1 / table["successes"])
-    short = table[(table["coverage"] < least)]
-    assert set(zip(short["setting"], short["parameter"], strict=True)) <= {
-        ("jitter that the log hides", "robot_a"),
-        ("process noise", "human_beta"),
-    }, short
+    # A share of 90 % less two of its standard deviations.
+    short = table[table["coverage"] < 0.9 - 2.0 * np.sqrt(0.9 * 0.1 / table["successes"])]
+    assert short.empty, short
     assert set(table["setting"]) >= {"white", "dropouts to 0", "jitter of 40 ms"}
 
 
@@ -354,7 +349,5 @@ def test_ten_settings_cover_the_truth_or_say_that_they_do_not(settings):
     for setting in settings.SETTINGS:
         rows = pd.DataFrame([settings.covers(seed, setting) for seed in np.random.SeedSequence(11).spawn(100)])
         table = settings.by_parameter(rows.assign(setting=setting))
-        # Jitter that nobody states leaves next to no trace in the residuals: those intervals are known to be too short.
-        checked = table["way"] == "options" if setting == "jitter that the log hides" else table["way"] != "before"
-        good = table[checked & (table["successes"] >= 10)]
+        good = table[(table["way"] != "before") & (table["successes"] >= 10)]
         assert (good["coverage"] >= 0.84).all(), (setting, good)
