@@ -233,15 +233,9 @@ class FitResult:
         import matplotlib.pyplot as plt
 
         shown = self.runs[: max(1, most)]
-        figure, axes = plt.subplots(
-            len(self.outputs),
-            len(shown),
-            squeeze=False,
-            sharey="row",
-            sharex="col",
-            figsize=(max(6.5, 3.0 * len(shown)), 0.8 + 2.4 * len(self.outputs)),
-            layout="constrained",
-        )
+        rows, columns = len(self.outputs), len(shown)
+        layout: dict = {"squeeze": False, "sharey": "row", "sharex": "col", "layout": "constrained"}
+        figure, axes = plt.subplots(rows, columns, figsize=(max(6.5, 3.0 * columns), 0.8 + 2.4 * rows), **layout)
         notes = [f"{len(shown)} of {len(self.runs)} runs"] if len(shown) < len(self.runs) else []
         for row, name in zip(axes, self.outputs, strict=True):
             for panel, run in zip(row, shown, strict=True):
@@ -325,19 +319,16 @@ def parameter_table(
     kept = np.flatnonzero(np.array(status) == "estimated")
     stderr = np.full(values.size, np.nan)
     stderr[kept] = np.sqrt(np.diag(covariance)[kept])
-    known, more = np.nan_to_num(covariance), []
+    rows = [*zip(values.tolist(), stderr.tolist(), status, strict=True)]
+    known = np.nan_to_num(covariance)
     for function in derived.values():
         value, slope = gradient(function, names, values)
         # NaN where nothing that the row depends on was estimated.
-        more.append((float(value), np.sqrt(slope @ known @ slope) if slope[kept].any() else np.nan))
-    of_derived = np.reshape(more, (-1, 2))
-    columns = {
-        "value": np.concatenate([values, of_derived[:, 0]]),
-        "stderr": np.concatenate([stderr, of_derived[:, 1]]),
-        "status": [*status, *["derived"] * len(more)],
-    }
-    table = pd.DataFrame(columns, pd.Index([*names, *derived], name="parameter"))
-    labels = table.index[kept]
+        error = float(np.sqrt(slope @ known @ slope)) if slope[kept].any() else np.nan
+        rows.append((float(value), error, "derived"))
+    index = pd.Index([*names, *derived], name="parameter")
+    table = pd.DataFrame(rows, index=index, columns=["value", "stderr", "status"])
+    labels = index[kept]
     return table, pd.DataFrame(known[np.ix_(kept, kept)], index=labels, columns=labels.rename(None))
 
 

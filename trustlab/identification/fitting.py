@@ -264,8 +264,7 @@ def found_table(found: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 def weak_parameters(found: Estimate, table: pd.DataFrame) -> list[Parameter]:
     """Return the shared parameters that a bound holds, or whose 95 % interval is too wide to be of use."""
-    names, columns = table.index, (table[column].tolist() for column in ("value", "stderr", "status"))
-    values, stderrs, statuses = (dict(zip(names, column, strict=True)) for column in columns)
+    values, stderrs, statuses = (table[column].to_dict() for column in ("value", "stderr", "status"))
     weak = []
     for parameter in found.problem.structure.parameters:
         status = statuses[parameter.name]

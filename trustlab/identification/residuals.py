@@ -29,16 +29,15 @@ def pooled_autocorrelation(residuals: list[np.ndarray], lags: int) -> np.ndarray
 
 
 def pooled_cross_correlation(residuals: list[np.ndarray], inputs: list[np.ndarray], lags: int) -> np.ndarray:
-    """Return the correlation of e(k) with u(k − lag) for −lags … lags, pooled over runs; 0 where no input moves."""
+    """Return the correlation of e(k) with u(k − lag) for −lags … lags < N, pooled over runs; 0 where no input moves."""
+    from scipy import signal
+
     e_mean, u_mean = np.concatenate(residuals).mean(), np.concatenate(inputs).mean()
     sums, e_power, u_power = np.zeros(2 * lags + 1), 0.0, 0.0
     for e, u in zip(residuals, inputs, strict=True):
         e, u = e - e_mean, u - u_mean
         e_power, u_power = e_power + e @ e, u_power + u @ u
-        for lag in range(-lags, lags + 1):
-            size = e.size - abs(lag)
-            if size > 0:
-                sums[lag + lags] += e[max(lag, 0) :][:size] @ u[max(-lag, 0) :][:size]
+        sums += signal.correlate(e, u)[e.size - 1 - lags : e.size + lags]
     scale = np.sqrt(e_power * u_power)
     return sums / scale if scale > 0.0 else sums
 
@@ -177,15 +176,15 @@ def _noise(at) -> Noise:
 
 def outliers(error: np.ndarray, scale: float) -> np.ndarray:
     """Return which residuals are far off, in stretches that begin or end with a jump, as dropouts do and a wrong model does not."""
+    from scipy import ndimage
+
     far = np.abs(error) > FAR * scale
     if not far.any():
         return far
-    edges = np.diff(far.astype(int), prepend=0, append=0)
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     jumps = np.abs(np.diff(error, prepend=0.0, append=0.0)) > FAR * scale
     out = np.zeros(error.size, dtype=bool)
-    for start, end in zip(starts, ends, strict=True):
-        out[start:end] = jumps[start] or jumps[end]
+    for (stretch,) in ndimage.find_objects(ndimage.label(far)[0]):
+        out[stretch] = jumps[stretch.start] or jumps[stretch.stop]
     return out
 
 

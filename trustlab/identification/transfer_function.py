@@ -121,9 +121,7 @@ def transfer_structure(order: int, sample_time: float) -> Structure:
 
     def check(runs, limits):
         if max(np.ptp(run["command"]) for run in runs) == 0.0:
-            raise IdentificationError(
-                "the command never changes: nothing can be identified from it", ("gain", *denominator)
-            )
+            raise IdentificationError("the command never changes: it identifies nothing", ("gain", *denominator))
 
     return Structure(
         "transfer function",
