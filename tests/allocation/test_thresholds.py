@@ -43,6 +43,7 @@ def test_a_fit_is_taken_and_warned_of_where_it_is_unsure(operators, make_session
         again = choose_thresholds(unsure, points=4)
     assert [one.filename for one in caught] == [__file__]
     assert (again.lower, again.upper) == (choice.lower, choice.upper)
+    assert again.message.endswith(f"success = False: {unsure.message} {choice.message}")
     with pytest.raises(ValueError, match=r"TscModel, got RobotModel; fit one with trustlab\.fit_tsc"):
         choose_thresholds(tl.fit_robot(make_session(operators["2"], switching)))
 

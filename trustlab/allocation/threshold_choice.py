@@ -1,6 +1,6 @@
 """Choosing thresholds, Algorithm 1 as an optimisation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -116,7 +116,7 @@ def choose_thresholds(
     Parameters
     ----------
     tsc : TscModel or FitResult
-        The model, or a fit of one by `fit_tsc`: where its `success` is False, a warning gives its `message`.
+        The model, or a fit of one by `fit_tsc`: where its `success` is False, a warning and the choice give its `message`.
     delta_p_h : float
         δ_Ph for the limits that the search keeps to. 0 takes them as TSC settles; whether a pair keeps switching is then
         seen from its cycle. This is not the default of `threshold_limits`, see Notes.
@@ -151,9 +151,12 @@ def choose_thresholds(
     (-0.057, 0.439)
     """
     if isinstance(tsc, FitResult):
-        if not tsc.success:
-            warn(f"thresholds for a model whose fit has success = False: {tsc.message}")
-        return choose_thresholds(of_class("tsc", tsc.model, TscModel), delta_p_h, margin, points)
+        choice = choose_thresholds(of_class("tsc", tsc.model, TscModel), delta_p_h, margin, points)
+        if tsc.success:
+            return choice
+        doubt = f"Thresholds of a model whose fit has success = False: {tsc.message}"
+        warn(doubt)
+        return replace(choice, message=f"{doubt} {choice.message}")
     of_class("tsc", tsc, TscModel)
     margin = finite_number("margin", margin)
     if not 0.0 < margin < 0.5:
