@@ -1,5 +1,6 @@
 """What the dissertation prints, as strings, from data/published/."""
 
+from functools import cache
 from numbers import Integral
 from pathlib import Path
 
@@ -58,12 +59,18 @@ def published_table(number: str) -> pd.DataFrame:
     name = str(number).strip() if isinstance(number, str | float) else None
     if name not in paths:
         raise ValueError(f"no printed table {number!r:.60}; there are {', '.join(paths)}")
-    return pd.read_csv(paths[name], dtype=str, index_col=[0, 1] if name == "2.3" else 0)
+    return _read(paths[name], 2 if name == "2.3" else 1).copy()
+
+
+@cache
+def _read(path: Path, levels: int = 1) -> pd.DataFrame:
+    """Return a printed table, read once: every simulated run asks for several."""
+    return pd.read_csv(path, dtype=str, index_col=list(range(levels)))
 
 
 def printed_pilot() -> dict[str, str]:
     """Return the pilot operator's parameters as printed in Sections 2.2.2 and 2.2.3."""
-    return pd.read_csv(published_folder() / "pilot.csv", dtype=str, index_col=0)["pilot"].to_dict()
+    return _read(published_folder() / "pilot.csv")["pilot"].to_dict()
 
 
 def published_models() -> dict[str, TscModel]:
@@ -81,7 +88,13 @@ def published_models() -> dict[str, TscModel]:
     >>> list(tl.published_models())
     ['pilot', '1', '2', '3', '4', '5']
     """
-    models, pilot = ByName(), printed_pilot()
+    return ByName(_models())
+
+
+@cache
+def _models() -> dict[str, TscModel]:
+    """Return the models, made once."""
+    models, pilot = {}, printed_pilot()
     for name, printed in ({"pilot": pilot} | published_table("2.1").to_dict()).items():
         value = {key: float(printed[key]) for key in pilot}
         human = HumanModel(value["a_r"], value["beta"], value["P_h_min"], value["P_h_max"])

@@ -265,8 +265,7 @@ def page_faults(page: str) -> list[str]:
 
 def check_page(page: str, what: str) -> None:
     """Refuse a page that would run or fetch anything."""
-    faults = page_faults(page)
-    if faults:
+    if faults := page_faults(page):
         raise ReportError(f"the {what} would not be self-contained: {'; '.join(faults)}")
 
 
