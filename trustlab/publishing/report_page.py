@@ -198,19 +198,13 @@ class Page:
         return re.sub(r"</?(p|a)\b[^>]*>", "", markdown_html(words, folder=self.folder)).strip()
 
 
-class _Exporter(HTMLExporter):
-    """nbconvert's exporter without its second pass, which parses the finished page for what our template has written already."""
-
-    from_notebook_node = TemplateExporter.from_notebook_node
-
-
 def report_html(
     notebook: NotebookNode, name: str, origin: dict, given: dict | None = None, folder: str | Path = ""
 ) -> tuple[str, dict[str, Any]]:
     """Return an executed notebook as one self-contained page, and what the index shows of it."""
     page = Page(notebook, name, folder)
     filters = {"duration": duration, "image_uri": image_uri, "output_html": output_html, "result": result}
-    exporter = _Exporter(
+    exporter = HTMLExporter(
         template_file="report.html.j2",
         extra_template_paths=[str(TEMPLATES)],
         filters=filters | {"highlight_code": Highlight2HTML(pygments_lexer="ipython3")},
@@ -219,7 +213,8 @@ def report_html(
     resources = {"page": page, "name": name, "origin": origin, "given": given or {}}
     resources |= {"css": stylesheet(), "script": script(), "policy": policy(script())}
     try:
-        text, _ = exporter.from_notebook_node(notebook, resources)
+        # Not HTMLExporter's own, which would parse the finished page once more for what our template has written already.
+        text, _ = TemplateExporter.from_notebook_node(exporter, notebook, resources)
     except MathError as error:
         raise ReportError(str(error), page.index) from error
     check_page(text, "report")
