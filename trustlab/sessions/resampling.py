@@ -88,7 +88,7 @@ def resample(
         raise SessionError(f"topics do not overlap: {what} ({hint})")
     grid = _time_grid(start, stop, sample_time)
     # A grid time that rounding put just before a sample belongs to that sample; dates in seconds are rounded to 0.24 µs.
-    slack = max(1e-6 * sample_time, 2.0 * float(np.spacing(log.notes.get("start_time", 0.0) + stop)))
+    slack = np.clip(2.0 * np.spacing(log.notes.get("start_time", 0.0) + stop), 1e-6 * sample_time, 0.5 * sample_time)
     columns = {
         name: _interpolate(stream, name, grid, slack, _method(name, method, rules.get(name)))
         for stream in log.streams
