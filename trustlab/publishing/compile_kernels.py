@@ -14,7 +14,8 @@ import trustlab as tl
 
 
 def _ground_robot() -> None:
-    tl.run_condition("C3", participant=2, laps=1, seed=0)  # with the correction engine, which is in its kernel
+    tl.run_condition("C3", participant=2, laps=1, seed=0)
+    tl.testbeds.run_correction(2, (0.0, 0.35), tests=1, laps=1, seed=0)  # the kernel again, with the correction in it
 
 
 def _the_rest() -> None:

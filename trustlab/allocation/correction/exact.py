@@ -45,7 +45,7 @@ import numpy as np
 
 from trustlab.allocation.correction.dynamics import suggestion_now
 from trustlab.allocation.correction.incentive import box, incentive_box
-from trustlab.allocation.correction.lower_bound import future_cost, remaining_cost
+from trustlab.allocation.correction.lower_bound import LONG, future_cost, remaining_cost
 from trustlab.allocation.correction.plan import LOWER, UPPER, CorrectionPlan, CorrectionStatus
 from trustlab.models.checks import whole_number
 from trustlab.models.compiled import njit
@@ -61,12 +61,13 @@ class Workspace(NamedTuple):
     steps: np.ndarray  # shape (7, N + 1)
     thresholds: np.ndarray  # shape (6, 2, N + 1)
     waiting: np.ndarray  # steps that could have gone the other way, the last on top
+    long: bool | None  # True where bounds by phases can be worth their time; None leaves them out of what is compiled
 
     @classmethod
     def of(cls, horizon: int) -> Workspace:
         """Return arrays for N steps."""
         n = horizon + 1
-        return cls(np.empty((7, n)), np.empty((6, 2, n)), np.empty(n, np.int64))
+        return cls(np.empty((7, n)), np.empty((6, 2, n)), np.empty(n, np.int64), horizon > LONG or None)
 
 
 class Solution(NamedTuple):
@@ -150,7 +151,9 @@ def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions
 
 
 @njit(_nrt=True)  # it allocates, also where its caller counts no references
-def search(constants, c_b, target, budget, start, r0, p0, before, standard, steps, thresholds, waiting, states, plan):
+def search(
+    constants, c_b, target, budget, start, r0, p0, before, standard, steps, thresholds, waiting, long, states, plan
+):
     """
     Search the mode sequences from r0, p0, the thresholds `start` and the mode before; fill `states` and the actions `plan`.
 
@@ -284,7 +287,7 @@ def search(constants, c_b, target, budget, start, r0, p0, before, standard, step
         for j in (LOWER, UPPER):
             way = sign[j] * (best_lower[n] if j == LOWER else best_upper[n]) - least[j, 0]
             guess[j] = min(least[j, 0] + 1.3 * way + 50.0 * c_b, goal[j])
-        rest = remaining_cost(i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, c_b, standard, guess)
+        rest = remaining_cost(i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, c_b, standard, long, guess)
         bound = min(bound, max(spent[i - 1] + rest, 0.0))
     return cost, min(bound, cost), sequences, complete, tsc[0], True
 
@@ -325,10 +328,11 @@ class ExactEngine:
         self._start = np.empty(2)
         self._standard = incentive is incentive_box
         self._search = search if self._standard else _search_with(incentive, tsc, c_b)
+        room = Workspace.of(horizon)
         # A plan of one step compiles the search now, so that the first plan of a run does not wait for it.
-        self._work = Workspace.of(1)
+        self._work = Workspace.of(1)._replace(long=room.long)
         self._searched(0.5, tsc.robot.p_min, target_lower, target_upper, 1)
-        self._work = Workspace.of(horizon)
+        self._work = room
 
     def _searched(self, r, p_r, lower, upper, mode):
         # Written for speed: a plan takes about as long as passing its arguments.

@@ -24,7 +24,6 @@ CORRECTED = np.dtype(
 class LoopCorrection(NamedTuple):
     """What the exact engine needs in a compiled loop; `thresholds` is updated by every correction."""
 
-    active: bool
     adopted: bool  # whether the operator's own thresholds move along
     constants: tuple  # of TscConstants, in their order
     c_b: float
@@ -51,7 +50,6 @@ def loop_correction(
     for name in ("lower", "upper", "cost", "bound"):
         log[name] = np.nan
     return LoopCorrection(
-        active=True,
         adopted=adopted,
         constants=tuple(tsc.constants()),
         c_b=float(c_b),
@@ -64,14 +62,7 @@ def loop_correction(
     )
 
 
-def no_correction() -> LoopCorrection:
-    """Return an inactive correction of the same type, for loops that run without one."""
-    nothing = (0.0,) * len(TscConstants._fields)
-    room = np.zeros(2), Workspace.of(1), Solution.of(1), np.zeros(1, CORRECTED)
-    return LoopCorrection(False, False, nothing, 0.0, np.zeros(2), 1, *room)
-
-
-@njit
+@njit(inline="always")
 def correct_thresholds(correction, k, r, p_r, mode):
     """Log sample k, plan, and correct the thresholds by one step; return c_l and c_u."""
     c, thresholds = TscConstants(*correction.constants), correction.thresholds
@@ -79,7 +70,7 @@ def correct_thresholds(correction, k, r, p_r, mode):
     now = min(max(p_r, c.p_r_min), c.p_r_max)
     problem = correction.constants, correction.c_b, correction.target, correction.budget
     state = thresholds, r, now, float(mode), True
-    room = work.steps, work.thresholds, work.waiting, best.states, best.actions
+    room = work.steps, work.thresholds, work.waiting, work.long, best.states, best.actions
     cost, bound, _, _, _, _ = search(*problem, *state, *room)
     row = correction.log[k]
     row.lower, row.upper = thresholds[LOWER], thresholds[UPPER]

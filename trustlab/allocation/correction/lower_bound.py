@@ -147,7 +147,7 @@ def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
 
 
 @njit
-def remaining_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, guess):
+def remaining_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, long, guess):
     """
     Bound the cost from step `first` to n from below, by boxes and, over many steps, by whole phases.
 
@@ -156,7 +156,7 @@ def remaining_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, 
     """
     path = np.empty((2, n + 1))
     reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, path)
-    if standard and n - first + 1 > LONG:
+    if long is not None and standard and n - first + 1 > LONG:
         ends = np.minimum(guess, path[:, n])
         if not by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
             by_phases(path[:, n].copy(), path, first, n, r, p, mode, most, start, sign, c, c_b)

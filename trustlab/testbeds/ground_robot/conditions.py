@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.correction.in_loop import no_correction
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import did_you_mean, finite_array, finite_number, of_class, one_of, spawned, whole_number
 from trustlab.models.published import published_models, published_table
@@ -384,8 +383,8 @@ def driven(task, most, robot, course, operator, seed, schedule=None, correction=
     streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
     modes = np.ones(1, np.int64) if schedule is None else schedule
     numbers, state = (course.numbers, robot.numbers, operator.numbers), np.zeros(1, kernel.STATE)
-    room = correction or no_correction(), kernel.scratch(log.size, course.numbers)
-    rows, done = kernel.drive(task, modes, *numbers, *streams, state, log, lap_times, *room)
+    room = kernel.scratch(log.size, course.numbers)
+    rows, done = kernel.drive(task, modes, *numbers, *streams, state, log, lap_times, correction, room)
     if done < task.laps:
         raise ValueError(
             f"only {done} of {task.laps} laps were done in {most * deciding.SAMPLE_TIME:.0f} s (an average of {SLOWEST} m/s would "

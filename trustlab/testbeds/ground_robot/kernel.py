@@ -106,7 +106,7 @@ def operate(task, person, robot, rates, before, arc, course, state, hand):
     state.w_hand = min(max(state.w_hand, -robot.max_turn_rate), robot.max_turn_rate)
 
 
-@njit
+@njit(inline="always")
 def correct(correction, task, k, t, state):
     """Move the thresholds of the suggestions by one step of (2.40), and the operator's own ones with them if adopted."""
     corrected_l, corrected_u = correction.thresholds[LOWER], correction.thresholds[UPPER]
@@ -218,6 +218,7 @@ def drive(task, schedule, course, robot, person, sensing, hand, mind, states, lo
 
     course: the numbers of a `Course`. robot, person: numbers of a `Pioneer` and an `Operator`. sensing, hand, mind: generators
     of their noise. schedule, shape (N,): modes, used by the scheme SCHEDULE alone. states, shape (1,): a record of STATE.
+    correction: a `LoopCorrection`, or None, which leaves the engine out of what is compiled.
     """
     dt, state = task.sample_time, states[0]
     delay, (arc, z_r, z_h, found) = round(person.delay / dt), kept
@@ -234,7 +235,7 @@ def drive(task, schedule, course, robot, person, sensing, hand, mind, states, lo
         # at first nothing has been seen yet
         operate(task, person, robot, rates, log[seen], arc[seen] if k >= delay else -1.0, course, state, hand)
         perform(task, k, z_r, z_h, row, state)
-        if correction.active:
+        if correction is not None:
             correct(correction, task, k, t, state)
         allocate(task, person, schedule[k] if task.scheme == SCHEDULE else 0, t, state, mind)
         enter(row, state)
