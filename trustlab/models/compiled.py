@@ -70,7 +70,8 @@ def njit(function: Callable | None = None, **options: Any) -> Any:
     if folder is None:
         return numba.njit(**options)(function)
     with _numba_caches_in(folder):
-        return numba.njit(cache=True, **options)(function)
+        # no second wrapper, for C: it would take a tenth of the time, and `cfunc` makes one where it is wanted
+        return numba.njit(cache=True, no_cfunc_wrapper=True, **options)(function)
 
 
 def cfunc(signature: Any, function: Callable, **options: Any) -> Any:
