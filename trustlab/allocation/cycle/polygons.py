@@ -156,7 +156,7 @@ def propagate(manual, poly, k, error, target, c, most, out, corners, errors):
     return TOO_LONG, most
 
 
-@njit
+@njit(inline="always")
 def propagate_cycle(poly, k, error, lower, upper, c, most, out, corners, errors):
     """Propagate a polygon through a manual and an autonomous phase, as `propagate`."""
     half = np.empty((PARTS, CORNERS, 2))
@@ -213,7 +213,7 @@ def narrow(low, high, over, lower, upper, c, cells, cycles, most, budget):
     out = np.empty((4 * PARTS, CORNERS, 2))
     corners, errors = np.empty(4 * PARTS, np.int64), np.empty(4 * PARTS)
     poly, waiting = np.empty((CORNERS, 2)), np.empty((64, 2))
-    stepped, done = 0, 0
+    stepped, done, autonomous = 0, 0, cells < 0  # no literal False, as above
     for _ in range(cycles):
         if high - low < 1e-9:
             break
@@ -231,7 +231,7 @@ def narrow(low, high, over, lower, upper, c, cells, cycles, most, budget):
                 top -= 1
                 left, right = waiting[top, LEFT], waiting[top, RIGHT]
                 # The utilizations one sample earlier, in the autonomous phase, limit the overshoot of this cell.
-                cell_over = min(over, overshoot(False, left / c.a_r, min(right / c.a_r, 1.0), lower, c))
+                cell_over = min(over, overshoot(autonomous, left / c.a_r, min(right / c.a_r, 1.0), lower, c))
                 strip(left, right, cell_over, lower, c, poly)
                 parts, steps = propagate_cycle(poly, np.int64(4), 0.0, lower, upper, c, most, out, corners, errors)
                 stepped += steps + 40

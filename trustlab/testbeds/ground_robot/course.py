@@ -77,21 +77,17 @@ def nearest_of(x, y, course):
     return best_x, best_y, best_s, np.sqrt(best)
 
 
-@njit
-def near_pieces(path, low_x, low_y, cell, shape_x, shape_y):
-    """Return `first` and `pieces` of `CourseNumbers`: pieces no farther from a cell's middle than the nearest, and its diagonal."""
-    first, pieces = np.zeros(shape_x * shape_y + 1, np.int64), []
-    away = np.empty(path.shape[0] - 1)
-    for here in range(shape_x * shape_y):
+@njit(_nrt=False)
+def mark_near_pieces(path, low_x, low_y, cell, shape_y, away, near):
+    """Mark in each row of `near`, one per cell, the pieces no farther from its middle than the nearest, and its diagonal."""
+    for here in range(near.shape[0]):
         x, y = low_x + (here // shape_y + 0.5) * cell, low_y + (here % shape_y + 0.5) * cell
+        least = np.inf
         for i in range(away.size):
             away[i] = np.sqrt(piece_distance(x, y, path, i)[0])
-        most = away.min() + 1.4143 * cell  # a distance changes by at most half a diagonal within the cell
-        for i in range(away.size):
-            if away[i] <= most:
-                pieces.append(i)
-        first[here + 1] = len(pieces)
-    return first, np.array(pieces)
+            least = min(least, away[i])
+        for i in range(away.size):  # a distance changes by at most half a diagonal within the cell
+            near[here, i] = away[i] <= least + 1.4143 * cell
 
 
 @njit(_nrt=False)
@@ -102,13 +98,15 @@ def point_at(s, i, path):
     return path[i, 0] + (s - path[i, 2]) * tx, path[i, 1] + (s - path[i, 2]) * ty, tx, ty
 
 
-@njit
+@njit(_nrt=False)
 def path_point(s, path):
     """Return the point of a closed polyline at arc length `s` and the unit tangent there: x, y, tx, ty."""
     last = path.shape[0] - 1
     length = path[last, 2]
     s = s - np.floor(s / length) * length
-    i = min(np.searchsorted(path[:, 2], s, side="right") - 1, last - 1)
+    i = 0
+    while i < last - 1 and path[i + 1, 2] <= s:
+        i += 1
     return point_at(s, i, path)
 
 
@@ -229,7 +227,9 @@ class Course:
         count = max(1, min(MOST_CELLS, MOST_TRIED // len(path)))
         cell = float(max(np.sqrt(np.prod(high - low) / count), (high - low).max() / count))
         shape_x, shape_y = (max(1, int(size)) for size in np.floor((high - low) / cell))
-        first, pieces = near_pieces(path, *low, cell, shape_x, shape_y)
+        near = np.empty((shape_x * shape_y, len(path) - 1), bool)
+        mark_near_pieces(path, *low, cell, shape_y, np.empty(len(path) - 1), near)
+        first, pieces = np.append(0, np.cumsum(near.sum(axis=1))), np.nonzero(near)[1]
         stretch = self.length / (2 * len(path))
         begins = np.searchsorted(path[:, 2], stretch * np.arange(2 * len(path)) * (1.0 - 1e-12), side="right") - 1
         low_x, low_y = map(float, low)
