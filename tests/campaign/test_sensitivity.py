@@ -106,7 +106,7 @@ def test_the_plot_has_a_panel_per_result():
         ({"ranges": {}}, "ranges must be a dict"),
         ({"ranges": {"x1": (0, 1)}}, "give at least two, got x1 alone"),
         ({"ranges": BOX | {"x1": (1, 1)}}, "must be below"),
-        ({"ranges": BOX | {"x1": 5}}, r"ranges\['x1'\] must be \(low, high\) or a scipy.stats distribution, got int"),
+        ({"ranges": BOX | {"x1": 5}}, r"ranges\['x1'\] must be \(low, high\) or a SciPy distribution, got int"),
         ({"results": ["z"]}, "results names 'z', but the task returns y, double, constant, word"),
         ({"results": ["word"]}, "'word' is not a number"),
         ({"task": lambda x1, x2, x3, seed: {"y": math.nan if x1 > 0 else 1.0}}, "result 'y' is nan at .* of 40 points"),

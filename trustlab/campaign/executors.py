@@ -131,9 +131,7 @@ def brought_workers(task: Callable, seed: np.random.SeedSequence, executor: obje
     elif callable(executor):
         workers = _Made(task, seed, getattr(executor, "__name__", "executor"), executor)
     if workers is None or not isinstance(workers.executor, Executor):
-        raise ValueError(
-            f"executor must be a concurrent.futures.Executor or a function that makes one, got {executor!r:.60}"
-        )
+        raise ValueError(f"executor must be a concurrent.futures.Executor, or make one, got {executor!r:.60}")
     # Executors of the standard library, loky and mpi4py know how many workers they have; others may not.
     workers.count = count or getattr(workers.executor, "_max_workers", None) or os.cpu_count() or 1
     return workers

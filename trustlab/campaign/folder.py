@@ -263,9 +263,7 @@ def _manifest(folder: Path) -> dict:
         wrong = [name for name, kind in ENTRIES.items() if not isinstance(content[name], kind)]
         texts = [*content["names"], *content["task"].values(), *content["versions"].values()]
         if wrong or not all(isinstance(text, str) for text in texts):
-            raise ValueError(
-                f"{', '.join(wrong) or 'names, task or versions'} is of another kind than a campaign writes"
-            )
+            raise ValueError(f"{', '.join(wrong) or 'names, task or versions'} is of no kind that a campaign writes")
     except (OSError, LookupError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise CampaignError(f"{path} cannot be read ({type(error).__name__}: {error}); {REMEDY}") from error
     if content["format"] != FORMAT:

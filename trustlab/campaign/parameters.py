@@ -146,9 +146,7 @@ def _drawn(name: str, kind: Any, n: int, rng: np.random.Generator) -> list:
         if draws.shape != (n,) or not np.all(np.isfinite(draws)):
             raise ValueError(f"the distribution of {name} must give {n} finite numbers, got shape {draws.shape}")
         return draws.tolist()
-    raise ValueError(
-        f"{name} must be (low, high), a list of values or a scipy.stats distribution, got {type(kind).__name__}"
-    )
+    raise ValueError(f"{name} must be (low, high), a list of values or a SciPy distribution, got {type(kind).__name__}")
 
 
 def checked_names(parameters: Sequence[Mapping]) -> list[str]:

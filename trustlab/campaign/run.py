@@ -152,9 +152,7 @@ def run_campaign(
 def _checked_task(task: object, parameters: Any) -> list[str]:
     """Return the names of the parameters; raise unless the task can be called with them and a seed."""
     if not callable(task):
-        raise ValueError(
-            f"task must be a function that is called as task(**parameters, seed=…), got {type(task).__name__}"
-        )
+        raise ValueError(f"task must be a function called as task(**parameters, seed=…), got {type(task).__name__}")
     names = checked_names(parameters)
     try:
         signature = inspect.signature(task)
@@ -174,9 +172,7 @@ def _checked_task(task: object, parameters: Any) -> list[str]:
 def _check_where(n_jobs: object, cluster: object, executor: object) -> None:
     """Raise unless exactly one place is given where chunks are to run."""
     if isinstance(n_jobs, bool | np.bool_) or not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
-        raise ValueError(
-            f"n_jobs must be a whole number of processes, 1 for none beside this one, -1 for all cores, got {n_jobs!r}"
-        )
+        raise ValueError(f"n_jobs must be a whole number of processes: 1 for this, -1 for all cores, got {n_jobs!r}")
     if cluster is not None and executor is not None:
         raise ValueError("give cluster or executor, not both: each says where to run")
     if cluster is not None and n_jobs != -1:

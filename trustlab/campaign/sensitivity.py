@@ -203,9 +203,7 @@ def _distributions(ranges: Any) -> dict[str, Any]:
     if not isinstance(ranges, Mapping) or not ranges:
         raise ValueError("ranges must be a dict of (low, high) by parameter, such as {'beta': (0.6, 0.8)}")
     if len(ranges) < 2:
-        raise ValueError(
-            f"indices share out variance between parameters: give at least two, got {', '.join(ranges)} alone"
-        )
+        raise ValueError(f"indices divide variance among parameters: give at least two, got {', '.join(ranges)} alone")
     found = {}
     for name, kind in ranges.items():
         if isinstance(kind, tuple):
@@ -214,9 +212,7 @@ def _distributions(ranges: Any) -> dict[str, Any]:
         elif callable(getattr(kind, "ppf", None)):
             found[name] = kind
         else:
-            raise ValueError(
-                f"ranges[{name!r}] must be (low, high) or a scipy.stats distribution, got {type(kind).__name__}"
-            )
+            raise ValueError(f"ranges[{name!r}] must be (low, high) or a SciPy distribution, got {type(kind).__name__}")
     return found
 
 

@@ -76,7 +76,7 @@ def test_origin_is_said(kind):
         (lambda f: f, {"formula": "error"}, "formula must be"),
         (lambda f: f, {"groups": "whom"}, "groups: no column 'whom'; did you mean 'who'"),
         (lambda f: f, {"random": 1}, "random must be of class str"),
-        (lambda f: f.assign(trial=np.nan), {"formula": "error ~ trial"}, "48 rows have a value that is missing"),
+        (lambda f: f.assign(trial=np.nan), {"formula": "error ~ trial"}, "48 rows have a missing or infinite value"),
         (lambda f: f.assign(twice=f["trial"]), {"formula": "error ~ trial + twice"}, "linearly dependent"),
         (lambda f: f.assign(error=1.0), {}, "every score is 1"),
         (lambda f: f[f["who"] < 2], {}, "has 2 groups"),

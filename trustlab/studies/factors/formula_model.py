@@ -194,9 +194,7 @@ def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
     bad = ~np.isfinite(together).all(axis=1)
     if bad.any():
         row = int(np.argmax(bad))
-        raise ValueError(
-            f"data: {bad.sum()} rows have a value that is missing or infinite, row {row} first; leave them out"
-        )
+        raise ValueError(f"data: {bad.sum()} rows have a missing or infinite value, row {row} first; leave them out")
     terms = {str(term): list(columns) for term, columns in x.model_spec.term_indices.items() if str(term) != "1"}
     score = together[:, 0]
     if np.linalg.matrix_rank(together[:, 1 : x.shape[1] + 1]) < x.shape[1]:

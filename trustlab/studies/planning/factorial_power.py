@@ -128,9 +128,7 @@ def population_of(
 def shares_of(probabilities: Any, trials: int | None, sd: float | None) -> Shares:
     """Return the population of shares with these probabilities, of the participant in the middle, by condition."""
     if trials is None or sd is None:
-        raise ValueError(
-            'family="binomial" needs trials= of a participant and condition, and sd= of intercepts in logits'
-        )
+        raise ValueError('family="binomial" needs trials= of a person and condition, and sd= of intercepts in logits')
     chances = array_between("mean", list(pd.Series(probabilities)), 1e-6, 1.0 - 1e-6, "probabilities")
     if chances.size < 2:
         raise ValueError(f"mean must have the probabilities of at least two conditions, got {chances.size}")
