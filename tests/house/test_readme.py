@@ -38,6 +38,11 @@ def test_code_runs(path, tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out.strip()
 
 
+def test_blocks_of_the_documentation_fit_a_page_of_1280_pixels():
+    lines = [(name_of(path), line) for path in DOCUMENTS[1:] for *_, code in blocks(path) for line in code.splitlines()]
+    assert [(name, line) for name, line in lines if len(line) > 98] == []
+
+
 @pytest.fixture(scope="module")
 def scheme_page():
     """What the code of the page about one's own scheme and trust defines."""

@@ -16,6 +16,8 @@ from tests.publishing.test_reading import serious
 
 ELSEWHERE = ("http:", "https:", "mailto:", "data:", "javascript:")
 MOST_BYTES = 2.5e6
+CUT = """[...document.querySelectorAll("pre, .formula")].filter((one) => one.scrollWidth > one.clientWidth)
+    .map((one) => one.textContent.slice(0, 80))"""
 
 
 def build(folder, *options):
@@ -129,6 +131,8 @@ def test_pages_in_a_browser(site):
                 wide = tab.evaluate("document.documentElement.scrollWidth")
                 if wide > width:
                     found.append(f"{path.name} is {wide} wide at {width}")
+                if width >= 1280:
+                    found.extend(f"{path.name}: {words} is cut at {width}" for words in tab.evaluate(CUT))
             tab.close()
         tab = browser.new_page()
         for name in ("index", "start", "api/fit_robot", "api/room_models", "how_to/recipe", "concepts/glossary"):
