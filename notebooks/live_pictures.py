@@ -50,14 +50,14 @@ def taken():
             page = browser.new_page(viewport=SIZE)
             page.goto(links["P01"])
             page.wait_for_selector("form")
-            found["consent"] = page.screenshot()
+            found["consent"] = page.locator("main").screenshot()
             page.click("input[type=checkbox]")
             page.click("form button")
             page.click("main > button")
             page.wait_for_selector("canvas")
             page.keyboard.down("ArrowUp")
             time.sleep(1.5)  # on the course, which a straight way soon leaves
-            found["drive"] = page.screenshot()
+            found["drive"] = page.locator("main").screenshot()
             other = server.course("P02")
             for step in other.steps:
                 if step.page.name == "nasa_tlx":
@@ -66,7 +66,7 @@ def taken():
             second = browser.new_page(viewport=SIZE)
             second.goto(links["P02"])
             second.wait_for_selector("fieldset")
-            found["workload"] = second.screenshot()
+            found["workload"] = second.locator("main").screenshot()
             third = browser.new_page(viewport={"width": 1200, "height": 420})
             third.goto(server.experimenter)
             third.wait_for_selector("tbody tr")

@@ -24,6 +24,7 @@ WIDTHS = (1280, 1440, 390)
 MOST_BYTES = 2_500_000
 PAGE_WIDTH = 972 * 0.75  # of a figure on the page [pt]
 LEAST_TEXT = 8.0  # [pt]
+PAPER = 718  # width of A4 within margins of 1 cm [px]
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +113,13 @@ def faults(page, path, width):
     wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
     if wide > 0:
         found.append(f"is {wide} px wider than the window")
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": PAPER, "height": 1000})
+    found += page.evaluate(
+        "[...document.querySelectorAll('main :is(table, img, pre, .equation)')]"
+        ".filter(one => one.getBoundingClientRect().right > document.documentElement.clientWidth + 1)"
+        ".map(one => `cut off in print: ${one.textContent.slice(0, 60)}`)"
+    )
     found += page.evaluate(
         "[...document.images].filter(one => !one.hasAttribute('alt')).map(() => 'an image without alt')"
     )

@@ -236,22 +236,21 @@ class FitResult:
         rows, columns = len(self.outputs), len(shown)
         layout: dict = {"squeeze": False, "sharey": "row", "sharex": "col", "layout": "constrained"}
         figure, axes = plt.subplots(rows, columns, figsize=(max(6.5, 3.0 * columns), 0.8 + 2.4 * rows), **layout)
-        notes = [f"{len(shown)} of {len(self.runs)} runs"] if len(shown) < len(self.runs) else []
         for row, name in zip(axes, self.outputs, strict=True):
             for panel, run in zip(row, shown, strict=True):
                 panel.plot(run.t, run.measured[name], lw=0.8, color="0.55", label="measured")
                 panel.plot(run.t, run.fitted[name], lw=1.6, ls="--", color="C1", label="fitted")
                 if "mode" in run.inputs:
                     shade_manual(panel, run.t, run.mode)
-        if "mode" in shown[0].inputs:
-            notes.append("manual phases shaded")
         for panel, name in zip(axes[:, 0], self.outputs, strict=True):
             panel.set_ylabel(LABELS.get(name, name))
         for panel, run in zip(axes[0], shown, strict=True):
             panel.set_title(run.label, fontsize="small")
         plt.setp(axes[-1], xlabel="time [s]")
-        axes[0, 0].legend(fontsize="small", loc="best")
-        figure.suptitle(", ".join(notes), fontsize="small")
+        shaded = "manual phases shaded" if "mode" in shown[0].inputs else None
+        axes[0, 0].legend(fontsize="small", loc="best", title=shaded, title_fontsize="small")
+        if len(shown) < len(self.runs):
+            figure.suptitle(f"{len(shown)} of {len(self.runs)} runs", fontsize="small")
         return axes
 
     def plot_residuals(self, lags: int = 25):
@@ -282,7 +281,7 @@ class FitResult:
                 panel.axhline(0.0, color="0.4", lw=0.6)
                 panel.set_xlabel("lag [samples]")
             auto, cross = row
-            auto.set_ylabel(f"{name} residual")
+            auto.set_ylabel(f"residual of\n{LABELS.get(name, name)}")
             auto.set_title("autocorrelation", fontsize="small")
             cross.set_title(f"with {next(iter(self.runs[0].inputs))}", fontsize="small")
         axes[0, 0].legend(fontsize="small")

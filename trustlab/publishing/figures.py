@@ -140,7 +140,7 @@ def label_synthetic(where, synthetic: bool | str = True):
     style: dict[str, Any] = {"fontsize": 8, "color": "#8a5a00", "ha": "right", "va": "bottom", "gid": MARK_ID}
     if hasattr(where, "transAxes"):
         return where.text(1.0, 1.01, _label(synthetic), transform=where.transAxes, **style)
-    return where.text(0.995, 1.0, _label(synthetic), **style)
+    return where.text(0.995, 1.01, _label(synthetic), **style)
 
 
 IMAGES = ("image/svg+xml", "image/png", "image/jpeg")

@@ -203,7 +203,7 @@ class Calibration:
         numpy.ndarray of matplotlib.axes.Axes
         """
         size = (min(2.2 * len(self.priors), 10.0), 2.6)
-        axes = axes_or_new(columns=len(self.priors), title=f"{self.words}; dashed: prior", squeeze=False, figsize=size)
+        axes = axes_or_new(columns=len(self.priors), title="simulated; dashed: prior", squeeze=False, figsize=size)
         for axis, (name, (low, high)) in zip(axes[0], self.priors.items(), strict=True):
             axis.hist(self.posterior[name], bins=20, range=(low, high), density=True, color="#0072b2")
             axis.axhline(1.0 / (high - low), color="black", ls="--", lw=1.0)
@@ -254,8 +254,8 @@ class Calibration:
     @property
     def words(self) -> str:
         """What this is, in a line."""
-        count, n = self.settings["simulations"], self.settings["n"]
-        return f"{self.study}: {count} simulated studies of {n} operators, given {', '.join(self.measures)}"
+        studies, given = self.settings["simulations"], ", ".join(UNITS.get(name, name) for name in self.measures)
+        return f"{self.study}: {studies} simulated studies of {self.settings['n']} operators, given {given}"
 
     def _repr_html_(self) -> str:
         return as_html(f"{self.words} (simulated operators)", self.table(), self.reach(), title="Calibration")

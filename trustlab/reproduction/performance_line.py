@@ -64,7 +64,8 @@ class PerformanceLine:
         axis.plot(ends, self.intercept + self.slope * ends, color="black", lw=1.0)
         axis.plot(table["r_p_h"], table["p_r"], "o")
         for row in table.itertuples():
-            axis.annotate(row.condition, (row.r_p_h, row.p_r), xytext=(4, 4), textcoords="offset points")
+            aside = (-6, 5) if row.distance > 0 else (6, -6)  # away from the line, as neighbours may nearly coincide
+            axis.annotate(row.condition, (row.r_p_h, row.p_r), xytext=aside, textcoords="offset points")
         axis.set(xlabel="utilization × human performance", ylabel="robot performance", title=self.title)
         return axis
 

@@ -139,7 +139,7 @@ def plot_trajectory(session: Session, axes=None):
     axes.set_zlim(min(low, wanted - 0.5), max(high, wanted + 0.5))
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     axes.set_title(session.label, fontsize="medium")
-    axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, 0.02), ncols=2, frameon=False)
+    axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=2, frameon=False)
     return axes
 
 
