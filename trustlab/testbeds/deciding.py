@@ -249,7 +249,7 @@ def reaction(person, wanted, mind):
     return late + person.take_over_lag if wanted == 1 else late
 
 
-@njit
+@njit(inline="always")
 def own_decision(person, t, state, mind):
     """Let the operator decide by thresholds of TSC of their own, and TSC as they perceive it (C1)."""
     perceived = state.tsc + person.trust_bias
@@ -268,7 +268,7 @@ def suggest(task, state):
         state.suggested = performance_suggestion(state.p_r, task.p_min, task.p_max)
 
 
-@njit
+@njit(inline="always")
 def consider(task, person, t, state, mind):
     """Make the suggestion of the scheme, and let the operator decide once per suggestion whether to follow."""
     if task.scheme == RANDOM:
@@ -290,7 +290,7 @@ def consider(task, person, t, state, mind):
         state.episode_seen = t
 
 
-@njit
+@njit(inline="always")
 def allocate(task, person, scheduled, t, state, mind):
     """Set who drives in this sample."""
     before = state.mode

@@ -48,7 +48,7 @@ class ThresholdCorrector:
     incentive : callable, optional
         The bounds of correction in place of (2.42): takes r, p_r, c_b, p_min, p_max and returns the least and the greatest
         correction, in [−c_b, 0] and [0, c_b]. `incentive_box` when not given. The exact engine compiles your function
-        into its search, which takes 5 to 20 s per corrector.
+        into its search, which takes some seconds per corrector.
     **options : object
         Options of the engine, see `ExactEngine` and `CasadiEngine`.
 

@@ -308,7 +308,7 @@ class ExactEngine:
         N, steps.
     incentive : callable
         The bounds of the corrections: `incentive_box`, or a function like it that Numba can compile, with values in
-        [−c_b, 0] and [0, c_b]. Your own is compiled into the search, which takes 5 to 20 s; its lower bounds over
+        [−c_b, 0] and [0, c_b]. Your own is compiled into the search, which takes some seconds; its lower bounds over
         many switches assume corrections of c_b, so that gaps are large for long horizons.
     budget : int
         How many times N steps to search at most; more can close a gap, fewer limit the time.

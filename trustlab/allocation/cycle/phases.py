@@ -131,15 +131,15 @@ def settle(r, p_r, lower, upper, c, steps, most, known_r, known_p_r, near):
 
     Returns −1 or −2 if a manual or an autonomous phase never ends, 1 at a known state, else 0; r and P_r; and the samples.
     """
-    done = 0
+    done, first = 0, most > 0  # no literals True and False: numba would compile `phase` once for each
     while done < steps:
         for i in range(known_r.size):
             if abs(r - known_r[i]) < near and abs(p_r - known_p_r[i]) < near:
                 return 1, r, p_r, done
-        manual, r, p_r, _ = phase(True, r, p_r, lower, upper, c, most, NOTHING)
+        manual, r, p_r, _ = phase(first, r, p_r, lower, upper, c, most, NOTHING)
         if manual < 0:
             return -1, r, p_r, done + most
-        autonomous, r, p_r, _ = phase(False, r, p_r, lower, upper, c, most, NOTHING)
+        autonomous, r, p_r, _ = phase(not first, r, p_r, lower, upper, c, most, NOTHING)
         if autonomous < 0:
             return -2, r, p_r, done + most
         done += manual + autonomous
@@ -149,12 +149,12 @@ def settle(r, p_r, lower, upper, c, steps, most, known_r, known_p_r, near):
 @njit
 def record(r, p_r, lower, upper, c, cycles, most):
     """Return a row of `CYCLE` for each of so many cycles, and what was seen in all their samples."""
-    rows, seen = np.empty(cycles, CYCLE), NOTHING
+    rows, seen, first = np.empty(cycles, CYCLE), NOTHING, most > 0
     for j in range(cycles):
         rows[j].r, rows[j].p_r = r, p_r
-        rows[j].manual, r, p_r, seen = phase(True, r, p_r, lower, upper, c, most, seen)
+        rows[j].manual, r, p_r, seen = phase(first, r, p_r, lower, upper, c, most, seen)
         rows[j].r_switch = r
-        rows[j].autonomous, r, p_r, seen = phase(False, r, p_r, lower, upper, c, most, seen)
+        rows[j].autonomous, r, p_r, seen = phase(not first, r, p_r, lower, upper, c, most, seen)
     return rows, seen
 
 

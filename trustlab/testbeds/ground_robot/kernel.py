@@ -66,7 +66,7 @@ class Rates(NamedTuple):
     anchor: float
 
 
-@njit
+@njit(inline="always")
 def rates_of(person, robot, dt):
     """Return the shares for an operator and a robot."""
     stays, shakes = np.exp(-dt / person.wander_time), np.exp(-dt / SHAKING)
