@@ -242,9 +242,7 @@ def _held(folder: Path) -> Iterator[None]:
 
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (BlockingIOError, PermissionError):  # the second on Windows
-            raise CampaignError(
-                f"another process is running a campaign in {folder}; wait for it, stop it, or use another folder"
-            ) from None
+            raise CampaignError(f"another process is running a campaign in {folder}; wait, or use another") from None
         except OSError:  # not every network file system has locks
             pass
         yield

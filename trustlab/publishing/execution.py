@@ -105,9 +105,8 @@ def execute(path: Path, parameters: dict, kernels: Kernels, timeout: float | Non
             raise CellError(f"the cell took longer than {timeout:g} s, the time limit", *reached[-1]) from None
         except Exception as error:  # the kernel died, or never came up
             words = f"{type(error).__name__}: {error}"
-            raise CellError(
-                words, *reached[-1], f"{words}\nThe kernel ended before the cell did (out of memory?)."
-            ) from error
+            more = f"{words}\nThe kernel ended before the cell did (out of memory?)."
+            raise CellError(words, *reached[-1], more) from error
 
 
 def anonymous(text: str, checkout: Checkout) -> str:

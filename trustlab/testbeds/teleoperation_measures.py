@@ -126,9 +126,8 @@ def plot_trajectory(session: Session, axes=None):
     ValueError
         If `session` is not a Session, or lacks a column.
     """
-    of_class("session", session, Session).require(
-        *(f"{stem}_{axis}" for stem in ("reference", "robot") for axis in "xyz")
-    )
+    needed = [f"{stem}_{axis}" for stem in ("reference", "robot") for axis in "xyz"]
+    of_class("session", session, Session).require(*needed)
     axes = axes_or_new(axes, figsize=(5.6, 4.6), subplot_kw={"projection": "3d"})
     x, y, z = (session[f"reference_{axis}"] for axis in "xyz")
     axes.plot(x, y, z, ls="--", lw=1.3, color=RED, label="target, at the height wanted")

@@ -57,9 +57,7 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
     if len(names) < 2:
         raise GraphError(f"a team needs two robots or more, got {len(names)}")
     for i, j in np.argwhere(~(np.isfinite(matrix) & (matrix >= 0.0))):
-        raise GraphError(
-            f"a_ij must be a finite number, 0 or more, but between {names[i]!r} and {names[j]!r} it is {matrix[i, j]}"
-        )
+        raise GraphError(f"a_ij must be finite and 0 or more; from {names[i]!r} to {names[j]!r} it is {matrix[i, j]}")
     for i in np.flatnonzero(np.diag(matrix)):
         raise GraphError(f"robot {names[i]!r} has a self-loop; remove it")
     if require_connected:
@@ -201,9 +199,7 @@ def scaled_settings(graph, within: float = 200.0, settings: TeamSettings | None 
     """
     adjacency = team_graph(graph)[1]
     if (adjacency != adjacency.T).any():
-        raise GraphError(
-            "the graph is directed: gains are known for undirected graphs only; set lead_gain, force_gain and coupling"
-        )
+        raise GraphError("gains are known for undirected graphs only: give lead_gain, force_gain and coupling")
     size, within = len(adjacency), positive("within", within)
     inverse = np.linalg.pinv(laplacian(adjacency), hermitian=True)
     slowest = size * inverse.diagonal().max() + np.trace(inverse)
