@@ -11,6 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 import trustlab as tl
+from trustlab.allocation import bound_failures
 from trustlab.models.compiled import _digest
 from trustlab.reproduction import read_calibration
 from trustlab.testbeds import compare_guidance
@@ -22,6 +23,11 @@ SEED = 0
 def adjustments() -> pd.DataFrame:
     """Which adjustments of p-values the printed numbers of each study can belong to (report 05)."""
     return tl.reproduction.compare_adjustments(tl.published_studies(), SEED).reset_index()
+
+
+def failures() -> pd.DataFrame:
+    """How often random parameter sets violate the printed bounds, and those of `invariant_bounds` (report 03)."""
+    return bound_failures(20_000, SEED, invariant=2_000).reset_index()
 
 
 def guidance() -> pd.DataFrame:
@@ -39,6 +45,7 @@ def checks() -> pd.DataFrame:
 
 TABLES = {
     adjustments: "reproduction/reconstruction/feasibility.py",
+    failures: "allocation/bound_failures.py",
     guidance: "testbeds/guidance_comparison.py",
     checks: "reproduction/calibration.py",
 }

@@ -10,6 +10,8 @@ import trustlab as tl
 from trustlab.allocation import bound_failures, simulate_allocation, steady_state_bounds, threshold_limits
 from trustlab.allocation.bound_failures import RECORDED, SETTLING, TOLERANCE, random_set, steady_run
 
+counting = sys.modules[random_set.__module__]
+
 
 def test_invariant_bounds_are_tested_from_the_return_to_manual_control_on_from_which_they_hold():
     """Child 306 of seed 5: its bounds hold from the 44th return on, and 12 time constants have 28. Oracle: the whole simulation."""
@@ -28,6 +30,31 @@ def test_invariant_bounds_are_tested_from_the_return_to_manual_control_on_from_w
     assert bounds.r_low <= later.min() < later.max() <= bounds.r_high
     seen = steady_run(model, lower, upper, r0, settling, recorded, bounds.cycles)["r"].iloc[1:]
     np.testing.assert_array_equal(seen, later.iloc[:recorded])
+
+
+def test_steady_motion_is_recorded_for_a_whole_cycle(monkeypatch):
+    """
+    Set 4676 of seed 0: a cycle takes 5,380 samples, of which 4,262 in the autonomous mode, and 5 time constants are 3,125.
+
+    Its steps within one phase admit thresholds that those of the whole cycle do not, so that it must not be kept. Oracle:
+    the whole simulation.
+    """
+    human = tl.HumanModel(0.9886492193942705, 0.9466769667906756, 0.3993461003066844, 0.5474276734119928)
+    model = tl.TscModel(tl.RobotModel(0.9984000689235221, 0.1299401205851406, 0.1937125598919029, human.p_max), human)
+    lower, upper = -0.11398324640198294, -0.07189896585608074
+    run = simulate_allocation(model, lower, upper, 60_000, 0.03).iloc[20_000:]
+    assert not threshold_limits(model, run["p_h"].diff().abs().max()).contains(lower, upper)
+    quiet = run[run["mode"].rolling(3000).max() == 0.0]  # each of them ends 3,000 samples in the autonomous mode
+    assert threshold_limits(model, abs(quiet["p_h"].diff().iloc[1:500]).max()).contains(lower, upper)
+    sets = iter([(model, lower, upper)])
+    monkeypatch.setattr(counting, "random_set", lambda rng: next(sets, None) or random_set(rng))
+    kept = []
+    monkeypatch.setattr(
+        counting, "steady_state_bounds", lambda tsc, *a, **k: kept.append(tsc) or steady_state_bounds(tsc, *a, **k)
+    )
+    bound_failures(sets=3)
+    assert len(kept) == 3
+    assert model not in kept
 
 
 def test_counts_are_those_of_the_same_sets_one_by_one():

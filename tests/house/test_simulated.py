@@ -7,6 +7,7 @@ import pandas as pd
 
 import trustlab as tl
 from tests.house.documents import ROOT
+from trustlab.allocation import bound_failures
 from trustlab.testbeds.guidance_comparison import VARIANTS, compare_guidance
 
 DATA = ROOT / "data" / "simulated"
@@ -25,6 +26,15 @@ def test_guidance():
     np.testing.assert_allclose(again["tracking_error"], before["tracking_error"], rtol=1e-6)
     other = own[(own["guidance"] == "tank, empty") & (own["scheme"] == "TMIG")]
     assert np.abs(again["tracking_error"].to_numpy() - other["tracking_error"].to_numpy()).max() > 1e-3
+
+
+def test_failures():
+    own = stored("failures").set_index("bound")
+    again = bound_failures(200, SEED + 1, invariant=10)
+    spread = np.sqrt(own["share"] * (1.0 - own["share"]) / again["sets"])  # of binomial counts
+    assert ((again["share"] - own["share"]).abs() <= 4.0 * spread).all()
+    assert own["sets"].tolist() == [20_000] * 5 + [2_000] * 2
+    assert own.loc["r ≤ r_u (2.33)", "share"] > 0.2
 
 
 def test_adjustments():

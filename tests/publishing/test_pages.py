@@ -275,6 +275,7 @@ def test_provenance_outside_git_names_no_path(checkout):
 
 READ = {
     "01": {"data/coverage", "data/sessions", "notebooks/noise_settings.py"},
+    "03": {"data/simulated"},
     "05": {"data/simulated"},
     "07": {"data/simulated"},
     "10": {"data/calibration", "data/simulated"},
