@@ -65,6 +65,14 @@ class Problem:
         moved = [[where[own] for own in self.moved] for where in self.where]
         # What affects an output of a run: its places in a vector, and in a matrix.
         self.places = [[(own, np.ix_(own, own)) for own in run] for run in moved]
+        # What is compared with the simulation: the log, or what its window means were made of.
+        self.measured = [
+            [
+                undo_window(run[name], run.window) if unwindow and run.window > 1 else run[name]
+                for name in structure.outputs
+            ]
+            for run in runs
+        ]
         measured = [joined(runs, name) for name in structure.outputs]
         self.counts = np.array([values.size for values in measured], dtype=float)
         # The likelihood of data that are reproduced exactly is infinite: Σ e² has a floor at a billionth of the scale.
@@ -121,13 +129,8 @@ class Problem:
 
     def differences(self, run: int, output: int) -> tuple[np.ndarray, np.ndarray]:
         """Return measured minus simulated at the latest point, and the derivatives: of window means, or of what they are made of."""
-        (simulated, jacobian), window = (one[output] for one in self.latest[run]), self.runs[run].window
-        measured = self.runs[run][self.structure.outputs[output]]
-        if window == 1:
-            return measured - simulated, jacobian
-        if self.unwindow:
-            return undo_window(measured, window) - simulated, jacobian
-        return measured - self.seen(run, simulated), self.seen(run, jacobian)
+        simulated, jacobian = (one[output] for one in self.latest[run])
+        return self.measured[run][output] - self.seen(run, simulated), self.seen(run, jacobian)
 
     def seen(self, run: int, values: np.ndarray) -> np.ndarray:
         """Return simulated values as they are compared with the log: averaged over the window where noise is in the means."""
@@ -144,7 +147,7 @@ class Problem:
     def whitened(self, run: int, output: int, *columns: np.ndarray) -> tuple[list[np.ndarray], float]:
         """Return columns of one run's output as a Kalman filter leaves them, and the log determinant of the noise's covariance."""
         missing, noise = self.missing[output][run], self.noise[output]
-        if noise == Noise() and not self.outliers:
+        if noise == Noise() and not (self.outliers and missing.any()):
             return list(columns), 0.0
         whole, logs = prediction_errors(np.column_stack(columns), missing, noise)
         ends = np.cumsum([1 if one.ndim == 1 else one.shape[1] for one in columns])

@@ -16,12 +16,15 @@ import trustlab as tl
 def _ground_robot() -> None:
     tl.run_condition("C3", participant=2, laps=1, seed=0)
     tl.testbeds.run_correction(2, (0.0, 0.35), tests=1, laps=1, seed=0)  # the kernel again, with the correction in it
+    tl.virtual_study(n=4, testbed="uav", conditions=["C1", "C3"], seed=0)
 
 
 def _the_rest() -> None:
     tl.simulate_teleoperation("TMIG", seed=0, duration=1.0)
     tl.simulate_team(nx.cycle_graph(4), policy="most_trusted", goal=(1.0, 2.0, 0.5), seed=0)
     tl.invariant_bounds(tl.published_models()["2"], 0.0, 0.35)
+    run = tl.published_models()["2"].simulate(np.repeat([1.0, 0.0], 500))
+    tl.fit_tsc(tl.Session(run.set_index(0.1 * run.index), tl.Metadata(synthetic=True)))
 
 
 def _call(share: Callable, seed: np.random.SeedSequence) -> dict:
