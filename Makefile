@@ -21,11 +21,12 @@ $(VENV)/.stamp: environment.lock pyproject.toml
 	@exec 9>.venv.lock; $(PYTHON) -c 'import fcntl; fcntl.flock(9, fcntl.LOCK_EX)'; \
 	  { [ $@ -nt environment.lock ] && [ $@ -nt pyproject.toml ]; } || $(MAKE) --no-print-directory environment
 
+# Bytecode is compiled once, as pip does it, and not by several processes at once that import the same packages.
 environment:  ## build .venv again from environment.lock
 	rm -rf $(VENV)
 ifneq ($(UV),)
 	$(UV) venv --quiet --python $(PYTHON) $(VENV)
-	$(UV) pip install --quiet --python $(BIN)/python --no-deps --require-hashes -r environment.lock
+	$(UV) pip install --quiet --compile-bytecode --python $(BIN)/python --no-deps --require-hashes -r environment.lock
 	$(UV) pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation -e .
 else
 	$(PYTHON) -m venv $(VENV)
