@@ -388,6 +388,7 @@ def test_pyplot_does_not_draw_what_a_notebook_draws_for_itself(styled, before, m
     monkeypatch.setattr(FigureCanvasAgg, "draw", lambda canvas: (drawn.append(canvas), own(canvas)))
     monkeypatch.setattr(pyplot, "_REPL_DISPLAYHOOK", pyplot._ReplDisplayHook.NONE)  # not that of another test's shell
     shell, backend = InteractiveShell.instance(), mpl.get_backend()
+    pyplot.close("all")  # nor its figures
     try:
         with mpl.rc_context():
             pyplot.switch_backend("module://matplotlib_inline.backend_inline")

@@ -486,7 +486,7 @@ class TestBadInput:
             (np.array([[0, 0, 0], [1, 0, 1], [0, 0, 0]]), "no spanning tree"),
             (nx.Graph([(0, 1), (1, 1)]), "robot 1 has a self-loop"),
             (nx.MultiGraph([(0, 1), (0, 1)]), "parallel"),
-            (nx.Graph([(0, 1, {"weight": -2.0})]), "between 0 and 1 it is -2"),
+            (nx.Graph([(0, 1, {"weight": -2.0})]), "from 0 to 1 it is -2"),
             (nx.Graph([(0, 1, {"weight": "strong"})]), "weight"),
             (nx.path_graph(1), "two robots"),
             (nx.Graph(), "two robots"),
