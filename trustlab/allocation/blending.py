@@ -270,7 +270,7 @@ class OptimalBlending:
     def _states(self, *given) -> np.ndarray:
         names = ("u_h", "u_a", "e", "rate", "acceleration")
         columns = [finite_array(name, value, length=3) for name, value in zip(names, given, strict=True)]
-        return np.column_stack(columns)
+        return np.array(columns).T.copy()
 
     def _solve(self, states: np.ndarray, held: BlendingStep) -> BlendingStep:
         if self._program is None:

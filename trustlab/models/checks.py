@@ -185,9 +185,9 @@ def finite_array(name: str, values: Any, *, length: int | None = None) -> np.nda
         raise ValueError(f"{name} must be one-dimensional with at least one sample, got shape {array.shape}")
     if length is not None and array.size != length:
         raise ValueError(f"{name} must have {length} samples, got {array.size}")
-    bad = ~np.isfinite(array)
-    if bad.any():
-        k = int(np.argmax(bad))
+    finite = np.isfinite(array)
+    if not finite.all():
+        k = int(np.argmin(finite))
         raise ValueError(f"{name} must be finite, but sample {k} is {array[k]}")
     return np.ascontiguousarray(array)
 
