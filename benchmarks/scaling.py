@@ -31,7 +31,7 @@ def _fit(samples: int):
     rng = np.random.default_rng(0)
     frame[["p_r", "p_h"]] += rng.normal(0.0, 0.005, (samples, 2))
     frame.index = 0.1 * np.arange(samples)
-    session = tl.Session(frame.rename_axis("t"))
+    session = tl.Session(frame.rename_axis("t"), tl.Metadata(synthetic=True))
     return lambda: tl.fit_tsc(session)
 
 

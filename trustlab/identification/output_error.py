@@ -37,7 +37,7 @@ ROUGHLY: dict = {"tolerance": 0.1, "max_iterations": 40}
 SINGULAR = 1e-10
 """Smallest eigenvalue of the information matrix, scaled to unit diagonal, that still counts as information."""
 
-SWITCHES = 200
+SWITCHES = 40
 """Switches of mode per session from which on errors of their stamps are worked out for some of them only."""
 
 
@@ -55,6 +55,7 @@ class Problem:
         self.missing = [[np.zeros(run.size, dtype=bool) for run in runs] for _ in structure.outputs]
         self.errors: list = [[]] * len(runs)  # prediction errors and their derivatives at the latest point
         self.outliers, self.logs = 0, 0.0
+        self.last: tuple = (None, None)  # the latest point, and what `normal` returned there
         self.shared, self.own = len(structure.parameters), len(structure.initial)
         one_run = [one.coordinate(guess) for one in (*structure.parameters, *structure.initial)]
         self.coordinates = one_run[: self.shared] + one_run[self.shared :] * len(runs)
@@ -125,7 +126,8 @@ class Problem:
         value = float(self.counts @ np.log(squares + self.floors))
         exact = bool((squares <= 1e-6 * self.floors).all())
         matrix = (weights @ matrices.reshape(outputs, -1)).reshape(p, p)
-        return NormalEquations(value, weights @ gradients, matrix, squares, exact)
+        self.last = theta.copy(), NormalEquations(value, weights @ gradients, matrix, squares, exact)
+        return self.last[1]
 
     def differences(self, run: int, output: int) -> tuple[np.ndarray, np.ndarray]:
         """Return measured minus simulated at the latest point, and the derivatives: of window means, or of what they are made of."""
@@ -162,9 +164,8 @@ class Problem:
             scale = robust_deviation([error[~lost] for error, lost in zip(own, known, strict=True)])
             found.append([outliers(error, scale) for error in own])
             few = few and sum(one.sum() for one in found[-1]) < 0.25 * sum(run.size for run in self.runs)
-        same = all(map(np.array_equal, chain(*found), chain(*self.missing)))
         # More than a quarter are no outliers: the model does not describe these data.
-        if same or not few:
+        if not few or all(map(np.array_equal, chain(*found), chain(*self.missing))):
             return False
         self.missing, self.outliers = found, sum(int(one.sum()) for own in found for one in own)
         self.counts = np.array([sum(float((~lost).sum()) for lost in own) for own in found])
@@ -201,8 +202,7 @@ class Problem:
         """Return `normal` in the coordinates of the search."""
         at = self.normal(self.from_search(x))
         slope = np.array([one.slope(value) for one, value in zip(self.coordinates, x, strict=True)])
-        matrix = at.matrix * np.outer(slope, slope)
-        return NormalEquations(at.value, at.gradient * slope, matrix, at.squares, at.exact)
+        return NormalEquations(at.value, at.gradient * slope, at.matrix * np.outer(slope, slope), at.squares, at.exact)
 
     def to_search(self, theta: np.ndarray) -> np.ndarray:
         """Return search coordinates of parameters."""
@@ -332,7 +332,8 @@ def _search(problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarr
     # The way to the search coordinate and back rounds: what is fixed or at a bound gets its exact value.
     theta[low == high] = low[low == high]
     theta[found.at_bound] = np.clip(theta, low, high)[found.at_bound]
-    normal = problem.normal(theta)
+    # The search mostly ends where it evaluated last.
+    normal = problem.last[1] if np.array_equal(problem.last[0], theta) else problem.normal(theta)
     deviance = problem.deviance(normal.squares) if normal.finite else np.inf
     return Valley(problem, found, theta, normal, deviance, np.flatnonzero((low < high) & ~found.at_bound))
 
