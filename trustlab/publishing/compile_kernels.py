@@ -5,7 +5,7 @@ Compile the large kernels in two processes at once: `python -m trustlab.publishi
 at the same time. Where they are compiled already, it does no more than load them.
 """
 
-from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 
 import networkx as nx
 import numpy as np
@@ -27,10 +27,7 @@ def _the_rest() -> None:
     tl.fit_tsc(tl.Session(run.set_index(0.1 * run.index), tl.Metadata(synthetic=True)))
 
 
-def _call(share: Callable, seed: np.random.SeedSequence) -> dict:
-    share()
-    return {"compiled": True}
-
-
 if __name__ == "__main__":
-    tl.run_campaign(_call, [{"share": _ground_robot}, {"share": _the_rest}], n_jobs=2)
+    with ProcessPoolExecutor(2) as pool:
+        for half in [pool.submit(_ground_robot), pool.submit(_the_rest)]:
+            half.result()

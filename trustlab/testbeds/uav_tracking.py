@@ -10,7 +10,7 @@ import pandas as pd
 
 from trustlab.models.checks import between, finite_array, finite_number, not_negative, of_class, one_of, spawned
 from trustlab.operators.teleoperator import REACH, Teleoperator
-from trustlab.sessions.session import Metadata, Session
+from trustlab.sessions.session import Metadata, Session, keep_table
 from trustlab.teleoperation.channel import lost_waves
 from trustlab.teleoperation.delays import Delay, delays_in_samples, random_walk_delay
 from trustlab.teleoperation.loop import guidance as ways, kernel, setup
@@ -256,12 +256,15 @@ class TeleoperationLoop:
     def session(self) -> Session:
         """The run so far: every signal and every port's energy, labelled synthetic."""
         t = np.round(self.sample_time * np.arange(self._done), 9)
-        data = pd.DataFrame(self._table[: self._done], index=pd.Index(t, name="t"), columns=COLUMNS)
+        log, table = self._table[: self._done], np.empty((self._done, len(COLUMNS)), order="F")
+        for first in range(0, self._done, 512):  # rows become columns a stretch at a time, which the cache holds
+            table[first : first + 512] = log[first : first + 512]
+        data = pd.DataFrame(table, index=pd.Index(t, name="t"), columns=COLUMNS, copy=False)
         facts: dict[str, object] = {"study": self._settings.title, "scheme": self._scheme.title, "seed": str(self.seed)}
         facts |= {"read_out": self.read_out, "guard": self.guard, "guidance": self.guidance, "tank": self.tank}
         own = [f"{port} {way.split(':')[0]}" for port, way in self.ways.items() if way != "built-in"]
         facts |= {"parts": ", ".join(own) or "built-in", "note": NOTE}
-        return Session(data, Metadata(self._person.participant, self._scheme.name, __name__, True, facts))
+        return keep_table(data, Metadata(self._person.participant, self._scheme.name, __name__, True, facts))
 
     def _advance(self, stop: int) -> None:
         """Do the samples before `stop`."""
