@@ -147,14 +147,12 @@ class Problem:
         ]
 
     def whitened(self, run: int, output: int, *columns: np.ndarray) -> tuple[list[np.ndarray], float]:
-        """Return columns of one run's output as a Kalman filter leaves them, and the log determinant of the noise's covariance."""
+        """Return a column of one run's output, and others where given, as a Kalman filter leaves them, and the log determinant of the noise."""
         missing, noise = self.missing[output][run], self.noise[output]
         if noise == Noise() and not (self.outliers and missing.any()):
             return list(columns), 0.0
         whole, logs = prediction_errors(np.column_stack(columns), missing, noise)
-        ends = np.cumsum([1 if one.ndim == 1 else one.shape[1] for one in columns])
-        parts = np.split(whole, ends[:-1], axis=1)
-        return [part[:, 0] if one.ndim == 1 else part for part, one in zip(parts, columns, strict=True)], logs
+        return [whole[:, 0], whole[:, 1:]][: len(columns)], logs
 
     def leave_out(self) -> bool:
         """Count outliers among the residuals as missing; return whether there are any that were not known."""
