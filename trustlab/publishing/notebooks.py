@@ -14,6 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from loky import cpu_count
+
 from trustlab.models.checks import did_you_mean, positive, shown, whole_number
 from trustlab.models.extras import extra
 from trustlab.publishing.provenance import Checkout, duration, input_digest, provenance, shared_digest
@@ -221,8 +223,6 @@ def publish(
     ModuleNotFoundError
         If the extra ``reports`` is not installed.
     """
-    from loky import cpu_count
-
     from trustlab.publishing.index_page import held, read_record, write_index
 
     checkout = Checkout.find() if checkout is None else checkout
@@ -268,8 +268,6 @@ def _run_all(
     finish: Callable[[Path, dict], None],
 ) -> None:
     """Run notebooks with their parameters, `jobs` at once, and hand over what became of each as soon as it is known."""
-    from loky import cpu_count
-
     from trustlab.publishing.execution import Kernels
 
     jobs = max(1, min(jobs, len(waiting)))

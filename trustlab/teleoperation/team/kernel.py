@@ -268,8 +268,9 @@ def move_directed(team, lead, h, drive, w, z, i):
     """Do the same on a directed graph, where w and z are the robots' own q and ζ."""
     q = team.solved @ w[i] + team.inner @ z[i] + h * drive * team.solved[:, lead]
     pulled = team.laplacian @ q
-    w[i] = 2.0 * q - w[i]
-    z[i] -= 2.0 * h * pulled
+    for j in range(q.size):  # numba would compile an assignment of whole rows for two seconds
+        w[i, j] = 2.0 * q[j] - w[i, j]
+        z[i, j] -= 2.0 * h * pulled[j]
     return q[lead], np.dot(pulled, pulled), np.dot(q, pulled)
 
 
