@@ -77,7 +77,7 @@ def test_formula_survives_markdown():
     assert page.count("<math") == 4
     assert "<strong>w</strong>" in page
     assert page.count("<td") == 2
-    assert page.startswith("<p><em>so <math")
+    assert page.startswith('<p><em>so <span class="whole"><math')
 
 
 def test_blocks_and_environments_are_displayed():

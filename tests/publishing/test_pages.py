@@ -22,7 +22,7 @@ from trustlab.publishing import figures
 from trustlab.publishing.figures import describe
 from trustlab.publishing.notebooks import declared_parameters, find_notebooks, parameters_for, parse_value
 from trustlab.publishing.provenance import Checkout, commit, input_digest, provenance
-from trustlab.publishing.report_page import ReportError, page_faults, report_html
+from trustlab.publishing.report_page import ReportError, markdown_html, output_html, page_faults, report_html
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 
@@ -368,6 +368,16 @@ def test_answer_is_on_top_headline_on_the_index_and_reports_are_linked():
     assert '<a href="06_audit.html">report 06</a> and report 77' in page
     assert "<code>report 06</code>" in page
     assert ' id="b"' in page
+
+
+def test_what_is_not_there_is_a_dash_and_a_formula_keeps_its_parentheses():
+    cells = "".join(f"<td>{text}</td>" for text in ("NaN", "&lt;NA&gt;", "nan", "-0.0", "Nancy"))
+    page = output_html(f"<table><tr>{cells}</tr></table>")
+    assert re.findall(r"<td[^>]*>([^<]*)</td>", page) == ["\u2013"] * 3 + ["0.0", "Nancy"]
+    assert re.findall('data-value="([^"]*)"', page) == ["NaN", "&lt;NA&gt;", "nan", "-0.0"]
+    words = markdown_html("left alone ($M = 0$), so $x$ is $y$.")
+    whole = re.findall(r'<span class="whole">(.*?)<math.*?</math>(.*?)</span>', words)
+    assert whole == [("(", "),"), ("", ""), ("", ".")]
 
 
 def drawn_as_in_a_notebook(figure, monkeypatch):

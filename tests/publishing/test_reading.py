@@ -6,6 +6,7 @@ import re
 import shutil
 from pathlib import Path
 from unittest import mock
+from urllib.parse import unquote
 
 import matplotlib as mpl
 import nbformat
@@ -87,9 +88,19 @@ def world(root):
     counted = "".join(f"<tr><th>{i}</th><td>{2 * i}</td><td>p_r</td></tr>" for i in range(4))
     counted = f"<table><thead><tr><th></th><th>by (2.5)</th><th>b</th></tr></thead><tbody>{counted}</tbody></table>"
     tables = [cell({"text/html": one}) for one in (table, counted)]
+    grouped = (
+        "<tr><th rowspan='2'>M</th><th>mean</th><td>1</td></tr><tr><th>SD</th><td>2</td></tr><tr><th>OMI</th><th>n</th>"
+    )
+    grouped = f"<table><thead><tr><th></th><th></th><th>value</th></tr></thead><tbody>{grouped}<td>3</td></tr></tbody></table>"
+    tables.append(cell({"text/html": grouped}))
     cells = [new_markdown_cell(words), answer, panels(5), panels(1), *tables]
     nbformat.write(new_notebook(cells=cells), root / "notebooks" / "01_a.ipynb")
     nbformat.write(new_notebook(cells=[new_markdown_cell("# B\n\n## Where it is")]), root / "notebooks" / "02_b.ipynb")
+    return publish_all(root)
+
+
+def publish_all(root):
+    """Publish the notebooks of a folder as they are, as if they had run."""
     with mock.patch("trustlab.publishing.execution.execute", lambda path, *_: nbformat.read(path, as_version=4)):
         publish(checkout=Checkout.find(root))
     return root / "reports"
@@ -261,6 +272,66 @@ def test_panels_come_one_below_the_other_on_a_phone(browser, reports):
     assert several.get_by_role("img").first.get_attribute("aria-label").startswith("5 panels. one run; ")
     page.set_viewport_size({"width": 1280, "height": 900})
     page.wait_for_function("() => document.querySelector('figure').querySelectorAll('img').length === 1")
+    page.close()
+
+
+def test_five_findings_stand_on_the_index_and_the_others_are_folded(tmp_path):
+    notebooks = [nbformat.read(path, as_version=4) for path in (ROOT / "notebooks").glob("*.ipynb")]
+    assert sum(bool(one.metadata["trustlab"].get("finding")) for one in notebooks) == 5
+    (tmp_path / "notebooks").mkdir()
+    (tmp_path / "environment.lock").touch()
+    for number in (1, 2, 3):
+        answer = cell({"text/markdown": f"**Finding {number}.** More."}, tags=["answer"])
+        about = {"trustlab": {"finding": True} if number == 2 else {}}
+        one = new_notebook(cells=[new_markdown_cell(f"# Title {number}"), answer], metadata=about)
+        nbformat.write(one, tmp_path / "notebooks" / f"0{number}_a.ipynb")
+    index = (publish_all(tmp_path) / "index.html").read_text(encoding="utf-8")
+    first, folded = index[index.index('id="findings"') : index.index('id="reports"')].split("<details>")
+    assert re.findall(r"Finding \d", first) == ["Finding 2"]
+    assert re.findall(r"Finding \d", folded) == ["Finding 1", "Finding 3"]
+
+
+def test_a_panel_on_a_phone_shows_nothing_of_its_neighbours(browser, reports):
+    page = browser.new_page(viewport={"width": 390, "height": 900})
+    page.goto((reports / "01_a.html").as_uri())
+    several = page.locator("figure").first
+    page.wait_for_function("() => document.querySelector('figure').querySelectorAll('.panels img').length === 6")
+    drawn = [unquote(one.get_attribute("src")) for one in several.locator(".panels img").all()]
+    seen = [re.findall(r'<g id="(axes_\d)"(?! visibility="hidden")', picture) for picture in drawn]
+    assert seen == [[], *([f"axes_{number}"] for number in range(1, 6))]  # first the mark that they are synthetic
+    assert all(re.search("<defs>", picture) for picture in drawn)  # the letters, which one panel defines for all
+    page.close()
+
+
+def test_figure_that_stays_whole_is_scrolled_on_a_phone_so_that_it_can_be_read(browser, reports):
+    page = browser.new_page(viewport={"width": 390, "height": 900})
+    page.goto((reports / "01_a.html").as_uri())
+    region = page.locator("figure").nth(1).locator(".wide")
+    page.wait_for_function("() => document.querySelectorAll('figure .wide img').length === 1")
+    image = region.locator("img")
+    drawn = base64.b64decode(image.get_attribute("src").partition(",")[2]).decode()
+    width = float(re.search(r'viewBox="0 0 ([\d.]+)', drawn)[1])
+    # A point of the drawing is a pixel at least: letters of 8 pt are 8 px high. The page itself is not wider for it.
+    assert image.bounding_box()["width"] >= width - 0.5 > region.bounding_box()["width"]
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    assert region.get_attribute("tabindex") == "0"
+    region.evaluate("one => one.scrollTo(1000, 0)")
+    assert region.evaluate("one => Math.abs(one.scrollLeft + one.clientWidth - one.scrollWidth) <= 1")
+    page.emulate_media(media="print")
+    assert image.bounding_box()["width"] <= 390
+    page.emulate_media(media="screen")
+    page.locator("figure").nth(1).get_by_role("button", name="explore").click()
+    assert page.locator("figure").nth(1).locator(".wide").count() == 0  # zoomed instead
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    page.close()
+
+
+def test_first_column_stays_where_rows_are_grouped_too(browser, reports):
+    page = browser.new_page(viewport={"width": 390, "height": 900})
+    page.goto((reports / "01_a.html").as_uri())
+    table = page.locator("main .scroll").nth(2)
+    stays = "cells => cells.filter(one => getComputedStyle(one).position === 'sticky').map(one => one.textContent)"
+    assert table.locator("tbody :is(th, td)").evaluate_all(stays) == ["M", "OMI"]
     page.close()
 
 

@@ -88,20 +88,17 @@ def _card(checkout: Checkout, notebook: Path, shared: str) -> dict:
     """Return what the index shows of one notebook."""
     name = notebook.stem
     record = read_record(checkout, name)
-    failure = record.get("failure")
     page = checkout.reports / f"{name}.html"
     card = {"title": record.get("title", name), "mark": name[:2], "thumbnail": record.get("thumbnail", "")}
-    if failure:
+    if failure := record.get("failure"):
         return card | {"failure": failure, "facts": name}
     if not record or not page.is_file():
         return {"title": name, "mark": name[:2], "facts": name}
     facts = [name, duration(record["seconds"]), f"{record['started'][:16].replace('T', ' ')} UTC"]
     facts += [f"{key} = {value}" for key, value in record.get("parameters", {}).items()]
+    card |= {key: record.get(key, "") for key in ("sentence", "headline", "data", "finding")}
     return card | {
         "link": page.name,
-        "sentence": record.get("sentence", ""),
-        "headline": record.get("headline", ""),
-        "data": record.get("data", ""),
         "facts": " · ".join(facts),
         "stale": record.get("sources") != input_digest(checkout, notebook, shared=shared),
     }

@@ -84,7 +84,11 @@ def markdown_html(
 ) -> str:
     """Return Markdown as HTML with formulas and pictures embedded; `headings` gets (level, anchor, HTML) of each."""
     renderer = _Renderer([] if headings is None else headings, attachments or {}, folder)
-    return MarkdownWithMath(renderer, inline=_Inline()).render(source)
+    rendered = MarkdownWithMath(renderer, inline=_Inline()).render(source)
+    # Browsers would break a line between a formula and the parenthesis or stop beside it.
+    return re.sub(
+        r"(?s)\(?<math.*?</math>[).,;:]*", r'<span class="whole">\g<0></span>', rendered
+    )
 
 
 def output_html(markup: str) -> str:
@@ -221,7 +225,8 @@ def report_html(
     about = notebook.metadata.get("trustlab", {})
     headline = re.search(r"<strong>(.*?)</strong>", "".join(page.answers), re.DOTALL)
     card = {"title": page.title or name, "sentence": page.sentence, "thumbnail": page.thumbnail}
-    return text, card | {"headline": headline[1] if headline else "", "data": str(about.get("data", ""))}
+    card["headline"] = headline[1] if headline else ""
+    return text, card | {"data": str(about.get("data", "")), "finding": bool(about.get("finding"))}
 
 
 def stylesheet() -> str:
@@ -264,7 +269,7 @@ def check_page(page: str, what: str) -> None:
         raise ReportError(f"the {what} would not be self-contained: {'; '.join(faults)}")
 
 
-NUMBER = re.compile(r"(?:[<>]\s*)?[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|[-+]?inf|\u2013|-")
+NUMBER = re.compile(r"[<>]?\s*[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|<NA>|[-+]?inf|\u2013|-")
 P_VALUE = re.compile(
     r"p|p, .*|mauchly_p"
     r"|p[ _](gg|hf|holm|bonferroni|corrected|adjusted|uncorrected|value|mauchly|anova|friedman|mixed|shapiro_least|simulated|chi2)"
@@ -323,14 +328,14 @@ def _write_cell(cell: Tag, is_p: bool) -> None:
 
 
 def _as_papers_write(text: str, is_p: bool) -> str:
-    """Return a small p-value as a bound, a long fraction rounded, and a zero without a minus."""
+    """Return a small p-value as a bound, a long fraction rounded, a zero without a minus, and a dash where there is none."""
     with contextlib.suppress(ValueError):
         if is_p and float(text) < LEAST_P:
             return "< .001"
         digits = re.sub(r"[eE].*|\D", "", text).lstrip("0")
         if re.search("[.e]", text) and len(digits) > MOST_DIGITS:
             return f"{float(text):.{MOST_DIGITS - 1}g}"
-    return re.sub(r"^[-\u2212](?=0(\.0*)?$)", "", text)
+    return re.sub(r"^(nan|NaN|<NA>)$", "\u2013", re.sub(r"^[-\u2212](?=0(\.0*)?$)", "", text))
 
 
 def _mark(cell: Tag, name: str) -> None:

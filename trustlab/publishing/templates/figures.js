@@ -1,7 +1,9 @@
 // Figures are explored within the page: zoomed, moved, and read off at a cross, by pointer or keyboard. Panels and named
 // lines are found in the drawing itself, where they have their limits and names as ids (descriptions.py). On a narrow screen
-// the panels of a figure come one below the other. Without this script each figure stands there as drawn.
+// the panels of a figure come one below the other; what is still too small to read there is scrolled sideways. Without this
+// script each figure stands there as drawn.
 const NARROW = matchMedia("(max-width: 40rem)");
+const LEAST_PICTURE = 640;  // px: of a picture without points, such as a photograph of a screen
 const NEAR = 0.04;  // of the figure's width: a line this close to the cross is read off
 const drawings = new WeakMap();
 
@@ -116,7 +118,8 @@ function explorable(figure) {
   const start = button("explore", "explore this figure: zoom, and read values off", () => {
     const view = make("div", { className: "view", tabIndex: 0, role: "application" });
     view.ariaLabel = "Figure to explore: arrow keys move the cross, plus and minus zoom, 0 shows the whole";
-    image.replaceWith(view);
+    (image.closest(".wide") ?? image).replaceWith(view);
+    image.style.minWidth = "";
     view.append(image);
     const told = make("output", {});
     const { zoom, reset } = explore(view, image, told);
@@ -130,7 +133,8 @@ function explorable(figure) {
   figure.querySelector("figcaption").before(bar);
 }
 
-// The parts of a figure, each with its box: what belongs to all panels first, then every panel with its ticks and titles.
+// The parts of a figure, each with its box and the ids of its groups: what belongs to all panels first, then every panel with
+// its ticks and titles.
 function parts(svg) {
   const shown = make("div", { className: "measured" });
   document.body.append(shown);
@@ -141,34 +145,38 @@ function parts(svg) {
   const common = [], panels = [];
   let solid = [];  // of a panel in three dimensions: its sides come before it
   for (const group of copy.querySelector("#figure_1")?.children ?? []) {
-    if (/^(text|legend|trustlab)/.test(group.id)) common.push(box(group));
+    if (/^(text|legend|trustlab)/.test(group.id)) common.push({ box: box(group), ids: [] });
     if (/^(pane|grid|axis)3d/.test(group.id)) solid.push(group);
     if (!group.id.startsWith("axes")) continue;
     const own = [...group.children].filter((child) => /^(\{|matplotlib|text|legend|trustlab)/.test(child.id));
-    const panel = around(solid.length ? [...solid, group] : own);
+    const ids = [...solid, group].map((one) => one.id), panel = around(solid.length ? [...solid, group] : own);
     solid = [];
     // A scale of colours stays with the panel beside it, a second axis with its own.
-    const level = panels.filter((one) => one[1] < panel[3] && panel[1] < one[3]);
-    const gap = (one) => (one[0] > panel[0] ? Infinity : panel[0] - one[2]);
+    const level = panels.filter((one) => one.box[1] < panel[3] && panel[1] < one.box[3]);
+    const gap = (one) => (one.box[0] > panel[0] ? Infinity : panel[0] - one.box[2]);
     const beside = level.reduce((best, one) => (best && gap(best) <= gap(one) ? best : one), undefined);
-    const joined = beside && (gap(beside) < -20 || panel[2] - panel[0] < 0.35 * (beside[2] - beside[0]));
-    if (joined) Object.assign(beside, join(beside, panel));
-    else if (panel[2] > panel[0]) panels.push(panel);
+    const joined = beside && (gap(beside) < -20 || panel[2] - panel[0] < 0.35 * (beside.box[2] - beside.box[0]));
+    if (joined) Object.assign(beside, { box: join(beside.box, panel), ids: [...beside.ids, ...ids] });
+    else if (panel[2] > panel[0]) panels.push({ box: panel, ids });
   }
   shown.remove();
-  return { common: common.filter((one) => one[2] > one[0]), panels };
+  return { common: common.filter((one) => one.box[2] > one.box[0]), panels };
 }
 
 function reflow(figure) {
   const image = figure.querySelector('img[src^="data:image/svg+xml;base64,"]');
-  if (!image || image.closest(".view")) return;
+  if (!image || image.closest(".view, .wide")) return;
   const { svg, width } = drawing(image);
   const { common, panels } = parts(svg);
-  const columns = panels.some((one, i) => panels.some((other, j) => j > i && (other[0] > one[2] - 20 || one[0] > other[2] - 20)));
+  const boxes = panels.map((one) => one.box);
+  const columns = boxes.some((one, i) => boxes.some((other, j) => j > i && (other[0] > one[2] - 20 || one[0] > other[2] - 20)));
   if (!columns || image.clientWidth > width) return;
   const each = make("div", { className: "panels", role: "img", ariaLabel: image.alt });
-  for (const [left, top, right, bottom] of [...common, ...panels]) {
+  for (const { box: [left, top, right, bottom], ids } of [...common, ...panels]) {
     const part = svg.cloneNode(true);
+    // Ticks and titles of its neighbours may reach into the box of a panel. They are hidden, not removed: their letters are used by all.
+    for (const group of part.querySelector("#figure_1").children)
+      if (/^(axes|(pane|grid|axis)3d)/.test(group.id) && !ids.includes(group.id)) group.setAttribute("visibility", "hidden");
     const size = [left - 3, top - 3, right - left + 6, bottom - top + 6];
     part.setAttribute("viewBox", size.join(" "));
     part.setAttribute("width", `${size[2]}pt`);
@@ -179,10 +187,24 @@ function reflow(figure) {
   NARROW.addEventListener("change", () => each.replaceWith(image), { once: true });
 }
 
+// A figure that stays whole is at least as many pixels wide as its drawing has points: its letters of 8 pt then come to 8 px.
+// Where that is wider than the page it is scrolled sideways.
+function scrolled(figure) {
+  const image = figure.querySelector('img[src^="data:image/"]');
+  if (!image || image.closest(".view, .wide, .panels")) return;
+  const least = image.src.startsWith("data:image/svg") ? drawing(image).width : LEAST_PICTURE;
+  if (image.clientWidth >= least) return;
+  const wide = make("div", { className: "wide", tabIndex: 0, role: "region", ariaLabel: "figure, scrolled sideways" });
+  image.replaceWith(wide);
+  wide.append(image);
+  image.style.minWidth = `${least}px`;
+  NARROW.addEventListener("change", () => { image.style.minWidth = ""; wide.isConnected && wide.replaceWith(image); }, { once: true });
+}
+
 addEventListener("DOMContentLoaded", () => {
   const figures = [...document.querySelectorAll("main figure")];
   figures.forEach(explorable);
-  const fit = () => NARROW.matches && figures.forEach(reflow);
+  const fit = () => NARROW.matches && figures.forEach((figure) => { reflow(figure); scrolled(figure); });
   NARROW.addEventListener("change", fit);
   fit();
 });

@@ -78,6 +78,8 @@ function equip(table, place) {
   const body = table.tBodies[0];
   if (!table.tHead || !body) return;
   dropCount(table);
+  // Where rows are grouped, the first cell of a row may be one of its second column.
+  for (const { cells: [cell] } of table.rows) if (cell?.offsetLeft === 0 && cell.colSpan === 1) cell.classList.add("first");
   if (body.rows.length < 3) return;
   const bar = make("div", { className: "tools" });
   if (!body.querySelector("[rowspan], [colspan]")) {
