@@ -127,7 +127,7 @@ def test_three_people_at_once_from_consent_to_report(make_plan, browser):
         assert experimenter.faults == []
     study = tl.read_live_study(plan.folder)
     measures = study.measures
-    assert study.participants()["complete"].all()
+    assert study.participants["complete"].all()
     assert measures["verified"].all()
     assert measures["synthetic"].all()
     assert study.exclusions().empty

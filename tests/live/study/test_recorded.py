@@ -106,6 +106,8 @@ def test_sessions_are_like_any_other_and_the_folder_is_as_it_was(rehearsed):
     assert again.measures.attrs == {"origin": rehearsed.origin}
     with pytest.warns(DeprecationWarning, match=r"measures\(\) is now measures"):
         assert again.measures().equals(rehearsed.measures)
+    with pytest.warns(DeprecationWarning, match=r"participants\(\) is now participants"):
+        assert again.participants().equals(rehearsed.participants)
     session = again.sessions()[0]
     assert session.metadata.synthetic
     assert {"verified", "thresholds_from", "performance_window", "lap_times"} <= set(session.metadata.more)
@@ -121,7 +123,7 @@ def test_a_study_that_has_hardly_begun_can_be_read(make_plan):
     assert list(study.answers()) == ["participant", "position", "condition", "page", "item", "answer", "text"]
     assert len(study.exclusions()) == 6
     assert "3 participants planned, 0 begun, 0 complete" in study.summary()
-    assert study.participants()["pages_done"].tolist() == [0, 0, 0]
+    assert study.participants["pages_done"].tolist() == [0, 0, 0]
     with pytest.raises(ValueError, match="this study is for people"):
         plan.rehearse()
 

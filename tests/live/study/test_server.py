@@ -119,7 +119,7 @@ def test_the_number_of_pages_leaves_out_the_end(served, client):
     pages = len(served.plan.steps("P01")) - 1
     assert client(f"{served.links['P01']}/state").json["pages"] == pages
     assert served.server.overview()["people"][0]["pages"] == pages
-    assert tl.read_live_study(served.plan.folder).participants()["pages"].tolist() == [pages] * 3
+    assert tl.read_live_study(served.plan.folder).participants["pages"].tolist() == [pages] * 3
 
 
 def test_paths_lead_to_no_other_file(served, client):
@@ -346,7 +346,7 @@ def test_the_experimenter_sees_adds_and_ends(served, client):
     assert client(f"{experimenter}/act", {"participant": "P01", "action": "note", "text": "x" * 1001}).status == 400
     assert client(f"{experimenter}/act", {"participant": "P01", "action": "end"}).status == 200
     assert client(served.links["P01"] + "/state").json["kind"] == "end"
-    table = tl.read_live_study(served.plan.folder).participants().set_index("participant")
+    table = tl.read_live_study(served.plan.folder).participants.set_index("participant")
     assert table.loc["P01", "ended"]
     assert table.loc["P01", "notes"] == note["text"]
 

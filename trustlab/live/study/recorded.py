@@ -59,7 +59,7 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     >>> import tempfile
     >>> import trustlab as tl
     >>> plan = tl.LiveStudy(tempfile.mkdtemp() + "/rehearsal", ["C1", "C3"], participants=4, seed=0, rehearsal=True)
-    >>> tl.read_live_study(plan.folder).participants()[["participant", "order", "pages_done"]]
+    >>> tl.read_live_study(plan.folder).participants[["participant", "order", "pages_done"]]
       participant  order  pages_done
     0         P01  C3 C1           0
     1         P02  C1 C3           0
@@ -75,10 +75,18 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
 class MeasuresTable(pd.DataFrame):
     """The measures of a live study's drives, which were a method."""
 
+    renamed = "measures"
+
     def __call__(self) -> pd.DataFrame:
-        """Return them, with a warning that they are an attribute now."""
-        warn_renamed("measures()", "measures")
+        """Return the table, with a warning that it is an attribute now."""
+        warn_renamed(f"{self.renamed}()", self.renamed)
         return self
+
+
+class ParticipantsTable(MeasuresTable):
+    """Where the participants of a live study are, which was a method."""
+
+    renamed = "participants"
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,15 +131,13 @@ class RecordedStudy:
         """Return the sessions of all drives under a condition, the last attempt of each."""
         return list(self._sessions)
 
-    def participants(self) -> pd.DataFrame:
+    @property
+    def participants(self) -> ParticipantsTable:
         """
-        Return where everybody is.
+        Where everybody is.
 
-        Returns
-        -------
-        pandas.DataFrame
-            A row per participant who was not deleted: participant, order, pages_done, pages, drives (finished, of those under a
-            condition), complete, ended, model (where model and thresholds come from), why (they stand in), restarts, notes.
+        A row per participant who was not deleted: participant, order, pages_done, pages, drives (finished, of those under a condition),
+        complete, ended, model (where model and thresholds come from), why (they stand in), restarts, notes.
         """
         rows = []
         for code, now in self.progress.items():
@@ -144,7 +150,7 @@ class RecordedStudy:
                 "why": model.get("why", ""), "restarts": sum(now.attempts.values()),
                 "notes": "; ".join(note["text"] for note in now.notes if note.get("source") == "experimenter"),
             })  # fmt: skip
-        return pd.DataFrame(rows).pipe(self._labelled)
+        return self._labelled(ParticipantsTable(rows))
 
     def _labelled(self, frame: Table) -> Table:
         """Say of a table where its numbers come from, where no person took part."""
@@ -328,7 +334,7 @@ class RecordedStudy:
         return self.measures
 
     def _repr_html_(self) -> str:
-        return as_html(self.summary(), self.participants(), title=f"Live study {self.plan.folder.name}")
+        return as_html(self.summary(), self.participants, title=f"Live study {self.plan.folder.name}")
 
     def __repr__(self) -> str:
         return f"RecordedStudy({self.plan.folder.name!r}: {self.summary()})"
