@@ -1,5 +1,6 @@
 """What somebody meets who reads a log of their own for the first time: each error names the step that comes next."""
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -37,4 +38,18 @@ def test_performance_that_nobody_computed():
         tl.fit_robot(session)
     with pytest.raises(tl.SessionError) as caught:
         session.with_performance()
-    assert "mixed_initiative" in caught.value.__notes__[0]
+    assert "mixed_initiative" in str(caught.value)
+
+
+def test_commanded_positions_are_named_where_commands_are_missing():
+    """A device whose position is the command, as in the public study that has a recipe."""
+    t = 0.1 * np.arange(4)
+    moved = {f"{who}_{axis}": 0.01 * np.arange(4.0) for who in ("human", "reference", "robot") for axis in "yz"}
+    session = tl.Session(pd.DataFrame({"mode": 0.6, **moved}, index=pd.Index(t, name="t")))
+    scales = {"measure": "mixed_initiative", "e_max": 0.1, "u_max": 0.1, "axes": "yz", "window": 0.2}
+    with pytest.raises(tl.SessionError, match=r"no column 'u_h_y'.*with_columns\(u_h_x=session\['human_x'\], …\)"):
+        session.with_performance(**scales)
+    commands = {"h": "human", "i": "reference", "a": "reference"}
+    given = {f"u_{who}_{axis}": session[f"{name}_{axis}"] for who, name in commands.items() for axis in "yz"}
+    measured = session.with_columns(**given).with_performance(**scales)
+    assert measured["p_r"].tolist() == measured["p_h"].tolist() == [1.0] * 4

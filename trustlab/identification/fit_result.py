@@ -63,7 +63,8 @@ class FitResult:
     Parameters
     ----------
     model : RobotModel, HumanModel, TscModel or what the structure makes
-        The identified model.
+        The identified model. It does not know of `success`: what takes the model alone, such as `limit_cycle`, `run_condition`
+        and `Operator`, cannot warn; `choose_thresholds` takes the fit, and warns where `success` is False.
     method : {"output_error", "arx", "regression"}
         How it was identified.
     parameters : pandas.DataFrame

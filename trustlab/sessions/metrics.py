@@ -214,11 +214,7 @@ def with_performance(
         if u_max is not None:
             raise ValueError("u_max is not used by (2.4) and (2.7); leave it out")
         e_max = 2.0 if e_max is None else e_max
-        try:
-            session.require("step_distance", "path_error", "v_command", "w_command")
-        except SessionError as error:
-            error.add_note('other measures: "uav_tracking", "mixed_initiative"; add one of your own by with_columns')
-            raise
+        session.require("step_distance", "path_error", "v_command", "w_command")
         p_r = goal_speed(session["step_distance"], session["path_error"], session.sample_time, e_max)
         p_h = manoeuvring(session["v_command"], session["w_command"], session["path_error"], e_max)
         equations = "(2.4), (2.7)"

@@ -18,6 +18,13 @@ from trustlab.sessions.vocabulary import VOCABULARY
 # How far a time step may differ from the median step, as a share of it, before sampling counts as irregular.
 STEP_TOLERANCE = 0.01
 
+# What to do about a missing column, by the beginning of its name.
+REMEDIES = {
+    "p_": "; session.with_performance(…) computes p_r and p_h",
+    "step_": '; other measures: "uav_tracking", "mixed_initiative"; add one of your own by with_columns',
+    "u_": "; where positions are commanded, they are the commands: session.with_columns(u_h_x=session['human_x'], …)",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Session:
@@ -145,7 +152,7 @@ class Session:
         if missing:
             own = self.label if self.label != self.metadata.source else "the session"
             hint = alternatives(missing[0], self.columns, f"needed: {', '.join(names)}; it has")
-            remedy = "; session.with_performance(…) computes p_r and p_h" if missing[0] in ("p_r", "p_h") else ""
+            remedy = next((words for start, words in REMEDIES.items() if missing[0].startswith(start)), "")
             raise SessionError(f"{own} has no column {missing[0]!r}{hint}{remedy}", self.metadata.source)
 
     def with_columns(self, **columns: np.ndarray) -> Session:
