@@ -28,11 +28,8 @@ with extra("reports"):
 
 
 # What a record of a report that was built holds.
-KINDS = {
-    **dict.fromkeys(("digest", "sources", "started", "title", "sentence", "thumbnail"), str),
-    "seconds": float,
-    "parameters": dict,
-}
+KINDS: dict[str, type] = dict.fromkeys(("digest", "sources", "started", "title", "sentence", "thumbnail"), str)
+KINDS |= {"seconds": float, "parameters": dict}
 
 
 @contextlib.contextmanager

@@ -86,9 +86,7 @@ def markdown_html(
     renderer = _Renderer([] if headings is None else headings, attachments or {}, folder)
     rendered = MarkdownWithMath(renderer, inline=_Inline()).render(source)
     # Browsers would break a line between a formula and the parenthesis or stop beside it.
-    return re.sub(
-        r"(?s)\(?<math.*?</math>[).,;:]*", r'<span class="whole">\g<0></span>', rendered
-    )
+    return re.sub(r"(?s)\(?<math.*?</math>[).,;:]*", r'<span class="whole">\g<0></span>', rendered)
 
 
 def output_html(markup: str) -> str:
