@@ -36,7 +36,7 @@ def fit_tsc(
     **logged: Any,
 ) -> FitResult:
     """
-    Identify robot and operator together: one likelihood for p_r and p_h, the robot driven by the fitted operator.
+    Identify robot (2.3) and operator (2.5)-(2.6) together: one likelihood, the robot driven by the fitted operator.
 
     Parameters
     ----------

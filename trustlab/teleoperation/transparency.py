@@ -340,8 +340,8 @@ def plot_transparency(settings: Mapping[str, LoopSettings] = STUDIES, points: in
         shown = grid if over == "ranges" else np.log10(grid + 1e-12).clip(-2)
         bar = ax.figure.colorbar(ax.contourf(across, low, shown, 12), ax=ax)
         ax.set(xscale="log", yscale="log", title=title)
-        ax.set_xlabel("$\\underline{β}/\\overline{β}$" if over == "ranges" else "b [N s/m]")
-        ax.set_ylabel("$\\underline{α}/\\overline{α}$" if over == "ranges" else "both ratios of bounds")
+        ax.set_xlabel("bounds of β, $\\underline{β}/\\overline{β}$" if over == "ranges" else "b [N s/m]")
+        ax.set_ylabel("bounds of α, $\\underline{α}/\\overline{α}$" if over == "ranges" else "both ratios of bounds")
         bar.set_label("gain, ideally 1" if over == "ranges" else "log$_{10}$, ideally −∞")
         for (name, one), mark in zip(settings.items(), "os^v", strict=False):
             own = one.scattering
@@ -376,7 +376,7 @@ def plot_rendered_spring(settings: Mapping[str, LoopSettings] = STUDIES, delay: 
         ax.semilogx(omega, np.abs(late), f"C{number}-", label=f"{name}, delays of {1000 * delay:g} ms")
         at_once = rendered_impedance(one.scattering, omega, spring)
         ax.semilogx(omega, np.abs(at_once), f"C{number}:", label=f"{name}, no delay")
-    ax.set(xlabel="ω [rad/s]", ylabel="$|f_m / r_m|$ [N s/m]", title="rendered impedance of a spring")
+    ax.set(xlabel="frequency ω [rad/s]", ylabel="felt impedance $|f_m / r_m|$ [N s/m]", title="rendered impedance of a spring")
     ax.legend(fontsize="small", loc="lower left")
     return ax
 

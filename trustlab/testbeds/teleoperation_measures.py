@@ -231,7 +231,7 @@ def plot_alpha(sessions: Iterable[Session], axes=None):
         raise ValueError(f"there are {len(runs)} runs and {axes.size} axes; give one per run")
     for panel, run in zip(axes, runs, strict=True):
         panel.plot(run.t, run["alpha"], lw=1.0, color=BLUE)
-        panel.set(ylabel="$α$", ylim=(-0.05, 1.05))
+        panel.set(ylabel="operator's\nshare $α$", ylim=(-0.05, 1.05))
         panel.set_title(run.label, fontsize="medium")
     axes[-1].set_xlabel("time [s]")
     return axes

@@ -103,7 +103,7 @@ def plot_pair(result, axes=None) -> np.ndarray:
     half = result.ci_high - result.mean_difference
     right.errorbar([0], [result.mean_difference], [half], fmt="o", color="C1", capsize=5, lw=1.8, zorder=3)
     right.axhline(0.0, color="k", lw=0.8, ls=":")
-    right.set(xlim=(-0.6, 0.6), xticks=[], ylabel=f"{result.a} − {result.b}")
+    right.set(xlim=(-0.6, 0.6), xticks=[], ylabel=f"difference {result.a} − {result.b}")
     if result.scores.origin:
         left.set_title(result.scores.origin, fontsize="small", color="#8a5a00")
     return np.array([left, right])
