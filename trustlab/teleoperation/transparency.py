@@ -376,7 +376,7 @@ def plot_rendered_spring(settings: Mapping[str, LoopSettings] = STUDIES, delay: 
         ax.semilogx(omega, np.abs(late), f"C{number}-", label=f"{name}, delays of {1000 * delay:g} ms")
         at_once = rendered_impedance(one.scattering, omega, spring)
         ax.semilogx(omega, np.abs(at_once), f"C{number}:", label=f"{name}, no delay")
-    ax.set(xlabel="frequency ω [rad/s]", ylabel="felt impedance $|f_m / r_m|$ [N s/m]", title="rendered impedance of a spring")
+    ax.set(xlabel="frequency ω [rad/s]", ylabel="felt impedance [N s/m]", title="rendered impedance of a spring")
     ax.legend(fontsize="small", loc="lower left")
     return ax
 
