@@ -228,12 +228,8 @@ def sweep(
     if table["failed"].any():
         bad = table[table["failed"]].iloc[0]
         raise ValueError(f"the point {bad[names].to_dict()} failed: {bad['error']}")
-    table = table.drop(columns=["run", "failed", "error", "traceback"])
-    for name, value in (("lower", lower), ("upper", upper)):
-        if name not in names:
-            table.insert(len(names), name, float(value))
-    order = [*names, *(name for name in THRESHOLDS if name not in names), "exists", *QUANTITIES, "reason"]
-    return Sweep(values, table[order])
+    fixed = {name: float(value) for name, value in zip(THRESHOLDS, (lower, upper), strict=True) if value is not None}
+    return Sweep(values, table.assign(**fixed)[[*names, *fixed, "exists", *QUANTITIES, "reason"]])
 
 
 def cycle_sensitivity(

@@ -99,13 +99,12 @@ def simulate_allocation(
     steps = whole_number("steps", steps, most=MOST_STEPS)
     start = between("r0", r0, 0.0, 1.0), tsc.robot.p_min if p_r0 is None else finite_number("p_r0", p_r0)
     columns = dict(zip(("r", "p_r", "p_h", "tsc", "mode"), np.empty((5, steps)), strict=True))
-    if type(rule) is ThresholdRule:
-        simulate_rule(*start, float(mode), rule.lower, rule.upper, -1.0, tsc.constants(), *columns.values())
-    elif type(rule) is PerformanceRule:
-        numbers = rule.p_min, rule.p_max, rule.tolerance
-        simulate_rule(*start, float(mode), *numbers, tsc.constants(), *columns.values())
-    else:
+    if type(rule) not in (ThresholdRule, PerformanceRule):
         _ask_step_by_step(rule, mode, start, tsc.constants(), **columns)
+    else:
+        own = type(rule) is ThresholdRule
+        numbers = (rule.lower, rule.upper, -1.0) if own else (rule.p_min, rule.p_max, rule.tolerance)
+        simulate_rule(*start, float(mode), *numbers, tsc.constants(), *columns.values())
     return pd.DataFrame(columns, copy=False)
 
 

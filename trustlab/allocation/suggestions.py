@@ -55,12 +55,8 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
         if odd.any():
             k = int(np.argmax(odd))
             raise SessionError(f"column {name!r}, t = {session.t[k]:g} s: {session[name][k]} is not one of {allowed}")
-    rows = [
-        (start, float(wanted), delay, state == FOLLOWED, STATES[state])
-        for start, wanted, delay, state in suggestion_episodes(
-            session.t, session["mode"], session["suggested_mode"], deadline
-        )
-    ]
+    episodes = suggestion_episodes(session.t, session["mode"], session["suggested_mode"], deadline)
+    rows = [(start, float(to), delay, state == FOLLOWED, STATES[state]) for start, to, delay, state in episodes]
     return pd.DataFrame(rows, columns=["start", "suggested_mode", "delay", "followed", "state"])
 
 

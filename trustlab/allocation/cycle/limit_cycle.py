@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -57,10 +58,8 @@ class LimitCycle:
         of different period coexist.
     motions : int
         How many motions were found to coexist, told apart by the overshoot they lock to. There can be more, see `limit_cycle`.
-    unique : bool
-        Whether the return map of r has exactly one fixed point on a grid of [0, 1].
-    slope : float
-        Slope of the return map there; below 1 in size the cycle attracts.
+    r_manual : float
+        Mean utilization as manual phases begin.
     mean_r, mean_p_r : float
         Time averages of utilization and robot performance.
     model : TscModel
@@ -81,8 +80,7 @@ class LimitCycle:
     dwell_autonomous: tuple[int, int] | None = None
     period: int | None = None
     motions: int = 0
-    unique: bool = False
-    slope: float = math.nan
+    r_manual: float = math.nan
     mean_r: float = math.nan
     mean_p_r: float = math.nan
     always: bool = False
@@ -99,6 +97,31 @@ class LimitCycle:
             DeprecationWarning,
         )
         return False
+
+    @functools.cached_property
+    def slope(self) -> float:
+        """Slope of the return map of r without overshoot at `r_manual`; below 1 in size the cycle attracts."""
+        reach = max(1e-4 * min(self.r_manual, 1.0 - self.r_manual), 1e-12)
+        around = np.array([max(self.r_manual - reach, 0.0), min(self.r_manual + reach, 1.0)])
+        after = self._returned(around)
+        return float((after[1] - after[0]) / (around[1] - around[0]))
+
+    @functools.cached_property
+    def unique(self) -> bool:
+        """Whether the return map of r without overshoot has exactly one fixed point on a grid of [0, 1]."""
+        ends = np.geomspace(1e-15, 0.015, 16)
+        grid = np.r_[ends, np.linspace(0.0, 1.0, 65)[1:-1], 1.0 - ends[::-1]]
+        gap = self._returned(grid) - grid
+        # From rest the map leads upwards or nowhere, and from full load downwards or nowhere.
+        signs = np.r_[1.0, np.sign(gap[np.isfinite(gap)]), -1.0]
+        return bool(self.exists and np.count_nonzero(np.diff(signs[signs != 0.0])) == 1)
+
+    def _returned(self, grid: np.ndarray) -> np.ndarray:
+        """Return utilization one cycle later, from each of the grid; NaN without a cycle."""
+        if not self.exists:
+            return np.full(grid.size, np.nan)
+        c = phases.resampled(self.model).constants()
+        return np.array([phases.return_map(r, self.lower, self.upper, c, phases.longest_phase(c)) for r in grid])
 
     @property
     def stable(self) -> bool:
@@ -230,7 +253,6 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
     seen = [motion.seen for motion in found]
     periods = {motion.period for motion in found}
     period = periods.pop() if len(periods) == 1 else None
-    slope, unique = _return_map(float(rows["r"].mean()), lower, upper, phases.resampled(tsc).constants())
     how = _how(found, rows, period)
     if stopped:
         how += f"; but from {len(stopped)} of {followed} starts it {stays}"
@@ -252,8 +274,7 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
         dwell_autonomous=(int(rows["autonomous"].min()), int(rows["autonomous"].max())),
         period=period,
         motions=len(found),
-        unique=unique,
-        slope=slope,
+        r_manual=float(rows["r"].mean()),
         mean_r=float(np.mean([one.sum_r / one.samples for one in seen])),
         mean_p_r=float(np.mean([one.sum_p_r / one.samples for one in seen])),
         model=tsc,
@@ -355,19 +376,3 @@ def _how(found: list[Motion], rows: np.ndarray, period: int | None) -> str:
         listed = ", ".join("without" if motion.period is None else str(motion.period) for motion in found)
         return f"{len(found)} motions coexist, one overshoot apart (periods {listed}); ranges enclose all of them"
     return f"repeats after {period} cycle(s)" if period else f"does not repeat within {len(rows)} cycles"
-
-
-def _return_map(middle: float, lower: float, upper: float, c: TscConstants) -> tuple[float, bool]:
-    """Return the slope of the return map without overshoot about `middle`, and whether it has one fixed point."""
-    most = phases.longest_phase(c)
-    ends = np.geomspace(1e-15, 0.015, 16)
-    grid = np.r_[ends, np.linspace(0.0, 1.0, 65)[1:-1], 1.0 - ends[::-1]]
-    gap = np.array([phases.return_map(x, lower, upper, c, most) for x in grid]) - grid
-    # From rest the map leads upwards or nowhere, and from full load downwards or nowhere.
-    signs = np.r_[1.0, np.sign(gap[np.isfinite(gap)]), -1.0]
-    signs = signs[signs != 0.0]
-    reach = max(1e-4 * min(middle, 1.0 - middle), 1e-12)
-    around = (max(middle - reach, 0.0), min(middle + reach, 1.0))
-    after = [phases.return_map(x, lower, upper, c, most) for x in around]
-    slope = float((after[1] - after[0]) / (around[1] - around[0]))
-    return slope, bool(np.count_nonzero(np.diff(signs)) == 1)

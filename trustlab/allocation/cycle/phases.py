@@ -132,7 +132,14 @@ def settle(r, p_r, lower, upper, c, steps, most, known_r, known_p_r, near):
     Returns −1 or −2 if a manual or an autonomous phase never ends, 1 at a known state, else 0; r and P_r; and the samples.
     """
     done, first = 0, most > 0  # no literals True and False: numba would compile `phase` once for each
+    mark, mark_r, mark_p_r = 0, r, p_r
     while done < steps:
+        period = done - mark
+        if r == mark_r and p_r == mark_p_r and period > 0:
+            # A motion that repeats to the last bit goes on doing so: whole periods are left out, as long as some samples remain.
+            done += (steps - done - 1) // period * period
+        if period >= mark // 16:
+            mark, mark_r, mark_p_r = done, r, p_r
         for i in range(known_r.size):
             if abs(r - known_r[i]) < near and abs(p_r - known_p_r[i]) < near:
                 return 1, r, p_r, done
