@@ -1,11 +1,12 @@
 """Correcting an operator's thresholds step by step, Section 2.5, by an engine chosen by name."""
 
-import importlib
 import inspect
 from collections.abc import Callable
 from time import perf_counter
 from typing import Any
 
+from trustlab.allocation.correction.casadi_engine import CasadiEngine
+from trustlab.allocation.correction.exact import ExactEngine
 from trustlab.allocation.correction.incentive import incentive_box, within_range
 from trustlab.allocation.correction.plan import CorrectionPlan
 from trustlab.allocation.cycle.limit_cycle import limit_cycle
@@ -13,11 +14,7 @@ from trustlab.allocation.limits import threshold_limits
 from trustlab.models.checks import between, in_order, of_class, one_of, positive, shown, warn, whole_number
 from trustlab.models.tsc import TscModel
 
-# Module and class of each engine; imported when asked for.
-ENGINES = {
-    "exact": ("trustlab.allocation.correction.exact", "ExactEngine"),
-    "casadi": ("trustlab.allocation.correction.casadi_engine", "CasadiEngine"),
-}
+ENGINES = {"exact": ExactEngine, "casadi": CasadiEngine}
 
 
 class TargetWarning(UserWarning):
@@ -94,8 +91,7 @@ class ThresholdCorrector:
         self.tsc = of_class("tsc", tsc, TscModel)
         self.target = check_target(tsc, target)
         self.c_b, self.horizon = positive("c_b", c_b), whole_number("horizon", horizon, most=1_000_000)
-        module, name = ENGINES[one_of("engine", engine, ENGINES)]
-        kind = getattr(importlib.import_module(module), name)
+        kind = ENGINES[one_of("engine", engine, ENGINES)]
         known = list(inspect.signature(kind).parameters)[6:]
         unknown = sorted(set(options) - set(known))
         if unknown:

@@ -56,30 +56,21 @@ SEARCHED = 25
 
 
 class Workspace(NamedTuple):
-    """Arrays for the search; `search` names their rows."""
+    """Arrays for the search, and the best plan found; `search` names their rows."""
 
-    steps: np.ndarray  # shape (7, N + 1)
+    steps: np.ndarray  # shape (8, N + 1)
     thresholds: np.ndarray  # shape (6, 2, N + 1)
     waiting: np.ndarray  # steps that could have gone the other way, the last on top
+    states: np.ndarray  # r, P_r, TSC_l, TSC_u and mode at steps 0 … N (no mode at N)
+    actions: np.ndarray  # c_l and c_u at steps 0 … N − 1
     long: bool | None  # True where bounds by phases can be worth their time; None leaves them out of what is compiled
 
     @classmethod
     def of(cls, horizon: int) -> Workspace:
         """Return arrays for N steps."""
         n = horizon + 1
-        return cls(np.empty((7, n)), np.empty((6, 2, n)), np.empty(n, np.int64), horizon > LONG or None)
-
-
-class Solution(NamedTuple):
-    """The best plan found: r, P_r, TSC_l, TSC_u and mode at steps 0 … N (no mode at N), c_l and c_u at steps 0 … N − 1."""
-
-    states: np.ndarray
-    actions: np.ndarray
-
-    @classmethod
-    def of(cls, horizon: int) -> Solution:
-        """Return arrays for N steps."""
-        return cls(np.empty((5, horizon + 1)), np.empty((2, horizon)))
+        arrays = np.empty((8, n)), np.empty((6, 2, n)), np.empty(n, np.int64), np.empty((5, n)), np.empty((2, horizon))
+        return cls(*arrays, horizon > LONG or None)
 
 
 @njit
@@ -95,26 +86,27 @@ def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
         back = -low[k] if sign > 0 else high[k]
         if hold[k + 1] + back < hold[k]:
             hold[k] = hold[k + 1] + back
-    cost = 0.0
+    cost, now = 0.0, z[0]
     for k in range(n):
         back, forth = (-low[k], high[k]) if sign > 0 else (high[k], -low[k])
         limit = goal if hold[k + 1] >= goal else hold[k + 1] - margin
-        step = limit - z[k]
+        step = limit - now
         if step > forth:
             step = forth
         else:
-            # z + step may round to just above the limit, where (2.8) would decide otherwise.
-            while z[k] + step > limit:
+            # The sum may round to just above the limit, where (2.8) would decide otherwise.
+            while now + step > limit:
                 step = np.nextafter(step, -np.inf)
             step = max(step, -back)
             # Nor may a threshold leave the interval between its start and its target.
-            if z[k] + step < z[0]:
-                step = z[0] - z[k]
-                while z[k] + step < z[0]:
+            if now + step < z[0]:
+                step = z[0] - now
+                while now + step < z[0]:
                     step = np.nextafter(step, np.inf)
-        z[k + 1] = z[k] + step
+        now += step
+        z[k + 1] = now
         actions[k] = sign * step
-        cost += (goal - z[k + 1]) ** 2
+        cost += (goal - now) ** 2
     return cost
 
 
@@ -151,20 +143,19 @@ def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions
 
 
 @njit(_nrt=True)  # it allocates, also where its caller counts no references
-def search(
-    constants, c_b, target, budget, start, r0, p0, before, standard, steps, thresholds, waiting, long, states, plan
-):
+def search(constants, c_b, target, budget, start, r0, p0, before, standard, steps, thresholds, waiting, states, plan):
     """
     Search the mode sequences from r0, p0, the thresholds `start` and the mode before; fill `states` and the actions `plan`.
 
     `standard` says that the incentives are (2.42), which lower bounds of the cost exploit; `budget` is how many times N steps
-    may be searched. The arrays of `Workspace` and `Solution` are passed one by one and the constants as a plain tuple, because
-    passing NamedTuples from Python takes longer than many a search. Returns the cost, its lower bound, the number of mode
-    sequences followed, whether the search was complete, TSC now, and whether incentives stayed within [−c_b, 0] and [0, c_b].
+    may be searched. The arrays of `Workspace` are passed one by one and the constants as a plain tuple, because
+    passing NamedTuples from Python takes longer than many a search. Returns the cost, a lower bound of the cost of what was
+    searched (for the rest see `unsearched_cost`), the number of mode sequences followed, whether the search was complete, TSC
+    now, and whether incentives stayed within [−c_b, 0] and [0, c_b].
     """
     c = TscConstants(*constants)
-    # At each step: state, box (2.42), TSC and mode of the sequence that is followed, and the least cost so far.
-    r, p, low, high, tsc, mode, spent = steps
+    # At each step: state, P_h, box (2.42), TSC and mode of the sequence that is followed, and the least cost so far.
+    r, p, p_h, low, high, tsc, mode, spent = steps
     # Both thresholds, seen as rising: the least and the greatest value with the modes so far; the bound that each must not
     # exceed to produce them, and the same tightened; and the best path, with its actions.
     least, most, hold, tight, z, trial = thresholds
@@ -185,9 +176,8 @@ def search(
         # After backtracking (not fresh) the state at k is known, and the threshold is held there instead.
         while k <= n:
             if k > 0 and fresh:
-                r[k], p[k] = advance(r[k - 1], p[k - 1], human_at(r[k - 1], c), mode[k - 1], c)
+                r[k], p[k] = advance(r[k - 1], p[k - 1], p_h[k - 1], mode[k - 1], c)
             if k > 0:
-                spent[k] = spent[k - 1]
                 for j in (LOWER, UPPER):
                     rising = sign[j] > 0
                     forth = high[k - 1] if rising else -low[k - 1]
@@ -196,7 +186,8 @@ def search(
                     least[j, k] = max(least[j, k - 1] + back, least[j, 0])
             if k < n:
                 if fresh:
-                    tsc[k] = tsc_at(p[k], human_at(r[k], c), c)
+                    p_h[k] = human_at(r[k], c)
+                    tsc[k] = tsc_at(p[k], p_h[k], c)
                     a, b = box(r[k], p[k], c_b, c.p_r_min, c.p_r_max)
                     slack = 1e-9 * c_b
                     if not (standard or (-c_b - slack <= a <= slack and -slack <= b <= c_b + slack)):
@@ -233,8 +224,10 @@ def search(
                         else:
                             mode[k] = 0.0 if rising else 1.0
             if k > 0:
+                total = spent[k - 1]
                 for j in (LOWER, UPPER):
-                    spent[k] += (goal[j] - most[j, k]) ** 2
+                    total += (goal[j] - most[j, k]) ** 2
+                spent[k] = total
             held, fresh = False, True
             searched += 1
             k += 1
@@ -280,16 +273,25 @@ def search(
                 break
         if k < 0:
             break
-    if not complete:
-        # The first step with an untried mode: up to it all sequences agree; everything after it is bounded as a whole.
-        i = waiting[0]
-        guess = np.empty(2)
-        for j in (LOWER, UPPER):
-            way = sign[j] * (best_lower[n] if j == LOWER else best_upper[n]) - least[j, 0]
-            guess[j] = min(least[j, 0] + 1.3 * way + 50.0 * c_b, goal[j])
-        rest = remaining_cost(i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, c_b, standard, long, guess)
-        bound = min(bound, max(spent[i - 1] + rest, 0.0))
     return cost, min(bound, cost), sequences, complete, tsc[0], True
+
+
+@njit
+def unsearched_cost(constants, c_b, target, start, standard, steps, thresholds, waiting, states, long):
+    """Bound from below the cost of what a search within its budget did not get to."""
+    c = TscConstants(*constants)
+    r, p, _, low, high, _, mode, spent = steps
+    least, most, hold, _, _, _ = thresholds
+    _, _, best_lower, best_upper, _ = states
+    goal, sign, guess = hold[:, 0], np.empty(2), np.empty(2)
+    # The first step with an untried mode: up to it all sequences agree; everything after it is bounded as a whole.
+    i, n = waiting[0], r.size - 1
+    for j in (LOWER, UPPER):
+        sign[j] = 1.0 if target[j] >= start[j] else -1.0
+        way = sign[j] * (best_lower[n] if j == LOWER else best_upper[n]) - least[j, 0]
+        guess[j] = min(least[j, 0] + 1.3 * way + 50.0 * c_b, goal[j])
+    rest = remaining_cost(i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, c_b, standard, long, guess)
+    return max(spent[i - 1] + rest, 0.0)
 
 
 class ExactEngine:
@@ -323,36 +325,48 @@ class ExactEngine:
 
     def __init__(self, tsc, target_lower, target_upper, c_b, horizon, incentive=incentive_box, budget=SEARCHED):
         self.horizon, self.budget = horizon, whole_number("budget", budget, most=1_000_000)
-        target = np.array([target_lower, target_upper])
-        self._problem = tuple(tsc.constants()), float(c_b), target, self.budget
-        self._start = np.empty(2)
-        self._standard = incentive is incentive_box
+        self._problem = tuple(tsc.constants()), float(c_b), np.array([target_lower, target_upper])
+        self._start, self._standard = np.empty(2), incentive is incentive_box
         self._search = search if self._standard else _search_with(incentive, tsc, c_b)
         room = Workspace.of(horizon)
-        # A plan of one step compiles the search now, so that the first plan of a run does not wait for it.
-        self._work = Workspace.of(1)._replace(long=room.long)
+        # One step, after which nothing is left, compiles what a plan can need, so that no plan of a run waits for it.
+        self._room = Workspace.of(1)._replace(long=room.long)
+        self._room.waiting[0] = 1
         self._searched(0.5, tsc.robot.p_min, target_lower, target_upper, 1)
-        self._work = room
+        self._unsearched()
+        self._room = room
 
     def _searched(self, r, p_r, lower, upper, mode):
+        """Return cost, lower bound, number of sequences, status and TSC; `_room` has the plan."""
         # Written for speed: a plan takes about as long as passing its arguments.
         self._start[LOWER], self._start[UPPER] = lower, upper
-        n = self._work.waiting.size
-        states, actions = np.empty((5, n)), np.empty((2, n - 1))
+        steps, thresholds, waiting, states, actions, _ = self._room
         now = self._start, r, p_r, float(mode), self._standard
-        found = self._search(*self._problem, *now, *self._work, states, actions)
-        return found, states, actions
-
-    def solve(self, r: float, p_r: float, lower: float, upper: float, mode: int) -> CorrectionPlan:
-        """Return the plan from this state, `mode` being that before now."""
-        found, states, (actions_l, actions_u) = self._searched(r, p_r, lower, upper, mode)
+        found = self._search(*self._problem, self.budget, *now, steps, thresholds, waiting, states, actions)
         cost, bound, sequences, complete, tsc, valid = found
         if not valid:
             raise ValueError(
                 "the incentive function left [−c_b, 0] and [0, c_b] or returned NaN at a predicted state; as in (2.41), it "
                 "must bound corrections by c_b and allow thresholds to be held"
             )
-        path_r, path_p, path_lower, path_upper, modes = states
+        if complete:
+            return cost, bound, sequences, CorrectionStatus.OPTIMAL, tsc
+        return cost, min(bound, self._unsearched()), sequences, CorrectionStatus.BOUNDED, tsc
+
+    def _unsearched(self):
+        steps, thresholds, waiting, states, _, long = self._room
+        return unsearched_cost(*self._problem, self._start, self._standard, steps, thresholds, waiting, states, long)
+
+    def decide(self, *state):
+        """Return c_l, c_u, cost, its lower bound and status of the plan that `solve` returns, but no plan."""
+        cost, bound, _, status, _ = self._searched(*state)
+        return *self._room.actions[:, 0].tolist(), cost, bound, status
+
+    def solve(self, r: float, p_r: float, lower: float, upper: float, mode: int) -> CorrectionPlan:
+        """Return the plan from this state, `mode` being that before now."""
+        cost, bound, sequences, status, tsc = self._searched(r, p_r, lower, upper, mode)
+        actions_l, actions_u = self._room.actions.copy()
+        path_r, path_p, path_lower, path_upper, modes = self._room.states.copy()
         return CorrectionPlan(
             c_l=float(actions_l[0]),
             c_u=float(actions_u[0]),
@@ -367,7 +381,7 @@ class ExactEngine:
             mode=modes[:-1],
             cost=cost,
             cost_lower_bound=bound,
-            status=CorrectionStatus.OPTIMAL if complete else CorrectionStatus.BOUNDED,
+            status=status,
             engine=self.name,
             message=f"{sequences} mode sequences followed",
         )

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.allocation.correction.exact import SEARCHED, Solution, Workspace, search
+from trustlab.allocation.correction.exact import SEARCHED, Workspace, search, unsearched_cost
 from trustlab.allocation.correction.plan import LOWER, UPPER
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscConstants, TscModel
@@ -31,7 +31,6 @@ class LoopCorrection(NamedTuple):
     budget: int
     thresholds: np.ndarray
     work: Workspace
-    best: Solution
     log: np.ndarray  # rows of CORRECTED
 
 
@@ -46,9 +45,6 @@ def loop_correction(
     budget: int = SEARCHED,
 ) -> LoopCorrection:
     """Return what a loop of so many samples needs to correct thresholds from `start` towards `target`, which the caller has checked."""
-    log = np.zeros(samples, CORRECTED)
-    for name in ("lower", "upper", "cost", "bound"):
-        log[name] = np.nan
     return LoopCorrection(
         adopted=adopted,
         constants=tuple(tsc.constants()),
@@ -57,25 +53,24 @@ def loop_correction(
         budget=budget,
         thresholds=np.array(start, dtype=float),
         work=Workspace.of(horizon),
-        best=Solution.of(horizon),
-        log=log,
+        log=np.full(samples, np.array((np.nan, np.nan, np.nan, np.nan, False), CORRECTED)),
     )
 
 
 @njit(inline="always")
 def correct_thresholds(correction, k, r, p_r, mode):
     """Log sample k, plan, and correct the thresholds by one step; return c_l and c_u."""
-    c, thresholds = TscConstants(*correction.constants), correction.thresholds
-    work, best = correction.work, correction.best
+    c, thresholds, work = TscConstants(*correction.constants), correction.thresholds, correction.work
     now = min(max(p_r, c.p_r_min), c.p_r_max)
-    problem = correction.constants, correction.c_b, correction.target, correction.budget
-    state = thresholds, r, now, float(mode), True
-    room = work.steps, work.thresholds, work.waiting, work.long, best.states, best.actions
-    cost, bound, _, _, _, _ = search(*problem, *state, *room)
+    problem, standard = (correction.constants, correction.c_b, correction.target), True
+    state, room = (thresholds, r, now, float(mode), standard), (work.steps, work.thresholds, work.waiting, work.states)
+    cost, bound, _, complete, _, _ = search(*problem, correction.budget, *state, *room, work.actions)
+    if not complete:
+        bound = min(bound, unsearched_cost(*problem, thresholds, standard, *room, work.long))
     row = correction.log[k]
     row.lower, row.upper = thresholds[LOWER], thresholds[UPPER]
     row.cost, row.bound, row.clipped = cost, bound, now != p_r
-    c_l, c_u = best.actions[LOWER, 0], best.actions[UPPER, 0]
+    c_l, c_u = work.actions[LOWER, 0], work.actions[UPPER, 0]
     thresholds[LOWER] += c_l
     thresholds[UPPER] += c_u
     return c_l, c_u

@@ -115,7 +115,8 @@ def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, 
         boxes, nexts, alive, lives = nexts, boxes, lives, alive
 
 
-@njit
+# Inlined, like `remaining_cost`: each has one caller, and compiling it by itself would take half a second more.
+@njit(inline="always")
 def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
     """Lower `path` to what whole phases allow while thresholds stay within `ends`; return whether they do stay within them."""
     before, limits = first - 1, np.empty((2, 2))
@@ -146,7 +147,7 @@ def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
     return True
 
 
-@njit
+@njit(inline="always")
 def remaining_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, long, guess):
     """
     Bound the cost from step `first` to n from below, by boxes and, over many steps, by whole phases.
@@ -157,9 +158,11 @@ def remaining_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, 
     path = np.empty((2, n + 1))
     reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, path)
     if long is not None and standard and n - first + 1 > LONG:
-        ends = np.minimum(guess, path[:, n])
-        if not by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
-            by_phases(path[:, n].copy(), path, first, n, r, p, mode, most, start, sign, c, c_b)
+        ends, proved = np.empty(2), False
+        for attempt in range(2):
+            for j in (LOWER, UPPER):
+                ends[j] = path[j, n] if attempt == 1 else min(guess[j], path[j, n])
+            proved = proved or by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b)
     cost = 0.0
     for k in range(first, n + 1):
         cost += (goal[LOWER] - path[LOWER, k]) ** 2 + (goal[UPPER] - path[UPPER, k]) ** 2

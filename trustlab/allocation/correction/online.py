@@ -10,7 +10,7 @@ import pandas as pd
 from trustlab.allocation.correction.corrector import ThresholdCorrector, check_mode, threshold_pair
 from trustlab.allocation.correction.dynamics import suggestion_now
 from trustlab.allocation.correction.incentive import ROUNDING
-from trustlab.allocation.correction.plan import CorrectionPlan, CorrectionStatus
+from trustlab.allocation.correction.plan import CorrectionStatus
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import between, finite_number, of_class, one_of
 from trustlab.models.human import next_utilization
@@ -130,24 +130,22 @@ class OnlineCorrection:
         p_r, p_h = measured("p_r", p_r), measured("p_h", p_h)
         now = self.mode if mode is None or (isinstance(mode, float) and mode != mode) else check_mode(mode)
         c, lower, upper = self._c, self.lower, self.upper
-        plan: CorrectionPlan | None = None
+        suggestion, status = -1, CorrectionStatus.MISSING
+        c_l, c_u, cost, bound = 0.0, 0.0, math.nan, math.nan
         tsc = tsc_at.py_func(p_r, p_h, c)
         if math.isinf(tsc) or (tsc != tsc and p_r == p_r and p_h == p_h):
             raise ValueError(f"TSC overflows for p_r = {p_r} and p_h = {p_h}; check their unit")
-        if tsc != tsc:
-            status, suggestion = CorrectionStatus.MISSING, -1
-        else:
+        if tsc == tsc:
             suggestion = suggestion_now(tsc, lower, upper)
             slack = ROUNDING * (c.p_r_max - c.p_r_min)
             inside = c.p_r_min - slack <= p_r <= c.p_r_max + slack
+            status = CorrectionStatus.OUTSIDE
             if inside or self._nearest:
-                nearest = min(max(p_r, c.p_r_min), c.p_r_max)
-                plan = self.corrector.step(self.r, nearest, lower, upper, now)
-                status = plan.status if inside or plan.status.held else CorrectionStatus.NEAREST
-            else:
-                status = CorrectionStatus.OUTSIDE
-        c_l, c_u = (plan.c_l, plan.c_u) if plan else (0.0, 0.0)
-        cost, bound = (plan.cost, plan.cost_lower_bound) if plan else (math.nan, math.nan)
+                # The engine itself, as the state has been checked: a whole plan and its checks take half as long again.
+                state = self.r, min(max(p_r, c.p_r_min), c.p_r_max), lower, upper, now
+                c_l, c_u, cost, bound, status = self.corrector.engine.decide(*state)
+                if not inside and not status.held:
+                    status = CorrectionStatus.NEAREST
         r = self.r
         self.lower, self.upper, self.mode = lower + c_l, upper + c_u, now
         self.r = min(max(next_utilization.py_func(r, now, c.a_r), 0.0), 1.0)
@@ -165,10 +163,8 @@ class OnlineCorrection:
         pandas.DataFrame
             One row per sample; the fields of `OnlineStep`, status by name.
         """
-        names = OnlineStep.__slots__
-        frame = pd.DataFrame({name: [getattr(step, name) for step in self._steps] for name in names})
-        frame["status"] = [step.status.name for step in self._steps]
-        return frame
+        columns = {name: [getattr(step, name) for step in self._steps] for name in OnlineStep.__slots__}
+        return pd.DataFrame(columns | {"status": [step.status.name for step in self._steps]})
 
     def plot(self, axes=None):
         """

@@ -160,13 +160,14 @@ def all_phases(r, p, mode, k, limits, sign, v, c):
         room = min(k, POOL - used - 1)
         least[0], leave[0] = 0.0, np.inf
         h[0, LOW], h[0, HIGH] = human_range(xa, xb, c)
-        known, length = 1, 0
+        known, length = np.int64(1), 0  # no literal 1: numba would compile `tube` for it as well
         goal = limits[UPPER] if manual else limits[LOWER]
         a, b = limits[LOWER] if manual else limits[UPPER]
+        over = overshoot_of_any(manual, xa, xb, b if manual else a, c)
         if manual:
-            a -= overshoot_of_any(True, xa, xb, b, c)
+            a -= over
         else:
-            b += overshoot_of_any(False, xa, xb, a, c)
+            b += over
         for j in range(1 if start else PIECES):
             low = high = p
             if not start:
@@ -211,14 +212,14 @@ def all_phases(r, p, mode, k, limits, sign, v, c):
 @njit
 def shortest(edges, begin, end, rho, passes, dist, back):
     """Fill `dist` with the shortest paths from the current phase; return whether they have converged (Bellman–Ford)."""
-    dist[:] = np.inf
-    dist[START] = 0.0
-    back[:] = -1
-    fresh, again = np.zeros(END + 1, np.bool_), np.zeros(END + 1, np.bool_)
-    fresh[START] = True
+    fresh, again = np.empty(END + 1, np.bool_), np.empty(END + 1, np.bool_)
+    for node in range(END + 1):
+        dist[node], back[node], fresh[node] = np.inf, -1, False
+    dist[START], fresh[START] = 0.0, True
     for _ in range(passes):
-        again[:] = False
         moved = False
+        for node in range(END + 1):
+            again[node] = False
         for node in range(END):
             if not fresh[node]:
                 continue

@@ -68,8 +68,7 @@ class CorrectionRun:
         way = abs(self.target[0] - self.start[0]) + abs(self.target[1] - self.start[1])
         left = abs(self.target[0] - table["lower"]) + abs(self.target[1] - table["upper"])
         table["remaining"] = left / way if way > 0.0 else np.nan
-        for name, column in (("p_r", "p_r"), ("r", "r"), ("manual_share", "mode")):
-            table[name] = tests[column].mean()
+        table[["p_r", "r", "manual_share"]] = tests[["p_r", "r", "mode"]].mean()
         table["switches"] = tests["mode"].agg(lambda mode: np.count_nonzero(np.diff(mode)))
         table["held"] = tests["cost"].agg(lambda cost: cost.isna().sum())
         gap = (data["cost"] - data["cost_lower_bound"]) / data["cost"].where(data["cost"] > 0.0, 1.0)
@@ -227,10 +226,7 @@ def correct_pattern(
         person = Habit(habit, start, wait)
         truth = _one_test(online, person, tsc.constants(), r0, p_r0, disturbance[test])
         thresholds = (online.lower, online.upper)
-        frame = online.table().drop(columns="sample").assign(**truth)
-        frame.insert(0, "test", test + 1)
-        frame.insert(1, "t", np.arange(samples) * step)
-        parts.append(frame)
+        parts.append(online.table().assign(test=test + 1, t=np.arange(samples) * step, **truth))
     columns = ["test", "t", "r", "p_r", "p_h", "tsc", "mode", "suggestion", "lower", "upper", "c_l", "c_u"]
     data = pd.concat(parts, ignore_index=True)[[*columns, "cost", "cost_lower_bound", "status", "latency"]]
     return CorrectionRun(data, start, corrector.target, habit, "simulated, model of (2.1)-(2.6)")
