@@ -128,28 +128,23 @@ class MomentProblem:
         """Return the statistics of candidates."""
         return MomentStatistics(mean, factor @ np.swapaxes(factor, -1, -2), self.n, self.corrected)
 
-    def values(self, stats: MomentStatistics, gradient: bool = False) -> tuple[np.ndarray, ...]:
-        """
-        Return the statistic of every row, shape (B, rows).
-
-        With `gradient` also its gradients with respect to means, (B, rows, k), and covariance, (B, rows, k, k).
-        """
+    def values(self, stats: MomentStatistics) -> tuple[np.ndarray, ...]:
+        """Return every row's statistic, (B, rows), and its gradients by means, (B, rows, k), and covariance, (B, rows, k, k)."""
         kinds = list(dict.fromkeys(s.kind for s in self.rows))
-        blocks = [self._kind(stats, kind, gradient) for kind in kinds]
+        blocks = [self._kind(stats, kind) for kind in kinds]
         start = dict(zip(kinds, np.cumsum([0, *(value.shape[1] for value, *_ in blocks)]), strict=False))
         columns = [start[s.kind] + s.index for s in self.rows]
         return tuple(np.concatenate(parts, axis=1)[:, columns] for parts in zip(*blocks, strict=True))
 
-    def _kind(self, stats: MomentStatistics, kind: str, gradient: bool) -> tuple[np.ndarray, ...]:
-        """Return all statistics of a kind, with their gradients where wanted."""
+    def _kind(self, stats: MomentStatistics, kind: str) -> tuple[np.ndarray, ...]:
+        """Return all statistics of a kind, with their gradients."""
         if kind == "spread":
-            found = self._spread(stats)
-            return found if gradient else found[:1]
+            return self._spread(stats)
         if kind == "log_adjusted_p":
-            return self._holm(stats, gradient)
+            return self._holm(stats)
         value = getattr(stats, kind)
         value = value[:, None] if value.ndim == 1 else value
-        return (value, *getattr(stats, f"gradient_{kind}")) if gradient else (value,)
+        return value, *getattr(stats, f"gradient_{kind}")
 
     def _spread(self, stats: MomentStatistics) -> tuple[np.ndarray, ...]:
         """Return S_ii(n − 1)/n − (m − low)(high − m): positive where no values within the scale have these moments."""
@@ -161,7 +156,7 @@ class MomentProblem:
         by_covariance[:, range(k), range(k), range(k)] = share
         return value, by_mean, by_covariance
 
-    def _holm(self, stats: MomentStatistics, gradient: bool) -> tuple[np.ndarray, ...]:
+    def _holm(self, stats: MomentStatistics) -> tuple[np.ndarray, ...]:
         """Return logarithms of Holm's adjusted p; each has the gradient of the one that sets the running maximum."""
         log_p = stats.log_p
         m = log_p.shape[1]
@@ -170,8 +165,6 @@ class MomentProblem:
         largest = np.maximum.accumulate(stepped, axis=1)
         value = np.empty_like(log_p)
         np.put_along_axis(value, order, largest, axis=1)
-        if not gradient:
-            return (value,)
         place = np.maximum.accumulate(np.where(stepped == largest, np.arange(m), 0), axis=1)
         source = np.empty_like(order)
         np.put_along_axis(source, order, np.take_along_axis(order, place, axis=1), axis=1)
@@ -181,7 +174,7 @@ class MomentProblem:
 
     def violation(self, mean: np.ndarray, factor: np.ndarray) -> np.ndarray:
         """Return each candidate's largest violation in half-widths, 0 where all constraints hold."""
-        (value,) = self.values(self.statistics(mean, factor))
+        value = self.values(self.statistics(mean, factor))[0]
         outside = np.maximum(np.maximum(self.low - value, value - self.high), 0.0) / self.unit
         return np.where(np.isfinite(value), outside, np.inf).max(axis=1, initial=0.0)
 
@@ -260,19 +253,16 @@ class MomentProblem:
         factor[:, *self._triangle] = x[:, self.k :] * self.typical[1]
         return x[:, : self.k] * self.typical[1], factor
 
-    def _residuals(self, x: np.ndarray, margin: float, width: float, gradient: bool) -> tuple[np.ndarray, ...]:
-        """Return how far each row lies outside its interval, in its unit, and the derivatives where wanted."""
+    def _residuals(self, x: np.ndarray, margin: float, width: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return how far each row lies outside its interval, in its unit, and the derivatives."""
         mean, factor = self._unpack(x)
-        value, *slopes = self.values(self.statistics(mean, factor), gradient)
+        value, by_mean, by_covariance = self.values(self.statistics(mean, factor))
         unit = np.where(self._ends_at_one, self.unit, np.maximum(self.unit, width * self.size))
         # Intervals are widened about their middles to the width of the stage, then narrowed by the margin.
         inner = (1.0 - margin) * unit - np.where(np.isfinite(self.high - self.low), self.unit, unit)
         below, above = (self.low - inner) - value, value - (self.high + inner)
         residual = np.where(above > 0.0, above, np.where(below > 0.0, -below, 0.0)) / unit
         residual = np.where(np.isfinite(value), residual, np.inf)
-        if not gradient:
-            return (residual,)
-        by_mean, by_covariance = slopes
         # S = GG', so that dS = dG G' + G dG', and the gradient is symmetric.
         by_factor = 2.0 * (by_covariance @ factor[:, None])[:, :, *self._triangle]
         jacobian = np.concatenate([by_mean, by_factor], axis=2) * self.typical[1] / unit[:, None]
@@ -287,7 +277,7 @@ class MomentProblem:
         x = x.copy()
         damping = np.full(x.shape[0], 1e-2)
         active = np.arange(x.shape[0])
-        residual, jacobian = self._residuals(x, margin, width, True)
+        residual, jacobian = self._residuals(x, margin, width)
         identity, solved = np.eye(x.shape[1]), 0
         for _ in range(iterations):
             cost = (residual**2).sum(axis=1)
@@ -302,11 +292,10 @@ class MomentProblem:
             damped = normal + (damping[active, None] * (diagonal + floor))[:, :, None] * identity
             step = np.linalg.solve(damped, -(np.swapaxes(jacobian, 1, 2) @ residual[..., None]))[..., 0]
             trial = x[active] + step
-            (found,) = self._residuals(trial, margin, width, False)
+            found, slopes = self._residuals(trial, margin, width)
             better = np.nan_to_num((found**2).sum(axis=1), nan=np.inf) < cost
             x[active[better]] = trial[better]
             # Less damping after a step that helps, as near a solution the full Gauss-Newton step is best.
             damping[active] = np.maximum(damping[active] * np.where(better, 0.2, 5.0), 1e-10)
-            if better.any():
-                residual[better], jacobian[better] = self._residuals(x[active[better]], margin, width, True)
+            residual[better], jacobian[better] = found[better], slopes[better]
         return x
