@@ -148,7 +148,7 @@ class Session:
         SessionError
             It names the missing column, the nearest existing one, and all columns of the session.
         """
-        missing = [name for name in names if name not in self]
+        missing = [name for name in names if name != "t" and name not in self.data]
         if missing:
             own = self.label if self.label != self.metadata.source else "the session"
             hint = alternatives(missing[0], self.columns, f"needed: {', '.join(names)}; it has")
