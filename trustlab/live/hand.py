@@ -58,14 +58,16 @@ class HumanHand:
     def look(self, x: float, y: float, yaw: float) -> float | None:
         """Return the bearing of the middle of the nearest gate in view [rad], positive to the left."""
         away = self.gates - (x, y)
-        ahead = away @ (np.cos(yaw), np.sin(yaw))
-        left = away @ (-np.sin(yaw), np.cos(yaw))
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        ahead, left = away @ (cos, sin), away @ (-sin, cos)
         in_view = (np.hypot(ahead, left) < self.view["range"]) & (
             np.abs(np.arctan2(left, ahead)) < 0.5 * self.view["field"]
         )
-        middle_x, middle_y = ahead.mean(axis=1), left.mean(axis=1)
+        middle_x, middle_y = 0.5 * (ahead[:, 0] + ahead[:, 1]), 0.5 * (left[:, 0] + left[:, 1])
         facing = left[:, 0] > left[:, 1]  # the left row of posts has a colour of its own: gates are not taken backwards
-        distance = np.where(in_view.any(axis=1) & facing & (middle_x > NEAREST), np.hypot(middle_x, middle_y), np.inf)
+        distance = np.where(
+            (in_view[:, 0] | in_view[:, 1]) & facing & (middle_x > NEAREST), np.hypot(middle_x, middle_y), np.inf
+        )
         i = int(np.argmin(distance))
         return float(np.arctan2(middle_y[i], middle_x[i])) if np.isfinite(distance[i]) else None
 

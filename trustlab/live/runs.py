@@ -166,7 +166,8 @@ class Drive:
         """Drive for one sample under a command and a wanted mode; return its row."""
         row, world = self._log[self.k], (self.task, self.robot, self._course, self.source)
         room = (self._z_r, self._z_h, self._found, self.state, self.forcing)
-        self.done = bool(tick(self.k, v, w, wanted, *world, *room, row)) or self.k + 1 >= self.config["samples"]
+        # a float also where the mode is whole: else all would be compiled once more
+        self.done = bool(tick(self.k, v, w, float(wanted), *world, *room, row)) or self.k + 1 >= self.config["samples"]
         self.k += 1
         return row
 

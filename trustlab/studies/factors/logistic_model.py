@@ -49,14 +49,17 @@ def _log_likelihood(eta, counts, trials, first, sd, nodes, log_weights):
             # The slope falls in v: where Newton's step leaves the bracket, the bracket is halved.
             v = v + step if low < v + step < high else 0.5 * (low + high)
         spread = np.sqrt(2.0 / curvature)
+        greatest, share = -np.inf, 0.0
         for k in range(nodes.size):
             u = v + spread * nodes[k]
             values[k] = log_weights[k] + nodes[k] ** 2 - 0.5 * u * u
             for i in range(first[g], first[g + 1]):
                 x = eta[i] + sd * u
                 values[k] += counts[i] * x - trials[i] * (max(x, 0.0) + np.log1p(np.exp(-abs(x))))
-        greatest = values.max()
-        total += greatest + np.log(np.exp(values - greatest).sum()) + np.log(spread) - 0.5 * np.log(2.0 * np.pi)
+            greatest = max(greatest, values[k])
+        for value in values:
+            share += np.exp(value - greatest)
+        total += greatest + np.log(share) + np.log(spread) - 0.5 * np.log(2.0 * np.pi)
     return total
 
 

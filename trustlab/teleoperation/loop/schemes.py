@@ -58,13 +58,12 @@ def optimal(state, setup):
     """Set α by Appendix A, from what the operator commanded in the sample before."""
     ahead = np.empty((3, 5))
     for i in range(3):
-        ahead[i] = (
-            state.r_s[i] / state.alpha,
-            state.u_a[i],
-            state.error[i],
-            state.reference_velocity[i] - state.velocity[i],
-            -state.acceleration[i],
-        )
+        # one by one, for a row that is set at once compiles an error message for unequal lengths, in two seconds
+        ahead[i, 0] = state.r_s[i] / state.alpha
+        ahead[i, 1] = state.u_a[i]
+        ahead[i, 2] = state.error[i]
+        ahead[i, 3] = state.reference_velocity[i] - state.velocity[i]
+        ahead[i, 4] = -state.acceleration[i]
     state.alpha = best_share(setup.blend, ahead, state.alpha_min, state.alpha_max)[0]
     state.beta = state.beta_max
 
