@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy import special
 
 from trustlab.campaign.run import run_campaign, where_to_run
 from trustlab.models.checks import one_of, whole_number
@@ -160,16 +160,14 @@ def _compared(effect: Effect, measures: pd.DataFrame) -> tuple[float, float, int
     """Return the mean difference, its standard error, over how many, p, whether it agrees, and why there is none."""
     if effect.measure not in measures:
         return math.nan, math.nan, 0, math.nan, pd.NA, SILENT
-    after, before = (
-        measures[measures["condition"] == condition].set_index("participant")[effect.measure]
-        for condition in effect.conditions
-    )
-    difference = (after - before).dropna()
+    wide = measures.pivot(index="participant", columns="condition", values=effect.measure)  # noqa: PD010, a repeat is an error
+    after, before = wide.reindex(columns=effect.conditions).T.to_numpy(float)
+    difference = pd.Series(after - before).dropna()
     count = len(difference)
     if count < 3:
         return math.nan, math.nan, count, math.nan, pd.NA, f"only {count} operators have the measure in both conditions"
     mean, se = float(difference.mean()), float(difference.sem())
-    p = float(2.0 * stats.t.sf(abs(mean) / se, count - 1)) if se > 0.0 else math.nan
+    p = float(2.0 * special.stdtr(count - 1, -abs(mean) / se)) if se > 0.0 else math.nan
     agrees = effect.low <= mean + 2.0 * se and mean - 2.0 * se <= effect.high
     return mean, se, count, p, agrees, ""
 

@@ -5,10 +5,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from trustlab.models.checks import finite_array, finite_number, not_negative, of_class, positive, set_checked
+from trustlab.models.compiled import njit
 from trustlab.teleoperation.ports.device import PassivityError
 from trustlab.teleoperation.records import signal, signals
 
 SLACK = 1e-12
+
+
+@njit
+def first_order(u, gain, keep):
+    """Return y(k) = keep y(k − 1) + gain u(k) of every column, from rest."""
+    y = np.empty_like(u)
+    for i in range(u.shape[1]):
+        now = 0.0
+        for k in range(u.shape[0]):
+            y[k, i] = now = keep * now + gain * u[k, i]
+    return y
 
 
 @dataclass(frozen=True)
@@ -303,9 +315,7 @@ def sinusoid_energy(two_port: TwoPortFilter, duration: float, sample_time: float
 
 def _low_pass(u: np.ndarray, cutoff: float, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the midpoint output and the state after each sample of da/dt = ω_c (u − a)."""
-    from scipy.signal import lfilter
-
     g = 0.5 * step * cutoff
-    state = lfilter([2.0 * g / (1.0 + g)], [1.0, -(1.0 - g) / (1.0 + g)], u, axis=0)
+    state = first_order(u, 2.0 * g / (1.0 + g), (1.0 - g) / (1.0 + g))
     before = np.vstack([np.zeros((1, u.shape[1])), state[:-1]])
     return 0.5 * (before + state), state

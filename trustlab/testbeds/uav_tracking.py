@@ -13,6 +13,7 @@ from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
 from trustlab.teleoperation.channel import lost_waves
 from trustlab.teleoperation.delays import Delay, delays_in_samples, random_walk_delay
+from trustlab.teleoperation.filters import first_order
 from trustlab.teleoperation.loop import guidance as ways, kernel, setup
 from trustlab.teleoperation.loop.defaults import DEFAULTS, LAWS
 from trustlab.teleoperation.loop.parts import View, part_of
@@ -436,12 +437,10 @@ def _losses(task: TrackingTask, count: int, sample_time: float, rng) -> np.ndarr
 
 def _coloured(count: int, time: float, sample_time: float, rng) -> np.ndarray:
     """Return noise of unit variance with this correlation time, shape (count, 3)."""
-    from scipy.signal import lfilter
-
     keep = np.exp(-sample_time / time)
     white = rng.normal(size=(count, 3))
     white[0] /= np.sqrt(1.0 - keep**2)
-    return np.ascontiguousarray(lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, axis=0))
+    return first_order(white, np.sqrt(1.0 - keep**2), keep)
 
 
 def _delays(settings: LoopSettings, given, read_out, count, sample_time, seeds) -> np.ndarray:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy import special, stats
+import scipy
 
 from trustlab.models.html import as_html
 
@@ -42,7 +42,7 @@ def friedman(values: np.ndarray) -> Friedman:
     found = pingouin.friedman(pd.DataFrame(values))  # a wide table: a row per subject
     w = float(np.clip(found["W"].iloc[0], 0.0, 1.0))  # the bounds are exact: only rounding is cut
     chi2 = n * (k - 1) * w
-    return Friedman(chi2, k - 1, float(special.chdtrc(k - 1, chi2)), w)
+    return Friedman(chi2, k - 1, float(scipy.special.chdtrc(k - 1, chi2)), w)
 
 
 class Wilcoxon(NamedTuple):
@@ -66,9 +66,9 @@ def wilcoxon(differences: np.ndarray, largest: float) -> Wilcoxon:
     rounded = np.round(differences / grid)
     merged = np.unique(np.abs(rounded)).size < np.unique(np.abs(differences)).size
     kept = rounded[rounded != 0.0]
-    ranks = stats.rankdata(np.abs(kept))
+    ranks = scipy.stats.rankdata(np.abs(kept))
     exact = kept.size == differences.size < 50 and np.unique(ranks).size == kept.size
-    found = stats.wilcoxon(kept, method="exact" if exact else "asymptotic", correction=not exact)
+    found = scipy.stats.wilcoxon(kept, method="exact" if exact else "asymptotic", correction=not exact)
     v, total = float(ranks[kept > 0.0].sum()), kept.size * (kept.size + 1) / 2.0
     method = "exact" if exact else "normal approximation, continuity corrected"
     method += "; ties judged to twelve digits" if merged else ""
@@ -89,12 +89,12 @@ def rank_pairs(values: np.ndarray, a: np.ndarray, b: np.ndarray, method: str) ->
         table = pd.DataFrame(found).set_axis(["V", "p", "method", "rank_biserial"], axis=1)
         return table.assign(median_difference=[np.median(d) for d in differences])
     n, k = values.shape
-    ranks = stats.rankdata(values, axis=1)
+    ranks = scipy.stats.rankdata(values, axis=1)
     mean = ranks.mean(axis=0)
     df = (n - 1) * (k - 1)
     error = ((ranks - mean) ** 2).sum() / df  # the sum of a subject's ranks is the same for all
     t = (mean[a] - mean[b]) / np.sqrt(2.0 * error / n) if error > 0.0 else np.full(a.size, np.nan)
-    p = 2.0 * special.stdtr(df, -np.abs(t))
+    p = 2.0 * scipy.special.stdtr(df, -np.abs(t))
     return pd.DataFrame({"mean_rank_difference": mean[a] - mean[b], "t": t, "df": df, "p": p})
 
 
@@ -120,6 +120,6 @@ def normality_of_differences(values: np.ndarray, a: np.ndarray, b: np.ndarray) -
         if difference.size > 5000 or np.ptp(difference) <= 2.0 * rounding:
             rows.append((np.nan, np.nan))
         else:
-            found = stats.shapiro(difference / np.abs(difference).max())  # SciPy takes tiny differences for equal
+            found = scipy.stats.shapiro(difference / np.abs(difference).max())  # SciPy takes tiny differences for equal
             rows.append((float(found.statistic), float(found.pvalue)))
     return pd.DataFrame(rows, columns=["W", "p"])

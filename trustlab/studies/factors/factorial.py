@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy import special, stats
+import scipy
 
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import of_class, one_of, open_unit
@@ -135,7 +135,7 @@ class FactorialMeasures:
             df1, df2 = d * len(rows_of_design), d * self.design.df_error
             f = float(ss[0]) / len(rows_of_design) / error if error > 0.0 else np.nan
             epsilon = 1.0 / (d * ((covariance[0] / error) ** 2).sum()) if d > 1 and error > 0.0 else 1.0
-            p, p_gg = special.fdtrc(df1, df2, f), special.fdtrc(df1 * epsilon, df2 * epsilon, f)
+            p, p_gg = scipy.special.fdtrc(df1, df2, f), scipy.special.fdtrc(df1 * epsilon, df2 * epsilon, f)
             rows.append((factor, at, level, f, df1, df2, p, epsilon, p_gg, f * df1 / (f * df1 + df2)))
         columns = ["factor", "at", "level", "F", "df1", "df2", "p", "epsilon_gg", "p_gg", "eta2_partial"]
         table = pd.DataFrame(rows, columns=columns)
@@ -256,7 +256,7 @@ class FactorialMeasures:
         table = self.descriptives()
         lines = table.groupby([*self.between, *others], sort=False) if self.between or others else [((), table)]
         for i, (cell, own) in enumerate(lines):
-            reach = special.stdtrit(own["n"] - 1, 0.975) * own["se"]
+            reach = scipy.special.stdtrit(own["n"] - 1, 0.975) * own["se"]
             places = np.arange(len(own)) + 0.06 * i
             label = ", ".join(map(str, cell)) or None
             axes.errorbar(places, own["mean"], reach, fmt="o-", capsize=4, lw=1.3, label=label)
@@ -341,9 +341,9 @@ class FactorialMeasures:
             df = variance**2 / sum(part**2 / own for part, own in parts)
         flat = np.sqrt(variance) <= 4.0 * np.finfo(float).eps * np.abs(self.scores.values).max()
         mean, se = float(row @ coefficients), np.nan if flat else float(np.sqrt(variance * (row @ inverse @ row)))
-        half, t = special.stdtrit(df, 0.975) * se, mean / se
+        half, t = scipy.special.stdtrit(df, 0.975) * se, mean / se
         d_z = mean / np.sqrt(variance) if paired and not flat else np.nan
-        return mean, mean - half, mean + half, t, df, 2.0 * special.stdtr(df, -abs(t)), d_z
+        return mean, mean - half, mean + half, t, df, 2.0 * scipy.special.stdtr(df, -abs(t)), d_z
 
 
 def tested_effects(
@@ -493,7 +493,7 @@ def aligned(result: FactorialMeasures, factors: Sequence[Hashable], whole: bool 
     effect = sum(sign * mean(names) for names, sign in signs.items())
     kept = y.to_numpy() - mean([*long]) + effect
     # Equal values differ in floating point: ranks are those of twelve digits of the largest score.
-    ranks = stats.rankdata(np.round(kept, 12)).reshape(scores.shape)
+    ranks = scipy.stats.rankdata(np.round(kept, 12)).reshape(scores.shape)
     return replace(result, scores=replace(result.scores, values=ranks))
 
 
@@ -511,7 +511,7 @@ def aligned_tests(result: FactorialMeasures, error: str) -> pd.DataFrame:
         if error == "pooled" and within:
             variance, df2 = ranked.error_variances().within
             f, epsilon = test["ss_effect"] / df1 / variance, np.nan
-        p, p_gg = special.fdtrc(df1, df2, f), special.fdtrc(epsilon * df1, epsilon * df2, f)
+        p, p_gg = scipy.special.fdtrc(df1, df2, f), scipy.special.fdtrc(epsilon * df1, epsilon * df2, f)
         rows.append((effect, f, df1, df2, p, epsilon, p_gg, f * df1 / (f * df1 + df2)))
     columns = ["effect", "F", "df1", "df2", "p", "epsilon_gg", "p_gg", "eta2_partial"]
     return pd.DataFrame(rows, columns=columns).set_index("effect").loc[result.effects["effect"]].reset_index()
