@@ -98,7 +98,7 @@ def clopper_pearson(count: ArrayLike, total: int, level: float = 0.95) -> tuple[
     found = np.asarray(count)
     if found.dtype.kind not in "iu" or ((found < 0) | (found > total)).any():
         raise ValueError(f"count must hold whole numbers from 0 to {total}, got {count!r:.60}")
-    tail = (1.0 - level) / 2.0
-    low = special.betaincinv(np.maximum(found, 1), total - found + 1, tail)
-    high = special.betainccinv(found + 1, np.maximum(total - found, 1), tail)
-    return np.where(found > 0, low, 0.0), np.where(found < total, high, 1.0)
+    from statsmodels.stats.proportion import proportion_confint
+
+    low, high = proportion_confint(found, total, alpha=1.0 - level, method="beta")
+    return np.asarray(low), np.asarray(high)
