@@ -14,7 +14,7 @@ import trustlab as tl
 
 
 def _ground_robot() -> None:
-    tl.run_condition("C3", participant=2, laps=1, seed=0)
+    tl.run_condition("C3", participant=2, laps=2, seed=0)
     tl.testbeds.run_correction(2, (0.0, 0.35), tests=1, laps=1, seed=0)  # the kernel again, with the correction in it
     tl.virtual_study(n=4, testbed="uav", conditions=["C1", "C3"], seed=0)
 
