@@ -326,10 +326,12 @@ def _write_cell(cell: Tag, is_p: bool) -> None:
 
 
 def _as_papers_write(text: str, is_p: bool) -> str:
-    """Return a small p-value as a bound, a long fraction rounded, a zero without a minus, and a dash where there is none."""
+    """Return a p-value with three decimals or as a bound, a long fraction rounded, a zero without a minus, and a dash for no value."""
     with contextlib.suppress(ValueError):
         if is_p and float(text) < LEAST_P:
             return "< .001"
+        if is_p and re.fullmatch(r"0?\.\d{4,}", text):  # what has fewer is as it was printed
+            return f"{float(text):.3f}".removeprefix("0")
         digits = re.sub(r"[eE].*|\D", "", text).lstrip("0")
         if re.search("[.e]", text) and len(digits) > MOST_DIGITS:
             return f"{float(text):.{MOST_DIGITS - 1}g}"
