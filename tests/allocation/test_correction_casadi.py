@@ -11,7 +11,7 @@ import pytest
 
 import trustlab as tl
 from trustlab.allocation.correction.casadi_engine import CasadiEngine
-from trustlab.allocation.correction.casadi_problem import SOLVERS, CorrectionProgram
+from trustlab.allocation.correction.casadi_problem import SOLVERS
 from trustlab.allocation.correction.dynamics import simulate_correction
 from trustlab.allocation.correction.exact import ExactEngine
 from trustlab.allocation.correction.incentive import incentive_bounds, incentive_box
@@ -116,12 +116,12 @@ def test_holding_a_threshold_back_for_a_switch_is_found():
 def test_every_solver_finds_the_same_plan(solver):
     best = ExactEngine(PILOT, *TARGET, C_B, 30)
     ours = engine(solver=solver)
+    ours._programs = ours._programs[:1]
     for state in (FAR, NEAR):
         plan = ours.solve(*state)
         assert plan.status is CorrectionStatus.CONVERGED, plan.message
         assert plan.cost == pytest.approx(best.solve(*state).cost, rel=1e-6)
         assert np.isnan(plan.cost_lower_bound)
-    assert list(ours._programs) == [solver]  # the second solver was not asked
 
 
 @pytest.mark.parametrize("solver", ["piqp", "fatrop"])
@@ -217,9 +217,9 @@ def test_where_no_solver_succeeds_the_thresholds_are_held(constraint):
 def test_a_solver_that_returns_nonsense_is_not_believed(monkeypatch):
     """The guards: a solution far from the optimum, and a plan that leaves (2.41)."""
     ours = engine(12)
-    with monkeypatch.context() as patch:
-        patch.setattr(CorrectionProgram, "solve", lambda *given: (np.full((2, 12), 0.5), ""))
-        plan = ours.solve(*FAR)
+    for program in ours._programs:
+        monkeypatch.setattr(program, "solve", lambda guess, mode, thresholds=None: (np.full((2, 12), 0.5), ""))
+    plan = ours.solve(*FAR)
     assert plan.status is CorrectionStatus.FAILED
     assert "costs more than the guess" in plan.message
 

@@ -77,7 +77,7 @@ class CasadiEngine:
         added costs or constraints.
     solver : str, optional
         "piqp" (default), "hpipm", "fatrop" or "ipopt". The smoothed program is solved by IPOPT if chosen, else by fatrop.
-        Where a solver fails, fatrop is tried as well; setting it up, the first time, takes longer than a plan.
+        Where a solver fails, fatrop is tried as well.
 
     Raises
     ------
@@ -108,7 +108,8 @@ class CasadiEngine:
         self.horizon = horizon
         self._tsc, self._target = tsc, (target_lower, target_upper)
         self._model = model = CorrectionModel(tsc, self._target, c_b, horizon, extras)
-        self._programs = {solver: CorrectionProgram(model, solver)}
+        # The second now, not when the first fails: setting it up takes longer than a sample of a run that waits for a plan.
+        self._programs = [CorrectionProgram(model, one) for one in dict.fromkeys((solver, "fatrop"))]
         smooth = "ipopt" if solver == "ipopt" else "fatrop"
         self._smooth = CorrectionProgram(model, smooth, width) if width else None
         self._adds = extra_cost is not None
@@ -207,16 +208,13 @@ class CasadiEngine:
 
     def _solved(self, guess: HardRun, thresholds: np.ndarray | None, now: Situation) -> HardRun | None:
         """Solve for the modes of `guess` and return the hard run of the solution, from the first solver that succeeds."""
-        for solver in dict.fromkeys((*self._programs, "fatrop")):
-            # The second is set up when it is first needed, which is seldom: it would double the time an engine takes to begin.
-            if solver not in self._programs:
-                self._programs[solver] = CorrectionProgram(self._model, solver)
-            w, reason = self._programs[solver].solve(guess, now.state[-1], thresholds)
+        for program in self._programs:
+            w, reason = program.solve(guess, now.state[-1], thresholds)
             if w is not None:
                 after = self._model.run(now.state, w, now.allowed)
                 if not self._worse(after, guess):
                     return after
-                reason = f"{solver}: its solution costs more than the guess it started from"
+                reason = f"{program.solver}: its solution costs more than the guess it started from"
             now.reasons.append(reason)
         return None
 

@@ -386,9 +386,13 @@ def _rows(cell: Conditions, n: int, counts: dict, replicates: int, alpha: float,
     strength = noncentrality(cell.eta2_partial, n, k)
     exact = noncentral_f_power(n, k, strength, alpha) if cell.epsilon > 1.0 - 1e-9 else np.nan
 
+    # All limits at once: one call takes a quarter of a millisecond, however many counts it gets.
+    known = [key for key in counts if key.startswith(("F ", "pair ", "claims "))]
+    ends = np.transpose(clopper_pearson([counts[key] for key in known], replicates, level))
+    limits = dict(zip(known, ends.tolist(), strict=True))
+
     def power(key: str) -> tuple[float, float, float, int]:
-        low, high = clopper_pearson(counts[key], replicates, level)
-        return counts[key] / replicates, float(low), float(high), replicates
+        return counts[key] / replicates, *limits[key], replicates
 
     omnibus = [(*axes, strength, test, *power(f"F {test}"), exact if test == "none" else np.nan) for test in TESTS]
     pairs, together = [], []
