@@ -76,18 +76,10 @@ def _describe_figures(formatter: Any) -> None:
         words = [text for text in figure.texts if text.get_gid() == CAPTION_ID]
         for text in words:
             text.set_visible("TRUSTLAB_REPORT" not in os.environ)  # a report sets it in type
-        if figure.axes and (engine := figure.get_layout_engine()) is not None:
-            figure.draw = lambda renderer: _lay_out(figure, engine)
         picture = draw(figure)  # first: drawing settles ticks and ranges
         return picture, {"drawn": describe(figure), "caption": " ".join(text.get_text() for text in words)}
 
     formatter.for_type(Figure, drawn)
-
-
-def _lay_out(figure, engine) -> None:
-    """Stand in for the drawing that Matplotlib makes and throws away to lay a figure out: only lay it out."""
-    del figure.draw  # what comes next is the drawing that is kept
-    engine.execute(figure)
 
 
 def _figure(where):
