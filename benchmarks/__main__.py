@@ -1,4 +1,7 @@
-"""Run all cases, or those named on the command line: print the table and write reports/benchmarks.csv and .html."""
+"""
+Run all cases, or those named on the command line: print the table and write reports/benchmarks.csv
+and .html.
+"""
 
 import importlib
 import os
@@ -22,8 +25,8 @@ CASES = (
     "scaling",
 )
 
-# One thread everywhere; and memory once taken stays with the process (glibc): otherwise large arrays are mapped anew in every call,
-# which costs the SciPy peer half of its time and ours none.
+# One thread everywhere; and memory once taken stays with the process (glibc): otherwise large
+# arrays are mapped anew in every call, which costs the SciPy peer half of its time and ours none.
 SETTING = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "NUMBA")}
 SETTING |= {
     "MALLOC_MMAP_THRESHOLD_": str(2**25),
@@ -48,18 +51,22 @@ def chosen(names: list[str]) -> list[str]:
     """
     unknown = [name for name in names if name not in CASES]
     if unknown:
-        raise ValueError(f"no benchmark is called {', '.join(unknown)}; there are: {', '.join(CASES)}")
+        raise ValueError(
+            f"no benchmark is called {', '.join(unknown)}; there are: {', '.join(CASES)}"
+        )
     return [name for name in CASES if not names or name in names]
 
 
 def main(names: list[str]) -> int:
     """
-    Return 0, or 1 when a peer is missing or gave another result; goals that are not met are said, not failed on.
+    Return 0, or 1 when a peer is missing or gave another result; goals that are not met are said,
+    not failed on.
 
     Parameters
     ----------
     names : list of str
-        Cases to run; with any, the table is printed only, so that the files stay those of a whole run.
+        Cases to run; with any, the table is printed only, so that the files stay those of a whole
+        run.
     """
     from benchmarks import report
 
@@ -74,7 +81,10 @@ def main(names: list[str]) -> int:
     print("\n" + report.table(rows))
     if not names:
         report.write(rows, seconds)
-    print(f"\n{seconds:.0f} s" + ("" if names else "; written: reports/benchmarks.csv, reports/benchmarks.html"))
+    print(
+        f"\n{seconds:.0f} s"
+        + ("" if names else "; written: reports/benchmarks.csv, reports/benchmarks.html")
+    )
     faults = [row for row in rows if row.fault]
     for row in faults:
         print(f"NOT COMPARED: {row.peer} ({row.case}): {row.fault}", file=sys.stderr)
@@ -89,7 +99,9 @@ if __name__ == "__main__":
         chosen(sys.argv[1:])
     except ValueError as error:
         sys.exit(str(error))
-    if any(os.environ.get(name) != value for name, value in SETTING.items()):  # they count from a process's start
+    if any(
+        os.environ.get(name) != value for name, value in SETTING.items()
+    ):  # they count from a process's start
         command = [sys.executable, "-m", "benchmarks", *sys.argv[1:]]
         os.execve(sys.executable, command, os.environ | SETTING)
     sys.exit(main(sys.argv[1:]))

@@ -34,7 +34,9 @@ def rows() -> Iterator[Row]:
     goal = f"≤ {LIMIT_MS} ms"
     yield Row(CASE, OURS, "(alone)", alone, goal=goal, met=alone.median <= LIMIT_MS)
 
-    yield _compared("statsmodels OLS: regressors, fit and bse", ours, *_statsmodels(y, u), ours()[0], turns=25)
+    yield _compared(
+        "statsmodels OLS: regressors, fit and bse", ours, *_statsmodels(y, u), ours()[0], turns=25
+    )
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder) / "arx.npz"
         np.savez(data, y=y, u=u)
@@ -68,7 +70,15 @@ def rows() -> Iterator[Row]:
             try:
                 with Worker(script, data) as worker:
                     machine.VERSIONS.update(worker.versions)
-                    yield _compared(peer, ours, worker.side(way), worker.result(way), expected, turns=turns, note=note)
+                    yield _compared(
+                        peer,
+                        ours,
+                        worker.side(way),
+                        worker.result(way),
+                        expected,
+                        turns=turns,
+                        note=note,
+                    )
             except PeerMissingError as error:
                 yield Row(CASE, OURS, peer, goal=f"≥ {FASTER:g} × faster", fault=str(error))
 
@@ -88,6 +98,8 @@ def _compared(peer, ours, side, found, expected, turns, note="") -> Row:
     goal = f"≥ {FASTER:g} × faster"
     off = float(np.max(np.abs(np.asarray(found) / np.asarray(expected) - 1.0)))
     if not off < 1e-8:
-        return Row(CASE, OURS, peer, goal=goal, fault=f"its coefficients differ by {off:.1e} (relative)")
+        return Row(
+            CASE, OURS, peer, goal=goal, fault=f"its coefficients differ by {off:.1e} (relative)"
+        )
     ours_ms, peer_ms, ratio = in_turns(here(ours), side, turns)
     return Row(CASE, OURS, peer, ours_ms, peer_ms, ratio, goal, ratio.median >= FASTER, note)

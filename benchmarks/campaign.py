@@ -1,4 +1,7 @@
-"""2,000 runs of 5 ms on two workers, written to disk as they finish, beside the ideal and beside joblib and Dask alone."""
+"""
+2,000 runs of 5 ms on two workers, written to disk as they finish, beside the ideal and beside
+joblib and Dask alone.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,10 @@ import trustlab as tl
 from benchmarks.timing import Row, Spread
 
 TITLE = "Campaigns"
-RUNS, SECONDS, WORKERS, TURNS = 2000, 0.005, 2, 3
+RUNS = 2000
+SECONDS = 0.005
+WORKERS = 2
+TURNS = 3
 IDEAL = RUNS * SECONDS / WORKERS
 
 
@@ -60,19 +66,36 @@ def rows() -> Iterator[Row]:
         seeds = np.random.SeedSequence(0).spawn(RUNS)
 
         def alone() -> None:
-            parallel(joblib.delayed(burn)(**values, seed=seed) for values, seed in zip(grid(), seeds, strict=True))
+            parallel(
+                joblib.delayed(burn)(**values, seed=seed)
+                for values, seed in zip(grid(), seeds, strict=True)
+            )
 
         yield from compared(
-            "loky", Path(folder), 0.10, "joblib.Parallel alone, nothing kept", alone, start, n_jobs=WORKERS
+            "loky",
+            Path(folder),
+            0.10,
+            "joblib.Parallel alone, nothing kept",
+            alone,
+            start,
+            n_jobs=WORKERS,
         )
         try:
             from distributed import Client, LocalCluster
         except ImportError as error:
-            yield Row("Campaign on Dask", "trustlab run_campaign", "the ideal", fault=f"not installed: {error}")
+            yield Row(
+                "Campaign on Dask",
+                "trustlab run_campaign",
+                "the ideal",
+                fault=f"not installed: {error}",
+            )
             return
         with (
             LocalCluster(
-                n_workers=WORKERS, threads_per_worker=1, dashboard_address=":0", silence_logs="ERROR"
+                n_workers=WORKERS,
+                threads_per_worker=1,
+                dashboard_address=":0",
+                silence_logs="ERROR",
             ) as cluster,
             Client(cluster, set_as_default=False) as client,
         ):
@@ -83,12 +106,24 @@ def rows() -> Iterator[Row]:
                 client.gather(client.map(burn, xs, seeds, pure=False))
 
             yield from compared(
-                "Dask", Path(folder), 0.15, "Client.map alone, nothing kept", mapped, "", cluster=client
+                "Dask",
+                Path(folder),
+                0.15,
+                "Client.map alone, nothing kept",
+                mapped,
+                "",
+                cluster=client,
             )
 
 
 def compared(
-    name: str, folder: Path, most: float, peer: str, alone: Callable[[], None], start: str, **where: object
+    name: str,
+    folder: Path,
+    most: float,
+    peer: str,
+    alone: Callable[[], None],
+    start: str,
+    **where: object,
 ) -> Iterator[Row]:
     """
     Yield a campaign against the ideal and against its executor alone.
@@ -110,7 +145,9 @@ def compared(
     **where
         Arguments of `run_campaign`.
     """
-    ours, others, within = [], [], []
+    ours = []
+    others = []
+    within = []
     for turn in range(TURNS):
         began = time.perf_counter()
         table = tl.run_campaign(burn, grid(), out=folder / f"{name}_{turn}", **where)
@@ -124,11 +161,22 @@ def compared(
     over = [x / IDEAL - 1.0 for x in ours]
     times, ideal = Spread.of([1e3 * x for x in ours]), Spread.of([1e3 * IDEAL])
     note = (
-        f"overhead {100 * median(over):.1f} % of processor time wanted; {100 * median(within):.1f} % over the time that the "
-        f"runs took where they ran, which other work on the machine stretches{start}"
+        f"overhead {100 * median(over):.1f} % of processor time wanted; "
+        f"{100 * median(within):.1f} % over the time that the runs took where they ran, which "
+        f"other work on the machine stretches{start}"
     )
     goal = f"overhead ≤ {100 * most:.0f} %"
     ratio = Spread.of([IDEAL / x for x in ours])
-    yield Row(case, us, "the ideal: processor time / workers", times, ideal, ratio, goal, median(over) <= most, note)
+    yield Row(
+        case,
+        us,
+        "the ideal: processor time / workers",
+        times,
+        ideal,
+        ratio,
+        goal,
+        median(over) <= most,
+        note,
+    )
     ratio = Spread.of([y / x for x, y in zip(ours, others, strict=True)])
     yield Row(case, us, peer, times, Spread.of([1e3 * x for x in others]), ratio)

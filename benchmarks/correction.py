@@ -1,10 +1,13 @@
 """
-One step of the correction (2.43)-(2.44), N = 200: both engines beside do-mpc, CasADi's Opti with IPOPT, and GEKKO.
+One step of the correction (2.43)-(2.44), N = 200: both engines beside do-mpc, CasADi's Opti with
+IPOPT, and GEKKO.
 
-The closed loop runs on the model with noise on its states, once far from the target (all corrections at their limits) and once
-at it (the active set moves at every step). Every state of the loop is solved by each side, in turns. The peers get the
-sequence of modes and the scaling by c_b for free, so that what they solve is one quadratic program in all but form; ours find the
-sequence themselves. A peer's inputs are run under the hard switch, and their cost held to 1e-4 of ours, before anything is timed.
+The closed loop runs on the model with noise on its states, once far from the target (all
+corrections at their limits) and once at it (the active set moves at every step). Every state of the
+loop is solved by each side, in turns. The peers get the sequence of modes and the scaling by c_b
+for free, so that what they solve is one quadratic program in all but form; ours find the sequence
+themselves. A peer's inputs are run under the hard switch, and their cost held to 1e-4 of ours,
+before anything is timed.
 """
 
 from __future__ import annotations
@@ -29,9 +32,16 @@ from trustlab.allocation.correction.dynamics import simulate_correction
 from trustlab.allocation.correction.exact import ExactEngine
 
 TITLE = "Correction of thresholds"
-TARGET, C_B, HORIZON, STEPS, SEED = (0.15, 0.56), 1e-5, 200, 300, 20_190
+TARGET = (0.15, 0.56)
+C_B = 1e-5
+HORIZON = 200
+STEPS = 300
+SEED = 20_190
 STARTS = {"saturated": (0.02, 0.45), "near": (TARGET[0] + 2e-5, TARGET[1] - 3e-5)}
-EXACT_MS, CASADI_MS, FASTER, AGREE = 0.05, 10.0, 3.0, 1e-4
+EXACT_MS = 0.05
+CASADI_MS = 10.0
+FASTER = 3.0
+AGREE = 1e-4
 LENGTHS = (25, 50, 100, 200, 400)
 
 
@@ -42,10 +52,22 @@ def rows() -> Iterator[Row]:
         yield from alone(name, loop)
     data = {"constants": constants(), "horizon": np.array(HORIZON)}
     for name, loop in loops.items():
-        data[f"{name}_states"], data[f"{name}_modes"] = scaled(loop), np.array([mode for _, mode in loop])
+        data[f"{name}_states"], data[f"{name}_modes"] = (
+            scaled(loop),
+            np.array([mode for _, mode in loop]),
+        )
     for name, loop in loops.items():
-        opti = Turns(data[f"{name}_states"], data[f"{name}_modes"], OptiShooting(data, HORIZON).solve)
-        yield compared(name, loop, "CasADi Opti with IPOPT", opti, lambda _, call=opti: milliseconds(call)[0] / 1e3, 60)
+        opti = Turns(
+            data[f"{name}_states"], data[f"{name}_modes"], OptiShooting(data, HORIZON).solve
+        )
+        yield compared(
+            name,
+            loop,
+            "CasADi Opti with IPOPT",
+            opti,
+            lambda _, call=opti: milliseconds(call)[0] / 1e3,
+            60,
+        )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "loop.npz"
         np.savez(path, **data)
@@ -86,18 +108,24 @@ def engines(horizon: int = HORIZON) -> dict[str, object]:
         N.
     """
     model = pilot()
-    return {"exact": ExactEngine(model, *TARGET, C_B, horizon), "casadi": CasadiEngine(model, *TARGET, C_B, horizon)}
+    return {
+        "exact": ExactEngine(model, *TARGET, C_B, horizon),
+        "casadi": CasadiEngine(model, *TARGET, C_B, horizon),
+    }
 
 
 def constants() -> np.ndarray:
     """Return the model's constants as the peers take them."""
     human, robot = pilot().human, pilot().robot
-    return np.array([human.a, human.beta, human.p_min, human.p_max, robot.a, robot.b, robot.p_min, robot.p_max])
+    return np.array(
+        [human.a, human.beta, human.p_min, human.p_max, robot.a, robot.b, robot.p_min, robot.p_max]
+    )
 
 
 def closed_loop(name: str) -> list[tuple[tuple, np.ndarray]]:
     """
-    Return the states of a run with the exact engine, (r, P_r, TSC_l, TSC_u, mode), and the plan's modes at each.
+    Return the states of a run with the exact engine, (r, P_r, TSC_l, TSC_u, mode), and the plan's
+    modes at each.
 
     Parameters
     ----------
@@ -114,7 +142,9 @@ def closed_loop(name: str) -> list[tuple[tuple, np.ndarray]]:
         noise = rng.normal(size=4)
         r = float(np.clip(plan.r[1] + 0.01 * noise[0], 0.0, 1.0))
         p_r = float(np.clip(plan.p_r[1] + 0.003 * noise[1], model.robot.p_min, model.robot.p_max))
-        lower, upper, mode = lower + plan.c_l, upper + plan.c_u, int(plan.mode[0])
+        lower = lower + plan.c_l
+        upper = upper + plan.c_u
+        mode = int(plan.mode[0])
         if name == "near":
             lower, upper = lower + C_B * noise[2], upper + C_B * noise[3]
     return out
@@ -131,7 +161,12 @@ def scaled(loop: list) -> np.ndarray:
     """
     robot = pilot().robot
     rows = [
-        (r, (p_r - robot.p_min) / (robot.p_max - robot.p_min), (upper - TARGET[1]) / C_B, (lower - TARGET[0]) / C_B)
+        (
+            r,
+            (p_r - robot.p_min) / (robot.p_max - robot.p_min),
+            (upper - TARGET[1]) / C_B,
+            (lower - TARGET[0]) / C_B,
+        )
         for (r, p_r, lower, upper, _), _ in loop
     ]
     return np.array(rows)
@@ -139,7 +174,8 @@ def scaled(loop: list) -> np.ndarray:
 
 def milliseconds(call: Callable[[], object]) -> tuple[float, float]:
     """
-    Return the time of one call, by the clock and of the processor; garbage is not collected before each, as in use.
+    Return the time of one call, by the clock and of the processor; garbage is not collected before
+    each, as in use.
 
     Parameters
     ----------
@@ -166,7 +202,10 @@ def alone(name: str, loop: list) -> Iterator[Row]:
     for engine in (exact, casadi):
         for state, _ in loop[:10]:
             engine.solve(*state)
-    times, apart, statuses, plans = {"exact": [], "casadi": []}, 0.0, set(), {}
+    times = {"exact": [], "casadi": []}
+    apart = 0.0
+    statuses = set()
+    plans = {}
     for state, _ in loop:
         for key, engine in (("exact", exact), ("casadi", casadi)):
 
@@ -181,8 +220,9 @@ def alone(name: str, loop: list) -> Iterator[Row]:
         clock, busy = np.transpose(times[key])
         p99, spent = np.percentile(clock, 99), np.percentile(busy, 99)
         note = (
-            f"p99 {p99:.3g} ms by the clock, {spent:.3g} ms of the processor, over {len(loop)} steps of the closed loop; "
-            f"costs of both engines within {apart:.0e}; {', '.join(sorted(statuses))}"
+            f"p99 {p99:.3g} ms by the clock, {spent:.3g} ms of the processor, over {len(loop)} "
+            f"steps of the closed loop; costs of both engines within {apart:.0e}; "
+            f"{', '.join(sorted(statuses))}"
         )
         goal = f"p99 ≤ {limit:g} ms"
         yield Row(
@@ -197,10 +237,17 @@ def alone(name: str, loop: list) -> Iterator[Row]:
 
 
 def compared(
-    name: str, loop: list, peer: str, result: Callable, side: Callable, turns: int, faster: float | None = None
+    name: str,
+    loop: list,
+    peer: str,
+    result: Callable,
+    side: Callable,
+    turns: int,
+    faster: float | None = None,
 ) -> Row:
     """
-    Return the row of one peer: its results checked at the first steps, then our CasADi engine and the peer in turns.
+    Return the row of one peer: its results checked at the first steps, then our CasADi engine and
+    the peer in turns.
 
     Parameters
     ----------
@@ -220,7 +267,9 @@ def compared(
         The goal for the ratio.
     """
     ours, exact = engines()["casadi"], engines()["exact"]
-    row = Row(case(name), "trustlab, engine casadi", peer, goal=f"≥ {faster:g} × faster" if faster else "")
+    row = Row(
+        case(name), "trustlab, engine casadi", peer, goal=f"≥ {faster:g} × faster" if faster else ""
+    )
     worst, checked = 0.0, 3
     try:
         for k in range(checked):
@@ -238,7 +287,8 @@ def compared(
         b.append(1e3 * side(1))
     ratio = Spread.of([y / x for x, y in zip(a, b, strict=True)])
     note = (
-        f"p99 {np.percentile(a, 99):.3g} and {np.percentile(b, 99):.3g} ms over {turns} steps; same cost to {worst:.0e}"
+        f"p99 {np.percentile(a, 99):.3g} and {np.percentile(b, 99):.3g} ms over {turns} steps; "
+        f"same cost to {worst:.0e}"
     )
     met = None if faster is None else bool(ratio.median >= faster)
     return replace(row, ours_ms=Spread.of(a), peer_ms=Spread.of(b), ratio=ratio, met=met, note=note)
@@ -259,11 +309,21 @@ def cost_of(w: np.ndarray, state: tuple) -> float:
     actions = np.zeros((2, w.shape[1]))
     for _ in range(
         8
-    ):  # c = c_b (w − s) needs s, which needs the modes, which need c: the same after as many rounds as switches
+        # C = c_b (w − s) needs s, which needs the modes, which need c: the same after as many
+        # rounds as switches
+    ):
         run = simulate_correction(model, r, p_r, lower, upper, mode, actions[1], actions[0], TARGET)
-        share = 0.5 * (run["r"] + (run["p_r"] - model.robot.p_min) / (model.robot.p_max - model.robot.p_min))[:-1]
+        share = (
+            0.5
+            * (
+                run["r"]
+                + (run["p_r"] - model.robot.p_min) / (model.robot.p_max - model.robot.p_min)
+            )[:-1]
+        )
         actions = C_B * (w - share)
-    return simulate_correction(model, r, p_r, lower, upper, mode, actions[1], actions[0], TARGET)["cost"]
+    return simulate_correction(model, r, p_r, lower, upper, mode, actions[1], actions[0], TARGET)[
+        "cost"
+    ]
 
 
 def by_horizon() -> Iterator[Row]:
@@ -275,7 +335,9 @@ def by_horizon() -> Iterator[Row]:
             kind = ExactEngine if key == "exact" else CasadiEngine
             engine = kind(pilot(), *TARGET, C_B, n)
             engine.solve(*loop[0][0])
-            times.append(median(milliseconds(lambda e=engine, s=state: e.solve(*s))[0] for state, _ in loop))
+            times.append(
+                median(milliseconds(lambda e=engine, s=state: e.solve(*s))[0] for state, _ in loop)
+            )
         long = (np.array(lengths) >= 50) & (
             np.array(lengths) <= 800
         )  # beyond, switches within the horizon are searched
@@ -285,8 +347,11 @@ def by_horizon() -> Iterator[Row]:
             f"{TITLE}, cost against N",
             f"trustlab, engine {key}",
             "none: time grows with N to the power of …",
-            note=f"ms by N: {curve}; from N = 50 to {min(lengths[-1], 800)}, N to the power of {power:.2f}"
-            + ("; beyond, the search over modes goes up to its budget" if lengths[-1] > 800 else ""),
+            note=f"ms by N: {curve}; from N = 50 to {min(lengths[-1], 800)}, N to the power of "
+            f"{power:.2f}"
+            + (
+                "; beyond, the search over modes goes up to its budget" if lengths[-1] > 800 else ""
+            ),
             goal="linear: power ≤ 1.2",
             met=bool(power <= 1.2),
         )

@@ -1,4 +1,7 @@
-"""The session that every case works on: the pilot operator, 20,000 samples at 10 Hz, eight phases, white noise."""
+"""
+The session that every case works on: the pilot operator, 20,000 samples at 10 Hz, eight phases,
+white noise.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,11 @@ import pandas as pd
 
 import trustlab as tl
 
-SAMPLES, PHASE, SAMPLE_TIME, NOISE, SEED = 20_000, 2_500, 0.1, 0.003, 20_190
+SAMPLES = 20_000
+PHASE = 2_500
+SAMPLE_TIME = 0.1
+NOISE = 0.003
+SEED = 20_190
 
 
 def pilot() -> tl.TscModel:
@@ -25,7 +32,11 @@ def session() -> tl.Session:
     """Return a run of the pilot operator with white measurement noise on both performances."""
     run = pilot().simulate(modes())
     rng = np.random.default_rng(np.random.SeedSequence(SEED))
-    noisy = {name: run[name].to_numpy() + rng.normal(0.0, NOISE, SAMPLES) for name in ("p_r", "p_h")}
+    noisy = {
+        name: run[name].to_numpy() + rng.normal(0.0, NOISE, SAMPLES) for name in ("p_r", "p_h")
+    }
     t = pd.Index(SAMPLE_TIME * np.arange(SAMPLES), name="t")
     frame = pd.DataFrame({"mode": run["mode"].to_numpy(), **noisy}, index=t)
-    return tl.Session(frame, tl.Metadata(participant=1, source=f"benchmarks, seed {SEED}", synthetic=True))
+    return tl.Session(
+        frame, tl.Metadata(participant=1, source=f"benchmarks, seed {SEED}", synthetic=True)
+    )

@@ -10,12 +10,17 @@ from benchmarks.timing import Row, Spread
 
 TITLE = "Import"
 LIMIT_MS = 300.0
-TIMED = "from time import perf_counter as t; a = t(); import numpy; b = t(); {}; print(b - a, t() - b)"
+TIMED = (
+    "from time import perf_counter as t; a = t(); import numpy; b = t(); {}; print(b - a, t() - b)"
+)
 USE = "import trustlab; trustlab.read_session; trustlab.fit_tsc"
 
 
 def rows() -> Iterator[Row]:
-    """Yield what comes on top of NumPy: the import itself, and (for information) reaching for the first functions."""
+    """
+    Yield what comes on top of NumPy: the import itself, and (for information) reaching for the
+    first functions.
+    """
     yield _row(
         "Import in a fresh process",
         "import trustlab",
@@ -43,6 +48,8 @@ def _row(case: str, statement: str, turns: int, note: str, goal: str = "") -> Ro
 
 def _milliseconds(statement: str) -> tuple[float, float]:
     """Return the milliseconds that NumPy and then `statement` took in a process of their own."""
-    done = subprocess.run([sys.executable, "-c", TIMED.format(statement)], check=True, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", TIMED.format(statement)], check=True, capture_output=True, text=True
+    )
     numpy, ours = done.stdout.split()
     return 1e3 * float(numpy), 1e3 * float(ours)

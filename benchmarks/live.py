@@ -1,4 +1,7 @@
-"""A live study under load: rows of scripted participants without a browser, and ten people at once in Chromium."""
+"""
+A live study under load: rows of scripted participants without a browser, and ten people at once in
+Chromium.
+"""
 
 from __future__ import annotations
 
@@ -26,40 +29,64 @@ PEOPLE, SECONDS = 100, 20.0
 DRIVERS, DRIVE = 10, 60.0
 """Participants at once in Chromium, and the length of their drive [s]."""
 
-LATEST_MS, SLOWEST_S, LEAST_FPS, MOST_MB = 50.0, 0.2, 50.0, 400.0
+LATEST_MS = 50.0
+SLOWEST_S = 0.2
+LEAST_FPS = 50.0
+MOST_MB = 400.0
 COLUMNS = 15
 
 
 def rows() -> Iterator[Row]:
-    """Yield the time until a row is on the disk and acknowledged, then log period, frames and memory for ten drivers."""
+    """
+    Yield the time until a row is on the disk and acknowledged, then log period, frames and memory
+    for ten drivers.
+    """
     with tempfile.TemporaryDirectory() as folder:
         found = load(Path(folder) / "study")
     waits = np.array(found["waits_ms"])
     spread = Spread(float(np.median(waits)), float(waits.min()), float(np.percentile(waits, 99)))
     yield Row(
-        f"Rows of {PEOPLE} participants without a browser, five every 0.5 s each", "on disk and acknowledged (the greatest is the 99th percentile)", "",
-        spread, goal=f"p99 ≤ {LATEST_MS:g} ms", met=spread.high <= LATEST_MS and found["lost"] == 0,
+        f"Rows of {PEOPLE} participants without a browser, five every 0.5 s each",
+        "on disk and acknowledged (the greatest is the 99th percentile)",
+        "",
+        spread,
+        goal=f"p99 ≤ {LATEST_MS:g} ms",
+        met=spread.high <= LATEST_MS and found["lost"] == 0,
         note=f"{found['rows']} rows, {found['lost']} lost; server {found['memory_mb']:.0f} MB",
-    )  # fmt: skip
-    name, ours = f"{DRIVERS} people at once in Chromium, {DRIVE:g} s", "log period, median and extremes"
+    )
+    name, ours = (
+        f"{DRIVERS} people at once in Chromium, {DRIVE:g} s",
+        "log period, median and extremes",
+    )
     if chromium() is None:
         yield Row(name, ours, "", fault="no Chromium on this machine")
         return
     with tempfile.TemporaryDirectory() as folder:
         found = browsers(Path(folder) / "study")
     period = 1e3 * np.array(found["periods"])
-    met = abs(np.median(period) - 100.0) < 1.0 and period.max() <= 1e3 * SLOWEST_S and min(found["fps"]) >= LEAST_FPS
+    met = (
+        abs(np.median(period) - 100.0) < 1.0
+        and period.max() <= 1e3 * SLOWEST_S
+        and min(found["fps"]) >= LEAST_FPS
+    )
     yield Row(
-        name, ours, "", Spread(float(np.median(period)), float(period.min()), float(period.max())),
-        goal=f"100 ms, at most {1e3 * SLOWEST_S:g}; ≥ {LEAST_FPS:g} frames/s; server ≤ {MOST_MB:g} MB",
+        name,
+        ours,
+        "",
+        Spread(float(np.median(period)), float(period.min()), float(period.max())),
+        goal=f"100 ms, at most {1e3 * SLOWEST_S:g}; ≥ {LEAST_FPS:g} frames/s; server ≤ "
+        f"{MOST_MB:g} MB",
         met=bool(met and found["memory_mb"] <= MOST_MB),
-        note=f"frames/s {min(found['fps']):.0f} to {max(found['fps']):.0f}; server {found['memory_mb']:.0f} MB; {found['lost']} rows lost",
-    )  # fmt: skip
+        note=f"frames/s {min(found['fps']):.0f} to {max(found['fps']):.0f}; server "
+        f"{found['memory_mb']:.0f} MB; {found['lost']} rows lost",
+    )
 
 
 def chromium() -> str | None:
     """Return where Chromium is, if it is."""
-    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    return next(
+        filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+    )
 
 
 class Served:
@@ -81,17 +108,28 @@ class Served:
         from trustlab.live.study.store import read_tokens
 
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # so many participants need not fill whole squares here
+            warnings.simplefilter(
+                "ignore", UserWarning
+            )  # so many participants need not fill whole squares here
             tl.LiveStudy(folder, ["C1", "C3"], participants, training=training, whole_squares=False)
         self.folder, self.port = folder, "0"
         base = self.start()
         self.port = base.rpartition(":")[2]  # where it comes back after a crash
         tokens = read_tokens(folder)
-        self.links = {code: f"{base}/p/{token}" for code, token in tokens.items() if code != "experimenter"}
+        self.links = {
+            code: f"{base}/p/{token}" for code, token in tokens.items() if code != "experimenter"
+        }
 
     def start(self) -> str:
         """Start the server; return the beginning of its links."""
-        command = [sys.executable, "-m", "trustlab.live.study", str(self.folder), "--port", self.port]
+        command = [
+            sys.executable,
+            "-m",
+            "trustlab.live.study",
+            str(self.folder),
+            "--port",
+            self.port,
+        ]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         return self.process.stdout.readline().split()[-1].partition("/experimenter/")[0]
 
@@ -155,7 +193,8 @@ def driving(context: Any, url: str) -> Any:
 
 def losses(folder: Path) -> Iterator[dict[str, Any]]:
     """
-    Do to a study what machines and people do to it; yield what was done, the rows made until then, and those lost for good.
+    Do to a study what machines and people do to it; yield what was done, the rows made until then,
+    and those lost for good.
 
     Parameters
     ----------
@@ -190,7 +229,11 @@ def losses(folder: Path) -> Iterator[dict[str, Any]]:
         time.sleep(15.0)
         made = page.evaluate("self.study.rows")
         served.start()
-        yield outcome("the server is killed (−9) and comes back 15 s later, a torn last line planted", "P03", made)
+        yield outcome(
+            "the server is killed (−9) and comes back 15 s later, a torn last line planted",
+            "P03",
+            made,
+        )
         browser.close()
         for code, away in (("P04", 0.0), ("P05", 8.0)):
             profile = folder.with_name(f"profile-{code}")
@@ -200,7 +243,9 @@ def losses(folder: Path) -> Iterator[dict[str, Any]]:
                 served.kill()
                 time.sleep(away)
             made = page.evaluate("self.study.rows")
-            found = subprocess.run(["pgrep", "-f", f"user-data-dir={profile}"], capture_output=True, text=True)
+            found = subprocess.run(
+                ["pgrep", "-f", f"user-data-dir={profile}"], capture_output=True, text=True
+            )
             subprocess.run(["kill", "-9", *found.stdout.split()])
             with contextlib.suppress(Error):  # closing may find that the browser is gone
                 context.close()
@@ -213,7 +258,9 @@ def losses(folder: Path) -> Iterator[dict[str, Any]]:
             page.goto(served.links[code])
             page.wait_for_selector("main > button")
             what = (
-                "the server is away for 8 s, then the browser is killed (−9)" if away else "the browser is killed (−9)"
+                "the server is away for 8 s, then the browser is killed (−9)"
+                if away
+                else "the browser is killed (−9)"
             )
             yield outcome(what, code, made, 3.0)
             context.close()
@@ -221,7 +268,8 @@ def losses(folder: Path) -> Iterator[dict[str, Any]]:
 
 def load(folder: Path, people: int = PEOPLE, seconds: float = SECONDS) -> dict[str, Any]:
     """
-    Let scripted participants send rows as browsers do; return the waits for acknowledgements, rows sent and lost, memory.
+    Let scripted participants send rows as browsers do; return the waits for acknowledgements, rows
+    sent and lost, memory.
 
     Parameters
     ----------
@@ -250,7 +298,9 @@ def load(folder: Path, people: int = PEOPLE, seconds: float = SECONDS) -> dict[s
         while made < 10 * seconds:
             rows = [[k, 100.0 * k, *[0.123456789012345] * COLUMNS] for k in range(made, made + 5)]
             began = time.perf_counter()
-            answer = await send(client, f"{url}/rows", {"page": 1, "attempt": 0, "tab": "a", "rows": rows})
+            answer = await send(
+                client, f"{url}/rows", {"page": 1, "attempt": 0, "tab": "a", "rows": rows}
+            )
             waits.append(1e3 * (time.perf_counter() - began))
             made += 5
             assert answer["have"] == made
@@ -261,8 +311,11 @@ def load(folder: Path, people: int = PEOPLE, seconds: float = SECONDS) -> dict[s
     async def everybody(links: list[str]) -> tuple[list[float], int]:
         client = SimpleAsyncHTTPClient(force_instance=True, max_clients=2 * people)
         waits: list[float] = []
-        # All have begun before the first sends rows: beginning reads and writes more than a row does.
-        made = await asyncio.gather(*(one(client, url, 10.0 + 0.5 * i / people, waits) for i, url in enumerate(links)))
+        # All have begun before the first sends rows: beginning reads and writes more than a row
+        # does.
+        made = await asyncio.gather(
+            *(one(client, url, 10.0 + 0.5 * i / people, waits) for i, url in enumerate(links))
+        )
         return waits, sum(made)
 
     with Served(folder, people, seconds) as served:
@@ -274,7 +327,8 @@ def load(folder: Path, people: int = PEOPLE, seconds: float = SECONDS) -> dict[s
 
 def browsers(folder: Path, people: int = DRIVERS, seconds: float = DRIVE) -> dict[str, Any]:
     """
-    Let people drive at once, each in a browser context of their own; return log periods, frames per second, memory, rows lost.
+    Let people drive at once, each in a browser context of their own; return log periods, frames per
+    second, memory, rows lost.
 
     Parameters
     ----------
@@ -303,7 +357,9 @@ def browsers(folder: Path, people: int = DRIVERS, seconds: float = DRIVE) -> dic
         fps = [page.evaluate("self.study.driving.telemetry().fps") for page in pages]
         memory = served.memory_mb
         end = time.monotonic() + 60.0
-        while any(page.evaluate("self.study.page") < 2 for page in pages) and time.monotonic() < end:
+        while (
+            any(page.evaluate("self.study.page") < 2 for page in pages) and time.monotonic() < end
+        ):
             time.sleep(0.2)
         browser.close()
     periods, lost = [], 0

@@ -1,4 +1,7 @@
-"""Repeated-measures analyses of 10,000 studies of 36 subjects × 5 conditions, beside a loop over pingouin."""
+"""
+Repeated-measures analyses of 10,000 studies of 36 subjects × 5 conditions, beside a loop over
+pingouin.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,17 @@ import trustlab as tl
 from benchmarks.timing import Row, here, in_turns
 
 TITLE = "Repeated measures"
-STUDIES, SUBJECTS, CONDITIONS = 10_000, 36, 5
+STUDIES = 10_000
+SUBJECTS = 36
+CONDITIONS = 5
 LOOPED = 50
 """Studies that the peer analyses in one repetition; its time is scaled to all."""
 
 
 def rows() -> Iterator[Row]:
-    """Yield pingouin's ANOVA alone, and all numbers that the batch gives as far as pingouin has them."""
+    """
+    Yield pingouin's ANOVA alone, and all numbers that the batch gives as far as pingouin has them.
+    """
     array = studies()
     frames = [long_table(study) for study in array[:LOOPED]]
     batch = tl.repeated_measures_batch(array)
@@ -44,12 +51,15 @@ def two_way() -> Row:
     """Return the row of two-way studies, 36 subjects × 2 × 3, beside a loop over pingouin."""
     import pingouin
 
-    case, peer = f"Two-way repeated measures, {STUDIES:,} studies of {SUBJECTS} × 2 × 3", "pingouin rm_anova, a loop"
+    case, peer = (
+        f"Two-way repeated measures, {STUDIES:,} studies of {SUBJECTS} × 2 × 3",
+        "pingouin rm_anova, a loop",
+    )
     ours = "trustlab factorial_batch"
     array = np.random.default_rng(6).standard_normal((STUDIES, SUBJECTS, 2, 3))
-    cells = pd.MultiIndex.from_product([range(SUBJECTS), range(2), range(3)], names=["subject", "A", "B"]).to_frame(
-        index=False
-    )
+    cells = pd.MultiIndex.from_product(
+        [range(SUBJECTS), range(2), range(3)], names=["subject", "A", "B"]
+    ).to_frame(index=False)
     frames = [cells.assign(value=study.ravel()) for study in array[:LOOPED]]
 
     def analyse(frame: pd.DataFrame) -> pd.DataFrame:
@@ -65,7 +75,9 @@ def two_way() -> Row:
         return Row(case, ours, peer, fault=f"its values differ by {error:.2g}")
     loop = here(lambda: [analyse(frame) for frame in frames])
     ours_ms, peer_ms, ratio = in_turns(
-        here(lambda: tl.studies.factorial_batch(array)), lambda calls: loop(calls) * STUDIES / len(frames), 5
+        here(lambda: tl.studies.factorial_batch(array)),
+        lambda calls: loop(calls) * STUDIES / len(frames),
+        5,
     )
     return Row(
         case,
@@ -76,11 +88,20 @@ def two_way() -> Row:
         ratio,
         goal="≤ 1000 ms",
         met=bool(ours_ms.median <= 1000.0),
-        note=f"greatest difference {error:.1g} in {len(frames)} studies; peer's time scaled from these",
+        note=f"greatest difference {error:.1g} in {len(frames)} studies; peer's time scaled from "
+        "these",
     )
 
 
-def timed(case: str, ours: str, peer: str, array: np.ndarray, frames: list, analyse: Callable, error: float) -> Row:
+def timed(
+    case: str,
+    ours: str,
+    peer: str,
+    array: np.ndarray,
+    frames: list,
+    analyse: Callable,
+    error: float,
+) -> Row:
     """
     Return the row of one way to use pingouin.
 
@@ -99,7 +120,9 @@ def timed(case: str, ours: str, peer: str, array: np.ndarray, frames: list, anal
     """
     loop = here(lambda: [analyse(frame) for frame in frames])
     ours_ms, peer_ms, ratio = in_turns(
-        here(lambda: tl.repeated_measures_batch(array)), lambda calls: loop(calls) * STUDIES / len(frames), 5
+        here(lambda: tl.repeated_measures_batch(array)),
+        lambda calls: loop(calls) * STUDIES / len(frames),
+        5,
     )
     return Row(
         case,
@@ -110,15 +133,20 @@ def timed(case: str, ours: str, peer: str, array: np.ndarray, frames: list, anal
         ratio,
         goal="≤ 500 ms and ratio ≥ 200",
         met=bool(ours_ms.median <= 500.0 and ratio.median >= 200.0),
-        note=f"greatest difference {error:.1g} in {len(frames)} studies; peer's time scaled from these",
+        note=f"greatest difference {error:.1g} in {len(frames)} studies; peer's time scaled from "
+        "these",
     )
 
 
 def studies() -> np.ndarray:
     """Return scores with correlated conditions, shape (studies, subjects, conditions)."""
     rng = np.random.default_rng(5)
-    scores = rng.standard_normal((STUDIES, SUBJECTS, CONDITIONS)) + rng.standard_normal((STUDIES, SUBJECTS, 1))
-    return 50.0 + 10.0 * (scores * np.linspace(1.0, 1.6, CONDITIONS) + np.linspace(0.0, 0.5, CONDITIONS))
+    scores = rng.standard_normal((STUDIES, SUBJECTS, CONDITIONS)) + rng.standard_normal(
+        (STUDIES, SUBJECTS, 1)
+    )
+    return 50.0 + 10.0 * (
+        scores * np.linspace(1.0, 1.6, CONDITIONS) + np.linspace(0.0, 0.5, CONDITIONS)
+    )
 
 
 def long_table(study: np.ndarray) -> pd.DataFrame:
@@ -132,7 +160,11 @@ def long_table(study: np.ndarray) -> pd.DataFrame:
     """
     n, k = study.shape
     return pd.DataFrame(
-        {"subject": np.repeat(np.arange(n), k), "condition": np.tile(np.arange(k), n), "value": study.ravel()}
+        {
+            "subject": np.repeat(np.arange(n), k),
+            "condition": np.tile(np.arange(k), n),
+            "value": study.ravel(),
+        }
     )
 
 
@@ -147,7 +179,9 @@ def anova(frame: pd.DataFrame) -> dict[str, object]:
     """
     import pingouin
 
-    row = pingouin.rm_anova(frame, dv="value", within="condition", subject="subject", correction=True).iloc[0]
+    row = pingouin.rm_anova(
+        frame, dv="value", within="condition", subject="subject", correction=True
+    ).iloc[0]
     return {
         "F": row["F"],
         "p": row["p_unc"],
@@ -182,7 +216,8 @@ def everything(frame: pd.DataFrame) -> dict[str, object]:
 
 def greatest_error(batch, found: list[dict[str, object]]) -> float:
     """
-    Return the greatest difference between the batch and the peer, relative where a value passes 1; NaN counts as one.
+    Return the greatest difference between the batch and the peer, relative where a value passes 1;
+    NaN counts as one.
 
     Parameters
     ----------

@@ -13,9 +13,12 @@ from benchmarks.timing import Row
 FOLDER = Path(__file__).resolve().parent.parent / "reports"
 HEADINGS = ("case", "ours", "peer", "ours_ms", "peer_ms", "ratio", "goal", "met", "note")
 METHOD = (
-    "Median [least–greatest] of repetitions taken in turns, ours, peer, ours, peer …; ratio = peer's time / ours within each turn, so above "
-    "1 ours is faster. A repetition lasts at least 5 ms (a quicker call is repeated and averaged). One BLAS thread everywhere; data in "
-    "memory; freed memory stays with the process (glibc), which favours the peers; first calls (compilation) not counted unless a row says so. Peers' results were checked against ours before timing."
+    "Median [least–greatest] of repetitions taken in turns, ours, peer, ours, peer …; ratio = "
+    "peer's time / ours within each turn, so above 1 ours is faster. A repetition lasts at least "
+    "5 ms (a quicker call is repeated and averaged). One BLAS thread everywhere; data in memory; "
+    "freed memory stays with the process (glibc), which favours the peers; first calls "
+    "(compilation) not counted unless a row says so. Peers' results were checked against ours "
+    "before timing."
 )
 
 
@@ -47,7 +50,11 @@ def line(row: Row) -> str:
     _, _, peer, ours_ms, peer_ms, ratio, goal, met, note = cells(row)
     if row.fault:
         return f"{peer}: {met}: {note}"
-    parts = [ours_ms and f"ours {ours_ms} ms", peer_ms and f"peer {peer_ms} ms", ratio and f"ratio {ratio}"]
+    parts = [
+        ours_ms and f"ours {ours_ms} ms",
+        peer_ms and f"peer {peer_ms} ms",
+        ratio and f"ratio {ratio}",
+    ]
     parts += [goal and f"goal {goal}: {met}", note if not row.ours_ms else ""]
     return f"{peer}: " + ", ".join(part for part in parts if part)
 
@@ -65,7 +72,10 @@ def table(rows: list[Row]) -> str:
     lines = [[HEADINGS[i] for i in shown]] + [[cells(row)[i] for i in shown] for row in rows]
     lines = [[_cut(line[0], 34), _cut(line[1], 62), *line[2:]] for line in lines]
     widths = [max(len(line[i]) for line in lines) for i in range(len(shown))]
-    text = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
+    text = [
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+        for line in lines
+    ]
     return "\n".join([text[0], "-" * len(text[0]), *text[1:]])
 
 
@@ -85,7 +95,10 @@ def write(rows: list[Row], seconds: float) -> None:
         How long the whole run took.
     """
     FOLDER.mkdir(exist_ok=True)
-    facts = {"date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), "duration": f"{seconds:.0f} s"} | machine.facts()
+    facts = {
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "duration": f"{seconds:.0f} s",
+    } | machine.facts()
     _write_csv(FOLDER / "benchmarks.csv", rows)
     (FOLDER / "benchmarks.html").write_text(_page(rows, facts), encoding="utf-8")
 
@@ -126,8 +139,9 @@ def _page(rows: list[Row], facts: dict[str, str]) -> str:
         numbers = "".join(f'<td class="n">{_stacked(text)}</td>' for text in spreads)
         kind = {"yes": "yes", "": ""}.get(met, "no")
         body.append(
-            f'<tr class="{"fault" if row.fault else ""}"><td>{peer}<div class="note">ours: {ours}</div>'
-            f'<div class="note">{note}</div></td>{numbers}<td>{goal}</td><td class="{kind}">{met}</td></tr>'
+            f'<tr class="{"fault" if row.fault else ""}"><td>{peer}<div class="note">ours: '
+            f'{ours}</div><div class="note">{note}</div></td>{numbers}<td>{goal}</td><td '
+            f'class="{kind}">{met}</td></tr>'
         )
     known = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in facts.items())
     return (

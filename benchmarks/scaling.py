@@ -1,4 +1,6 @@
-"""How our time grows: with samples of a fit, with studies of a batch, and with workers of a campaign."""
+"""
+How our time grows: with samples of a fit, with studies of a batch, and with workers of a campaign.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ RUNS, SECONDS = 400, 0.005
 def rows() -> Iterator[Row]:
     """Yield a row per size, each with its time against the size before."""
     yield from _curve("Joint fit against samples", "trustlab fit_tsc", SAMPLES, _fit)
-    yield from _curve("Batch of studies of 36 × 5", "trustlab repeated_measures_batch", STUDIES, _batch)
+    yield from _curve(
+        "Batch of studies of 36 × 5", "trustlab repeated_measures_batch", STUDIES, _batch
+    )
     yield from _workers()
 
 
@@ -49,7 +53,10 @@ def _curve(case, ours, sizes, build) -> Iterator[Row]:
         note = (
             ""
             if before is None
-            else (f"{taken.median / before[1]:.1f} times the time for {size / before[0]:.0f} times the size")
+            else (
+                f"{taken.median / before[1]:.1f} times the time for {size / before[0]:.0f} times "
+                "the size"
+            )
         )
         before = (size, taken.median)
         yield Row(f"{case}: {size:,}", ours, "none", taken, note=note)
@@ -85,5 +92,9 @@ def _workers() -> Iterator[Row]:
         note = "" if first is None else f"{first / spread.median:.2f} times as fast as one"
         first = first or spread.median
         yield Row(
-            f"Campaign of {RUNS} runs of 5 ms: {workers} worker(s)", "trustlab run_campaign", "none", spread, note=note
+            f"Campaign of {RUNS} runs of 5 ms: {workers} worker(s)",
+            "trustlab run_campaign",
+            "none",
+            spread,
+            note=note,
         )

@@ -1,4 +1,7 @@
-"""Reading a session of 20,000 rows, and one of ten million, with every check, beside pandas.read_csv without any."""
+"""
+Reading a session of 20,000 rows, and one of ten million, with every check, beside pandas.read_csv
+without any.
+"""
 
 from __future__ import annotations
 
@@ -37,11 +40,19 @@ def rows() -> Iterator[Row]:
 def _long(size: int) -> Row:
     """Compare time and memory, each side in fresh processes in turn."""
     rng, t = np.random.default_rng(0), np.round(0.001 * np.arange(size), 3)
-    columns = {"t": t, "mode": (t % 100.0 > 50.0) * 1.0, "p_r": rng.random(size), "p_h": rng.random(size)}
+    columns = {
+        "t": t,
+        "mode": (t % 100.0 > 50.0) * 1.0,
+        "p_r": rng.random(size),
+        "p_h": rng.random(size),
+    }
     with tempfile.TemporaryDirectory() as folder:
         path = str(Path(folder) / "run.csv")
         csv.write_csv(pa.table(columns), path)
-        turns = [[_measured(f"{read}({path!r})") for read in ("tl.read_session", "pd.read_csv")] for _ in range(3)]
+        turns = [
+            [_measured(f"{read}({path!r})") for read in ("tl.read_session", "pd.read_csv")]
+            for _ in range(3)
+        ]
     ours_s, peer_s = ([turn[side][0] for turn in turns] for side in (0, 1))
     ratio = Spread.of([peer / ours for ours, peer in zip(ours_s, peer_s, strict=True)])
     ours_mb, peer_mb = (np.median([turn[side][1] for turn in turns]) for side in (0, 1))
@@ -82,5 +93,6 @@ def _usual() -> Row:
         ours_ms,
         peer_ms,
         ratio,
-        note=f"thousand rows per second: {len(run.data) / ours_ms.median:.0f} and {len(run.data) / peer_ms.median:.0f}",
+        note=f"thousand rows per second: {len(run.data) / ours_ms.median:.0f} and "
+        f"{len(run.data) / peer_ms.median:.0f}",
     )

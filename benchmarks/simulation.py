@@ -1,4 +1,7 @@
-"""Simulation of (2.1), (2.3), (2.5) and (2.6) over 20,000 samples, beside plain Python and scipy.signal."""
+"""
+Simulation of (2.1), (2.3), (2.5) and (2.6) over 20,000 samples, beside plain Python and
+scipy.signal.
+"""
 
 from __future__ import annotations
 
@@ -49,11 +52,9 @@ def allocation(model: tl.TscModel, steps: int = 200_000) -> Row:
     steps : int
         Samples to simulate.
     """
-    case, ours, peer = (
-        f"Allocation by (2.8), {steps:,} samples",
-        "trustlab simulate_allocation",
-        "the loop in plain Python",
-    )
+    case = f"Allocation by (2.8), {steps:,} samples"
+    ours = "trustlab simulate_allocation"
+    peer = "the loop in plain Python"
     call, other = (
         lambda: tl.simulate_allocation(model, 0.02, 0.45, steps),
         lambda: switching(model, 0.02, 0.45, steps),
@@ -64,7 +65,15 @@ def allocation(model: tl.TscModel, steps: int = 200_000) -> Row:
     rate = steps / ours_ms.median / 1e3
     goal, met = "≥ 10 million steps/s", bool(rate >= 10.0)
     return Row(
-        case, ours, peer, ours_ms, peer_ms, ratio, goal=goal, met=met, note=f"{rate:.0f} million steps per second"
+        case,
+        ours,
+        peer,
+        ours_ms,
+        peer_ms,
+        ratio,
+        goal=goal,
+        met=met,
+        note=f"{rate:.0f} million steps per second",
     )
 
 
@@ -81,12 +90,21 @@ def switching(model: tl.TscModel, lower: float, upper: float, steps: int) -> pd.
     steps : int
         Samples.
     """
-    human, robot, a_t, b_t = model.human, model.robot, model.a_T, model.b_T
-    r, p_r, mode, out = 0.0, robot.p_min, 1.0, []
+    human = model.human
+    robot = model.robot
+    a_t = model.a_T
+    b_t = model.b_T
+    r = 0.0
+    p_r = robot.p_min
+    mode = 1.0
+    out = []
     for _ in range(steps):
         bell = 0.0
         if 0.0 < r < 1.0:
-            bell = exp(human.beta * log(r / human.beta) + (1 - human.beta) * log((1 - r) / (1 - human.beta)))
+            bell = exp(
+                human.beta * log(r / human.beta)
+                + (1 - human.beta) * log((1 - r) / (1 - human.beta))
+            )
         p_h = (human.p_max - human.p_min) * bell + human.p_min
         tsc = a_t * p_r - b_t * p_h
         mode = 0.0 if tsc >= upper else 1.0 if tsc <= lower else mode
@@ -107,12 +125,20 @@ def loop(model: tl.TscModel, mode: np.ndarray) -> pd.DataFrame:
     mode : numpy.ndarray, shape (N,)
         Manual share.
     """
-    human, robot, a_t, b_t = model.human, model.robot, model.a_T, model.b_T
-    r, p_r, out = 0.0, robot.p_min, []
+    human = model.human
+    robot = model.robot
+    a_t = model.a_T
+    b_t = model.b_T
+    r = 0.0
+    p_r = robot.p_min
+    out = []
     for m in mode.tolist():
         bell = 0.0
         if 0.0 < r < 1.0:
-            bell = exp(human.beta * log(r / human.beta) + (1 - human.beta) * log((1 - r) / (1 - human.beta)))
+            bell = exp(
+                human.beta * log(r / human.beta)
+                + (1 - human.beta) * log((1 - r) / (1 - human.beta))
+            )
         p_h = (human.p_max - human.p_min) * bell + human.p_min
         out.append((r, p_r, p_h, a_t * p_r - b_t * p_h, m))
         p_r = robot.a * p_r + (1 - robot.a) * robot.p_min + m * robot.b * p_h
@@ -136,4 +162,6 @@ def filtered(model: tl.TscModel, mode: np.ndarray) -> pd.DataFrame:
     bell = (r / human.beta) ** human.beta * ((1 - r) / (1 - human.beta)) ** (1 - human.beta)
     p_h = (human.p_max - human.p_min) * bell + human.p_min
     p_r = robot.p_min + lfilter([0.0, robot.b], [1.0, -robot.a], mode * p_h)
-    return pd.DataFrame({"r": r, "p_r": p_r, "p_h": p_h, "tsc": model.value(p_r, p_h), "mode": mode})
+    return pd.DataFrame(
+        {"r": r, "p_r": p_r, "p_h": p_h, "tsc": model.value(p_r, p_h), "mode": mode}
+    )

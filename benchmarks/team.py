@@ -1,4 +1,7 @@
-"""One operator and a team of robots, 60 s at 1 kHz: cost against the number of robots, beside the same model in plain NumPy."""
+"""
+One operator and a team of robots, 60 s at 1 kHz: cost against the number of robots, beside the same
+model in plain NumPy.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,9 @@ TITLE = "Teleoperated team"
 OURS = "trustlab simulate_team, all signals and storages"
 PEER = "the same equations in plain NumPy, positions and forces"
 ROBOTS = (2, 6, 12, 25, 50, 100, 200)
-SECONDS, T, DELAY = 60.0, 1e-3, 0.2
+SECONDS = 60.0
+T = 1e-3
+DELAY = 0.2
 SHORT = 2.0
 """Length [s] of the peer's runs; its time is scaled up, as each of its steps costs the same."""
 
@@ -30,9 +35,14 @@ def rows() -> Iterator[Row]:
             continue
         peer = here(lambda robots=robots: plain(robots, SHORT))
         ours_ms, peer_ms, ratio = in_turns(
-            here(lambda robots=robots: one(robots, SECONDS)), lambda calls, peer=peer: SECONDS / SHORT * peer(calls), 5
+            here(lambda robots=robots: one(robots, SECONDS)),
+            lambda calls, peer=peer: SECONDS / SHORT * peer(calls),
+            5,
         )
-        note = f"{1e6 * ours_ms.median / (SECONDS / T):.0f} ns per step; {len(ours.data)} rows recorded"
+        note = (
+            f"{1e6 * ours_ms.median / (SECONDS / T):.0f} ns per step; {len(ours.data)} rows "
+            "recorded"
+        )
         goal, met = ("≤ 100 ms", ours_ms.median <= 100.0) if robots == 12 else ("", None)
         yield Row(case, OURS, PEER, ours_ms, peer_ms, ratio, goal=goal, met=met, note=note)
 
@@ -48,7 +58,9 @@ def case(robots: int) -> tuple[np.ndarray, np.ndarray]:
     """
     apart = np.abs(np.subtract.outer(np.arange(robots), np.arange(robots)))
     apart = np.minimum(apart, robots - apart)
-    return ((apart > 0) & (apart <= 2)).astype(float), np.random.default_rng(robots).uniform(-5.0, 5.0, (robots, 3))
+    return ((apart > 0) & (apart <= 2)).astype(float), np.random.default_rng(robots).uniform(
+        -5.0, 5.0, (robots, 3)
+    )
 
 
 def one(robots: int, seconds: float) -> TeamRun:
@@ -64,15 +76,24 @@ def one(robots: int, seconds: float) -> TeamRun:
     """
     graph, start = case(robots)
     return tl.simulate_team(
-        graph, GivenSequence(every=5.0), (1.0, 2.0, 0.5), duration=seconds, sample_time=T, start=start, delay=DELAY,
-        settings=TeamSettings(scattering=Scattering(2.0)), operator=TeamOperator(reach=1e9, guarded=False),
-        filters="corrected", record_every=0.01 if seconds > SHORT else T,
-    )  # fmt: skip
+        graph,
+        GivenSequence(every=5.0),
+        (1.0, 2.0, 0.5),
+        duration=seconds,
+        sample_time=T,
+        start=start,
+        delay=DELAY,
+        settings=TeamSettings(scattering=Scattering(2.0)),
+        operator=TeamOperator(reach=1e9, guarded=False),
+        filters="corrected",
+        record_every=0.01 if seconds > SHORT else T,
+    )
 
 
 def plain(robots: int, seconds: float) -> np.ndarray:
     """
-    Simulate with NumPy: the team's implicit step as one product with a dense matrix, ports in closed form; no storages.
+    Simulate with NumPy: the team's implicit step as one product with a dense matrix, ports in
+    closed form; no storages.
 
     Parameters
     ----------
@@ -82,15 +103,30 @@ def plain(robots: int, seconds: float) -> np.ndarray:
         Length [s].
     """
     graph, start = case(robots)
-    goal, h, w, b, k12, k21 = np.array([1.0, 2.0, 0.5]), 0.5 * T, 10.0, 2.0, 0.25, 1.0
+    goal = np.array([1.0, 2.0, 0.5])
+    h = 0.5 * T
+    w = 10.0
+    b = 2.0
+    k12 = 0.25
+    k21 = 1.0
     L = np.diag(graph.sum(axis=1)) - graph
     P = np.linalg.inv(np.eye(robots) + h * L + h * h * L @ L)
     from_zeta, response = h * P @ L, h * np.diag(L @ P)
-    mass, damping, stiffness, weight, drag = 0.5, 5.5, 20.0, 10.0, 1.0
+    mass = 0.5
+    damping = 5.5
+    stiffness = 20.0
+    weight = 10.0
+    drag = 1.0
     push = 4.0 / (1.0 + 2.0 * DELAY)
     left, tip = 2.0 * mass / T + damping + h * stiffness, 1.0 + h * weight
-    keep, g, late, count = 1.0 / (1.0 + h * w), h * w / (1.0 + h * w), round(DELAY / T), round(seconds / T)
-    q, zeta, x, v = start - goal, np.zeros((robots, 3)), np.zeros(3), np.zeros(3)
+    keep = 1.0 / (1.0 + h * w)
+    g = h * w / (1.0 + h * w)
+    late = round(DELAY / T)
+    count = round(seconds / T)
+    q = start - goal
+    zeta = np.zeros((robots, 3))
+    x = np.zeros(3)
+    v = np.zeros(3)
     a1, c1, a2, c2 = np.zeros((4, 3))
     u_l, u_r, seen = np.zeros((3, count, 3))
     out = np.empty((-(-count // 10), robots, 3))
@@ -98,7 +134,9 @@ def plain(robots: int, seconds: float) -> np.ndarray:
         if k % 10 == 0:
             out[k // 10] = q
         lead = int(k * T / 5.0 + 1e-9) % robots
-        v_r, v_l, error = np.zeros((3, 3)) if k < late else (u_l[k - late], u_r[k - late], -seen[k - late])
+        v_r, v_l, error = (
+            np.zeros((3, 3)) if k < late else (u_l[k - late], u_r[k - late], -seen[k - late])
+        )
         under = 1.0 + b * k12
         e0, e1 = (b * keep * a1 + np.sqrt(2.0 * b) * v_l) / under, b * g / under
         f0, f1 = keep * c1 + g * e0, k21 + g * e1
@@ -106,7 +144,9 @@ def plain(robots: int, seconds: float) -> np.ndarray:
         r_m = (open_r + tip / left * (push * error - f0)) / (1.0 + tip / left * (f1 + drag))
         near_f = e0 + e1 * r_m
         near_r = keep * a1 + g * r_m - k12 * near_f
-        middle = (2.0 * mass * v / T - stiffness * x + push * error - drag * r_m - f0 - f1 * r_m) / left
+        middle = (
+            2.0 * mass * v / T - stiffness * x + push * error - drag * r_m - f0 - f1 * r_m
+        ) / left
         q_open = P @ q + from_zeta @ zeta
         open_f, hard = L[lead] @ q_open, response[lead]
         part0, part1 = (keep * a2 - k12 * open_f) / (1.0 + k12 * hard), g / (1.0 + k12 * hard)

@@ -1,4 +1,7 @@
-"""The teleoperation loop at 1 kHz beside plain NumPy and Drake, and the optimal share of Appendix A per step."""
+"""
+The teleoperation loop at 1 kHz beside plain NumPy and Drake, and the optimal share of Appendix A
+per step.
+"""
 
 from __future__ import annotations
 
@@ -24,20 +27,38 @@ from trustlab.teleoperation.loop.state import LOG
 TITLE = "Teleoperation"
 DURATION, PERIOD = 120.0, 0.001
 LATE = 100
-"""Delay of the linear case in samples; Drake's block reads its input a sample later than ours, so it is given one less."""
+"""
+Delay of the linear case in samples; Drake's block reads its input a sample later than ours, so it
+is given one less.
+"""
 GIVEN = (
-    "start", "stop", "setups", "states", "row", "inputs", "delays", "arrives", "accounts", "history", "sent", "log",
+    "start",
+    "stop",
+    "setups",
+    "states",
+    "row",
+    "inputs",
+    "delays",
+    "arrives",
+    "accounts",
+    "history",
+    "sent",
+    "log",
     "table",
-)  # fmt: skip
+)
 """Arguments of the compiled loop, in turn."""
 PLAIN = 52
-"""Columns that the peers log: the first ones of ours, without what guidance adds and the target's energy."""
+"""
+Columns that the peers log: the first ones of ours, without what guidance adds and the target's
+energy.
+"""
 PRINTED = {"guidance": "through_channel", "guard": "cancel"}
 
 
 def captured(**arguments) -> tuple[dict, tl.Session]:
     """
-    Return what the compiled loop is given in a run of `simulate_teleoperation`, by name, and the run.
+    Return what the compiled loop is given in a run of `simulate_teleoperation`, by name, and the
+    run.
 
     Parameters
     ----------
@@ -86,7 +107,9 @@ def flat(numbers, stem: str = "") -> dict[str, float]:
     found = {}
     for name in numbers.dtype.names:
         value = numbers[name]
-        found |= flat(value, f"{stem}{name}.") if value.dtype.names else {f"{stem}{name}": float(value)}
+        found |= (
+            flat(value, f"{stem}{name}.") if value.dtype.names else {f"{stem}{name}": float(value)}
+        )
     return found
 
 
@@ -99,17 +122,25 @@ def as_arrays(given: dict) -> dict[str, np.ndarray]:
     given : dict
         Arguments of the compiled loop by name.
     """
-    inputs, setup, state = given["inputs"], given["setups"][0], given["states"][0]
+    inputs = given["inputs"]
+    setup = given["setups"][0]
+    state = given["states"][0]
     data = {name: inputs[name] for name in ("reference", "detected", "motor", "pushed")}
     data |= {"moving": inputs["reference_velocity"], "delays": given["delays"]}
     data |= {name: setup["vehicle"][name] for name in ("phi", "gamma")}
     for name, kind in (("settings", "loop"), ("hand", "hand"), ("auto", "auto")):
         numbers = flat(setup[kind])
         if kind == "loop":
-            numbers |= {one: float(setup["device"][one][0]) for one in ("mass", "damping", "stiffness", "weight")}
+            numbers |= {
+                one: float(setup["device"][one][0])
+                for one in ("mass", "damping", "stiffness", "weight")
+            }
             numbers |= {"sample_time": float(state["sample_time"]), "b": float(setup["near"]["b"])}
             for scale in ("alpha", "beta"):
-                numbers |= {f"{scale}.low": float(state[f"{scale}_min"]), f"{scale}.high": float(state[f"{scale}_max"])}
+                numbers |= {
+                    f"{scale}.low": float(state[f"{scale}_min"]),
+                    f"{scale}.high": float(state[f"{scale}_max"]),
+                }
         data[name], data[f"names_{name}"] = np.array([*numbers.values()]), np.array([*numbers])
     return data
 
@@ -132,7 +163,9 @@ def probed(step, *sizes: int) -> tuple[np.ndarray, ...]:
 
 
 def linear_case() -> tuple[dict, dict[str, np.ndarray]]:
-    """Return the arguments of a run that is linear, and the matrices of its parts for Drake's blocks."""
+    """
+    Return the arguments of a run that is linear, and the matrices of its parts for Drake's blocks.
+    """
     settings = STUDIES["main"]
     still = tl.Teleoperator(proportional=0.0, derivative=0.0, noise=0.0)
     task = tl.TrackingTask(failure_every=1e9)
@@ -140,11 +173,23 @@ def linear_case() -> tuple[dict, dict[str, np.ndarray]]:
     rates, sizes = np.array([1.3, 0.8, 2.1]), np.array([1.0, 0.7, 0.5])
     push = sizes * np.sin(rates * PERIOD * np.arange(count)[:, None])
     arguments = {
-        "scheme": "M", "operator": still, "study": settings, "duration": DURATION, "sample_time": PERIOD, "task": task,
-        "delay_1": LATE * PERIOD, "delay_2": LATE * PERIOD, "guard": "off", "guidance": "through_channel", "push": push, "read_out": "interpolated",
-    }  # fmt: skip
+        "scheme": "M",
+        "operator": still,
+        "study": settings,
+        "duration": DURATION,
+        "sample_time": PERIOD,
+        "task": task,
+        "delay_1": LATE * PERIOD,
+        "delay_2": LATE * PERIOD,
+        "guard": "off",
+        "guidance": "through_channel",
+        "push": push,
+        "read_out": "interpolated",
+    }
     given, _ = captured(**arguments)
-    ends, gain, guidance = settings.scattering, settings.scattering.gain, settings.numbers(PERIOD)["guidance"]
+    ends = settings.scattering
+    gain = settings.scattering.gain
+    guidance = settings.numbers(PERIOD)["guidance"]
     phi, gamma = (given["setups"]["vehicle"][name][0] for name in ("phi", "gamma"))
     reference, moving = given["inputs"]["reference"], given["inputs"]["reference_velocity"]
     into, back = (np.sqrt(2.0 * ends.b / top) for top in (ends.alpha_max, ends.beta_max))
@@ -153,21 +198,36 @@ def linear_case() -> tuple[dict, dict[str, np.ndarray]]:
     drag = settings.force_scaling * ends.beta_max
 
     def master(state, inputs):
-        x, v, force, wave = state[:3], state[3:], inputs[:3], gain * inputs[3:]
-        right = inertia * v - stiff * x + force - drag * (ends.b * settings.weight * x + back * wave)
+        x = state[:3]
+        v = state[3:]
+        force = inputs[:3]
+        wave = gain * inputs[3:]
+        right = (
+            inertia * v - stiff * x + force - drag * (ends.b * settings.weight * x + back * wave)
+        )
         middle = right / (inertia + damp + 0.5 * PERIOD * stiff + drag * ends.b * tip)
         sent = np.sqrt(2.0 * ends.b * ends.beta_min) * (tip * middle + settings.weight * x)
-        return x + PERIOD * middle, 2.0 * middle - v, sent + np.sqrt(ends.beta_min / ends.beta_max) * wave, x
+        return (
+            x + PERIOD * middle,
+            2.0 * middle - v,
+            sent + np.sqrt(ends.beta_min / ends.beta_max) * wave,
+            x,
+        )
 
     def slave(state, inputs):
         vehicle, wave = state.reshape(3, 3), gain * inputs[3:]
         force = -guidance * (inputs[:3] - vehicle[:, 0])
         command = ends.alpha_max * (into * wave - force) / ends.b
         after = np.einsum("ijk,ik->ij", phi, vehicle) + gamma * command[:, None]
-        sent = np.sqrt(2.0 * ends.alpha_min / ends.b) * force - np.sqrt(ends.alpha_min / ends.alpha_max) * wave
+        sent = (
+            np.sqrt(2.0 * ends.alpha_min / ends.b) * force
+            - np.sqrt(ends.alpha_min / ends.alpha_max) * wave
+        )
         return after.ravel(), sent, vehicle[:, 0]
 
-    turn = np.hypot(moving[0, 0] / task.size_x, 0.0) / abs(np.sqrt(1.0 - (reference[0, 0] / task.size_x) ** 2))
+    turn = np.hypot(moving[0, 0] / task.size_x, 0.0) / abs(
+        np.sqrt(1.0 - (reference[0, 0] / task.size_x) ** 2)
+    )
     spins = np.concatenate([[turn, 2.0 * turn], rates])
     start = np.zeros(11)
     start[0], start[1] = reference[0, 0], moving[0, 0] / turn
@@ -189,8 +249,15 @@ def linear_case() -> tuple[dict, dict[str, np.ndarray]]:
     begin = np.zeros((3, 3))
     begin[:, 0] = reference[0]
     data["slave_start"] = begin.ravel()
-    for name, step, states, inputs in (("source", source, 11, 0), ("master", master, 6, 6), ("slave", slave, 9, 6)):
-        data |= {f"{name}_{letter}": m for letter, m in zip("abcd", probed(step, states, inputs), strict=True)}
+    for name, step, states, inputs in (
+        ("source", source, 11, 0),
+        ("master", master, 6, 6),
+        ("slave", slave, 9, 6),
+    ):
+        data |= {
+            f"{name}_{letter}": m
+            for letter, m in zip("abcd", probed(step, states, inputs), strict=True)
+        }
     return arguments, data
 
 
@@ -215,11 +282,28 @@ def rows() -> Iterator[Row]:
         yield Row(case, ours, peer, fault=fault)
     else:
         mine, other, ratio = in_turns(here(loop), here(plain.run), 3, warm=False)
-        note = f"whole logs agree to {gap.max():.0e} of each signal; goal from the issue, after compilation"
-        yield Row(case, ours, peer, mine, other, ratio, goal="≤ 50 ms", met=bool(mine.median <= 50.0), note=note)
+        note = (
+            f"whole logs agree to {gap.max():.0e} of each signal; goal from the issue, after "
+            "compilation"
+        )
+        yield Row(
+            case,
+            ours,
+            peer,
+            mine,
+            other,
+            ratio,
+            goal="≤ 50 ms",
+            met=bool(mine.median <= 50.0),
+            note=note,
+        )
     whole = "trustlab simulate_teleoperation: noise, delays, loop and a checked Session"
-    mine, other, ratio = in_turns(here(lambda: tl.simulate_teleoperation(**arguments)), here(loop), 9)
-    yield Row(case, whole, "its own compiled loop alone", mine, other, ratio, note="for information")
+    mine, other, ratio = in_turns(
+        here(lambda: tl.simulate_teleoperation(**arguments)), here(loop), 9
+    )
+    yield Row(
+        case, whole, "its own compiled loop alone", mine, other, ratio, note="for information"
+    )
     yield from drake(case, ours, loop, ours_log, data)
     yield from parts()
     yield cold_start()
@@ -258,7 +342,11 @@ def drake(case: str, ours: str, loop, log: np.ndarray, data: dict) -> Iterator[R
                 else:
                     times = in_turns(here(loop), worker.side("leaf"), 3, warm=False)
                     yield Row(
-                        case, ours, peer, *times, note=f"first samples and the last agree to {max(gap, last):.0e}"
+                        case,
+                        ours,
+                        peer,
+                        *times,
+                        note=f"first samples and the last agree to {max(gap, last):.0e}",
                     )
         except PeerMissingError as error:
             yield Row(case, ours, peer, fault=str(error))
@@ -278,7 +366,10 @@ def drake(case: str, ours: str, loop, log: np.ndarray, data: dict) -> Iterator[R
                     yield Row(reduced, ours, blocks, fault=f"its positions differ by {gap:.1e}")
                 else:
                     times = in_turns(here(own), worker.side("linear"), 9)
-                    note = f"positions agree to {gap:.0e}; ours runs the full loop (scales, trust, ledgers) on the same signals"
+                    note = (
+                        f"positions agree to {gap:.0e}; ours runs the full loop (scales, "
+                        "trust, ledgers) on the same signals"
+                    )
                     yield Row(reduced, ours, blocks, *times, note=note)
         except PeerMissingError as error:
             yield Row(reduced, ours, blocks, fault=str(error))
@@ -293,7 +384,10 @@ def logistic(state):
     state : View
         State of the loop.
     """
-    fall = 0.5 * (1.0 - np.tanh(5.0 * (state.trust_hr - 0.5))), 0.5 * (1.0 - np.tanh(5.0 * (state.trust_rh - 0.5)))
+    fall = (
+        0.5 * (1.0 - np.tanh(5.0 * (state.trust_hr - 0.5))),
+        0.5 * (1.0 - np.tanh(5.0 * (state.trust_rh - 0.5))),
+    )
     alpha = state.alpha_min + (state.alpha_max - state.alpha_min) * fall[0]
     return alpha, state.beta_min + (state.beta_max - state.beta_min) * fall[1]
 
@@ -303,19 +397,41 @@ def parts() -> Iterator[Row]:
     arguments = {"seed": 1, "duration": DURATION, "sample_time": PERIOD}
     built_in, log = captured(scheme="TMIG", **arguments)
     own, same = captured(scheme=tl.Scheme("mine", logistic), **arguments)
-    case, ours = "Teleoperation loop, guidance at the operator, 120 s at 1 kHz", "a user's scheme, compiled"
+    case, ours = (
+        "Teleoperation loop, guidance at the operator, 120 s at 1 kHz",
+        "a user's scheme, compiled",
+    )
     if not same.data.equals(log.data):
         yield Row(case, ours, "the built-in scheme", fault="its log differs")
         return
     mine, other, ratio = in_turns(here(lambda: again(own)), here(lambda: again(built_in)), 9)
     within = bool(mine.median <= 1.5 * other.median)
-    yield Row(case, ours, "the built-in scheme TMIG", mine, other, ratio, goal="≤ 1.5 × its time", met=within)
-    loops = [tl.TeleoperationLoop(scheme, seed=1, sample_time=PERIOD) for scheme in ("TMIG", tl.Scheme("p", Called()))]
+    yield Row(
+        case,
+        ours,
+        "the built-in scheme TMIG",
+        mine,
+        other,
+        ratio,
+        goal="≤ 1.5 × its time",
+        met=within,
+    )
+    loops = [
+        tl.TeleoperationLoop(scheme, seed=1, sample_time=PERIOD)
+        for scheme in ("TMIG", tl.Scheme("p", Called()))
+    ]
     mine, other, ratio = in_turns(here(loops[0].step), here(loops[1].step), 9)
     fast = bool(mine.median <= 0.02)
     case = "Teleoperation loop, one step"
     yield Row(
-        case, "built-in parts", "the same with its scheme in Python", mine, other, ratio, "≥ 50,000 steps/s", fast
+        case,
+        "built-in parts",
+        "the same with its scheme in Python",
+        mine,
+        other,
+        ratio,
+        "≥ 50,000 steps/s",
+        fast,
     )
 
 
@@ -346,16 +462,33 @@ def cold_start() -> Row:
     with tempfile.TemporaryDirectory() as kept:
         warm, empty, ratio = in_turns(here(lambda: fresh(kept)), here(lambda: fresh(None)), 3)
     met = bool(warm.median <= 2000.0 and empty.median <= 10000.0)
-    note = "the loop and its built-in parts are compiled; a scheme of one's own compiles itself alone"
+    note = (
+        "the loop and its built-in parts are compiled; a scheme of one's own compiles itself alone"
+    )
     case = "Fresh process: import, one run of 1 s"
-    return Row(case, "warm caches", "empty caches", warm, empty, ratio, "≤ 2 s warm, ≤ 10 s empty", met, note)
+    return Row(
+        case,
+        "warm caches",
+        "empty caches",
+        warm,
+        empty,
+        ratio,
+        "≤ 2 s warm, ≤ 10 s empty",
+        met,
+        note,
+    )
 
 
 def shares() -> Iterator[Row]:
-    """Yield the time of one optimal share, in the fast form and with CasADi; the note has the 99th percentile."""
+    """
+    Yield the time of one optimal share, in the fast form and with CasADi; the note has the 99th
+    percentile.
+    """
     rng = np.random.default_rng(3)
     sizes = (0.3, 0.3, 1.0, 0.5, 0.5)
-    situations = [[rng.normal(0.0, 10 ** rng.uniform(-1, 0.5) * s, 3) for s in sizes] for _ in range(2000)]
+    situations = [
+        [rng.normal(0.0, 10 ** rng.uniform(-1, 0.5) * s, 3) for s in sizes] for _ in range(2000)
+    ]
     fast, free = tl.OptimalBlending(), tl.OptimalBlending(intervals=4)
     worst, spans = -np.inf, {}
     for name, blending, count in (("fast", fast, 2000), ("free", free, 400)):
@@ -369,7 +502,10 @@ def shares() -> Iterator[Row]:
                 worst = max(worst, step.cost / fast.step(*now).cost - 1.0)
         spans[name] = np.percentile(times, 99)
     case = "Optimal share of Appendix A, one step"
-    ours, peer = ("trustlab OptimalBlending, α held", "the same with intervals=4: CasADi and IPOPT, α free to change")
+    ours, peer = (
+        "trustlab OptimalBlending, α held",
+        "the same with intervals=4: CasADi and IPOPT, α free to change",
+    )
     if worst > 1e-9:
         yield Row(case, ours, peer, fault=f"its cost is above the held share's by {worst:.1e}")
         return
@@ -379,5 +515,18 @@ def shares() -> Iterator[Row]:
         here(lambda: free.step(*situations[next(turn) % 2000])),
         9,
     )
-    note = f"99th percentile: {spans['fast']:.3f} ms held (2,000 states), {spans['free']:.1f} ms with CasADi (400)"
-    yield Row(case, ours, peer, mine, other, ratio, goal="p99 ≤ 2 ms", met=bool(spans["fast"] <= 2.0), note=note)
+    note = (
+        f"99th percentile: {spans['fast']:.3f} ms held (2,000 states), {spans['free']:.1f} ms "
+        "with CasADi (400)"
+    )
+    yield Row(
+        case,
+        ours,
+        peer,
+        mine,
+        other,
+        ratio,
+        goal="p99 ≤ 2 ms",
+        met=bool(spans["fast"] <= 2.0),
+        note=note,
+    )

@@ -10,7 +10,10 @@ from statistics import median
 from time import perf_counter
 
 LEAST = 0.005
-"""Seconds that one repetition lasts at least: a quicker side is called several times and the mean is taken."""
+"""
+Seconds that one repetition lasts at least: a quicker side is called several times and the mean is
+taken.
+"""
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,10 @@ class Spread:
         digits : int
             Significant digits.
         """
-        return f"{_short(self.median, digits)} [{_short(self.low, digits)}–{_short(self.high, digits)}]"
+        return (
+            f"{_short(self.median, digits)} "
+            f"[{_short(self.low, digits)}–{_short(self.high, digits)}]"
+        )
 
 
 def _short(value: float, digits: int) -> str:
@@ -132,7 +138,8 @@ def in_turns(
     ours: Callable[[int], float], peer: Callable[[int], float], turns: int, warm: bool = True
 ) -> tuple[Spread, Spread, Spread]:
     """
-    Measure ours, peer, ours, peer … and return milliseconds of both and the ratio peer / ours within turns.
+    Measure ours, peer, ours, peer … and return milliseconds of both and the ratio peer / ours
+    within turns.
 
     Parameters
     ----------

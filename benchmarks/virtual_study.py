@@ -1,4 +1,7 @@
-"""Virtual studies of 1,000 operators and of 20,000 UAV sessions from end to end, memory, and power by 10,000 simulated studies."""
+"""
+Virtual studies of 1,000 operators and of 20,000 UAV sessions from end to end, memory, and power by
+10,000 simulated studies.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,13 @@ TITLE = "Virtual studies and power"
 STUDIES = {"ground_robot": ("8 laps", 1_000, 20.0), "uav": ("6 minutes", 4_000, 60.0)}
 """Sessions, operators and seconds by testbed."""
 
-SMALL, LARGE, GROWTH = 20, 120, 30.0
-"""Participants of the two studies whose memory is compared, and how much more the larger may take [MB]."""
+SMALL = 20
+LARGE = 120
+GROWTH = 30.0
+"""
+Participants of the two studies whose memory is compared, and how much more the larger may take
+[MB].
+"""
 
 MEMORY = """
 import resource, sys
@@ -31,7 +39,9 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 def rows() -> Iterator[Row]:
     """Yield the study, its memory, and the power analysis."""
     for testbed, (session, operators, most) in STUDIES.items():
-        tl.virtual_study(n=10, testbed=testbed, n_jobs=2)  # the processes are there, kernels are compiled
+        tl.virtual_study(
+            n=10, testbed=testbed, n_jobs=2
+        )  # the processes are there, kernels are compiled
         began = perf_counter()
         study = tl.virtual_study(n=operators, seed=1, testbed=testbed, n_jobs=2)
         study.table()
@@ -67,7 +77,9 @@ def peak(participants: int) -> float:
         Of the study.
     """
     command = [sys.executable, "-c", MEMORY, str(participants)]
-    return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()[-1])
+    return float(
+        subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()[-1]
+    )
 
 
 def power() -> Row:
@@ -76,12 +88,24 @@ def power() -> Row:
         "Power of 36 × 5, 10,000 simulated studies",
         "trustlab power_analysis: F with three corrections, all pairs",
     )
-    given = {"mean": [0.0, 0.1, 0.4, 0.5, 0.5], "covariance": graded_covariance(5), "n": 36, "replicates": 10_000}
+    given = {
+        "mean": [0.0, 0.1, 0.4, 0.5, 0.5],
+        "covariance": graded_covariance(5),
+        "n": 36,
+        "replicates": 10_000,
+    }
     row = tl.power_analysis(**given, effect_size=0.05, seed=1).table().iloc[0]
-    error = (row["power"] - row["closed_form"]) / np.sqrt(row["closed_form"] * (1.0 - row["closed_form"]) / 10_000)
+    error = (row["power"] - row["closed_form"]) / np.sqrt(
+        row["closed_form"] * (1.0 - row["closed_form"]) / 10_000
+    )
     if not abs(error) < 4.0:
-        return Row(case, ours, "noncentral F", fault=f"power differs by {error:.1f} standard errors")
-    times = [1e3 * seconds_per_call(lambda: tl.power_analysis(**given, effect_size=0.05), 1) for _ in range(5)]
+        return Row(
+            case, ours, "noncentral F", fault=f"power differs by {error:.1f} standard errors"
+        )
+    times = [
+        1e3 * seconds_per_call(lambda: tl.power_analysis(**given, effect_size=0.05), 1)
+        for _ in range(5)
+    ]
     spread = Spread.of(times)
     note = f"power {row['power']:.4f}, noncentral F {row['closed_form']:.4f}"
     return Row(case, ours, "none", spread, goal="≤ 5 s", met=spread.median <= 5e3, note=note)

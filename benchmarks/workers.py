@@ -1,4 +1,6 @@
-"""Peers that live in an environment of their own, each in a process that fits and times when told to."""
+"""
+Peers that live in an environment of their own, each in a process that fits and times when told to.
+"""
 
 from __future__ import annotations
 

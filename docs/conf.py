@@ -13,7 +13,13 @@ release = trustlab.__version__
 copyright = author
 language = "en"
 
-extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "extension"]
+extensions = [
+    "myst_parser",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "extension",
+]
 myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 default_role = "known_name"
@@ -29,7 +35,8 @@ html_title = f"trustlab {release}"
 html_static_path = ["static"]
 html_css_files = ["own.css"]
 html_copy_source = False
-# The excerpts below the results of a search are fetched, which a browser refuses for pages opened from a disk.
+# The excerpts below the results of a search are fetched, which a browser refuses for pages opened
+# from a disk.
 html_show_search_summary = False
 html_sidebars = {"index": [], "start": [], "install": [], "reports": []}
 html_context = {"default_mode": "auto"}

@@ -1,4 +1,7 @@
-"""What the documentation adds to Sphinx: API pages, equations as MathML and links to them, the list of reports, a policy."""
+"""
+What the documentation adds to Sphinx: API pages, equations as MathML and links to them, the list of
+reports, a policy.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +65,9 @@ def _described(module: str, name: str) -> str:
 
 
 def api_pages(only: str = "") -> dict[str, str]:
-    """Return the sources of the API: a page for each name of ``trustlab``, one for each room, and the page above them.
+    """
+    Return the sources of the API: a page for each name of ``trustlab``, one for each room, and the
+    page above them.
 
     `only` is a regular expression that names are chosen by, for tests that need few pages.
     """
@@ -77,7 +82,9 @@ def api_pages(only: str = "") -> dict[str, str]:
         listed = "".join(f"   trustlab.{name}\n" for name in own)
         page = f"{module}\n{'=' * len(module)}\n\n.. automodule:: {module}\n   :no-members:\n\n"
         if own:
-            page += f"As ``tl.…``\n-------------\n\n.. autosummary::\n   :nosignatures:\n\n{listed}\n"
+            page += (
+                f"As ``tl.…``\n-------------\n\n.. autosummary::\n   :nosignatures:\n\n{listed}\n"
+            )
             page += ".. toctree::\n   :hidden:\n\n" + "".join(f"   {name}\n" for name in own) + "\n"
         if more and not only:
             described = "\n".join(_described(module, name) for name in more)
@@ -85,9 +92,12 @@ def api_pages(only: str = "") -> dict[str, str]:
         pages[f"room_{room}"] = page
     lines = [f"   room_{room}\n" for room in rooms]
     pages["index"] = (
-        "API\n===\n\nEvery public name, from its docstring: what it does, its equations by number, arguments with shapes and\n"
-        "units, errors, and an example that runs in ``make test``. After ``import trustlab as tl`` the names of the\n"
-        "first list of each room are ``tl.name``; those of the second are imported from the room. A room imports only\n"
+        "API\n===\n\nEvery public name, from its docstring: what it does, its equations by "
+        "number, arguments with shapes and\n"
+        "units, errors, and an example that runs in ``make test``. After ``import trustlab as "
+        "tl`` the names of the\n"
+        "first list of each room are ``tl.name``; those of the second are imported from the "
+        "room. A room imports only\n"
         "from rooms above it.\n\n"
         + ".. autosummary::\n\n"
         + "".join(f"   trustlab.{room}\n" for room in rooms)
@@ -100,7 +110,9 @@ def api_pages(only: str = "") -> dict[str, str]:
 def _room(name: str) -> str:
     """Return the room that a name of ``trustlab`` comes from."""
     rooms = [room for room in ROOMS if room in trustlab.__all__]
-    return next(room for room in rooms if name in importlib.import_module(f"trustlab.{room}").__all__)
+    return next(
+        room for room in rooms if name in importlib.import_module(f"trustlab.{room}").__all__
+    )
 
 
 def write_api(app: Sphinx) -> None:
@@ -118,11 +130,19 @@ def write_api(app: Sphinx) -> None:
 
 
 def known_name(role, rawtext: str, text: str, lineno: int, inliner, options=None, content=()):
-    """Link a name in single backticks to its page where it is one of the API's, and else show it as code."""
+    """
+    Link a name in single backticks to its page where it is one of the API's, and else show it as
+    code.
+    """
     name = text.removeprefix("trustlab.").removeprefix("tl.").removesuffix("()")
     if name not in trustlab.__all__ and not text.startswith("trustlab."):
         return [nodes.literal(rawtext, text)], []
-    target = {"refdomain": "py", "reftype": "obj", "reftarget": f"trustlab.{name}", "refexplicit": True}
+    target = {
+        "refdomain": "py",
+        "reftype": "obj",
+        "reftarget": f"trustlab.{name}",
+        "refexplicit": True,
+    }
     link = addnodes.pending_xref(rawtext, nodes.literal(rawtext, text), refwarn=False, **target)
     link["refdoc"] = inliner.document.settings.env.docname
     return [link], []
@@ -137,7 +157,10 @@ def equation_id(number: str) -> str:
 
 
 class Equation(SphinxDirective):
-    """``{equation} 2.3 2.5`` shows equations of ``data/published/equations.toml``, each with an anchor and what computes it."""
+    """
+    ``{equation} 2.3 2.5`` shows equations of ``data/published/equations.toml``, each with an anchor
+    and what computes it.
+    """
 
     required_arguments = 1
     final_argument_whitespace = True
@@ -151,12 +174,21 @@ class Equation(SphinxDirective):
         entry = EQUATIONS[number]
         block = nodes.container(classes=["equation"], ids=[equation_id(number)])
         block += nodes.inline(text=f"({number})", classes=["equation-number"])
-        block += nodes.math_block(entry["latex"], entry["latex"], nowrap=False, number=None, label=None)
+        block += nodes.math_block(
+            entry["latex"], entry["latex"], nowrap=False, number=None, label=None
+        )
         words = nodes.paragraph("", entry["says"] + " ", classes=["equation-says"])
         if "computed_by" in entry:
             name = entry["computed_by"]
-            target = {"refdomain": "py", "reftype": "obj", "reftarget": f"trustlab.{name}", "refexplicit": True}
-            words += addnodes.pending_xref("", nodes.literal("", name), refwarn=True, refdoc=self.env.docname, **target)
+            target = {
+                "refdomain": "py",
+                "reftype": "obj",
+                "reftarget": f"trustlab.{name}",
+                "refexplicit": True,
+            }
+            words += addnodes.pending_xref(
+                "", nodes.literal("", name), refwarn=True, refdoc=self.env.docname, **target
+            )
         block += words
         if "differs" in entry:
             said = nodes.strong("", "Not as printed: "), nodes.Text(entry["differs"])
@@ -171,7 +203,10 @@ def visit_formula(translator, node: nodes.math) -> None:
 
 
 def visit_equation(translator, node: nodes.math_block) -> None:
-    """Write a formula on a line of its own, broken between its equations where the page is narrow; a wide equation scrolls."""
+    """
+    Write a formula on a line of its own, broken between its equations where the page is narrow; a
+    wide equation scrolls.
+    """
     equations = BETWEEN_EQUATIONS.split(node.astext())
     written = "".join(f"<span>{to_mathml(one, display=True)}</span>" for one in equations)
     translator.body.append(f'<div class="formula" tabindex="0">{written}</div>')
@@ -190,7 +225,11 @@ def link_equations(app: Sphinx, doctree: nodes.document, docname: str) -> None:
         new: list[nodes.Node] = []
         for number, words in zip(["", *parts[1::2]], parts[::2], strict=True):
             if number in EQUATIONS:
-                new += [nodes.reference("", f"({number})", refuri=f"{page}#{equation_id(number)}", internal=True)]
+                new += [
+                    nodes.reference(
+                        "", f"({number})", refuri=f"{page}#{equation_id(number)}", internal=True
+                    )
+                ]
             elif number:
                 words = f"({number}){words}"
             new += [nodes.Text(words)] if words else []
@@ -199,7 +238,15 @@ def link_equations(app: Sphinx, doctree: nodes.document, docname: str) -> None:
 
 
 def _is_literal(node: nodes.Node) -> bool:
-    kinds = (nodes.literal, nodes.literal_block, nodes.reference, nodes.title, nodes.math, nodes.math_block, nodes.raw)
+    kinds = (
+        nodes.literal,
+        nodes.literal_block,
+        nodes.reference,
+        nodes.title,
+        nodes.math,
+        nodes.math_block,
+        nodes.raw,
+    )
     parent = node.parent
     while parent is not None:
         if isinstance(parent, kinds):
@@ -212,7 +259,10 @@ def _is_literal(node: nodes.Node) -> bool:
 
 
 class Reports(SphinxDirective):
-    """``{reports}`` lists the notebooks with their first sentences, linked to the pages that `make reports` writes."""
+    """
+    ``{reports}`` lists the notebooks with their first sentences, linked to the pages that `make
+    reports` writes.
+    """
 
     def run(self) -> list[nodes.Node]:
         """Return a list with an entry for each notebook."""
@@ -221,7 +271,9 @@ class Reports(SphinxDirective):
             self.env.note_dependency(str(path))
             first = "".join(json.loads(path.read_text(encoding="utf-8"))["cells"][0]["source"])
             title, _, rest = first.partition("\n")
-            link = nodes.reference("", title.lstrip("# "), refuri=f"../{path.stem}.html", internal=True)
+            link = nodes.reference(
+                "", title.lstrip("# "), refuri=f"../{path.stem}.html", internal=True
+            )
             words, _ = self.state.inline_text(" ".join(rest.split("\n\n")[0].split()), self.lineno)
             item = nodes.definition_list_item("", nodes.term("", "", link))
             item += nodes.definition("", nodes.paragraph("", "", *words))
@@ -229,17 +281,23 @@ class Reports(SphinxDirective):
         return [listed]
 
 
-def set_policy(app: Sphinx, pagename: str, templatename: str, context: dict, doctree: object) -> None:
+def set_policy(
+    app: Sphinx, pagename: str, templatename: str, context: dict, doctree: object
+) -> None:
     """Let a page load nothing but what lies beside it."""
     policy = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
     context["metatags"] = policy + context.get("metatags", "")
 
 
-def name_folds(app: Sphinx, pagename: str, templatename: str, context: dict, doctree: object) -> None:
+def name_folds(
+    app: Sphinx, pagename: str, templatename: str, context: dict, doctree: object
+) -> None:
     """Give what unfolds a branch of the sidebar a name; the theme gives it an arrow."""
     made = context["generate_toctree_html"]
     named = '<summary aria-label="what is below">'
-    context["generate_toctree_html"] = lambda *kind, **how: str(made(*kind, **how)).replace("<summary>", named)
+    context["generate_toctree_html"] = lambda *kind, **how: str(made(*kind, **how)).replace(
+        "<summary>", named
+    )
 
 
 def setup(app: Sphinx) -> dict[str, object]:

@@ -1,4 +1,7 @@
-"""Pictures of a live study's pages, taken from Chromium; the committed ones where there is no Chromium."""
+"""
+Pictures of a live study's pages, taken from Chromium; the committed ones where there is no
+Chromium.
+"""
 
 import shutil
 import tempfile
@@ -20,7 +23,9 @@ def chromium():
         import playwright.sync_api  # noqa: F401
     except ImportError:
         return None
-    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    return next(
+        filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+    )
 
 
 def pictures():
@@ -29,7 +34,8 @@ def pictures():
         return "committed pictures; there is no Chromium here", {
             n: (COMMITTED / f"{n}.png").read_bytes() for n in NAMES
         }
-    # Playwright's synchronous interface wants a thread without a running loop, which a notebook's own has.
+    # Playwright's synchronous interface wants a thread without a running loop, which a notebook's
+    # own has.
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(1) as pool:
@@ -42,7 +48,11 @@ def taken():
 
     options = {"executable_path": chromium(), "args": ["--no-sandbox", "--disable-gpu"]}
     found = {}
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), sync_playwright() as playwright:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        warnings.catch_warnings(),
+        sync_playwright() as playwright,
+    ):
         plan = tl.LiveStudy(Path(folder) / "mystudy", ["C1", "C3"], 2, training=60.0)
         browser = playwright.chromium.launch(**options)
         with StudyServer(plan) as server:

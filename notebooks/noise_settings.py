@@ -1,5 +1,6 @@
 """
-Coverage of 95 % intervals: ten kinds of noise that logs have, and means over windows; sessions of known truth.
+Coverage of 95 % intervals: ten kinds of noise that logs have, and means over windows; sessions of
+known truth.
 
 `data/coverage/make_coverage.py` fits many sessions of each, notebook 01 shows what came of it.
 """
@@ -23,13 +24,20 @@ PHASES = (6000, 4000, 3000, 2000, 1500, 2000, 1000, 500)  # samples, manual and 
 
 
 def clean(step: float = 0.1, late: float = 0.0) -> pd.DataFrame:
-    """Return the pilot operator at the model's 10 Hz: mode (acting `late` [s] after its stamp), P_r and P_h."""
+    """
+    Return the pilot operator at the model's 10 Hz: mode (acting `late` [s] after its stamp), P_r
+    and P_h.
+    """
     mode = np.concatenate([np.full(size, float(i % 2 == 0)) for i, size in enumerate(PHASES)])
     shift = round(late / step)
     acting = np.roll(mode, shift)
     if shift:
         acting[slice(0, shift) if shift > 0 else slice(shift, None)] = mode[0 if shift > 0 else -1]
-    frame = tl.published_models()["pilot"].simulate(acting, r0=0.3, p_r0=0.3)[["mode", "p_r", "p_h"]].copy()
+    frame = (
+        tl.published_models()["pilot"]
+        .simulate(acting, r0=0.3, p_r0=0.3)[["mode", "p_r", "p_h"]]
+        .copy()
+    )
     return frame.assign(mode=mode).set_axis(pd.Index(step * np.arange(mode.size), name="t"))
 
 
@@ -53,14 +61,25 @@ def white(rng, frame=None, columns=("p_r", "p_h"), draw=None):
 def correlated(rng):
     """Add noise that is correlated over 50 s, half as large as the white noise."""
     frame = white(rng)
-    return frame.assign(**{name: frame[name] + ar1(rng, len(frame), 50.0, 0.5 * NOISE) for name in ("p_r", "p_h")})
+    return frame.assign(
+        **{name: frame[name] + ar1(rng, len(frame), 50.0, 0.5 * NOISE) for name in ("p_r", "p_h")}
+    )
 
 
 def process(rng):
-    """Disturb the robot's performance at every step (its steady deviation is half the white noise) and the utilization."""
+    """
+    Disturb the robot's performance at every step (its steady deviation is half the white noise) and
+    the utilization.
+    """
     model, frame = tl.published_models()["pilot"], clean()
-    mode, r, p_r, rows = frame["mode"].to_numpy(), 0.3, 0.3, []
-    drive = rng.standard_normal((len(frame), 2)) * [2e-4, 0.5 * NOISE * np.sqrt(1.0 - model.robot.a**2)]
+    mode = frame["mode"].to_numpy()
+    r = 0.3
+    p_r = 0.3
+    rows = []
+    drive = rng.standard_normal((len(frame), 2)) * [
+        2e-4,
+        0.5 * NOISE * np.sqrt(1.0 - model.robot.a**2),
+    ]
     for k, manual in enumerate(mode):
         p_h = float(model.human.performance(r))
         rows.append((p_r, p_h))
@@ -77,7 +96,9 @@ def quantised(rng):
 
 
 def one_hertz(rng):
-    """Log every tenth sample of a model that steps at 10 Hz, beginning anywhere within the second."""
+    """
+    Log every tenth sample of a model that steps at 10 Hz, beginning anywhere within the second.
+    """
     frame = white(rng).iloc[int(rng.integers(10)) :: 10]
     return frame.set_axis(pd.Index(np.arange(len(frame), dtype=float), name="t"))
 
@@ -85,7 +106,9 @@ def one_hertz(rng):
 def dropouts(rng):
     """Set 2 % of the samples of either performance to 0."""
     frame = white(rng)
-    return frame.assign(**{name: frame[name].where(rng.random(len(frame)) > 0.02, 0.0) for name in ("p_r", "p_h")})
+    return frame.assign(
+        **{name: frame[name].where(rng.random(len(frame)) > 0.02, 0.0) for name in ("p_r", "p_h")}
+    )
 
 
 def jitter(rng):
@@ -100,17 +123,27 @@ def jitter(rng):
 
 
 def logged_jitter(rng):
-    """Sample within ± 40 ms of the nominal time and log when: reading such a log takes a rule for resampling."""
+    """
+    Sample within ± 40 ms of the nominal time and log when: reading such a log takes a rule for
+    resampling.
+    """
     frame = jitter(rng)
     frame = frame.set_axis(pd.Index(frame.attrs.pop("sampled_at"), name="t"))
-    return tl.read_frame(frame, resample="nearest", sample_time=0.1).with_metadata(performance_window=0.0)
+    return tl.read_frame(frame, resample="nearest", sample_time=0.1).with_metadata(
+        performance_window=0.0
+    )
 
 
 def closed_loop(rng, lower=0.05, upper=0.35, size=20_000):
-    """Return mode, P_r and P_h of the pilot operator under (2.8), which acts on noisy performances."""
+    """
+    Return mode, P_r and P_h of the pilot operator under (2.8), which acts on noisy performances.
+    """
     model = tl.published_models()["pilot"]
     human, robot = model.human, model.robot
-    r, p_r, mode, rows = 0.3, 0.3, 1.0, []
+    r = 0.3
+    p_r = 0.3
+    mode = 1.0
+    rows = []
     for noise in NOISE * rng.standard_normal((size, 2)):
         bell = (r / human.beta) ** human.beta * ((1 - r) / (1 - human.beta)) ** (1 - human.beta)
         p_h = (human.p_max - human.p_min) * bell + human.p_min
@@ -123,7 +156,10 @@ def closed_loop(rng, lower=0.05, upper=0.35, size=20_000):
 
 
 def windowed(rng, window, loop="open", where="before", noise=NOISE):
-    """Return a session whose performances are means over a window [s], with white noise before averaging or on the means."""
+    """
+    Return a session whose performances are means over a window [s], with white noise before
+    averaging or on the means.
+    """
     if loop == "closed":
         mode, p_r, p_h = closed_loop(rng)
     else:
@@ -133,7 +169,9 @@ def windowed(rng, window, loop="open", where="before", noise=NOISE):
     columns = {"mode": mode}
     for name, values in (("p_r", p_r), ("p_h", p_h)):
         error = noise * rng.standard_normal(values.size)
-        columns[name] = window_mean(values + error * (where == "before"), 0.1, window) + error * (where == "after")
+        columns[name] = window_mean(values + error * (where == "before"), 0.1, window) + error * (
+            where == "after"
+        )
     frame = pd.DataFrame(columns, index=pd.Index(0.1 * np.arange(mode.size), name="t"))
     return tl.Session(frame, tl.Metadata(synthetic=True, more={"performance_window": window}))
 
@@ -149,9 +187,15 @@ SETTINGS: dict[str, tuple[Callable, dict]] = {
     "dropouts to 0": (dropouts, {}),
     "jitter of 40 ms": (logged_jitter, {}),
     "jitter that the log hides": (jitter, {"mode_delay": True, "stamp_error": 0.05}),
-    "heavy tails": (lambda rng: white(rng, draw=lambda size: rng.standard_t(3.0, size) / np.sqrt(3.0)), {}),
+    "heavy tails": (
+        lambda rng: white(rng, draw=lambda size: rng.standard_t(3.0, size) / np.sqrt(3.0)),
+        {},
+    ),
 }
-"""How a session is made from a random generator, and the options that a fit of it takes in the column "with options"."""
+"""
+How a session is made from a random generator, and the options that a fit of it takes in the column
+"with options".
+"""
 
 WINDOWS = {
     f"{window:g} s, {loop} loop, noise {where} averaging": (window, loop, where)
@@ -162,13 +206,23 @@ WINDOWS = {
 """Arguments of `windowed`; noise after averaging is noise on the means."""
 
 WAYS = ("before", "default", "options")
-TRUTH = ("human_a", "human_beta", "human_p_min", "human_p_max", "robot_a", "robot_p_min", "robot_p_max")
+TRUTH = (
+    "human_a",
+    "human_beta",
+    "human_p_min",
+    "human_p_max",
+    "robot_a",
+    "robot_p_min",
+    "robot_p_max",
+)
 
 
 def truth() -> pd.Series:
     """Return the pilot's parameters by the names of `fit_tsc`."""
     model = tl.published_models()["pilot"]
-    return pd.Series({name: getattr(getattr(model, name.split("_")[0]), name.split("_", 1)[1]) for name in TRUTH})
+    return pd.Series(
+        {name: getattr(getattr(model, name.split("_")[0]), name.split("_", 1)[1]) for name in TRUTH}
+    )
 
 
 def session_and_options(setting: str, seed: np.random.SeedSequence) -> tuple[tl.Session, dict]:
@@ -179,13 +233,17 @@ def session_and_options(setting: str, seed: np.random.SeedSequence) -> tuple[tl.
     make, options = SETTINGS[setting]
     made = make(rng)
     if not isinstance(made, tl.Session):
-        # As a lab's log is read: no one says that it is simulated, so that its stamps are as exact as its sample time.
+        # As a lab's log is read: no one says that it is simulated, so that its stamps are as exact
+        # as its sample time.
         made = tl.Session(made, tl.Metadata(more={"performance_window": 0.0}))
     return made, options
 
 
 def before(session: tl.Session) -> tuple[bool, pd.DataFrame]:
-    """Fit without windows, outliers and diagnosis but of weak parameters, with errors that allow for autocorrelation."""
+    """
+    Fit without windows, outliers and diagnosis but of weak parameters, with errors that allow for
+    autocorrelation.
+    """
     runs = read_runs(session, "mode", "p_h", "p_r", how=HowLogged(window=0.0, stamp_error=0.0))
     found = estimate_runs(TSC, runs, TSC.limits(), "hac", robust=False)
     table = found_table(found)[0]
@@ -201,12 +259,15 @@ def now(session: tl.Session, **options) -> tuple[bool, pd.DataFrame]:
 
 def covers(seed: np.random.SeedSequence, setting: str) -> dict[str, float]:
     """
-    Return for each way of fitting its success, its intervals' half-width and the parameters' errors, in standard errors.
+    Return for each way of fitting its success, its intervals' half-width and the parameters'
+    errors, in standard errors.
 
     A task of a campaign; NaN where a fit is refused, or the setting has no options.
     """
     session, options = session_and_options(setting, seed)
-    ways = {"before": before, "default": now} | ({"options": partial(now, **options)} if options else {})
+    ways = {"before": before, "default": now} | (
+        {"options": partial(now, **options)} if options else {}
+    )
     row = {f"{way} {what}": np.nan for way in WAYS for what in ("success", "half", *TRUTH)}
     for way, fit in ways.items():
         expected = truth()
@@ -221,12 +282,17 @@ def covers(seed: np.random.SeedSequence, setting: str) -> dict[str, float]:
         table = table.loc[list(TRUTH)]
         z = (table["value"] - expected) / table["stderr"]
         half = ((table["ci_high"] - table["value"]) / table["stderr"]).max()
-        row |= {f"{way} success": float(success), f"{way} half": half} | {f"{way} {name}": z[name] for name in TRUTH}
+        row |= {f"{way} success": float(success), f"{way} half": half} | {
+            f"{way} {name}": z[name] for name in TRUTH
+        }
     return row
 
 
 def by_parameter(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return per setting, way and parameter: fits, successes, and of these the intervals' coverage and the bias in standard errors."""
+    """
+    Return per setting, way and parameter: fits, successes, and of these the intervals' coverage and
+    the bias in standard errors.
+    """
     table = []
     for setting, fits in rows.groupby("setting", sort=False):
         for way in WAYS:
@@ -236,14 +302,22 @@ def by_parameter(rows: pd.DataFrame) -> pd.DataFrame:
                 fits[f"{way} success"].count(),
             )
             inside = z.abs().le(good[f"{way} half"], axis=0)
-            columns = {"fits": counts, "successes": len(good), "coverage": inside.mean(), "bias": z.mean()}
+            columns = {
+                "fits": counts,
+                "successes": len(good),
+                "coverage": inside.mean(),
+                "bias": z.mean(),
+            }
             table.append(pd.DataFrame({"setting": setting, "way": way} | columns, index=z.columns))
     whole = pd.concat(table).rename_axis("parameter").reset_index()
     return whole[whole["fits"] > 0]
 
 
 def summary(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return per setting and way the share of successes, and of these the mean and least coverage and the greatest bias."""
+    """
+    Return per setting and way the share of successes, and of these the mean and least coverage and
+    the greatest bias.
+    """
     groups = by_parameter(rows).groupby(["setting", "way"], sort=False)
     columns = {
         "fits": groups["fits"].first(),
@@ -256,21 +330,32 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def not_met(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return which parameters fits that report success cover in fewer than 90 %, or, of windows, are biased by 0.3 sd; and if by chance."""
+    """
+    Return which parameters fits that report success cover in fewer than 90 %, or, of windows, are
+    biased by 0.3 sd; and if by chance.
+    """
     table = by_parameter(rows)
     # A tenth of the fits is chance where the others say that their intervals cannot be trusted.
     table = table[(table["way"] != "before") & (table["successes"] > 0.1 * table["fits"])]
     short = 0.9 - table["coverage"]
     biased = table["setting"].isin(WINDOWS) * (table["bias"].abs() - 0.3)
     # Two standard deviations: of a share of 90 %, and of the mean of errors with variance one.
-    chance = (short < 0.6 / np.sqrt(table["successes"])) & (biased < 2.0 / np.sqrt(table["successes"]))
+    chance = (short < 0.6 / np.sqrt(table["successes"])) & (
+        biased < 2.0 / np.sqrt(table["successes"])
+    )
     return table.assign(chance=chance)[(short > 1e-9) | (biased > 0.0)]
 
 
 def least_half_width(setting: str) -> float:
-    """Return the half-width of an interval of p_min at the Cramér–Rao bound for one session, as a share of p_max − p_min."""
+    """
+    Return the half-width of an interval of p_min at the Cramér–Rao bound for one session, as a
+    share of p_max − p_min.
+    """
     session, _ = session_and_options(setting, np.random.SeedSequence([11, 0]))
-    runs, at = read_runs(session, "mode", "p_h", "p_r"), truth().to_dict() | {"r0": 0.3, "p_r0": 0.3}
+    runs, at = (
+        read_runs(session, "mode", "p_h", "p_r"),
+        truth().to_dict() | {"r0": 0.3, "p_r0": 0.3},
+    )
     problem = Problem(TSC, runs, at, unwindow="before" in setting)
     normal = problem.normal(problem.vector(at))
     error = np.sqrt(np.linalg.inv(normal.matrix).diagonal()[TSC.names.index("human_p_min")])

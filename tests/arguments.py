@@ -1,15 +1,18 @@
 """
 Put one value after another into each argument of a call, and say what came out that should not.
 
-One test walks through all arguments of a call: as thousands of tests, pytest's own work took ten times as long as the calls.
+One test walks through all arguments of a call: as thousands of tests, pytest's own work took ten
+times as long as the calls.
 """
 
 
 def faults(call, good, values, *, never=False, free=()):
     """
-    Return a line for each value that an argument answers with anything but an answer or a clear ValueError.
+    Return a line for each value that an argument answers with anything but an answer or a clear
+    ValueError.
 
-    With `never`, an answer is a fault as well. `free` are pairs of an argument and a type of values that are not tried.
+    With `never`, an answer is a fault as well. `free` are pairs of an argument and a type of values
+    that are not tried.
     """
     found = []
     for argument in good:

@@ -16,27 +16,41 @@ import trustlab as tl
 from trustlab.reproduction import published_models
 
 settings.register_profile(
-    "trustlab", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    "trustlab",
+    derandomize=True,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 settings.load_profile("trustlab")
 
 
 @pytest.hookimpl(optionalhook=True)  # pytest may run without pytest-xdist
 def pytest_xdist_auto_num_workers():
-    """One worker more than cores: tests that drive in real time or wait for what they killed leave a core idle."""
+    """
+    One worker more than cores: tests that drive in real time or wait for what they killed leave a
+    core idle.
+    """
     return (os.cpu_count() or 1) + 1
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups
 def pytest_collection_modifyitems(items):
-    """Drive in browsers one after the other, in one worker, and from the start, as they take the longest."""
+    """
+    Drive in browsers one after the other, in one worker, and from the start, as they take the
+    longest.
+    """
     for item in items:
-        if item.nodeid.startswith("tests/live/") and {"browser", "chromium"} & set(getattr(item, "fixturenames", ())):
+        if item.nodeid.startswith("tests/live/") and {"browser", "chromium"} & set(
+            getattr(item, "fixturenames", ())
+        ):
             item.add_marker(pytest.mark.xdist_group("browser"))
 
 
 def pytest_collection_finish():
-    """Keep what was collected, which lives to the end, out of garbage collection: walking it took a sixth of the time of tests."""
+    """
+    Keep what was collected, which lives to the end, out of garbage collection: walking it took a
+    sixth of the time of tests.
+    """
     gc.collect()
     gc.freeze()
 

@@ -1,4 +1,7 @@
-"""Trust models from logged human-robot sessions: read, identify, compare with the printed numbers, publish."""
+"""
+Trust models from logged human-robot sessions: read, identify, compare with the printed numbers,
+publish.
+"""
 
 import lazy_loader as lazy
 

@@ -1,9 +1,10 @@
 """
-The joint fit the way CasADi's system-identification example goes about it (docs/examples/python/sysid.py, single shooting).
+The joint fit the way CasADi's system-identification example goes about it
+(docs/examples/python/sysid.py, single shooting).
 
-One sample as a Function expanded to scalars, accumulated over all samples; parameters scaled to order one; ½ eᵀe minimised by
-IPOPT with the Gauss–Newton matrix in place of the Hessian; with generated C code if asked for. Same parameters and weights as
-scipy_trust_region.py.
+One sample as a Function expanded to scalars, accumulated over all samples; parameters scaled to
+order one; ½ eᵀe minimised by IPOPT with the Gauss–Newton matrix in place of the Hessian; with
+generated C code if asked for. Same parameters and weights as scipy_trust_region.py.
 """
 
 from __future__ import annotations
@@ -33,18 +34,27 @@ class SingleShooting:
         import casadi as ca
 
         samples, self.scale = mode.size, np.array(scale, dtype=float)
-        r, robot, m, p = ca.MX.sym("r"), ca.MX.sym("p_r"), ca.MX.sym("m"), ca.MX.sym("p", 7)
+        r = ca.MX.sym("r")
+        robot = ca.MX.sym("p_r")
+        m = ca.MX.sym("m")
+        p = ca.MX.sym("p", 7)
         a_h, beta, h_min, h_max, a, p_min, p_max = ca.vertsplit(p)
         inside = ca.fmax(r, 1e-12)
         bell = ca.exp(beta * ca.log(inside / beta) + (1 - beta) * ca.log((1 - inside) / (1 - beta)))
         h = h_min + (h_max - h_min) * bell
-        after = ca.vertcat(a_h * r + (1 - a_h) * m, a * robot + (1 - a) * (p_min + (p_max - p_min) * m * h / h_max))
-        one = ca.Function("one_sample", [ca.vertcat(r, robot), m, p], [after, ca.vertcat(h, robot)]).expand()
+        after = ca.vertcat(
+            a_h * r + (1 - a_h) * m, a * robot + (1 - a) * (p_min + (p_max - p_min) * m * h / h_max)
+        )
+        one = ca.Function(
+            "one_sample", [ca.vertcat(r, robot), m, p], [after, ca.vertcat(h, robot)]
+        ).expand()
         everything = one.mapaccum("all_samples", samples)
 
         x = ca.MX.sym("x", 8)
         theta = x * ca.DM(self.scale)
-        _, out = everything(ca.vertcat(0, theta[7]), ca.DM(mode).T, ca.repmat(theta[:7], 1, samples))
+        _, out = everything(
+            ca.vertcat(0, theta[7]), ca.DM(mode).T, ca.repmat(theta[:7], 1, samples)
+        )
         error = ca.vertcat((out[0, :].T - ca.DM(p_h)) / sd_h, (out[1, :].T - ca.DM(p_r)) / sd_r)
         by_x, sigma = ca.jacobian(error, x), ca.MX.sym("sigma")
         code = {"jit": True, "compiler": "shell"} if compiled else {}

@@ -1,4 +1,7 @@
-"""The correction (2.43)-(2.44) for one given sequence of modes, scaled as every peer gets it: w = c/c_b + s lies in [0, 1]."""
+"""
+The correction (2.43)-(2.44) for one given sequence of modes, scaled as every peer gets it: w =
+c/c_b + s lies in [0, 1].
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,8 @@ def constants(data):
 
 def after(c, r, q, z_u, z_l, w_u, w_l, mode, exp, log):
     """
-    Return the next r, scaled P_r and scaled thresholds, whatever r, q … are: numbers or symbols of a peer.
+    Return the next r, scaled P_r and scaled thresholds, whatever r, q … are: numbers or symbols of
+    a peer.
 
     Parameters
     ----------
@@ -61,7 +65,10 @@ class Turns:
     """
 
     def __init__(self, states, modes, solve):
-        self.states, self.modes, self.solve, self.at = states, modes, solve, 0
+        self.states = states
+        self.modes = modes
+        self.solve = solve
+        self.at = 0
 
     def __call__(self):
         """Solve for the next state and return the inputs, flattened."""

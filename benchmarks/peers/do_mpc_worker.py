@@ -1,4 +1,6 @@
-"""do-mpc on the correction: a discrete model, the mode as a time-varying parameter, IPOPT as it comes."""
+"""
+do-mpc on the correction: a discrete model, the mode as a time-varying parameter, IPOPT as it comes.
+"""
 
 import warnings
 
@@ -24,7 +26,9 @@ def ways(data):
             model.set_rhs(name, value)
         model.setup()
         mpc = do_mpc.controller.MPC(model)
-        mpc.settings.n_horizon, mpc.settings.t_step, mpc.settings.store_full_solution = horizon, 0.1, False
+        mpc.settings.n_horizon = horizon
+        mpc.settings.t_step = 0.1
+        mpc.settings.store_full_solution = False
         mpc.settings.nlpsol_opts = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": 0}
         cost = scale * (x[2] ** 2 + x[3] ** 2)
         mpc.set_objective(mterm=cost, lterm=cost)
@@ -36,7 +40,10 @@ def ways(data):
             for k in range(horizon):
                 template["_tvp", k, "mode"] = now["modes"][k]
                 template["_tvp", k, "scale"] = now["scale"]
-            template["_tvp", horizon, "mode"], template["_tvp", horizon, "scale"] = 0.0, now["scale"]
+            template["_tvp", horizon, "mode"], template["_tvp", horizon, "scale"] = (
+                0.0,
+                now["scale"],
+            )
             return template
 
         mpc.set_tvp_fun(ahead)
@@ -53,12 +60,18 @@ def ways(data):
             if not mpc.solver_stats["success"]:
                 raise RuntimeError(mpc.solver_stats["return_status"])
             return np.array(
-                [[float(v) for v in np.asarray(mpc.opt_x_num["_u", k, 0]).ravel()] for k in range(horizon)]
+                [
+                    [float(v) for v in np.asarray(mpc.opt_x_num["_u", k, 0]).ravel()]
+                    for k in range(horizon)
+                ]
             ).T
 
         return solve
 
-    return {name: Turns(data[f"{name}_states"], data[f"{name}_modes"], controller()) for name in ("saturated", "near")}
+    return {
+        name: Turns(data[f"{name}_states"], data[f"{name}_modes"], controller())
+        for name in ("saturated", "near")
+    }
 
 
 serve("do-mpc", ways)

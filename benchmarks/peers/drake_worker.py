@@ -1,4 +1,7 @@
-"""The teleoperation loop in Drake: a LeafSystem that steps in NumPy, and a linear part of the loop in Drake's own compiled blocks."""
+"""
+The teleoperation loop in Drake: a LeafSystem that steps in NumPy, and a linear part of the loop in
+Drake's own compiled blocks.
+"""
 
 from plain_loop import PlainLoop
 from serve import serve
@@ -7,7 +10,13 @@ from serve import serve
 def ways(data):
     from pydrake.systems.analysis import Simulator
     from pydrake.systems.framework import DiagramBuilder, EventStatus, LeafSystem
-    from pydrake.systems.primitives import Demultiplexer, DiscreteTimeDelay, LinearSystem, LogVectorOutput, Multiplexer
+    from pydrake.systems.primitives import (
+        Demultiplexer,
+        DiscreteTimeDelay,
+        LinearSystem,
+        LogVectorOutput,
+        Multiplexer,
+    )
 
     period, count = float(data["settings"][0]), len(data["reference"])
 
@@ -32,10 +41,15 @@ def ways(data):
         simulator = Simulator(builder.Build())
         simulator.AdvanceTo((samples + 0.5) * period)
         log = logger.FindLog(simulator.get_context())
-        return log.data()[:, 1 : samples + 1].T  # published at a time is what was updated the sample before
+        return log.data()[
+            :, 1 : samples + 1
+        ].T  # published at a time is what was updated the sample before
 
     def linear():
-        """Device, waves, constant delays and vehicle, driven by oscillators: discrete linear systems, no Python in the loop."""
+        """
+        Device, waves, constant delays and vehicle, driven by oscillators: discrete linear systems,
+        no Python in the loop.
+        """
         builder, parts = DiagramBuilder(), {}
         for name in ("source", "master", "slave"):
             matrices = [data[f"{name}_{letter}"] for letter in "abcd"]

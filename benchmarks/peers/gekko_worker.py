@@ -1,4 +1,7 @@
-"""GEKKO on the correction: every step written out, solved on this machine by the IPOPT that comes with it."""
+"""
+GEKKO on the correction: every step written out, solved on this machine by the IPOPT that comes with
+it.
+"""
 
 from correction_problem import Turns, after, constants
 from serve import serve
@@ -40,7 +43,10 @@ def ways(data):
 
         return solve
 
-    return {name: Turns(data[f"{name}_states"], data[f"{name}_modes"], controller()) for name in ("saturated", "near")}
+    return {
+        name: Turns(data[f"{name}_states"], data[f"{name}_modes"], controller())
+        for name in ("saturated", "near")
+    }
 
 
 serve("gekko", ways)

@@ -1,4 +1,7 @@
-"""CasADi's Opti with IPOPT, as its documentation writes multiple shooting; the mode sequence and the state are parameters."""
+"""
+CasADi's Opti with IPOPT, as its documentation writes multiple shooting; the mode sequence and the
+state are parameters.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,11 @@ class OptiShooting:
         opti.subject_to(opti.bounded(0, w, 1))
         opti.minimize(scale * ca.sumsqr(x[2:, 1:]))
         opti.solver("ipopt", {"print_time": False, "expand": True}, {"print_level": 0, "sb": "yes"})
-        self.x, self.w, self.start, self.modes, self.scale = x, w, start, modes, scale
+        self.x = x
+        self.w = w
+        self.start = start
+        self.modes = modes
+        self.scale = scale
         self.last = None
 
     def solve(self, state, modes):

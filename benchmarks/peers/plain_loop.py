@@ -1,4 +1,7 @@
-"""The teleoperation loop (scheme TMIG, ledger read-out, cancelling controller) in plain NumPy: three-vectors, one sample a call."""
+"""
+The teleoperation loop (scheme TMIG, ledger read-out, cancelling controller) in plain NumPy:
+three-vectors, one sample a call.
+"""
 
 from collections import deque
 from math import exp, floor, sqrt
@@ -13,7 +16,8 @@ class PlainLoop:
     Parameters
     ----------
     data : dict of str to numpy.ndarray
-        settings, hand, auto (the numbers of the package's loop, by their names in `names_*`), phi, gamma, and the inputs.
+        settings, hand, auto (the numbers of the package's loop, by their names in `names_*`), phi,
+        gamma, and the inputs.
     """
 
     def __init__(self, data):
@@ -21,7 +25,10 @@ class PlainLoop:
             values = dict(zip(data[f"names_{kind}"].tolist(), data[kind].tolist(), strict=True))
             setattr(self, kind, values)
         self.phi, self.gamma = data["phi"], data["gamma"]
-        self.inputs = {name: data[name] for name in ("reference", "moving", "detected", "delays", "motor", "pushed")}
+        self.inputs = {
+            name: data[name]
+            for name in ("reference", "moving", "detected", "delays", "motor", "pushed")
+        }
         self.restart()
 
     def restart(self):
@@ -30,7 +37,9 @@ class PlainLoop:
         self.x, self.v, self.wish, self.integral = (np.zeros(3) for _ in range(4))
         self.state = np.zeros((3, 3))
         self.state[:, 0] = self.inputs["reference"][0]
-        self.seen, self.left, self.right = [], [], []
+        self.seen = []
+        self.left = []
+        self.right = []
         self.books = [[0, 0.0, -1.0], [0, 0.0, -1.0]]
         self.trust = [0.5, 0.5]
         self.good = deque(maxlen=int(s["window"]))
@@ -75,29 +84,46 @@ class PlainLoop:
         k : int
             The sample; they must come in turn.
         """
-        s, hand, auto, given = self.settings, self.hand, self.auto, self.inputs
-        period, b, weight, gamma = s["sample_time"], s["b"], s["weight"], s["force_scaling"]
-        reference, position, velocity = (given["reference"][k], self.state[:, 0].copy(), self.state[:, 1].copy())
+        s = self.settings
+        hand = self.hand
+        auto = self.auto
+        given = self.inputs
+        period = s["sample_time"]
+        b = s["b"]
+        weight = s["weight"]
+        gamma = s["force_scaling"]
+        reference = given["reference"][k]
+        position = self.state[:, 0].copy()
+        velocity = self.state[:, 1].copy()
         error = reference - position
         self.seen.append(error)
         ideal = given["moving"][k] + error
         steered, late = np.zeros(3), k - int(auto["delay"])
         if late >= 1 and given["detected"][late]:
-            rate = (self.seen[late] - self.seen[late - 1]) / period if given["detected"][late - 1] else np.zeros(3)
+            rate = (
+                (self.seen[late] - self.seen[late - 1]) / period
+                if given["detected"][late - 1]
+                else np.zeros(3)
+            )
             wanted = auto["proportional"] * self.seen[late] + auto["derivative"] * rate
             summed = self.integral + period * self.seen[late]
             free = np.abs(wanted + auto["integral"] * summed) < auto["reach"]
             self.integral = np.where(free, summed, self.integral)
-            steered = np.clip(wanted + auto["integral"] * self.integral, -auto["reach"], auto["reach"])
+            steered = np.clip(
+                wanted + auto["integral"] * self.integral, -auto["reach"], auto["reach"]
+            )
         alpha, beta = (
-            s[f"{name}.high"] - (s[f"{name}.high"] - s[f"{name}.low"]) / (1.0 + exp(-s["steepness"] * (trust - 0.5)))
+            s[f"{name}.high"]
+            - (s[f"{name}.high"] - s[f"{name}.low"]) / (1.0 + exp(-s["steepness"] * (trust - 0.5)))
             for name, trust in zip(("alpha", "beta"), self.trust, strict=True)
         )
         view, wanted = k - int(hand["delay"]), np.zeros(3)
         if view >= 1:
             rate = (self.seen[view] - self.seen[view - 1]) / period
             wanted = np.clip(
-                hand["proportional"] * self.seen[view] + hand["derivative"] * rate, -hand["reach"], hand["reach"]
+                hand["proportional"] * self.seen[view] + hand["derivative"] * rate,
+                -hand["reach"],
+                hand["reach"],
             )
         self.wish = hand["decay"] * self.wish + (1.0 - hand["decay"]) * wanted
         stiff, damp = s["stiffness"] + hand["stiffness"], s["damping"] + hand["damping"]
@@ -109,7 +135,9 @@ class PlainLoop:
         back = sqrt(2.0 * b / s["beta.high"]) * arrived_left
         inertia = 2.0 * s["mass"] / period
         tip = 1.0 + 0.5 * period * weight
-        right = inertia * self.v - stiff * self.x + force - gamma * beta * (b * weight * self.x + back)
+        right = (
+            inertia * self.v - stiff * self.x + force - gamma * beta * (b * weight * self.x + back)
+        )
         middle = right / (inertia + damp + 0.5 * period * stiff + gamma * beta * b * tip)
         halfway = self.x + 0.5 * period * middle
         out = middle + weight * halfway
@@ -117,12 +145,18 @@ class PlainLoop:
         # the robot's port and its passivity controller
         spring = -s["guidance"] * error
         moved = alpha * (sqrt(2.0 * b / s["alpha.high"]) * arrived_right - spring) / b
-        power, square, shrink = float(moved @ spring), float(moved @ moved), 1.0
+        power = float(moved @ spring)
+        square = float(moved @ moved)
+        shrink = 1.0
         if self.robot <= 0.0 and power < 0.0 and square > 0.0:
             gain = square * b / alpha
             shrink = 1.0 - (-power / gain) if power + gain > 0.0 else 0.0
             moved = shrink * moved
-        load = spring if shrink == 1.0 else sqrt(2.0 * b / s["alpha.high"]) * arrived_right - b * moved / alpha
+        load = (
+            spring
+            if shrink == 1.0
+            else sqrt(2.0 * b / s["alpha.high"]) * arrived_right - b * moved / alpha
+        )
         self.left.append(sqrt(s["beta.low"] / (2.0 * b)) * (felt / beta + b * out))
         self.right.append(sqrt(s["alpha.low"] / (2.0 * b)) * (load - b * moved / alpha))
         pressed = force - hand["stiffness"] * halfway - hand["damping"] * middle
@@ -130,7 +164,11 @@ class PlainLoop:
         self.channel += period * float(out @ felt - moved @ load)
         self.robot += period * float(moved @ load)
         spare = s["damping"] - s["mass"] * weight
-        self.lost += period / gamma * float(spare * (middle @ middle) + weight * s["stiffness"] * (halfway @ halfway))
+        self.lost += (
+            period
+            / gamma
+            * float(spare * (middle @ middle) + weight * s["stiffness"] * (halfway @ halfway))
+        )
         asked = moved / alpha
         before = self.x, self.v
         self.x, self.v = self.x + period * middle, 2.0 * middle - self.v
@@ -152,7 +190,20 @@ class PlainLoop:
         performance = [max(total / len(self.good), 0.0) for total in self.sums]
         scales = [alpha, beta, *performance, *self.trust, sqrt(float(error @ error)), shrink]
         energies = [self.work, stored, self.lost, self.channel, self.robot]
-        signals = (reference, position, velocity, *before, out, pressed, felt, moved, load, asked, steered, ideal)
+        signals = (
+            reference,
+            position,
+            velocity,
+            *before,
+            out,
+            pressed,
+            felt,
+            moved,
+            load,
+            asked,
+            steered,
+            ideal,
+        )
         row = np.concatenate([*signals, scales, energies])
         for i, end in enumerate(("hr", "rh")):
             low, high = s[f"trust_{end}.p_min"], s[f"trust_{end}.p_max"]

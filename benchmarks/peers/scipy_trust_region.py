@@ -1,8 +1,10 @@
 """
-The joint fit as one would write it by hand: SciPy's trust-region search with compiled forward sensitivities.
+The joint fit as one would write it by hand: SciPy's trust-region search with compiled forward
+sensitivities.
 
-Parameters, in this order: a, beta, p_min, p_max of (2.5)-(2.6), a, p_min, p_max of (2.3), P_r at the first sample; utilization
-starts at 0. Residuals are divided by the noise's standard deviation of each output.
+Parameters, in this order: a, beta, p_min, p_max of (2.5)-(2.6), a, p_min, p_max of (2.3), P_r at
+the first sample; utilization starts at 0. Residuals are divided by the noise's standard deviation
+of each output.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ def residuals(x, mode, p_h, p_r, sd_h, sd_r, out):
         Filled.
     """
     a_h, beta, h_min, h_max, a, p_min, p_max, now = x
-    n, r, gain = mode.size, 0.0, (1.0 - a) * (p_max - p_min) / h_max
+    n = mode.size
+    r = 0.0
+    gain = (1.0 - a) * (p_max - p_min) / h_max
     for k in range(n):
         bell = 0.0
         if r > 1e-12:
@@ -46,7 +50,8 @@ def residuals(x, mode, p_h, p_r, sd_h, sd_r, out):
 @numba.njit(cache=True)
 def jacobian(x, mode, sd_h, sd_r, out):
     """
-    Fill `out` with the derivatives of the residuals; rows are parameters, so that each is contiguous.
+    Fill `out` with the derivatives of the residuals; rows are parameters, so that each is
+    contiguous.
 
     Parameters
     ----------
@@ -60,8 +65,14 @@ def jacobian(x, mode, sd_h, sd_r, out):
         Filled, but for the zeros of p_h by the robot's parameters.
     """
     a_h, beta, h_min, h_max, a, p_min, p_max, now = x
-    n, span, rise, rest = mode.size, h_max - h_min, p_max - p_min, 1.0 - a
-    w_h, w_r, r, r_a = 1.0 / sd_h, 1.0 / sd_r, 0.0, 0.0
+    n = mode.size
+    span = h_max - h_min
+    rise = p_max - p_min
+    rest = 1.0 - a
+    w_h = 1.0 / sd_h
+    w_r = 1.0 / sd_r
+    r = 0.0
+    r_a = 0.0
     d0 = d1 = d2 = d3 = d4 = d5 = d6 = 0.0
     d7 = 1.0
     for k in range(n):
@@ -73,9 +84,18 @@ def jacobian(x, mode, sd_h, sd_r, out):
             by_a = span * bell * (beta / r - (1.0 - beta) / (1.0 - r)) * r_a
             by_beta = span * bell * (log_r - log_q)
         h = h_min + span * bell
-        out[0, k], out[1, k], out[2, k], out[3, k] = w_h * by_a, w_h * by_beta, w_h * (1.0 - bell), w_h * bell
-        out[0, n + k], out[1, n + k], out[2, n + k], out[3, n + k] = w_r * d0, w_r * d1, w_r * d2, w_r * d3
-        out[4, n + k], out[5, n + k], out[6, n + k], out[7, n + k] = w_r * d4, w_r * d5, w_r * d6, w_r * d7
+        out[0, k] = w_h * by_a
+        out[1, k] = w_h * by_beta
+        out[2, k] = w_h * (1.0 - bell)
+        out[3, k] = w_h * bell
+        out[0, n + k] = w_r * d0
+        out[1, n + k] = w_r * d1
+        out[2, n + k] = w_r * d2
+        out[3, n + k] = w_r * d3
+        out[4, n + k] = w_r * d4
+        out[5, n + k] = w_r * d5
+        out[6, n + k] = w_r * d6
+        out[7, n + k] = w_r * d7
         into, share = rest * rise / h_max * m, m * h / h_max
         d0 = a * d0 + into * by_a
         d1 = a * d1 + into * by_beta

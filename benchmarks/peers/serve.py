@@ -17,7 +17,8 @@ def serve(package, ways):
     package : str
         Name of the distribution, for its version.
     ways : callable
-        Takes the loaded arrays and returns named fits: callables without arguments that return lists of numbers.
+        Takes the loaded arrays and returns named fits: callables without arguments that return
+        lists of numbers.
     """
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what the peer prints must not end up among the answers
@@ -45,7 +46,8 @@ def serve(package, ways):
 
 def seconds_per_call(call, calls):
     """
-    Return the mean time of consecutive calls, garbage collection held off, as benchmarks.timing does.
+    Return the mean time of consecutive calls, garbage collection held off, as benchmarks.timing
+    does.
 
     Parameters
     ----------

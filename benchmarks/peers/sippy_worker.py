@@ -1,4 +1,7 @@
-"""SIPPY's ARX: y(k) + a y(k−1) = b u(k−1), on data whose means were removed beforehand (it estimates no constant)."""
+"""
+SIPPY's ARX: y(k) + a y(k−1) = b u(k−1), on data whose means were removed beforehand (it estimates
+no constant).
+"""
 
 from serve import serve
 

@@ -1,8 +1,10 @@
 """
-SysIdentPy's y(k) = c + a y(k−1) + b u(k−1), in its two ways: FROLS, which its guide uses, and a given structure.
+SysIdentPy's y(k) = c + a y(k−1) + b u(k−1), in its two ways: FROLS, which its guide uses, and a
+given structure.
 
-FROLS (without order selection) also ranks the three regressors. SimulateNARMAX with estimate_parameter=True is its way to fit a
-structure that is known; it must simulate something as well, so it gets three samples.
+FROLS (without order selection) also ranks the three regressors. SimulateNARMAX with
+estimate_parameter=True is its way to fit a structure that is known; it must simulate something as
+well, so it gets three samples.
 """
 
 from serve import serve
@@ -31,12 +33,18 @@ def ways(data):
             estimator=LeastSquares(),
         )
         model.fit(X=u, y=y)
-        found = dict(zip(model.final_model[:, 0].tolist(), model.theta.ravel().tolist(), strict=True))
+        found = dict(
+            zip(model.final_model[:, 0].tolist(), model.theta.ravel().tolist(), strict=True)
+        )
         return [found[code] for code in structure[:, 0].tolist()]
 
     def known_structure():
-        fit = SimulateNARMAX(basis_function=Polynomial(degree=1), estimator=LeastSquares(), estimate_parameter=True)
-        fit.simulate(X_train=u, y_train=y, X_test=u[:3], y_test=y[:3], model_code=structure, steps_ahead=1)
+        fit = SimulateNARMAX(
+            basis_function=Polynomial(degree=1), estimator=LeastSquares(), estimate_parameter=True
+        )
+        fit.simulate(
+            X_train=u, y_train=y, X_test=u[:3], y_test=y[:3], model_code=structure, steps_ahead=1
+        )
         return fit.theta.ravel()
 
     return {"frols": frols, "known structure": known_structure}

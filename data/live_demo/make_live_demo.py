@@ -1,7 +1,9 @@
 """
-Measure a live study on this machine, and take pictures of its pages: what notebook 11 shows where it cannot do so itself.
+Measure a live study on this machine, and take pictures of its pages: what notebook 11 shows where
+it cannot do so itself.
 
-    .venv/bin/python data/live_demo/make_live_demo.py        # five minutes; needs Chromium and an otherwise idle machine
+    .venv/bin/python data/live_demo/make_live_demo.py        # five minutes; needs Chromium and an
+    otherwise idle machine
 
 Scripted hands drive and scripted participants send rows; no person takes part.
 """
@@ -29,7 +31,13 @@ def figures():
         waits = np.array(found["waits_ms"])
         case = f"{PEOPLE} scripted participants without a browser"
         yield case, "row on disk and acknowledged, median", np.median(waits), "ms", ""
-        yield case, "row on disk and acknowledged, 99th percentile", np.percentile(waits, 99), "ms", "≤ 50"
+        yield (
+            case,
+            "row on disk and acknowledged, 99th percentile",
+            np.percentile(waits, 99),
+            "ms",
+            "≤ 50",
+        )
         yield case, "rows lost", found["lost"], "", "0"
         yield case, "memory of the server", found["memory_mb"], "MB", ""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
@@ -61,7 +69,15 @@ def main():
         table = csv.writer(file, lineterminator="\n")
         table.writerow(["case", "figure", "value", "unit", "goal", "load", "cores"])
         for case, figure, value, unit, goal in figures():
-            row = [case, figure, f"{value:.4g}", unit, goal, f"{os.getloadavg()[0]:.1f}", os.cpu_count()]
+            row = [
+                case,
+                figure,
+                f"{value:.4g}",
+                unit,
+                goal,
+                f"{os.getloadavg()[0]:.1f}",
+                os.cpu_count(),
+            ]
             table.writerow(row)
             file.flush()
             print(*row, sep=" | ", flush=True)

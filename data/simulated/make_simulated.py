@@ -1,7 +1,8 @@
 """
 Write the simulations that the reports only read, as they take minutes: `make simulated`.
 
-The reports simulate a sample of every table again and compare. `make_simulated.py guidance` makes one of them.
+The reports simulate a sample of every table again and compare. `make_simulated.py guidance` makes
+one of them.
 """
 
 import json
@@ -26,20 +27,38 @@ def adjustments() -> pd.DataFrame:
 
 
 def failures() -> pd.DataFrame:
-    """How often random parameter sets violate the printed bounds, and those of `invariant_bounds` (report 03)."""
+    """
+    How often random parameter sets violate the printed bounds, and those of `invariant_bounds`
+    (report 03).
+    """
     return bound_failures(20_000, SEED, invariant=2_000).reset_index()
 
 
 def guidance() -> pd.DataFrame:
     """Simulated operators of the main study in every scheme under every guidance (report 07)."""
-    wanted = ["guidance", "scheme", "participant", "tracking_error", "guidance_felt", "energy_target"]
+    wanted = [
+        "guidance",
+        "scheme",
+        "participant",
+        "tracking_error",
+        "guidance_felt",
+        "energy_target",
+    ]
     return compare_guidance(30, seed=SEED).runs[[*wanted, "energy_port_min", "guarded"]]
 
 
 def checks() -> pd.DataFrame:
-    """Printed effects beside 40 studies of each testbed simulated under the posterior (report 10); needs `make calibration`."""
-    found = {name: read_calibration(name, HERE.parent / "calibration") for name in ("ground_robot", "uav")}
-    tables = {name: one.within_reach().checks(40, seed=SEED + 1, n_jobs=2) for name, one in found.items()}
+    """
+    Printed effects beside 40 studies of each testbed simulated under the posterior (report 10);
+    needs `make calibration`.
+    """
+    found = {
+        name: read_calibration(name, HERE.parent / "calibration")
+        for name in ("ground_robot", "uav")
+    }
+    tables = {
+        name: one.within_reach().checks(40, seed=SEED + 1, n_jobs=2) for name, one in found.items()
+    }
     return pd.concat(tables, names=["study"]).reset_index("study")
 
 
@@ -60,4 +79,6 @@ if __name__ == "__main__":
                 "origin": make.__doc__.strip(),
                 "source_digest": _digest(Path(tl.__file__).parent / source),
             }
-            (HERE / f"{make.__name__}.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+            (HERE / f"{make.__name__}.json").write_text(
+                json.dumps(about, indent=1) + "\n", encoding="utf-8"
+            )

@@ -17,11 +17,17 @@ def identification() -> None:
     robot, human = tl.fit_robot(session), tl.fit_human(session)
     figure, axes = plt.subplots(2, 1, sharex=True, figsize=(9, 4.4), layout="constrained")
     for axis, fit, name, label in zip(
-        axes, (robot, human), ("p_r", "p_h"), ("robot performance $P_r$", "human performance $P_h$"), strict=True
+        axes,
+        (robot, human),
+        ("p_r", "p_h"),
+        ("robot performance $P_r$", "human performance $P_h$"),
+        strict=True,
     ):
         run = fit.runs[0]
         axis.plot(run.t, run.measured[name], lw=0.5, color="0.65", label="measured (synthetic)")
-        axis.plot(run.t, run.fitted[name], lw=1.8, color="C1", label=f"fitted, {fit.fit_percent:.1f} %")
+        axis.plot(
+            run.t, run.fitted[name], lw=1.8, color="C1", label=f"fitted, {fit.fit_percent:.1f} %"
+        )
         shade_manual(axis, run.t, run.mode)
         axis.set_ylabel(label)
         axis.legend(loc="upper center", fontsize="small")
@@ -47,7 +53,9 @@ def chain() -> None:
         box = {"boxstyle": "round,pad=0.5", "facecolor": "white", "edgecolor": "C0"}
         axis.text(i, 0.62, title, ha="center", va="center", weight="bold", bbox=box)
         axis.text(i, 0.30, what, ha="center", va="center", fontsize="small")
-        axis.text(i, 0.04, rooms, ha="center", va="center", fontsize="small", style="italic", color="0.4")
+        axis.text(
+            i, 0.04, rooms, ha="center", va="center", fontsize="small", style="italic", color="0.4"
+        )
         if i:
             arrow = {"arrowstyle": "->", "color": "0.4"}
             axis.annotate("", (i - 0.36, 0.62), (i - 0.64, 0.62), arrowprops=arrow)

@@ -1,4 +1,7 @@
-"""Appendix A: cost against an independent integration of its printed equations, minimum against a fine grid and CasADi."""
+"""
+Appendix A: cost against an independent integration of its printed equations, minimum against a fine
+grid and CasADi.
+"""
 
 import numpy as np
 import pytest
@@ -26,7 +29,9 @@ def printed_cost(alpha, u_h, u_a, e, rate, acceleration):
         d[3] = 0.5 * x[9] + 0.02 * x[12]
         d[4] = 0.5 * x[10] + 0.02 * x[13]
         d[5] = 1.5 * x[11]
-        d[6], d[7], d[8] = x[9], x[10], x[11]
+        d[6] = x[9]
+        d[7] = x[10]
+        d[8] = x[11]
         d[9], d[10] = x[12], x[13]
         d[11] = -0.495 * x[11] - 0.985 * (x[2] * u + x[5] * (1 - u))
         d[12] = -1.473 * x[12] - 0.2214 * x[9] - 9.22 * (x[0] * u + x[3] * (1 - u))
@@ -79,7 +84,10 @@ def test_casadi_agrees_with_the_fast_form_when_nothing_is_gained_by_changing():
 def test_the_better_command_gets_the_authority():
     # an error to the right: the controller steers towards it, the operator away, and the reverse
     e, right = np.array([2.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
-    against = [OptimalBlending(error_weight=w).step(-right, right, e, ZERO, ZERO).alpha for w in (20.0, 200.0, 2e4)]
+    against = [
+        OptimalBlending(error_weight=w).step(-right, right, e, ZERO, ZERO).alpha
+        for w in (20.0, 200.0, 2e4)
+    ]
     assert 1.0 >= against[0] > against[1] > against[2] == 0.2
     assert OptimalBlending().step(right, -right, e, ZERO, ZERO).alpha == 1.0
 

@@ -7,14 +7,22 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.allocation import bound_failures, simulate_allocation, steady_state_bounds, threshold_limits
+from trustlab.allocation import (
+    bound_failures,
+    simulate_allocation,
+    steady_state_bounds,
+    threshold_limits,
+)
 from trustlab.allocation.bound_failures import RECORDED, SETTLING, TOLERANCE, random_set, steady_run
 
 counting = sys.modules[random_set.__module__]
 
 
 def test_invariant_bounds_are_tested_from_the_return_to_manual_control_on_from_which_they_hold():
-    """Child 306 of seed 5: its bounds hold from the 44th return on, and 12 time constants have 28. Oracle: the whole simulation."""
+    """
+    Child 306 of seed 5: its bounds hold from the 44th return on, and 12 time constants have 28.
+    Oracle: the whole simulation.
+    """
     child = np.random.SeedSequence(5).spawn(307)[306]
     rng = np.random.default_rng(child)
     model, lower, upper = random_set(rng)
@@ -34,23 +42,35 @@ def test_invariant_bounds_are_tested_from_the_return_to_manual_control_on_from_w
 
 def test_steady_motion_is_recorded_for_a_whole_cycle(monkeypatch):
     """
-    Set 4676 of seed 0: a cycle takes 5,380 samples, of which 4,262 in the autonomous mode, and 5 time constants are 3,125.
+    Set 4676 of seed 0: a cycle takes 5,380 samples, of which 4,262 in the autonomous mode, and 5
+    time constants are 3,125.
 
-    Its steps within one phase admit thresholds that those of the whole cycle do not, so that it must not be kept. Oracle:
-    the whole simulation.
+    Its steps within one phase admit thresholds that those of the whole cycle do not, so that it
+    must not be kept. Oracle: the whole simulation.
     """
-    human = tl.HumanModel(0.9886492193942705, 0.9466769667906756, 0.3993461003066844, 0.5474276734119928)
-    model = tl.TscModel(tl.RobotModel(0.9984000689235221, 0.1299401205851406, 0.1937125598919029, human.p_max), human)
+    human = tl.HumanModel(
+        0.9886492193942705, 0.9466769667906756, 0.3993461003066844, 0.5474276734119928
+    )
+    model = tl.TscModel(
+        tl.RobotModel(0.9984000689235221, 0.1299401205851406, 0.1937125598919029, human.p_max),
+        human,
+    )
     lower, upper = -0.11398324640198294, -0.07189896585608074
     run = simulate_allocation(model, lower, upper, 60_000, 0.03).iloc[20_000:]
     assert not threshold_limits(model, run["p_h"].diff().abs().max()).contains(lower, upper)
-    quiet = run[run["mode"].rolling(3000).max() == 0.0]  # each of them ends 3,000 samples in the autonomous mode
-    assert threshold_limits(model, abs(quiet["p_h"].diff().iloc[1:500]).max()).contains(lower, upper)
+    quiet = run[
+        run["mode"].rolling(3000).max() == 0.0
+    ]  # each of them ends 3,000 samples in the autonomous mode
+    assert threshold_limits(model, abs(quiet["p_h"].diff().iloc[1:500]).max()).contains(
+        lower, upper
+    )
     sets = iter([(model, lower, upper)])
     monkeypatch.setattr(counting, "random_set", lambda rng: next(sets, None) or random_set(rng))
     kept = []
     monkeypatch.setattr(
-        counting, "steady_state_bounds", lambda tsc, *a, **k: kept.append(tsc) or steady_state_bounds(tsc, *a, **k)
+        counting,
+        "steady_state_bounds",
+        lambda tsc, *a, **k: kept.append(tsc) or steady_state_bounds(tsc, *a, **k),
     )
     bound_failures(sets=3)
     assert len(kept) == 3
@@ -59,13 +79,17 @@ def test_steady_motion_is_recorded_for_a_whole_cycle(monkeypatch):
 
 def test_counts_are_those_of_the_same_sets_one_by_one():
     table = bound_failures(sets=60, seed=3, invariant=20)
-    root, kept, left = np.random.SeedSequence(3), 0, np.zeros(5, int)
+    root = np.random.SeedSequence(3)
+    kept = 0
+    left = np.zeros(5, int)
     while kept < 60:
         rng = np.random.default_rng(root.spawn(1)[0])
         model, lower, upper = random_set(rng)
         longest = 1.0 / (1.0 - max(model.human.a, model.robot.a))
         settling = int(SETTLING * longest)
-        run = simulate_allocation(model, lower, upper, settling + int(RECORDED * longest), rng.random())
+        run = simulate_allocation(
+            model, lower, upper, settling + int(RECORDED * longest), rng.random()
+        )
         tail, change = run.iloc[settling:], run.diff().iloc[settling:].abs().max()
         if not threshold_limits(model, change["p_h"]).contains(lower, upper):
             continue
@@ -85,10 +109,16 @@ def test_counts_are_those_of_the_same_sets_one_by_one():
 
 
 def test_control_a_motion_that_stops_switching_is_counted(monkeypatch):
-    """With the conditions of Theorem 1 taken away, thresholds that TSC never meets end the switching."""
+    """
+    With the conditions of Theorem 1 taken away, thresholds that TSC never meets end the switching.
+    """
     module = sys.modules["trustlab.allocation.bound_failures"]
-    everything = SimpleNamespace(contains=lambda lower, upper: True, feasible=True, lower=-0.9, upper=0.9)
-    bounds = SimpleNamespace(**{f"{name}_{end}": 0.0 for name in ("r", "p_r", "tsc") for end in ("low", "high")})
+    everything = SimpleNamespace(
+        contains=lambda lower, upper: True, feasible=True, lower=-0.9, upper=0.9
+    )
+    bounds = SimpleNamespace(
+        **{f"{name}_{end}": 0.0 for name in ("r", "p_r", "tsc") for end in ("low", "high")}
+    )
     monkeypatch.setattr(module, "threshold_limits", lambda *_: everything)
     monkeypatch.setattr(module, "random_set", lambda rng: (random_set(rng)[0], -1.5, 1.5))
     monkeypatch.setattr(module, "steady_state_bounds", lambda *_, **__: bounds)

@@ -1,4 +1,6 @@
-"""(2.9)-(2.21) and (2.33) against Tables 2.1 and 2.2, and what is claimed of them against simulation."""
+"""
+(2.9)-(2.21) and (2.33) against Tables 2.1 and 2.2, and what is claimed of them against simulation.
+"""
 
 import math
 from itertools import product
@@ -7,7 +9,12 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.allocation import simulate_allocation, steady_state_bounds, step_bounds, threshold_limits
+from trustlab.allocation import (
+    simulate_allocation,
+    steady_state_bounds,
+    step_bounds,
+    threshold_limits,
+)
 from trustlab.allocation.steady_state import utilization_as_printed
 from trustlab.reproduction import published_table, recompute
 from trustlab.reproduction.printed_number import half_unit
@@ -41,7 +48,9 @@ def as_printed(p):
     robot = tl.RobotModel(p["a_pr"], p["P_r_min"], p["P_r_max"], p["P_h_max"], b=p["b_pr"])
     model = tl.TscModel(robot, tl.HumanModel(p["a_r"], 0.5, p["P_h_min"], p["P_h_max"]))
     found = steady_state_bounds(model, p["TSC_l"], p["TSC_u"], delta_tsc=p["delta_TSC"])
-    return dict(zip(RESULTS, (found.p_r_low, found.p_r_high, found.r_low, found.r_high), strict=True))
+    return dict(
+        zip(RESULTS, (found.p_r_low, found.p_r_high, found.r_low, found.r_high), strict=True)
+    )
 
 
 def table_2_2(name):
@@ -53,11 +62,16 @@ def table_2_2(name):
 
 @pytest.mark.parametrize("name", ["2", "4", "5"])
 def test_bounds_are_those_of_table_2_2(name):
-    """One unit of the last digit, but for participant 4's r_l: 0.5886 against 0.587, within the rounding of the inputs."""
+    """
+    One unit of the last digit, but for participant 4's r_l: 0.5886 against 0.587, within the
+    rounding of the inputs.
+    """
     given, printed = table_2_2(name)
     table = recompute(as_printed, given, printed)
     assert set(table["verdict"]) <= {"reproduced", "within rounding"}
-    off = (table["recomputed"] - table["printed"].astype(float)) / [2.0 * half_unit(x) for x in table["printed"]]
+    off = (table["recomputed"] - table["printed"].astype(float)) / [
+        2.0 * half_unit(x) for x in table["printed"]
+    ]
     if name == "4":
         assert off.pop("r_l") == pytest.approx(1.574, abs=0.001)
     assert off.abs().max() < 0.7
@@ -66,31 +80,50 @@ def test_bounds_are_those_of_table_2_2(name):
 
 def test_no_convention_of_rounding_gives_all_of_table_2_2():
     """
-    Dwell times floored (as printed), rounded up or left alone; printed or computed δ_TSC or none; printed P_rl and P_ru fed
-    back; c of (2.20)-(2.21) as printed or from b_pr. None reproduces r_l and r_u of participants 2, 4 and 5.
+    Dwell times floored (as printed), rounded up or left alone; printed or computed δ_TSC or none;
+    printed P_rl and P_ru fed back; c of (2.20)-(2.21) as printed or from b_pr. None reproduces r_l
+    and r_u of participants 2, 4 and 5.
     """
     worst = {}
     for how, delta, fed, top, bottom in product(
-        ("floor", "up", "real"), ("printed", "computed", "none"), (False, True), (False, True), (False, True)
+        ("floor", "up", "real"),
+        ("printed", "computed", "none"),
+        (False, True),
+        (False, True),
+        (False, True),
     ):
         off = []
         for name in ("2", "4", "5"):
             given, printed = table_2_2(name)
-            p = {key: float(text) for key, text in (given | printed | published_table("2.1")[name].to_dict()).items()}
+            p = {
+                key: float(text)
+                for key, text in (given | printed | published_table("2.1")[name].to_dict()).items()
+            }
             off += misses(p, how, delta, fed, top, bottom)
         worst[how, delta, fed, top, bottom] = max(off)
     best = min(worst, key=worst.get)
     assert worst["floor", "printed", False, False, False] == pytest.approx(1.574, abs=0.001)
     assert best == ("up", "printed", False, False, False)
     assert worst[best] == pytest.approx(1.19, abs=0.01)
-    # Rounded up, each comes within one unit once it is rounded itself: 0.612, 0.588 and 0.648 for 0.613, 0.587 and 0.649.
+    # Rounded up, each comes within one unit once it is rounded itself: 0.612, 0.588 and 0.648 for
+    # 0.613, 0.587 and 0.649.
 
 
 def misses(p, how, delta, fed, top, bottom):
-    """How many units of the last digit r_l and r_u are off; formulas written anew, as an oracle of the module's."""
+    """
+    How many units of the last digit r_l and r_u are off; formulas written anew, as an oracle of the
+    module's.
+    """
     best, rest = p["P_r_max"] * p["P_h_max"], p["P_r_min"] * p["P_h_min"]
-    a_T, b_T = (p["P_h_max"] + p["P_h_min"]) / (best - rest), (p["P_r_max"] + p["P_r_min"]) / (best - rest)
-    step = {"printed": p["delta_TSC"], "computed": a_T * p["delta_P_r"] + b_T * p["delta_P_h"], "none": 0.0}[delta]
+    a_T, b_T = (
+        (p["P_h_max"] + p["P_h_min"]) / (best - rest),
+        (p["P_r_max"] + p["P_r_min"]) / (best - rest),
+    )
+    step = {
+        "printed": p["delta_TSC"],
+        "computed": a_T * p["delta_P_r"] + b_T * p["delta_P_h"],
+        "none": 0.0,
+    }[delta]
     low = p["P_rl"] if fed else (p["TSC_l"] - step + b_T * p["P_h_min"]) / a_T
     high = p["P_ru"] if fed else (p["TSC_u"] + step + b_T * p["P_h_max"]) / a_T
     span, gain = p["P_r_max"] - p["P_r_min"], p["b_pr"] / (1.0 - p["a_pr"])
@@ -104,7 +137,9 @@ def misses(p, how, delta, fed, top, bottom):
         return {"floor": math.floor, "up": math.ceil, "real": float}[how](exact)
 
     alone = dwell(high - p["P_r_min"], low - p["P_r_min"])
-    short, long = (dwell(p["P_r_min"] + c - low, p["P_r_min"] + c - high) for c in (c_top, c_bottom))
+    short, long = (
+        dwell(p["P_r_min"] + c - low, p["P_r_min"] + c - high) for c in (c_top, c_bottom)
+    )
     keep = [p["a_r"] ** n for n in (alone, short, long)]
     r_low = (1.0 - keep[1]) * keep[0] / (1.0 - keep[1] * keep[0])
     r_high = (1.0 - keep[2]) / (1.0 - keep[2] * keep[0])
@@ -112,11 +147,16 @@ def misses(p, how, delta, fed, top, bottom):
 
 
 def test_participant_1_follows_with_c_from_the_printed_gain():
-    """r_l = 0.63 needs c = b_pr P_h,max/(1 − a_pr) in (2.20), which spoils participants 2, 4 and 5."""
+    """
+    r_l = 0.63 needs c = b_pr P_h,max/(1 − a_pr) in (2.20), which spoils participants 2, 4 and 5.
+    """
     found = {}
     for name in ("1", "2", "4", "5"):
         given, printed = table_2_2(name)
-        p = {key: float(text) for key, text in (given | printed | published_table("2.1")[name].to_dict()).items()}
+        p = {
+            key: float(text)
+            for key, text in (given | printed | published_table("2.1")[name].to_dict()).items()
+        }
         found[name] = [misses(p, "floor", "printed", False, top, False)[0] for top in (False, True)]
     assert found["1"] == pytest.approx([17.06, 0.9], abs=0.1)
     for name in ("2", "4", "5"):
@@ -127,7 +167,9 @@ def test_participant_1_follows_with_c_from_the_printed_gain():
 def test_participant_3_does_not_follow_from_its_own_thresholds(printed):
     one, two, models = printed
     row = two["3"]
-    bounds = steady_state_bounds(models["3"], row["TSC_l"], row["TSC_u"], delta_tsc=one.loc["delta_TSC", "3"])
+    bounds = steady_state_bounds(
+        models["3"], row["TSC_l"], row["TSC_u"], delta_tsc=one.loc["delta_TSC", "3"]
+    )
     assert bounds.p_r_low < row["P_rl"] - 0.005
     assert bounds.r_high < row["r_u"] - 0.05
 
@@ -173,8 +215,9 @@ def settled(model, lower, upper, r0):
 
 def test_theorem_2_fails_above_often_and_below_sometimes(random_model):
     """
-    Theorem 2 claims both never happen: for the upper bound the text takes the longest autonomous dwell time where the
-    shortest is needed, for the lower one the dwell time of a swing from P_rl to P_ru, and actual swings are narrower.
+    Theorem 2 claims both never happen: for the upper bound the text takes the longest autonomous
+    dwell time where the shortest is needed, for the lower one the dwell time of a swing from P_rl
+    to P_ru, and actual swings are narrower.
     """
     seen = below = above = 0
     for seed in range(400):
@@ -184,7 +227,9 @@ def test_theorem_2_fails_above_often_and_below_sometimes(random_model):
         if not threshold_limits(model, delta_p_h).contains(lower, upper):
             continue
         seen += 1
-        bounds = steady_state_bounds(model, lower, upper, delta_tsc=model.delta(delta_p_r, delta_p_h))
+        bounds = steady_state_bounds(
+            model, lower, upper, delta_tsc=model.delta(delta_p_r, delta_p_h)
+        )
         below += tail["r"].min() < bounds.r_low - 1e-12
         above += tail["r"].max() > bounds.r_high + 1e-12
     assert seen > 150
@@ -227,12 +272,18 @@ def test_the_plot_shows_what_dwell_times_are_derived_from(operators):
     bounds = steady_state_bounds(operators["2"], 0.0, 0.35, delta_tsc=0.005)
     alone, manual, utilization = bounds.plot(sample_time=0.1)
     curve = alone.lines[0]
-    # (2.16): after τ_da samples, rounded down, P_r has fallen from P_ru to P_rl but for the part of a sample.
-    at = np.interp([0.1 * bounds.dwell_autonomous, 0.1 * bounds.dwell_autonomous + 0.1], *curve.get_data())
+    # (2.16): after τ_da samples, rounded down, P_r has fallen from P_ru to P_rl but for the part of
+    # a sample.
+    at = np.interp(
+        [0.1 * bounds.dwell_autonomous, 0.1 * bounds.dwell_autonomous + 0.1], *curve.get_data()
+    )
     assert at[0] >= bounds.p_r_low >= at[1]
     # (2.33): the bounds are the least and the greatest utilization of the two periodic motions.
     lines = {line.get_label(): line.get_ydata() for line in utilization.lines}
-    low, high = (next(line for label, line in lines.items() if label.endswith(end)) for end in ("$r_l$", "$r_u$"))
+    low, high = (
+        next(line for label, line in lines.items() if label.endswith(end))
+        for end in ("$r_l$", "$r_u$")
+    )
     assert (low.min(), high.max()) == pytest.approx((bounds.r_low, bounds.r_high), abs=1e-9)
     assert len(manual.lines) == 6 - math.isinf(bounds.dwell_manual_high)
     plt.close("all")

@@ -102,11 +102,14 @@ def test_bounds_are_the_equations(parameters, with_gain):
     v = parameters
     rise = v["b_pr"] * v["P_h_max"] / (1.0 - v["a_pr"]) if with_gain else None
     p = performance_as_printed(constants(v), v["TSC_l"], v["TSC_u"], v["delta_TSC"], rise)
-    r = utilization_as_printed(v["a_r"], p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous)
+    r = utilization_as_printed(
+        v["a_r"], p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous
+    )
     expected = bounds(v, rise if with_gain else v["P_r_max"] - v["P_r_min"])
     for ours, theirs in zip((p.p_r_low, p.p_r_high, *r), expected, strict=True):
         close = np.isclose(ours, theirs, rtol=1e-9, atol=1e-12, equal_nan=True)
-        # A dwell time is rounded down, so that the last bit of its logarithm may decide; never for more than a handful.
+        # A dwell time is rounded down, so that the last bit of its logarithm may decide; never for
+        # more than a handful.
         assert close.mean() > 0.998
     assert (p.p_r_low < p.p_r_high).mean() > 0.9
 
@@ -114,11 +117,15 @@ def test_bounds_are_the_equations(parameters, with_gain):
 def test_the_gain_is_that_of_2_3(parameters):
     v = parameters
     found = gain_of_human_performance(v["a_pr"], v["P_r_min"], v["P_r_max"], v["P_h_max"])
-    np.testing.assert_allclose(found, (1 - v["a_pr"]) * (v["P_r_max"] - v["P_r_min"]) / v["P_h_max"], rtol=1e-14)
+    np.testing.assert_allclose(
+        found, (1 - v["a_pr"]) * (v["P_r_max"] - v["P_r_min"]) / v["P_h_max"], rtol=1e-14
+    )
 
 
 def test_an_endless_dwell_time_stays_endless(parameters):
-    """P_ru clipped to P_r,max is never reached, whatever P_r,min + (P_r,max − P_r,min) rounds to."""
+    """
+    P_ru clipped to P_r,max is never reached, whatever P_r,min + (P_r,max − P_r,min) rounds to.
+    """
     v = parameters
     p = performance_as_printed(constants(v), v["TSC_l"], np.full(5000, 0.99), v["delta_TSC"])
     assert (p.p_r_high == v["P_r_max"]).all()

@@ -1,4 +1,7 @@
-"""Correction of thresholds: clipping as closed form, an independent simulation, properties (2.40)-(2.44), bad input."""
+"""
+Correction of thresholds: clipping as closed form, an independent simulation, properties
+(2.40)-(2.44), bad input.
+"""
 
 import warnings
 
@@ -29,11 +32,16 @@ def by_hand(model, r, p_r, lower, upper, mode, target, c_b, steps, lowering=0):
 
     In the first steps, as many as `lowering`, TSC_u is lowered as far as (2.42) allows instead.
     """
-    rows, cost, robot, human = [], 0.0, model.robot, model.human
+    rows = []
+    cost = 0.0
+    robot = model.robot
+    human = model.human
     for k in range(steps):
         p_h = human.p_min
         if 0 < r < 1:
-            share = (r / human.beta) ** human.beta * ((1 - r) / (1 - human.beta)) ** (1 - human.beta)
+            share = (r / human.beta) ** human.beta * ((1 - r) / (1 - human.beta)) ** (
+                1 - human.beta
+            )
             p_h += (human.p_max - human.p_min) * share
         tsc = model.a_T * p_r - model.b_T * p_h
         mode = 0 if tsc >= upper else 1 if tsc <= lower else mode
@@ -50,7 +58,8 @@ def by_hand(model, r, p_r, lower, upper, mode, target, c_b, steps, lowering=0):
 
 
 @pytest.mark.parametrize(
-    ("start", "target"), [(START, TARGET), (START, (0.1, 0.55)), (TARGET, START), ((0.1, 0.4), (0.02, 0.5))]
+    ("start", "target"),
+    [(START, TARGET), (START, (0.1, 0.55)), (TARGET, START), ((0.1, 0.4), (0.02, 0.5))],
 )
 def test_without_a_choice_of_modes_the_plan_is_clipping(start, target):
     plan = corrector(target=target).step(r=0.6, p_r=0.33, lower=start[0], upper=start[1], mode=1)
@@ -65,8 +74,14 @@ def test_without_a_choice_of_modes_the_plan_is_clipping(start, target):
 
 
 def test_the_bound_is_for_thresholds_between_start_and_target():
-    """The example of `ThresholdCorrector`: (2.42)-(2.44) as printed allow a cheaper plan, which leaves that interval."""
-    state, target, c_b, steps = (0.97, 0.389, 0.2149, 0.645, 1), (0.29, 0.72), 1e-2, 100
+    """
+    The example of `ThresholdCorrector`: (2.42)-(2.44) as printed allow a cheaper plan, which leaves
+    that interval.
+    """
+    state = (0.97, 0.389, 0.2149, 0.645, 1)
+    target = (0.29, 0.72)
+    c_b = 1e-2
+    steps = 100
     plan = ExactEngine(PILOT, *target, c_b, steps).solve(*state)
     rows, cost = by_hand(PILOT, *state, target, c_b, steps, lowering=2)
     assert plan.status is CorrectionStatus.OPTIMAL
@@ -80,12 +95,19 @@ def test_the_bound_is_for_thresholds_between_start_and_target():
 
 
 def test_holding_back_can_beat_clipping():
-    """TSC passes just below the threshold as clipping moves it: holding it back lets the robot drive earlier."""
+    """
+    TSC passes just below the threshold as clipping moves it: holding it back lets the robot drive
+    earlier.
+    """
     plan_of = ExactEngine(PILOT, *TARGET, 1e-5, 200)
     beaten = 0
     for p_r in np.linspace(0.3825, 0.3829, 4001):
         plan = plan_of.solve(0.8, float(p_r), 0.02, 0.45, 1)
-        cost = by_hand(PILOT, 0.8, p_r, 0.02, 0.45, 1, TARGET, 1e-5, 200)[1] if plan.gap > 0.0 else plan.cost
+        cost = (
+            by_hand(PILOT, 0.8, p_r, 0.02, 0.45, 1, TARGET, 1e-5, 200)[1]
+            if plan.gap > 0.0
+            else plan.cost
+        )
         assert plan.cost <= cost
         assert plan.cost_lower_bound <= plan.cost
         assert plan.relative_gap < 1e-11
@@ -93,7 +115,9 @@ def test_holding_back_can_beat_clipping():
     assert beaten > 0
 
 
-states = st.tuples(st.floats(0, 1), st.floats(0, 1), st.floats(-0.4, 0.3), st.floats(0.01, 0.5), st.integers(0, 1))
+states = st.tuples(
+    st.floats(0, 1), st.floats(0, 1), st.floats(-0.4, 0.3), st.floats(0.01, 0.5), st.integers(0, 1)
+)
 
 
 @LIGHT
@@ -116,12 +140,17 @@ def test_plans_keep_their_promises(state, target_lower, width, decade, horizon, 
         assert path.max() <= max(begin, end)
     assert (plan.lower < plan.upper).all()
     low, high = np.array(
-        [incentive_box(*s, c_b, model.robot.p_min, model.robot.p_max) for s in zip(plan.r, plan.p_r, strict=True)]
+        [
+            incentive_box(*s, c_b, model.robot.p_min, model.robot.p_max)
+            for s in zip(plan.r, plan.p_r, strict=True)
+        ]
     ).T
     for actions in (plan.actions_l, plan.actions_u):
         assert (actions >= np.minimum(low[:-1], 0) - 1e-15).all()
         assert (actions <= np.maximum(high[:-1], 0) + 1e-15).all()
-    run = simulate_correction(model, r, p_r, lower, upper, mode, plan.actions_l, plan.actions_u, target)
+    run = simulate_correction(
+        model, r, p_r, lower, upper, mode, plan.actions_l, plan.actions_u, target
+    )
     np.testing.assert_array_equal(run["mode"], plan.mode)
     for name in ("r", "p_r", "lower", "upper"):
         np.testing.assert_array_equal(run[name], getattr(plan, name))
@@ -134,18 +163,31 @@ def test_plans_keep_their_promises(state, target_lower, width, decade, horizon, 
 
 
 def test_the_bound_of_a_search_cut_short_holds():
-    """Oracle: the plan of a long search, and plans of random corrections; none may cost less than the bound."""
+    """
+    Oracle: the plan of a long search, and plans of random corrections; none may cost less than the
+    bound.
+    """
     rng = np.random.default_rng(7)
     cut = tight = 0
     for _ in range(150):
-        r, lower, gap, mode = (rng.random(), rng.uniform(-0.4, 0.3), rng.uniform(0.01, 0.5), int(rng.integers(2)))
-        p_r, horizon = rng.uniform(SECOND.robot.p_min, SECOND.robot.p_max), int(rng.integers(50, 600))
+        r = rng.random()
+        lower = rng.uniform(-0.4, 0.3)
+        gap = rng.uniform(0.01, 0.5)
+        mode = int(rng.integers(2))
+        p_r, horizon = (
+            rng.uniform(SECOND.robot.p_min, SECOND.robot.p_max),
+            int(rng.integers(50, 600)),
+        )
         upper, c_b = lower + gap, 10 ** rng.uniform(-4.5, -2)
         target = (lower + rng.uniform(-0.1, 0.1), lower + gap + rng.uniform(-0.1, 0.1))
         if target[0] >= target[1]:
             continue
-        short = ExactEngine(SECOND, *target, c_b, horizon, budget=1).solve(r, p_r, lower, upper, mode)
-        long = ExactEngine(SECOND, *target, c_b, horizon, budget=100).solve(r, p_r, lower, upper, mode)
+        short = ExactEngine(SECOND, *target, c_b, horizon, budget=1).solve(
+            r, p_r, lower, upper, mode
+        )
+        long = ExactEngine(SECOND, *target, c_b, horizon, budget=100).solve(
+            r, p_r, lower, upper, mode
+        )
         cost = random_corrections(SECOND, r, p_r, lower, upper, mode, target, c_b, horizon, rng)
         for plan in (short, long):
             for other in (short.cost, long.cost, cost):
@@ -157,7 +199,10 @@ def test_the_bound_of_a_search_cut_short_holds():
 
 
 def test_the_bound_over_many_switches_holds():
-    """The same where whole phases bound the cost: long horizons, thresholds that rise, fall, or part; oracle as above."""
+    """
+    The same where whole phases bound the cost: long horizons, thresholds that rise, fall, or part;
+    oracle as above.
+    """
     rng = np.random.default_rng(11)
     cut = 0
     for who in ("pilot", "1", "2", "3", "4", "5") * 4:
@@ -168,9 +213,13 @@ def test_the_bound_over_many_switches_holds():
         r, mode = rng.uniform(0.3, 0.95), int(rng.integers(2))
         p_r = rng.uniform(model.robot.p_min, model.robot.p_max)
         plan = ExactEngine(model, *target, c_b, horizon, budget=2).solve(r, p_r, lower, upper, mode)
-        other = ExactEngine(model, *target, c_b, horizon, budget=60).solve(r, p_r, lower, upper, mode)
+        other = ExactEngine(model, *target, c_b, horizon, budget=60).solve(
+            r, p_r, lower, upper, mode
+        )
         cost = random_corrections(model, r, p_r, lower, upper, mode, target, c_b, horizon, rng)
-        assert max(plan.cost_lower_bound, other.cost_lower_bound) <= min(plan.cost, other.cost, cost) * (1 + 1e-12)
+        assert max(plan.cost_lower_bound, other.cost_lower_bound) <= min(
+            plan.cost, other.cost, cost
+        ) * (1 + 1e-12)
         cut += plan.status is CorrectionStatus.BOUNDED
     assert cut > 6
 
@@ -192,10 +241,14 @@ def random_corrections(model, r, p_r, lower, upper, mode, target, c_b, steps, rn
         for x, end, goal in zip((lower, upper), ends, target, strict=True):
             share = 1.0 if rng.random() < 0.8 else rng.random()
             forth, back = (high, low) if x < goal else (low, high)
-            now.append(min(max(x + (share * forth if rng.random() < 0.95 else back), end[0]), end[1]))
+            now.append(
+                min(max(x + (share * forth if rng.random() < 0.95 else back), end[0]), end[1])
+            )
         if now[0] >= now[1]:
             now = [lower, upper]
-        run = simulate_correction(model, r, p_r, lower, upper, mode, [now[0] - lower], [now[1] - upper], target)
+        run = simulate_correction(
+            model, r, p_r, lower, upper, mode, [now[0] - lower], [now[1] - upper], target
+        )
         cost += run["cost"]
         r, p_r, mode, (lower, upper) = run["r"][1], run["p_r"][1], int(run["mode"][0]), now
     return cost
@@ -221,7 +274,10 @@ def test_budget_and_status_go_together():
 
 
 def test_closed_loop_follows_the_first_plan_when_nothing_disturbs():
-    """Receding horizon towards the end of a plan that reaches its target: what was planned is what happens."""
+    """
+    Receding horizon towards the end of a plan that reaches its target: what was planned is what
+    happens.
+    """
     engine = corrector(c_b=5e-3, horizon=150)
     plan = engine.step(0.5, 0.3, *START, 1)
     r, p_r, lower, upper, mode = 0.5, 0.3, *START, 1
@@ -229,7 +285,9 @@ def test_closed_loop_follows_the_first_plan_when_nothing_disturbs():
         step = engine.step(r, p_r, lower, upper, mode)
         assert step.c_l == pytest.approx(plan.actions_l[k], abs=1e-15)
         assert step.c_u == pytest.approx(plan.actions_u[k], abs=1e-15)
-        r, p_r, mode = float(step.r[1]), float(step.p_r[1]), int(step.mode[0])
+        r = float(step.r[1])
+        p_r = float(step.p_r[1])
+        mode = int(step.mode[0])
         lower, upper = float(step.lower[1]), float(step.upper[1])
     assert (lower, upper) == pytest.approx(TARGET)
 
@@ -291,13 +349,17 @@ def test_incentive_bounds_at_the_corners():
     np.testing.assert_allclose(low, [0.0, -1e-5, -0.5e-5, -0.5e-5], atol=1e-20)
     np.testing.assert_allclose(high, [1e-5, 0.0, 0.5e-5, 0.5e-5], atol=1e-20)
     assert tl.incentive_bounds(0.5, 0.315, 2.0, PILOT.robot) == pytest.approx((-1.0, 1.0))
-    assert tl.incentive_bounds(0.5, 0.3, 1e-5, PILOT.robot) == tl.incentive_bounds(0.5, 0.3, 1e-5, PILOT)
+    assert tl.incentive_bounds(0.5, 0.3, 1e-5, PILOT.robot) == tl.incentive_bounds(
+        0.5, 0.3, 1e-5, PILOT
+    )
     with pytest.raises(ValueError, match=r"range \[0.24, 0.39\]"):
         tl.incentive_bounds(0.5, 0.4, 1e-5, PILOT)
 
 
 def test_incentive_bounds_without_a_model_say_whose_range_they_take():
-    with pytest.warns(UserWarning, match=r"pilot operator's range of robot performance, 0\.24 to 0\.39 m/s"):
+    with pytest.warns(
+        UserWarning, match=r"pilot operator's range of robot performance, 0\.24 to 0\.39 m/s"
+    ):
         assert tl.incentive_bounds(0.5, 0.3, 1e-5) == tl.incentive_bounds(0.5, 0.3, 1e-5, PILOT)
 
 

@@ -1,8 +1,9 @@
 """
 The CasADi engine of the correction, its programs and what a user may add.
 
-Oracles: the exact engine, whose optimum is proved and searched exhaustively in `test_correction_exhaustive`; closed forms where
-corrections are limited by a constant; a grid for one step; (2.41)-(2.44) written out.
+Oracles: the exact engine, whose optimum is proved and searched exhaustively in
+`test_correction_exhaustive`; closed forms where corrections are limited by a constant; a grid for
+one step; (2.41)-(2.44) written out.
 """
 
 import casadi
@@ -29,9 +30,14 @@ def engine(horizon=30, c_b=C_B, **options):
 
 
 def check(plan, state, c_b=C_B, bounds=incentive_bounds):
-    """(2.44) from its own actions, (2.41)-(2.42) at its own states, thresholds in order and between start and target."""
+    """
+    (2.44) from its own actions, (2.41)-(2.42) at its own states, thresholds in order and between
+    start and target.
+    """
     r, p_r, lower, upper, mode = state
-    again = simulate_correction(PILOT, r, p_r, lower, upper, mode, plan.actions_l, plan.actions_u, TARGET)
+    again = simulate_correction(
+        PILOT, r, p_r, lower, upper, mode, plan.actions_l, plan.actions_u, TARGET
+    )
     assert plan.cost == again["cost"]
     for name in ("r", "p_r", "lower", "upper", "mode"):
         np.testing.assert_array_equal(getattr(plan, name), again[name])
@@ -50,7 +56,9 @@ def test_both_engines_agree_along_a_noisy_closed_loop(regime):
     exact, ours = ExactEngine(PILOT, *TARGET, C_B, 200), engine(200)
     rng = np.random.default_rng(np.random.SeedSequence(3))
     r, p_r, lower, upper, mode = FAR if regime == "saturated" else NEAR
-    limited, inside, switches = set(), 0, 0
+    limited = set()
+    inside = 0
+    switches = 0
     for _ in range(300):
         state = (r, p_r, lower, upper, mode)
         best, plan = exact.solve(*state), ours.solve(*state)
@@ -67,7 +75,9 @@ def test_both_engines_agree_along_a_noisy_closed_loop(regime):
         noise = rng.normal(size=4)
         r = float(np.clip(best.r[1] + 0.01 * noise[0], 0.0, 1.0))
         p_r = float(np.clip(best.p_r[1] + 0.003 * noise[1], ROBOT.p_min, ROBOT.p_max))
-        lower, upper, mode = lower + best.c_l, upper + best.c_u, int(best.mode[0])
+        lower = lower + best.c_l
+        upper = upper + best.c_u
+        mode = int(best.mode[0])
         if regime == "near":
             lower, upper = lower + C_B * noise[2], upper + C_B * noise[3]
     if regime == "near":
@@ -95,7 +105,10 @@ def test_agrees_with_the_exact_engine_near_switches(c_b, horizon):
 
 
 def test_holding_a_threshold_back_for_a_switch_is_found():
-    """Where clipping is not optimal, the search over switches finds the plan that the exact engine proves."""
+    """
+    Where clipping is not optimal, the search over switches finds the plan that the exact engine
+    proves.
+    """
     found = 0
     exact, ours = ExactEngine(PILOT, *TARGET, 1e-3, 40), engine(40, 1e-3)
     plain = engine(40, 1e-3)
@@ -126,8 +139,13 @@ def test_every_solver_finds_the_same_plan(solver):
 
 @pytest.mark.parametrize("solver", ["piqp", "fatrop"])
 def test_a_constant_limit_below_the_incentive_is_met_exactly(solver):
-    """Far from the target each correction is at the limit, so that the cost is a sum of squares known beforehand."""
-    ours = engine(extra_constraints=lambda x, u, k: [u[0] - 3e-6, u[1] - 2e-6], switch_width=0, solver=solver)
+    """
+    Far from the target each correction is at the limit, so that the cost is a sum of squares known
+    beforehand.
+    """
+    ours = engine(
+        extra_constraints=lambda x, u, k: [u[0] - 3e-6, u[1] - 2e-6], switch_width=0, solver=solver
+    )
     plan = ours.solve(*FAR)
     check(plan, FAR)
     np.testing.assert_allclose(plan.actions_u, 3e-6, rtol=1e-5)
@@ -145,23 +163,35 @@ def test_a_rate_penalty_for_one_step_is_the_minimum_of_a_parabola():
     """N = 1: (z + c)² + λc² is least at −z/(1 + λ)."""
     weight, off = 3.0, 4e-6
     state = (0.5, 0.315, TARGET[0] + off, TARGET[1] + off, 1)
-    plan = engine(1, extra_cost=lambda x, u, k: weight * (u[0] ** 2 + u[1] ** 2), switch_width=0).solve(*state)
+    plan = engine(
+        1, extra_cost=lambda x, u, k: weight * (u[0] ** 2 + u[1] ** 2), switch_width=0
+    ).solve(*state)
     assert plan.c_l == pytest.approx(-off / (1.0 + weight), rel=1e-5)
     assert plan.c_u == pytest.approx(-off / (1.0 + weight), rel=1e-5)
-    assert plan.cost_with_additions == pytest.approx(plan.cost + weight * (plan.c_l**2 + plan.c_u**2), rel=1e-9)
+    assert plan.cost_with_additions == pytest.approx(
+        plan.cost + weight * (plan.c_l**2 + plan.c_u**2), rel=1e-9
+    )
 
 
 def test_a_rate_penalty_trades_cost_for_smaller_corrections():
     plain = engine(switch_width=0).solve(*NEAR)
     slow = engine(extra_cost=lambda x, u, k: 30.0 * casadi.sumsqr(u), switch_width=0).solve(*NEAR)
     check(slow, NEAR)
-    assert np.sum(slow.actions_l**2 + slow.actions_u**2) < np.sum(plain.actions_l**2 + plain.actions_u**2)
+    assert np.sum(slow.actions_l**2 + slow.actions_u**2) < np.sum(
+        plain.actions_l**2 + plain.actions_u**2
+    )
     assert slow.cost > plain.cost
 
 
 def test_a_cost_may_use_the_step_and_functions_of_matrices():
-    table = casadi.interpolant("table", "bspline", [np.linspace(0.0, 1.0, 9)], np.linspace(0.0, 1.0, 9) ** 2)
-    late = engine(12, extra_cost=lambda x, u, k: casadi.if_else(k < 6, 1e3, 0.0) * casadi.sumsqr(u), switch_width=0)
+    table = casadi.interpolant(
+        "table", "bspline", [np.linspace(0.0, 1.0, 9)], np.linspace(0.0, 1.0, 9) ** 2
+    )
+    late = engine(
+        12,
+        extra_cost=lambda x, u, k: casadi.if_else(k < 6, 1e3, 0.0) * casadi.sumsqr(u),
+        switch_width=0,
+    )
     plan = late.solve(*NEAR)
     assert np.abs(plan.actions_l[:6]).max() < 0.1 * np.abs(plan.actions_l[6:]).max()
     matrix = engine(12, extra_cost=lambda x, u, k: 1e-12 * table(x[0]), switch_width=0).solve(*NEAR)
@@ -179,22 +209,37 @@ def test_own_incentives_bound_the_corrections():
 
 @pytest.mark.parametrize("width", [3e-4, 1e-3, 3e-3])
 def test_the_smoothed_switch_never_costs(width):
-    """Its solution is only a guess of the modes; what comes back is at least as good as without it."""
+    """
+    Its solution is only a guess of the modes; what comes back is at least as good as without it.
+    """
     now = float(PILOT.value(0.3, PILOT.human.performance(0.5)))
-    for state in ((0.5, 0.3, now - 0.4, now + 0.006, 1), (0.5, 0.3, now - 0.004, now + 0.4, 0), FAR, NEAR):
-        hard, soft = engine(c_b=1e-4).solve(*state), engine(c_b=1e-4, switch_width=width).solve(*state)
+    for state in (
+        (0.5, 0.3, now - 0.4, now + 0.006, 1),
+        (0.5, 0.3, now - 0.004, now + 0.4, 0),
+        FAR,
+        NEAR,
+    ):
+        hard, soft = (
+            engine(c_b=1e-4).solve(*state),
+            engine(c_b=1e-4, switch_width=width).solve(*state),
+        )
         check(soft, state, 1e-4)
         assert soft.cost <= hard.cost * (1.0 + 1e-6)
 
 
 def test_the_smoothed_switch_becomes_the_hard_one():
-    """m(k) of the documented recursion, run outside the engine, against (2.8) as the width goes to 0."""
+    """
+    m(k) of the documented recursion, run outside the engine, against (2.8) as the width goes to 0.
+    """
     run = tl.simulate_allocation(PILOT, 0.02, 0.45, 4000, r0=0.5)
     tsc, apart = run["tsc"].to_numpy(), []
     for width in (1e-3, 1e-5, 1e-7):
         m, memory = [], 1.0
         for value in tsc:
-            up, down = (1.0 / (1.0 + np.exp(np.clip(-y / width, -700, 700))) for y in (value - 0.45, 0.02 - value))
+            up, down = (
+                1.0 / (1.0 + np.exp(np.clip(-y / width, -700, 700)))
+                for y in (value - 0.45, 0.02 - value)
+            )
             memory = (1.0 - up) * (down + (1.0 - down) * memory)
             m.append(memory)
         apart.append(np.abs(np.array(m) - run["mode"]).mean())
@@ -218,7 +263,9 @@ def test_a_solver_that_returns_nonsense_is_not_believed(monkeypatch):
     """The guards: a solution far from the optimum, and a plan that leaves (2.41)."""
     ours = engine(12)
     for program in ours._programs:
-        monkeypatch.setattr(program, "solve", lambda guess, mode, thresholds=None: (np.full((2, 12), 0.5), ""))
+        monkeypatch.setattr(
+            program, "solve", lambda guess, mode, thresholds=None: (np.full((2, 12), 0.5), "")
+        )
     plan = ours.solve(*FAR)
     assert plan.status is CorrectionStatus.FAILED
     assert "costs more than the guess" in plan.message
@@ -257,7 +304,9 @@ def test_at_rest_and_at_full_load_the_plan_is_finite():
 def test_the_last_plan_is_only_where_the_next_one_starts():
     ours, fresh = engine(), engine()
     ours.solve(*NEAR)
-    np.testing.assert_allclose(ours.solve(*FAR).actions_l, fresh.solve(*FAR).actions_l, atol=1e-6 * C_B)
+    np.testing.assert_allclose(
+        ours.solve(*FAR).actions_l, fresh.solve(*FAR).actions_l, atol=1e-6 * C_B
+    )
     ours.reset()
     np.testing.assert_array_equal(ours.solve(*NEAR).actions_l, engine().solve(*NEAR).actions_l)
 
@@ -294,7 +343,9 @@ def test_options_that_cannot_be_used_are_refused(options, words):
 
 def test_through_the_corrector():
     with pytest.warns(tl.allocation.TargetWarning):
-        corrector = tl.ThresholdCorrector(PILOT, TARGET, horizon=20, engine="casadi", incentive=incentive_box)
+        corrector = tl.ThresholdCorrector(
+            PILOT, TARGET, horizon=20, engine="casadi", incentive=incentive_box
+        )
     step = corrector.step(r=0.5, p_r=0.315, lower=0.02, upper=0.45, mode=1)
     assert step.engine == "casadi"
     assert step.status is CorrectionStatus.CONVERGED

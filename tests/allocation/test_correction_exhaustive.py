@@ -1,7 +1,10 @@
-"""The exact engine against an exhaustive search: every sequence of modes, each a quadratic programme of its own.
+"""
+The exact engine against an exhaustive search: every sequence of modes, each a quadratic programme
+of its own.
 
-The oracle knows nothing of the engine: it writes (2.44), (2.41)-(2.42), the order of the thresholds and the conditions of
-(2.8) as linear constraints for each of the 2^(N−1) sequences and solves for both thresholds at once with CasADi's qrqp.
+The oracle knows nothing of the engine: it writes (2.44), (2.41)-(2.42), the order of the thresholds
+and the conditions of (2.8) as linear constraints for each of the 2^(N−1) sequences and solves for
+both thresholds at once with CasADi's qrqp.
 """
 
 import itertools
@@ -24,7 +27,9 @@ def instance(rng):
     h_max, r_max = h_min * (1 + rng.uniform(0.05, 0.5)), r_min * (1 + rng.uniform(0.2, 1.0))
     human = HumanModel(1 - 10 ** rng.uniform(-2.5, -0.5), rng.uniform(0.3, 0.9), h_min, h_max)
     tsc = TscModel(RobotModel(1 - 10 ** rng.uniform(-2, -0.5), r_min, r_max, h_max), human)
-    r, p_r, mode = rng.uniform(0.05, 0.95), rng.uniform(r_min, r_max), int(rng.integers(2))
+    r = rng.uniform(0.05, 0.95)
+    p_r = rng.uniform(r_min, r_max)
+    mode = int(rng.integers(2))
     now = float(tsc.value(p_r, human.performance(r)))
     after = tsc.simulate(np.full(4, mode), r, p_r)["tsc"].to_numpy()
     pace = abs(after[3] - after[0]) / 3 + 1e-4
@@ -41,11 +46,16 @@ def curve(tsc, r):
     h = tsc.human
     if r <= 0 or r >= 1:
         return h.p_min
-    return h.p_min + (h.p_max - h.p_min) * (r / h.beta) ** h.beta * ((1 - r) / (1 - h.beta)) ** (1 - h.beta)
+    return h.p_min + (h.p_max - h.p_min) * (r / h.beta) ** h.beta * ((1 - r) / (1 - h.beta)) ** (
+        1 - h.beta
+    )
 
 
 def exhaustive(case, n):
-    """Least cost over all sequences of modes, inequalities closed; and how many sequences are possible."""
+    """
+    Least cost over all sequences of modes, inequalities closed; and how many sequences are
+    possible.
+    """
     tsc, r0, p0, l0, u0, before, tl, tu, c_b = case
     value = tsc.a_T * p0 - tsc.b_T * curve(tsc, r0)
     first = 0 if value >= u0 else 1 if value <= l0 else before
@@ -57,7 +67,9 @@ def exhaustive(case, n):
         modes = (first, *rest)
         r, p = [r0], [p0]
         for m in modes:
-            p.append(robot.a * p[-1] + (1 - robot.a) * robot.p_min + m * robot.b * curve(tsc, r[-1]))
+            p.append(
+                robot.a * p[-1] + (1 - robot.a) * robot.p_min + m * robot.b * curve(tsc, r[-1])
+            )
             r.append(human.a * r[-1] + (1 - human.a) * m)
         share = (np.array(p) - robot.p_min) / (robot.p_max - robot.p_min)
         high = np.maximum(0.5 * (2 - np.array(r) - share), 0)[:n] * c_b
@@ -91,7 +103,12 @@ def exhaustive(case, n):
             "oracle",
             "qrqp",
             {"h": casadi.Sparsity.diag(size), "a": casadi.Sparsity.dense(*A.shape)},
-            {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False},
+            {
+                "print_iter": False,
+                "print_header": False,
+                "print_info": False,
+                "error_on_fail": False,
+            },
         )
         found = solver(
             h=casadi.DM(casadi.Sparsity.diag(size), 2.0),
@@ -123,7 +140,9 @@ def test_global_optimum(part):
         assert plan.status.name == "OPTIMAL"
         assert plan.cost_lower_bound <= best + 1e-7 * scale
         assert abs(plan.cost - best) <= 1e-7 * scale, (n, case, plan, best, possible)
-        run = simulate_correction(tsc, r, p_r, lower, upper, mode, plan.actions_l, plan.actions_u, (tl, tu))
+        run = simulate_correction(
+            tsc, r, p_r, lower, upper, mode, plan.actions_l, plan.actions_u, (tl, tu)
+        )
         assert run["cost"] == pytest.approx(plan.cost, rel=1e-12)
         np.testing.assert_array_equal(run["mode"], plan.mode)
         if possible > 1:
@@ -135,7 +154,9 @@ def test_global_optimum(part):
 def clipping(case, n):
     """The cost of clipping (target − threshold) to (2.42) step by step."""
     tsc, r, p, lower, upper, mode, tl, tu, c_b = case
-    robot, human, cost = tsc.robot, tsc.human, 0.0
+    robot = tsc.robot
+    human = tsc.human
+    cost = 0.0
     for _ in range(n):
         p_h = curve(tsc, r)
         value = tsc.a_T * p - tsc.b_T * p_h

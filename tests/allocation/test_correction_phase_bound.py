@@ -1,4 +1,7 @@
-"""The bound over many switches, against runs whose thresholds jump anywhere within their limits at every sample."""
+"""
+The bound over many switches, against runs whose thresholds jump anywhere within their limits at
+every sample.
+"""
 
 import numpy as np
 import pytest
@@ -13,12 +16,20 @@ PILOT = published_models()["pilot"]
 
 
 def effort(model, r, p_r, mode, limits, steps, choose):
-    """Cumulative sums of f, written out, and the number of switches; `choose` gives both thresholds at each sample."""
-    sums, switches, robot, human = [0.0], 0, model.robot, model.human
+    """
+    Cumulative sums of f, written out, and the number of switches; `choose` gives both thresholds at
+    each sample.
+    """
+    sums = [0.0]
+    switches = 0
+    robot = model.robot
+    human = model.human
     for k in range(steps):
         p_h = human.p_min
         if 0 < r < 1:
-            share = (r / human.beta) ** human.beta * ((1 - r) / (1 - human.beta)) ** (1 - human.beta)
+            share = (r / human.beta) ** human.beta * ((1 - r) / (1 - human.beta)) ** (
+                1 - human.beta
+            )
             p_h += (human.p_max - human.p_min) * share
         if k > 0:
             tsc = model.a_T * p_r - model.b_T * p_h
@@ -26,7 +37,9 @@ def effort(model, r, p_r, mode, limits, steps, choose):
             now = 0 if tsc >= upper else 1 if tsc <= lower else mode
             switches += now != mode
             mode = now
-        sums.append(sums[-1] + min(max(r + (p_r - robot.p_min) / (robot.p_max - robot.p_min), 0.0), 2.0))
+        sums.append(
+            sums[-1] + min(max(r + (p_r - robot.p_min) / (robot.p_max - robot.p_min), 0.0), 2.0)
+        )
         p_r = robot.a * p_r + (1 - robot.a) * robot.p_min + mode * robot.b * p_h
         r = human.a * r + (1 - human.a) * mode
     return np.array(sums), switches
@@ -52,7 +65,10 @@ def drawn(rng):
 
 
 def choices(rng, limits, kind):
-    """Thresholds that jump at random, that keep to one end of their limits, or that put every switch off or forward."""
+    """
+    Thresholds that jump at random, that keep to one end of their limits, or that put every switch
+    off or forward.
+    """
     if kind == "random":
         return lambda k, mode, tsc: rng.uniform(limits[:, 0], limits[:, 1])
     if kind == "late":
@@ -89,7 +105,9 @@ def test_no_run_beats_the_bound(part):
 
 
 def test_the_bound_is_close_for_the_pilot_operator():
-    """Over an hour with thresholds that hardly move: within two parts in a thousand of what runs do."""
+    """
+    Over an hour with thresholds that hardly move: within two parts in a thousand of what runs do.
+    """
     limits, c = np.array([[0.02, 0.021], [0.45, 0.451]]), PILOT.constants()
     sums, switches = effort(PILOT, 0.8, 0.36, 1, limits, 36_000, choices(None, limits, "low"))
     assert switches > 90
@@ -101,6 +119,8 @@ def test_the_bound_is_close_for_the_pilot_operator():
 
 
 def test_nothing_is_proved_where_the_work_would_be_too_much():
-    """Thresholds anywhere and phases that never end: the bound says −∞, not a number that is too good."""
+    """
+    Thresholds anywhere and phases that never end: the bound says −∞, not a number that is too good.
+    """
     limits, c = np.array([[-1.0, 0.4], [0.4, 1.0]]), PILOT.constants()
     assert least_effort(0.0, 0.24, 1.0, 1_000_000, limits, 1.0, 0.0, c)[1] == -np.inf

@@ -1,4 +1,7 @@
-"""On-line correction and tests in a row: against the model simulated by itself, and against missing or odd measurements."""
+"""
+On-line correction and tests in a row: against the model simulated by itself, and against missing or
+odd measurements.
+"""
 
 import math
 
@@ -27,7 +30,12 @@ def test_a_step_of_the_online_form_is_a_step_of_the_corrector(corrector):
     loop = online(corrector, r=0.6)
     plan = corrector.step(0.6, 0.3, *START, 1)
     step = loop.update(p_r=0.3, p_h=0.38, mode=1)
-    assert (step.c_l, step.c_u, step.cost, step.status) == (plan.c_l, plan.c_u, plan.cost, plan.status)
+    assert (step.c_l, step.c_u, step.cost, step.status) == (
+        plan.c_l,
+        plan.c_u,
+        plan.cost,
+        plan.status,
+    )
     assert step.tsc == pytest.approx(SECOND.value(0.3, 0.38))
     assert (loop.lower, loop.upper) == (START[0] + plan.c_l, START[1] + plan.c_u)
     assert loop.r == pytest.approx(SECOND.human.a * 0.6 + 1 - SECOND.human.a)
@@ -38,11 +46,15 @@ def test_missing_data_hold_and_the_correction_goes_on(corrector):
     loop, steps = online(corrector), []
     for k in range(60):
         missing = 20 <= k < 40
-        values = ((math.nan, 0.38), (0.3, math.nan), (None, None))[k % 3] if missing else (0.3, 0.38)
+        values = (
+            ((math.nan, 0.38), (0.3, math.nan), (None, None))[k % 3] if missing else (0.3, 0.38)
+        )
         steps.append(loop.update(*values, mode=math.nan if missing and k % 2 else 1))
     held = steps[20:40]
     assert {step.status for step in held} == {CorrectionStatus.MISSING}
-    assert all(step.status.held and step.suggestion == -1 and step.c_l == step.c_u == 0.0 for step in held)
+    assert all(
+        step.status.held and step.suggestion == -1 and step.c_l == step.c_u == 0.0 for step in held
+    )
     assert {(step.lower, step.upper) for step in held} == {(steps[20].lower, steps[20].upper)}
     assert steps[40].status is CorrectionStatus.OPTIMAL
     assert steps[40].lower == steps[20].lower
@@ -104,7 +116,9 @@ def test_closed_loop_keeps_range_order_and_incentives(seed, decade, back):
     """Whatever is measured and whoever drives."""
     start, target = (TARGET, START) if back else (START, TARGET)
     c_b, rng = 10.0**decade, np.random.default_rng(seed)
-    loop = tl.OnlineCorrection(tl.ThresholdCorrector(SECOND, target, c_b=c_b, horizon=20), start, r=rng.random())
+    loop = tl.OnlineCorrection(
+        tl.ThresholdCorrector(SECOND, target, c_b=c_b, horizon=20), start, r=rng.random()
+    )
     p_r = rng.uniform(0.24, 0.35, 150)
     p_r[rng.random(150) < 0.1] = math.nan
     for value in p_r:
@@ -116,7 +130,10 @@ def test_closed_loop_keeps_range_order_and_incentives(seed, decade, back):
     assert (table["lower"] < table["upper"]).all()
     free = ~np.isnan(p_r)
     low, high = np.array(
-        [incentive_box(r, p, c_b, 0.24, 0.35) for r, p in zip(table["r"][free], p_r[free], strict=True)]
+        [
+            incentive_box(r, p, c_b, 0.24, 0.35)
+            for r, p in zip(table["r"][free], p_r[free], strict=True)
+        ]
     ).T
     for action in ("c_l", "c_u"):
         assert (table[action][~free] == 0.0).all()
@@ -127,7 +144,9 @@ def test_following_is_the_model_under_moving_thresholds():
     """Oracle: (2.44) written out, with the corrections that were applied."""
     run = tl.correct_pattern(SECOND, START, TARGET, tests=2, duration=300, c_b=1e-5)
     for _, part in run.data.groupby("test"):
-        r, p_r, mode = 0.0, 0.24, 1
+        r = 0.0
+        p_r = 0.24
+        mode = 1
         for row in part.itertuples():
             p_h = SECOND.human.performance(r)
             tsc = SECOND.value(p_r, p_h)
@@ -142,7 +161,9 @@ def test_following_is_the_model_under_moving_thresholds():
 
 def test_habits_differ_as_they_should():
     runs = {
-        habit: tl.correct_pattern(SECOND, START, TARGET, tests=2, duration=900, habit=habit, lag=8.0, horizon=20)
+        habit: tl.correct_pattern(
+            SECOND, START, TARGET, tests=2, duration=900, habit=habit, lag=8.0, horizon=20
+        )
         for habit in ("following", "lagging", "ignoring")
     }
     own = tl.simulate_allocation(SECOND, *START, 9000)
@@ -161,7 +182,9 @@ def test_habits_differ_as_they_should():
 
 def test_noise_is_seeded():
     one, two, other = (
-        tl.correct_pattern(SECOND, START, TARGET, tests=1, duration=60, noise=1e-3, seed=seed, horizon=20).data["p_r"]
+        tl.correct_pattern(
+            SECOND, START, TARGET, tests=1, duration=60, noise=1e-3, seed=seed, horizon=20
+        ).data["p_r"]
         for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(one, two)
@@ -204,7 +227,9 @@ def test_latency_histogram(corrector):
 
 def test_the_pilot_warns_but_runs():
     with pytest.warns(TargetWarning):
-        run = tl.correct_pattern(published_models()["pilot"], (0.02, 0.45), (0.15, 0.56), tests=1, duration=5)
+        run = tl.correct_pattern(
+            published_models()["pilot"], (0.02, 0.45), (0.15, 0.56), tests=1, duration=5
+        )
     assert len(run.data) == 50
 
 

@@ -1,4 +1,7 @@
-"""Whatever is put into an argument of the allocation room, a ValueError comes out or a sound answer, never a bare error."""
+"""
+Whatever is put into an argument of the allocation room, a ValueError comes out or a sound answer,
+never a bare error.
+"""
 
 import numpy as np
 import pandas as pd
@@ -24,7 +27,20 @@ from trustlab.allocation.threshold_estimate import separation
 NEVER = (np.nan, np.inf, "x", b"x", True, [], {}, object(), 1j, np.array(["a"]), tl)
 """What no argument of these takes."""
 
-PERHAPS = (None, -np.inf, -1, 0, 2.5, 1e300, 10**400, (1, 2), np.array([1.0, np.nan]), np.array(3), [[1.0]], 1e-320)
+PERHAPS = (
+    None,
+    -np.inf,
+    -1,
+    0,
+    2.5,
+    1e300,
+    10**400,
+    (1, 2),
+    np.array([1.0, np.nan]),
+    np.array(3),
+    [[1.0]],
+    1e-320,
+)
 """What some take; nothing but an answer or a ValueError may come out."""
 
 MODEL = tl.TscModel(tl.RobotModel(0.98, 0.24, 0.39, 0.46), tl.HumanModel(0.99, 0.74, 0.391, 0.46))
@@ -53,7 +69,10 @@ CALLS = {
         simulate_allocation,
         {"tsc": MODEL, **PAIR, "steps": 50, "r0": 0.2, "p_r0": 0.3, "mode": 1},
     ),
-    "choose_thresholds": (choose_thresholds, {"tsc": MODEL, "delta_p_h": 0.0, "margin": 0.2, "points": 4}),
+    "choose_thresholds": (
+        choose_thresholds,
+        {"tsc": MODEL, "delta_p_h": 0.0, "margin": 0.2, "points": 4},
+    ),
     "ThresholdRule": (ThresholdRule, {**PAIR, "mode": 1}),
     "ThresholdRule.step": (ThresholdRule(0.0, 0.3).step, {"tsc": 0.1, "p_r": 0.3}),
     "ThresholdRule.move": (ThresholdRule(0.0, 0.3).move, dict(PAIR)),
@@ -61,10 +80,20 @@ CALLS = {
     "PerformanceRule.step": (PerformanceRule(0.2, 0.4).step, {"p_r": 0.3, "tsc": 0.1}),
     "estimate_thresholds": (
         estimate_thresholds,
-        {"sessions": SESSION, "model": MODEL, "within": 0.15, "resamples": 100, "seed": 0, "after": 1.0},
+        {
+            "sessions": SESSION,
+            "model": MODEL,
+            "within": 0.15,
+            "resamples": 100,
+            "seed": 0,
+            "after": 1.0,
+        },
     ),
     "estimate_thresholds, worked out": (estimate_thresholds, {"sessions": [BARE], "model": MODEL}),
-    "separation": (separation, {"lower_mean": 0.0, "lower_sd": 0.1, "upper_mean": 0.4, "upper_sd": 0.1}),
+    "separation": (
+        separation,
+        {"lower_mean": 0.0, "lower_sd": 0.1, "upper_mean": 0.4, "upper_sd": 0.1},
+    ),
     "followed_suggestions": (followed_suggestions, {"session": SESSION, "deadline": 15.0}),
     "relative_performance": (relative_performance, {"p_r": 0.3, "p_min": 0.2, "p_max": 0.4}),
 }
@@ -103,9 +132,15 @@ def test_the_walk_finds_what_is_wrong():
 
 
 @pytest.mark.parametrize("counts", ["steps", "points", "resamples"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, None, "3", True, 10.5, -4, 0, 10**400, 1e300, np.array([4])])
+@pytest.mark.parametrize(
+    "value", [np.nan, np.inf, None, "3", True, 10.5, -4, 0, 10**400, 1e300, np.array([4])]
+)
 def test_counts_are_whole_numbers(counts, value):
-    name = {"steps": "simulate_allocation", "points": "choose_thresholds", "resamples": "estimate_thresholds"}[counts]
+    name = {
+        "steps": "simulate_allocation",
+        "points": "choose_thresholds",
+        "resamples": "estimate_thresholds",
+    }[counts]
     call, good = CALLS[name]
     with pytest.raises(ValueError, match=f"{counts} must be a whole number"):
         call(**good | {counts: value})
@@ -142,7 +177,13 @@ def test_a_nan_in_the_unused_argument_is_seen():
 
 
 def test_wrong_models_are_told_how_to_make_one():
-    for name in ("threshold_limits", "step_bounds", "steady_state_bounds", "simulate_allocation", "choose_thresholds"):
+    for name in (
+        "threshold_limits",
+        "step_bounds",
+        "steady_state_bounds",
+        "simulate_allocation",
+        "choose_thresholds",
+    ):
         call, good = CALLS[name]
         for wrong in (MODEL.robot, "x", None):
             with pytest.raises(ValueError, match=r"tsc must be of class TscModel.*fit_tsc"):

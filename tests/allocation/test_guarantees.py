@@ -1,7 +1,9 @@
 """
-What holds for every trajectory, against brute force: the system written out in NumPy, from adversarial starts.
+What holds for every trajectory, against brute force: the system written out in NumPy, from
+adversarial starts.
 
-Starts are r at 0 and 1, P_r at both ends of its range, and both modes; they share no code with the package.
+Starts are r at 0 and 1, P_r at both ends of its range, and both modes; they share no code with the
+package.
 """
 
 import itertools
@@ -17,11 +19,15 @@ STEPS = 6000
 
 
 def random_pair(rng):
-    """A fast model with thresholds inside and outside the limits of TSC, as often one as the other."""
+    """
+    A fast model with thresholds inside and outside the limits of TSC, as often one as the other.
+    """
     h_min, r_min = rng.uniform(0.2, 0.5), rng.uniform(0.1, 0.4)
     h_max, r_max = h_min * (1 + rng.uniform(0.02, 0.5)), r_min * (1 + rng.uniform(0.1, 1.0))
     human = tl.HumanModel(1 - 10 ** rng.uniform(-1.8, -1.0), rng.uniform(0.3, 0.95), h_min, h_max)
-    model = tl.TscModel(tl.RobotModel(1 - 10 ** rng.uniform(-1.6, -0.7), r_min, r_max, h_max), human)
+    model = tl.TscModel(
+        tl.RobotModel(1 - 10 ** rng.uniform(-1.6, -0.7), r_min, r_max, h_max), human
+    )
     a_T, b_T = weights(model)
     rest = a_T * r_min - b_T * h_min
     load = a_T * (r_min + (r_max - r_min) * h_min / h_max) - b_T * h_min
@@ -38,18 +44,44 @@ def weights(model):
 
 
 def brute_force(cases):
-    """When each case, from each start, switched to manual and to autonomous last, and its range of r and P_r in the last third."""
+    """
+    When each case, from each start, switched to manual and to autonomous last, and its range of r
+    and P_r in the last third.
+    """
     rows = []
     for model, lower, upper in cases:
         r, h = model.robot, model.human
-        rows.append((r.a, r.b, r.p_min, r.p_max, h.a, h.beta, h.p_min, h.p_max, *weights(model), lower, upper))
+        rows.append(
+            (
+                r.a,
+                r.b,
+                r.p_min,
+                r.p_max,
+                h.a,
+                h.beta,
+                h.p_min,
+                h.p_max,
+                *weights(model),
+                lower,
+                upper,
+            )
+        )
     table = np.repeat(np.array(rows).T[:, :, None], len(STARTS), axis=2)
     a, b, p_low, p_high, a_r, beta, h_low, h_high, a_T, b_T, lower, upper = table
-    load, share, mode = (np.broadcast_to(column, a.shape).copy() for column in np.array(STARTS).T[:, None, :])
+    load, share, mode = (
+        np.broadcast_to(column, a.shape).copy() for column in np.array(STARTS).T[:, None, :]
+    )
     p_r, last = p_low + share * (p_high - p_low), np.zeros((2, *a.shape))
-    ranges = [np.full(a.shape, np.inf), np.full(a.shape, -np.inf), np.full(a.shape, np.inf), np.full(a.shape, -np.inf)]
+    ranges = [
+        np.full(a.shape, np.inf),
+        np.full(a.shape, -np.inf),
+        np.full(a.shape, np.inf),
+        np.full(a.shape, -np.inf),
+    ]
     for k in range(STEPS):
-        p_h = h_low + (h_high - h_low) * (load / beta) ** beta * ((1 - load) / (1 - beta)) ** (1 - beta)
+        p_h = h_low + (h_high - h_low) * (load / beta) ** beta * ((1 - load) / (1 - beta)) ** (
+            1 - beta
+        )
         tsc = a_T * p_r - b_T * p_h
         after = np.where(tsc >= upper, 0.0, np.where(tsc <= lower, 1.0, mode))
         for to in (0, 1):
@@ -68,7 +100,9 @@ def check(count, seed):
     cases = [random_pair(rng) for _ in range(count)]
     last, (r_low, r_high, p_low, p_high) = brute_force(cases)
     keeps = (last > 2 * STEPS // 3).all(axis=(0, 2))
-    kept, stopped, often = 0, 0, 0
+    kept = 0
+    stopped = 0
+    often = 0
     for k, case in enumerate(cases):
         bounds = invariant_bounds(*case, cells=4, cycles=30)
         cycle = limit_cycle(*case, starts=2)
@@ -106,7 +140,10 @@ def test_what_is_guaranteed_holds_from_adversarial_starts_5000():
 
 
 def test_the_pilot_below_the_lower_limit(operators):
-    """The pair of the pilot operator at which a cycle exists, but a rested operator's robot keeps control for ever."""
+    """
+    The pair of the pilot operator at which a cycle exists, but a rested operator's robot keeps
+    control for ever.
+    """
     pilot = operators["pilot"]
     run = tl.simulate_allocation(pilot, -0.51, 0.3, 50_000, r0=0.0, mode=0)
     assert (run["mode"] == 0.0).all()
@@ -122,9 +159,11 @@ def test_the_pilot_below_the_lower_limit(operators):
 
 def test_at_the_limits_themselves_nothing_is_guaranteed(operators):
     """
-    TSC only tends to its limit: with a threshold there, a trajectory may come ever nearer and never switch.
+    TSC only tends to its limit: with a threshold there, a trajectory may come ever nearer and never
+    switch.
 
-    Near full load (2.6) is so steep that r, which rounding keeps from 1 by 1e-13, leaves TSC below its limit by 0.0015.
+    Near full load (2.6) is so steep that r, which rounding keeps from 1 by 1e-13, leaves TSC below
+    its limit by 0.0015.
     """
     model = operators["2"]
     a_T, b_T = weights(model)
@@ -138,7 +177,10 @@ def test_at_the_limits_themselves_nothing_is_guaranteed(operators):
 
 
 def test_utilization_that_underflows(operators):
-    """r falls below 1e-170 in autonomous phases that take hundreds of its time constants: no division by zero."""
+    """
+    r falls below 1e-170 in autonomous phases that take hundreds of its time constants: no division
+    by zero.
+    """
     human = tl.HumanModel(0.5, 0.3, 0.3, 0.4)
     for a in (0.999, 0.9995, 0.9998):
         model = tl.TscModel(tl.RobotModel(a, 0.2, 0.4, 0.4), human)

@@ -23,7 +23,9 @@ def runs_of(mode):
 
 def leaves(bounds, model, lower, upper, rng):
     """Names of the bounds that one trajectory from a random start leaves, once they hold."""
-    steps = int((bounds.cycles + 8) * (bounds.dwell_manual_high + bounds.dwell_autonomous_high)) + 6000
+    steps = (
+        int((bounds.cycles + 8) * (bounds.dwell_manual_high + bounds.dwell_autonomous_high)) + 6000
+    )
     robot = model.robot
     run = simulate_allocation(
         model,
@@ -48,19 +50,28 @@ def leaves(bounds, model, lower, upper, rng):
     who, lengths = runs_of(mode[start - 1 :])
     for value, name in ((1.0, "dwell_manual"), (0.0, "dwell_autonomous")):
         own = lengths[who == value]
-        if own.size and (own.min() < getattr(bounds, f"{name}_low") or own.max() > getattr(bounds, f"{name}_high")):
+        if own.size and (
+            own.min() < getattr(bounds, f"{name}_low")
+            or own.max() > getattr(bounds, f"{name}_high")
+        ):
             found.append(name)
     return found
 
 
 PARTS = [(0, 2_000)]
-REST = [pytest.param(first, first + 3_000, marks=pytest.mark.long) for first in range(2_000, 20_000, 3_000)]
+REST = [
+    pytest.param(first, first + 3_000, marks=pytest.mark.long)
+    for first in range(2_000, 20_000, 3_000)
+]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("first", "last"), PARTS + REST)
 def test_no_trajectory_leaves_them(random_model, first, last):
-    """20,000 random feasible sets, the first 2,000 of them in every `make test`; one random start each."""
+    """
+    20,000 random feasible sets, the first 2,000 of them in every `make test`; one random start
+    each.
+    """
     checked = 0
     for child in np.random.SeedSequence(31).spawn(20_000)[first:last]:
         rng = np.random.default_rng(child)
@@ -82,13 +93,21 @@ def test_they_enclose_the_cycle_and_tighten_with_more_cells(random_model):
             assert bounds.guaranteed
             assert bounds.r_low <= cycle.r_low < cycle.r_high <= bounds.r_high
             assert bounds.p_r_low <= cycle.p_r_low < cycle.p_r_high <= bounds.p_r_high
-            assert bounds.tsc_low <= cycle.tsc_low < lower < upper < cycle.tsc_high <= bounds.tsc_high
-            assert bounds.dwell_manual_low <= cycle.dwell_manual[0] <= cycle.dwell_manual[1] <= bounds.dwell_manual_high
+            assert (
+                bounds.tsc_low <= cycle.tsc_low < lower < upper < cycle.tsc_high <= bounds.tsc_high
+            )
+            assert (
+                bounds.dwell_manual_low
+                <= cycle.dwell_manual[0]
+                <= cycle.dwell_manual[1]
+                <= bounds.dwell_manual_high
+            )
         assert fine.r_high - fine.r_low <= (coarse.r_high - coarse.r_low) * 1.001
 
 
 def test_the_check_catches_bounds_that_are_too_narrow(random_model):
-    # Negative control: the cycle's own range of r, taken as a bound, is left by other trajectories' transients.
+    # Negative control: the cycle's own range of r, taken as a bound, is left by other trajectories'
+    # transients.
     caught = 0
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -103,7 +122,9 @@ def test_the_check_catches_bounds_that_are_too_narrow(random_model):
 
 
 def test_the_printed_upper_bound_is_left():
-    """Theorem 2's r_u (2.33), worked counterexample: utilization rises above it, and not above ours."""
+    """
+    Theorem 2's r_u (2.33), worked counterexample: utilization rises above it, and not above ours.
+    """
     human = tl.HumanModel(a=0.998, beta=0.5, p_min=0.3, p_max=0.34)
     model = tl.TscModel(tl.RobotModel(a=0.98, p_min=0.2, p_max=0.3, p_h_max=0.34), human)
     lower, upper = -0.5, 0.0
@@ -132,7 +153,10 @@ def test_thresholds_that_are_never_reached_are_not_guaranteed(operators):
 
 
 def extreme(rng):
-    """Models at the ends of what is allowed: r that saturates, β near 0 and 1, hair-thin and wide bands, b by hand."""
+    """
+    Models at the ends of what is allowed: r that saturates, β near 0 and 1, hair-thin and wide
+    bands, b by hand.
+    """
     while True:
         h_min = rng.uniform(0.1, 0.5)
         human = tl.HumanModel(
@@ -145,7 +169,9 @@ def extreme(rng):
         r_max = r_min * (1 + 10 ** rng.uniform(-1.5, 1))
         b = None if rng.random() < 0.5 else rng.uniform(0.5, 1.5)
         robot = tl.RobotModel(1 - 10 ** rng.uniform(-2.7, -1.5), r_min, r_max, human.p_max)
-        robot = robot if b is None else tl.RobotModel(robot.a, r_min, r_max, human.p_max, b=b * robot.b)
+        robot = (
+            robot if b is None else tl.RobotModel(robot.a, r_min, r_max, human.p_max, b=b * robot.b)
+        )
         model = tl.TscModel(robot, human)
         limits = threshold_limits(model, 0.0)
         if limits.feasible:
@@ -175,7 +201,10 @@ def test_overshoot_grows_with_the_range_it_is_taken_over():
         model, lower, _ = extreme(rng)
         c = model.constants()
         inner = np.sort(rng.random(2))
-        outer = (inner[0] * rng.random(), inner[1] + (1.0 - inner[1]) * rng.choice([rng.random(), 1.0]))
+        outer = (
+            inner[0] * rng.random(),
+            inner[1] + (1.0 - inner[1]) * rng.choice([rng.random(), 1.0]),
+        )
         for manual in (True, False):
             small = overshoot(manual, inner[0], inner[1], lower, c)
             assert overshoot(manual, outer[0], outer[1], lower, c) >= small - 1e-5 * abs(small)

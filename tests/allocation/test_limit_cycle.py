@@ -12,7 +12,9 @@ def settled(model, lower, upper, seed):
     rng = np.random.default_rng(seed)
     slow = max(model.human.a, model.robot.a)
     steps = int(60.0 / (1.0 - slow))
-    run = simulate_allocation(model, lower, upper, 2 * steps, rng.random(), None, int(rng.integers(2)))
+    run = simulate_allocation(
+        model, lower, upper, 2 * steps, rng.random(), None, int(rng.integers(2))
+    )
     return run.iloc[steps:]
 
 
@@ -46,15 +48,22 @@ def test_dwell_times_alternate_for_participant_3(operators):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seeds", [range(250), pytest.param(range(250, 1000), marks=pytest.mark.long)], ids=str)
+@pytest.mark.parametrize(
+    "seeds", [range(250), pytest.param(range(250, 1000), marks=pytest.mark.long)], ids=str
+)
 def test_random_sets(random_model, seeds):
-    """1,000 random sets: a long simulation from a random start stays in the ranges, exactly where the motion repeats."""
+    """
+    1,000 random sets: a long simulation from a random start stays in the ranges, exactly where the
+    motion repeats.
+    """
     repeating = 0
     for seed in seeds:
         model, lower, upper = random_model(np.random.default_rng([17, seed]))
         cycle = limit_cycle(model, lower, upper)
         run = settled(model, lower, upper, seed)
-        alone = cycle.period is not None and cycle.motions == 1 and "every other" not in cycle.reason
+        alone = (
+            cycle.period is not None and cycle.motions == 1 and "every other" not in cycle.reason
+        )
         repeating += alone
         tolerance = 1e-9 if alone else 1e-6
         for key in ("r", "p_r", "tsc"):
@@ -115,7 +124,10 @@ def test_refuses_what_is_no_model(model):
 
 @pytest.mark.parametrize(("seed", "periods"), [(4980, {2, 3}), (5910, {17, 20})])
 def test_rare_coexisting_motions_are_found(random_model, seed, periods):
-    """Two sets with a second motion that few starts are drawn to; it was found by brute force from random starts."""
+    """
+    Two sets with a second motion that few starts are drawn to; it was found by brute force from
+    random starts.
+    """
     model, lower, upper = random_model(np.random.default_rng([17, seed]))
     cycle = limit_cycle(model, lower, upper)
     assert cycle.motions == 2
@@ -127,7 +139,8 @@ def test_rare_coexisting_motions_are_found(random_model, seed, periods):
         for key in ("r", "p_r", "tsc"):
             assert run[key].min() >= getattr(cycle, f"{key}_low") - 1e-9
             assert run[key].max() <= getattr(cycle, f"{key}_high") + 1e-9
-    # Negative control: the quick setting simulates from β and rest alone, and finds one of them only.
+    # Negative control: the quick setting simulates from β and rest alone, and finds one of them
+    # only.
     assert limit_cycle(model, lower, upper, starts=1).motions == 1
 
 
@@ -138,7 +151,9 @@ def test_exhaustive_is_an_old_name(operators):
 
 
 def test_utilization_that_saturates_has_a_cycle_too():
-    model = tl.TscModel(tl.RobotModel(0.999, 0.24, 0.39, 0.4602), tl.HumanModel(0.5, 0.5, 0.391, 0.4602))
+    model = tl.TscModel(
+        tl.RobotModel(0.999, 0.24, 0.39, 0.4602), tl.HumanModel(0.5, 0.5, 0.391, 0.4602)
+    )
     cycle = limit_cycle(model, -0.4, 0.4)
     assert cycle.exists
     assert cycle.always

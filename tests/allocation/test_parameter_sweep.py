@@ -78,7 +78,11 @@ def test_sensitivity_points_at_what_was_varied_most(operators):
     assert table.loc[("dwell_autonomous_high", "human.beta"), "total"] < 0.1
     with pytest.raises(ValueError, match=r"result 'mean_p_r' is nan at .* narrow the ranges"):
         tl.cycle_sensitivity(
-            operators["pilot"], {"upper": (0.2, 2.0), "human.beta": (0.7, 0.8)}, 8, lower=0.0, n_jobs=1
+            operators["pilot"],
+            {"upper": (0.2, 2.0), "human.beta": (0.7, 0.8)},
+            8,
+            lower=0.0,
+            n_jobs=1,
         )
 
 
@@ -95,7 +99,10 @@ def test_plots_show_maps_and_lines(operators):
     assert "blank: no cycle (1 of 6 points)" in axes.get_title()
     assert axes.get_xlabel() == "lower threshold $TSC_l$"
     line = tl.sweep(operators["pilot"], {"upper": [0.3, 0.4]}, lower=0.0, n_jobs=1)
-    assert line.plot("dwell_manual_low").lines[0].get_ydata().tolist() == line.table()["dwell_manual_low"].tolist()
+    assert (
+        line.plot("dwell_manual_low").lines[0].get_ydata().tolist()
+        == line.table()["dwell_manual_low"].tolist()
+    )
     for arguments, said in (
         ({"quantity": "r"}, "quantity must be one of"),
         ({"x": "beta"}, "x, among what was varied, must be one of"),
@@ -103,7 +110,11 @@ def test_plots_show_maps_and_lines(operators):
     ):
         with pytest.raises(ValueError, match=said):
             found.plot(**arguments)
-    three = tl.sweep(operators["pilot"], {"lower": [0.0], "upper": [0.3, 0.4], "human.beta": [0.7, 0.75]}, n_jobs=1)
+    three = tl.sweep(
+        operators["pilot"],
+        {"lower": [0.0], "upper": [0.3, 0.4], "human.beta": [0.7, 0.75]},
+        n_jobs=1,
+    )
     with pytest.raises(ValueError, match=r"human.beta was varied too"):
         three.plot("mean_r")
     three.plot("mean_r", x="upper", y="human.beta")
@@ -136,4 +147,6 @@ def test_other_bad_input_is_refused(operators):
         tl.sweep(5, {"upper": [0.3]}, lower=0.0)
     for quantities in (("r",), (), "mean_r"):
         with pytest.raises(ValueError, match="quantities must be among"):
-            tl.cycle_sensitivity(operators["pilot"], {"upper": (0.2, 0.3)}, 8, lower=0.0, quantities=quantities)
+            tl.cycle_sensitivity(
+                operators["pilot"], {"upper": (0.2, 0.3)}, 8, lower=0.0, quantities=quantities
+            )

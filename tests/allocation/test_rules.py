@@ -11,7 +11,10 @@ class Copied:
     """Rule (2.8) written out, with a memory of its own."""
 
     def __init__(self, lower, upper, mode=1):
-        self.lower, self.upper, self.mode, self.calls = lower, upper, mode, 0
+        self.lower = lower
+        self.upper = upper
+        self.mode = mode
+        self.calls = 0
 
     def step(self, *, tsc, p_r):
         self.calls += 1
@@ -55,15 +58,23 @@ def test_threshold_rule_is_the_printed_case_distinction(values, first):
 def test_simulation_is_the_rule_with_the_model(operators):
     model = operators["pilot"]
     run = simulate_allocation(model, 0.02, 0.45, 9000, r0=0.2, p_r0=0.3, mode=0)
-    rule, r, p_r = ThresholdRule(0.02, 0.45, mode=0), 0.2, 0.3
+    rule = ThresholdRule(0.02, 0.45, mode=0)
+    r = 0.2
+    p_r = 0.3
     for k in range(9000):
         p_h = model.human.performance(r)
         tsc = model.value(p_r, p_h)
         mode = rule.step(tsc=tsc)
         if k % 250 == 0:
-            np.testing.assert_allclose(run.loc[k, ["r", "p_r", "p_h", "tsc"]], [r, p_r, p_h, tsc], atol=1e-12)
+            np.testing.assert_allclose(
+                run.loc[k, ["r", "p_r", "p_h", "tsc"]], [r, p_r, p_h, tsc], atol=1e-12
+            )
             assert run.loc[k, "mode"] == mode
-        p_r = model.robot.a * p_r + (1 - model.robot.a) * model.robot.p_min + mode * model.robot.b * p_h
+        p_r = (
+            model.robot.a * p_r
+            + (1 - model.robot.a) * model.robot.p_min
+            + mode * model.robot.b * p_h
+        )
         r = model.human.a * r + model.human.b * mode
     assert run["mode"].nunique() == 2
 
@@ -91,7 +102,11 @@ def test_a_rule_driven_with_nan_says_so_and_stays(value):
 
 def test_refuses(operators):
     model = operators["pilot"]
-    for wrong, says in (((0.4, 0.0), "below"), ((0.0, float("nan")), "finite"), ((0.0, "high"), "number")):
+    for wrong, says in (
+        ((0.4, 0.0), "below"),
+        ((0.0, float("nan")), "finite"),
+        ((0.0, "high"), "number"),
+    ):
         with pytest.raises(ValueError, match=says):
             ThresholdRule(*wrong)
         with pytest.raises(ValueError, match=says):
@@ -118,8 +133,14 @@ def test_a_copy_of_a_rule_gives_the_same_bits(random_model, mode):
             copied = Copied(lower, upper, first)
             assert run.equals(simulate_allocation(model, rule=copied, **own))
             assert copied.calls == len(run)
-            assert built_in == ThresholdRule(lower, upper, mode=first), "a built-in rule is left as it is"
-        assert run.equals(simulate_allocation(model, lower, upper, **own | {"mode": first if mode is None else mode}))
+            assert built_in == ThresholdRule(lower, upper, mode=first), (
+                "a built-in rule is left as it is"
+            )
+        assert run.equals(
+            simulate_allocation(
+                model, lower, upper, **own | {"mode": first if mode is None else mode}
+            )
+        )
         numbers = model.robot.p_min, 0.5 * (model.robot.p_min + model.robot.p_max), 0.05
         run = simulate_allocation(model, rule=PerformanceRule(*numbers), **own)
         assert run.equals(simulate_allocation(model, rule=Algorithm2(*numbers), **own))
@@ -139,7 +160,10 @@ def test_a_rule_that_switches_at_every_sample(operators):
         (3, "rule must have a method step.*got 3"),
         (ThresholdRule, "the class ThresholdRule, not an object"),
         (lambda tsc, p_r: 1, "rule must have a method step"),
-        (Says(1, 0, None, 0.5), r"None to keep the mode\) at step 3, with TSC = -?[\d.]+ and P_r = [\d.]+.*got 0.5"),
+        (
+            Says(1, 0, None, 0.5),
+            r"None to keep the mode\) at step 3, with TSC = -?[\d.]+ and P_r = [\d.]+.*got 0.5",
+        ),
         (Says("manual"), "at step 0.*got 'manual'"),
         (Says(2), "from 0 to 1, got 2"),
         (Says(float("nan")), "whole number"),
@@ -155,7 +179,11 @@ def test_rules_that_cannot_be_used_are_named(operators, rule, says):
 
 
 def test_either_thresholds_or_a_rule(operators):
-    for both in ({}, {"lower": 0.0, "rule": ThresholdRule(0.0, 0.4)}, {"lower": 0.0, "upper": 0.4, "rule": Says(1)}):
+    for both in (
+        {},
+        {"lower": 0.0, "rule": ThresholdRule(0.0, 0.4)},
+        {"lower": 0.0, "upper": 0.4, "rule": Says(1)},
+    ):
         with pytest.raises(ValueError, match=r"either lower= and upper=.*or rule="):
             simulate_allocation(operators["2"], steps=10, **both)
     with pytest.raises(ValueError, match="upper must be a number, got None"):
@@ -165,4 +193,6 @@ def test_either_thresholds_or_a_rule(operators):
 def test_the_order_of_arguments_of_algorithm_2_follows_that_of_the_other_rule():
     with pytest.warns(DeprecationWarning, match=r"PerformanceRule\.step"):
         assert PerformanceRule(0.24, 0.39).step(0.39) == 0
-    assert PerformanceRule(0.24, 0.39).step(0.1, 0.39) == ThresholdRule(-0.1, 0.1).step(0.1, 0.39) == 0
+    assert (
+        PerformanceRule(0.24, 0.39).step(0.1, 0.39) == ThresholdRule(-0.1, 0.1).step(0.1, 0.39) == 0
+    )

@@ -1,4 +1,7 @@
-"""Theorem 1, (2.14), (2.15), Proposition 1 and Lemmas 1-5 as properties, against long simulation and closed forms."""
+"""
+Theorem 1, (2.14), (2.15), Proposition 1 and Lemmas 1-5 as properties, against long simulation and
+closed forms.
+"""
 
 import math
 
@@ -12,14 +15,23 @@ EXAMPLES = settings(
     max_examples=120,
     deadline=None,
     derandomize=True,
-    suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+    suppress_health_check=[
+        HealthCheck.filter_too_much,
+        HealthCheck.too_slow,
+        HealthCheck.function_scoped_fixture,
+    ],
 )
 
 
 def settled(sets, data):
-    """A model, thresholds within its limits, and a run under them with transients gone and its largest steps."""
+    """
+    A model, thresholds within its limits, and a run under them with transients gone and its largest
+    steps.
+    """
     model, lower, upper = data.draw(sets)
-    tail = simulate_allocation(model, lower, upper, 60_000, data.draw(st.floats(0.0, 1.0))).iloc[30_000:]
+    tail = simulate_allocation(model, lower, upper, 60_000, data.draw(st.floats(0.0, 1.0))).iloc[
+        30_000:
+    ]
     change = tail.diff().abs().max()
     limits = threshold_limits(model, change["p_h"])
     assume(limits.contains(lower, upper))
@@ -38,10 +50,15 @@ def test_theorem_1_the_rule_keeps_switching(sets, data):
 @settings(EXAMPLES, max_examples=40)
 @given(data=st.data(), beyond=st.floats(0.001, 2.0), who=st.sampled_from([0.0, 1.0]))
 def test_control_thresholds_that_tsc_never_meets_end_the_switching(sets, data, beyond, who):
-    """TSC lies in [-1, 1]: without the condition of Theorem 1 there is nothing that keeps the rule switching."""
+    """
+    TSC lies in [-1, 1]: without the condition of Theorem 1 there is nothing that keeps the rule
+    switching.
+    """
     model, lower, upper = data.draw(sets)
     lower, upper = (-1.0 - beyond, upper) if who == 0.0 else (lower, 1.0 + beyond)
-    assert (simulate_allocation(model, lower, upper, 60_000, 0.5).iloc[30_000:]["mode"] == who).all()
+    assert (
+        simulate_allocation(model, lower, upper, 60_000, 0.5).iloc[30_000:]["mode"] == who
+    ).all()
 
 
 @EXAMPLES
@@ -65,11 +82,12 @@ def test_bounds_2_14_and_2_15_hold(sets, data):
 @given(data=st.data())
 def test_lemmas_3_and_4_longest_dwell_times(sets, data):
     """
-    No phase is longer than ⌊·⌋ of (2.16) and (2.21), the floor included and without a sample to spare.
+    No phase is longer than ⌊·⌋ of (2.16) and (2.21), the floor included and without a sample to
+    spare.
 
-    A phase of n samples takes P_r from its first sample, within (2.15), over n steps to the first sample of the next phase,
-    which is within (2.15) as well: δ_TSC makes room for the step that crosses. So n does not exceed the real number
-    that is floored.
+    A phase of n samples takes P_r from its first sample, within (2.15), over n steps to the first
+    sample of the next phase, which is within (2.15) as well: δ_TSC makes room for the step that
+    crosses. So n does not exceed the real number that is floored.
     """
     _, _, tail, bounds = settled(sets, data)
     edges = np.flatnonzero(np.diff(tail["mode"])) + 1
@@ -79,7 +97,10 @@ def test_lemmas_3_and_4_longest_dwell_times(sets, data):
 
 
 def test_control_dwell_times_of_a_narrower_band_are_too_short(random_model):
-    """The lengths that Lemmas 3 and 4 bound do come near: bounds for a band of half the width are exceeded."""
+    """
+    The lengths that Lemmas 3 and 4 bound do come near: bounds for a band of half the width are
+    exceeded.
+    """
     longer = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)

@@ -1,4 +1,7 @@
-"""Choosing thresholds (Algorithm 1), and reading them off an operator's own switches (Tables 2.3 and 2.6)."""
+"""
+Choosing thresholds (Algorithm 1), and reading them off an operator's own switches (Tables 2.3 and
+2.6).
+"""
 
 import warnings
 from dataclasses import replace
@@ -9,7 +12,12 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.allocation import choose_thresholds, estimate_thresholds, followed_suggestions, relative_performance
+from trustlab.allocation import (
+    choose_thresholds,
+    estimate_thresholds,
+    followed_suggestions,
+    relative_performance,
+)
 from trustlab.allocation.threshold_estimate import _apart, separation
 from trustlab.reproduction import published_table
 
@@ -39,12 +47,16 @@ def test_a_fit_is_taken_and_warned_of_where_it_is_unsure(operators, make_session
         warnings.simplefilter("error")
         choice = choose_thresholds(fit, points=4)
     assert choice.model is fit.model
-    with pytest.warns(UserWarning, match="success = False: beta is weakly determined: record longer phases") as caught:
+    with pytest.warns(
+        UserWarning, match="success = False: beta is weakly determined: record longer phases"
+    ) as caught:
         again = choose_thresholds(unsure, points=4)
     assert [one.filename for one in caught] == [__file__]
     assert (again.lower, again.upper) == (choice.lower, choice.upper)
     assert again.message.endswith(f"success = False: {unsure.message} {choice.message}")
-    with pytest.raises(ValueError, match=r"TscModel, got RobotModel; fit one with trustlab\.fit_tsc"):
+    with pytest.raises(
+        ValueError, match=r"TscModel, got RobotModel; fit one with trustlab\.fit_tsc"
+    ):
         choose_thresholds(tl.fit_robot(make_session(operators["2"], switching)))
 
 
@@ -87,7 +99,9 @@ def test_no_room_between_the_limits_is_remark_4(operators):
 def switched(lower, upper, spread, seed, n=12, participant=1):
     """A session whose operator takes over at `lower` and hands over at `upper`, with spread."""
     rng = np.random.default_rng(seed)
-    tsc, mode, now = [], [], 1.0
+    tsc = []
+    mode = []
+    now = 1.0
     level = lower
     for _ in range(n):
         target = (upper if now == 1.0 else lower) + spread * rng.standard_normal()
@@ -95,7 +109,9 @@ def switched(lower, upper, spread, seed, n=12, participant=1):
         tsc += list(ramp)
         mode += [now] * 40
         level, now = target, 1.0 - now
-    frame = pd.DataFrame({"mode": mode, "tsc": tsc}, index=pd.Index(np.arange(len(mode)) * 0.1, name="t"))
+    frame = pd.DataFrame(
+        {"mode": mode, "tsc": tsc}, index=pd.Index(np.arange(len(mode)) * 0.1, name="t")
+    )
     return tl.Session(frame, tl.Metadata(participant=participant, synthetic=True))
 
 
@@ -116,8 +132,12 @@ def test_switches_before_a_time_are_left_out():
     everything = estimate_thresholds(run)
     first = everything.switches["t"].iloc[0]
     later = estimate_thresholds(run, after=first + 0.05)
-    pd.testing.assert_frame_equal(later.switches, everything.switches.iloc[1:].reset_index(drop=True))
-    pd.testing.assert_frame_equal(estimate_thresholds(run, after=first).switches, everything.switches)
+    pd.testing.assert_frame_equal(
+        later.switches, everything.switches.iloc[1:].reset_index(drop=True)
+    )
+    pd.testing.assert_frame_equal(
+        estimate_thresholds(run, after=first).switches, everything.switches
+    )
     with pytest.raises(tl.SessionError, match="at 1000 s or later"):
         estimate_thresholds(run, after=1000.0)
 
@@ -161,7 +181,11 @@ def test_table_2_3_sets_participant_3_apart():
     printed = published_table("2.3").astype(float)
     found = {}
     for name in printed.columns:
-        pair = [printed.loc[(side, item), name] for side in ("TSC_l", "TSC_u") for item in ("mean", "sd")]
+        pair = [
+            printed.loc[(side, item), name]
+            for side in ("TSC_l", "TSC_u")
+            for item in ("mean", "sd")
+        ]
         found[name] = separation(*pair)
     assert found["3"] == pytest.approx(0.414 / 0.42)
     assert {name for name, value in found.items() if value > 1.0} == {"1", "2", "4", "5"}
@@ -175,7 +199,10 @@ def exactly(mean, sd, n):
 
 @pytest.mark.parametrize("n", [4, 8, 16, 100])
 def test_samples_like_those_of_table_2_3_are_told_apart_or_not(n):
-    """However many switches, participant 3's are not shown to be apart, though Welch's test finds means that differ."""
+    """
+    However many switches, participant 3's are not shown to be apart, though Welch's test finds
+    means that differ.
+    """
     from scipy import stats
 
     printed, rng = published_table("2.3").astype(float), np.random.default_rng(0)
@@ -191,17 +218,26 @@ def test_samples_like_those_of_table_2_3_are_told_apart_or_not(n):
     assert p["5"] < (0.05 if n > 16 else 1.0)
     if n >= 8:
         assert p["4"] < 0.01
-        third = stats.ttest_ind_from_stats(0.51, 0.29, n, 0.096, 0.13, n, equal_var=False, alternative="greater")
+        third = stats.ttest_ind_from_stats(
+            0.51, 0.29, n, 0.096, 0.13, n, equal_var=False, alternative="greater"
+        )
         assert third.pvalue < 0.01
 
 
 @pytest.mark.parametrize("sizes", [(3, 3), (4, 12), (20, 20)])
 def test_the_test_keeps_its_level_with_few_switches(sizes):
-    """Normal switches whose mean ± SD just touch: rejected in at most 5 % of samples, enclosed by 95 % of intervals."""
+    """
+    Normal switches whose mean ± SD just touch: rejected in at most 5 % of samples, enclosed by 95 %
+    of intervals.
+    """
     rng = np.random.default_rng(1)
     found = np.array(
         [
-            _apart({"lower": rng.normal(0.0, 0.1, sizes[0]), "upper": rng.normal(0.3, 0.2, sizes[1])}, 400, rng)
+            _apart(
+                {"lower": rng.normal(0.0, 0.1, sizes[0]), "upper": rng.normal(0.3, 0.2, sizes[1])},
+                400,
+                rng,
+            )
             for _ in range(1500)
         ]
     )
@@ -230,7 +266,10 @@ def test_suggestions_are_followed_in_time_or_not():
     suggested[400:640], mode[600:] = 1.0, 1.0  # too late: 20 s
     suggested[700:720] = 0.0  # never
     session = tl.Session(
-        pd.DataFrame({"mode": mode, "suggested_mode": suggested}, index=pd.Index(np.arange(n) * 0.1, name="t"))
+        pd.DataFrame(
+            {"mode": mode, "suggested_mode": suggested},
+            index=pd.Index(np.arange(n) * 0.1, name="t"),
+        )
     )
     table = followed_suggestions(session)
     assert list(table["followed"]) == [True, False, False]
@@ -243,7 +282,10 @@ def test_suggestions_are_followed_in_time_or_not():
 
 
 def test_relative_performance_of_remark_7():
-    """(2.39) on Table 2.5: C2 over C1 by 8.75 points, C5 over C3 by 11.86, as printed, with the range 0.24 to 0.4."""
+    """
+    (2.39) on Table 2.5: C2 over C1 by 8.75 points, C5 over C3 by 11.86, as printed, with the range
+    0.24 to 0.4.
+    """
     table = published_table("2.5")["P_r_mean"].astype(float)
     percent = {name: relative_performance(value, 0.24, 0.4) for name, value in table.items()}
     assert percent["C2"] - percent["C1"] == pytest.approx(8.75, abs=1e-9)

@@ -97,7 +97,9 @@ def test_one_of_two_workers_is_killed_half_way(cluster, client, tmp_path):
         counts = pd.Series([line.split()[0] for line in file]).value_counts()
     assert len(counts) == 200
     os.remove(log)
-    pd.testing.assert_frame_equal(table, tl.run_campaign(task, runs, seed=5, n_jobs=1), check_exact=True)
+    pd.testing.assert_frame_equal(
+        table, tl.run_campaign(task, runs, seed=5, n_jobs=1), check_exact=True
+    )
 
 
 def test_a_run_that_kills_its_worker_every_time_is_recorded(cluster, client):
@@ -112,11 +114,20 @@ def test_a_run_that_kills_its_worker_every_time_is_recorded(cluster, client):
 
 
 @pytest.mark.parametrize(
-    "address", ["tcp://127.0.0.1:1", "127.0.0.1:1", "nonsense", "abc://x:1", "tcp://no-such-host.invalid:8786"]
+    "address",
+    [
+        "tcp://127.0.0.1:1",
+        "127.0.0.1:1",
+        "nonsense",
+        "abc://x:1",
+        "tcp://no-such-host.invalid:8786",
+    ],
 )
 def test_a_scheduler_that_cannot_be_reached_is_an_error_with_the_address(address, monkeypatch):
     monkeypatch.setattr("trustlab.campaign.dask_cluster.CONNECT", 1.0)
-    with pytest.raises(CampaignError, match=f"no Dask scheduler could be reached at '{address}' within 1 s"):
+    with pytest.raises(
+        CampaignError, match=f"no Dask scheduler could be reached at '{address}' within 1 s"
+    ):
         tl.run_campaign(lambda seed: {"y": 1}, [{}], cluster=address)
 
 
@@ -124,7 +135,9 @@ def test_a_server_that_takes_the_connection_and_says_nothing_is_no_wait_for_ever
     monkeypatch.setattr("trustlab.campaign.dask_cluster.CONNECT", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         port = silent.getsockname()[1]
-        with pytest.raises(CampaignError, match=f"no Dask scheduler could be reached at 'tcp://127.0.0.1:{port}'"):
+        with pytest.raises(
+            CampaignError, match=f"no Dask scheduler could be reached at 'tcp://127.0.0.1:{port}'"
+        ):
             tl.run_campaign(lambda seed: {"y": 1}, [{}], cluster=f"tcp://127.0.0.1:{port}")
 
 
@@ -141,7 +154,9 @@ def test_a_closed_client_is_refused(cluster):
         tl.run_campaign(lambda seed: {"y": 1}, [{}], cluster=one)
 
 
-def test_without_workers_or_without_its_scheduler_a_campaign_gives_up_and_goes_on_later(tmp_path, monkeypatch):
+def test_without_workers_or_without_its_scheduler_a_campaign_gives_up_and_goes_on_later(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr("trustlab.campaign.dask_cluster.CONNECT", 0.5)
     monkeypatch.setattr("trustlab.campaign.dask_cluster.PATIENCE", 1.0)
     monkeypatch.setattr("trustlab.campaign.dispatch.WATCH", 0.2)
@@ -156,7 +171,11 @@ def test_without_workers_or_without_its_scheduler_a_campaign_gives_up_and_goes_o
 
     runs = tl.parameter_grid(x=range(80))
     local = distributed.LocalCluster(
-        n_workers=0, processes=False, dashboard_address=":0", silence_logs="CRITICAL", threads_per_worker=1
+        n_workers=0,
+        processes=False,
+        dashboard_address=":0",
+        silence_logs="CRITICAL",
+        threads_per_worker=1,
     )
     with pytest.raises(CampaignError, match=r"has no workers; start some"):
         tl.run_campaign(task, runs, cluster=local, out=tmp_path / "out")
@@ -170,7 +189,9 @@ def test_without_workers_or_without_its_scheduler_a_campaign_gives_up_and_goes_o
 
     thread = threading.Thread(target=end)
     thread.start()
-    with pytest.raises(CampaignError, match=r"is gone: no workers; finished chunks are safe.*call again"):
+    with pytest.raises(
+        CampaignError, match=r"is gone: no workers; finished chunks are safe.*call again"
+    ):
         tl.run_campaign(task, runs, cluster=local, out=tmp_path / "out")
     thread.join()
     local.close()
@@ -185,7 +206,11 @@ def test_a_scheduler_that_goes_away_is_an_error_and_not_a_wait_for_ever(tmp_path
     monkeypatch.setattr("trustlab.campaign.dask_cluster.PATIENCE", 2.0)
     monkeypatch.setattr("trustlab.campaign.dispatch.WATCH", 0.2)
     local = distributed.LocalCluster(
-        n_workers=1, processes=False, dashboard_address=":0", silence_logs="CRITICAL", threads_per_worker=1
+        n_workers=1,
+        processes=False,
+        dashboard_address=":0",
+        silence_logs="CRITICAL",
+        threads_per_worker=1,
     )
     folder = tmp_path / "out"
 

@@ -44,7 +44,9 @@ def test_an_executor_that_can_be_made_again_loses_only_the_run_that_kills_its_pr
     assert list(table["y"].drop(7)) == [i for i in range(20) if i != 7]
 
 
-def test_an_executor_that_broke_for_good_is_an_error_that_names_runs_and_the_campaign_goes_on_later(tmp_path):
+def test_an_executor_that_broke_for_good_is_an_error_that_names_runs_and_the_campaign_goes_on_later(
+    tmp_path,
+):
     def task(i, seed):
         if i == 7 and not (tmp_path / "calm").exists():
             os.kill(os.getpid(), signal.SIGKILL)
@@ -53,7 +55,10 @@ def test_an_executor_that_broke_for_good_is_an_error_that_names_runs_and_the_cam
     runs, out = tl.parameter_grid(i=range(20)), tmp_path / "out"
     with (
         processes() as executor,
-        pytest.raises(CampaignError, match=r"ProcessPoolExecutor takes no more work .*; runs \d+ to \d+ were lost"),
+        pytest.raises(
+            CampaignError,
+            match=r"ProcessPoolExecutor takes no more work .*; runs \d+ to \d+ were lost",
+        ),
     ):
         tl.run_campaign(task, runs, executor=executor, out=out)
     (tmp_path / "calm").touch()
@@ -86,7 +91,9 @@ class Adapter(Executor):
 
 def test_the_workers_of_an_adapter_can_be_said():
     adapter = Adapter()
-    table = tl.run_campaign(lambda i, seed: {"y": i}, tl.parameter_grid(i=range(30)), executor=adapter, n_jobs=3)
+    table = tl.run_campaign(
+        lambda i, seed: {"y": i}, tl.parameter_grid(i=range(30)), executor=adapter, n_jobs=3
+    )
     assert list(table["y"]) == list(range(30))
     assert adapter.most == 6  # two chunks for each worker
 

@@ -84,12 +84,20 @@ def test_what_a_task_carries_counts():
         return lambda x, seed: {"y": x * value}
 
     assert task_identity(make(1)) == task_identity(make(1))
-    for a, b in [(1, 2), (1, 1.0), (np.arange(3), np.arange(4)), ({"a": 1}, {"a": 2}), (make(1), make(2))]:
+    for a, b in [
+        (1, 2),
+        (1, 1.0),
+        (np.arange(3), np.arange(4)),
+        ({"a": 1}, {"a": 2}),
+        (make(1), make(2)),
+    ]:
         assert task_identity(make(a)) == task_identity(make(a))
         assert differences(task_identity(make(a)), task_identity(make(b)))
     bound = [functools.partial(make(1), x=x) for x in (1, 1, 2)]
     assert task_identity(bound[0]) == task_identity(bound[1])
-    assert differences(task_identity(bound[0]), task_identity(bound[2]))[0].startswith("task: arguments bound was")
+    assert differences(task_identity(bound[0]), task_identity(bound[2]))[0].startswith(
+        "task: arguments bound was"
+    )
     one, other = (lambda x, seed: {"y": x}), (lambda x, seed: {"y": -x})
     assert differences(task_identity(one), task_identity(other))
 
@@ -127,8 +135,12 @@ def test_a_task_that_calls_itself_is_no_trouble():
 
 @given(
     st.recursive(
-        st.one_of(st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=3)),
-        lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=2), inner, max_size=3)),
+        st.one_of(
+            st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=3)
+        ),
+        lambda inner: st.one_of(
+            st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=2), inner, max_size=3)
+        ),
         max_leaves=6,
     ),
     st.data(),
@@ -159,8 +171,9 @@ def test_equal_objects_have_equal_texts_in_every_process():
     long = [*words, *range(30)]
     assert value_text(long) == value_text([*shared, *range(30)])
     script = (
-        "import numpy as np; from trustlab.campaign.identity import value_text as t; import trustlab as tl; "
-        "print(t(set(map(str, range(50)))), t({'m': tl.published_models()['1'], 'a': np.arange(99.0), 's': {'x', 'y', 'z'}}))"
+        "import numpy as np; from trustlab.campaign.identity import value_text as t; import "
+        "trustlab as tl; print(t(set(map(str, range(50)))), t({'m': tl.published_models()['1'], "
+        "'a': np.arange(99.0), 's': {'x', 'y', 'z'}}))"
     )
     texts = {
         subprocess.run(
@@ -200,7 +213,9 @@ def test_a_worker_that_imported_an_earlier_version_imports_it_again(tmp_path, mo
     write(3, 3_000_000)  # edited again, not imported by the sender
     module.task = old
     unpickled_task.cache_clear()
-    with pytest.raises(CampaignError, match=r"workers find other code for campaign_task_of_a_test.task"):
+    with pytest.raises(
+        CampaignError, match=r"workers find other code for campaign_task_of_a_test.task"
+    ):
         unpickled_task(*sent)
     del sys.modules["campaign_task_of_a_test"]
     file.unlink()
@@ -215,8 +230,10 @@ def test_edits_of_other_modules_of_the_tasks_package_are_seen(tmp_path):
     package = tmp_path / "labmodels"
     files = {
         "__init__.py": "",
-        "task.py": "from . import plant\n\ndef task(x, seed):\n    return {'y': plant.step(x)}\n\ndef unused():\n    pass\n",
-        "plant.py": "def step(x):\n    from labmodels.deep.gains import GAIN as g\n    return g * x\n",
+        "task.py": "from . import plant\n\ndef task(x, seed):\n    return {'y': "
+        "plant.step(x)}\n\ndef unused():\n    pass\n",
+        "plant.py": "def step(x):\n    from labmodels.deep.gains import GAIN as g\n    return g "
+        "* x\n",
         "deep/__init__.py": "",
         "deep/gains.py": "from ..constants import BASE\nGAIN = 2 * BASE\n",
         "constants.py": "import numpy\nimport labmodels.task\nBASE = 1.0\n",  # and back: a circle
@@ -228,22 +245,30 @@ def test_edits_of_other_modules_of_the_tasks_package_are_seen(tmp_path):
             (package / name).parent.mkdir(parents=True, exist_ok=True)
             (package / name).write_text(text)
         script = (
-            "import json; from labmodels.task import task; from trustlab.campaign.identity import task_identity; "
-            "print(json.dumps(task_identity(task)))"
+            "import json; from labmodels.task import task; from trustlab.campaign.identity "
+            "import task_identity; print(json.dumps(task_identity(task)))"
         )
         environment = os.environ | {
             "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),
             "PYTHONDONTWRITEBYTECODE": "1",
         }
-        return json.loads(subprocess.check_output([sys.executable, "-c", script], env=environment, text=True))
+        return json.loads(
+            subprocess.check_output([sys.executable, "-c", script], env=environment, text=True)
+        )
 
     before = identity()
     assert {key for key in before if key.startswith("module")} == {
         f"module labmodels{name}" for name in ("", ".plant", ".deep.gains", ".constants", ".deep")
     }
-    changed = {"deep/gains.py": files["deep/gains.py"].replace("2", "3"), "other.py": "UNRELATED = 2\n"}
+    changed = {
+        "deep/gains.py": files["deep/gains.py"].replace("2", "3"),
+        "other.py": "UNRELATED = 2\n",
+    }
     assert differences(before, identity(**changed)) == ["module labmodels.deep.gains changed"]
-    commented = {"constants.py": files["constants.py"] + "# a comment\n", "task.py": files["task.py"] + "\nX = 1\n"}
+    commented = {
+        "constants.py": files["constants.py"] + "# a comment\n",
+        "task.py": files["task.py"] + "\nX = 1\n",
+    }
     assert differences(before, identity(**commented)) == []
 
 

@@ -11,7 +11,9 @@ import trustlab as tl
 
 def test_a_grid_is_the_product_of_its_axes():
     grid = tl.parameter_grid(a=[1, 2], b=np.array([0.1, 0.2, 0.3]), repeats=2)
-    want = [{"a": a, "b": b} for a, b in itertools.product([1, 2], [0.1, 0.2, 0.3]) for _ in range(2)]
+    want = [
+        {"a": a, "b": b} for a, b in itertools.product([1, 2], [0.1, 0.2, 0.3]) for _ in range(2)
+    ]
     assert list(grid) == want
     assert len(grid) == 12
     assert grid[-1] == want[-1]
@@ -58,7 +60,9 @@ def test_draws_follow_their_distributions_and_their_names():
 def test_a_parameter_may_be_called_n():
     draws = tl.parameter_draws(50, seed=1, n=[5, 20], a=(0.0, 1.0))
     assert {d["n"] for d in draws} == {5, 20}
-    assert [d["a"] for d in draws] == [d["a"] for d in tl.parameter_draws(n=50, seed=1, a=(0.0, 1.0))]
+    assert [d["a"] for d in draws] == [
+        d["a"] for d in tl.parameter_draws(n=50, seed=1, a=(0.0, 1.0))
+    ]
     assert len(tl.parameter_draws(50, 1, n=stats.norm())) == 50
     with pytest.raises(ValueError, match="n must be a whole number"):
         tl.parameter_draws(n=[5, 20])

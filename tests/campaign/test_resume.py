@@ -1,4 +1,7 @@
-"""Campaigns with a folder: killed, resumed, changed, damaged. Oracle: the table of a campaign that was let run."""
+"""
+Campaigns with a folder: killed, resumed, changed, damaged. Oracle: the table of a campaign that was
+let run.
+"""
 
 import json
 import os
@@ -121,12 +124,19 @@ def chunks(folder):
         pytest.param(2, 20, 3.0, marks=pytest.mark.long),
     ],
 )
-def test_drivers_killed_at_random_leave_nothing_half_made_and_the_next_goes_on(tmp_path, n_jobs, kills, longest):
-    """Nothing saved is lost or run again, no worker stays, and the table is that of a campaign without kills."""
+def test_drivers_killed_at_random_leave_nothing_half_made_and_the_next_goes_on(
+    tmp_path, n_jobs, kills, longest
+):
+    """
+    Nothing saved is lost or run again, no worker stays, and the table is that of a campaign without
+    kills.
+    """
     (tmp_path / "script.py").write_text(SCRIPT)
     environment = os.environ | {"PYTHONPATH": str(Path(tl.__file__).parents[1])}
     command = [sys.executable, tmp_path / "script.py", tmp_path, n_jobs, kills, longest]
-    done = subprocess.run(list(map(str, command)), env=environment, capture_output=True, text=True, timeout=900)
+    done = subprocess.run(
+        list(map(str, command)), env=environment, capture_output=True, text=True, timeout=900
+    )
     assert done.returncode == 0, done.stderr
     killed, half_way = map(int, done.stdout.split())
     assert killed == kills
@@ -180,7 +190,9 @@ time.sleep(50)
 def test_a_worker_whose_parent_died_before_it_had_started_ends():
     read, write = os.pipe()
     environment = os.environ | {"PYTHONPATH": str(Path(tl.__file__).parents[1])}
-    worker = subprocess.Popen([sys.executable, "-c", WORKER, str(read)], env=environment, pass_fds=[read])
+    worker = subprocess.Popen(
+        [sys.executable, "-c", WORKER, str(read)], env=environment, pass_fds=[read]
+    )
     os.close(write)  # as the system does when the parent is killed
     os.close(read)
     assert worker.wait(45) == 1
@@ -203,7 +215,9 @@ def test_another_task_is_refused_with_what_changed(tmp_path):
     def other(x, seed):
         return {"y": x * 3}
 
-    with pytest.raises(CampaignError, match=r"holds another campaign: the task changed.*fresh=True"):
+    with pytest.raises(
+        CampaignError, match=r"holds another campaign: the task changed.*fresh=True"
+    ):
         go(tmp_path, other)
     with pytest.raises(CampaignError, match=r"scale in .*plain.*task was 2, is 4"):
         go(tmp_path, plain(scale=4))
@@ -216,10 +230,16 @@ def test_another_task_is_refused_with_what_changed(tmp_path):
 @pytest.mark.parametrize(
     ("runs", "said"),
     [
-        (tl.parameter_grid(x=[*range(12), 50, *range(13, 30)]), "parameters changed: runs have other values"),
+        (
+            tl.parameter_grid(x=[*range(12), 50, *range(13, 30)]),
+            "parameters changed: runs have other values",
+        ),
         (tl.parameter_grid(x=range(29)), "30 runs then, 29 now"),
         (tl.parameter_grid(x=range(31)), "30 runs then, 31 now"),
-        (tl.parameter_grid(x=[float(i) for i in range(30)]), "parameters changed: runs have other values"),
+        (
+            tl.parameter_grid(x=[float(i) for i in range(30)]),
+            "parameters changed: runs have other values",
+        ),
         (tl.parameter_grid(x=range(30), z=[1]), "parameters were x, are x, z"),
     ],
 )
@@ -242,7 +262,8 @@ def test_other_versions_are_refused_by_name_and_allowed_by_name(tmp_path):
     manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"versions": older}))
     chunks(tmp_path)[0].unlink()
     with pytest.raises(
-        CampaignError, match=rf"other versions.*: numpy was 1\.26\.4, is {np.__version__}; numba was 0\.59"
+        CampaignError,
+        match=rf"other versions.*: numpy was 1\.26\.4, is {np.__version__}; numba was 0\.59",
     ):
         go(tmp_path)
     with pytest.raises(CampaignError, match=r"numpy was .*other_versions=\['numpy'\]"):
@@ -250,7 +271,10 @@ def test_other_versions_are_refused_by_name_and_allowed_by_name(tmp_path):
     table = go(tmp_path, other_versions=["numba", "numpy"])
     pd.testing.assert_frame_equal(first, table)
     mixed = tl.read_campaign(tmp_path).attrs["versions"]
-    assert mixed == now | {"numpy": f"1.26.4, {np.__version__}", "numba": f"0.59.1, {numba.__version__}"}
+    assert mixed == now | {
+        "numpy": f"1.26.4, {np.__version__}",
+        "numba": f"0.59.1, {numba.__version__}",
+    }
     with pytest.raises(CampaignError, match=r"numpy was 1\.26\.4, "):
         go(tmp_path)  # a mixed table is never returned without being asked for
     assert tl.read_campaign(tmp_path).attrs["versions"] == mixed
@@ -266,7 +290,9 @@ def test_parameters_of_any_kind_are_told_apart(tmp_path, operators):
     runs = [{"model": model, "f": plain()}, {"model": operators["1"], "f": plain()}]
     table = go(tmp_path, task, runs)
     assert table["model"][0] is model
-    assert list(go(tmp_path, task, [dict(values) for values in runs])["b"]) == [m.robot.b for m in table["model"]]
+    assert list(go(tmp_path, task, [dict(values) for values in runs])["b"]) == [
+        m.robot.b for m in table["model"]
+    ]
     with pytest.raises(CampaignError, match="parameters changed: runs have other values"):
         go(tmp_path, task, [runs[0], {"model": operators["2"], "f": plain()}])
     with pytest.raises(CampaignError, match="parameters changed: runs have other values"):
@@ -362,7 +388,9 @@ def test_a_full_disk_loses_nothing_that_was_written(tmp_path, monkeypatch):
         write(path, data)
 
     monkeypatch.setattr(folder, "write_whole", full)
-    with pytest.raises(CampaignError, match=r"No space left on device; finished chunks before it are safe"):
+    with pytest.raises(
+        CampaignError, match=r"No space left on device; finished chunks before it are safe"
+    ):
         go(tmp_path)
     monkeypatch.undo()
     assert go(tmp_path).attrs["resumed"] > 0
@@ -378,7 +406,8 @@ def test_a_disk_that_is_full_from_the_start_is_a_sentence(tmp_path, monkeypatch)
 
     monkeypatch.setattr(folder, "write_whole", full)
     with pytest.raises(
-        CampaignError, match=r"cannot write in .*: No space left on device; choose a folder that has room"
+        CampaignError,
+        match=r"cannot write in .*: No space left on device; choose a folder that has room",
     ):
         go(tmp_path)
     monkeypatch.undo()
@@ -426,7 +455,12 @@ def test_a_broken_off_campaign_goes_on(tmp_path):
         go(tmp_path, task)
     part = tl.read_campaign(tmp_path)
     assert 0 < len(part) <= 12
-    assert part.attrs == {"runs": 30, "finished": len(part), "failed": 0, "versions": part.attrs["versions"]}
+    assert part.attrs == {
+        "runs": 30,
+        "finished": len(part),
+        "failed": 0,
+        "versions": part.attrs["versions"],
+    }
     stop[0] = -1
     with pytest.raises(CampaignError, match=r"stop in .*was list\[12\], is list\[-1\]"):
         go(tmp_path, task)
@@ -445,7 +479,9 @@ def test_an_empty_campaign_reads_as_an_empty_table(tmp_path):
 
 
 def test_memory_does_not_grow_with_the_number_of_runs(tmp_path, monkeypatch):
-    """Peak up to the moment at which the table is read, for 500 and 4,000 runs of four kilobytes each."""
+    """
+    Peak up to the moment at which the table is read, for 500 and 4,000 runs of four kilobytes each.
+    """
 
     def task(x, seed):
         return {"text": f"{x:04000d}"}
@@ -490,6 +526,8 @@ def test_a_value_without_digest_never_gives_a_result_that_could_be_taken_for_ano
 
     for x in (1, 2):
         with pytest.warns(tl.campaign.CampaignWarning, match="sealed"):
-            table = tl.run_campaign(unsealed, [{"value": Sealed(x)}], n_jobs=1, out=tmp_path / "out")
+            table = tl.run_campaign(
+                unsealed, [{"value": Sealed(x)}], n_jobs=1, out=tmp_path / "out"
+            )
         assert table["failed"].all()
         assert "y" not in table

@@ -23,7 +23,9 @@ GRID = tl.parameter_grid(n=[5, 10], k=[1, 2], repeats=10)
 def same(a, b):
     pd.testing.assert_frame_equal(a, b, check_exact=True)
     floats = a.select_dtypes("float").columns
-    assert [a[c].to_numpy().tobytes() for c in floats] == [b[c].to_numpy().tobytes() for c in floats]
+    assert [a[c].to_numpy().tobytes() for c in floats] == [
+        b[c].to_numpy().tobytes() for c in floats
+    ]
 
 
 def quiet(*args, **kwargs):
@@ -35,7 +37,18 @@ def quiet(*args, **kwargs):
 def test_the_table_is_that_of_a_plain_loop(mean_task):
     table = quiet(mean_task, GRID, seed=3, n_jobs=1)
     children = np.random.SeedSequence(3).spawn(len(GRID))
-    assert list(table.columns) == ["run", "n", "k", "mean", "count", "sign", "positive", "failed", "error", "traceback"]
+    assert list(table.columns) == [
+        "run",
+        "n",
+        "k",
+        "mean",
+        "count",
+        "sign",
+        "positive",
+        "failed",
+        "error",
+        "traceback",
+    ]
     assert list(table["run"]) == list(range(40))
     for i, (values, seed) in enumerate(zip(GRID, children, strict=True)):
         row = table.iloc[i]
@@ -77,15 +90,25 @@ def test_other_seeds_give_other_numbers_and_spawned_children_are_not_used_again(
     shifted = tl.run_campaign(draw, runs, seed=parent, n_jobs=1)["x"]
     assert list(shifted[:2]) == list(a[1:])
     child = np.random.SeedSequence(0).spawn(2)[1]
-    want = [np.random.default_rng(s).normal() for s in np.random.SeedSequence(0).spawn(2)[1].spawn(3)]
+    want = [
+        np.random.default_rng(s).normal() for s in np.random.SeedSequence(0).spawn(2)[1].spawn(3)
+    ]
     assert list(tl.run_campaign(draw, runs, seed=child, n_jobs=1)["x"]) == want
 
 
-VALUES = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5), st.integers(2**52, 2**54))
+VALUES = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.text(max_size=5),
+    st.integers(2**52, 2**54),
+)
 
 
 @given(
-    values=st.lists(st.one_of(VALUES, st.just(ValueError)), min_size=1, max_size=12), cuts=st.sets(st.integers(1, 11))
+    values=st.lists(st.one_of(VALUES, st.just(ValueError)), min_size=1, max_size=12),
+    cuts=st.sets(st.integers(1, 11)),
 )
 @settings(max_examples=150)
 def test_chunk_boundaries_have_no_effect(values, cuts):
@@ -102,7 +125,9 @@ def test_chunk_boundaries_have_no_effect(values, cuts):
         chunks = []
         for first, last in zip([0, *ends], [*ends, len(values)], strict=True):
             part = parameters[first:last]
-            chunks.append(encoded(first, part, run_chunk(task, np.random.SeedSequence(0), first, part)[0]))
+            chunks.append(
+                encoded(first, part, run_chunk(task, np.random.SeedSequence(0), first, part)[0])
+            )
         return assembled(chunks[::-1], ["i"], {"i": list(range(len(values)))})
 
     whole = table([])
@@ -134,7 +159,9 @@ def test_chunk_boundaries_have_no_effect(values, cuts):
 )
 def test_a_result_of_another_kind_is_a_recorded_failure(result, said):
     with pytest.warns(CampaignWarning, match="1 of 2 runs failed; run 1"):
-        table = tl.run_campaign(lambda i, seed: result if i else {"x": 1.5}, [{"i": 0}, {"i": 1}], n_jobs=1)
+        table = tl.run_campaign(
+            lambda i, seed: result if i else {"x": 1.5}, [{"i": 0}, {"i": 1}], n_jobs=1
+        )
     assert list(table["failed"]) == [False, True]
     assert said in table["error"][1]
 
@@ -171,7 +198,11 @@ def test_a_traceback_tells_the_cause_too():
 
     with pytest.warns(CampaignWarning):
         text = tl.run_campaign(task, [{}], n_jobs=1)["traceback"][0]
-    assert text.index("KeyError: 'missing'") < text.index("direct cause") < text.index("RuntimeError: no such")
+    assert (
+        text.index("KeyError: 'missing'")
+        < text.index("direct cause")
+        < text.index("RuntimeError: no such")
+    )
     assert "worker.py" not in text
 
 
@@ -206,9 +237,13 @@ def test_a_process_that_dies_takes_only_its_run_along(mean_task):
         ({"task": 5}, "task must be a function"),
         (
             {"task": lambda n: {}},
-            "cannot be called with n, seed as named arguments: got an unexpected keyword argument 'seed'",
+            "cannot be called with n, seed as named arguments: got an unexpected keyword "
+            "argument 'seed'",
         ),
-        ({"task": lambda m, seed: {}}, "missing a required argument: 'm'|unexpected keyword argument 'n'"),
+        (
+            {"task": lambda m, seed: {}},
+            "missing a required argument: 'm'|unexpected keyword argument 'n'",
+        ),
         ({"parameters": []}, "parameters is empty"),
         ({"parameters": {"n": [1]}}, "got one dict"),
         ({"parameters": "abc"}, "must be a list of dicts, one per run, got str"),
@@ -271,7 +306,9 @@ def test_nothing_is_printed_unless_asked(capfd, mean_task):
 @given(st.floats(1e-6, 3.0), st.integers(1, 5000), st.integers(1, 8))
 @settings(max_examples=100)
 def test_chunks_last_long_enough_and_cover_every_run(per_run, runs, workers):
-    sizes, left, taken = ChunkSizes(runs, workers), runs, []
+    sizes = ChunkSizes(runs, workers)
+    left = runs
+    taken = []
     while left:
         size = sizes.next(left)
         assert 1 <= size <= min(left, MOST_RUNS)
@@ -307,5 +344,7 @@ def test_parameters_of_any_kind_are_in_the_table_as_they_were_given(tmp_path):
     texts = tl.read_campaign(tmp_path)["x"]
     assert texts[8] == "array([0, 1, 2])"
     assert len(texts[10]) == 1000
-    lone = tl.run_campaign(lambda x, seed: {"y": 1}, [{"x": "\ud800"}, {"x": "a"}], n_jobs=1, out=tmp_path / "lone")
+    lone = tl.run_campaign(
+        lambda x, seed: {"y": 1}, [{"x": "\ud800"}, {"x": "a"}], n_jobs=1, out=tmp_path / "lone"
+    )
     assert list(lone["x"]) == ["\ud800", "a"]

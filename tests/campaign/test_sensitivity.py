@@ -30,7 +30,14 @@ def closed_form(a=7.0, b=0.1):
 
 def test_indices_of_the_ishigami_function(tmp_path):
     found = tl.sobol_indices(
-        ishigami(), BOX, 1024, results=["y", "double", "constant"], n_jobs=1, resamples=100, seed=2, out=tmp_path
+        ishigami(),
+        BOX,
+        1024,
+        results=["y", "double", "constant"],
+        n_jobs=1,
+        resamples=100,
+        seed=2,
+        out=tmp_path,
     )
     table = found.table().set_index("result")
     first, total = closed_form()
@@ -44,7 +51,14 @@ def test_indices_of_the_ishigami_function(tmp_path):
     assert table.loc["constant"].drop(columns="parameter").isna().all(axis=None)
     assert len(tl.read_campaign(tmp_path)) == 1024 * 5  # one campaign holds all points
     again = tl.sobol_indices(
-        ishigami(), BOX, 1024, results=["y", "double", "constant"], n_jobs=1, resamples=100, seed=2, out=tmp_path
+        ishigami(),
+        BOX,
+        1024,
+        results=["y", "double", "constant"],
+        n_jobs=1,
+        resamples=100,
+        seed=2,
+        out=tmp_path,
     )
     assert again.table().equals(found.table())
 
@@ -62,7 +76,10 @@ def test_other_distributions():
 
 
 def test_noise_is_independent_between_points():
-    """y = x + ε with equal variances: S_x = 1/2, and ε is an interaction with nothing, so that S_Tx = 1, S_Tz = 1/2."""
+    """
+    y = x + ε with equal variances: S_x = 1/2, and ε is an interaction with nothing, so that S_Tx =
+    1, S_Tz = 1/2.
+    """
 
     def noisy(x, z, seed):
         return {"y": x + np.random.default_rng(seed).normal()}
@@ -81,15 +98,21 @@ def test_estimates_are_those_of_scipy_with_its_own_sampling():
     points = np.random.SeedSequence(3, spawn_key=(2**31,)).spawn(2)[0]
     box = [stats.uniform(-PI, 2.0 * PI)] * 3
     want = stats.sobol_indices(func=values, n=256, dists=box, rng=np.random.default_rng(points))
-    table = tl.sobol_indices(ishigami(), BOX, 256, results=["y", "double"], n_jobs=1, resamples=20, seed=3).table()
-    np.testing.assert_allclose(table["first_order"], want.first_order.ravel(), rtol=1e-9, atol=1e-12)
+    table = tl.sobol_indices(
+        ishigami(), BOX, 256, results=["y", "double"], n_jobs=1, resamples=20, seed=3
+    ).table()
+    np.testing.assert_allclose(
+        table["first_order"], want.first_order.ravel(), rtol=1e-9, atol=1e-12
+    )
     np.testing.assert_allclose(table["total"], want.total_order.ravel(), rtol=1e-9, atol=1e-12)
 
 
 def test_the_plot_has_a_panel_per_result():
     import matplotlib.pyplot as plt
 
-    axes = tl.sobol_indices(ishigami(), BOX, 16, results=["y", "double"], n_jobs=1, resamples=20).plot()
+    axes = tl.sobol_indices(
+        ishigami(), BOX, 16, results=["y", "double"], n_jobs=1, resamples=20
+    ).plot()
     assert [panel.get_title() for panel in axes] == ["y", "double"]
     assert [t.get_text() for t in axes[0].get_yticklabels()] == ["x1", "x2", "x3"]
     plt.close("all")
@@ -106,10 +129,16 @@ def test_the_plot_has_a_panel_per_result():
         ({"ranges": {}}, "ranges must be a dict"),
         ({"ranges": {"x1": (0, 1)}}, "give at least two, got x1 alone"),
         ({"ranges": BOX | {"x1": (1, 1)}}, "must be below"),
-        ({"ranges": BOX | {"x1": 5}}, r"ranges\['x1'\] must be \(low, high\) or a SciPy distribution, got int"),
+        (
+            {"ranges": BOX | {"x1": 5}},
+            r"ranges\['x1'\] must be \(low, high\) or a SciPy distribution, got int",
+        ),
         ({"results": ["z"]}, "results names 'z', but the task returns y, double, constant, word"),
         ({"results": ["word"]}, "'word' is not a number"),
-        ({"task": lambda x1, x2, x3, seed: {"y": math.nan if x1 > 0 else 1.0}}, "result 'y' is nan at .* of 40 points"),
+        (
+            {"task": lambda x1, x2, x3, seed: {"y": math.nan if x1 > 0 else 1.0}},
+            "result 'y' is nan at .* of 40 points",
+        ),
         ({"task": lambda x1, x2, x3, seed: {"w": "a"}}, "none of the results w is a number"),
     ],
 )
@@ -127,6 +156,7 @@ def test_a_failed_run_is_refused():
         return {"y": x}
 
     with pytest.raises(
-        ValueError, match=r"indices need every point, but 16 of 32 runs failed.*ArithmeticError: too far"
+        ValueError,
+        match=r"indices need every point, but 16 of 32 runs failed.*ArithmeticError: too far",
     ):
         tl.sobol_indices(task, {"x": (0, 1), "z": (0, 1)}, 8, n_jobs=1)

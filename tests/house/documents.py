@@ -1,4 +1,6 @@
-"""README and the sources of the documentation: their blocks of code, and the files that these read."""
+"""
+README and the sources of the documentation: their blocks of code, and the files that these read.
+"""
 
 import re
 from pathlib import Path
@@ -23,7 +25,9 @@ def blocks(path):
 
 def python(path):
     """The Python of a page that runs, as one script: what one block defines, later ones use."""
-    return "\n".join(code for language, _, runs, code in blocks(path) if language == "python" and runs)
+    return "\n".join(
+        code for language, _, runs, code in blocks(path) if language == "python" and runs
+    )
 
 
 def write_files(path, folder):

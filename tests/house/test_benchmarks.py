@@ -21,7 +21,9 @@ def test_cases_are_chosen_by_name_in_their_order():
 def test_unknown_name_is_refused_with_the_list():
     with pytest.raises(ValueError, match="no benchmark is called axr; there are: arx, greybox"):
         chosen(["arx", "axr"])
-    done = subprocess.run([sys.executable, "-m", "benchmarks", "axr"], cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks", "axr"], cwd=ROOT, capture_output=True, text=True
+    )
     assert done.returncode == 1
     assert done.stderr.startswith("no benchmark is called axr")
     assert done.stdout == ""
@@ -30,8 +32,12 @@ def test_unknown_name_is_refused_with_the_list():
 def test_one_case_runs_alone_and_leaves_the_files(monkeypatch, capsys):
     from benchmarks import report
 
-    monkeypatch.setitem(sys.modules, "benchmarks.team", SimpleNamespace(TITLE="Team", rows=lambda: iter([])))
-    monkeypatch.setattr(report, "write", lambda rows, seconds: pytest.fail("files of a whole run replaced"))
+    monkeypatch.setitem(
+        sys.modules, "benchmarks.team", SimpleNamespace(TITLE="Team", rows=lambda: iter([]))
+    )
+    monkeypatch.setattr(
+        report, "write", lambda rows, seconds: pytest.fail("files of a whole run replaced")
+    )
     assert main(["team"]) == 0
     said = capsys.readouterr().out
     assert said.startswith("Team …")

@@ -13,8 +13,8 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 EXTRAS = PROJECT["project"]["optional-dependencies"]
-# Declared although no file imports them: JupyterLab is started by `make lab`, ipykernel by papermill; the scheduler of
-# `distributed` is Dask's.
+# Declared although no file imports them: JupyterLab is started by `make lab`, ipykernel by
+# papermill; the scheduler of `distributed` is Dask's.
 NOT_IMPORTED = {"jupyter", "ipykernel", "dask"}
 
 
@@ -35,7 +35,10 @@ def imports(source):
         for node in ast.walk(tree)
         if (isinstance(node, ast.With) and ast.unparse(node.items[0]).startswith("extra("))
         or (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
-        or (isinstance(node, ast.Try) and any("Import" in ast.unparse(h.type or node) for h in node.handlers))
+        or (
+            isinstance(node, ast.Try)
+            and any("Import" in ast.unparse(h.type or node) for h in node.handlers)
+        )
         for inner in ast.walk(node)
     }
     for node in ast.walk(tree):
@@ -46,13 +49,20 @@ def imports(source):
             modules = [node.module]
         for module in modules:
             top = module.partition(".")[0]
-            if top not in sys.stdlib_module_names and top not in ("trustlab", "tests", "benchmarks"):
+            if top not in sys.stdlib_module_names and top not in (
+                "trustlab",
+                "tests",
+                "benchmarks",
+            ):
                 yield top, node not in guarded
 
 
 @functools.cache
 def distributions(folder):
-    """Distributions that the files of a folder import: all, and those imported without `extra` or another guard."""
+    """
+    Distributions that the files of a folder import: all, and those imported without `extra` or
+    another guard.
+    """
     known = packages_distributions()
     anywhere, needed = set(), set()
     for path in (ROOT / folder).rglob("*.py"):
@@ -84,4 +94,9 @@ def test_the_check_sees_what_it_should():
         "import os, numpy.linalg\nfrom . import a\nwith extra('ros'):\n    import rosbags\n"
         "def f():\n    import loky\ntry:\n    import IPython\nexcept ImportError:\n    pass\n"
     )
-    assert dict(imports(source)) == {"numpy": True, "rosbags": False, "loky": True, "IPython": False}
+    assert dict(imports(source)) == {
+        "numpy": True,
+        "rosbags": False,
+        "loky": True,
+        "IPython": False,
+    }

@@ -10,7 +10,9 @@ PACKAGE = Path(__file__).parents[2] / "trustlab"
 
 def documented(doc):
     """Names in the Parameters section of a numpydoc docstring."""
-    section = re.search(r"^\s*Parameters\n\s*-{10}\n(.*?)(?=^\s*\w[\w ]*\n\s*-{3,}\n|\Z)", doc or "", re.M | re.S)
+    section = re.search(
+        r"^\s*Parameters\n\s*-{10}\n(.*?)(?=^\s*\w[\w ]*\n\s*-{3,}\n|\Z)", doc or "", re.M | re.S
+    )
     if not section:
         return set()
     names = re.findall(r"^\s*([*\w, ]+?) : ", section[1], re.M)
@@ -41,7 +43,9 @@ def compiled(node):
 def exported(path):
     """Names that the room of a file exports: what a user can find and call."""
     room = path.relative_to(PACKAGE).parts[0]
-    return set() if room == "__init__.py" else set(importlib.import_module(f"trustlab.{room}").__all__)
+    return (
+        set() if room == "__init__.py" else set(importlib.import_module(f"trustlab.{room}").__all__)
+    )
 
 
 def undocumented(source, exported):
@@ -60,7 +64,14 @@ def undocumented(source, exported):
                 found.append(name)
             elif isinstance(node, ast.ClassDef):
                 is_data = any("dataclass" in ast.unparse(d) for d in node.decorator_list)
-                init = next((n for n in node.body if isinstance(n, ast.FunctionDef) and n.name == "__init__"), None)
+                init = next(
+                    (
+                        n
+                        for n in node.body
+                        if isinstance(n, ast.FunctionDef) and n.name == "__init__"
+                    ),
+                    None,
+                )
                 wanted = fields(node) if is_data else arguments(init) if init else []
                 found.extend(f"{name}({a})" for a in wanted if a not in documented(doc))
             elif not compiled(node):
@@ -74,7 +85,10 @@ def undocumented(source, exported):
 
 def test_every_public_argument_is_documented():
     files = sorted(PACKAGE.rglob("*.py"))
-    found = {str(path.relative_to(PACKAGE)): undocumented(path.read_text(), exported(path)) for path in files}
+    found = {
+        str(path.relative_to(PACKAGE)): undocumented(path.read_text(), exported(path))
+        for path in files
+    }
     assert {name: missing for name, missing in found.items() if missing} == {}
 
 

@@ -30,7 +30,9 @@ def test_examples(name, monkeypatch, tmp_path):
     assert done.failed == 0
 
 
-@pytest.mark.parametrize("name", [name for name in tl.__all__ if not inspect.ismodule(getattr(tl, name))])
+@pytest.mark.parametrize(
+    "name", [name for name in tl.__all__ if not inspect.ismodule(getattr(tl, name))]
+)
 def test_every_public_name_has_an_example(name):
     doc = getattr(tl, name).__doc__
     examples = doctest.DocTestParser().get_examples(doc)

@@ -16,7 +16,8 @@ USES = {
     "run on a cluster": (
         "cluster",
         "distributed",
-        "tl.run_campaign(lambda x, seed: {'y': x}, [{'x': 1}], cluster='tcp://127.0.0.1:1', seed=0)",
+        "tl.run_campaign(lambda x, seed: {'y': x}, [{'x': 1}], cluster='tcp://127.0.0.1:1', "
+        "seed=0)",
     ),
     "publish": ("reports", "papermill", "tl.publishing.publish()"),
     "convert a formula": ("reports", "latex2mathml.converter", "tl.publishing.to_mathml('a')"),
@@ -34,7 +35,9 @@ def test_missing_extra_is_named(use, tmp_path):
         "frame = pd.DataFrame({'mode': [1.0, 0.0]}, index=pd.Index([0.0, 0.1], name='t'))\n"
         f"session = tl.Session(frame)\n{call}\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
     assert f'pip install "trustlab[{extra}]"' in done.stderr.splitlines()[-1]
     assert package.partition(".")[0] in done.stderr.splitlines()[-1]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["notebooks", "run.bag"]
@@ -51,6 +54,11 @@ def test_the_lock_has_every_dependency_and_names_no_registry():
     lock = (ROOT / "environment.lock").read_text()
     locked = {line.partition("==")[0] for line in lock.splitlines() if line[:1].isalpha()}
     needed = [PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()]
-    names = {line.partition(">")[0].replace("_", "-") for group in needed for line in group if "[" not in line}
+    names = {
+        line.partition(">")[0].replace("_", "-")
+        for group in needed
+        for line in group
+        if "[" not in line
+    }
     assert names - locked == set()
     assert "://" not in lock

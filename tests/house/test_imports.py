@@ -48,7 +48,9 @@ def imported(source):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "relative import"
-            names = [node.module] + [f"{node.module}.{alias.name}" for alias in node.names if node.module == "trustlab"]
+            names = [node.module] + [
+                f"{node.module}.{alias.name}" for alias in node.names if node.module == "trustlab"
+            ]
         else:
             continue
         for name in names:
@@ -93,6 +95,11 @@ def test_import_is_light():
 def test_every_public_name_is_there():
     rooms = [getattr(tl, name) for name in tl.__all__]
     modules = [room for room in rooms if isinstance(room, ModuleType)]
-    assert [f"{room.__name__}.{name}" for room in modules for name in room.__all__ if not hasattr(room, name)] == []
+    assert [
+        f"{room.__name__}.{name}"
+        for room in modules
+        for name in room.__all__
+        if not hasattr(room, name)
+    ] == []
     assert len(rooms) > 15
     assert len(modules) >= 10

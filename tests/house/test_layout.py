@@ -1,4 +1,7 @@
-"""The house stays small and readable: lines of code, files in a folder, length of functions, slots, circles, repeats."""
+"""
+The house stays small and readable: lines of code, files in a folder, length of functions, slots,
+circles, repeats.
+"""
 
 import ast
 import functools
@@ -16,13 +19,23 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 MOST_LINES = 24_500
 SLOT = re.compile(r"\b(?:c|row|log|state|out)\[(?:\w+, *)?\d+\]")
 pytestmark = pytest.mark.xdist_group("layout")  # one worker reads all files, once
-SILENT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+SILENT = {
+    tokenize.COMMENT,
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.ENDMARKER,
+}
 
 
 def docstring_lines(tree):
     lines = set()
     for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and node.body:
+        if (
+            isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+            and node.body
+        ):
             first = node.body[0]
             if isinstance(first, ast.Expr) and isinstance(getattr(first.value, "value", None), str):
                 lines.update(range(first.lineno, first.end_lineno + 1))
@@ -46,7 +59,9 @@ def functions(tree):
 
 
 def compiled(node):
-    return any(re.search("njit|vectorize", ast.unparse(decorator)) for decorator in node.decorator_list)
+    return any(
+        re.search("njit|vectorize", ast.unparse(decorator)) for decorator in node.decorator_list
+    )
 
 
 def long_functions(source, most):
@@ -67,7 +82,10 @@ def slots(source):
 
 
 def imports(source):
-    """Modules of trustlab that are imported anywhere in a file but for type checking, functions included."""
+    """
+    Modules of trustlab that are imported anywhere in a file but for type checking, functions
+    included.
+    """
     tree = ast.parse(source)
     only_types = {
         inner
@@ -89,7 +107,9 @@ def circles(sources):
     """Groups of modules that import each other, directly or by way of others."""
     graph = nx.DiGraph()
     for name, source in sources.items():
-        graph.add_edges_from((name, other) for other in imports(source) if other in sources and other != name)
+        graph.add_edges_from(
+            (name, other) for other in imports(source) if other in sources and other != name
+        )
     return [sorted(group) for group in nx.strongly_connected_components(graph) if len(group) > 1]
 
 
@@ -121,17 +141,25 @@ def sources():
 
 
 def test_lines_of_code():
-    rooms = {name: source for name, source in sources().items() if not name.startswith("trustlab.live")}
+    rooms = {
+        name: source for name, source in sources().items() if not name.startswith("trustlab.live")
+    }
     assert sum(len(code_lines(source)) for source in rooms.values()) <= MOST_LINES
 
 
 def test_a_file_holds_one_idea():
-    assert {name: n for name, source in sources().items() if (n := len(code_lines(source))) > 400} == {}
-    assert {name: found for name, source in sources().items() if (found := long_functions(source, 60))} == {}
+    assert {
+        name: n for name, source in sources().items() if (n := len(code_lines(source))) > 400
+    } == {}
+    assert {
+        name: found for name, source in sources().items() if (found := long_functions(source, 60))
+    } == {}
 
 
 def test_no_folder_shows_more_than_16_files():
-    assert {folder: n for folder, n in Counter(path.parent for path in FILES).items() if n > 16} == {}
+    assert {
+        folder: n for folder, n in Counter(path.parent for path in FILES).items() if n > 16
+    } == {}
 
 
 def test_no_numbered_slots():
@@ -152,9 +180,9 @@ def test_the_checks_see_what_they_should():
     assert long_functions(source, 7) == {"f": 8}
     assert long_functions("@numba.njit\n" + source, 7) == {}
     assert slots("a = c[7] + row[k, 39] + c[k]\n# c[3]\n") == ["c[7]", "row[k, 39]"]
-    assert circles({"trustlab.a": "import trustlab.b", "trustlab.b": "from trustlab.a import f"}) == [
-        ["trustlab.a", "trustlab.b"]
-    ]
+    assert circles(
+        {"trustlab.a": "import trustlab.b", "trustlab.b": "from trustlab.a import f"}
+    ) == [["trustlab.a", "trustlab.b"]]
     assert circles({"trustlab.a": "import trustlab.b", "trustlab.b": ""}) == []
     assert repeats({"a": source, "b": source}) != []
     assert repeats({"a": source}) == []

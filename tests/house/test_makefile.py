@@ -1,8 +1,8 @@
 """
 The Makefile's recipes and `.ci/run` run where only BSD's tools are, as on macOS.
 
-Stand-ins for the tools refuse what POSIX and BSD do not have and pass the rest on; python3 and uv are replaced by
-scripts that write down what they were asked for. Nothing else is on the PATH.
+Stand-ins for the tools refuse what POSIX and BSD do not have and pass the rest on; python3 and uv
+are replaced by scripts that write down what they were asked for. Nothing else is on the PATH.
 """
 
 import os
@@ -19,7 +19,8 @@ ROOT = Path(__file__).parents[2]
 if os.name != "posix" or shutil.which("make") is None:
     pytest.skip("needs make", allow_module_level=True)
 
-# What each tool must not be given: options of GNU alone, and GNU's extensions of regular expressions and awk.
+# What each tool must not be given: options of GNU alone, and GNU's extensions of regular
+# expressions and awk.
 GNU = {
     "find": r"^-(printf|fprintf|regextype|readable|writable|executable|daystart|xtype|files0-from)$|^--",
     "sed": r"^--|^-[a-zA-Z]*[rsuz]|^-i$|\\[+?|wbsS<>tU]|\b[0-9]~[0-9]|/[gpI]*I$",
@@ -46,7 +47,8 @@ if {name!r} == "find" and (len(sys.argv) < 2 or sys.argv[1].startswith("-")):
 os.execv({real!r}, [{name!r}, *sys.argv[1:]])
 """
 
-# Stands for python3, uv and every program of the environment: it says what it was asked for, and makes an environment.
+# Stands for python3, uv and every program of the environment: it says what it was asked for, and
+# makes an environment.
 PROGRAM = """#!{shell}
 echo "${{0##*/}} $*" >> "{log}"
 case "$*" in
@@ -72,12 +74,21 @@ def house(tmp_path):
 
     for name, refused in GNU.items():
         real = shutil.which(name)
-        program(tools / name, STAND_IN.format(python=sys.executable, name=name, refused=refused, real=real))
+        program(
+            tools / name,
+            STAND_IN.format(python=sys.executable, name=name, refused=refused, real=real),
+        )
     log = tmp_path / "log"
     text = PROGRAM.format(shell=shutil.which("sh"), log=log, program=tmp_path / "program")
     for path in (tmp_path / "program", tools / "python3", tools / "uv"):
         program(path, text)
-    for name in ("Makefile", ".ci/run", "pyproject.toml", "environment.lock", "benchmarks/environment.lock"):
+    for name in (
+        "Makefile",
+        ".ci/run",
+        "pyproject.toml",
+        "environment.lock",
+        "benchmarks/environment.lock",
+    ):
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tree / name)
     for name in (
@@ -96,7 +107,11 @@ def house(tmp_path):
     def run(*command):
         log.write_text("")
         done = subprocess.run(
-            command, cwd=tree, env={"PATH": str(tools), "HOME": str(tmp_path)}, capture_output=True, text=True
+            command,
+            cwd=tree,
+            env={"PATH": str(tools), "HOME": str(tmp_path)},
+            capture_output=True,
+            text=True,
         )
         return done, log.read_text().splitlines()
 
@@ -145,7 +160,10 @@ def test_the_environment_is_built_once_and_every_recipe_runs(house, uv):
     assert done.returncode == 0, done.stderr
     assert not (tree / ".venv").exists()
     left = {path.relative_to(tree).as_posix() for path in tree.rglob("*") if path.is_file()}
-    assert {name for name in left if name.startswith("reports")} == {"reports/README.md", "reports/figures/a.png"}
+    assert {name for name in left if name.startswith("reports")} == {
+        "reports/README.md",
+        "reports/figures/a.png",
+    }
     assert not any("__pycache__" in name or name.startswith("docs") for name in left)
     assert {"data/a.csv", "notebooks/a.ipynb", "environment.lock"} <= left
 

@@ -15,7 +15,10 @@ EQUATION = re.compile(
 
 
 def decimals(text):
-    """Decimal literals in prose: not equation, figure, table or section numbers, not quoted or in code."""
+    """
+    Decimal literals in prose: not equation, figure, table or section numbers, not quoted or in
+    code.
+    """
     return DECIMAL.findall(EQUATION.sub("", QUOTED.sub("", text)))
 
 
@@ -58,4 +61,10 @@ def test_begins_with_a_title_and_a_sentence(path):
 
 def test_the_check_sees_what_it_should():
     assert decimals("The fit is 95.4 % good.") == ["95.4"]
-    assert decimals("As in Fig. 2.3, (2.6) and Section 2.4.2; printed “0.39”; `a=0.9`; Tables 2.1, 2.2 and 2.3") == []
+    assert (
+        decimals(
+            "As in Fig. 2.3, (2.6) and Section 2.4.2; printed “0.39”; `a=0.9`; Tables 2.1, 2.2 "
+            "and 2.3"
+        )
+        == []
+    )

@@ -1,4 +1,7 @@
-"""Links and figures of README, CONTRIBUTING and the documentation's sources are there, and their code runs."""
+"""
+Links and figures of README, CONTRIBUTING and the documentation's sources are there, and their code
+runs.
+"""
 
 import re
 import tomllib
@@ -17,12 +20,20 @@ from trustlab.teleoperation.loop.state import STATE
 @pytest.mark.parametrize("path", [*DOCUMENTS, ROOT / "CONTRIBUTING.md"], ids=name_of)
 def test_links_and_figures_are_there(path):
     targets = re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", path.read_text())
-    missing = [place for place in targets if not place.startswith("api/") and not (path.parent / place).exists()]
-    missing += [place for place in targets if place.startswith("api/") and path.parent.name != "docs"]
+    missing = [
+        place
+        for place in targets
+        if not place.startswith("api/") and not (path.parent / place).exists()
+    ]
+    missing += [
+        place for place in targets if place.startswith("api/") and path.parent.name != "docs"
+    ]
     named = re.findall(r"`((?:data|notebooks|reports|tests|trustlab)/[\w./]+)`", path.read_text())
     missing += [place for place in named if not (ROOT / place).exists()]
     # what users fetch by hand, and what `make docs` builds
-    assert [place for place in missing if not place.startswith(("data/external", "reports/docs"))] == []
+    assert [
+        place for place in missing if not place.startswith(("data/external", "reports/docs"))
+    ] == []
 
 
 # One worker runs them all, so that what they compile and read is there for all.
@@ -39,7 +50,12 @@ def test_code_runs(path, tmp_path, monkeypatch, capsys):
 
 
 def test_blocks_of_the_documentation_fit_a_page_of_1280_pixels():
-    lines = [(name_of(path), line) for path in DOCUMENTS[1:] for *_, code in blocks(path) for line in code.splitlines()]
+    lines = [
+        (name_of(path), line)
+        for path in DOCUMENTS[1:]
+        for *_, code in blocks(path)
+        for line in code.splitlines()
+    ]
     assert [(name, line) for name, line in lines if len(line) > 98] == []
 
 
@@ -60,7 +76,13 @@ def test_trust_of_the_example_sets_its_scales(scheme_page):
         assert np.ptp(run[scale]) > 0.1
         assert slope < 0
         assert np.allclose(at_zero + slope * run[trust], run[scale], rtol=0, atol=1e-12)
-    others = {"vehicle": scheme_page["vehicle"], "guidance": "tank", "tank": 0.5, "seed": 0, "duration": 60.0}
+    others = {
+        "vehicle": scheme_page["vehicle"],
+        "guidance": "tank",
+        "tank": 0.5,
+        "seed": 0,
+        "duration": 60.0,
+    }
     constant = tl.simulate_teleoperation(scheme, trust=lambda state: (0.5, 0.5), **others).data
     assert np.ptp(constant["alpha"]) == np.ptp(constant["beta"]) == 0.0  # negative control
     assert (run["robot_x"] != constant["robot_x"]).any()
@@ -112,7 +134,9 @@ def test_targets_of_make_are_there(path):
 def test_every_equation_is_shown():
     printed = tomllib.loads((ROOT / "data" / "published" / "equations.toml").read_text())
     page = (ROOT / "docs" / "concepts" / "equations.md").read_text()
-    assert sorted(" ".join(re.findall(r"^```\{equation\} (.*)$", page, re.M)).split()) == sorted(printed)
+    assert sorted(" ".join(re.findall(r"^```\{equation\} (.*)$", page, re.M)).split()) == sorted(
+        printed
+    )
 
 
 def test_readme_is_one_page():

@@ -1,4 +1,7 @@
-"""The simulations that the reports only read (`make simulated`): a part of each, made again, is as stored."""
+"""
+The simulations that the reports only read (`make simulated`): a part of each, made again, is as
+stored.
+"""
 
 import json
 
@@ -20,12 +23,16 @@ def stored(name):
 
 def test_guidance():
     own = stored("guidance")
-    again = compare_guidance(30, ["TMIG"], seed=SEED, variants={"tank, 1 J": VARIANTS["tank, 1 J"]}, n_jobs=1).runs
+    again = compare_guidance(
+        30, ["TMIG"], seed=SEED, variants={"tank, 1 J": VARIANTS["tank, 1 J"]}, n_jobs=1
+    ).runs
     before = own[(own["guidance"] == "tank, 1 J") & (own["scheme"] == "TMIG")]
     # Between machines the last bits of a run of 12,000 samples may differ.
     np.testing.assert_allclose(again["tracking_error"], before["tracking_error"], rtol=1e-6)
     other = own[(own["guidance"] == "tank, empty") & (own["scheme"] == "TMIG")]
-    assert np.abs(again["tracking_error"].to_numpy() - other["tracking_error"].to_numpy()).max() > 1e-3
+    assert (
+        np.abs(again["tracking_error"].to_numpy() - other["tracking_error"].to_numpy()).max() > 1e-3
+    )
 
 
 def test_failures():

@@ -1,4 +1,7 @@
-"""The built documentation: links and anchors lead somewhere, pictures have words, and pages show well without a network."""
+"""
+The built documentation: links and anchors lead somewhere, pictures have words, and pages show well
+without a network.
+"""
 
 import functools
 import os
@@ -21,12 +24,25 @@ CUT = """[...document.querySelectorAll("pre, .formula")].filter((one) => one.scr
 
 
 def build(folder, *options):
-    """Build the documentation from a copy of its sources, so that tests at the same time keep out of each other's way."""
+    """
+    Build the documentation from a copy of its sources, so that tests at the same time keep out of
+    each other's way.
+    """
     source = folder / "tree" / "docs"
     shutil.copytree(ROOT / "docs", source, ignore=shutil.ignore_patterns("api", "__pycache__"))
     for name in ("data", "notebooks", "reports"):
         (source.parent / name).symlink_to(ROOT / name)
-    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", *options, str(source), str(folder / "docs")]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-q",
+        "-W",
+        "--keep-going",
+        *options,
+        str(source),
+        str(folder / "docs"),
+    ]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-3000:]
@@ -43,7 +59,10 @@ class Page(HTMLParser):
 
     def __init__(self, path):
         super().__init__()
-        self.links, self.anchors, self.loaded, self.wordless = set(), {""}, set(), []
+        self.links = set()
+        self.anchors = {""}
+        self.loaded = set()
+        self.wordless = []
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag, attrs):
@@ -72,7 +91,11 @@ def faults(folder):
     for path in pages(folder):
         own = page(path)
         found += [f"{path.name}: no words for {picture}" for picture in own.wordless]
-        found += [f"{path.name}: loads {link}" for link in own.loaded if link.startswith(("http:", "https:", "//"))]
+        found += [
+            f"{path.name}: loads {link}"
+            for link in own.loaded
+            if link.startswith(("http:", "https:", "//"))
+        ]
         for link in own.links | own.loaded:
             place, anchor = urldefrag(link)
             if link.startswith(ELSEWHERE) or (link in own.loaded and link.startswith("http")):
@@ -90,14 +113,26 @@ def faults(folder):
 def sizes(folder):
     """The size of every page with what it loads [B]."""
     for path in pages(folder):
-        loaded = {(path.parent / urldefrag(link)[0].partition("?")[0]).resolve() for link in page(path).loaded}
-        yield path.name, path.stat().st_size + sum(each.stat().st_size for each in loaded if each.is_file())
+        loaded = {
+            (path.parent / urldefrag(link)[0].partition("?")[0]).resolve()
+            for link in page(path).loaded
+        }
+        yield (
+            path.name,
+            path.stat().st_size + sum(each.stat().st_size for each in loaded if each.is_file()),
+        )
 
 
 @pytest.mark.xdist_group("docs")
 def test_site_without_most_of_its_api(tmp_path):
     folder = build(
-        tmp_path, "-D", "api_only=(fit_robot|Session)$", "-D", "nitpicky=0", "-D", "suppress_warnings=ref.obj,ref.mod"
+        tmp_path,
+        "-D",
+        "api_only=(fit_robot|Session)$",
+        "-D",
+        "nitpicky=0",
+        "-D",
+        "suppress_warnings=ref.obj,ref.mod",
     )
     assert faults(folder) == []
     assert (folder / "api" / "fit_robot.html").is_file()
@@ -123,19 +158,33 @@ def test_pages_in_a_browser(site):
         browser = playwright.chromium.launch(executable_path=chromium)
         for width in (1280, 1440, 390):
             tab = browser.new_page(viewport={"width": width, "height": 900})
-            tab.on("console", lambda said: found.append(said.text) if said.type == "error" else None)
+            tab.on(
+                "console", lambda said: found.append(said.text) if said.type == "error" else None
+            )
             tab.on("pageerror", lambda error: found.append(str(error)))
-            tab.on("request", lambda asked: None if asked.url.startswith("file:") else found.append(asked.url))
+            tab.on(
+                "request",
+                lambda asked: None if asked.url.startswith("file:") else found.append(asked.url),
+            )
             for path in pages(site):
                 tab.goto(path.as_uri())
                 wide = tab.evaluate("document.documentElement.scrollWidth")
                 if wide > width:
                     found.append(f"{path.name} is {wide} wide at {width}")
                 if width >= 1280:
-                    found.extend(f"{path.name}: {words} is cut at {width}" for words in tab.evaluate(CUT))
+                    found.extend(
+                        f"{path.name}: {words} is cut at {width}" for words in tab.evaluate(CUT)
+                    )
             tab.close()
         tab = browser.new_page()
-        for name in ("index", "start", "api/fit_robot", "api/room_models", "how_to/recipe", "concepts/glossary"):
+        for name in (
+            "index",
+            "start",
+            "api/fit_robot",
+            "api/room_models",
+            "how_to/recipe",
+            "concepts/glossary",
+        ):
             found += serious(tab, site / f"{name}.html")
         tab.goto(f"{(site / 'search.html').as_uri()}?q=threshold")
         tab.wait_for_selector("#search-results ul.search li")
@@ -145,7 +194,8 @@ def test_pages_in_a_browser(site):
 
 def test_the_check_sees_what_it_should(tmp_path):
     (tmp_path / "a.html").write_text(
-        '<a href="b.html#x">b</a><a href="c.html">c</a><img src="a.png"><script src="https://x/y.js">'
+        '<a href="b.html#x">b</a><a href="c.html">c</a><img src="a.png"><script '
+        'src="https://x/y.js">'
     )
     (tmp_path / "b.html").write_text("<p id='y'>")
     (tmp_path / "a.png").touch()

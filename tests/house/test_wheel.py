@@ -1,4 +1,7 @@
-"""The package as people install it: wheel and sdist are whole; README and some pages of the documentation run from the wheel."""
+"""
+The package as people install it: wheel and sdist are whole; README and some pages of the
+documentation run from the wheel.
+"""
 
 import os
 import shutil
@@ -14,9 +17,17 @@ from numba.core.caching import _CacheLocator
 from tests.house.documents import ROOT, python, write_files
 from trustlab.models import compiled
 
-# Not all pages: `test_readme.py` runs them from the sources. These read files, compile parts of one's own, and plot.
-PAGES = ["README.md", "docs/start.md", "docs/how_to/recipe.md", "docs/how_to/scheme.md", "docs/how_to/analyse.md"]
-# One worker runs them all, so that the package is built once, and what it compiles is compiled once.
+# Not all pages: `test_readme.py` runs them from the sources. These read files, compile parts of
+# one's own, and plot.
+PAGES = [
+    "README.md",
+    "docs/start.md",
+    "docs/how_to/recipe.md",
+    "docs/how_to/scheme.md",
+    "docs/how_to/analyse.md",
+]
+# One worker runs them all, so that the package is built once, and what it compiles is compiled
+# once.
 pytestmark = pytest.mark.xdist_group("wheel")
 
 
@@ -26,7 +37,11 @@ def built(tmp_path_factory):
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
     skip = shutil.ignore_patterns("__pycache__", "external", ".ipynb_checkpoints")
     for name in ("trustlab", "data", "tests", "notebooks", "benchmarks", "docs"):
-        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "external", ".venv"))
+        shutil.copytree(
+            ROOT / name,
+            source / name,
+            ignore=shutil.ignore_patterns("__pycache__", "external", ".venv"),
+        )
     shutil.copytree(ROOT / "reports" / "figures", source / "reports" / "figures", ignore=skip)
     for path in ROOT.iterdir():
         if path.is_file():
@@ -52,15 +67,21 @@ def installed(built, tmp_path_factory):
 
 
 def bring_compiled(site):
-    """Copy what this checkout has compiled to where the installed package, of the same sources, looks for it."""
+    """
+    Copy what this checkout has compiled to where the installed package, of the same sources, looks
+    for it.
+    """
     place = site / "trustlab" / "__pycache__" / "compiled"
     for folder in compiled._cache_root().iterdir():
         source = Path("trustlab", *folder.name.rpartition("-")[0].split(".")).with_suffix(".py")
         ours, theirs = ROOT / source, site / source
         if ours.is_file() and theirs.is_file() and ours.read_bytes() == theirs.read_bytes():
-            # numba knows a source file by its time, and names the folder by the place of the source.
+            # numba knows a source file by its time, and names the folder by the place of the
+            # source.
             os.utime(theirs, ns=(ours.stat().st_atime_ns, ours.stat().st_mtime_ns))
-            own, new = (_CacheLocator.get_suitable_cache_subpath(str(path)) for path in (ours, theirs))
+            own, new = (
+                _CacheLocator.get_suitable_cache_subpath(str(path)) for path in (ours, theirs)
+            )
             if (folder / own).is_dir():
                 shutil.copytree(folder / own, place / folder.name / new)
 
@@ -69,7 +90,9 @@ def test_the_wheel_has_everything_that_the_package_reads(built):
     names = set(zipfile.ZipFile(built[".whl"]).namelist())
     tracked = [path.relative_to(ROOT) for path in (ROOT / "trustlab").rglob("*") if path.is_file()]
     expected = {path.as_posix() for path in tracked if "__pycache__" not in path.parts}
-    expected |= {f"trustlab/data/published/{path.name}" for path in (ROOT / "data" / "published").iterdir()}
+    expected |= {
+        f"trustlab/data/published/{path.name}" for path in (ROOT / "data" / "published").iterdir()
+    }
     assert expected - names == set()
     assert not any(name.startswith(("tests/", "benchmarks/")) for name in names)
 
@@ -86,18 +109,31 @@ def test_the_sdist_can_be_tested(built):
         "tests/conftest.py",
         "docs/conf.py",
     } <= names
-    assert {f"data/published/{path.name}" for path in (ROOT / "data" / "published").iterdir()} <= names
+    assert {
+        f"data/published/{path.name}" for path in (ROOT / "data" / "published").iterdir()
+    } <= names
 
 
 def test_pages_run(installed, tmp_path):
-    """Each page in a folder and a namespace of its own, all in one process, which imports and loads what they need once."""
-    code = f"import contextlib, io, os, trustlab\nassert trustlab.__file__.startswith({str(installed)!r}), trustlab.__file__\n"
+    """
+    Each page in a folder and a namespace of its own, all in one process, which imports and loads
+    what they need once.
+    """
+    code = (
+        "import contextlib, io, os, trustlab\nassert "
+        f"trustlab.__file__.startswith({str(installed)!r}), trustlab.__file__\n"
+    )
     for number, page in enumerate(PAGES):
         folder = tmp_path / str(number)
         folder.mkdir()
         write_files(ROOT / page, folder)
-        code += f"os.chdir({str(folder)!r})\nwith contextlib.redirect_stdout(io.StringIO()) as said:\n"
-        code += f"    exec(compile({python(ROOT / page)!r}, {page!r}, 'exec'), {{'__name__': '__main__'}})\n"
+        code += (
+            f"os.chdir({str(folder)!r})\nwith contextlib.redirect_stdout(io.StringIO()) as said:\n"
+        )
+        code += (
+            f"    exec(compile({python(ROOT / page)!r}, {page!r}, 'exec'), {{'__name__': "
+            "'__main__'})\n"
+        )
         code += f"assert said.getvalue().strip(), {page!r}\n"
     done = subprocess.run(
         [sys.executable, "-c", code],

@@ -8,7 +8,11 @@ from statsmodels.stats.sandwich_covariance import S_hac_simple
 from statsmodels.tsa.stattools import acf
 
 import trustlab as tl
-from trustlab.identification.residuals import hac_matrix, pooled_autocorrelation, pooled_cross_correlation
+from trustlab.identification.residuals import (
+    hac_matrix,
+    pooled_autocorrelation,
+    pooled_cross_correlation,
+)
 
 
 @pytest.fixture(scope="module")
@@ -18,16 +22,21 @@ def session(operators, make_session, switching):
 
 def test_table_has_fixed_columns_and_named_rows(session):
     robot, human = tl.fit_robot(session).table(), tl.fit_human(session).table()
-    for table in (robot, human, tl.fit_robot(session, method="arx").table(), tl.fit_tsc(session).table()):
+    for table in (
+        robot,
+        human,
+        tl.fit_robot(session, method="arx").table(),
+        tl.fit_tsc(session).table(),
+    ):
         assert list(table.columns) == ["value", "stderr", "ci_low", "ci_high", "status"]
         assert table.index.name == "parameter"
         assert table[["value", "stderr", "ci_low", "ci_high"]].dtypes.eq(float).all()
     assert list(robot.index) == ["a", "p_min", "p_max", "p_h_max", "b"]
     assert list(human.index) == ["a", "beta", "p_min", "p_max", "b"]
     wide = tl.fit_human(session).table(level=0.99)
-    assert ((wide["ci_high"] - wide["ci_low"]) / (human["ci_high"] - human["ci_low"])).to_numpy() == pytest.approx(
-        1.3142, abs=1e-3
-    )
+    assert (
+        (wide["ci_high"] - wide["ci_low"]) / (human["ci_high"] - human["ci_low"])
+    ).to_numpy() == pytest.approx(1.3142, abs=1e-3)
     with pytest.raises(ValueError, match="level"):
         tl.fit_human(session).table(level=95)
 
@@ -35,7 +44,9 @@ def test_table_has_fixed_columns_and_named_rows(session):
 def test_fit_percent_is_the_printed_formula(session):
     fit = tl.fit_robot(session)
     y, e = session["p_r"], fit.residuals()[0]
-    assert fit.fit_percent == pytest.approx(100 * (1 - np.linalg.norm(e) / np.linalg.norm(y - y.mean())), abs=1e-12)
+    assert fit.fit_percent == pytest.approx(
+        100 * (1 - np.linalg.norm(e) / np.linalg.norm(y - y.mean())), abs=1e-12
+    )
     assert fit.cost == pytest.approx(0.5 * np.sum(e**2), rel=1e-12)
     assert set(tl.fit_tsc(session).fit_percent.index) == {"p_h", "p_r"}
 
@@ -43,7 +54,9 @@ def test_fit_percent_is_the_printed_formula(session):
 def test_fitted_output_is_the_model_simulated(session):
     fit = tl.fit_human(session)
     r0 = fit.initial_states["r0"].iloc[0]
-    np.testing.assert_allclose(fit.runs[0].fitted["p_h"], fit.model.simulate(session["mode"], r0)[1], atol=1e-13)
+    np.testing.assert_allclose(
+        fit.runs[0].fitted["p_h"], fit.model.simulate(session["mode"], r0)[1], atol=1e-13
+    )
     fit = tl.fit_robot(session)
     p_r = fit.model.simulate(session["mode"], session["p_h"], fit.initial_states["p_r0"].iloc[0])
     np.testing.assert_allclose(fit.runs[0].fitted["p_r"], p_r, atol=1e-13)
@@ -55,11 +68,15 @@ def test_correlations_and_whiteness(session):
     assert np.allclose(np.diag(correlations), 1.0)
     assert np.abs(correlations.to_numpy()).max() <= 1.0 + 1e-12
     oracle = acorr_ljungbox(fit.residuals()[0], lags=[25])
-    assert fit.whiteness().loc["p_h", "statistic"] == pytest.approx(oracle["lb_stat"].iloc[0], rel=1e-10)
+    assert fit.whiteness().loc["p_h", "statistic"] == pytest.approx(
+        oracle["lb_stat"].iloc[0], rel=1e-10
+    )
     assert fit.whiteness().loc["p_h", "p"] == pytest.approx(oracle["lb_pvalue"].iloc[0], rel=1e-8)
     frame = fit.residual_correlations(lags=10)
     assert list(frame.columns) == ["autocorrelation", "cross_correlation", "band"]
-    np.testing.assert_allclose(frame.loc[0:, "autocorrelation"], acf(fit.residuals()[0], nlags=10), atol=1e-12)
+    np.testing.assert_allclose(
+        frame.loc[0:, "autocorrelation"], acf(fit.residuals()[0], nlags=10), atol=1e-12
+    )
     assert frame["band"].iloc[0] == pytest.approx(2.5758293 / np.sqrt(20_000))
 
 
@@ -100,7 +117,10 @@ def test_the_old_name_of_the_regression_warns(operators, make_session, switching
     """It fits no ARX model."""
     model = operators["3"]
     session = make_session(model, switching).with_columns(r=model.human.simulate(switching, 0.3)[0])
-    with pytest.warns(DeprecationWarning, match=r'fit_human\(method="arx"\) is now fit_human\(method="regression"\)'):
+    with pytest.warns(
+        DeprecationWarning,
+        match=r'fit_human\(method="arx"\) is now fit_human\(method="regression"\)',
+    ):
         old = tl.fit_human(session, method="arx")
     assert old.model == tl.fit_human(session, method="regression").model
 
@@ -123,9 +143,14 @@ def test_plots_and_html_say_that_data_are_synthetic(session):
     assert isinstance(fit.initial_states, pd.DataFrame)
 
 
-@pytest.mark.parametrize(("seeds", "margin"), [(50, 0.3), pytest.param(150, 0.2, marks=pytest.mark.long)])
-def test_noise_of_the_measured_input_is_allowed_for(operators, make_session, switching, seeds, margin):
-    # The spread of estimates over seeds is what the standard errors say, input noise ten times that of the output.
+@pytest.mark.parametrize(
+    ("seeds", "margin"), [(50, 0.3), pytest.param(150, 0.2, marks=pytest.mark.long)]
+)
+def test_noise_of_the_measured_input_is_allowed_for(
+    operators, make_session, switching, seeds, margin
+):
+    # The spread of estimates over seeds is what the standard errors say, input noise ten times that
+    # of the output.
     model = operators["pilot"]
     z = []
     for seed in range(seeds):
@@ -134,5 +159,7 @@ def test_noise_of_the_measured_input_is_allowed_for(operators, make_session, swi
         noisy = session.with_columns(p_h=session["p_h"] + 0.03 * rng.standard_normal(len(session)))
         row = tl.fit_robot(noisy, p_h_max=model.robot.p_h_max, noise="white").table().loc["p_max"]
         z.append((row["value"] - model.robot.p_max) / row["stderr"])
-    assert abs(np.std(z) - 1.0) < margin  # three sd of a standard deviation of so few, 1/√(2 seeds) each
+    assert (
+        abs(np.std(z) - 1.0) < margin
+    )  # three sd of a standard deviation of so few, 1/√(2 seeds) each
     assert abs(np.mean(z)) < 0.5

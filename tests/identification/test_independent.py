@@ -1,9 +1,10 @@
 """
 Output-error fits against a second implementation, written from (2.3), (2.5) and (2.6) alone.
 
-Oracle: the recursions as plain Python loops on complex numbers, their Jacobian by complex steps (exact to rounding), a SciPy
-trust-region search from values off the truth, and Gauss–Newton steps at the end until they no longer move. It shares no code
-with the package: no compiled kernel, no sensitivities, no starting-value search.
+Oracle: the recursions as plain Python loops on complex numbers, their Jacobian by complex steps
+(exact to rounding), a SciPy trust-region search from values off the truth, and Gauss–Newton steps
+at the end until they no longer move. It shares no code with the package: no compiled kernel, no
+sensitivities, no starting-value search.
 """
 
 import cmath
@@ -19,7 +20,7 @@ STEP = 1e-100  # of the complex-step derivative: no cancellation, so it may be a
 SAMPLES = 2000
 
 
-# --- the second implementation ------------------------------------------------------------------------------------
+# --- the second implementation --------------------------------------------------------------------
 
 
 def human_output(parameters, mode):
@@ -76,7 +77,7 @@ def least_squares_fit(output, measured, start, low, high):
     return parameters, 0.5 * error @ error, jacobian(parameters)
 
 
-# --- sessions -----------------------------------------------------------------------------------------------------
+# --- sessions -------------------------------------------------------------------------------------
 
 
 def phases(rng, samples=SAMPLES, shares=False):
@@ -91,7 +92,10 @@ def phases(rng, samples=SAMPLES, shares=False):
 
 
 def noisy_session(seed, shares=False):
-    """Return a session of known truth, drawn at random inside the region where 2,000 samples say enough."""
+    """
+    Return a session of known truth, drawn at random inside the region where 2,000 samples say
+    enough.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     human = [
         rng.uniform(0.988, 0.995),
@@ -100,12 +104,21 @@ def noisy_session(seed, shares=False):
         rng.uniform(0.46, 0.60),
         rng.uniform(0.2, 0.4),
     ]
-    robot = [rng.uniform(0.985, 0.996), rng.uniform(0.20, 0.26), rng.uniform(0.36, 0.42), rng.uniform(0.28, 0.34)]
+    robot = [
+        rng.uniform(0.985, 0.996),
+        rng.uniform(0.20, 0.26),
+        rng.uniform(0.36, 0.42),
+        rng.uniform(0.28, 0.34),
+    ]
     mode = phases(rng, shares=shares)
     p_h = human_output(human, mode).real
     p_r = robot_output(robot, mode, p_h, human[3]).real
     frame = pd.DataFrame(
-        {"mode": mode, "p_r": p_r + rng.normal(0.0, 0.003, SAMPLES), "p_h": p_h + rng.normal(0.0, 0.003, SAMPLES)},
+        {
+            "mode": mode,
+            "p_r": p_r + rng.normal(0.0, 0.003, SAMPLES),
+            "p_h": p_h + rng.normal(0.0, 0.003, SAMPLES),
+        },
         index=pd.Index(0.1 * np.arange(SAMPLES), name="t"),
     )
     session = tl.Session(frame, tl.Metadata(participant=1, synthetic=True))
@@ -116,7 +129,7 @@ def measured(session, column):
     return session.data[column].to_numpy()
 
 
-# --- tests --------------------------------------------------------------------------------------------------------
+# --- tests ----------------------------------------------------------------------------------------
 
 CASES = [(11, False), (12, False), (13, False), (14, True), (15, True)]
 HUMAN_NAMES = ["a", "beta", "p_min", "p_max"]
@@ -128,14 +141,19 @@ ROBOT_BOUNDS = ([0.9, 0.0, 0.0, 0.0], [1.0 - 1e-6, 1.0, 1.0, 1.0])
 def oracle_human(session, truth):
     mode = measured(session, "mode")
     start = np.add(truth, [-0.002, 0.03, -0.01, 0.02, 0.05])
-    return least_squares_fit(lambda p: human_output(p, mode), measured(session, "p_h"), start, *HUMAN_BOUNDS)
+    return least_squares_fit(
+        lambda p: human_output(p, mode), measured(session, "p_h"), start, *HUMAN_BOUNDS
+    )
 
 
 def oracle_robot(session, truth, p_h_max):
     mode, p_h = measured(session, "mode"), measured(session, "p_h")
     start = np.add(truth, [-0.003, -0.02, 0.02, 0.02])
     return least_squares_fit(
-        lambda p: robot_output(p, mode, p_h, p_h_max), measured(session, "p_r"), start, *ROBOT_BOUNDS
+        lambda p: robot_output(p, mode, p_h, p_h_max),
+        measured(session, "p_r"),
+        start,
+        *ROBOT_BOUNDS,
     )
 
 
@@ -177,8 +195,8 @@ def test_standard_errors_of_fit_robot_agree_with_the_second_implementation(seed,
     """
     s² (JᵀJ)⁻¹ + σ² (JᵀJ)⁻¹ JᵀLLᵀJ (JᵀJ)⁻¹, as `fit_robot` documents it.
 
-    L is the response of P_r to P_h as an explicit matrix, L[k, i] = b M(i) a^(k−1−i) for i < k, and σ² half the mean square of
-    the first differences of p_h.
+    L is the response of P_r to P_h as an explicit matrix, L[k, i] = b M(i) a^(k−1−i) for i < k, and
+    σ² half the mean square of the first differences of p_h.
     """
     session, human, truth = noisy_session(seed, shares)
     parameters, cost, J = oracle_robot(session, truth, human[3])
@@ -191,7 +209,9 @@ def test_standard_errors_of_fit_robot_agree_with_the_second_implementation(seed,
     passed_on = inverse @ J.T @ L
     covariance = 2.0 * cost / (SAMPLES - 4) * inverse + noise * passed_on @ passed_on.T
     table = tl.fit_robot(session, p_h_max=human[3], noise="white").table()
-    np.testing.assert_allclose(table.loc[ROBOT_NAMES, "stderr"], np.sqrt(np.diag(covariance))[:3], rtol=1e-5)
+    np.testing.assert_allclose(
+        table.loc[ROBOT_NAMES, "stderr"], np.sqrt(np.diag(covariance))[:3], rtol=1e-5
+    )
 
 
 def test_several_sessions_share_parameters_and_keep_their_own_initial_states():
@@ -200,11 +220,15 @@ def test_several_sessions_share_parameters_and_keep_their_own_initial_states():
     rng = np.random.default_rng(np.random.SeedSequence(21))
     mode = phases(rng, samples=1200)
     p_h = human_output([*truth[:4], 0.55], mode).real + rng.normal(0.0, 0.003, mode.size)
-    frame = pd.DataFrame({"mode": mode, "p_h": p_h}, index=pd.Index(0.1 * np.arange(mode.size), name="t"))
+    frame = pd.DataFrame(
+        {"mode": mode, "p_h": p_h}, index=pd.Index(0.1 * np.arange(mode.size), name="t")
+    )
     second = tl.Session(frame, tl.Metadata(participant=1, synthetic=True))
 
     def both(p):
-        return np.concatenate([human_output(p[:5], measured(first, "mode")), human_output([*p[:4], p[5]], mode)])
+        return np.concatenate(
+            [human_output(p[:5], measured(first, "mode")), human_output([*p[:4], p[5]], mode)]
+        )
 
     low, high = ([*side, side[-1]] for side in HUMAN_BOUNDS)
     y = np.concatenate([measured(first, "p_h"), p_h])
@@ -218,7 +242,10 @@ def test_several_sessions_share_parameters_and_keep_their_own_initial_states():
 
 
 def test_the_comparison_would_notice_another_model():
-    """Negative control: the oracle with (2.6) read one sample late is another model, and is told apart."""
+    """
+    Negative control: the oracle with (2.6) read one sample late is another model, and is told
+    apart.
+    """
     session, truth, _ = noisy_session(11)
     mode = measured(session, "mode")
     late = np.concatenate([mode[:1], mode[:-1]])

@@ -1,4 +1,7 @@
-"""Data that cannot tell a parameter: it is named, its interval is wide, or the fit refuses with the reason."""
+"""
+Data that cannot tell a parameter: it is named, its interval is wide, or the fit refuses with the
+reason.
+"""
 
 from types import SimpleNamespace
 
@@ -65,7 +68,9 @@ def test_no_decay_to_see_makes_a_wide_interval(operators):
     truth, rng = operators["pilot"].robot, np.random.default_rng(0)
     mode, p_h = np.ones(6000), np.full(6000, 0.44)
     mode[3000:3002] = 0.0
-    p_r = truth.simulate(mode, p_h, truth.steady_state(1.0, 0.44)) + 0.003 * rng.standard_normal(6000)
+    p_r = truth.simulate(mode, p_h, truth.steady_state(1.0, 0.44)) + 0.003 * rng.standard_normal(
+        6000
+    )
     frame = pd.DataFrame({"mode": mode, "p_h": p_h, "p_r": p_r}, index=np.arange(6000) * 0.1)
     fit = tl.fit_robot(tl.Session(frame), p_h_max=0.4602)
     row = fit.table().loc["p_min"]
@@ -77,7 +82,8 @@ def test_no_decay_to_see_makes_a_wide_interval(operators):
 
 
 def test_p_max_is_doubted_with_the_operator_it_refers_to(operators, make_session):
-    # Half a minute each way: utilization hardly moves, and the greatest performance is anyone's guess.
+    # Half a minute each way: utilization hardly moves, and the greatest performance is anyone's
+    # guess.
     session = make_session(operators["pilot"], np.repeat([1.0, 0.0], 300), noise=0.006)
     for method in ("output_error", "arx"):
         fit = tl.fit_robot(session, method=method)
@@ -139,7 +145,9 @@ def test_sessions_that_do_not_fit_together(operators, make_session, switching):
         tl.fit_robot([one, other])
     with pytest.raises(IdentificationError, match="no session"):
         tl.fit_robot([])
-    with pytest.raises(ValueError, match="must be of class Session, got DataFrame; pass a session or"):
+    with pytest.raises(
+        ValueError, match="must be of class Session, got DataFrame; pass a session or"
+    ):
         tl.fit_robot([one.data])
     run = SimpleNamespace(session=one)
     for given in (run, [run]):
@@ -172,7 +180,9 @@ def test_least_squares_refuses_what_it_has_no_use_for_and_doubts_what_explains_n
 
 @pytest.mark.parametrize("level", [0.0, 0.3])
 @pytest.mark.parametrize("fit", [tl.fit_robot, tl.fit_tsc])
-def test_robot_performance_that_never_moves_is_refused(operators, make_session, switching, fit, level):
+def test_robot_performance_that_never_moves_is_refused(
+    operators, make_session, switching, fit, level
+):
     session = make_session(operators["pilot"], switching, noise=0.003)
     with pytest.raises(IdentificationError, match="p_r never moves"):
         fit(session.with_columns(p_r=np.full(switching.size, level)))

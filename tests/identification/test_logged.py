@@ -1,8 +1,10 @@
 """
-Fits of what was logged: window means, late or early modes, coarse, sparse, interrupted and correlated data.
+Fits of what was logged: window means, late or early modes, coarse, sparse, interrupted and
+correlated data.
 
-Oracles: the parameters that the data were made with; means written as loops; Cholesky factors of the dense covariance for the
-Kalman filter; `with_performance` of the sessions' own room for the window.
+Oracles: the parameters that the data were made with; means written as loops; Cholesky factors of
+the dense covariance for the Kalman filter; `with_performance` of the sessions' own room for the
+window.
 """
 
 import importlib.util
@@ -21,7 +23,15 @@ from trustlab.sessions.metrics import window_mean
 
 ROOT = Path(__file__).parents[2]
 SCRIPT, STORED = ROOT / "notebooks" / "noise_settings.py", ROOT / "data" / "coverage" / "fits.csv"
-NAMES = ("human_a", "human_beta", "human_p_min", "human_p_max", "robot_a", "robot_p_min", "robot_p_max")
+NAMES = (
+    "human_a",
+    "human_beta",
+    "human_p_min",
+    "human_p_max",
+    "robot_a",
+    "robot_p_min",
+    "robot_p_max",
+)
 
 
 def loaded():
@@ -41,15 +51,19 @@ def settings():
 
 def truth(model):
     human, robot = model.human, model.robot
-    return pd.Series([human.a, human.beta, human.p_min, human.p_max, robot.a, robot.p_min, robot.p_max], NAMES)
+    return pd.Series(
+        [human.a, human.beta, human.p_min, human.p_max, robot.a, robot.p_min, robot.p_max], NAMES
+    )
 
 
 def windowed(window, seed, loop="open", where="before", noise=0.003):
     """A session of the pilot operator whose performances are means over a window."""
-    return SETTINGS.windowed(np.random.default_rng(np.random.SeedSequence([seed, 7])), window, loop, where, noise)
+    return SETTINGS.windowed(
+        np.random.default_rng(np.random.SeedSequence([seed, 7])), window, loop, where, noise
+    )
 
 
-# --- the window ---------------------------------------------------------------------------------------------------
+# --- the window -----------------------------------------------------------------------------------
 
 
 @given(st.integers(1, 60), st.integers(1, 40), st.integers(0, 2**32 - 1))
@@ -57,15 +71,21 @@ def test_window_means_are_those_of_sessions_and_can_be_undone(size, window, seed
     values = np.random.default_rng(seed).standard_normal((size, 3))
     means = window_means(values, window)
     for k in range(size):
-        np.testing.assert_allclose(means[k], values[max(0, k + 1 - window) : k + 1].mean(axis=0), atol=1e-12)
-    np.testing.assert_allclose(means[:, 0], window_mean(values[:, 0], 0.1, 0.1 * window), atol=1e-12)
+        np.testing.assert_allclose(
+            means[k], values[max(0, k + 1 - window) : k + 1].mean(axis=0), atol=1e-12
+        )
+    np.testing.assert_allclose(
+        means[:, 0], window_mean(values[:, 0], 0.1, 0.1 * window), atol=1e-12
+    )
     np.testing.assert_allclose(undo_window(means, window), values, atol=1e-10)
 
 
 @pytest.mark.parametrize("window", [10.0, 100.0])
 def test_exact_windowed_data_give_the_parameters_back(operators, window):
     session, expected = windowed(window, 0, noise=0.0), truth(operators["pilot"])
-    joint, robot, human = tl.fit_tsc(session), tl.fit_robot(session), tl.fit_human(session)
+    joint = tl.fit_tsc(session)
+    robot = tl.fit_robot(session)
+    human = tl.fit_human(session)
     for fit in (joint, robot, human):
         assert fit.success, fit.message
         assert f"window of {window:g} s" in fit.message
@@ -81,12 +101,18 @@ def test_exact_windowed_data_give_the_parameters_back(operators, window):
     run = joint.model.simulate(
         session["mode"], joint.initial_states["r0"].iloc[0], joint.initial_states["p_r0"].iloc[0]
     )
-    np.testing.assert_allclose(joint.runs[0].fitted["p_r"], window_mean(run["p_r"], 0.1, window), atol=1e-9)
+    np.testing.assert_allclose(
+        joint.runs[0].fitted["p_r"], window_mean(run["p_r"], 0.1, window), atol=1e-9
+    )
 
 
 def covered(model, sessions, **options):
-    """z scores and coverage of all parameters over sessions; fits that report no success are left out."""
-    z, inside, expected = [], [], truth(model)
+    """
+    z scores and coverage of all parameters over sessions; fits that report no success are left out.
+    """
+    z = []
+    inside = []
+    expected = truth(model)
     for session in sessions:
         fit = tl.fit_tsc(session, **options)
         if fit.success:
@@ -96,7 +122,9 @@ def covered(model, sessions, **options):
     return pd.DataFrame(z), pd.DataFrame(inside)
 
 
-@pytest.mark.parametrize(("loop", "where", "window"), [("open", "after", 100.0), ("closed", "before", 30.0)])
+@pytest.mark.parametrize(
+    ("loop", "where", "window"), [("open", "after", 100.0), ("closed", "before", 30.0)]
+)
 def test_intervals_of_windowed_logs(operators, loop, where, window):
     """A short version of the long test below: 8 seeds, z scores of seven parameters."""
     model = operators["pilot"]
@@ -111,10 +139,14 @@ def test_intervals_of_windowed_logs(operators, loop, where, window):
 @pytest.mark.parametrize("loop", ["open", "closed"])
 @pytest.mark.parametrize("where", ["before", "after"])
 def test_intervals_of_windowed_logs_cover_the_truth(operators, loop, where, window):
-    """200 seeds: coverage 90 to 97 % (one sd of the share is 1.5 %, so that the ends have some of it), bias at most 0.3 sd."""
+    """
+    200 seeds: coverage 90 to 97 % (one sd of the share is 1.5 %, so that the ends have some of it),
+    bias at most 0.3 sd.
+    """
     model = operators["pilot"]
     z, inside = covered(model, (windowed(window, seed, loop, where) for seed in range(200)))
-    # In closed loop r stays above 0.7: with noise on the means, most logs leave p_min open, and their fits say so.
+    # In closed loop r stays above 0.7: with noise on the means, most logs leave p_min open, and
+    # their fits say so.
     assert len(z) > 190 or (loop, where) == ("closed", "after")
     if len(z) < 20:
         return
@@ -123,21 +155,28 @@ def test_intervals_of_windowed_logs_cover_the_truth(operators, loop, where, wind
 
 
 def test_a_second_valley_as_deep_is_named(operators):
-    """In closed loop r stays above 0.7: a rested operator with a high p_min explains the rest as well as the true one."""
+    """
+    In closed loop r stays above 0.7: a rested operator with a high p_min explains the rest as well
+    as the true one.
+    """
     model = operators["pilot"]
     fit = tl.fit_tsc(windowed(30.0, 42, "closed", "after"))
     row = fit.table().loc["human_p_min"]
     assert not row["ci_low"] <= model.human.p_min <= row["ci_high"]
     assert not fit.success
     assert re.search(
-        r"Other values explain these data nearly as well: .*human_p_min = 0\.39\d+ for 0\.42\d+", fit.message
+        r"Other values explain these data nearly as well: .*human_p_min = 0\.39\d+ for 0\.42\d+",
+        fit.message,
     )
     # The negative control: phases that move the model leave one valley.
     assert "Other values" not in tl.fit_human(windowed(30.0, 42, "open", "after")).message
 
 
 def test_a_window_that_is_not_stated_is_named(operators):
-    """Negative control: the same data without a word of the window are fitted wrongly, and the fit says so."""
+    """
+    Negative control: the same data without a word of the window are fitted wrongly, and the fit
+    says so.
+    """
     model = operators["pilot"]
     session = windowed(30.0, 0, where="after").with_metadata(performance_window=0.0)
     fit = tl.fit_robot(session, p_h_max=model.robot.p_h_max)
@@ -151,8 +190,12 @@ def test_a_window_that_is_not_stated_is_named(operators):
     assert "give window=70" in fit.message
 
 
-def test_a_log_of_a_lab_that_says_nothing_of_its_window_is_warned_of_once(operators, make_session, switching):
-    session = make_session(operators["pilot"], switching[:6000], noise=0.003).with_metadata(synthetic=False)
+def test_a_log_of_a_lab_that_says_nothing_of_its_window_is_warned_of_once(
+    operators, make_session, switching
+):
+    session = make_session(operators["pilot"], switching[:6000], noise=0.003).with_metadata(
+        synthetic=False
+    )
     with pytest.warns(UserWarning, match=r"state window=… \[s\], or window=0") as caught:
         tl.fit_human([session, session])
     assert len(caught) == 1
@@ -178,11 +221,18 @@ def test_a_structure_of_ones_own_has_a_window_for_free():
         return 0.2 + start * np.exp(-rate * run.t)
 
     structure = tl.Structure(
-        "decay", [tl.Parameter("rate", 0.0, 0.2), tl.Parameter("start", 0.0, 1.0)], outputs="p_r", simulate=decay
+        "decay",
+        [tl.Parameter("rate", 0.0, 0.2), tl.Parameter("start", 0.0, 1.0)],
+        outputs="p_r",
+        simulate=decay,
     )
     t = 0.1 * np.arange(3000)
-    values = 0.2 + 0.1 * np.exp(-0.02 * t) + 0.003 * np.random.default_rng(0).standard_normal(t.size)
-    frame = pd.DataFrame({"mode": 1.0, "p_r": window_mean(values, 0.1, 20.0)}, index=pd.Index(t, name="t"))
+    values = (
+        0.2 + 0.1 * np.exp(-0.02 * t) + 0.003 * np.random.default_rng(0).standard_normal(t.size)
+    )
+    frame = pd.DataFrame(
+        {"mode": 1.0, "p_r": window_mean(values, 0.1, 20.0)}, index=pd.Index(t, name="t")
+    )
     fit = tl.fit(structure, tl.Session(frame), window=20.0)
     assert abs(fit.model["rate"] - 0.02) < 3.0 * fit.parameters.loc["rate", "stderr"] < 0.002
     wrong = tl.fit(structure, tl.Session(frame), window=0.0, noise="white")
@@ -195,11 +245,14 @@ def test_regressions_doubt_windowed_columns(operators):
     assert "means over a window" in fit.message
 
 
-# --- noise --------------------------------------------------------------------------------------------------------
+# --- noise ----------------------------------------------------------------------------------------
 
 
 def test_the_kalman_filter_whitens_like_a_cholesky_factor():
-    rng, size, share, kept = np.random.default_rng(0), 60, 0.3, 0.9
+    rng = np.random.default_rng(0)
+    size = 60
+    share = 0.3
+    kept = 0.9
     values, missing = rng.standard_normal((size, 3)), rng.random(size) < 0.2
     errors, logs = prediction_errors(values, missing, Noise(share, kept))
     lag = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
@@ -213,7 +266,9 @@ def test_the_kalman_filter_whitens_like_a_cholesky_factor():
 
 @pytest.mark.parametrize("setting", ["dropouts to 0", "mode stamped 1 s early", "logged at 1 Hz"])
 def test_what_a_log_may_do_is_allowed_for(settings, setting):
-    """Short version of the long test below: the options of the setting, z scores over three seeds."""
+    """
+    Short version of the long test below: the options of the setting, z scores over three seeds.
+    """
     make, options = settings.SETTINGS[setting]
     sessions = [
         tl.Session(make(np.random.default_rng(seed)), tl.Metadata(synthetic=True))
@@ -241,7 +296,11 @@ def test_the_robot_alone_takes_the_options_too(settings, operators):
     table = tl.fit_robot(session, **options).table()
     assert list(table.index) == ["a", "p_min", "p_max", "p_h_max", "b", "mode_delay"]
     assert table.loc["mode_delay", "value"] == pytest.approx(1.0, abs=0.2)
-    assert table.loc["a", "ci_low"] - 1e-5 < operators["pilot"].robot.a < table.loc["a", "ci_high"] + 1e-5
+    assert (
+        table.loc["a", "ci_low"] - 1e-5
+        < operators["pilot"].robot.a
+        < table.loc["a", "ci_high"] + 1e-5
+    )
     assert not tl.fit_robot(session).success
     with pytest.raises(ValueError, match="does not divide"):
         tl.fit_robot(session, step=0.03)
@@ -264,9 +323,13 @@ def test_coarse_numbers_and_slow_noise_are_doubted(settings, operators, make_ses
 
 def test_stamps_that_are_not_exact_widen_the_intervals(operators, make_session, switching):
     session = make_session(operators["pilot"], switching, noise=0.003)
-    exact, rough = (tl.fit_human(session, stamp_error=error).table()["stderr"] for error in (0.0, 0.5))
+    exact, rough = (
+        tl.fit_human(session, stamp_error=error).table()["stderr"] for error in (0.0, 0.5)
+    )
     assert (rough > exact).all()
-    pd.testing.assert_series_equal(tl.fit_human(session).table()["stderr"], exact)  # simulated: switches on a sample
+    pd.testing.assert_series_equal(
+        tl.fit_human(session).table()["stderr"], exact
+    )  # simulated: switches on a sample
     same = tl.fit_human(session, stamp_error=0.1 / np.sqrt(12.0)).table()["stderr"]
     for changes in ({"resampled": "previous at 0.1 s"}, {"synthetic": False}):
         logged = session.with_metadata(performance_window=0.0, **changes)
@@ -275,7 +338,9 @@ def test_stamps_that_are_not_exact_widen_the_intervals(operators, make_session, 
         pd.testing.assert_series_equal(tl.fit_human(stated).table()["stderr"], rough)
 
 
-def test_errors_of_many_stamps_are_worked_out_for_some_of_them(operators, make_session, monkeypatch):
+def test_errors_of_many_stamps_are_worked_out_for_some_of_them(
+    operators, make_session, monkeypatch
+):
     session = make_session(operators["pilot"], np.repeat([1.0, 0.0] * 60, 100), noise=0.003)
     monkeypatch.setattr("trustlab.identification.output_error.SWITCHES", 10_000)
     every = tl.fit_human(session, stamp_error=0.3).table()["stderr"]
@@ -287,18 +352,23 @@ def test_errors_of_many_stamps_are_worked_out_for_some_of_them(operators, make_s
 
 def test_a_delay_within_the_error_of_the_stamps_is_in_the_intervals_and_no_doubt(settings):
     session = tl.Session(
-        settings.white(np.random.default_rng(3), settings.clean(late=0.2)), tl.Metadata(synthetic=True)
+        settings.white(np.random.default_rng(3), settings.clean(late=0.2)),
+        tl.Metadata(synthetic=True),
     )
     exact, rough = (tl.fit_tsc(session, stamp_error=error) for error in (0.0, 0.2))
     assert "stamped" in exact.message
     assert not exact.success
     assert rough.success
     names = list(settings.TRUTH)
-    apart = (rough.table().loc[names, "value"] - settings.truth()) / rough.table().loc[names, "stderr"]
+    apart = (rough.table().loc[names, "value"] - settings.truth()) / rough.table().loc[
+        names, "stderr"
+    ]
     assert apart.abs().max() < 3.0
 
 
-def test_ranges_that_give_no_weights_are_an_identification_error(operators, make_session, switching):
+def test_ranges_that_give_no_weights_are_an_identification_error(
+    operators, make_session, switching
+):
     session = make_session(operators["pilot"], switching, noise=0.003)
     with pytest.raises(tl.IdentificationError, match="give no a_T and b_T") as caught:
         tl.fit_tsc(session.with_columns(p_r=session["p_r"] - 0.5))
@@ -306,9 +376,13 @@ def test_ranges_that_give_no_weights_are_an_identification_error(operators, make
 
 
 def test_an_error_that_all_stamps_share_widens_the_intervals_where_stamps_are_not_exact(settings):
-    """Oracle: the fit with the delay as a parameter, whose estimates differ by what the delay does to them."""
+    """
+    Oracle: the fit with the delay as a parameter, whose estimates differ by what the delay does to
+    them.
+    """
     session = tl.Session(
-        settings.white(np.random.default_rng(3), settings.clean(late=0.1)), tl.Metadata(synthetic=True)
+        settings.white(np.random.default_rng(3), settings.clean(late=0.1)),
+        tl.Metadata(synthetic=True),
     )
     exact, rough = (tl.fit_tsc(session, stamp_error=error).table() for error in (0.0, 1e-9))
     free = tl.fit_tsc(session, mode_delay=True).table()
@@ -320,11 +394,14 @@ def test_an_error_that_all_stamps_share_widens_the_intervals_where_stamps_are_no
     assert rough["value"].equals(exact["value"])
 
 
-# --- coverage as it is stored -------------------------------------------------------------------------------------
+# --- coverage as it is stored ---------------------------------------------------------------------
 
 
 def test_stored_coverage_is_met_or_doubted(settings):
-    """Every setting of data/coverage: 90 % for each parameter, or fewer than one fit in ten reports success."""
+    """
+    Every setting of data/coverage: 90 % for each parameter, or fewer than one fit in ten reports
+    success.
+    """
     table = settings.by_parameter(pd.read_csv(STORED))
     table = table[(table["way"] != "before") & (table["successes"] >= 0.1 * table["fits"])]
     # A share of 90 % less two of its standard deviations.
@@ -333,7 +410,9 @@ def test_stored_coverage_is_met_or_doubted(settings):
     assert set(table["setting"]) >= {"white", "dropouts to 0", "jitter of 40 ms"}
 
 
-@pytest.mark.parametrize("setting", ["white", "quantised at 0.01", "30 s, open loop, noise before averaging"])
+@pytest.mark.parametrize(
+    "setting", ["white", "quantised at 0.01", "30 s, open loop, noise before averaging"]
+)
 def test_stored_coverage_is_that_of_the_settings(settings, setting):
     """A session of the stored ones, fitted again: the same errors, or doubted again."""
     stored = pd.read_csv(STORED)
@@ -345,9 +424,14 @@ def test_stored_coverage_is_that_of_the_settings(settings, setting):
 
 @pytest.mark.long
 def test_ten_settings_cover_the_truth_or_say_that_they_do_not(settings):
-    """100 seeds of each that are not the stored ones: where fits report success, each parameter is covered in 90 %, less two sd."""
+    """
+    100 seeds of each that are not the stored ones: where fits report success, each parameter is
+    covered in 90 %, less two sd.
+    """
     for setting in settings.SETTINGS:
-        rows = pd.DataFrame([settings.covers(seed, setting) for seed in np.random.SeedSequence(11).spawn(100)])
+        rows = pd.DataFrame(
+            [settings.covers(seed, setting) for seed in np.random.SeedSequence(11).spawn(100)]
+        )
         table = settings.by_parameter(rows.assign(setting=setting))
         good = table[(table["way"] != "before") & (table["successes"] >= 10)]
         assert (good["coverage"] >= 0.84).all(), (setting, good)

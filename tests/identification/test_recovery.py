@@ -1,4 +1,6 @@
-"""What the fits must give back: exact parameters from exact data, honest intervals from noisy data."""
+"""
+What the fits must give back: exact parameters from exact data, honest intervals from noisy data.
+"""
 
 from pathlib import Path
 
@@ -15,8 +17,20 @@ NAMES = ["pilot", "1", "2", "3", "4", "5"]
 def truth(model):
     robot, human = model.robot, model.human
     return (
-        {"a": robot.a, "p_min": robot.p_min, "p_max": robot.p_max, "p_h_max": robot.p_h_max, "b": robot.b},
-        {"a": human.a, "beta": human.beta, "p_min": human.p_min, "p_max": human.p_max, "b": human.b},
+        {
+            "a": robot.a,
+            "p_min": robot.p_min,
+            "p_max": robot.p_max,
+            "p_h_max": robot.p_h_max,
+            "b": robot.b,
+        },
+        {
+            "a": human.a,
+            "beta": human.beta,
+            "p_min": human.p_min,
+            "p_max": human.p_max,
+            "b": human.b,
+        },
     )
 
 
@@ -34,11 +48,19 @@ DESIGNS = {
 def test_exact_data_give_the_parameters_back(operators, make_session, switching, name, design):
     model = operators[name]
     kind, r0, p_r0 = DESIGNS[design]
-    mode = {"phases": switching, "turned": 1.0 - switching, "two": np.repeat([1.0, 0.0], 6000)}[kind]
+    mode = {"phases": switching, "turned": 1.0 - switching, "two": np.repeat([1.0, 0.0], 6000)}[
+        kind
+    ]
     session = make_session(model, mode, r0=r0, p_r0=p_r0)
     robot, human = truth(model)
-    joint = {f"robot_{k}": v for k, v in robot.items() if k != "p_h_max"} | {f"human_{k}": v for k, v in human.items()}
-    for fit, expected in ((tl.fit_robot(session), robot), (tl.fit_human(session), human), (tl.fit_tsc(session), joint)):
+    joint = {f"robot_{k}": v for k, v in robot.items() if k != "p_h_max"} | {
+        f"human_{k}": v for k, v in human.items()
+    }
+    for fit, expected in (
+        (tl.fit_robot(session), robot),
+        (tl.fit_human(session), human),
+        (tl.fit_tsc(session), joint),
+    ):
         assert fit.success, fit.message
         found = fit.table()["value"]
         for key, value in expected.items():
@@ -61,7 +83,10 @@ def test_shipped_sessions_are_fitted(operators, name):
 
 @pytest.mark.parametrize("r0", [0.0, 1.0])
 def test_an_operator_at_either_end_of_utilization(operators, make_session, switching, r0):
-    """At r = 0 and r = 1 (2.6) is infinitely steep; nearly all noisy sessions must be fitted all the same."""
+    """
+    At r = 0 and r = 1 (2.6) is infinitely steep; nearly all noisy sessions must be fitted all the
+    same.
+    """
     model, found = operators["pilot"], []
     for seed in range(60):
         fit = tl.fit_human(make_session(model, switching, noise=0.003, seed=seed, r0=r0))
@@ -85,7 +110,9 @@ def test_runs_share_parameters_and_keep_their_own_beginning(operators, make_sess
     assert robot.model.p_max == pytest.approx(model.robot.p_max, rel=1e-6)
     assert human.model.beta == pytest.approx(model.human.beta, rel=1e-6)
     joint = tl.fit_tsc(runs)
-    np.testing.assert_allclose(joint.initial_states[["r0", "p_r0"]], [[0.1, 0.25], [0.8, 0.34], [0.4, 0.30]], rtol=1e-5)
+    np.testing.assert_allclose(
+        joint.initial_states[["r0", "p_r0"]], [[0.1, 0.25], [0.8, 0.34], [0.4, 0.30]], rtol=1e-5
+    )
 
 
 def test_a_shared_mode_is_as_good_as_switching(operators, make_session):
@@ -107,10 +134,14 @@ def noisy(make_session, model, switching, sessions):
 @pytest.mark.slow
 @pytest.mark.parametrize("who", ["robot", "human"])
 @pytest.mark.parametrize(
-    ("sessions", "least", "most"), [(120, 0.90, 0.99), pytest.param(400, 0.92, 0.98, marks=pytest.mark.long)]
+    ("sessions", "least", "most"),
+    [(120, 0.90, 0.99), pytest.param(400, 0.92, 0.98, marks=pytest.mark.long)],
 )
 def test_intervals_cover_the_truth(operators, make_session, switching, who, sessions, least, most):
-    """The 95 % intervals cover the truth in 95 % of seeds, give or take 2.5 sd of that share (2.0 % and 1.1 %)."""
+    """
+    The 95 % intervals cover the truth in 95 % of seeds, give or take 2.5 sd of that share (2.0 %
+    and 1.1 %).
+    """
     model = operators["pilot"]
     expected = truth(model)[("robot", "human").index(who)]
     fit = {"robot": tl.fit_robot, "human": tl.fit_human}[who]
@@ -124,7 +155,9 @@ def test_intervals_cover_the_truth(operators, make_session, switching, who, sess
 
 
 def test_arx_is_biased_and_does_not_know_it(operators, make_session, switching):
-    """Negative control: the same check catches ARX, whose intervals know nothing of measurement noise."""
+    """
+    Negative control: the same check catches ARX, whose intervals know nothing of measurement noise.
+    """
     model = operators["pilot"]
     rows = [
         tl.fit_robot(session, method="arx", p_h_max=model.robot.p_h_max).table().loc["a"]
@@ -141,7 +174,9 @@ def test_slow_noise_under_white_noise_is_seen(operators, make_session, switching
     clean, z = make_session(model, switching), {"hac": [], "white": []}
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
-        slow = lfilter([1.0], [1.0, -0.99], 0.001 * np.sqrt(1 - 0.99**2) * rng.standard_normal(22_000))[2000:]
+        slow = lfilter(
+            [1.0], [1.0, -0.99], 0.001 * np.sqrt(1 - 0.99**2) * rng.standard_normal(22_000)
+        )[2000:]
         noisy = clean.with_columns(p_h=clean["p_h"] + slow + 0.003 * rng.standard_normal(20_000))
         for noise, scores in z.items():
             row = tl.fit_human(noisy, noise=noise).table().loc["beta"]

@@ -2,7 +2,8 @@
 `arx` against statsmodels OLS.
 
 Oracle: statsmodels `OLS` (pinv) on regressors stacked here, one row at a time, from the equation
-y(k) + a_1 y(k−1) + … = b_1 u(k−nk) + … + c + e(k); coefficients, standard errors, covariance and residuals to 1e-10.
+y(k) + a_1 y(k−1) + … = b_1 u(k−nk) + … + c + e(k); coefficients, standard errors, covariance and
+residuals to 1e-10.
 """
 
 import itertools
@@ -55,14 +56,20 @@ def assert_same(fit, oracle, rtol=1e-10):
     np.testing.assert_allclose(fit.coefficients, oracle.params, rtol=rtol, atol=rtol * scale)
     np.testing.assert_allclose(fit.stderr, oracle.bse, rtol=rtol)
     spread = np.outer(oracle.bse, oracle.bse)
-    np.testing.assert_allclose(fit.covariance / spread, oracle.cov_params() / spread, rtol=rtol, atol=rtol)
-    np.testing.assert_allclose(fit.residuals, oracle.resid, atol=rtol * np.abs(oracle.model.endog).max())
+    np.testing.assert_allclose(
+        fit.covariance / spread, oracle.cov_params() / spread, rtol=rtol, atol=rtol
+    )
+    np.testing.assert_allclose(
+        fit.residuals, oracle.resid, atol=rtol * np.abs(oracle.model.endog).max()
+    )
     assert fit.sigma == pytest.approx(np.sqrt(oracle.mse_resid), rel=rtol)
     assert fit.degrees_of_freedom == oracle.df_resid
 
 
 @pytest.mark.parametrize("intercept", [False, True])
-@pytest.mark.parametrize(("na", "nb", "nk"), list(itertools.product([1, 2, 3, 4], [1, 2, 3], [0, 1, 2, 3])))
+@pytest.mark.parametrize(
+    ("na", "nb", "nk"), list(itertools.product([1, 2, 3, 4], [1, 2, 3], [0, 1, 2, 3]))
+)
 def test_every_order_agrees_with_ols(na, nb, nk, intercept):
     rng = np.random.default_rng(np.random.SeedSequence([na, nb, nk, intercept]))
     y, u = random_system(rng, na, (nb,), (nk,), 400)
@@ -118,7 +125,10 @@ def test_intervals_are_those_of_ols(level):
 
 
 def test_runs_of_the_models_own_shape_agree_with_ols():
-    """The regression of (2.3): a slow pole, a drive that switches, a constant; lags that resemble each other."""
+    """
+    The regression of (2.3): a slow pole, a drive that switches, a constant; lags that resemble each
+    other.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(8))
     mode = (np.arange(20000) // 2500) % 2 == 0
     drive = mode * (0.42 + 0.003 * rng.normal(size=mode.size))
@@ -130,7 +140,7 @@ def test_runs_of_the_models_own_shape_agree_with_ols():
     assert_same(arx(y, drive, 1, 1, 1, intercept=True), ols([(y, drive)], 1, (1,), (1,), True))
 
 
-# --- regressors that nearly follow from one another: the branch of singular values ------------------------------------
+# --- regressors that nearly follow from one another: the branch of singular values ----------------
 
 
 def condition(design):
@@ -140,7 +150,10 @@ def condition(design):
 
 @pytest.mark.parametrize("size", [1e-3, 1e-4, 1e-5])
 def test_nearly_collinear_lags_agree_with_ols(size):
-    """An input that hardly moves, so that its lags differ by `size`: beyond normal equations, resolved by singular values."""
+    """
+    An input that hardly moves, so that its lags differ by `size`: beyond normal equations, resolved
+    by singular values.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(9))
     u = 1.0 + size * rng.normal(size=600)
     y = np.zeros(u.size)
@@ -149,7 +162,8 @@ def test_nearly_collinear_lags_agree_with_ols(size):
     design, _ = rows(y, u, 1, (2,), (1,), False)
     assert condition(design) > CONDITION_LIMIT
     fit, oracle = arx(y, u, 1, 2, 1), ols([(y, u)], 1, (2,), (1,), False)
-    # Rounding grows with the condition number of the regressors (its square root here), for the oracle as well.
+    # Rounding grows with the condition number of the regressors (its square root here), for the
+    # oracle as well.
     loss = max(1e-10, 100.0 * np.finfo(float).eps * np.sqrt(condition(design)))
     np.testing.assert_allclose(fit.coefficients, oracle.params, rtol=loss)
     np.testing.assert_allclose(fit.stderr, oracle.bse, rtol=loss)
@@ -165,7 +179,7 @@ def test_units_of_the_regressors_do_not_matter():
     np.testing.assert_allclose(units.stderr, plain.stderr * [1.0, 1.0, 1e9, 1e-9], rtol=1e-10)
 
 
-# --- refusals -----------------------------------------------------------------------------------------------------
+# --- refusals -------------------------------------------------------------------------------------
 
 
 def system(samples=200):
@@ -175,7 +189,8 @@ def system(samples=200):
 def test_an_input_that_is_zero_throughout_names_its_coefficient():
     y, u = system()
     with pytest.raises(
-        IdentificationError, match="coefficient b1 is not identifiable: its regressor is identically zero"
+        IdentificationError,
+        match="coefficient b1 is not identifiable: its regressor is identically zero",
     ) as caught:
         arx(y, 0.0 * u, 2, 1, 1)
     assert caught.value.parameters == ("b1",)
@@ -184,7 +199,8 @@ def test_an_input_that_is_zero_throughout_names_its_coefficient():
 def test_a_constant_input_beside_an_intercept_names_one_of_them():
     y, u = system()
     with pytest.raises(
-        IdentificationError, match="is not identifiable: its regressor is a linear combination of the others"
+        IdentificationError,
+        match="is not identifiable: its regressor is a linear combination of the others",
     ) as caught:
         arx(y, np.ones_like(u), 2, 1, 1, intercept=True)
     assert caught.value.parameters in {("b1",), ("c",)}
@@ -193,7 +209,9 @@ def test_a_constant_input_beside_an_intercept_names_one_of_them():
 @pytest.mark.parametrize("factor", [1.0, -3.0, 1e-6])
 def test_two_inputs_that_move_together_name_one_of_them(factor):
     y, u = system()
-    with pytest.raises(IdentificationError, match="is a linear combination of the others") as caught:
+    with pytest.raises(
+        IdentificationError, match="is a linear combination of the others"
+    ) as caught:
         arx(y, np.column_stack([u, factor * u]), 1, 1, 1)
     assert caught.value.parameters in {("b1_1",), ("b2_1",)}
 
@@ -205,7 +223,10 @@ def test_lags_of_a_constant_input_name_one_of_them():
 
 
 def test_the_same_input_with_a_change_is_told():
-    """Negative control: one sample that differs is enough to tell the two inputs apart, and no refusal follows."""
+    """
+    Negative control: one sample that differs is enough to tell the two inputs apart, and no refusal
+    follows.
+    """
     y, u = system()
     other = u.copy()
     other[100] += 1.0
@@ -215,18 +236,23 @@ def test_the_same_input_with_a_change_is_told():
 
 def test_fewer_equations_than_coefficients_is_refused():
     y, u = system(8)
-    with pytest.raises(IdentificationError, match="6 coefficients need more than 6 equations, got 5"):
+    with pytest.raises(
+        IdentificationError, match="6 coefficients need more than 6 equations, got 5"
+    ):
         arx(y, u, 3, 2, 1, intercept=True)
 
 
 def test_a_run_shorter_than_its_lags_is_refused():
     y, u = system(4)
-    with pytest.raises(IdentificationError, match="a run of 4 samples is too short for lags up to 5"):
+    with pytest.raises(
+        IdentificationError, match="a run of 4 samples is too short for lags up to 5"
+    ):
         arx(y, u, 2, 1, 5)
 
 
 @pytest.mark.parametrize(
-    ("y_shape", "u_shape"), [((50,), (49,)), ((50, 2), (50,)), ((50,), (50, 1, 1)), ((50,), (2, 50))]
+    ("y_shape", "u_shape"),
+    [((50,), (49,)), ((50, 2), (50,)), ((50,), (50, 1, 1)), ((50,), (2, 50))],
 )
 def test_shapes_that_do_not_fit_are_refused(y_shape, u_shape):
     rng = np.random.default_rng(4)

@@ -1,8 +1,10 @@
 """
-A model of one's own: recovered, refused where it cannot be fitted, with the standard errors of independent tools.
+A model of one's own: recovered, refused where it cannot be fitted, with the standard errors of
+independent tools.
 
-Oracles: parameters that data were made with; statsmodels OLS, with and without HAC covariance, for a structure that is a
-linear regression; complex steps on the recursions written out here, for the sensitivities of the package's own structures.
+Oracles: parameters that data were made with; statsmodels OLS, with and without HAC covariance, for
+a structure that is a linear regression; complex steps on the recursions written out here, for the
+sensitivities of the package's own structures.
 """
 
 import cmath
@@ -37,12 +39,16 @@ MINE = tl.Structure("two rates", RATES, outputs="p_r", simulate=two_rates, initi
 
 def session_of(noise=0.0, seed=0, samples=3000, truth=(0.011, 0.006, 0.3), phase=300):
     mode = (np.arange(samples) // phase % 2 == 0).astype(float)
-    p_r = two_rates({"mode": mode}, *truth) + noise * np.random.default_rng(seed).standard_normal(samples)
-    frame = pd.DataFrame({"mode": mode, "p_r": p_r}, index=pd.Index(T * np.arange(samples), name="t"))
+    p_r = two_rates({"mode": mode}, *truth) + noise * np.random.default_rng(seed).standard_normal(
+        samples
+    )
+    frame = pd.DataFrame(
+        {"mode": mode, "p_r": p_r}, index=pd.Index(T * np.arange(samples), name="t")
+    )
     return tl.Session(frame, tl.Metadata(synthetic=True))
 
 
-# --- a lab's own model --------------------------------------------------------------------------------------------
+# --- a lab's own model ----------------------------------------------------------------------------
 
 
 def test_a_plain_simulation_is_recovered():
@@ -73,14 +79,19 @@ def test_sensitivities_of_its_own_give_the_same_fit():
 
     names = [tl.Parameter("gain", guess=1.0), tl.Parameter("offset", guess=0.0)]
     exact = tl.Structure("line", names, outputs="p_r", sensitivities=by_hand)
-    plain = tl.Structure("line", names, outputs="p_r", simulate=lambda run, gain, offset: gain * run["mode"] + offset)
+    plain = tl.Structure(
+        "line", names, outputs="p_r", simulate=lambda run, gain, offset: gain * run["mode"] + offset
+    )
     one, other = (tl.fit(which, session_of(0.003), noise="white") for which in (exact, plain))
     for column in ("value", "stderr"):
         np.testing.assert_allclose(one.parameters[column], other.parameters[column], rtol=1e-8)
 
 
 def test_several_outputs_are_weighted_by_their_own_noise():
-    """Two measurements of one level, one of them ten times as noisy: the variances add as those of a weighted mean."""
+    """
+    Two measurements of one level, one of them ten times as noisy: the variances add as those of a
+    weighted mean.
+    """
     rng = np.random.default_rng(5)
     quiet, loud = 0.3 + 0.001 * rng.standard_normal(4000), 0.3 + 0.01 * rng.standard_normal(4000)
     frame = pd.DataFrame({"mode": 1.0, "p_r": quiet, "p_h": loud}, index=T * np.arange(4000))
@@ -92,19 +103,27 @@ def test_several_outputs_are_weighted_by_their_own_noise():
     )
     fit = tl.fit(level, tl.Session(frame), noise="white")
     weights = np.array([1.0 / quiet.var(), 1.0 / loud.var()])
-    assert fit.model["level"] == pytest.approx(np.average([quiet.mean(), loud.mean()], weights=weights), rel=1e-6)
-    assert fit.parameters.loc["level", "stderr"] == pytest.approx((4000 * weights.sum()) ** -0.5, rel=1e-3)
+    assert fit.model["level"] == pytest.approx(
+        np.average([quiet.mean(), loud.mean()], weights=weights), rel=1e-6
+    )
+    assert fit.parameters.loc["level", "stderr"] == pytest.approx(
+        (4000 * weights.sum()) ** -0.5, rel=1e-3
+    )
 
 
 def test_rates_are_searched_as_time_constants():
-    """A slow state: in the parameter itself a step of central differences would be as long as 1 − a."""
+    """
+    A slow state: in the parameter itself a step of central differences would be as long as 1 − a.
+    """
     memory = tl.Structure(
         "memory",
         [tl.Parameter("a", search="rate", guess=0.9)],
         outputs="p_r",
         simulate=lambda run, a: 0.2 + 0.1 * a ** np.arange(run.size),
     )
-    frame = pd.DataFrame({"mode": 1.0, "p_r": 0.2 + 0.1 * 0.9999 ** np.arange(9000)}, index=T * np.arange(9000))
+    frame = pd.DataFrame(
+        {"mode": 1.0, "p_r": 0.2 + 0.1 * 0.9999 ** np.arange(9000)}, index=T * np.arange(9000)
+    )
     assert 1.0 - tl.fit(memory, tl.Session(frame)).model["a"] == pytest.approx(1e-4, rel=1e-6)
 
 
@@ -119,12 +138,16 @@ def test_its_derived_rows_carry_their_error():
     )
     fit = tl.fit(structure, session_of(0.003), noise="white")
     assert fit.parameters.loc["sum", "status"] == "derived"
-    assert fit.parameters.loc["sum", "stderr"] == pytest.approx(np.sqrt(fit.covariance.to_numpy().sum()), rel=1e-9)
+    assert fit.parameters.loc["sum", "stderr"] == pytest.approx(
+        np.sqrt(fit.covariance.to_numpy().sum()), rel=1e-9
+    )
     both = {"rise": 0.011, "decay": 0.006}
-    assert np.isnan(tl.fit(structure, session_of(0.003), fixed=both).parameters.loc["sum", "stderr"])
+    assert np.isnan(
+        tl.fit(structure, session_of(0.003), fixed=both).parameters.loc["sum", "stderr"]
+    )
 
 
-# --- standard errors ----------------------------------------------------------------------------------------------
+# --- standard errors ------------------------------------------------------------------------------
 
 
 def straight_line(session, noise):
@@ -138,7 +161,10 @@ def straight_line(session, noise):
 
 
 def test_standard_errors_are_those_of_ols():
-    """With few samples, so that n/(n − p) shows: OLS without and with HAC covariance, its small-sample form."""
+    """
+    With few samples, so that n/(n − p) shows: OLS without and with HAC covariance, its small-sample
+    form.
+    """
     session = session_of(0.01, samples=60, phase=15)
     line = sm.OLS(session["p_r"], np.column_stack([session["mode"], np.ones(60)]))
     white, robust = (straight_line(session, noise) for noise in ("white", "hac"))
@@ -149,7 +175,10 @@ def test_standard_errors_are_those_of_ols():
 
 
 def test_a_transfer_function_has_the_same_form_of_robust_errors():
-    """It lacked n/(n − p). Oracle: the response written out, its Jacobian by central differences, statsmodels' HAC sum."""
+    """
+    It lacked n/(n − p). Oracle: the response written out, its Jacobian by central differences,
+    statsmodels' HAC sum.
+    """
     rng = np.random.default_rng(3)
     u = np.repeat(rng.uniform(-0.2, 0.2, 8), 10)
 
@@ -172,12 +201,15 @@ def test_a_transfer_function_has_the_same_form_of_robust_errors():
     np.testing.assert_allclose(fit.parameters["stderr"], np.sqrt(np.diag(expected))[:2], rtol=1e-4)
 
 
-# --- the package's own structures ---------------------------------------------------------------------------------
+# --- the package's own structures -----------------------------------------------------------------
 
 
 def outputs_of(run, v):
     """P_h and P_r of (2.3), (2.5), (2.6), written out; values may be complex."""
-    r, p_r, p_h, out = v["r0"], v["p_r0"], [], []
+    r = v["r0"]
+    p_r = v["p_r0"]
+    p_h = []
+    out = []
     for m in run["mode"]:
         beta, span = v["human_beta"], v["human_p_max"] - v["human_p_min"]
         shape = cmath.exp(beta * cmath.log(r / beta) + (1 - beta) * cmath.log((1 - r) / (1 - beta)))
@@ -204,7 +236,9 @@ AT = {
 
 
 def test_sensitivities_agree_with_complex_steps(operators, make_session):
-    run = read_runs(make_session(operators["pilot"], np.repeat([1.0, 0.0, 0.5], 200)), "mode", "p_h", "p_r")[0]
+    run = read_runs(
+        make_session(operators["pilot"], np.repeat([1.0, 0.0, 0.5], 200)), "mode", "p_h", "p_r"
+    )[0]
     outputs, jacobians = TSC.predict(run, AT)
     for j, expected in enumerate(outputs_of(run, AT)):
         np.testing.assert_allclose(outputs[j], expected.real, rtol=1e-12)
@@ -212,14 +246,18 @@ def test_sensitivities_agree_with_complex_steps(operators, make_session):
         for column, name in enumerate(columns):
             slope = outputs_of(run, AT | {name: AT[name] + 1e-100j})[j].imag / 1e-100
             np.testing.assert_allclose(jacobians[j][:, column], slope, rtol=1e-9, atol=1e-12)
-    human = {name.removeprefix("human_"): AT[name] for name in TSC.names if name[:5] == "human"} | {"r0": 0.3}
+    human = {name.removeprefix("human_"): AT[name] for name in TSC.names if name[:5] == "human"} | {
+        "r0": 0.3
+    }
     (p_h,), (by_human,) = HUMAN.predict(run, human)
     np.testing.assert_array_equal(p_h, outputs[0])
     np.testing.assert_array_equal(by_human, jacobians[0])
 
 
 def test_the_robot_s_sensitivities_agree_with_central_differences(operators, make_session):
-    run = read_runs(make_session(operators["pilot"], np.repeat([1.0, 0.0, 0.5], 200)), "mode", "p_h", "p_r")[0]
+    run = read_runs(
+        make_session(operators["pilot"], np.repeat([1.0, 0.0, 0.5], 200)), "mode", "p_h", "p_r"
+    )[0]
     structure = robot_structure(0.46)
     plain = tl.Structure(
         "robot",
@@ -230,7 +268,9 @@ def test_the_robot_s_sensitivities_agree_with_central_differences(operators, mak
         inputs=structure.inputs,
     )
     at = {"a": 0.99, "p_min": 0.24, "p_max": 0.39, "p_r0": 0.3}
-    np.testing.assert_allclose(plain.predict(run, at)[1][0], structure.predict(run, at)[1][0], rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(
+        plain.predict(run, at)[1][0], structure.predict(run, at)[1][0], rtol=1e-5, atol=1e-7
+    )
 
 
 def test_any_structure_with_a_linear_form_can_be_regressed(operators, make_session, switching):
@@ -243,7 +283,7 @@ def test_any_structure_with_a_linear_form_can_be_regressed(operators, make_sessi
         tl.fit(MINE, session, method="regression")
 
 
-# --- refusals -----------------------------------------------------------------------------------------------------
+# --- refusals -------------------------------------------------------------------------------------
 
 
 def refused(says, structure=MINE, session=None, **arguments):
@@ -252,7 +292,13 @@ def refused(says, structure=MINE, session=None, **arguments):
 
 
 def changed(**fields):
-    given = {"name": "mine", "parameters": RATES, "outputs": "p_r", "simulate": two_rates, "initial": START}
+    given = {
+        "name": "mine",
+        "parameters": RATES,
+        "outputs": "p_r",
+        "simulate": two_rates,
+        "initial": START,
+    }
     return tl.Structure(**given | fields)
 
 
@@ -282,10 +328,16 @@ def test_what_cannot_be_fitted_is_refused():
     refused("noise must be one of", noise="pink")
     refused("fixed names 'rize'.*did you mean 'rise'", fixed={"rize": 0.1})
     refused("guess names 'rize'.*did you mean 'rise'", guess={"rize": 0.1})
-    refused(r"must return p_r in the shapes \[\(3000,\)\]", structure=changed(simulate=lambda run, **at: np.ones(7)))
+    refused(
+        r"must return p_r in the shapes \[\(3000,\)\]",
+        structure=changed(simulate=lambda run, **at: np.ones(7)),
+    )
     short = changed(sensitivities=lambda run, **at: ([run["mode"]], [np.ones((3000, 2))]))
     refused(r"derivatives of sensitivities .*\[\(3000, 3\)\], got \[\(3000, 2\)\]", structure=short)
-    refused("not finite at rise", structure=changed(simulate=lambda run, **at: np.full(run.size, np.nan)))
+    refused(
+        "not finite at rise",
+        structure=changed(simulate=lambda run, **at: np.full(run.size, np.nan)),
+    )
     refused("speed needs a guess", structure=changed(parameters=[tl.Parameter("speed")]))
     refused("no column 'p_h'", structure=changed(inputs=("mode", "p_h")))
     flat = session_of().with_columns(p_r=np.full(3000, 0.3))
@@ -294,7 +346,8 @@ def test_what_cannot_be_fitted_is_refused():
 
 def test_a_parameter_without_effect_is_named():
     structure = changed(
-        parameters=[*RATES, tl.Parameter("idle", 0.0, 1.0)], simulate=lambda run, idle, **at: two_rates(run, **at)
+        parameters=[*RATES, tl.Parameter("idle", 0.0, 1.0)],
+        simulate=lambda run, idle, **at: two_rates(run, **at),
     )
     with pytest.raises(tl.IdentificationError, match="do not determine idle") as caught:
         tl.fit(structure, session_of(0.003))

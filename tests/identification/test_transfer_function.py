@@ -1,4 +1,7 @@
-"""(A.1) recovered: exactly without noise, within its standard errors with noise; python-control as the simulator."""
+"""
+(A.1) recovered: exactly without noise, within its standard errors with noise; python-control as the
+simulator.
+"""
 
 import control
 import numpy as np
@@ -16,7 +19,9 @@ def flight(axis, seed, count=3000, start=True):
     rng = np.random.default_rng([51, seed])
     command = np.repeat(rng.uniform(-0.2, 0.2, count // 50), 50)
     model = PRINTED_UAV[axis]
-    plant = control.c2d(control.ss(control.tf([model.gain], [1.0, *model.denominator])), T, method="zoh")
+    plant = control.c2d(
+        control.ss(control.tf([model.gain], [1.0, *model.denominator])), T, method="zoh"
+    )
     begin = rng.normal(size=model.order) * 0.1 if start else np.zeros(model.order)
     return command, control.forced_response(plant, T * np.arange(count), command, begin).outputs
 
@@ -59,7 +64,11 @@ def test_coloured_noise_gets_wider_errors():
 
 def test_first_order_does_not_fit_a_second_order_axis():
     u, v = flight("y", 1)
-    assert fit_transfer_function(u, v, T, order=1).fit_percent < 80.0 < fit_transfer_function(u, v, T).fit_percent
+    assert (
+        fit_transfer_function(u, v, T, order=1).fit_percent
+        < 80.0
+        < fit_transfer_function(u, v, T).fit_percent
+    )
 
 
 @pytest.mark.parametrize(
@@ -69,7 +78,11 @@ def test_first_order_does_not_fit_a_second_order_axis():
         ({"order": True}, ValueError, "order must be"),
         ({"sample_time": 0.0}, ValueError, "sample_time must be positive"),
         ({"velocity": np.ones(10)}, ValueError, "must have 200 samples"),
-        ({"command": np.r_[np.nan, np.ones(199)]}, ValueError, "command of run 0 must be finite, but sample 0"),
+        (
+            {"command": np.r_[np.nan, np.ones(199)]},
+            ValueError,
+            "command of run 0 must be finite, but sample 0",
+        ),
         ({"command": np.ones(200)}, IdentificationError, "never changes"),
         ({"command": [np.ones(200)] * 2}, ValueError, "2 runs of command but 1"),
         ({"noise": "pink"}, ValueError, "noise must be"),

@@ -1,7 +1,8 @@
 """
 Chromium for the tests that drive and fly in it.
 
-Browsers depend on what else the machine does: a test in a browser that fails is run once more, and says so.
+Browsers depend on what else the machine does: a test in a browser that fails is run once more, and
+says so.
 """
 
 import shutil
@@ -10,7 +11,9 @@ import warnings
 import pytest
 from _pytest.runner import runtestprotocol
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 OPTIONS = {"executable_path": CHROMIUM, "args": ["--no-sandbox", "--disable-gpu"]}
 FIXTURES = {"browser", "chromium"}
 

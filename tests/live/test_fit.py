@@ -14,13 +14,19 @@ OTHER = tl.published_models()["2"]
 
 @pytest.fixture
 def driven(tmp_path):
-    """A function that returns a widget whose drive is done, by a scripted hand with a person's limits."""
+    """
+    A function that returns a widget whose drive is done, by a scripted hand with a person's limits.
+    """
 
     def drive(laps):
         live = tl.LiveGroundRobot("C3", OTHER, (0.0, 0.35), laps=laps, folder=tmp_path / str(laps))
         rows, _ = scripted_drive(live.attempt.config, HumanHand(live.attempt.config, 1))
         live.attempt.answer(
-            {"rows": np.column_stack([np.arange(len(rows)), 100.0 * np.arange(len(rows)), rows]).tolist()}
+            {
+                "rows": np.column_stack(
+                    [np.arange(len(rows)), 100.0 * np.arange(len(rows)), rows]
+                ).tolist()
+            }
         )
         return live
 

@@ -1,6 +1,9 @@
-"""The widgets in JupyterLab itself: its page, its shortcuts, its kernel that is asked in mid-run and restarted.
+"""
+The widgets in JupyterLab itself: its page, its shortcuts, its kernel that is asked in mid-run and
+restarted.
 
-Oracle: numba's replay of what was logged, the rows that the page has made, and JupyterLab's own list of cells.
+Oracle: numba's replay of what was logged, the rows that the page has made, and JupyterLab's own
+list of cells.
 """
 
 import json
@@ -43,13 +46,21 @@ def lab(tmp_path_factory):
     own = {f"JUPYTER_{name}_DIR": str(home / name) for name in ("CONFIG", "DATA", "RUNTIME")}
     root = str(Path(__file__).parents[2])
     environment = os.environ | own | {"IPYTHONDIR": str(home / "ipython"), "PYTHONPATH": root}
-    options = ["--no-browser", "--port=0", "--allow-root", "--expose-app-in-browser", f"--ServerApp.root_dir={home}"]
+    options = [
+        "--no-browser",
+        "--port=0",
+        "--allow-root",
+        "--expose-app-in-browser",
+        f"--ServerApp.root_dir={home}",
+    ]
     command = [sys.executable, "-m", "jupyterlab", *options, "--IdentityProvider.token=secret"]
     with (home / "log").open("w") as log:
         server = subprocess.Popen(command, cwd=home, env=environment, stdout=log, stderr=log)
     try:
         for _ in range(600):
-            found = re.search(r"http://(?:localhost|127\.0\.0\.1):(\d+)/", (home / "log").read_text())
+            found = re.search(
+                r"http://(?:localhost|127\.0\.0\.1):(\d+)/", (home / "log").read_text()
+            )
             if found:
                 break
             assert server.poll() is None, (home / "log").read_text()
@@ -71,17 +82,24 @@ class Opened:
             "metadata": {"kernelspec": {"name": "python3", "display_name": "Python 3"}},
         }
         code = {"cell_type": "code", "metadata": {}, "execution_count": None, "outputs": []}
-        notebook["cells"] = [code | {"id": f"cell-{i}", "source": source} for i, source in enumerate(cells)]
+        notebook["cells"] = [
+            code | {"id": f"cell-{i}", "source": source} for i, source in enumerate(cells)
+        ]
         (home / f"{name}.ipynb").write_text(json.dumps(notebook))
         self.page, self.faults = browser.new_page(viewport={"width": 1280, "height": 900}), []
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
-        self.page.on("console", lambda said: self.faults.append(said.text) if said.type == "error" else None)
+        self.page.on(
+            "console", lambda said: self.faults.append(said.text) if said.type == "error" else None
+        )
         self.page.goto(f"{address}/lab/tree/{name}.ipynb?token=secret&reset")
         self.page.wait_for_selector(".jp-Notebook .jp-Cell", timeout=60_000)
-        self.page.wait_for_function(f"jupyterapp.shell.currentWidget?.context?.path === '{name}.ipynb'")
+        self.page.wait_for_function(
+            f"jupyterapp.shell.currentWidget?.context?.path === '{name}.ipynb'"
+        )
         self.page.evaluate("jupyterapp.shell.currentWidget.sessionContext.ready.then(() => 0)")
         self.page.wait_for_function(
-            "jupyterapp.shell.currentWidget.sessionContext.session?.kernel?.status === 'idle'", timeout=60_000
+            "jupyterapp.shell.currentWidget.sessionContext.session?.kernel?.status === 'idle'",
+            timeout=60_000,
         )
 
     def run(self, i):
@@ -118,7 +136,9 @@ def test_a_drive_in_jupyterlab(browser, lab):
         page.wait_for_function(f"{MADE} >= 0")
 
     def row():
-        return page.evaluate("[0, 9, 10].map((i) => document.querySelector('.tl-drive').driving.row[i])")
+        return page.evaluate(
+            "[0, 9, 10].map((i) => document.querySelector('.tl-drive').driving.row[i])"
+        )
 
     start()
     seen = []
@@ -136,7 +156,10 @@ def test_a_drive_in_jupyterlab(browser, lab):
         page.keyboard.up(key)
         page.wait_for_timeout(300)
     assert all(seen), "keys are the driver's"
-    cells, place = one.cells(), page.evaluate("document.querySelector('.tl-drive').getBoundingClientRect().top")
+    cells, place = (
+        one.cells(),
+        page.evaluate("document.querySelector('.tl-drive').getBoundingClientRect().top"),
+    )
     for key in (
         "Space",
         "KeyS",
@@ -157,7 +180,9 @@ def test_a_drive_in_jupyterlab(browser, lab):
         "0",
         "0",
     ):
-        page.keyboard.press(key)  # in a notebook: scroll, cut the cell, undo, delete it, restart the kernel …
+        page.keyboard.press(
+            key
+        )  # in a notebook: scroll, cut the cell, undo, delete it, restart the kernel …
     page.wait_for_timeout(300)
     assert one.cells() == cells
     assert page.locator("dialog").count() == 0
@@ -193,7 +218,12 @@ def test_a_drive_in_jupyterlab(browser, lab):
 
 
 def test_a_flight_in_jupyterlab(browser, lab):
-    one = Opened(browser, lab, "flight", [FLY, ASK_FLIGHT, "import time; time.sleep(2.0); print('slept end')"])
+    one = Opened(
+        browser,
+        lab,
+        "flight",
+        [FLY, ASK_FLIGHT, "import time; time.sleep(2.0); print('slept end')"],
+    )
     page = one.page
     one.run(0)
     page.click(".tl-track button", timeout=60_000)

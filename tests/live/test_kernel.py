@@ -1,4 +1,7 @@
-"""One physics: WebAssembly and numba give the same bits. Oracle: wasmtime, which shares no code with numba's machine code."""
+"""
+One physics: WebAssembly and numba give the same bits. Oracle: wasmtime, which shares no code with
+numba's machine code.
+"""
 
 import hashlib
 import json
@@ -37,7 +40,9 @@ def wobbling(count, seed):
 
 
 class Module:
-    """The WebAssembly file in wasmtime, with a drive's records packed into its memory by their layout."""
+    """
+    The WebAssembly file in wasmtime, with a drive's records packed into its memory by their layout.
+    """
 
     def __init__(self, config):
         engine = wasmtime.Engine()
@@ -79,7 +84,10 @@ class Module:
     def rows(self, commands):
         size = self.config["records"]["row"]["size"]
         self.memory.grow(self.store, (size + 24) * len(commands) // 65_536 + 1)
-        given, first = self.put(np.ascontiguousarray(commands).tobytes()), self.put(bytes(size * len(commands)))
+        given, first = (
+            self.put(np.ascontiguousarray(commands).tobytes()),
+            self.put(bytes(size * len(commands))),
+        )
         count = self.call("many", len(commands), given, *self.arguments[:-1], first)
         data = self.memory.read(self.store, first, first + size * count)
         return np.frombuffer(data).reshape(count, len(COLUMNS))
@@ -89,17 +97,24 @@ class Module:
         rows = np.empty((len(commands), len(COLUMNS)))
         for k, command in enumerate(commands.tolist()):
             self.call("tick", k, *command, *self.arguments)
-            rows[k] = np.frombuffer(self.memory.read(self.store, self.row, self.row + 8 * len(COLUMNS)))
+            rows[k] = np.frombuffer(
+                self.memory.read(self.store, self.row, self.row + 8 * len(COLUMNS))
+            )
         return rows
 
 
 def configured(condition, seconds, seed, **more):
-    return drive_config(condition, MODEL, seconds=seconds, seed=seed, **CONDITIONS[condition], **more)
+    return drive_config(
+        condition, MODEL, seconds=seconds, seed=seed, **CONDITIONS[condition], **more
+    )
 
 
 @pytest.mark.parametrize("condition", CONDITIONS)
 def test_every_row_is_the_same_in_webassembly(condition):
-    """36,000 rows in all: 12 minutes under each condition, by a hand that follows suggestions and then sees nothing more."""
+    """
+    36,000 rows in all: 12 minutes under each condition, by a hand that follows suggestions and then
+    sees nothing more.
+    """
     config = configured(condition, 720.0, seed=11)
     seen, _ = scripted_drive(configured(condition, 160.0, seed=11), HumanHand(config, 1))
     commands = np.concatenate([commands_of(seen), wobbling(5600, 5)])
@@ -139,7 +154,15 @@ def test_the_digest_sees_functions_constants_and_calls():
 
     build.sources(tick, found := {})
     names = {name.rsplit(".", 1)[-1] for name in found}
-    assert {"roll", "scan", "cos_sin", "suggest", "performance_suggestion", "next_utilization", "TSC"} <= names
+    assert {
+        "roll",
+        "scan",
+        "cos_sin",
+        "suggest",
+        "performance_suggestion",
+        "next_utilization",
+        "TSC",
+    } <= names
     assert "PERFORMANCE_TOLERANCE" in " ".join(found.values())
 
 
@@ -167,7 +190,10 @@ def test_steps_in_python_are_those_of_the_loop():
 
 
 def test_the_live_robot_is_the_testbeds_robot():
-    """Given the commands and modes of a simulated run without noise of sensing, the live tick drives the same way."""
+    """
+    Given the commands and modes of a simulated run without noise of sensing, the live tick drives
+    the same way.
+    """
     quiet = {"range_noise": 0.0, "bearing_noise": 0.0, "heading_noise": 0.0, "detection": 1.0}
     robot = tl.testbeds.Pioneer(**quiet)
     run = run_condition("C1", participant=2, laps=2, seed=3, robot=robot)

@@ -1,4 +1,7 @@
-"""Noise of live drives. Oracles: SplitMix64 in Python's whole numbers, numpy's generators, SciPy's Kolmogorov–Smirnov test."""
+"""
+Noise of live drives. Oracles: SplitMix64 in Python's whole numbers, numpy's generators, SciPy's
+Kolmogorov–Smirnov test.
+"""
 
 import numba
 import numpy as np
@@ -66,6 +69,8 @@ def test_only_a_source_of_noise_has_the_methods_of_one():
 
 def test_logarithm():
     rng = np.random.default_rng(0)
-    for x in np.r_[rng.random(3000), 10.0 ** rng.uniform(-15, 5, 2000), 1 + rng.normal(size=500) * 1e-5]:
+    for x in np.r_[
+        rng.random(3000), 10.0 ** rng.uniform(-15, 5, 2000), 1 + rng.normal(size=500) * 1e-5
+    ]:
         exact = np.log(np.longdouble(x))
         assert abs(np.longdouble(logarithm(x)) - exact) <= 1.5 * np.spacing(abs(float(exact)))

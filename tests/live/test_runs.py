@@ -1,4 +1,7 @@
-"""Settings, files and hands of live drives. Oracles: the replay, Table 2.5 and Table 2.1 as printed, files written by hand."""
+"""
+Settings, files and hands of live drives. Oracles: the replay, Table 2.5 and Table 2.1 as printed,
+files written by hand.
+"""
 
 import json
 
@@ -35,14 +38,18 @@ def test_a_live_session_is_one_like_any_other(driven, tmp_path):
     assert session.sample_time == 0.1
     assert session.metadata.synthetic
     assert replay(config, rows) is True
-    again = tl.read_session(tl.write_session(session, tmp_path / "live.csv") or tmp_path / "live.csv")
+    again = tl.read_session(
+        tl.write_session(session, tmp_path / "live.csv") or tmp_path / "live.csv"
+    )
     np.testing.assert_array_equal(again["p_r"], session["p_r"])
     with pytest.raises(tl.IdentificationError, match="record more"):
         tl.fit_tsc(session)  # a scripted hand does not tire, and 200 s are few
 
 
 def test_an_identification_drive_is_fitted():
-    config = drive_config("identification", MODEL, seed=3, schedule=[(1, 250.0), (0, 250.0), (1, 200.0)])
+    config = drive_config(
+        "identification", MODEL, seed=3, schedule=[(1, 250.0), (0, 250.0), (1, 200.0)]
+    )
     _, session = scripted_drive(config, HumanHand(config, 1))
     assert session["mode"][[0, 2499, 2500, 4999, 5000]].tolist() == [1.0, 1.0, 0.0, 0.0, 1.0]
     assert 0.25 < tl.fit_robot(session).model.p_max < 0.5

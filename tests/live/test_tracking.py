@@ -1,6 +1,9 @@
-"""A person flies after the target: messages as a page would send them, and the page itself in Chromium.
+"""
+A person flies after the target: messages as a page would send them, and the page itself in
+Chromium.
 
-Oracle: the loop of `TeleoperationLoop`, stepped here under the hands that were sent; the passivity of the operator's port.
+Oracle: the loop of `TeleoperationLoop`, stepped here under the hands that were sent; the passivity
+of the operator's port.
 """
 
 import json
@@ -67,7 +70,9 @@ def test_each_sample_has_the_newest_hand_sent_before_it():
     live = tl.LiveTracking("M", seed=0)
     for time, x in ((5.0, 0.2), (5.035, 0.5), (5.081, -1.0), (5.1005, 0.0)):
         live.hear({"hand": [x, 0.0], "time": time})
-    assert live.session.data["hand_x"].to_list() == pytest.approx(3 * [0.04] + 5 * [0.1] + 2 * [-0.2])
+    assert live.session.data["hand_x"].to_list() == pytest.approx(
+        3 * [0.04] + 5 * [0.1] + 2 * [-0.2]
+    )
     assert (live.session.data[["hand_y", "hand_z"]] == 0.0).all(axis=None)
 
 
@@ -85,7 +90,9 @@ def test_a_hand_at_rest_earns_no_energy_and_gets_none():
         assert live.energy["energy_operator"].abs().max() <= 1e-2
     off = tl.LiveTracking("M", guard="off", seed=1)
     flown(off, 30.0)
-    assert off.energy["energy_port"].min() < -1e-3, "without its guard guidance moves the hand by energy of its own"
+    assert off.energy["energy_port"].min() < -1e-3, (
+        "without its guard guidance moves the hand by energy of its own"
+    )
 
 
 def test_a_hand_that_follows_the_picture_tracks_better_than_one_at_rest():
@@ -98,9 +105,13 @@ def test_a_hand_that_follows_the_picture_tracks_better_than_one_at_rest():
 def test_the_view_is_late_and_ends_where_the_picture_does():
     live = tl.LiveTracking("M", seed=0, task=tl.TrackingTask(view=0.2))
     seen = []
-    flown(live, 5.0, lambda answer, time: seen.append((answer["t"], answer["target"])) or (0.0, 0.0))
+    flown(
+        live, 5.0, lambda answer, time: seen.append((answer["t"], answer["target"])) or (0.0, 0.0)
+    )
     data = live.session.data
-    error = data[["reference_x", "reference_y"]].to_numpy() - data[["robot_x", "robot_y"]].to_numpy()
+    error = (
+        data[["reference_x", "reference_y"]].to_numpy() - data[["robot_x", "robot_y"]].to_numpy()
+    )
     for t, target in seen[20:]:
         then = error[round(100 * t) - 1 - 10]
         if np.abs(then).max() > 0.2:
@@ -171,7 +182,12 @@ def test_arguments_are_checked(arguments, message):
 
 
 @pytest.mark.parametrize(
-    "said", [{"hand": [2.0, 0.0], "time": 0.0}, {"hand": [0.0], "time": 0.0}, {"hand": [0.0, 0.0], "time": "now"}]
+    "said",
+    [
+        {"hand": [2.0, 0.0], "time": 0.0},
+        {"hand": [0.0], "time": 0.0},
+        {"hand": [0.0, 0.0], "time": "now"},
+    ],
 )
 def test_messages_are_checked(said):
     with pytest.raises(ValueError, match=r"hand|time"):
@@ -246,7 +262,9 @@ def test_the_page_sends_the_pointer_and_draws_the_answers(browser):
     page.click("text=Start")
     box = page.locator("canvas.pad").bounding_box()
     for share in np.linspace(0.5, 0.5 + 0.35 * 0.8, 20):
-        page.mouse.move(box["x"] + share * box["width"], box["y"] + (0.5 - 0.35 * 0.5) * box["height"])
+        page.mouse.move(
+            box["x"] + share * box["width"], box["y"] + (0.5 - 0.35 * 0.5) * box["height"]
+        )
         page.wait_for_timeout(50)
     page.wait_for_timeout(300)
     drawn = page.evaluate("document.querySelector('.tl-track').drawn")
@@ -260,7 +278,8 @@ def test_the_page_sends_the_pointer_and_draws_the_answers(browser):
     hands = [said["hand"] for said in heard if "hand" in said]
     assert hands[-1] == pytest.approx([0.8, 0.5], abs=0.02)
     page.evaluate(
-        "Object.defineProperty(document, 'hidden', { value: true, configurable: true }); document.dispatchEvent(new Event('visibilitychange'))"
+        "Object.defineProperty(document, 'hidden', { value: true, configurable: true }); "
+        "document.dispatchEvent(new Event('visibilitychange'))"
     )
     page.wait_for_timeout(150)
     before = live.run.loop.t

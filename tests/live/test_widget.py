@@ -1,4 +1,6 @@
-"""The notebook's widget in Chromium, its kernel stood in for by this process: hands, frames, pauses, restarts, and the verdict.
+"""
+The notebook's widget in Chromium, its kernel stood in for by this process: hands, frames, pauses,
+restarts, and the verdict.
 
 Oracle: numba's replay of the rows that the browser has logged, and the browser's own clock.
 """
@@ -61,7 +63,10 @@ class Notebook:
         files = {
             "": ("text/html", PAGE),
             "widget.js": ("text/javascript", module_of("rows.js", "drive.js", "widget.js")),
-            "given.json": ("application/json", json.dumps({"config": config, "key": self.attempt.key})),
+            "given.json": (
+                "application/json",
+                json.dumps({"config": config, "key": self.attempt.key}),
+            ),
             "kernel.wasm": ("application/wasm", WASM.read_bytes()),
         }
         for name, (kind, body) in files.items():
@@ -84,7 +89,9 @@ class Notebook:
             if ready():
                 return
             self.page.wait_for_timeout(50)
-        raise AssertionError(f"waited {seconds} s; {len(self.attempt.rows)} rows, faults {self.faults}")
+        raise AssertionError(
+            f"waited {seconds} s; {len(self.attempt.rows)} rows, faults {self.faults}"
+        )
 
     def steer(self, act, seconds, every=60):
         """Drive by what `act(forward, bearing)` does, every so many ms, until the drive is over."""
@@ -123,7 +130,9 @@ def test_chromium_gives_the_bits_of_numba(notebook):
     config = drive_config("C5", MODEL, seconds=3600.0, seed=7)
     seen, _ = scripted_drive(drive_config("C5", MODEL, seconds=150.0, seed=7), HumanHand(config, 1))
     t = np.arange(34_500)
-    rest = np.column_stack([0.3 + 0.2 * np.sin(0.01 * t), 0.1 + 0.7 * np.sin(0.05 * t), t // 60 % 2])
+    rest = np.column_stack(
+        [0.3 + 0.2 * np.sin(0.01 * t), 0.1 + 0.7 * np.sin(0.05 * t), t // 60 % 2]
+    )
     commands = np.concatenate([commands_of(seen), rest])
     rows, _ = driven(config, commands)
     page = notebook(config).page
@@ -143,7 +152,10 @@ def test_chromium_gives_the_bits_of_numba(notebook):
 
 
 def test_a_drive_by_script_is_verified_and_read_as_a_session(notebook):
-    one = notebook(drive_config("C3", MODEL, (0.0, 0.35), laps=2, seed=3) | {"clock": "accelerated", "hand": {}})
+    one = notebook(
+        drive_config("C3", MODEL, (0.0, 0.35), laps=2, seed=3)
+        | {"clock": "accelerated", "hand": {}}
+    )
     one.start()
     one.until(lambda: len(one.attempt.rows) > 200, 10)
     assert len(one.attempt.session) >= 200, "a session in mid-run"
@@ -166,7 +178,8 @@ def test_the_pictures_keep_the_pixels_of_the_screen(notebook):
         one.page.set_viewport_size({"width": wide, "height": 700})
         one.page.wait_for_timeout(150)
         sizes = one.page.evaluate(
-            "[...document.querySelectorAll('.tl-drive canvas')].map((c) => [c.width, c.clientWidth, c.parentElement.clientWidth])"
+            "[...document.querySelectorAll('.tl-drive canvas')].map((c) => [c.width, "
+            "c.clientWidth, c.parentElement.clientWidth])"
         )
         assert [own == shown == room for own, shown, room in sizes] == [True, True], sizes
     assert one.faults == []
@@ -192,11 +205,14 @@ def test_two_laps_by_real_key_events(notebook):
     one.until(lambda: one.attempt.finished, 15)
     more = one.attempt.session.metadata.more
     print(
-        f"two laps by keys: {more['lap_times']} s, {telemetry}, P_r {one.attempt.rows[-1][COLUMNS.index('p_r')]:.3f} m/s"
+        f"two laps by keys: {more['lap_times']} s, {telemetry}, P_r "
+        f"{one.attempt.rows[-1][COLUMNS.index('p_r')]:.3f} m/s"
     )
     assert more["verified"] is True
     assert len(more["lap_times"]) == 2
-    if os.getloadavg()[0] <= os.cpu_count() / 2:  # a machine that is busy with other things is no measure
+    if (
+        os.getloadavg()[0] <= os.cpu_count() / 2
+    ):  # a machine that is busy with other things is no measure
         assert telemetry["fps"] >= 50.0
         assert telemetry["period_median"] == pytest.approx(0.1, abs=0.005)
         assert telemetry["period_max"] <= 0.2
@@ -209,18 +225,25 @@ def test_two_laps_by_a_gamepad_six_times_as_fast(notebook):
     one.start()
     one.steer(
         lambda forward, bearing: one.page.evaluate(
-            "(axes) => { pad.axes = axes; }", [-max(min(1.8 * bearing, 1), -1), -0.9 * forward, 0, 0]
+            "(axes) => { pad.axes = axes; }",
+            [-max(min(1.8 * bearing, 1), -1), -0.9 * forward, 0, 0],
         ),
         40,
         every=20,
     )
     one.until(lambda: one.attempt.finished, 15)
     assert one.attempt.session.metadata.more["verified"] is True
-    assert one.page.evaluate("document.querySelector('.tl-drive').driving.telemetry().source") == "gamepad"
+    assert (
+        one.page.evaluate("document.querySelector('.tl-drive').driving.telemetry().source")
+        == "gamepad"
+    )
 
 
 def test_hands(notebook):
-    """Keys reach the command within a sample; the space bar, a lost focus, a dragging mouse and a hidden page do what they should."""
+    """
+    Keys reach the command within a sample; the space bar, a lost focus, a dragging mouse and a
+    hidden page do what they should.
+    """
     one = notebook(drive_config("training", MODEL, seconds=600.0, seed=3))
     one.start()
     page = one.page
@@ -233,16 +256,22 @@ def test_hands(notebook):
         page.keyboard.up("KeyW")
         page.wait_for_timeout(250 + 13 * n % 60)
     late = page.evaluate("late")
-    print(f"keypress to command: median {statistics.median(late):.0f} ms, most {max(late):.0f} ms of {len(late)}")
+    print(
+        f"keypress to command: median {statistics.median(late):.0f} ms, most {max(late):.0f} ms "
+        f"of {len(late)}"
+    )
     assert len(late) >= 9
     if os.getloadavg()[0] <= os.cpu_count() / 2:
         assert statistics.median(late) <= 100.0
     page.evaluate(
-        "window.heard = []; for (const type of ['keydown', 'keyup']) document.addEventListener(type, (event) => heard.push(event.key))"
+        "window.heard = []; for (const type of ['keydown', 'keyup']) "
+        "document.addEventListener(type, (event) => heard.push(event.key))"
     )
     for key in ("x", "d", "d", "0", "Enter"):
         page.keyboard.press(key)
-    assert page.evaluate("heard") == [], "a notebook's shortcuts would cut the cell or restart the kernel"
+    assert page.evaluate("heard") == [], (
+        "a notebook's shortcuts would cut the cell or restart the kernel"
+    )
     page.keyboard.press("Space")
     one.until(lambda: page.evaluate("document.querySelector('.tl-drive').driving.row[0]") == 0, 2)
     assert page.inner_text(".tl-drive .mode") == "AUTONOMOUS"
@@ -258,17 +287,21 @@ def test_hands(notebook):
     page.mouse.down()
     page.mouse.move(box["x"] + 240, box["y"] + 140, steps=3)
     one.until(lambda: page.evaluate("document.querySelector('.tl-drive').driving.row[9]") > 0.3, 2)
-    assert page.evaluate("document.querySelector('.tl-drive').driving.row[10]") == pytest.approx(-0.5)
+    assert page.evaluate("document.querySelector('.tl-drive').driving.row[10]") == pytest.approx(
+        -0.5
+    )
     page.mouse.up()
     page.evaluate(
-        "Object.defineProperty(document, 'hidden', { value: true, configurable: true }); document.dispatchEvent(new Event('visibilitychange'))"
+        "Object.defineProperty(document, 'hidden', { value: true, configurable: true }); "
+        "document.dispatchEvent(new Event('visibilitychange'))"
     )
     page.wait_for_timeout(100)
     before = page.evaluate(NOW)[6]
     page.wait_for_timeout(700)
     assert page.evaluate(NOW)[6] == before, "a hidden page pauses the robot"
     page.evaluate(
-        "Object.defineProperty(document, 'hidden', { value: false, configurable: true }); document.dispatchEvent(new Event('visibilitychange'))"
+        "Object.defineProperty(document, 'hidden', { value: false, configurable: true }); "
+        "document.dispatchEvent(new Event('visibilitychange'))"
     )
     one.until(lambda: page.evaluate(NOW)[6] > before, 2)
     one.until(lambda: len(one.attempt.rows) > before, 3)
@@ -296,7 +329,9 @@ def test_rows_wait_for_a_kernel_that_restarts(browser, notebook):
     assert again.attempt.key == one.attempt.key
     assert len(again.attempt.rows) == kept, "what was acknowledged is on the disk"
     again.start()
-    assert len(again.attempt.rows) >= made - 5, "what was on its way came back, but for the last half second"
+    assert len(again.attempt.rows) >= made - 5, (
+        "what was on its way came back, but for the last half second"
+    )
     again.until(lambda: again.attempt.finished, 40)
     assert again.attempt.verified
     assert Attempt(again.attempt.path.parent, "me", config).key != one.attempt.key, (

@@ -1,4 +1,7 @@
-"""What counts as a number, a whole number, an array and a model; everything else is refused with its name."""
+"""
+What counts as a number, a whole number, an array and a model; everything else is refused with its
+name.
+"""
 
 from decimal import Decimal
 from fractions import Fraction
@@ -14,7 +17,9 @@ from trustlab.models.checks import finite_array, finite_number, of_class, open_u
 NO_NUMBER = [None, "3", b"3", True, np.True_, [], [1.0], {}, 1j, object(), np.array([2.0]), 10**400]
 
 
-@pytest.mark.parametrize("value", [3, 3.0, np.int8(3), np.float32(3), np.array(3), Fraction(3), Decimal(3)])
+@pytest.mark.parametrize(
+    "value", [3, 3.0, np.int8(3), np.float32(3), np.array(3), Fraction(3), Decimal(3)]
+)
 def test_numbers_of_every_kind(value):
     assert finite_number("x", value) == 3.0
     assert type(finite_number("x", value)) is float
@@ -38,14 +43,17 @@ def test_what_is_not_finite(value):
         whole_number("count", value)
 
 
-@pytest.mark.parametrize("value", [3, 3.0, np.int64(3), np.uint8(3), np.float64(3), np.array(3), Fraction(3)])
+@pytest.mark.parametrize(
+    "value", [3, 3.0, np.int64(3), np.uint8(3), np.float64(3), np.array(3), Fraction(3)]
+)
 def test_whole_numbers_of_every_kind(value):
     assert whole_number("count", value) == 3
     assert type(whole_number("count", value)) is int
 
 
 @pytest.mark.parametrize(
-    ("value", "least", "most"), [(0, 1, None), (-1, 0, None), (2.5, 1, None), (7, 1, 6), (1e300, 1, None)]
+    ("value", "least", "most"),
+    [(0, 1, None), (-1, 0, None), (2.5, 1, None), (7, 1, 6), (1e300, 1, None)],
 )
 def test_whole_numbers_out_of_range(value, least, most):
     with pytest.raises(ValueError, match="count must be a whole number"):
@@ -57,10 +65,13 @@ def test_the_class_wanted_and_a_remedy_are_named():
     model = tl.published_models()["1"]
     assert of_class("model", model, tl.TscModel) is model
     with pytest.raises(
-        ValueError, match=r"model must be of class TscModel, got RobotModel; fit one with trustlab\.fit_tsc"
+        ValueError,
+        match=r"model must be of class TscModel, got RobotModel; fit one with trustlab\.fit_tsc",
     ):
         of_class("model", model.robot, tl.TscModel)
-    with pytest.raises(ValueError, match=r"human must be of class HumanModel, got str; take .human$"):
+    with pytest.raises(
+        ValueError, match=r"human must be of class HumanModel, got str; take .human$"
+    ):
         of_class("human", "x", tl.HumanModel, "take .human")
     with pytest.raises(ValueError, match=r"robot must be of class RobotModel, got int$"):
         of_class("robot", 3, tl.RobotModel)
@@ -68,13 +79,17 @@ def test_the_class_wanted_and_a_remedy_are_named():
 
 def test_a_run_is_told_to_hand_over_its_session():
     session = tl.Session(pd.DataFrame({"mode": [1.0, 0.0]}, index=[0.0, 0.1]))
-    with pytest.raises(ValueError, match=r"must be of class Session, got SimpleNamespace; pass its \.session$"):
+    with pytest.raises(
+        ValueError, match=r"must be of class Session, got SimpleNamespace; pass its \.session$"
+    ):
         of_class("session", SimpleNamespace(session=session), tl.Session, "read one")
     with pytest.raises(ValueError, match=r"got SimpleNamespace; read one$"):
         of_class("session", SimpleNamespace(session=3), tl.Session, "read one")
 
 
-@pytest.mark.parametrize("value", ["ab", ["1", "2"], [None, 1.0], [[1.0]], [], 3.0, [1.0, np.nan], [1j], [{}], None])
+@pytest.mark.parametrize(
+    "value", ["ab", ["1", "2"], [None, 1.0], [[1.0]], [], 3.0, [1.0, np.nan], [1j], [{}], None]
+)
 def test_what_is_no_array_of_numbers(value):
     with pytest.raises(ValueError, match=r"^width "):
         finite_array("width", value)

@@ -1,4 +1,7 @@
-"""Compiled functions are cached under a digest of everything they call: an edit elsewhere is never missed."""
+"""
+Compiled functions are cached under a digest of everything they call: an edit elsewhere is never
+missed.
+"""
 
 import os
 import shutil
@@ -21,7 +24,9 @@ print(repr(float(tl.simulate_allocation(tsc, 0.0, 0.35, steps=5000)["r"].mean())
 
 def package_in(folder):
     """A copy of the package, without anything compiled."""
-    shutil.copytree(ROOT / "trustlab", folder / "trustlab", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        ROOT / "trustlab", folder / "trustlab", ignore=shutil.ignore_patterns("__pycache__")
+    )
     return folder
 
 
@@ -36,7 +41,9 @@ def first(tmp_path_factory):
 def run(folder, code=RUN, **environment):
     inherited = {name: value for name, value in os.environ.items() if name != "TRUSTLAB_CACHE_DIR"}
     env = inherited | {"PYTHONPATH": str(folder)} | {k: str(v) for k, v in environment.items()}
-    done = subprocess.run([sys.executable, "-c", code], env=env, cwd=folder, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=env, cwd=folder, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout.split(), done.stderr
 
@@ -62,11 +69,20 @@ def test_without_a_folder_to_write_to_it_works_and_says_so_once(first, tmp_path)
     copy = package_in(tmp_path)
     (copy / "trustlab" / "__pycache__").mkdir()
     (copy / "trustlab" / "__pycache__" / "compiled").write_text("in the way")
-    (value, _), said = run(copy, HOME=os.devnull, XDG_CACHE_HOME=os.devnull, LOCALAPPDATA=os.devnull)
+    (value, _), said = run(
+        copy, HOME=os.devnull, XDG_CACHE_HOME=os.devnull, LOCALAPPDATA=os.devnull
+    )
     assert said.count("TRUSTLAB_CACHE_DIR") == 1
     assert compiled(copy) == set()
     assert value == first[1]
-    assert run(copy, "from trustlab.models.human import yerkes_dodson", TRUSTLAB_CACHE_DIR=copy / "named")[1] == ""
+    assert (
+        run(
+            copy,
+            "from trustlab.models.human import yerkes_dodson",
+            TRUSTLAB_CACHE_DIR=copy / "named",
+        )[1]
+        == ""
+    )
     assert (copy / "named").is_dir()
 
 
@@ -79,7 +95,8 @@ def test_an_edit_of_a_function_in_another_file_is_seen(first):
     human.write_text(text.replace("if r <= 0.0 or r >= 1.0:", "if r > 0.5:"))
     (edited, _), _ = run(folder)
     assert edited != before
-    # What depends on the edited file is swept and compiled again; what does not, as the robot's model, is kept.
+    # What depends on the edited file is swept and compiled again; what does not, as the robot's
+    # model, is kept.
     unchanged = {path.parts[3].rpartition("-")[0] for path in kept & compiled(folder)}
     assert "models.robot" in unchanged
     assert not unchanged & {"models.human", "models.tsc", "allocation.simulation"}

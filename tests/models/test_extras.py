@@ -1,4 +1,7 @@
-"""A missing optional dependency is an error that names the extra; any other failed import stays as it is."""
+"""
+A missing optional dependency is an error that names the extra; any other failed import stays as it
+is.
+"""
 
 import pytest
 
@@ -13,7 +16,10 @@ def test_missing_package_names_the_extra():
 
 
 def test_own_mistakes_are_not_blamed_on_an_extra():
-    with pytest.raises(ModuleNotFoundError, match=r"No module named 'trustlab\.no_such_room'"), extra("ros"):
+    with (
+        pytest.raises(ModuleNotFoundError, match=r"No module named 'trustlab\.no_such_room'"),
+        extra("ros"),
+    ):
         import trustlab.no_such_room  # noqa: F401
 
 

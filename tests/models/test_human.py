@@ -44,9 +44,14 @@ def test_simulation_evaluates_the_curve_at_every_sample():
 
 
 def test_time_constants_of_both_models_share_one_definition():
-    human, robot = tl.HumanModel(0.9991, 0.74, 0.391, 0.4602), tl.RobotModel(0.9991, 0.24, 0.39, 0.4602)
+    human, robot = (
+        tl.HumanModel(0.9991, 0.74, 0.391, 0.4602),
+        tl.RobotModel(0.9991, 0.24, 0.39, 0.4602),
+    )
     decay = human.simulate(np.zeros(2000), 1.0)[0]
-    assert np.interp(human.time_constant, np.arange(2000), decay) == pytest.approx(np.exp(-1.0), rel=1e-6)
+    assert np.interp(human.time_constant, np.arange(2000), decay) == pytest.approx(
+        np.exp(-1.0), rel=1e-6
+    )
     assert robot.time_constant == human.time_constant
     with pytest.warns(DeprecationWarning, match=r"tau is now HumanModel\.time_constant .* 1/b"):
         assert human.tau == pytest.approx(1 / 0.0009)

@@ -13,7 +13,10 @@ shares = st.floats(0.0, 1.0)
 def robots(draw):
     p_min = draw(st.floats(-0.5, 0.5))
     return tl.RobotModel(
-        a=draw(rates), p_min=p_min, p_max=p_min + draw(st.floats(0.01, 1.0)), p_h_max=draw(st.floats(0.1, 2.0))
+        a=draw(rates),
+        p_min=p_min,
+        p_max=p_min + draw(st.floats(0.01, 1.0)),
+        p_h_max=draw(st.floats(0.1, 2.0)),
     )
 
 
@@ -34,7 +37,9 @@ def test_performance_stays_between_its_bounds(data):
     seed = data.draw(st.integers(0, 2**32 - 1))
     rng = np.random.default_rng(seed)
     p_r = robot.simulate(
-        rng.random(500), rng.random(500) * robot.p_h_max, p_r0=robot.p_min + rng.random() * (robot.p_max - robot.p_min)
+        rng.random(500),
+        rng.random(500) * robot.p_h_max,
+        p_r0=robot.p_min + rng.random() * (robot.p_max - robot.p_min),
     )
     assert p_r.min() >= robot.p_min - 1e-12
     assert p_r.max() <= robot.p_max + 1e-12

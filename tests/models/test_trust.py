@@ -1,4 +1,7 @@
-"""Trust (3.2)-(3.4) against an independent integrator; scalings (3.5)-(3.6) against their printed ends."""
+"""
+Trust (3.2)-(3.4) against an independent integrator; scalings (3.5)-(3.6) against their printed
+ends.
+"""
 
 import numpy as np
 import pytest
@@ -58,7 +61,9 @@ def test_with_b_above_a_trust_leaves_its_bounds():
 
 
 def test_full_trust_is_reached_when_a_equals_b():
-    assert TrustModel(a=0.4, b=0.4, t_min=0.2, t_max=0.8).steady_state(1.0) == pytest.approx(0.8, abs=1e-15)
+    assert TrustModel(a=0.4, b=0.4, t_min=0.2, t_max=0.8).steady_state(1.0) == pytest.approx(
+        0.8, abs=1e-15
+    )
 
 
 def test_logistic_scaling_is_the_printed_function_and_nearly_meets_its_bounds():

@@ -13,7 +13,8 @@ def models(draw):
     r_min, h_min = draw(st.floats(0.0, 0.5)), draw(st.floats(0.0, 0.5))
     robot = tl.RobotModel(0.99, r_min, r_min + draw(st.floats(0.02, 0.5)), 0.9)
     return tl.TscModel(
-        robot, tl.HumanModel(0.999, draw(st.floats(0.1, 0.9)), h_min, h_min + draw(st.floats(0.02, 0.5)))
+        robot,
+        tl.HumanModel(0.999, draw(st.floats(0.1, 0.9)), h_min, h_min + draw(st.floats(0.02, 0.5))),
     )
 
 
@@ -23,7 +24,8 @@ def test_extremes_are_plus_and_minus_one(model):
     assert model.value(robot.p_max, human.p_min) == pytest.approx(1.0, abs=1e-12)
     assert model.value(robot.p_min, human.p_max) == pytest.approx(-1.0, abs=1e-12)
     grid = model.value(
-        np.linspace(robot.p_min, robot.p_max, 50)[:, None], np.linspace(human.p_min, human.p_max, 50)[None, :]
+        np.linspace(robot.p_min, robot.p_max, 50)[:, None],
+        np.linspace(human.p_min, human.p_max, 50)[None, :],
     )
     assert np.abs(grid).max() <= 1.0 + 1e-12
 
@@ -39,7 +41,9 @@ def test_simulation_is_the_two_models_in_turn(operators, switching):
     r, p_h = model.human.simulate(switching, 0.2)
     np.testing.assert_array_equal(run["r"], r)
     np.testing.assert_array_equal(run["p_r"], model.robot.simulate(switching, p_h, 0.25))
-    np.testing.assert_allclose(run["tsc"], model.a_T * run["p_r"] - model.b_T * run["p_h"], atol=1e-15)
+    np.testing.assert_allclose(
+        run["tsc"], model.a_T * run["p_r"] - model.b_T * run["p_h"], atol=1e-15
+    )
     assert list(run.columns) == ["r", "p_r", "p_h", "tsc", "mode"]
 
 
@@ -87,4 +91,11 @@ def test_the_range_of_human_performance_is_that_of_a_fine_grid(model, one, other
 
 
 def test_the_rule_switches_at_the_thresholds_and_holds_between_them():
-    assert [threshold_mode(tsc, 0.1, 0.4, mode) for tsc in (0.1, 0.25, 0.4) for mode in (0, 1)] == [1, 1, 0, 1, 0, 0]
+    assert [threshold_mode(tsc, 0.1, 0.4, mode) for tsc in (0.1, 0.25, 0.4) for mode in (0, 1)] == [
+        1,
+        1,
+        0,
+        1,
+        0,
+        0,
+    ]

@@ -12,7 +12,11 @@ def test_discrete_form_is_that_of_python_control(axis):
     model = PRINTED_UAV[axis]
     phi, gamma = model.discrete(0.01)
     a, b = model.matrices()
-    other = control.c2d(control.ss(a, b[:, None], np.eye(model.order), np.zeros((model.order, 1))), 0.01, method="zoh")
+    other = control.c2d(
+        control.ss(a, b[:, None], np.eye(model.order), np.zeros((model.order, 1))),
+        0.01,
+        method="zoh",
+    )
     np.testing.assert_allclose(phi, other.A, atol=1e-14)
     np.testing.assert_allclose(gamma, other.B[:, 0], atol=1e-14)
 
@@ -26,8 +30,13 @@ def test_static_gain_and_poles(axis):
 
 
 def test_the_printed_controller_does_not_stabilise_the_printed_model():
-    # u_a = 0.5 e + 0.02 de/dt on x and y, 1.5 e on z (Appendix A), with position the integral of velocity
-    for axis, (proportional, derivative) in {"x": (0.5, 0.02), "y": (0.5, 0.02), "z": (1.5, 0.0)}.items():
+    # u_a = 0.5 e + 0.02 de/dt on x and y, 1.5 e on z (Appendix A), with position the integral of
+    # velocity
+    for axis, (proportional, derivative) in {
+        "x": (0.5, 0.02),
+        "y": (0.5, 0.02),
+        "z": (1.5, 0.0),
+    }.items():
         model = PRINTED_UAV[axis]
         loop = np.array([1.0, *model.denominator, 0.0])
         loop[-2] += model.gain * derivative

@@ -11,7 +11,14 @@ from trustlab.testbeds import drive_modes
 
 
 def test_numbers_are_the_operators_own(operators):
-    who = operator("3", operators["3"], lower=(0.096, 0.13), upper=(0.51, 0.29), follow=(0.5, 0.6875), delay=0.4)
+    who = operator(
+        "3",
+        operators["3"],
+        lower=(0.096, 0.13),
+        upper=(0.51, 0.29),
+        follow=(0.5, 0.6875),
+        delay=0.4,
+    )
     human = operators["3"].human
     assert who.participant == "3"
     assert who.numbers[:4] == (human.a, human.beta, human.p_min, human.p_max)
@@ -25,12 +32,17 @@ def test_numbers_are_the_operators_own(operators):
         "load_utilization",
         "load_switching",
     }  # for testbeds and questionnaires
-    assert {item.name for item in fields(who)} - set(OperatorNumbers._fields) == {"participant", "human"} | beside
+    assert {item.name for item in fields(who)} - set(OperatorNumbers._fields) == {
+        "participant",
+        "human",
+    } | beside
     assert (who.lower, who.lower_spread, who.upper, who.upper_spread) == (0.096, 0.13, 0.51, 0.29)
     assert (who.follow_tsc, who.follow_performance, who.delay) == (0.5, 0.6875, 0.4)
     robot = operators["3"].robot
     assert (who.robot_floor, who.robot_gain) == (robot.p_min, robot.b / (1.0 - robot.a))
-    assert operator("3", human, robot_floor=robot.p_min, robot_gain=who.robot_gain) == operator("3", operators["3"])
+    assert operator("3", human, robot_floor=robot.p_min, robot_gain=who.robot_gain) == operator(
+        "3", operators["3"]
+    )
 
 
 def test_every_published_participant_makes_an_operator(operators):
@@ -38,20 +50,28 @@ def test_every_published_participant_makes_an_operator(operators):
         assert operator(name, model).human == model.human
     default = tl.Operator("pilot", operators["pilot"].human)
     pilot = operator("pilot", operators["pilot"])
-    assert (default.robot_floor, default.robot_gain) == (pilot.robot_floor, pytest.approx(pilot.robot_gain, abs=1e-4))
+    assert (default.robot_floor, default.robot_gain) == (
+        pilot.robot_floor,
+        pytest.approx(pilot.robot_gain, abs=1e-4),
+    )
 
 
 @pytest.mark.parametrize("level", [0.37, 0.39, 0.41, 0.43, 0.46])
 def test_measured_performance_is_the_models(level):
     # Oracle: (2.7) on the log; utilization has no say, the model being flat.
-    who = tl.Operator("flat", tl.HumanModel(a=0.999, beta=0.7, p_min=level - 1e-9, p_max=level + 1e-9))
+    who = tl.Operator(
+        "flat", tl.HumanModel(a=0.999, beta=0.7, p_min=level - 1e-9, p_max=level + 1e-9)
+    )
     means = [drive_modes(np.ones(4000, int), who, seed)["p_h"][1000:].mean() for seed in range(4)]
     assert np.mean(means) == pytest.approx(level, abs=0.006)
 
 
 def test_skill_follows_utilization(operators):
-    # Yerkes–Dodson: best at r = β, worse when idle and when overworked; the same noise, 300 s of manual driving.
-    who = replace(operator("pilot", operators["pilot"]), human=replace(operators["pilot"].human, a=0.999999))
+    # Yerkes–Dodson: best at r = β, worse when idle and when overworked; the same noise, 300 s of
+    # manual driving.
+    who = replace(
+        operator("pilot", operators["pilot"]), human=replace(operators["pilot"].human, a=0.999999)
+    )
     means = {
         r0: np.mean([drive_modes(np.ones(3000, int), who, s, r0=r0)["p_h"][-1] for s in range(6)])
         for r0 in (0.02, 0.74, 0.9999)
@@ -77,7 +97,10 @@ def test_joystick_steers_towards_what_it_looks_at():
 def test_a_delayed_hand_weaves(operators):
     # A longer delay destabilises the same steering law.
     who = replace(operator("pilot", operators["pilot"]), noise=0.0, steering_gain=2.5)
-    errors = [drive_modes(np.ones(3000, int), replace(who, delay=delay), 0)["w_command"].std() for delay in (0.0, 0.9)]
+    errors = [
+        drive_modes(np.ones(3000, int), replace(who, delay=delay), 0)["w_command"].std()
+        for delay in (0.0, 0.9)
+    ]
     assert errors[1] > 1.5 * errors[0]
 
 

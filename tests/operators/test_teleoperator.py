@@ -1,4 +1,7 @@
-"""Simulated operators at the haptic device: their ranges, their grades, and the assumption behind their answers."""
+"""
+Simulated operators at the haptic device: their ranges, their grades, and the assumption behind
+their answers.
+"""
 
 from dataclasses import fields
 
@@ -59,7 +62,12 @@ def test_bad_numbers_are_refused(name, bad):
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [((0,), "n must be"), ((2.5,), "n must be"), ((3, -1), "seed must be"), ((3, 0, "third"), "study must be")],
+    [
+        ((0,), "n must be"),
+        ((2.5,), "n must be"),
+        ((3, -1), "seed must be"),
+        ((3, 0, "third"), "study must be"),
+    ],
 )
 def test_bad_populations_are_refused(arguments, words):
     with pytest.raises(ValueError, match=words):
@@ -67,7 +75,10 @@ def test_bad_populations_are_refused(arguments, words):
 
 
 def test_laws_by_name():
-    with pytest.raises(ValueError, match="law must be one of 'proportional', 'crossover', or a function of the state"):
+    with pytest.raises(
+        ValueError,
+        match="law must be one of 'proportional', 'crossover', or a function of the state",
+    ):
         Teleoperator(law="Crossover2")
     people = graded_teleoperators(40, seed=3, law="crossover")
     assert {person.law for person in people} == {"crossover"}
@@ -76,7 +87,10 @@ def test_laws_by_name():
 
 
 class TestSight:
-    """What the operator sees, against the logged path; T = 0.01 s, reaction 0.25 s and camera 0.1 s: 35 samples."""
+    """
+    What the operator sees, against the logged path; T = 0.01 s, reaction 0.25 s and camera 0.1 s:
+    35 samples.
+    """
 
     TASK = TrackingTask(failure_every=1e9)
     LATE = 35
@@ -88,15 +102,22 @@ class TestSight:
         run = loop.session.data
         ahead = round(preview / 0.01)
         for k in (100, 180):
-            path, robot = (run[[f"{name}_{axis}" for axis in "xyz"]].to_numpy() for name in ("reference", "robot"))
+            path, robot = (
+                run[[f"{name}_{axis}" for axis in "xyz"]].to_numpy()
+                for name in ("reference", "robot")
+            )
             expected = path[k - self.LATE + ahead] - robot[k - self.LATE]
             np.testing.assert_allclose(states[k].seen, expected, atol=1e-12)
 
     def test_a_target_that_leaves_the_picture_is_lost_to_eye_and_controller(self):
         task = TrackingTask(failure_every=1e9, view=0.1, integral=0.0)
-        loop = tl.TeleoperationLoop("MI", Teleoperator(), seed=4, task=task, push=np.full((3000, 3), 2.0))
+        loop = tl.TeleoperationLoop(
+            "MI", Teleoperator(), seed=4, task=task, push=np.full((3000, 3), 2.0)
+        )
         states, run = [loop.step().copy() for _ in range(3000)], loop.session.data
-        error = run[["reference_x", "reference_y"]].to_numpy() - run[["robot_x", "robot_y"]].to_numpy()
+        error = (
+            run[["reference_x", "reference_y"]].to_numpy() - run[["robot_x", "robot_y"]].to_numpy()
+        )
         inside = (np.abs(error) <= 0.1).all(axis=1)
         assert 100 < inside.sum() < 2900, inside.sum()
         for k in range(self.LATE + 1, 3000, 7):
@@ -107,32 +128,51 @@ class TestSight:
                 np.testing.assert_allclose(states[k].seen[:2], error[last], atol=1e-12)
             if not inside[k - 10]:
                 np.testing.assert_array_equal(states[k].u_a, 0.0)
-        wide = tl.simulate_teleoperation("MI", Teleoperator(), seed=4, duration=30.0, task=self.TASK)
+        wide = tl.simulate_teleoperation(
+            "MI", Teleoperator(), seed=4, duration=30.0, task=self.TASK
+        )
         assert wide["path_error"].max() < 1.0  # negative control: nobody loses anything
 
 
 class TestCompensation:
     def test_it_scales_what_the_hand_does(self):
-        """Oracle: without noise, force or delay of the channel the device is linear in what is wanted."""
-        arguments = {"seed": 2, "duration": 5.0, "delay": 0.0, "guard": "off", "task": TrackingTask(failure_every=1e9)}
+        """
+        Oracle: without noise, force or delay of the channel the device is linear in what is wanted.
+        """
+        arguments = {
+            "seed": 2,
+            "duration": 5.0,
+            "delay": 0.0,
+            "guard": "off",
+            "task": TrackingTask(failure_every=1e9),
+        }
         loops = [
             tl.TeleoperationLoop(
-                "M", Teleoperator(compensation=factor, noise=0.0), feedback=lambda state: (0.0, 0.0, 0.0),
+                "M",
+                Teleoperator(compensation=factor, noise=0.0),
+                feedback=lambda state: (0.0, 0.0, 0.0),
                 **{name: value for name, value in arguments.items() if name != "duration"},
             )
             for factor in (1.0, 1.5)
-        ]  # fmt: skip
+        ]
         one, more = ([loop.step().copy() for _ in range(60)] for loop in loops)
-        for plain, scaled in zip(one[36:38], more[36:38], strict=True):  # the first pictures, of the same path
+        for plain, scaled in zip(
+            one[36:38], more[36:38], strict=True
+        ):  # the first pictures, of the same path
             np.testing.assert_allclose(scaled.wanted, 1.5 * plain.wanted, rtol=1e-9)
             assert np.abs(plain.wanted).max() > 0.0
 
     @pytest.mark.parametrize("alpha", [0.3, 1.0])
     def test_who_adapts_keeps_the_crossover(self, alpha):
-        """The gain from the error seen to what the robot is told: ω_c whatever α, where a fixed gain is scaled by the channel."""
+        """
+        The gain from the error seen to what the robot is told: ω_c whatever α, where a fixed gain
+        is scaled by the channel.
+        """
         gains = {}
         for law in ("crossover", "proportional"):
-            person = Teleoperator(law=law, crossover=0.8, proportional=0.8, derivative=0.0, noise=0.0, reach=5.0)
+            person = Teleoperator(
+                law=law, crossover=0.8, proportional=0.8, derivative=0.0, noise=0.0, reach=5.0
+            )
             loop = tl.TeleoperationLoop(
                 "M",
                 person,
@@ -151,10 +191,14 @@ class TestCompensation:
 
 
 def test_skill_makes_a_difference_to_who_adapts():
-    """Mean error of the third of least and of most skill; with fixed gains reaction and lag alone change next to nothing."""
+    """
+    Mean error of the third of least and of most skill; with fixed gains reaction and lag alone
+    change next to nothing.
+    """
     people = graded_teleoperators(12, seed=1, law="crossover")
     errors = [
-        tl.simulate_teleoperation("M", one, seed=i, duration=60.0)["path_error"].mean() for i, one in enumerate(people)
+        tl.simulate_teleoperation("M", one, seed=i, duration=60.0)["path_error"].mean()
+        for i, one in enumerate(people)
     ]
     assert np.mean(errors[-4:]) < 0.9 * np.mean(errors[:4])
 
@@ -163,8 +207,18 @@ def made(error, force, alpha, p_h, p_r, condition="TMIG"):
     """A session with constant signals, so that what was gone through is known in closed form."""
     import pandas as pd
 
-    values = {"path_error": error, "f_h_x": force, "f_h_y": 0.0, "f_h_z": 0.0, "alpha": alpha, "p_h": p_h, "p_r": p_r}
-    data = pd.DataFrame({name: np.full(50, value) for name, value in values.items()}, index=0.1 * np.arange(50))
+    values = {
+        "path_error": error,
+        "f_h_x": force,
+        "f_h_y": 0.0,
+        "f_h_z": 0.0,
+        "alpha": alpha,
+        "p_h": p_h,
+        "p_r": p_r,
+    }
+    data = pd.DataFrame(
+        {name: np.full(50, value) for name, value in values.items()}, index=0.1 * np.arange(50)
+    )
     data.index.name = "t"
     return Session(data, Metadata(1, condition, "made", True, {}))
 
@@ -175,7 +229,9 @@ def test_experience_in_closed_form():
     assert felt["error"] == pytest.approx(0.2)
     assert felt["effort"] == pytest.approx(0.5)
     assert felt["agreement"] == pytest.approx(1.0 - abs(0.5 - 0.25))
-    assert experience(made(30.0, 0.0, 1.0, 0.0, 0.0)) == pytest.approx({"error": 1.0, "effort": 0.0, "agreement": 0.5})
+    assert experience(made(30.0, 0.0, 1.0, 0.0, 0.0)) == pytest.approx(
+        {"error": 1.0, "effort": 0.0, "agreement": 0.5}
+    )
 
 
 def test_answers_follow_what_was_gone_through():
@@ -190,9 +246,19 @@ def test_answers_follow_what_was_gone_through():
 
 
 def test_answers_are_a_persons_own_and_repeatable():
-    assert simulated_answers(RUN, participant=3, seed=1) == simulated_answers(RUN, participant=3, seed=1)
-    assert simulated_answers(RUN, participant=3, seed=1) != simulated_answers(RUN, participant=4, seed=1)
-    assert max(simulated_answers(RUN, points=5)[name] for name in ("satisfaction", "comfort", "control")) <= 5
+    assert simulated_answers(RUN, participant=3, seed=1) == simulated_answers(
+        RUN, participant=3, seed=1
+    )
+    assert simulated_answers(RUN, participant=3, seed=1) != simulated_answers(
+        RUN, participant=4, seed=1
+    )
+    assert (
+        max(
+            simulated_answers(RUN, points=5)[name]
+            for name in ("satisfaction", "comfort", "control")
+        )
+        <= 5
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,8 @@
 """Names, logs and outputs that attack: a real browser runs nothing of them and fetches nothing.
 
-Chromium is the oracle: what fires is counted by a variable of the window and by dialogs, what is fetched by the requests
-that are routed. The same markup without escaping and without a policy does fire.
+Chromium is the oracle: what fires is counted by a variable of the window and by dialogs, what is
+fetched by the requests that are routed. The same markup without escaping and without a policy does
+fire.
 """
 
 import dataclasses
@@ -40,7 +41,9 @@ from trustlab.studies.planning.virtual_study import VirtualStudy
 from trustlab.studies.questionnaires.likert import ScaleScores
 from trustlab.testbeds.guidance_comparison import GuidanceComparison
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 FIRE = "window.top.fired=(window.top.fired||0)+1"
 AWAY = "https://attacker.invalid/"
 ATTACKS = {
@@ -66,15 +69,24 @@ NAME = " ".join(ATTACKS.values())
 
 @pytest.fixture(scope="module")
 def visit():
-    """Return a function that shows a page in Chromium, presses what can be pressed, and tells what fired and was fetched."""
+    """
+    Return a function that shows a page in Chromium, presses what can be pressed, and tells what
+    fired and was fetched.
+    """
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if BROWSER is None:
         pytest.skip("no Chromium on this machine: nothing walks the pages")
     with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox", "--disable-gpu"])
-        page, asked, dialogs = browser.new_page(), [], []
+        browser = playwright.chromium.launch(
+            executable_path=BROWSER, args=["--no-sandbox", "--disable-gpu"]
+        )
+        page = browser.new_page()
+        asked = []
+        dialogs = []
         # "No content" leaves the page where it is, so that what came of a press can be read.
-        page.route("**/*", lambda route: (asked.append(route.request.url), route.fulfill(status=204)))
+        page.route(
+            "**/*", lambda route: (asked.append(route.request.url), route.fulfill(status=204))
+        )
         page.on("dialog", lambda dialog: (dialogs.append(dialog.message), dialog.dismiss()))
 
         def visit(text):
@@ -85,7 +97,10 @@ def visit():
             page.evaluate("document.querySelectorAll('#go').forEach(one => one.click())")
             page.wait_for_timeout(30)
             return SimpleNamespace(
-                fired=page.evaluate("window.fired"), asked=list(asked), dialogs=list(dialogs), page=page
+                fired=page.evaluate("window.fired"),
+                asked=list(asked),
+                dialogs=list(dialogs),
+                page=page,
             )
 
         yield visit
@@ -101,7 +116,8 @@ def unmoved(seen):
     return not seen.fired and not seen.asked and not seen.dialogs
 
 
-# every result in the package, made with hostile names ------------------------------------------------------------------
+# every result in the package, made with hostile names
+# ------------------------------------------------------------------
 
 
 def classes_with_html():
@@ -111,7 +127,11 @@ def classes_with_html():
         if module.name.endswith("__main__"):
             continue
         for name, kind in vars(importlib.import_module(module.name)).items():
-            if isinstance(kind, type) and kind.__module__ == module.name and "_repr_html_" in vars(kind):
+            if (
+                isinstance(kind, type)
+                and kind.__module__ == module.name
+                and "_repr_html_" in vars(kind)
+            ):
                 found[name] = kind
     return found
 
@@ -119,7 +139,11 @@ def classes_with_html():
 def scores():
     rng = np.random.default_rng(1)
     rows = [
-        {f"subject {NAME}": f"{NAME} {i}", f"condition {NAME}": f"{NAME} {j}", f"score {NAME}": j + rng.normal()}
+        {
+            f"subject {NAME}": f"{NAME} {i}",
+            f"condition {NAME}": f"{NAME} {j}",
+            f"score {NAME}": j + rng.normal(),
+        }
         for i in range(5)
         for j in range(3)
     ]
@@ -153,9 +177,16 @@ def virtual_study():
     )
     conditions = tuple(measures["condition"].unique())
     return VirtualStudy(
-        "ground_robot", conditions, None, SimpleNamespace(origin=NAME), measures[["participant"]], measures,
-        measures[:0], {"laps": 1}, None,
-    )  # fmt: skip
+        "ground_robot",
+        conditions,
+        None,
+        SimpleNamespace(origin=NAME),
+        measures[["participant"]],
+        measures,
+        measures[:0],
+        {"laps": 1},
+        None,
+    )
 
 
 def columns():
@@ -165,14 +196,29 @@ def columns():
 def late():
     """Results that are dear to compute, made of hostile tables."""
     measures = ("tracking_error", "guidance_felt", "energy_target", "energy_port_min")
-    rows = [{"guidance": f"{NAME} {i}", "scheme": NAME, "participant": j} for i in range(2) for j in range(2)]
+    rows = [
+        {"guidance": f"{NAME} {i}", "scheme": NAME, "participant": j}
+        for i in range(2)
+        for j in range(2)
+    ]
     guided = GuidanceComparison(pd.DataFrame(rows).assign(**dict.fromkeys(measures, 1.0)))
-    formula = FormulaModel(NAME, NAME, NAME, "normal", 5, 15, scores(), scores(), scores(), 0.0, False, 0, NAME)
+    formula = FormulaModel(
+        NAME, NAME, NAME, "normal", 5, 15, scores(), scores(), scores(), 0.0, False, 0, NAME
+    )
     tables = dict.fromkeys(("checks", "table", "reach"), lambda self: scores())
     own = type("OwnCalibration", (Calibration,), tables | {"words": NAME})
-    calibration = own(NAME, {}, scores(), (NAME,), scores(), (NAME,), {"simulations": NAME, "n": NAME})
+    calibration = own(
+        NAME, {}, scores(), (NAME,), scores(), (NAME,), {"simulations": NAME, "n": NAME}
+    )
     means = pd.DataFrame(1.0, [f"{NAME} {i}" for i in range(3)], ["p_r", "p_h", "r"])
-    return guided, formula, calibration, report(scores(), **columns()), PerformanceLine(NAME, means, 0.0, 1.0), *live()
+    return (
+        guided,
+        formula,
+        calibration,
+        report(scores(), **columns()),
+        PerformanceLine(NAME, means, 0.0, 1.0),
+        *live(),
+    )
 
 
 def live():
@@ -190,7 +236,9 @@ PILOT = Path(__file__).parents[2] / "data" / "sessions" / "pilot.csv"
 def built():
     """One result of each class, with hostile names wherever it takes any."""
     analysis = tl.repeated_measures(scores().drop(index=[0]), missing="listwise", **columns())
-    design = tl.latin_square_design([f"{NAME} {i}" for i in range(4)], [f"{NAME} {i}" for i in range(4)])
+    design = tl.latin_square_design(
+        [f"{NAME} {i}" for i in range(4)], [f"{NAME} {i}" for i in range(4)]
+    )
     labels = {"labels": [f"{NAME} {i}" for i in range(2)], "replicates": 100}
     choice = dataclasses.replace(tl.choose_thresholds(MODEL, points=4), message=NAME)
     two = scores()[lambda frame: ~frame.iloc[:, 1].str.endswith("2")]
@@ -199,10 +247,14 @@ def built():
     names = columns()
     twice = pd.concat([scores().assign(**{f"trial {NAME}": f"{NAME} {i}"}) for i in range(2)])
     twice[names["dv"]] += np.random.default_rng(2).normal(size=len(twice))
-    factorial = tl.repeated_measures(twice, **names | {"within": [names["within"], f"trial {NAME}"]})
+    factorial = tl.repeated_measures(
+        twice, **names | {"within": [names["within"], f"trial {NAME}"]}
+    )
     orders = design.orders().set_axis(["subject " + NAME, "position", "condition " + NAME], axis=1)
     orders[names["dv"]] = np.random.default_rng(3).normal(size=len(orders))
-    order = tl.order_effects(orders, names["dv"], names["within"], "position", subject=names["subject"])
+    order = tl.order_effects(
+        orders, names["dv"], names["within"], "position", subject=names["subject"]
+    )
     names = [
         "r",
         "p_r",
@@ -222,17 +274,35 @@ def built():
     data = reconstruct_study(tl.published_studies()["teleop.tracking_error"])
     ones = np.eye(2)
     return [
-        factorial, order, analysis, analysis.mixed_model(), tl.paired_t_test(two, **columns()), friedman(np.arange(12.0).reshape(4, 3) % 5),
-        tl.winsorize(scores(), **columns(), outside="iqr", k=0.1, to="next"), tl.repeated_measures_batch(np.random.default_rng(1).normal(size=(2, 5, 3))),
-        ScaleScores(NAME, scores(), scores(), {}, {}, scores()[:0]), design, design.balance(), virtual_study(),
-        tl.power_analysis([0, 1], ones, n=5, **labels), tl.smallest_n(0.5, [0, 3], ones, **labels),
-        session(), dataclasses.replace(run, session=Session(run.session.data, session().metadata)),
+        factorial,
+        order,
+        analysis,
+        analysis.mixed_model(),
+        tl.paired_t_test(two, **columns()),
+        friedman(np.arange(12.0).reshape(4, 3) % 5),
+        tl.winsorize(scores(), **columns(), outside="iqr", k=0.1, to="next"),
+        tl.repeated_measures_batch(np.random.default_rng(1).normal(size=(2, 5, 3))),
+        ScaleScores(NAME, scores(), scores(), {}, {}, scores()[:0]),
+        design,
+        design.balance(),
+        virtual_study(),
+        tl.power_analysis([0, 1], ones, n=5, **labels),
+        tl.smallest_n(0.5, [0, 3], ones, **labels),
+        session(),
+        dataclasses.replace(run, session=Session(run.session.data, session().metadata)),
         ArxResult((NAME, "c"), ones[0], ones, np.ones(9), 1, (1,), (1,), True),
         dataclasses.replace(tl.fit_robot(tl.read_session(PILOT)), message=NAME),
-        choice, choice.limits, choice.cycle, choice.bounds, tl.steady_state_bounds(MODEL, choice.lower, choice.upper),
+        choice,
+        choice.limits,
+        choice.cycle,
+        choice.bounds,
+        tl.steady_state_bounds(MODEL, choice.lower, choice.upper),
         CorrectionRun(steps, (0.1, 0.2), (0.2, 0.3), NAME, NAME),
-        dataclasses.replace(data, left_out=dict.fromkeys(data.table().index, NAME)), flight, flight.animate(), *late(),
-    ]  # fmt: skip
+        dataclasses.replace(data, left_out=dict.fromkeys(data.table().index, NAME)),
+        flight,
+        flight.animate(),
+        *late(),
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -270,16 +340,21 @@ def test_the_animation_runs_its_own_script_and_no_other(visit, results):
     assert unmoved(seen)
     assert f"leader: {NAME} 0" in seen.page.evaluate("document.getElementById('told').textContent")
     assert (
-        visit(page.replace("u003cimg", "x3cimg").replace("<p>", f"<p>{ATTACKS['image']}")).fired == 0
+        visit(page.replace("u003cimg", "x3cimg").replace("<p>", f"<p>{ATTACKS['image']}")).fired
+        == 0
     )  # the policy holds
     told = re.sub("<meta[^>]*http-equiv[^>]*>", "", page).replace("<p>", f"<p>{ATTACKS['image']}")
     assert visit(told).fired
 
 
-# pages --------------------------------------------------------------------------------------------------------------------
+# pages
+# --------------------------------------------------------------------------------------------------
 
 ORIGIN = {
-    **dict.fromkeys(("notebook", "commit", "environment_lock", "external_data", "platform", "notebook_sha256"), NAME),
+    **dict.fromkeys(
+        ("notebook", "commit", "environment_lock", "external_data", "platform", "notebook_sha256"),
+        NAME,
+    ),
     "inputs": {NAME: NAME},
     "parameters": {NAME: NAME},
     "seeds": {NAME: NAME},
@@ -291,12 +366,24 @@ ORIGIN = {
 
 def hostile_report(results, *cells):
     """A report with hostile words in every place that is not markup."""
-    code = new_code_cell(NAME, outputs=[
-        *(new_output("display_data", data={"text/html": result._repr_html_()}) for result in results),
-        new_output("display_data", data={"image/png": "AAAA", "text/plain": NAME}, metadata={"image/png": {"alt": NAME}}),
-        new_output("stream", name="stdout", text=NAME), new_output("stream", name="stderr", text=NAME),
-        new_output("execute_result", data={"text/plain": NAME}), new_output("error", ename=NAME, evalue=NAME, traceback=[NAME]),
-    ])  # fmt: skip
+    code = new_code_cell(
+        NAME,
+        outputs=[
+            *(
+                new_output("display_data", data={"text/html": result._repr_html_()})
+                for result in results
+            ),
+            new_output(
+                "display_data",
+                data={"image/png": "AAAA", "text/plain": NAME},
+                metadata={"image/png": {"alt": NAME}},
+            ),
+            new_output("stream", name="stdout", text=NAME),
+            new_output("stream", name="stderr", text=NAME),
+            new_output("execute_result", data={"text/plain": NAME}),
+            new_output("error", ename=NAME, evalue=NAME, traceback=[NAME]),
+        ],
+    )
     title = new_markdown_cell(f"# {html.escape(NAME.replace(ATTACKS['template'], ''))}")
     notebook = new_notebook(cells=[title, code, *cells])
     return report_html(notebook, NAME, ORIGIN, {NAME: NAME})
@@ -323,10 +410,15 @@ def test_markup_that_runs_or_fetches_is_refused(attack):
 
 
 def test_the_policy_of_a_report_holds_where_markup_gets_through(visit, monkeypatch):
-    """The author's check is switched off; loading another page is the one thing that no policy forbids."""
+    """
+    The author's check is switched off; loading another page is the one thing that no policy
+    forbids.
+    """
     monkeypatch.setattr(report_page, "check_page", lambda page, what: None)
     attacks = [attack for name, attack in ATTACKS.items() if name not in ("refresh", "template")]
-    data = [{"text/html": attack} for attack in attacks] + [{"text/markdown": attack} for attack in attacks]
+    data = [{"text/html": attack} for attack in attacks] + [
+        {"text/markdown": attack} for attack in attacks
+    ]
     cells = [new_code_cell("x", outputs=[new_output("display_data", data=one) for one in data])]
     page, _ = hostile_report([], *cells, *map(new_markdown_cell, attacks))
     assert unmoved(visit(page)), visit(page)
@@ -336,8 +428,12 @@ def test_the_policy_of_a_report_holds_where_markup_gets_through(visit, monkeypat
 
 
 def test_dollars_of_a_name_are_no_formula():
-    output = new_output("display_data", data={"text/html": as_html(r"participant $\nosuch$ and $5, $6$")})
-    page, _ = report_html(new_notebook(cells=[new_code_cell("x", outputs=[output])]), "01_a", ORIGIN)
+    output = new_output(
+        "display_data", data={"text/html": as_html(r"participant $\nosuch$ and $5, $6$")}
+    )
+    page, _ = report_html(
+        new_notebook(cells=[new_code_cell("x", outputs=[output])]), "01_a", ORIGIN
+    )
     assert r"participant $\nosuch$" in page
 
 
@@ -346,7 +442,9 @@ def test_output_of_ten_megabytes_is_made_anonymous_in_linear_time(tmp_path, monk
     import time
 
     checkout = SimpleNamespace(
-        external=tmp_path / "x", root=Path("/somewhere/else"), package=Path("/somewhere/else/trustlab")
+        external=tmp_path / "x",
+        root=Path("/somewhere/else"),
+        package=Path("/somewhere/else/trustlab"),
     )
     for word in ("a/", "ipykernel_1/", "data:image/"):
         text = (word * (10_000_000 // len(word) + 1))[:10_000_000]
@@ -360,7 +458,9 @@ def test_output_of_ten_megabytes_is_made_anonymous_in_linear_time(tmp_path, monk
 
 
 def test_tables_sort_filter_unfold_and_save_within_the_page_at_three_widths(visit):
-    table = pd.DataFrame({"name": [f"n{i}n" for i in range(40)], "p": [0.0395 - i / 1000 for i in range(40)]})
+    table = pd.DataFrame(
+        {"name": [f"n{i}n" for i in range(40)], "p": [0.0395 - i / 1000 for i in range(40)]}
+    )
     wide = pd.DataFrame(np.ones((3, 40)), columns=[f"column {i}" for i in range(40)])
     data = [{"text/html": table.to_html(index=False)}, {"text/html": wide.to_html()}]
     cells = [
@@ -370,7 +470,10 @@ def test_tables_sort_filter_unfold_and_save_within_the_page_at_three_widths(visi
     text, _ = report_html(new_notebook(cells=cells), "01_a", ORIGIN | {"commit": "abc"})
     seen = visit(text)
     page = seen.page
-    shown = "[...document.querySelector('table').tBodies[0].rows].filter(r => r.getClientRects().length)"
+    shown = (
+        "[...document.querySelector('table').tBodies[0].rows].filter(r => "
+        "r.getClientRects().length)"
+    )
     first = f"{shown}[0].cells[0].textContent"
     assert unmoved(seen)
     assert page.evaluate(f"{shown}.length") == 15

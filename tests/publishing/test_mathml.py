@@ -1,4 +1,7 @@
-"""Formulas: oracle is the MathML one expects by hand; negative controls are formulas that must not pass."""
+"""
+Formulas: oracle is the MathML one expects by hand; negative controls are formulas that must not
+pass.
+"""
 
 import re
 from xml.etree import ElementTree
@@ -73,7 +76,9 @@ def test_code_and_money_are_not_formulas(source):
 
 
 def test_formula_survives_markdown():
-    page = markdown_html("*so $a_b*c_d*e$ is* and | $|x|$\n\n| a | b |\n|---|---|\n| $y$ | $z_1$ __w__ |\n")
+    page = markdown_html(
+        "*so $a_b*c_d*e$ is* and | $|x|$\n\n| a | b |\n|---|---|\n| $y$ | $z_1$ __w__ |\n"
+    )
     assert page.count("<math") == 4
     assert "<strong>w</strong>" in page
     assert page.count("<td") == 2
@@ -81,6 +86,8 @@ def test_formula_survives_markdown():
 
 
 def test_blocks_and_environments_are_displayed():
-    page = markdown_html("Before\n$$\na_b\n= c\n$$\nafter\n\n\\begin{align*}\na &= b\n\\end{align*}\n")
+    page = markdown_html(
+        "Before\n$$\na_b\n= c\n$$\nafter\n\n\\begin{align*}\na &= b\n\\end{align*}\n"
+    )
     assert page.count('class="equation"') == 2
     assert page.count('display="block"') == 2

@@ -20,9 +20,20 @@ import trustlab as tl
 from trustlab.models.compiled import NOTICE
 from trustlab.publishing import figures
 from trustlab.publishing.figures import describe
-from trustlab.publishing.notebooks import declared_parameters, find_notebooks, parameters_for, parse_value
+from trustlab.publishing.notebooks import (
+    declared_parameters,
+    find_notebooks,
+    parameters_for,
+    parse_value,
+)
 from trustlab.publishing.provenance import Checkout, commit, input_digest, provenance
-from trustlab.publishing.report_page import ReportError, markdown_html, output_html, page_faults, report_html
+from trustlab.publishing.report_page import (
+    ReportError,
+    markdown_html,
+    output_html,
+    page_faults,
+    report_html,
+)
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 
@@ -61,7 +72,13 @@ def shown(**data):
 @pytest.fixture
 def checkout(tmp_path, monkeypatch):
     monkeypatch.delenv("TRUSTLAB_DATA", raising=False)
-    for name in ("notebooks", "trustlab/__pycache__", "data/published", "data/external", "elsewhere"):
+    for name in (
+        "notebooks",
+        "trustlab/__pycache__",
+        "data/published",
+        "data/external",
+        "elsewhere",
+    ):
         (tmp_path / name).mkdir(parents=True)
     for name in (
         "trustlab/a.py",
@@ -98,7 +115,8 @@ def test_page_that_runs_or_fetches_is_refused(markup):
 
 def test_links_and_embedded_pictures_are_allowed():
     assert not page_faults(
-        "<a href='https://doi.org/1'>d</a><img src='data:image/png;base64,AA' alt=''><a href='#x'>x</a>"
+        "<a href='https://doi.org/1'>d</a><img src='data:image/png;base64,AA' alt=''><a "
+        "href='#x'>x</a>"
     )
 
 
@@ -144,7 +162,10 @@ def test_that_kernels_were_compiled_is_no_word_of_a_report():
 
 
 def test_title_sentence_anchors_and_contents():
-    source = "# A *title* with $x$\n\nOne sentence, e.g. This one. And another.\n\n## B\n\n## B\n\n### C\n\n## D"
+    source = (
+        "# A *title* with $x$\n\nOne sentence, e.g. This one. And another.\n\n## B\n\n## "
+        "B\n\n### C\n\n## D"
+    )
     page, card = page_of(new_markdown_cell(source))
     assert card["title"] == "A title with x"
     assert card["sentence"] == "One sentence, e.g. This one."
@@ -166,10 +187,14 @@ def test_formula_that_fails_names_itself_and_its_cell():
 def test_wide_table_scrolls_and_numbers_line_up():
     page, _ = page_of(
         shown(
-            html='<table border="1"><thead><tr><th>a</th><th>b</th></tr></thead><tr><td>x</td><td>-1.5e-3</td></tr></table>'
+            html="<table "
+            'border="1"><thead><tr><th>a</th><th>b</th></tr></thead><tr><td>x</td><td>-1.5e-3</td></tr></table>'
         )
     )
-    assert '<div aria-label="table" class="scroll" role="region" tabindex="0"><table border="1">' in page
+    assert (
+        '<div aria-label="table" class="scroll" role="region" tabindex="0"><table border="1">'
+        in page
+    )
     assert '<td class="number">-1.5e-3</td>' in page
     assert '<th class="number">b</th>' in page
 
@@ -182,7 +207,9 @@ def test_bounds_line_up_with_numbers(text, right):
     assert (f'<td class="number">{text}</td>' in page) is right
 
 
-@pytest.mark.parametrize("text", ["True", "False", "None", "3", "-0.5", "1e-5", "abc", "1_000", "true", ""])
+@pytest.mark.parametrize(
+    "text", ["True", "False", "None", "3", "-0.5", "1e-5", "abc", "1_000", "true", ""]
+)
 def test_values_are_read_as_papermill_reads_them(text):
     from papermill.cli import _resolve_type
 
@@ -202,7 +229,11 @@ def write(checkout, name, source):
 def test_declared_parameters_agree_with_papermill(checkout):
     from papermill import inspect_notebook
 
-    path = write(checkout, "01_a", "seed = 3  # of the noise\nnoise: float = 0.003\nname = 'x'\nmany = [1, 2]")
+    path = write(
+        checkout,
+        "01_a",
+        "seed = 3  # of the noise\nnoise: float = 0.003\nname = 'x'\nmany = [1, 2]",
+    )
     assert declared_parameters(path) == {"seed": 3, "noise": 0.003, "name": "x", "many": [1, 2]}
     assert list(declared_parameters(path)) == list(inspect_notebook(str(path)))
 
@@ -211,7 +242,9 @@ def test_parameters_go_where_they_are_declared(checkout):
     a, b = write(checkout, "01_a", "seed = 3\nname = 'x'"), write(checkout, "02_b", "noise = 0.5")
     got = parameters_for([a, b], {"seed": "4", "name": "7", "noise": "1"})
     assert got == {a: {"seed": 4, "name": "7"}, b: {"noise": 1}}
-    with pytest.raises(ValueError, match=r"(?s)'sede'; did you mean 'seed'\?.*01_a: seed, name.*02_b: noise"):
+    with pytest.raises(
+        ValueError, match=r"(?s)'sede'; did you mean 'seed'\?.*01_a: seed, name.*02_b: noise"
+    ):
         parameters_for([a, b], {"sede": "4"})
     with pytest.raises(ValueError, match="another kind"):
         parameters_for([a, b], {"seed": "four"})
@@ -259,7 +292,9 @@ def test_digest_follows_parameters_and_external_folder(checkout):
     path = write(checkout, "01_a", "x = 1")
     before = input_digest(checkout, path)
     assert input_digest(checkout, path, {"x": 2}) != before
-    assert input_digest(dataclasses.replace(checkout, external=checkout.root / "none"), path) != before
+    assert (
+        input_digest(dataclasses.replace(checkout, external=checkout.root / "none"), path) != before
+    )
     os.utime(checkout.external / "x", (1, 1))
     assert input_digest(checkout, path) != before
 
@@ -283,7 +318,9 @@ READ = {
 }
 
 
-@pytest.mark.parametrize("notebook", find_notebooks(Checkout.find(NOTEBOOKS.parent)), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "notebook", find_notebooks(Checkout.find(NOTEBOOKS.parent)), ids=lambda path: path.stem
+)
 def test_provenance_lists_what_the_notebook_reads(notebook):
     names = provenance(Checkout.find(NOTEBOOKS.parent), notebook)["inputs"]
     found = {name if name.startswith("notebooks/") else name.rpartition("/")[0] for name in names}
@@ -303,7 +340,9 @@ def test_captions_say_that_data_are_synthetic():
         text = figures.caption(axes, "What it shows.", synthetic="pilot, seed 1")
         figures.caption(axes, "What it shows.", synthetic="pilot, seed 1")
     assert text.get_text() == "Synthetic data: pilot, seed 1. What it shows."
-    marks = [artist.get_text() for artist in figure.texts if artist.get_gid() == "trustlab-synthetic"]
+    marks = [
+        artist.get_text() for artist in figure.texts if artist.get_gid() == "trustlab-synthetic"
+    ]
     assert marks == ["Synthetic data: pilot, seed 1"]
     with pytest.raises(ValueError, match="svg"):
         figures.use_house_style("pdf")
@@ -320,12 +359,22 @@ def finder():
 def test_finder_has_every_figure_table_theorem_and_study():
     from trustlab.reproduction.published_study import published_studies
 
-    wanted = {f"Fig. {chapter}.{n}" for chapter, last in ((2, 18), (3, 22), (4, 5)) for n in range(1, last + 1)}
+    wanted = {
+        f"Fig. {chapter}.{n}"
+        for chapter, last in ((2, 18), (3, 22), (4, 5))
+        for n in range(1, last + 1)
+    }
     wanted |= {f"Table 2.{n}" for n in range(1, 7)} | {"Table 3.1"}
     wanted |= (
-        {f"Theorem {n}" for n in range(1, 7)} | {f"Proposition {n}" for n in range(1, 4)} | set(published_studies())
+        {f"Theorem {n}" for n in range(1, 7)}
+        | {f"Proposition {n}" for n in range(1, 4)}
+        | set(published_studies())
     )
-    wanted |= {"Abstract", "Section 2.4.1.3", "Section 2.4.2.4"}  # claims of what suggestions do for people
+    wanted |= {
+        "Abstract",
+        "Section 2.4.1.3",
+        "Section 2.4.2.4",
+    }  # claims of what suggestions do for people
     wanted |= {"Section 3.7.1", "Section 3.8.1", "Appendix A"}  # what else does not hold as printed
     entries = [row["entry"] for row in finder()]
     assert set(entries) == wanted
@@ -337,15 +386,27 @@ def test_finder_leads_to_a_section_and_says_why(row):
     assert row["verdict"] in VERDICTS
     assert row["why"] or row["verdict"] in ("reproduced", "diagram only")
     cells = nbformat.read(NOTEBOOKS / f"{row['report']}.ipynb", as_version=4).cells
-    heads = [line.lstrip("# ") for cell in cells if cell.cell_type == "markdown" for line in cell.source.splitlines()]
+    heads = [
+        line.lstrip("# ")
+        for cell in cells
+        if cell.cell_type == "markdown"
+        for line in cell.source.splitlines()
+    ]
     assert row["section"] in heads
 
 
 def test_finder_has_the_verdicts_of_the_audit_and_of_the_reconstructions():
-    """Oracles: what of a table or study differs in the audit; which printed statistics no reconstructed data have."""
+    """
+    Oracles: what of a table or study differs in the audit; which printed statistics no
+    reconstructed data have.
+    """
     audit = tl.audit()
     differ = set(audit.loc[audit["verdict"] == "differs", "id"].str.partition("/")[0])
-    differ |= {id.rpartition("/")[2] for id in audit.loc[audit["verdict"] == "differs", "id"] if "/scale/" in id}
+    differ |= {
+        id.rpartition("/")[2]
+        for id in audit.loc[audit["verdict"] == "differs", "id"]
+        if "/scale/" in id
+    }
     found = {row["entry"]: row["verdict"] for row in finder()}
     for entry, verdict in found.items():
         if entry.startswith("Table"):
@@ -355,13 +416,17 @@ def test_finder_has_the_verdicts_of_the_audit_and_of_the_reconstructions():
         elif entry in tl.published_studies():
             assert verdict == ("differs" if entry in differ else "reproduced"), entry
             if verdict == "reproduced":
-                assert not tl.reconstruct(tl.published_studies()[entry], p_adjust="bonferroni").attrs["left_out"]
+                assert not tl.reconstruct(
+                    tl.published_studies()[entry], p_adjust="bonferroni"
+                ).attrs["left_out"]
 
 
 def test_answer_is_on_top_headline_on_the_index_and_reports_are_linked():
     answer = shown(markdown="**It holds.** See report 06 and report 77, not `report 06`.")
     answer.metadata["tags"] = ["answer"]
-    notebook = new_notebook(cells=[new_markdown_cell("# A\n\nWords."), new_markdown_cell("## B"), answer])
+    notebook = new_notebook(
+        cells=[new_markdown_cell("# A\n\nWords."), new_markdown_cell("## B"), answer]
+    )
     page, card = report_html(notebook, "01_a", ORIGIN, None, NOTEBOOKS)
     assert page.index("It holds.") < page.index("Words.")
     assert card["headline"] == "It holds."
@@ -381,7 +446,10 @@ def test_what_is_not_there_is_a_dash_and_a_formula_keeps_its_parentheses():
 
 
 def drawn_as_in_a_notebook(figure, monkeypatch):
-    """What a notebook keeps of a figure: `use_house_style` sets the formatter of IPython's that draws it."""
+    """
+    What a notebook keeps of a figure: `use_house_style` sets the formatter of IPython's that draws
+    it.
+    """
     shell = InteractiveShell.instance()
     try:
         figures.use_house_style()
@@ -389,14 +457,18 @@ def drawn_as_in_a_notebook(figure, monkeypatch):
         picture, about = shell.display_formatter.formatters["image/svg+xml"](figure)
     finally:
         InteractiveShell.clear_instance()
-    return new_output("display_data", data={"image/svg+xml": picture}, metadata={"image/svg+xml": about})
+    return new_output(
+        "display_data", data={"image/svg+xml": picture}, metadata={"image/svg+xml": about}
+    )
 
 
 @pytest.mark.parametrize(("styled", "before"), [(True, 0), (False, 1)])
 def test_pyplot_does_not_draw_what_a_notebook_draws_for_itself(styled, before, monkeypatch):
     drawn, own = [], FigureCanvasAgg.draw
     monkeypatch.setattr(FigureCanvasAgg, "draw", lambda canvas: (drawn.append(canvas), own(canvas)))
-    monkeypatch.setattr(pyplot, "_REPL_DISPLAYHOOK", pyplot._ReplDisplayHook.NONE)  # not that of another test's shell
+    monkeypatch.setattr(
+        pyplot, "_REPL_DISPLAYHOOK", pyplot._ReplDisplayHook.NONE
+    )  # not that of another test's shell
     shell, backend = InteractiveShell.instance(), mpl.get_backend()
     pyplot.close("all")  # nor its figures
     try:
@@ -420,21 +492,41 @@ def test_figure_has_a_numbered_caption_and_says_what_is_drawn(words, monkeypatch
         figure = mpl.figure.Figure()
         axes = figure.subplots()
         axes.plot([0, 1, 3], [5, 1, 2], label="measured")
-        axes.set(xlabel="time [s]", ylabel=r"performance $P_r$ [m/s]", title="one run", xlim=(0, 4), ylim=(0, 6))
+        axes.set(
+            xlabel="time [s]",
+            ylabel=r"performance $P_r$ [m/s]",
+            title="one run",
+            xlim=(0, 4),
+            ylim=(0, 6),
+        )
         axes.legend()
         figures.caption(axes, words)
         output = drawn_as_in_a_notebook(figure, monkeypatch)
     page, _ = page_of(new_code_cell("x", outputs=[output]), new_code_cell("x", outputs=[output]))
     assert f"<figcaption>Figure 1. {words.strip()}</figcaption>" in page
     assert f"<figcaption>Figure 2. {words.strip()}</figcaption>" in page
-    pictures = [base64.b64decode(data) for data in re.findall(r'src="data:image/svg\+xml;base64,([^"]*)"', page)]
+    pictures = [
+        base64.b64decode(data)
+        for data in re.findall(r'src="data:image/svg\+xml;base64,([^"]*)"', page)
+    ]
     assert len(pictures) == 2
-    for picture in pictures:  # a picture that is not well-formed is not shown, and the browser says nothing
-        groups = {group.get("id") for group in ElementTree.fromstring(picture).iter("{http://www.w3.org/2000/svg}g")}
+    for (
+        picture
+    ) in pictures:  # a picture that is not well-formed is not shown, and the browser says nothing
+        groups = {
+            group.get("id")
+            for group in ElementTree.fromstring(picture).iter("{http://www.w3.org/2000/svg}g")
+        }
         assert {"axes_1", "legend_1", "line:measured"} <= groups
-        assert '{"x": [0.0, 4.0, "linear", "time [s]"], "y": [0.0, 6.0, "linear", "performance P_r [m/s]"]}' in groups
+        assert (
+            '{"x": [0.0, 4.0, "linear", "time [s]"], "y": [0.0, 6.0, "linear", "performance P_r '
+            '[m/s]"]}' in groups
+        )
         assert figures.CAPTION_ID not in groups
-    seen = "one run; performance P_r [m/s] from 0 to 6 against time [s] from 0 to 4; measured goes from 5 to 2, between 1 and 5."
+    seen = (
+        "one run; performance P_r [m/s] from 0 to 6 against time [s] from 0 to 4; measured "
+        "goes from 5 to 2, between 1 and 5."
+    )
     assert page.count(f'alt="{seen}"') == 2
 
 
@@ -449,8 +541,8 @@ def test_panels_are_described_by_names_ranges_and_colours():
     figure.colorbar(drawn, label="error [m]")
     figure.canvas.draw()
     assert describe(figure) == (
-        "2 panels. share from 0 to 2.1 against horizontal axis (C1, C2); also shown: means. "
-        "α; vertical axis from 0 to 1 against horizontal axis from 1 to 100. Colours show error [m]."
+        "2 panels. share from 0 to 2.1 against horizontal axis (C1, C2); also shown: means. α; "
+        "vertical axis from 0 to 1 against horizontal axis from 1 to 100. Colours show error [m]."
     )
 
 
@@ -470,7 +562,9 @@ def test_panels_are_described_by_names_ranges_and_colours():
 )
 def test_p_is_written_as_papers_do(name, value, written):
     page, _ = page_of(
-        shown(html=f"<table><thead><tr><th>{name}</th></tr></thead><tbody><tr><td>{value}</td></tr></tbody></table>")
+        shown(
+            html=f"<table><thead><tr><th>{name}</th></tr></thead><tbody><tr><td>{value}</td></tr></tbody></table>"
+        )
     )
     cell = page[page.index("<td") : page.index("</td>")]
     assert cell.endswith(f">{written}")
@@ -479,6 +573,8 @@ def test_p_is_written_as_papers_do(name, value, written):
 
 def test_columns_are_headed_by_words_and_keep_their_names():
     page, _ = page_of(
-        shown(html="<table><thead><tr><th>eta2_partial</th></tr></thead><tbody><tr><td>1</td></tr></tbody></table>")
+        shown(
+            html="<table><thead><tr><th>eta2_partial</th></tr></thead><tbody><tr><td>1</td></tr></tbody></table>"
+        )
     )
     assert re.search('<th[^>]*data-value="eta2_partial"[^>]*>partial η²</th>', page)

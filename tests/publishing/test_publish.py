@@ -62,14 +62,22 @@ def world(tmp_path_factory):
         new_code_cell(PICTURE % DOT),
         new_code_cell("print('seed is', seed)"),
     )
-    write(root, "02_bad", new_markdown_cell("# A bad one"), tagged("x = 0", "parameters"), new_code_cell("y = 1 / x"))
+    write(
+        root,
+        "02_bad",
+        new_markdown_cell("# A bad one"),
+        tagged("x = 0", "parameters"),
+        new_code_cell("y = 1 / x"),
+    )
     write(root, "03_plain", new_markdown_cell("# A plain one\n\nWords."))
     (root / "reports").mkdir()
     (root / "reports" / "02_bad.html").write_text("old")
     (root / "reports" / "benchmarks.html").write_text("<title>Bench &amp; marks</title>")
     lines, failed = [], []
     checkout = Checkout.find(root)
-    built = publish(checkout=checkout, parameters={"seed": "5"}, report=lines.append, on_failure=failed.append)
+    built = publish(
+        checkout=checkout, parameters={"seed": "5"}, report=lines.append, on_failure=failed.append
+    )
     return checkout, built, lines, failed
 
 
@@ -222,7 +230,9 @@ def test_missing_extra_is_named_before_anything_runs(tmp_path, package):
         "from trustlab.publishing.__main__ import main\n"
         f"sys.exit(main(['--notebooks', {str(root / 'notebooks')!r}]))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path
+    )
     assert done.returncode == 2
     assert 'pip install "trustlab[reports]"' in done.stderr
     assert package.partition(".")[0] in done.stderr
@@ -235,7 +245,10 @@ def test_interrupt_leaves_neither_report_nor_kernel(tmp_path):
     write(
         root,
         "01_long",
-        new_code_cell("import os, pathlib, time\npathlib.Path('pid').write_text(str(os.getpid()))\ntime.sleep(1000)"),
+        new_code_cell(
+            "import os, pathlib, "
+            "time\npathlib.Path('pid').write_text(str(os.getpid()))\ntime.sleep(1000)"
+        ),
     )
     command = [sys.executable, "-m", "trustlab.publishing", "--notebooks", str(root / "notebooks")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -253,9 +266,21 @@ def test_interrupt_leaves_neither_report_nor_kernel(tmp_path):
 
 def command(root, *words, **variables):
     """Return the publishing command as a process of its own."""
-    line = [sys.executable, "-m", "trustlab.publishing", "--notebooks", str(root / "notebooks"), *words]
+    line = [
+        sys.executable,
+        "-m",
+        "trustlab.publishing",
+        "--notebooks",
+        str(root / "notebooks"),
+        *words,
+    ]
     return subprocess.Popen(
-        line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | variables, cwd=root
+        line,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | variables,
+        cwd=root,
     )
 
 
@@ -263,22 +288,33 @@ def test_two_commands_at_once_and_a_locale_without_an_ellipsis(tmp_path):
     root = make(tmp_path)
     wait = "import pathlib, time\nwhile not pathlib.Path('go').exists(): time.sleep(0.05)"
     write(root, "01_a", new_markdown_cell("# A"), new_code_cell(wait))
-    both = [command(root, PYTHONIOENCODING="ascii", TRUSTLAB_DATA=str(root / "data")) for _ in range(2)]
+    both = [
+        command(root, PYTHONIOENCODING="ascii", TRUSTLAB_DATA=str(root / "data")) for _ in range(2)
+    ]
     streams = selectors.DefaultSelector()
     for one in both:
         streams.register(one.stdout, selectors.EVENT_READ)
-    second = next(iter(streams.select(timeout=300)))[0].fileobj  # the first says nothing before its notebook is done
+    second = next(iter(streams.select(timeout=300)))[
+        0
+    ].fileobj  # the first says nothing before its notebook is done
     assert "waiting for its end" in second.readline()
     (root / "notebooks" / "go").touch()
     said = [one.communicate(timeout=300) for one in both]
     assert [one.returncode for one in both] == [0, 0], said
-    assert sorted(out.splitlines()[-1].partition(",")[0] for out, _ in said) == ["1 built", "1 up to date"]
+    assert sorted(out.splitlines()[-1].partition(",")[0] for out, _ in said) == [
+        "1 built",
+        "1 up to date",
+    ]
     assert any("01_a ? built in" in out for out, _ in said)
 
 
 def test_cell_that_takes_longer_than_the_limit_fails_and_its_kernel_ends(tmp_path, capsys):
     root = make(tmp_path)
-    write(root, "01_slow", new_code_cell("import os, time; open('pid', 'w').write(str(os.getpid())); time.sleep(60)"))
+    write(
+        root,
+        "01_slow",
+        new_code_cell("import os, time; open('pid', 'w').write(str(os.getpid())); time.sleep(60)"),
+    )
     assert main(["--notebooks", str(root / "notebooks"), "--timeout", "1"]) == 1
     assert "the cell took longer than 1 s" in capsys.readouterr().err
     assert not psutil.pid_exists(int((root / "notebooks" / "pid").read_text()))
@@ -313,9 +349,11 @@ def test_what_cannot_be_written_is_a_sentence(tmp_path, capsys):
         "[" * 100_000,
         '{"digest": "DIGEST"}',
         '{"digest": "DIGEST", "failure": "x"}',
-        '{"digest": "DIGEST", "seconds": "x", "started": "x", "sentence": "", "thumbnail": "", "title": ""}',
-        '{"digest": "DIGEST", "sources": "", "seconds": 1.0, "started": "x", "parameters": {}, "thumbnail": "\\"><script>", '
-        '"title": "<script>1</script>", "sentence": "<script>1</script>"}',
+        '{"digest": "DIGEST", "seconds": "x", "started": "x", "sentence": "", "thumbnail": "", '
+        '"title": ""}',
+        '{"digest": "DIGEST", "sources": "", "seconds": 1.0, "started": "x", "parameters": '
+        '{}, "thumbnail": "\\"><script>", "title": "<script>1</script>", "sentence": '
+        '"<script>1</script>"}',
     ],
 )
 def test_forged_record_is_built_again(tmp_path, forged):
@@ -336,7 +374,14 @@ def test_links_in_circles_pipes_and_broken_links_end(tmp_path):
     (data / "a").mkdir()
     (data / "b").mkdir()
     (data / "a" / "x.csv").write_text("1")
-    for link, to in {"a/b": "b", "b/a": "a", "up": "..", "self": ".", "again": "a", "gone": "nowhere"}.items():
+    for link, to in {
+        "a/b": "b",
+        "b/a": "a",
+        "up": "..",
+        "self": ".",
+        "again": "a",
+        "gone": "nowhere",
+    }.items():
         (data / link).symlink_to(data / to)
     os.mkfifo(data / "pipe")
     found = [path.relative_to(data).as_posix() for path in list_files(data)]
@@ -352,7 +397,10 @@ def whole(root):
 
 
 def killed(root, delays):
-    """Kill the command at given times, and check after each what is there, and that the next run recovers."""
+    """
+    Kill the command at given times, and check after each what is there, and that the next run
+    recovers.
+    """
     for delay in delays:
         process = command(root, "--force", "--jobs", "2")
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -362,8 +410,16 @@ def killed(root, delays):
         whole(root)
     checkout = Checkout.find(root)
     assert {one.state for one in publish(checkout=checkout)} <= {"built", "up to date"}
-    assert {path.name for path in (root / "reports").iterdir()} == {".build", "01_a.html", "02_b.html", "index.html"}
-    assert {path.name for path in (root / "reports" / ".build").iterdir()} == {"01_a.json", "02_b.json"}
+    assert {path.name for path in (root / "reports").iterdir()} == {
+        ".build",
+        "01_a.html",
+        "02_b.html",
+        "index.html",
+    }
+    assert {path.name for path in (root / "reports" / ".build").iterdir()} == {
+        "01_a.json",
+        "02_b.json",
+    }
     assert [one.state for one in publish(checkout=checkout)] == ["up to date"] * 2
     whole(root)
 
@@ -400,7 +456,9 @@ def rewrite(root):
                 file.flush()
                 time.sleep(0.002)
 
-    run = mock.patch("trustlab.publishing.execution.execute", lambda path, *_: nbformat.read(path, as_version=4))
+    run = mock.patch(
+        "trustlab.publishing.execution.execute", lambda path, *_: nbformat.read(path, as_version=4)
+    )
     with run, mock.patch("pathlib.Path.write_text", slowly):
         while True:
             publish(checkout=Checkout.find(root), force=True)
@@ -414,7 +472,8 @@ def test_ten_kills_leave_nothing_half_made(tmp_path):
 @pytest.mark.slow
 def test_the_kills_find_a_write_that_is_not_at_once(tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "trustlab.publishing.index_page.replace_file", lambda path, text: path.write_text(text, encoding="utf-8")
+        "trustlab.publishing.index_page.replace_file",
+        lambda path, text: path.write_text(text, encoding="utf-8"),
     )
     with pytest.raises((AssertionError, json.JSONDecodeError)):
         killed_while_writing(two_notebooks(tmp_path))

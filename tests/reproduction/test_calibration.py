@@ -1,7 +1,7 @@
 """Calibration of assumptions about people.
 
-Oracles: simulation-based calibration (Talts et al. 2018: with truths drawn from the prior, their ranks in the posterior are uniform), on
-a linear model; the campaign's own files.
+Oracles: simulation-based calibration (Talts et al. 2018: with truths drawn from the prior, their
+ranks in the posterior are uniform), on a linear model; the campaign's own files.
 """
 
 import numpy as np
@@ -22,7 +22,9 @@ def ranks(drawn, simulated, ranges, accepted, rows):
     found = []
     for i in rows:
         others = np.arange(len(drawn)) != i
-        sample, _ = posterior_sample(drawn[others], simulated[others], simulated[i], ranges, accepted, int(i))
+        sample, _ = posterior_sample(
+            drawn[others], simulated[others], simulated[i], ranges, accepted, int(i)
+        )
         found.append((sample < drawn.iloc[i]).mean())
     return pd.DataFrame(found)
 
@@ -48,11 +50,19 @@ def test_a_posterior_that_is_too_narrow_is_found_out():
     drawn, simulated = linear_model()
     found = ranks(drawn, simulated, RANGES, 0.15, range(200))
     narrow = 0.5 + 2.0 * (found - 0.5)  # as if the spread were half
-    assert all(stats.kstest(narrow[name].clip(0.0, 1.0), "uniform").pvalue < 0.01 for name in RANGES)
+    assert all(
+        stats.kstest(narrow[name].clip(0.0, 1.0), "uniform").pvalue < 0.01 for name in RANGES
+    )
 
 
 def test_a_calibration_goes_on_where_it_stopped_and_is_read_again(tmp_path):
-    arguments = {"simulations": 20, "n": 10, "priors": TWO, "accepted": 0.8, "out": tmp_path / "campaign"}
+    arguments = {
+        "simulations": 20,
+        "n": 10,
+        "priors": TWO,
+        "accepted": 0.8,
+        "out": tmp_path / "campaign",
+    }
     first = tl.calibrate("uav", **arguments)
     kept = sorted((tmp_path / "campaign").rglob("*.parquet"))
     stamps = [file.stat().st_mtime_ns for file in kept]
@@ -65,16 +75,23 @@ def test_a_calibration_goes_on_where_it_stopped_and_is_read_again(tmp_path):
     pd.testing.assert_frame_equal(first.posterior, read.posterior, rtol=1e-9)
     with pytest.raises(ValueError, match="20 simulations are too few for accepted"):
         tl.calibrate("uav", **arguments | {"accepted": 0.5})
-    assert [file.stat().st_mtime_ns for file in kept] == stamps  # too few: those that are finished stay
+    assert [
+        file.stat().st_mtime_ns for file in kept
+    ] == stamps  # too few: those that are finished stay
     fewer = tl.calibrate("uav", **arguments | {"accepted": 0.9})
     assert [file.stat().st_mtime_ns for file in kept] == stamps
     pd.testing.assert_frame_equal(fewer.simulations, first.simulations, check_exact=True)
 
 
 def made_up(printed_at, count=600, spread=0.02):
-    """A calibration of Table 2.6 and Table 2.5's P_r by a linear model, whose true assumption puts effects at `printed_at`."""
+    """
+    A calibration of Table 2.6 and Table 2.5's P_r by a linear model, whose true assumption puts
+    effects at `printed_at`.
+    """
     rng = np.random.default_rng(4)
-    table = pd.DataFrame(rng.uniform([0.0, -0.4], [0.3, 0.4], (count, 2)), columns=["attention_cost", "trust_bias"])
+    table = pd.DataFrame(
+        rng.uniform([0.0, -0.4], [0.3, 0.4], (count, 2)), columns=["attention_cost", "trust_bias"]
+    )
     for effect in observed_effects("table_2.5"):
         slope = (1.0, 0.5) if effect.measure == "p_r" else (0.0, 1.0)
         true = {"attention_cost": 0.15, "trust_bias": 0.0}
@@ -83,7 +100,9 @@ def made_up(printed_at, count=600, spread=0.02):
             lift = lift + factor * (table[name] - value)
         table[effect.id] = lift + rng.normal(0.0, spread, count)
     settings = {"n": 5, "seed": 0, "simulations": count, "accepted": 0.15, "left_out": 0}
-    return calibrated("table_2.5", {"attention_cost": (0.0, 0.3), "trust_bias": (-0.4, 0.4)}, table, settings)
+    return calibrated(
+        "table_2.5", {"attention_cost": (0.0, 0.3), "trust_bias": (-0.4, 0.4)}, table, settings
+    )
 
 
 def test_a_study_that_the_model_can_give_is_within_reach_and_found():
@@ -92,7 +111,9 @@ def test_a_study_that_the_model_can_give_is_within_reach_and_found():
     assert within.extrapolated == ()
     table = within.table().set_index("assumption")
     assert table.loc["attention_cost", "low"] < 0.15 < table.loc["attention_cost", "high"]
-    assert within.assumptions["attention_cost"] == pytest.approx(table.loc["attention_cost", "median"])
+    assert within.assumptions["attention_cost"] == pytest.approx(
+        table.loc["attention_cost", "median"]
+    )
 
 
 def test_effects_beyond_all_simulations_are_said_to_be_out_of_reach():
@@ -120,7 +141,10 @@ def test_effects_beyond_all_simulations_are_said_to_be_out_of_reach():
         ),
         (lambda found: found.given(), "name at least one measure"),
         (lambda found: found.plot_sign("table_2.5/p_r/C1-C9"), "effect must be one of"),
-        (lambda found: found.plot_sign("table_2.5/p_r/C3-C1", x="lag"), "an assumption must be one of"),
+        (
+            lambda found: found.plot_sign("table_2.5/p_r/C3-C1", x="lag"),
+            "an assumption must be one of",
+        ),
         (lambda found: found.checks(studies=0), "studies must be a whole number"),
     ],
 )
@@ -137,10 +161,16 @@ def test_what_a_calibration_does_not_have_is_refused(call, says):
             {"priors": {"attention_cost": (0.1, 0.1)}},
             "the prior's low end of attention_cost must be below its high end",
         ),
-        ({"priors": {"attention_cost": (0.0, 2.0)}}, r"attention_cost must lie in \[0, 0.5\], got 2.0"),
+        (
+            {"priors": {"attention_cost": (0.0, 2.0)}},
+            r"attention_cost must lie in \[0, 0.5\], got 2.0",
+        ),
         ({"priors": {"attention_cost": 0.1}}, "must be two numbers, low and high"),
         ({"priors": {}}, "priors must map at least one assumption"),
-        ({"simulations": 50}, "50 simulations are too few for accepted = 0.15.*35 simulations.*234 in all.*are kept"),
+        (
+            {"simulations": 50},
+            "50 simulations are too few for accepted = 0.15.*35 simulations.*234 in all.*are kept",
+        ),
         ({"study": "teleop"}, "study must be one of"),
         ({"accepted": 1.5}, r"accepted must lie in \[0, 1\]"),
     ],

@@ -1,8 +1,9 @@
 """
 The calibration that the repository holds (`make calibration`).
 
-Oracles: simulation-based calibration (Talts et al. 2018), leave-one-out: with every stored study in turn as the one observed, the
-ranks of its assumptions in the posterior are uniform; those studies, simulated again.
+Oracles: simulation-based calibration (Talts et al. 2018), leave-one-out: with every stored study in
+turn as the one observed, the ranks of its assumptions in the posterior are uniform; those studies,
+simulated again.
 """
 
 from pathlib import Path
@@ -30,7 +31,9 @@ def ranks(drawn, simulated, ranges, accepted, rows):
     found = []
     for i in rows:
         others = np.arange(len(drawn)) != i
-        sample, _ = posterior_sample(drawn[others], simulated[others], simulated[i], ranges, accepted, int(i))
+        sample, _ = posterior_sample(
+            drawn[others], simulated[others], simulated[i], ranges, accepted, int(i)
+        )
         found.append((sample < drawn.iloc[i]).mean())
     return pd.DataFrame(found)
 
@@ -39,7 +42,9 @@ def test_ranks_of_the_truth_are_uniform_on_simulated_studies(stored):
     names, effects = list(stored.priors), list(stored.simulations.columns[len(stored.priors) :])
     rows = np.random.default_rng(1).choice(len(stored.simulations), 150, replace=False)
     table = stored.simulations
-    found = ranks(table[names], table[effects].to_numpy(), stored.priors, stored.settings["accepted"], rows)
+    found = ranks(
+        table[names], table[effects].to_numpy(), stored.priors, stored.settings["accepted"], rows
+    )
     for name in names:
         assert stats.kstest(found[name], "uniform").pvalue > 0.002, name
 
@@ -48,9 +53,13 @@ def test_a_part_of_the_stored_studies_is_simulated_again(stored):
     settings, effects = stored.settings, stored.simulations.columns[len(stored.priors) :]
     seeds = np.random.SeedSequence(settings["seed"]).spawn(3)
     for draw, seed in zip(prior_draws(stored.priors, 3, settings["seed"]), seeds, strict=True):
-        row = stored.simulations[np.isclose(stored.simulations["attention_cost"], draw["attention_cost"], rtol=1e-12)]
+        row = stored.simulations[
+            np.isclose(stored.simulations["attention_cost"], draw["attention_cost"], rtol=1e-12)
+        ]
         again = simulated_study(stored.study, settings["n"], seed, **draw)
-        np.testing.assert_allclose(row[effects].to_numpy()[0], [again[id] for id in effects], rtol=1e-9)
+        np.testing.assert_allclose(
+            row[effects].to_numpy()[0], [again[id] for id in effects], rtol=1e-9
+        )
 
 
 def test_reports_of_the_stored_calibration(stored):

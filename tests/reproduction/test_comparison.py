@@ -25,12 +25,16 @@ def test_ranges_are_those_of_the_corners():
     assert row["low"] == pytest.approx(1.95 * 2.95)
     assert row["high"] == pytest.approx(2.05 * 3.05)
     assert table.loc["sum", "verdict"] == "within rounding"
-    assert recompute(area, {"width": "2.0", "height": "3.0"}, {"area": "7.0"}).loc["area", "verdict"] == "differs"
+    assert (
+        recompute(area, {"width": "2.0", "height": "3.0"}, {"area": "7.0"}).loc["area", "verdict"]
+        == "differs"
+    )
 
 
 def test_smallest_change_names_the_input():
     table = smallest_change(area, {"width": "2.0", "height": "3.0"}, "area", "7.0")
-    # 2.0 × 3.5 = 7.0; no width of one decimal times 3.0 rounds to 7.0 (2.3 gives 6.9, 2.4 gives 7.2).
+    # 2.0 × 3.5 = 7.0; no width of one decimal times 3.0 rounds to 7.0 (2.3 gives 6.9, 2.4 gives
+    # 7.2).
     assert len(table) == 1
     assert table.loc[0, "input"] == "height"
     assert table.loc[0, "needed"] == pytest.approx(3.5)

@@ -1,6 +1,7 @@
 """Printed, predicted and simulated effects.
 
-Oracles: numbers read off the printed tables by hand; the exact limit cycle; differences of a virtual study's measures.
+Oracles: numbers read off the printed tables by hand; the exact limit cycle; differences of a
+virtual study's measures.
 """
 
 import matplotlib.pyplot as plt
@@ -19,7 +20,12 @@ BY_HAND = {
     "table_2.5/p_r/C3-C1": (0.011, 0.010, 0.012, np.nan),  # 0.329 − 0.318
     "table_2.5/p_r/C5-C3": (0.019, 0.018, 0.020, np.nan),  # 0.348 − 0.329
     "table_2.5/r/C2-C1": (-0.015, -0.016, -0.014, np.nan),
-    "table_2.4/satisfaction/C2-C1": (0.05, -0.005, 0.105, np.nan),  # 3.9 − 3.85: 3.9 has one decimal
+    "table_2.4/satisfaction/C2-C1": (
+        0.05,
+        -0.005,
+        0.105,
+        np.nan,
+    ),  # 3.9 − 3.85: 3.9 has one decimal
     "table_2.6/followed_percent/C2-C4": (14.68, 14.67, 14.69, np.nan),
     "uav/p_r/C2-C1": (0.054, 0.053, 0.055, 0.016),
     "uav/p_r/C3-C1": (0.058, 0.057, 0.059, 0.0005),
@@ -75,17 +81,27 @@ def test_the_model_predicts_what_its_exact_cycles_are():
         ]
         means.append([(c.mean_p_r, c.mean_r) for c in cycles])
     (own_p_r, own_r), (p_r, r) = np.transpose(means, (1, 2, 0))
-    assert rows.loc["table_2.5/p_r/C3-C1", "model"] == pytest.approx((p_r - own_p_r).mean(), abs=3e-4)
+    assert rows.loc["table_2.5/p_r/C3-C1", "model"] == pytest.approx(
+        (p_r - own_p_r).mean(), abs=3e-4
+    )
     assert rows.loc["table_2.5/r/C3-C1", "model"] == pytest.approx((r - own_r).mean(), abs=3e-3)
-    assert (p_r < own_p_r).sum() == 4  # suggested thresholds give four of five people a lower mean than their own
+    assert (
+        p_r < own_p_r
+    ).sum() == 4  # suggested thresholds give four of five people a lower mean than their own
     assert rows.loc["table_2.5/p_r/C3-C1", "model"] < 0.0 < rows.loc["table_2.5/p_r/C3-C1", "low"]
     assert "which suggestions people follow" in rows.loc["table_2.5/p_r/C2-C1", "reason"]
 
 
 def test_what_r_and_p_h_explain_of_table_2_5():
-    # (2.3) on average: P_r − P_r,min = (P_r,max − P_r,min)/P_h,max · mean of r P_h; C1 alone lies on it, C2 to C5 above.
-    means, parameters = tl.published_table("2.5").astype(float), tl.published_table("2.1").astype(float)
-    slope = (parameters.loc["P_r_max"] - parameters.loc["P_r_min"]).mean() / parameters.loc["P_h_max"].mean()
+    # (2.3) on average: P_r − P_r,min = (P_r,max − P_r,min)/P_h,max · mean of r P_h; C1 alone lies
+    # on it, C2 to C5 above.
+    means, parameters = (
+        tl.published_table("2.5").astype(float),
+        tl.published_table("2.1").astype(float),
+    )
+    slope = (parameters.loc["P_r_max"] - parameters.loc["P_r_min"]).mean() / parameters.loc[
+        "P_h_max"
+    ].mean()
     rest = means["P_r_mean"] - 0.24 - slope * means["r_mean"] * means["P_h_mean"]
     np.testing.assert_allclose(rest, [-0.001, 0.013, 0.012, 0.011, 0.013], atol=6e-4)
 
@@ -93,7 +109,11 @@ def test_what_r_and_p_h_explain_of_table_2_5():
 @pytest.mark.filterwarnings("ignore:5 participants fill half")
 def test_simulated_effects_are_differences_of_a_virtual_study(simulated):
     study = tl.virtual_study(
-        n=5, conditions=["C1", "C2", "C3", "C4", "C5"], testbed="uav", seed=1, assumptions={"attention_cost": 0.05}
+        n=5,
+        conditions=["C1", "C2", "C3", "C4", "C5"],
+        testbed="uav",
+        seed=1,
+        assumptions={"attention_cost": 0.05},
     )
     wide = study.measures.pivot_table("p_r", "participant", "condition", observed=True)
     difference = (wide["C3"] - wide["C1"]).to_numpy()
@@ -106,10 +126,16 @@ def test_simulated_effects_are_differences_of_a_virtual_study(simulated):
 
 
 def test_the_t_test_of_followed_suggestions_has_a_simulated_counterpart():
-    row = tl.simulated_effects(n=20, seed=1, only="uav").set_index("id").loc["uav/followed_percent/C2-C4"]
+    row = (
+        tl.simulated_effects(n=20, seed=1, only="uav")
+        .set_index("id")
+        .loc["uav/followed_percent/C2-C4"]
+    )
     study = tl.virtual_study(n=20, seed=1, testbed="uav", conditions=["C1", "C2", "C3", "C4", "C5"])
     both = study.measures[study.measures["condition"].isin(["C2", "C4"])].astype({"condition": str})
-    test = tl.paired_t_test(both, "followed_percent", "condition", "participant", missing="listwise")
+    test = tl.paired_t_test(
+        both, "followed_percent", "condition", "participant", missing="listwise"
+    )
     assert row["operators"] == test.n
     assert row["simulated"] == pytest.approx(test.mean_difference)
     assert row["p_simulated"] == pytest.approx(test.p)
@@ -122,7 +148,9 @@ def test_the_line_of_both_printed_studies():
         assert distance["C1"] == pytest.approx(expected, abs=2e-4)
         assert distance.drop("C1").abs().max() < 0.005
         assert distance.drop("C1").sum() == pytest.approx(0.0, abs=1e-12)
-    fitted = stats.linregress([0.855 * 0.835, 0.851 * 0.836, 0.928 * 0.794, 0.95 * 0.772], [0.547, 0.551, 0.588, 0.58])
+    fitted = stats.linregress(
+        [0.855 * 0.835, 0.851 * 0.836, 0.928 * 0.794, 0.95 * 0.772], [0.547, 0.551, 0.588, 0.58]
+    )
     assert (uav.slope, uav.intercept) == pytest.approx((fitted.slope, fitted.intercept))
     assert "printed" in uav.plot().get_title()
     plt.close("all")
@@ -150,7 +178,9 @@ def test_effects_are_plotted_with_every_simulation_named(simulated):
     assert texts == ["printed", "model", "simulated: attention 5 %"]
     drawn = axes[0].containers[0].lines[0].get_ydata()
     own = simulated[
-        simulated["measure"].eq("p_r") & simulated["printed"].notna() & simulated.index.str.startswith("uav")
+        simulated["measure"].eq("p_r")
+        & simulated["printed"].notna()
+        & simulated.index.str.startswith("uav")
     ]
     np.testing.assert_array_equal(drawn, own["simulated"])
     plt.close("all")
@@ -164,7 +194,9 @@ def test_with_workload_people_answer_and_scales_are_those_printed():
     study = tl.virtual_study(n=5, seed=0, assumptions=assumed)
     wide = study.measures.pivot_table("satisfaction", "participant", "condition", observed=True)
     seven = (wide["C3"] - wide["C1"]).mean()
-    assert frame.loc["table_2.4/satisfaction/C3-C1", "simulated"] == pytest.approx(seven * 4.0 / 6.0)
+    assert frame.loc["table_2.4/satisfaction/C3-C1", "simulated"] == pytest.approx(
+        seven * 4.0 / 6.0
+    )
 
 
 def test_the_study_on_the_ground_robot_has_the_rows_of_its_three_tables():
@@ -173,17 +205,24 @@ def test_the_study_on_the_ground_robot_has_the_rows_of_its_three_tables():
     assert list(dict.fromkeys(tables)) == ["table_2.4", "table_2.5", "table_2.6"]
     for name in ("table_2.5", "table_2.6"):
         alone = tl.simulated_effects(n=5, seed=0, only=name)
-        pd.testing.assert_frame_equal(frame[tables == name].reset_index(drop=True), alone, check_exact=True)
+        pd.testing.assert_frame_equal(
+            frame[tables == name].reset_index(drop=True), alone, check_exact=True
+        )
 
 
 def test_same_seed_same_table_serial_or_parallel():
-    frames = [tl.simulated_effects({"r0": 0.6}, n=10, seed=4, only="uav", n_jobs=jobs) for jobs in (None, 2)]
+    frames = [
+        tl.simulated_effects({"r0": 0.6}, n=10, seed=4, only="uav", n_jobs=jobs)
+        for jobs in (None, 2)
+    ]
     pd.testing.assert_frame_equal(*frames, check_exact=True)
 
 
 def test_attention_raises_c3_over_c1():
     plain, costly = (
-        tl.simulated_effects({"attention_cost": cost}, n=20, seed=3, only="uav").set_index("id")["simulated"]
+        tl.simulated_effects({"attention_cost": cost}, n=20, seed=3, only="uav").set_index("id")[
+            "simulated"
+        ]
         for cost in (0.0, 0.2)
     )
     for id in ("uav/p_r/C3-C1", "uav/p_h/C3-C1"):

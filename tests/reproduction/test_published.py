@@ -48,7 +48,11 @@ def test_matching_digits(ours, printed, digits):
 
 
 def test_verdicts():
-    table = compare({"a": 0.9961, "b": 0.30, "c": 0.2}, {"a": "0.996", "b": "0.29", "c": "0.3"}, {"b": 0.01, "c": 0.01})
+    table = compare(
+        {"a": 0.9961, "b": 0.30, "c": 0.2},
+        {"a": "0.996", "b": "0.29", "c": "0.3"},
+        {"b": 0.01, "c": 0.01},
+    )
     assert list(table["verdict"]) == ["reproduced", "within 2 s.e.", "differs"]
     with pytest.raises(ValueError, match="only on one side: b"):
         compare({"a": 1.0, "b": 1.0}, {"a": "1"})

@@ -58,7 +58,9 @@ def test_a_study_from_a_dictionary_and_from_toml(tmp_path):
     assert study.conditions == ("A", "B", "C")
     assert list(study.table().columns) == ["printed", "low", "high"]
     path = tmp_path / "studies.toml"
-    path.write_text('[lab.one]\nn = 12\nmean = {A = "1.0", B = "2.0"}\nsd = {A = "0.5", B = "0.6"}\n')
+    path.write_text(
+        '[lab.one]\nn = 12\nmean = {A = "1.0", B = "2.0"}\nsd = {A = "0.5", B = "0.6"}\n'
+    )
     assert tl.PublishedStudy.from_toml(path)["lab.one"].n == 12
 
 
@@ -80,7 +82,10 @@ def test_a_study_from_a_dictionary_and_from_toml(tmp_path):
         (changed(sd={"A": "0", "B": "1", "C": "1"}), r"sd\.A = 0 must be positive"),
         (changed(sd={"A": "-1", "B": "1", "C": "1"}), r"sd\.A"),
         (changed(sd={"A": "3.5", "B": "1", "C": "1"}), r"sd\.A = 3\.5 exceeds what 20 values"),
-        (changed(mean={"A": "8.0", "B": "4", "C": "3"}), r"mean\.A = 8\.0 lies outside the scale 1 to 7"),
+        (
+            changed(mean={"A": "8.0", "B": "4", "C": "3"}),
+            r"mean\.A = 8\.0 lies outside the scale 1 to 7",
+        ),
         (changed(mean={"A": None, "B": "4", "C": "3"}), r"mean\.A"),
         (changed(mean=[1, 2]), r"mean must be a table"),
         (changed(pairs={"A-D": "0.01"}), r"pairs: 'A-D'"),
@@ -96,7 +101,10 @@ def test_a_study_from_a_dictionary_and_from_toml(tmp_path):
         (changed(listed_only="no"), r"listed_only"),
         (changed(t_test={"t": "2"}), r"t_test needs two conditions"),
         (changed(conditions=("A", "B")), r"mean\.C is not among the conditions"),
-        (changed(conditions=("A", "B", "C", "D"), scale=(1, float("inf"))), r"scale must have both ends"),
+        (
+            changed(conditions=("A", "B", "C", "D"), scale=(1, float("inf"))),
+            r"scale must have both ends",
+        ),
         (changed(colour="red"), r"unknown field 'colour'"),
         ({k: v for k, v in GOOD.items() if k != "n"}, r"n is missing"),
         ({k: v for k, v in GOOD.items() if k != "sd"}, r"sd is missing"),

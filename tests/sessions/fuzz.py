@@ -1,12 +1,14 @@
 """
-Damage logs of every format at random and read them: only our errors may come out, soon, and in little memory.
+Damage logs of every format at random and read them: only our errors may come out, soon, and in
+little memory.
 
 Times are the processor's, so that a busy machine does not make a log look slow.
 
-Run it by hand: `python tests/sessions/fuzz.py --logs 100000`. Each format has a process of its own, one after the other;
-what fails is printed with its seed, and `--only FORMAT --first SEED --logs 1` repeats it. With `--section recipes` it is what
-recipes say that is damaged, and the cells of the tables that they read: rules of every kind put together at random,
-selectors, joins, splitting at gaps, data frames, folders.
+Run it by hand: `python tests/sessions/fuzz.py --logs 100000`. Each format has a process of its own,
+one after the other; what fails is printed with its seed, and `--only FORMAT --first SEED --logs 1`
+repeats it. With `--section recipes` it is what recipes say that is damaged, and the cells of the
+tables that they read: rules of every kind put together at random, selectors, joins, splitting at
+gaps, data frames, folders.
 """
 
 import argparse
@@ -50,7 +52,9 @@ MOST_SECONDS, MOST_BYTES = 5.0, 2 * 2**30
 
 def session() -> Session:
     t = np.arange(40) * 0.1
-    data = pd.DataFrame({"mode": (t > 1.5) * 1.0, "p_r": 0.3 + 0.01 * np.sin(t), "robot_x": -t}, index=t)
+    data = pd.DataFrame(
+        {"mode": (t > 1.5) * 1.0, "p_r": 0.3 + 0.01 * np.sin(t), "robot_x": -t}, index=t
+    )
     return Session(data, Metadata(participant=3, condition="C1", more={"trial": 2}))
 
 
@@ -85,7 +89,10 @@ RECIPES = {"rules": RULES, "tf": TF, "ulg": POSE, "xdf": ARM}
 
 
 def transforms(path: Path) -> Path:
-    """Write a bag in which two robots publish their places in turn, and a wheeled one the state of its joints."""
+    """
+    Write a bag in which two robots publish their places in turn, and a wheeled one the state of its
+    joints.
+    """
     store = get_typestore(Stores.ROS2_HUMBLE)
     of = lambda kind, **fields: store.types[kind](**fields)  # noqa: E731
     with Writer(path, version=8) as writer:
@@ -105,7 +112,9 @@ def transforms(path: Path) -> Path:
             )
             message = of("tf2_msgs/msg/TFMessage", transforms=[stamped])
             writer.write(topic, k * 10**9, store.serialize_cdr(message, "tf2_msgs/msg/TFMessage"))
-        topic = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+        topic = writer.add_connection(
+            "/joint_states", "sensor_msgs/msg/JointState", typestore=store
+        )
         for k in range(40):
             stamp = of(CLOCK, sec=k, nanosec=10**8 * (k % 3))
             joints = of(
@@ -116,7 +125,9 @@ def transforms(path: Path) -> Path:
                 velocity=np.array([]),
                 effort=np.array([]),
             )
-            writer.write(topic, k * 10**9 + 1, store.serialize_cdr(joints, "sensor_msgs/msg/JointState"))
+            writer.write(
+                topic, k * 10**9 + 1, store.serialize_cdr(joints, "sensor_msgs/msg/JointState")
+            )
     return path
 
 
@@ -124,7 +135,9 @@ def undefined(path: Path) -> Path:
     """Write a bag as ROS 2 before Iron wrote it, which does not define its messages."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(HAND, "lab_msgs/msg/Hand"))
-    hand, header, clock = (store.types[kind] for kind in ("lab_msgs/msg/Hand", "std_msgs/msg/Header", CLOCK))
+    hand, header, clock = (
+        store.types[kind] for kind in ("lab_msgs/msg/Hand", "std_msgs/msg/Header", CLOCK)
+    )
     with Writer(path, version=8) as writer:
         topic = writer.add_connection("/hand", "lab_msgs/msg/Hand", typestore=store)
         for k in range(20):
@@ -136,13 +149,18 @@ def undefined(path: Path) -> Path:
 
 
 def write_ulog(path: Path, times, values) -> Path:
-    """Write the smallest ULog file: one topic, `pose`, with one field, `x` (format: docs.px4.io, ULog File Format)."""
+    """
+    Write the smallest ULog file: one topic, `pose`, with one field, `x` (format: docs.px4.io, ULog
+    File Format).
+    """
 
     def message(kind: str, content: bytes) -> bytes:
         return struct.pack("<HB", len(content), ord(kind)) + content
 
     data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
-    data += message("F", b"pose:uint64_t timestamp;float x;") + message("A", struct.pack("<BH", 0, 0) + b"pose")
+    data += message("F", b"pose:uint64_t timestamp;float x;") + message(
+        "A", struct.pack("<BH", 0, 0) + b"pose"
+    )
     for t, value in zip(times, values, strict=True):
         data += message("D", struct.pack("<HQf", 0, round(t * 1e6), value))
     path.write_bytes(data)
@@ -150,7 +168,10 @@ def write_ulog(path: Path, times, values) -> Path:
 
 
 def write_xdf(path: Path, times, values) -> Path:
-    """Write the smallest XDF file: one stream, `arm`, with one channel, `x` (format: github.com/sccn/xdf, Specifications)."""
+    """
+    Write the smallest XDF file: one stream, `arm`, with one channel, `x` (format:
+    github.com/sccn/xdf, Specifications).
+    """
 
     def chunk(tag: int, content: bytes) -> bytes:
         return b"\x04" + struct.pack("<IH", len(content) + 2, tag) + content
@@ -159,31 +180,42 @@ def write_xdf(path: Path, times, values) -> Path:
     about = "<name>arm</name><type>x</type><channel_count>1</channel_count><nominal_srate>0</nominal_srate>"
     about += "<channel_format>double64</channel_format>"
     about += "<desc><channels><channel><label>x</label></channel></channels></desc>"
-    samples = [b"\x08" + struct.pack("<dd", t, value) for t, value in zip(times, values, strict=True)]
+    samples = [
+        b"\x08" + struct.pack("<dd", t, value) for t, value in zip(times, values, strict=True)
+    ]
     data = b"XDF:" + chunk(1, b"<?xml version='1.0'?><info><version>1.0</version></info>")
     data += chunk(2, stream + f"<?xml version='1.0'?><info>{about}</info>".encode())
     data += chunk(3, stream + b"\x04" + struct.pack("<I", len(samples)) + b"".join(samples))
-    data += chunk(6, stream + b"<?xml version='1.0'?><info><first_timestamp>0</first_timestamp></info>")
+    data += chunk(
+        6, stream + b"<?xml version='1.0'?><info><first_timestamp>0</first_timestamp></info>"
+    )
     path.write_bytes(data)
     return path
 
 
 def originals(folder: Path) -> dict[str, tuple[Path, Path]]:
     """Write a valid log of each format; return what is read, and the file of it that is damaged."""
-    paths = {name: write_session(session(), folder / f"a.{name}") for name in ("csv", "parquet", "bag", "mcap")}
+    paths = {
+        name: write_session(session(), folder / f"a.{name}")
+        for name in ("csv", "parquet", "bag", "mcap")
+    }
     files = {name: (path, path) for name, path in paths.items()}
     table = session().table()
     table.to_feather(folder / "a.feather")
     table.to_csv(folder / "a.tsv", sep="\t", index=False)
     (folder / "a.csv.gz").write_bytes(gzip.compress(table.to_csv(index=False).encode()))
-    files |= {name: (folder / f"a.{name}", folder / f"a.{name}") for name in ("feather", "tsv", "csv.gz")}
+    files |= {
+        name: (folder / f"a.{name}", folder / f"a.{name}") for name in ("feather", "tsv", "csv.gz")
+    }
     recording = write_session(session(), folder / "recording")
     files["db3"] = (recording, next(recording.glob("*.db3")))
     yaml = write_session(session(), folder / "yaml")
     files["yaml"] = (yaml, yaml / "metadata.yaml")
     dates = pd.Timestamp("2026-03-01") + pd.to_timedelta(table["t"], unit="s")
     cells = [f"({x}, 0, 1)" for x in table["robot_x"]]
-    ruled = table.assign(t=dates.astype(str), pos=cells, p_r=table["p_r"].where(table.index % 3 == 0))
+    ruled = table.assign(
+        t=dates.astype(str), pos=cells, p_r=table["p_r"].where(table.index % 3 == 0)
+    )
     ruled.to_csv(folder / "rules.csv", index=False)
     files["rules"] = (folder / "rules.csv", folder / "rules.csv")
     robots = transforms(folder / "robots")
@@ -195,7 +227,9 @@ def originals(folder: Path) -> dict[str, tuple[Path, Path]]:
             file.create_dataset(name, data=values, compression="gzip")
     write_ulog(folder / "a.ulg", table["t"], table["p_r"])
     write_xdf(folder / "a.xdf", table["t"], table["p_r"])
-    files |= {name: (folder / f"a.{name}", folder / f"a.{name}") for name in ("mat", "h5", "ulg", "xdf")}
+    files |= {
+        name: (folder / f"a.{name}", folder / f"a.{name}") for name in ("mat", "h5", "ulg", "xdf")
+    }
     return files
 
 
@@ -217,7 +251,9 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
         elif kind == 4:
             data[at:to] = bytes(to - at)
         elif kind == 5:
-            data[at : at + 8] = rng.choice([b"\xff" * 8, b"\x00" * 7 + b"\x7f", b"\xff\xff\xff\x7f", b"-1e999,"])
+            data[at : at + 8] = rng.choice(
+                [b"\xff" * 8, b"\x00" * 7 + b"\x7f", b"\xff\xff\xff\x7f", b"-1e999,"]
+            )
         elif kind == 6:
             data[at:at] = data[at:to]
         else:
@@ -226,7 +262,7 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-# --- recipes at random -----------------------------------------------------------------------------------------------
+# --- recipes at random ----------------------------------------------------------------------------
 
 ODD = [
     "",
@@ -263,14 +299,38 @@ POSITIONS = ["robot_x", "robot_y", "reference_x", "reference_y", "path_error"]
 CELLS = ["t", "mode", "pedal", "speed", "err", "pos", "who"]
 OTHER = 'transforms[child_frame_id="b"].transform'
 TOPICS = {
-    "/tf": [f"{OTHER}.translation.x", f"yaw({OTHER}.rotation)", "transforms[0].transform.translation.y"],
-    "/joint_states": ['position[name="wheel_right"]', 'position[name="wheel_left"]', "position[0]", "header.stamp.sec"],
+    "/tf": [
+        f"{OTHER}.translation.x",
+        f"yaw({OTHER}.rotation)",
+        "transforms[0].transform.translation.y",
+    ],
+    "/joint_states": [
+        'position[name="wheel_right"]',
+        'position[name="wheel_left"]',
+        "position[0]",
+        "header.stamp.sec",
+    ],
     "pose": ["x"],
     "arm": ["x"],
     "/hand": ["grip", "header.stamp.nanosec"],
 }
-PATHS = [OTHER, f"{OTHER}.translation", "position[1]", "name[0]", "effort[0]", "x[0]", "[", 'a[b="', "yaw(x)"]
-PATHS += ['transforms[child_frame_id="c"].transform.translation.x', "header.stamp", "position", "transforms"]
+PATHS = [
+    OTHER,
+    f"{OTHER}.translation",
+    "position[1]",
+    "name[0]",
+    "effort[0]",
+    "x[0]",
+    "[",
+    'a[b="',
+    "yaw(x)",
+]
+PATHS += [
+    'transforms[child_frame_id="c"].transform.translation.x',
+    "header.stamp",
+    "position",
+    "transforms",
+]
 
 
 def one_of(rng: np.random.Generator, values):
@@ -280,7 +340,11 @@ def one_of(rng: np.random.Generator, values):
 def toml(value) -> str:
     """Return a value as TOML: tables inline, all else as JSON writes it."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(str(name))} = {toml(each)}" for name, each in value.items()) + " }"
+        return (
+            "{ "
+            + ", ".join(f"{json.dumps(str(name))} = {toml(each)}" for name, each in value.items())
+            + " }"
+        )
     if isinstance(value, list):
         return "[" + ", ".join(map(toml, value)) + "]"
     return repr(value) if isinstance(value, float) else json.dumps(value)
@@ -303,7 +367,11 @@ def random_column(rng: np.random.Generator, name: str, topics: list[str]) -> dic
     if kind < 0.06:
         return {"value": mostly(rng, *numbers)} | ({"unit": "m"} if name in POSITIONS else {})
     if kind < 0.10:
-        return {"from": mostly(rng, ["participant", "block", "header.share"], ["trial", "kind", "start_time"])}
+        return {
+            "from": mostly(
+                rng, ["participant", "block", "header.share"], ["trial", "kind", "start_time"]
+            )
+        }
     if kind < 0.16:
         way, stems = one_of(rng, [("distance", ["robot", "reference"]), ("travelled", "robot")])
         return {way: stems, "axes": mostly(rng, [["x"], ["x", "y"]], [["z"], []])}
@@ -316,12 +384,29 @@ def random_column(rng: np.random.Generator, name: str, topics: list[str]) -> dic
         rule = {"column": mostly(rng, own, [*CELLS, 0, 3, 99])}
         rule |= {"item": mostly(rng, [0, 1, 2], [7, -1])} if rule["column"] == "pos" else {}
         rule |= {"blank": mostly(rng, ["hold", "linear"], ["drop"])} if rng.random() < 0.6 else {}
-        rule |= {"above": mostly(rng, *numbers)} if rule["column"] == "pedal" and name == "mode" else {}
-        rule |= {"map": {"MANUAL": 1, "AUTO": 0, "1": 0.5}} if rule["column"] == "mode" and rng.random() < 0.4 else {}
-    rule |= {"unit": mostly(rng, ["m", "mm"], UNITS)} if name in POSITIONS and rng.random() < 0.98 else {}
+        rule |= (
+            {"above": mostly(rng, *numbers)} if rule["column"] == "pedal" and name == "mode" else {}
+        )
+        rule |= (
+            {"map": {"MANUAL": 1, "AUTO": 0, "1": 0.5}}
+            if rule["column"] == "mode" and rng.random() < 0.4
+            else {}
+        )
+    rule |= (
+        {"unit": mostly(rng, ["m", "mm"], UNITS)}
+        if name in POSITIONS and rng.random() < 0.98
+        else {}
+    )
     maps = [{"1": 0.5, "0": 2}], [{"x": 1e308}, {}]
-    rule |= some(rng, 0.05, scale=numbers, offset=numbers, above=numbers, map=maps, unit=(["m"], UNITS))
-    return rule | some(rng, 0.1, absolute=([True, False], [0]), resample=(["previous", "linear", "nearest"], ["cubic"]))
+    rule |= some(
+        rng, 0.05, scale=numbers, offset=numbers, above=numbers, map=maps, unit=(["m"], UNITS)
+    )
+    return rule | some(
+        rng,
+        0.1,
+        absolute=([True, False], [0]),
+        resample=(["previous", "linear", "nearest"], ["cubic"]),
+    )
 
 
 def random_recipe(rng: np.random.Generator, topics: list[str], unit: str = "s") -> str:
@@ -337,21 +422,40 @@ def random_recipe(rng: np.random.Generator, topics: list[str], unit: str = "s") 
         tables["time"] = {"unit": mostly(rng, [unit], ["m", "us", "s", "iso", "clock"])}
         tables["time"] |= some(rng, 0.6, from_zero=([True, False], [1]), repeated=repeats)
         tables["time"] |= some(rng, 0.05, column=(["t"], ["pos", 0, 99]))
-        styles = {"header": ([True], [False]), "delimiter": ([","], [";", "x"]), "decimal": (["."], [","])}
+        styles = {
+            "header": ([True], [False]),
+            "delimiter": ([","], [";", "x"]),
+            "decimal": (["."], [","]),
+        }
         tables["table"] = some(rng, 0.1, **styles, skip_lines=([0], [1, 7, 10**6]))
     if rng.random() < 0.6:
         steps = mostly(rng, [0.1, 0.03, 1.0, 1e-3], [1e-9, 1e9, 0, "x"])
-        tables["resampling"] = {"method": one_of(rng, ["previous", "linear", "nearest"]), "sample_time": steps}
-    tables["splitting"] = some(rng, 0.97, gap=([0.15, 0.5, 5.0], [1e-9, 1e300, 0, -1])) if rng.random() < 0.4 else None
+        tables["resampling"] = {
+            "method": one_of(rng, ["previous", "linear", "nearest"]),
+            "sample_time": steps,
+        }
+    tables["splitting"] = (
+        some(rng, 0.97, gap=([0.15, 0.5, 5.0], [1e-9, 1e300, 0, -1]))
+        if rng.random() < 0.4
+        else None
+    )
     if topics:
         wanted = 0.95 if topics == ["/hand"] else 0.05
-        tables["messages"] = {"folder": mostly(rng, ["."], ["none", ".."])} if rng.random() < wanted else None
+        tables["messages"] = (
+            {"folder": mostly(rng, ["."], ["none", ".."])} if rng.random() < wanted else None
+        )
     elif rng.random() < 0.3:
         tables["files"] = {
-            "pattern": mostly(rng, ["a.{kind}", "read/a.{kind}"], ["*", "{kind:int}.csv", "{", "{a}{b}"])
+            "pattern": mostly(
+                rng, ["a.{kind}", "read/a.{kind}"], ["*", "{kind:int}.csv", "{", "{a}{b}"]
+            )
         }
-        tables["header"] = some(rng, 0.97, file=(["head.index"], ["../head.index", "none.csv", "a.{kind}", "{x}"]))
-        tables["header"] |= some(rng, 0.97, keys=([{"kind": "kind"}], [{"kind": "share"}, {"trial": "kind"}, {}]))
+        tables["header"] = some(
+            rng, 0.97, file=(["head.index"], ["../head.index", "none.csv", "a.{kind}", "{x}"])
+        )
+        tables["header"] |= some(
+            rng, 0.97, keys=([{"kind": "kind"}], [{"kind": "share"}, {"trial": "kind"}, {}])
+        )
         pairs = [{"csv": "tsv"}, {"mat": "h5", "h5": "mat"}, {"csv": "csv"}]
         tables["supersedes"] = {"field": mostly(rng, ["kind"], ["x"]), "pairs": one_of(rng, pairs)}
         tables["header"] = tables["header"] if rng.random() < 0.7 else None
@@ -360,17 +464,24 @@ def random_recipe(rng: np.random.Generator, topics: list[str], unit: str = "s") 
         origin = {"from": (["participant"], ["trial", "none"])}
         tables["metadata"] = {
             "participant": some(rng, 0.95, value=([3], [True, 1e308, "x"])),
-            "block": some(rng, 0.95, **origin, bins=([[1, 2]], [[2, 1], []])) | some(rng, 0.03, default=([0], ["x"])),
+            "block": some(rng, 0.95, **origin, bins=([[1, 2]], [[2, 1], []]))
+            | some(rng, 0.03, default=([0], ["x"])),
         }
-    text = f'kind = "{"bag" if topics else "table"}"\n' + "performance_window = 100\n" * int(rng.random() < 0.1)
+    text = f'kind = "{"bag" if topics else "table"}"\n' + "performance_window = 100\n" * int(
+        rng.random() < 0.1
+    )
     for title, table in tables.items():
         if table is not None:
-            text += f"[{title}]\n" + "".join(f"{json.dumps(key)} = {toml(value)}\n" for key, value in table.items())
+            text += f"[{title}]\n" + "".join(
+                f"{json.dumps(key)} = {toml(value)}\n" for key, value in table.items()
+            )
     return damaged(text.encode(), rng).decode(errors="replace") if rng.random() < 0.1 else text
 
 
 def random_table(rng: np.random.Generator, unit: str) -> pd.DataFrame:
-    """Return a table with times that repeat, jump or turn back, blanks, and cells that somebody typed."""
+    """
+    Return a table with times that repeat, jump or turn back, blanks, and cells that somebody typed.
+    """
     rows = int(rng.integers(1, 60))
     steps = np.full(rows, 0.1)
     if rng.random() < 0.4:
@@ -388,7 +499,11 @@ def random_table(rng: np.random.Generator, unit: str) -> pd.DataFrame:
             "mode": one_of(rng, [rng.integers(0, 2, rows), rng.choice(["MANUAL", "AUTO"], rows)]),
             "pedal": rng.random(rows),
             "speed": np.where(rng.random(rows) < 0.3, np.nan, rng.random(rows)),
-            "err": mostly(rng, [rng.random(rows)], [rng.integers(-(2**60), 2**60, rows), rng.random(rows) < 0.5]),
+            "err": mostly(
+                rng,
+                [rng.random(rows)],
+                [rng.integers(-(2**60), 2**60, rows), rng.random(rows) < 0.5],
+            ),
             "pos": [f"({x:.3f}, {y:.3f}, 0)" for x, y in rng.random((rows, 2))],
             "who": "a",
         }
@@ -417,7 +532,9 @@ def random_file(rng: np.random.Generator, folder: Path, unit: str) -> Path:
     elif kind == "feather":
         texts.to_feather(path)
     else:
-        numbers = {name: cells.to_numpy(float) for name, cells in texts.select_dtypes("number").items()}
+        numbers = {
+            name: cells.to_numpy(float) for name, cells in texts.select_dtypes("number").items()
+        }
         if kind == "mat":
             io.savemat(path, numbers)
         else:
@@ -436,7 +553,9 @@ def read_by_random_recipe(
     unit = one_of(rng, ["s", "s", "ms", "iso", "clock"])
     recipe.write_bytes(random_recipe(rng, topics, unit).encode())
     options = {"recipe": recipe} | (
-        {"resample": "linear", "sample_time": mostly(rng, [0.1], [1e-7, 1e9])} if rng.random() < 0.2 else {}
+        {"resample": "linear", "sample_time": mostly(rng, [0.1], [1e-7, 1e9])}
+        if rng.random() < 0.2
+        else {}
     )
     if name == "bags":
         definition = damaged(HAND.encode(), rng) if rng.random() < 0.3 else HAND.encode()
@@ -445,17 +564,28 @@ def read_by_random_recipe(
     if name == "frame":
         return [read_frame(random_table(rng, unit), **options)]
     path = random_file(rng, folder, unit)
-    header = "kind,share\n" + "".join(f"{kind},0.5\n" for kind in mostly(rng, [[path.name[2:]]], [FILES, []]))
+    header = "kind,share\n" + "".join(
+        f"{kind},0.5\n" for kind in mostly(rng, [[path.name[2:]]], [FILES, []])
+    )
     head = damaged(header.encode(), rng) if rng.random() < 0.2 else header.encode()
     (folder / "head.index").write_bytes(head)
     try:
         if name == "file":
             return [read_session(path, **options)]
         if name == "folder":
-            return list(read_sessions(folder, **options, on_error=one_of(rng, ["raise", "collect"])))
+            return list(
+                read_sessions(folder, **options, on_error=one_of(rng, ["raise", "collect"]))
+            )
         other = read_frame(pd.DataFrame({"t": np.arange(30) / 7, "trust_hr": rng.random(30)}))
-        ways = {"resample": one_of(rng, ["linear", "previous"]), "sample_time": mostly(rng, [0.1, 0.03], [1e-9, 1e9])}
-        return [join_sessions([read_session(path, **options), other], **(ways if rng.random() < 0.9 else {}))]
+        ways = {
+            "resample": one_of(rng, ["linear", "previous"]),
+            "sample_time": mostly(rng, [0.1, 0.03], [1e-9, 1e9]),
+        }
+        return [
+            join_sessions(
+                [read_session(path, **options), other], **(ways if rng.random() < 0.9 else {})
+            )
+        ]
     finally:
         path.unlink()
 
@@ -464,7 +594,10 @@ READS = ("file", "frame", "folder", "join", "bags")
 
 
 def fuzz_alone(name: str, first: int, logs: int, failures) -> None:
-    """Fuzz in a process of its own, in which too much memory is a MemoryError and not the end of the machine."""
+    """
+    Fuzz in a process of its own, in which too much memory is a MemoryError and not the end of the
+    machine.
+    """
     logging.disable()  # libraries report what they find damaged
     resource.setrlimit(resource.RLIMIT_AS, (3 * MOST_BYTES, resource.RLIM_INFINITY))
     fuzz(name, first, logs, failures)
@@ -475,12 +608,17 @@ def fuzz_alone(name: str, first: int, logs: int, failures) -> None:
 
 
 def reading(name: str, folder: Path) -> Callable[[np.random.Generator], list[Session]]:
-    """Return what writes something damaged and reads it: a log of the format, or one by a recipe at random."""
+    """
+    Return what writes something damaged and reads it: a log of the format, or one by a recipe at
+    random.
+    """
     files = originals(folder)
     if name in READS:
         (folder / "read" / "lab_msgs").mkdir(parents=True)
         topics = {"tf": ["/tf", "/joint_states"], "ulg": ["pose"], "xdf": ["arm"]}
-        bags = [(files[bag][0], own) for bag, own in topics.items()] + [(undefined(folder / "hand"), ["/hand"])]
+        bags = [(files[bag][0], own) for bag, own in topics.items()] + [
+            (undefined(folder / "hand"), ["/hand"])
+        ]
         return partial(read_by_random_recipe, name, folder / "read", bags)
     path, file = files[name]
     options = {name: {"recipe": recipe} for name, recipe in RECIPES.items()}.get(name, {})
@@ -495,7 +633,9 @@ def reading(name: str, folder: Path) -> Callable[[np.random.Generator], list[Ses
 
 
 def fuzz(name: str, first: int, logs: int, failures) -> int:
-    """Read damaged logs of one format, and put what fails into the queue; return how many were read."""
+    """
+    Read damaged logs of one format, and put what fails into the queue; return how many were read.
+    """
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         read = reading(name, Path(folder))
@@ -504,7 +644,10 @@ def fuzz(name: str, first: int, logs: int, failures) -> int:
             begun = time.process_time()
             try:
                 found = read(np.random.default_rng([seed, len(name)]))
-                assert all(np.isfinite(each.data.to_numpy()).all() and (np.diff(each.t) > 0).all() for each in found)
+                assert all(
+                    np.isfinite(each.data.to_numpy()).all() and (np.diff(each.t) > 0).all()
+                    for each in found
+                )
                 good += len(found) > 0
             except SessionError as error:
                 assert len(str(error)) < 3000  # noqa: PT017

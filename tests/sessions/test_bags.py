@@ -1,4 +1,7 @@
-"""ROS 1 and ROS 2 bags of a lab, written here with the public message definitions. Oracle: the numbers written."""
+"""
+ROS 1 and ROS 2 bags of a lab, written here with the public message definitions. Oracle: the numbers
+written.
+"""
 
 import math
 import shutil
@@ -48,13 +51,17 @@ class Bag:
         return self.make("Pose", position=self.xyz(x, y), orientation=self.turn(yaw))
 
     def twist(self, v, w):
-        return self.make("Twist", linear=self.xyz(v, kind="Vector3"), angular=self.xyz(0, 0, w, kind="Vector3"))
+        return self.make(
+            "Twist", linear=self.xyz(v, kind="Vector3"), angular=self.xyz(0, 0, w, kind="Vector3")
+        )
 
     def odometry(self, stamp, x, y, yaw, v=0.0):
         covariance = np.zeros(36)
         pose = self.make("PoseWithCovariance", pose=self.pose(x, y, yaw), covariance=covariance)
         twist = self.make("TwistWithCovariance", twist=self.twist(v, 0.0), covariance=covariance)
-        return self.make("Odometry", header=self.header(stamp), child_frame_id="base", pose=pose, twist=twist)
+        return self.make(
+            "Odometry", header=self.header(stamp), child_frame_id="base", pose=pose, twist=twist
+        )
 
     def add(self, topic, seconds, message):
         self.entries.append((topic, START + round(seconds * 1e9), message))
@@ -76,7 +83,9 @@ class Bag:
             for topic, stamp, message in self.entries:
                 kind = message.__msgtype__
                 if (topic, kind) not in connections:
-                    connections[topic, kind] = writer.add_connection(topic, kind, typestore=self.store)
+                    connections[topic, kind] = writer.add_connection(
+                        topic, kind, typestore=self.store
+                    )
                 writer.write(connections[topic, kind], stamp, serialize(message, kind))
 
 
@@ -102,14 +111,23 @@ RESAMPLED = "[resampling]\nmethod = 'linear'\nsample_time = 0.1\n"
 
 
 def lab_bag(path):
-    """Return a bag of 2 s: odometry at 50 Hz, its stamps 5 ms before receipt, everything else at rates of its own."""
+    """
+    Return a bag of 2 s: odometry at 50 Hz, its stamps 5 ms before receipt, everything else at rates
+    of its own.
+    """
     bag = Bag(path)
     for k in range(101):
         t = 0.02 * k
-        bag.add("/odom", t, bag.odometry(START + round((t - 0.005) * 1e9), t, 0.0, 3.0 + 0.2 * t, v=1.0))
+        bag.add(
+            "/odom", t, bag.odometry(START + round((t - 0.005) * 1e9), t, 0.0, 3.0 + 0.2 * t, v=1.0)
+        )
     for k in range(25):
         t = -0.1 + 0.1 * k
-        bag.add("/reference", t, bag.make("PoseStamped", header=bag.header(START), pose=bag.pose(100 * t, 30.0)))
+        bag.add(
+            "/reference",
+            t,
+            bag.make("PoseStamped", header=bag.header(START), pose=bag.pose(100 * t, 30.0)),
+        )
         bag.add("/cmd_vel", t, bag.twist(0.0, 180.0 * t))
         axes = np.array([0.0, t, 1.0], dtype=np.float32)
         buttons = np.array([0, 0, int(t > 0.95)], dtype=np.int32)
@@ -123,7 +141,9 @@ def lab_bag(path):
 
 @pytest.mark.parametrize("name", KINDS)
 def test_a_lab_bag(tmp_path, name):
-    session = read_session(lab_bag(tmp_path / name).write(), recipe=Recipe.from_toml(COLUMNS + RESAMPLED))
+    session = read_session(
+        lab_bag(tmp_path / name).write(), recipe=Recipe.from_toml(COLUMNS + RESAMPLED)
+    )
     t = np.arange(21) * 0.1
     close = {"rtol": 1e-12, "atol": 1e-9}
     np.testing.assert_allclose(session.t, t, **close)
@@ -148,19 +168,24 @@ def test_a_lab_bag(tmp_path, name):
 
 def test_all_kinds_of_bag_agree(tmp_path):
     recipe = Recipe.from_toml(COLUMNS + RESAMPLED)
-    first, *others = [read_session(lab_bag(tmp_path / name).write(), recipe=recipe) for name in KINDS]
+    first, *others = [
+        read_session(lab_bag(tmp_path / name).write(), recipe=recipe) for name in KINDS
+    ]
     assert first == others[0] == others[1]
 
 
 def test_header_stamps(tmp_path):
     text = COLUMNS + RESAMPLED + '[time]\nstamp = "receive"\ntopics = { "/odom" = "header" }\n'
     session = read_session(lab_bag(tmp_path / "lab.mcap").write(), recipe=Recipe.from_toml(text))
-    # Stamps stand 5 ms before receipt: at the same clock the robot is 5 ms further. The overlap starts with /odom.
+    # Stamps stand 5 ms before receipt: at the same clock the robot is 5 ms further. The overlap
+    # starts with /odom.
     assert session.metadata.more["start_time"] == pytest.approx((START - 5_000_000) / 1e9, abs=1e-6)
     np.testing.assert_allclose(session["robot_x"], session.t, atol=1e-9)
     np.testing.assert_allclose(session["reference_x"], session.t - 0.005, atol=1e-9)
     recipe = Recipe.from_toml(COLUMNS + RESAMPLED + '[time]\nstamp = "header"\n')
-    with pytest.raises(RecipeError, match=r"'/drive_mode', message 0 .*std_msgs/msg/String has no header stamp"):
+    with pytest.raises(
+        RecipeError, match=r"'/drive_mode', message 0 .*std_msgs/msg/String has no header stamp"
+    ):
         read_session(tmp_path / "lab.mcap", recipe=recipe)
 
 
@@ -171,7 +196,9 @@ def test_topics_with_the_same_stamps_need_no_resampling(tmp_path):
     assert len(session) == 25
     np.testing.assert_allclose(session.t, np.arange(25) * 0.1, atol=1e-12)
     assert "resampled" not in session.metadata.more
-    with pytest.raises(RecipeError, match=r"'/reference' and '/odom' have stamps of their own.*\[resampling\]"):
+    with pytest.raises(
+        RecipeError, match=r"'/reference' and '/odom' have stamps of their own.*\[resampling\]"
+    ):
         read_session(path, recipe=recipe, columns=["reference_x", "robot_x"])
     with pytest.raises(RecipeError, match="stamps of their own"):
         read_session(path, recipe=recipe)
@@ -191,17 +218,37 @@ def fails(path, recipe, *fragments, error=SessionError, **options):
 @pytest.mark.parametrize(
     ("old", "new", "fragments"),
     [
-        ('"/odom", field = "twist', '"/odm", field = "twist', ["'/odm'", "velocity_x", "did you mean '/odom'"]),
-        ("twist.twist.linear.x", "twist.linear.x", ["'/odom'", "nav_msgs/msg/Odometry", "has no field 'linear'"]),
-        ("twist.twist.linear.x", "twist.twist.linear.xx", ["nav_msgs/msg/Odometry", "did you mean 'x'"]),
+        (
+            '"/odom", field = "twist',
+            '"/odm", field = "twist',
+            ["'/odm'", "velocity_x", "did you mean '/odom'"],
+        ),
+        (
+            "twist.twist.linear.x",
+            "twist.linear.x",
+            ["'/odom'", "nav_msgs/msg/Odometry", "has no field 'linear'"],
+        ),
+        (
+            "twist.twist.linear.x",
+            "twist.twist.linear.xx",
+            ["nav_msgs/msg/Odometry", "did you mean 'x'"],
+        ),
         ("twist.twist.linear.x", "twist.twist.linear", ["not a number", "name one number"]),
         ("twist.twist.linear.x", "twist.twist.linear.x[0]", ["[0] needs a list"]),
         ("twist.twist.linear.x", "child_frame_id", ["str", "give it a map"]),
         ("axes[1]", "axes[3]", ["'/joy', message 0", "3 entries", "[3]"]),
         ("axes[1]", "axes", ["not a number"]),
         ("yaw(pose.pose.orientation)", "yaw(pose.pose.position)", ["needs a quaternion"]),
-        ("MANUAL = 1", "MANAUL = 1", ["'/drive_mode', message 0", "'MANUAL'", "not in the recipe's map"]),
-        ("hold = true", "hold = true, resample = 'linear'", ["mode", "hold keeps the previous value"]),
+        (
+            "MANUAL = 1",
+            "MANAUL = 1",
+            ["'/drive_mode', message 0", "'MANUAL'", "not in the recipe's map"],
+        ),
+        (
+            "hold = true",
+            "hold = true, resample = 'linear'",
+            ["mode", "hold keeps the previous value"],
+        ),
     ],
 )
 def test_a_recipe_that_does_not_fit(tmp_path, old, new, fragments):
@@ -220,7 +267,9 @@ ERROR = ONE + 'path_error = { topic = "/e", field = "data", unit = "m" }\n'
 def errors(path, values, times=None):
     bag = Bag(path)
     for k, value in enumerate(values):
-        bag.add("/e", 0.1 * k if times is None else times[k], bag.make("Float64", data=float(value)))
+        bag.add(
+            "/e", 0.1 * k if times is None else times[k], bag.make("Float64", data=float(value))
+        )
     return bag
 
 
@@ -243,7 +292,10 @@ def test_stamps_that_run_backwards(tmp_path):
     bag = Bag(tmp_path / "a.mcap")
     for k, stamp in enumerate([0, 2, 1, 3]):
         bag.add("/odom", k, bag.odometry(START + stamp * 10**9, k, 0, 0))
-    text = ONE + 'robot_x = { topic = "/odom", field = "pose.pose.position.x", unit = "m" }\n[time]\nstamp = "header"\n'
+    text = (
+        ONE + 'robot_x = { topic = "/odom", field = "pose.pose.position.x", unit = "m" '
+        '}\n[time]\nstamp = "header"\n'
+    )
     fails(bag.write(), text, "'/odom', message 2", "runs backwards")
 
 
@@ -252,7 +304,12 @@ def test_a_quaternion_that_is_none(tmp_path):
     odometry = bag.odometry(START, 0, 0, 0)
     odometry.pose.pose.orientation.w = 0.0
     bag.add("/odom", 0.0, odometry)
-    fails(bag.write(), ONE + 'yaw = { topic = "/odom", field = "yaw(pose.pose.orientation)" }', "message 0", "norm 0")
+    fails(
+        bag.write(),
+        ONE + 'yaw = { topic = "/odom", field = "yaw(pose.pose.orientation)" }',
+        "message 0",
+        "norm 0",
+    )
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -273,7 +330,10 @@ def test_topics_that_cannot_be_used(tmp_path, name):
 def test_columns_of_which_none_comes_from_a_topic(tmp_path):
     recipe = Recipe.from_toml(ERROR + "beta = { value = 0.5 }\n")
     path = errors(tmp_path / "a.mcap", [0.0, 1.0, 2.0]).write()
-    assert read_session(path, recipe=recipe, columns=["beta", "path_error"]).columns == ["beta", "path_error"]
+    assert read_session(path, recipe=recipe, columns=["beta", "path_error"]).columns == [
+        "beta",
+        "path_error",
+    ]
     with pytest.raises(SessionError, match="none of the columns to read comes from a topic"):
         read_session(path, recipe=recipe, columns=["beta"])
 
@@ -288,7 +348,9 @@ def test_a_topic_without_messages(tmp_path):
 
 @pytest.mark.parametrize("name", ["own.bag", "own.mcap", "own", "own.csv", "own.parquet"])
 def test_truncated(tmp_path, name):
-    session = read_session(errors(tmp_path / "a.mcap", range(400)).write(), recipe=Recipe.from_toml(ERROR))
+    session = read_session(
+        errors(tmp_path / "a.mcap", range(400)).write(), recipe=Recipe.from_toml(ERROR)
+    )
     path = write_session(session, tmp_path / name)
     file = next(path.glob("*.db3")) if path.is_dir() else path
     data = file.read_bytes()
@@ -301,8 +363,11 @@ def test_truncated(tmp_path, name):
 
 
 def test_missing_pages_of_a_database_would_read_as_zeros(tmp_path, monkeypatch):
-    # Negative control: without the check of its size, a truncated database gives zeros for what is missing.
-    session = read_session(errors(tmp_path / "a.mcap", range(1, 401)).write(), recipe=Recipe.from_toml(ERROR))
+    # Negative control: without the check of its size, a truncated database gives zeros for what is
+    # missing.
+    session = read_session(
+        errors(tmp_path / "a.mcap", range(1, 401)).write(), recipe=Recipe.from_toml(ERROR)
+    )
     file = next(write_session(session, tmp_path / "own").glob("*.db3"))
     data = file.read_bytes()
     monkeypatch.setattr("trustlab.sessions.readers.bags._check_sqlite_size", lambda *args: None)
@@ -317,14 +382,21 @@ def test_missing_pages_of_a_database_would_read_as_zeros(tmp_path, monkeypatch):
 
 def test_what_is_missing_from_a_bag_of_ours_is_noticed(tmp_path, monkeypatch):
     # Negative control: with a count in the metadata that agrees, the same bag is read.
-    session = read_session(errors(tmp_path / "a.mcap", range(40)).write(), recipe=Recipe.from_toml(ERROR))
+    session = read_session(
+        errors(tmp_path / "a.mcap", range(40)).write(), recipe=Recipe.from_toml(ERROR)
+    )
     to_json = "trustlab.sessions.writers.metadata_to_json"
-    monkeypatch.setattr(to_json, lambda metadata, own, samples: metadata_to_json(metadata, own, samples=2 * samples))
+    monkeypatch.setattr(
+        to_json, lambda metadata, own, samples: metadata_to_json(metadata, own, samples=2 * samples)
+    )
     path = write_session(session, tmp_path / "half.mcap")
-    with pytest.raises(SessionError, match=r"'/trustlab/t' has 40 messages where the metadata say 80"):
+    with pytest.raises(
+        SessionError, match=r"'/trustlab/t' has 40 messages where the metadata say 80"
+    ):
         read_session(path)
     monkeypatch.setattr(
-        "trustlab.sessions.readers.bags.metadata_from_json", lambda text: (None, {"samples": 40, "digests": {}})
+        "trustlab.sessions.readers.bags.metadata_from_json",
+        lambda text: (None, {"samples": 40, "digests": {}}),
     )
     assert len(read_session(path)) == 40
 
@@ -342,7 +414,9 @@ def test_the_example_recipe_reads_folders_of_bags(tmp_path):
         bag.entries = [entry for entry in bag.entries if entry[0] not in ("/reference",)]
         for k in range(25):
             t = -0.1 + 0.1 * k
-            pose = bag.make("PoseStamped", header=bag.header(START + round(t * 1e9)), pose=bag.pose(t, 0.3))
+            pose = bag.make(
+                "PoseStamped", header=bag.header(START + round(t * 1e9)), pose=bag.pose(t, 0.3)
+            )
             bag.add("/reference", t, pose)
         bag.write()
     (tmp_path / "cleo_run1.mcap").write_bytes(b"x")

@@ -11,12 +11,21 @@ import pandas as pd
 import pytest
 from hypothesis import HealthCheck, example, given, settings, strategies as st
 
-from trustlab.sessions import Metadata, RecipeError, Session, SessionError, read_session, write_session
+from trustlab.sessions import (
+    Metadata,
+    RecipeError,
+    Session,
+    SessionError,
+    read_session,
+    write_session,
+)
 from trustlab.sessions.readers.csv_files import _fast, _scan
 from trustlab.sessions.readers.tables import SourceColumn
 from trustlab.sessions.recipe import Recipe, TableRule, load_recipe
 
-MORE = "TRUSTLAB_FUZZ" in os.environ  # a number of examples for a longer search, other ones each time
+MORE = (
+    "TRUSTLAB_FUZZ" in os.environ
+)  # a number of examples for a longer search, other ones each time
 EXAMPLES = int(os.environ.get("TRUSTLAB_FUZZ", "120"))
 deterministic = settings(
     max_examples=EXAMPLES,
@@ -30,9 +39,17 @@ deterministic = settings(
 def session() -> Session:
     t = np.arange(12) * 0.1
     data = pd.DataFrame(
-        {"mode": (t > 0.5) * 1.0, "p_r": 0.3 + 0.01 * np.sin(t), "robot_x": -t, "path_error": t / 7}, index=t
+        {
+            "mode": (t > 0.5) * 1.0,
+            "p_r": 0.3 + 0.01 * np.sin(t),
+            "robot_x": -t,
+            "path_error": t / 7,
+        },
+        index=t,
     )
-    return Session(data, Metadata(participant=3, condition="C1", more={"trial": 2, "autonomy": 0.4}))
+    return Session(
+        data, Metadata(participant=3, condition="C1", more={"trial": 2, "autonomy": 0.4})
+    )
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +61,8 @@ def folder(tmp_path_factory):
 def originals(folder):
     """Return the bytes of a valid file of each format."""
     paths = {
-        suffix: write_session(session(), folder / f"valid{suffix}") for suffix in (".csv", ".parquet", ".bag", ".mcap")
+        suffix: write_session(session(), folder / f"valid{suffix}")
+        for suffix in (".csv", ".parquet", ".bag", ".mcap")
     }
     written = {suffix: path.read_bytes() for suffix, path in paths.items()}
     bag = write_session(session(), folder / "valid")
@@ -54,7 +72,10 @@ def originals(folder):
 
 
 def read_or_refuse(path, **options):
-    """Read; only our errors may come out, and what comes out otherwise must hold what a session promises."""
+    """
+    Read; only our errors may come out, and what comes out otherwise must hold what a session
+    promises.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
@@ -92,14 +113,23 @@ def mutations(draw):
         if kind == "remove":
             return data[:at] + data[to:]
         if kind == "swap":
-            return data[:at] + data[to : to + 16] + data[at + 16 : to] + data[at : at + 16] + data[to + 16 :]
+            return (
+                data[:at]
+                + data[to : to + 16]
+                + data[at + 16 : to]
+                + data[at : at + 16]
+                + data[to + 16 :]
+            )
         return data[:at] + junk + data[at + len(junk) :]
 
     return damage
 
 
 @deterministic
-@given(data=st.binary(max_size=300), suffix=st.sampled_from([".csv", ".parquet", ".bag", ".mcap", ".db3"]))
+@given(
+    data=st.binary(max_size=300),
+    suffix=st.sampled_from([".csv", ".parquet", ".bag", ".mcap", ".db3"]),
+)
 @example(data=b"", suffix=".csv")
 @example(data=b"\xef\xbb\xbf", suffix=".csv")
 @example(data=b"#ROSBAG V2.0\n", suffix=".bag")
@@ -139,7 +169,21 @@ CELLS = st.sampled_from(
     '' 1,5 2026-01-01 true 9007199254740993 - ä "0.4" "a""b" " """.split()  # noqa: SIM905
 ) | st.sampled_from(["", " ", " 0.1 ", "\t7", "\0", "1 2"])
 NAMES = st.sampled_from(
-    ["t", "mode", "p_r", "path_error", "robot_x", "time", "P_r", "modus", "", "#", "1", " t ", '"r"']
+    [
+        "t",
+        "mode",
+        "p_r",
+        "path_error",
+        "robot_x",
+        "time",
+        "P_r",
+        "modus",
+        "",
+        "#",
+        "1",
+        " t ",
+        '"r"',
+    ]
 )
 
 
@@ -168,7 +212,9 @@ def tables(draw):
 
 @settings(deterministic, max_examples=3 * EXAMPLES)
 @given(
-    text=tables(), resample=st.sampled_from([None, "linear", "previous", "nearest"]), step=st.sampled_from([0.05, 1e-9])
+    text=tables(),
+    resample=st.sampled_from([None, "linear", "previous", "nearest"]),
+    step=st.sampled_from([0.05, 1e-9]),
 )
 def test_tables_that_are_nearly_right(folder, text, resample, step):
     path = folder / "nearly.csv"
@@ -195,7 +241,9 @@ def test_the_fast_reader_agrees_with_the_exact_one(text):
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 PLAIN = st.recursive(
     st.none() | st.booleans() | st.integers() | FINITE | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4), inner, max_size=3)
+    ),
     max_leaves=4,
 )
 
@@ -209,11 +257,18 @@ PLAIN = st.recursive(
     participant=st.none() | st.integers() | st.text(max_size=6),
     more=st.dictionaries(st.text(max_size=5), PLAIN, max_size=3),
 )
-def test_written_sessions_read_back_bit_for_bit(folder, name, values, start, step, participant, more):
+def test_written_sessions_read_back_bit_for_bit(
+    folder, name, values, start, step, participant, more
+):
     t = start + step * np.arange(len(values))
-    more = {key: value for key, value in more.items() if key not in ("participant", "condition", "source", "synthetic")}
+    more = {
+        key: value
+        for key, value in more.items()
+        if key not in ("participant", "condition", "source", "synthetic")
+    }
     original = Session(
-        pd.DataFrame({"robot_x": values, "p_r": values[::-1]}, index=t), Metadata(participant, more=more)
+        pd.DataFrame({"robot_x": values, "p_r": values[::-1]}, index=t),
+        Metadata(participant, more=more),
     )
     read = read_session(write_session(original, folder / name))
     assert read == original
@@ -247,7 +302,21 @@ participant = { from = "who", map = { 25 = 8 }, keep = true }
 block = { from = "trial", bins = [5, 10] }
 """
 WORDS = st.sampled_from(re.split(r"[\s={}]+", RECIPE.strip())) | st.sampled_from(
-    ["[]", "{}", "-1", "nan", "inf", "1e400", "true", '""', "''", "1979-05-27", "[[columns]]", "bag", "[1, 2]"]
+    [
+        "[]",
+        "{}",
+        "-1",
+        "nan",
+        "inf",
+        "1e400",
+        "true",
+        '""',
+        "''",
+        "1979-05-27",
+        "[[columns]]",
+        "bag",
+        "[1, 2]",
+    ]
 )
 
 
@@ -277,7 +346,8 @@ def test_recipe_files_of_any_bytes(folder, data):
 
 
 def test_an_exception_that_is_not_ours_is_noticed(folder, monkeypatch):
-    # Negative control: with the guard around the bag reader gone, damaged bags come out as foreign exceptions.
+    # Negative control: with the guard around the bag reader gone, damaged bags come out as foreign
+    # exceptions.
     from contextlib import nullcontext
 
     path = folder / "control.bag"

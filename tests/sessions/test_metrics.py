@@ -42,7 +42,10 @@ def test_ground_robot_measures_are_the_printed_sums():
     near = (2.0 - session["path_error"][own]) / 2.0
     p_r = np.sum(session["step_distance"][own] / 0.1 * near) / w
     p_h = (
-        np.sum(session["v_command"][own] * near + np.abs(session["w_command"][own]) * session["path_error"][own] / 2)
+        np.sum(
+            session["v_command"][own] * near
+            + np.abs(session["w_command"][own]) * session["path_error"][own] / 2
+        )
         / w
     )
     assert measured["p_r"][k] == pytest.approx(p_r, abs=1e-12)
@@ -77,15 +80,21 @@ def test_uav_measures_and_the_printed_deviation():
 
 def test_mixed_initiative_measures_are_3_27():
     session = arm()
-    measured = session.with_performance(window=0.1, measure="mixed_initiative", e_max=9.0, u_max=8.0, axes="yz")
+    measured = session.with_performance(
+        window=0.1, measure="mixed_initiative", e_max=9.0, u_max=8.0, axes="yz"
+    )
     alpha = session["mode"]
 
     def norm(a, b):
         return sum(abs(session[f"{a}_{axis}"] - session[f"{b}_{axis}"]) for axis in "yz")
 
     e = norm("reference", "robot")
-    np.testing.assert_allclose(measured["p_r"], (1 - norm("u_a", "u_i") / 8) * (1 - (1 - alpha) * e / 9), atol=1e-12)
-    np.testing.assert_allclose(measured["p_h"], (1 - norm("u_h", "u_i") / 8) * (1 - alpha * e / 9), atol=1e-12)
+    np.testing.assert_allclose(
+        measured["p_r"], (1 - norm("u_a", "u_i") / 8) * (1 - (1 - alpha) * e / 9), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        measured["p_h"], (1 - norm("u_h", "u_i") / 8) * (1 - alpha * e / 9), atol=1e-12
+    )
 
 
 def test_nothing_is_clipped():
@@ -116,7 +125,9 @@ def test_negative_distance_is_refused():
 
 def trial(number, block, level, error, training=False, participant=1):
     more = {"trial": number, "block": block, "autonomy": level, "training": training}
-    data = pd.DataFrame({"path_error": np.full(4, error)}, index=pd.Index(np.arange(4) * 0.1, name="t"))
+    data = pd.DataFrame(
+        {"path_error": np.full(4, error)}, index=pd.Index(np.arange(4) * 0.1, name="t")
+    )
     return tl.Session(data, tl.Metadata(participant=participant, more=more))
 
 
@@ -132,7 +143,9 @@ def test_tracking_error_leaves_out_training_and_the_first_trial():
     table = tl.sessions.tracking_error(trials[::-1])
     assert list(table.columns) == ["participant", "autonomy", "traj_err"]
     np.testing.assert_allclose(table["traj_err"], [2.0, 5.0])
-    np.testing.assert_allclose(tl.sessions.tracking_error(trials, drop_first=0)["traj_err"], [168.0, 252.5])
+    np.testing.assert_allclose(
+        tl.sessions.tracking_error(trials, drop_first=0)["traj_err"], [168.0, 252.5]
+    )
 
 
 def test_tracking_error_refuses():
@@ -150,18 +163,30 @@ def test_tracking_error_refuses():
 def test_real_tracking_error_is_the_published_one():
     folder = tl.sessions.external_data("autonomy_cl_trust")
     if folder is None:
-        pytest.skip("autonomy_cl_trust is not here: put it in data/external or name its parent in TRUSTLAB_DATA")
+        pytest.skip(
+            "autonomy_cl_trust is not here: put it in data/external or name its parent in "
+            "TRUSTLAB_DATA"
+        )
     sessions = tl.read_sessions(folder, recipe="autonomy_cl_trust")
     theirs = pd.read_csv(folder / "measures" / "traj_err_all_levels.csv")
     both = tl.sessions.tracking_error(sessions).merge(
-        theirs, left_on=["participant", "autonomy"], right_on=["pid", "autonomy"], suffixes=("", "_theirs")
+        theirs,
+        left_on=["participant", "autonomy"],
+        right_on=["pid", "autonomy"],
+        suffixes=("", "_theirs"),
     )
     assert len(both) == 40
     np.testing.assert_allclose(both["traj_err"], both["traj_err_theirs"], rtol=0, atol=1e-9)
 
 
 def test_a_window_longer_than_the_log_is_told():
-    columns = {"mode": 1.0, "path_error": 0.0, "step_distance": 0.01, "v_command": 0.1, "w_command": 0.0}
+    columns = {
+        "mode": 1.0,
+        "path_error": 0.0,
+        "step_distance": 0.01,
+        "v_command": 0.1,
+        "w_command": 0.0,
+    }
     session = tl.Session(pd.DataFrame(columns, index=0.1 * np.arange(50)))
     with pytest.warns(UserWarning, match=r"lasts 4\.9 s, less than the window of 100 s"):
         session.with_performance()

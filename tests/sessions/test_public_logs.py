@@ -1,9 +1,10 @@
 """
 Logs that others recorded and published, each with its source, licence, checksum and recipe.
 
-They are fetched by hand into the folder public_logs of data/external (or of TRUSTLAB_DATA) and never committed; a log that
-is not there is skipped. Oracle: the same columns by way of each format's own library, or of pandas; and what is known of
-the robots: how a follower was programmed, that distance is the integral of speed.
+They are fetched by hand into the folder public_logs of data/external (or of TRUSTLAB_DATA) and
+never committed; a log that is not there is skipped. Oracle: the same columns by way of each
+format's own library, or of pandas; and what is known of the robots: how a follower was programmed,
+that distance is the integral of speed.
 """
 
 import hashlib
@@ -70,7 +71,8 @@ sample_time = 0.001
 v_command = { column = "velocity", unit = "m/s" }
 p_r = { column = "motor_speed", scale = 0.001 }
 """
-# ROS 1: an operator leads a turtle through turtlesim, and another follows it on /tf (the tutorial of tf, recorded in 2014).
+# ROS 1: an operator leads a turtle through turtlesim, and another follows it on /tf (the tutorial
+# of tf, recorded in 2014).
 TURTLES = """
 kind = "bag"
 [resampling]
@@ -88,7 +90,8 @@ w_command = { topic = "/turtle1/cmd_vel", field = "angular.z", unit = "rad/s", h
 path_error = { distance = ["robot", "human"], axes = ["x", "y"] }
 step_distance = { travelled = "robot", axes = ["x", "y"] }
 """
-# The commands of the same run as PlotJuggler exports them: a line per message, blank where others spoke.
+# The commands of the same run as PlotJuggler exports them: a line per message, blank where others
+# spoke.
 EXPORT = """
 kind = "table"
 [time]
@@ -117,8 +120,8 @@ sample_time = 0.5
 v_command = { topic = "/turtle1/cmd_vel", field = "linear.x", unit = "m/s" }
 w_command = { topic = "/turtle1/cmd_vel", field = "angular.z", unit = "rad/s" }
 """
-# One of several automated vehicles that a remote operator leads past road works (Colley et al., CHI 2025). mode says
-# whether the operator had this vehicle in the main view; lengths are as logged.
+# One of several automated vehicles that a remote operator leads past road works (Colley et al., CHI
+# 2025). mode says whether the operator had this vehicle in the main view; lengths are as logged.
 REMOTE = """
 kind = "table"
 [files]
@@ -143,8 +146,8 @@ vehicle = { from = "vehicle" }
 """
 
 
-# A car whose messages go to a cloud and back over a mobile network (Zhang et al., 2025): columns separated by spaces,
-# stamps in milliseconds since 1970.
+# A car whose messages go to a cloud and back over a mobile network (Zhang et al., 2025): columns
+# separated by spaces, stamps in milliseconds since 1970.
 CLOUD = """
 kind = "table"
 [table]
@@ -165,7 +168,9 @@ step_distance = { travelled = "robot", axes = ["x", "y"] }
 
 
 class Log(NamedTuple):
-    """A public log: where it is (repository at commit: path), its licence, its SHA-256 and our recipe."""
+    """
+    A public log: where it is (repository at commit: path), its licence, its SHA-256 and our recipe.
+    """
 
     source: str
     licence: str
@@ -193,19 +198,22 @@ LOGS = {
         CIRCLES,
     ),
     "log_CT19_10_3.csv": Log(
-        "https://github.com/M-Colley/roads-chi25-data at 7e0c504: ClearedLogs/ClearedLogs/LogsDay4/CT19/10/log_CT19_10_3.csv",
+        "https://github.com/M-Colley/roads-chi25-data at 7e0c504: "
+        "ClearedLogs/ClearedLogs/LogsDay4/CT19/10/log_CT19_10_3.csv",
         "MIT (its LICENSE), CC BY 4.0 (its README)",
         "897b7e9e3ba054eca0977c2c6e69c5a72abb70ca1446d514c18d50758212ef40",
         REMOTE,
     ),
     "arterial_n78_v50_run01.txt": Log(
-        "https://github.com/zxr805/CICV5G at ea215aa: data/Arterial road/n78/50/arterial_n78_v50_run01.txt",
+        "https://github.com/zxr805/CICV5G at ea215aa: data/Arterial "
+        "road/n78/50/arterial_n78_v50_run01.txt",
         "CC BY 4.0 (its README)",
         "65d8c941de755ad0f97d2839335741debe239cdf5d2dd42de89767f318881862",
         CLOUD,
     ),
     "fake_joint_state.bag": Log(
-        "https://github.com/facontidavide/PlotJuggler at ddcbd05b: datasamples/fake_joint_state.bag",
+        "https://github.com/facontidavide/PlotJuggler at ddcbd05b: "
+        "datasamples/fake_joint_state.bag",
         "MPL-2.0",
         "8468b520caf307e5835a52a1701e55ef4c20a17526f62ad14b5b95a1ddae6413",
         JOINTS,
@@ -238,7 +246,9 @@ LOGS = {
 
 
 def public(name):
-    """Return the path of a log and its recipe; skip where it is absent, fail where it is another file."""
+    """
+    Return the path of a log and its recipe; skip where it is absent, fail where it is another file.
+    """
     log, folder = LOGS[name], external_data("public_logs")
     if folder is None or not (folder / name).is_file():
         pytest.skip(f"{name} is not there; it comes from {log.source}, licence {log.licence}")
@@ -277,8 +287,12 @@ def test_the_same_turtles_as_plotjuggler_exports_them():
     own = frame.dropna(subset=["/turtle1/cmd_vel/linear/x"])
     start = session.metadata.more["start_time"]
     held = np.searchsorted(own["__time"] - start, session.t + 1e-6, side="right") - 1
-    np.testing.assert_array_equal(session["v_command"], own["/turtle1/cmd_vel/linear/x"].to_numpy()[held])
-    np.testing.assert_array_equal(session["w_command"], own["/turtle1/cmd_vel/angular/z"].to_numpy()[held])
+    np.testing.assert_array_equal(
+        session["v_command"], own["/turtle1/cmd_vel/linear/x"].to_numpy()[held]
+    )
+    np.testing.assert_array_equal(
+        session["w_command"], own["/turtle1/cmd_vel/angular/z"].to_numpy()[held]
+    )
     # The tutorial's follower drives at 0.5/s times the distance to the turtle that it follows.
     sent = frame.dropna(subset=["/turtle2/cmd_vel/linear/x"])
     t = sent["__time"] - run.metadata.more["start_time"]
@@ -295,7 +309,10 @@ def test_a_turtle_driven_in_circles(tmp_path):
     (tmp_path / path.name).symlink_to(path)
     left, right = read_sessions(tmp_path, recipe=recipe)
     assert (left.duration, right.duration) == (23.0, 25.0)
-    assert left.metadata.more["split"] == "part 0 (from 0) of 2, between gaps of more than 2.5 s; 0 too short"
+    assert (
+        left.metadata.more["split"]
+        == "part 0 (from 0) of 2, between gaps of more than 2.5 s; 0 too short"
+    )
     for session, turn in ((left, 1.2), (right, -1.2)):
         assert set(session["v_command"]) == {2.0}
         assert set(session["w_command"]) == {turn}
@@ -317,20 +334,25 @@ def test_a_vehicle_led_by_a_remote_operator():
     # Distance is the integral of the speed that the vehicle reports [km/h].
     travelled = frame["vehicleSpeed"].sum() / 3.6 * session.sample_time
     assert session["step_distance"][1:].sum() == pytest.approx(travelled, rel=0.005)
-    # It was not logged how well the operator or the vehicle did, nor what the operator's hands commanded.
+    # It was not logged how well the operator or the vehicle did, nor what the operator's hands
+    # commanded.
     with pytest.raises(SessionError, match=r"has no column 'p_h'.*with_performance"):
         tl.fit_robot(session)
     with pytest.raises(SessionError, match="has no column 'v_command'"):
         session.with_performance()
     with pytest.raises(SessionError, match=r'one column only.*set \[table\] delimiter = ";"'):
-        read_session(path, recipe=Recipe.from_toml(REMOTE.replace('delimiter = ";"\ndecimal = ","', "")))
+        read_session(
+            path, recipe=Recipe.from_toml(REMOTE.replace('delimiter = ";"\ndecimal = ","', ""))
+        )
 
 
 def test_a_car_on_a_mobile_network():
     path, recipe = public("arterial_n78_v50_run01.txt")
     session, frame = read_session(path, recipe=recipe), pd.read_csv(path, sep=r"\s+")
     t = (frame["pub_time(ms)"] - frame["pub_time(ms)"][0]) / 1000.0
-    np.testing.assert_allclose(session["robot_x"], np.interp(session.t, t, frame["utmX(m)"]), rtol=1e-12)
+    np.testing.assert_allclose(
+        session["robot_x"], np.interp(session.t, t, frame["utmX(m)"]), rtol=1e-12
+    )
     # The heading turns the short way where it passes π.
     heading = np.interp(session.t, t, np.unwrap(frame["heading(rad)"]))
     np.testing.assert_allclose(np.exp(1j * session["yaw"]), np.exp(1j * heading), atol=1e-9)
@@ -353,7 +375,9 @@ def test_a_flight_logged_by_px4():
     np.testing.assert_allclose(session["robot_z"], expected, atol=1e-6)
     assert set(session["mode"]) == {1.0}
     assert session["v_command"].min() == own["manual_control_setpoint"]["x"].min()
-    with pytest.raises(ValueError, match=r"'vehicle_local_positon'.*did you mean 'vehicle_local_position'"):
+    with pytest.raises(
+        ValueError, match=r"'vehicle_local_positon'.*did you mean 'vehicle_local_position'"
+    ):
         read_session(path, recipe=Recipe.from_toml(PX4.replace("_position", "_positon")))
 
 
@@ -362,7 +386,9 @@ def test_an_electroencephalogram_whose_clock_was_reset(tmp_path):
     import pyxdf
 
     own = next(
-        each for each in pyxdf.load_xdf(str(path), dejitter_timestamps=False)[0] if len(each["time_series"]) > 999
+        each
+        for each in pyxdf.load_xdf(str(path), dejitter_timestamps=False)[0]
+        if len(each["time_series"]) > 999
     )
     (tmp_path / path.name).symlink_to(path)
     text = EEG.replace('kind = "bag"', 'kind = "bag"\n[files]\npattern = "clock_resets.xdf"')
@@ -371,7 +397,9 @@ def test_an_electroencephalogram_whose_clock_was_reset(tmp_path):
     assert len(sessions) == gaps.size + 1
     first = sessions[0]
     times = own["time_stamps"] - first.metadata.more["start_time"]
-    np.testing.assert_allclose(first["p_r"], np.interp(first.t, times, own["time_series"][:, 0]), atol=1e-6)
+    np.testing.assert_allclose(
+        first["p_r"], np.interp(first.t, times, own["time_series"][:, 0]), atol=1e-6
+    )
     assert first.metadata.more["clocks"].startswith("brought together")
 
 
@@ -379,7 +407,9 @@ def test_an_export_in_the_manner_of_plotjuggler():
     path, recipe = public("annotations_demo.csv")
     session, frame = read_session(path, recipe=recipe), pd.read_csv(path)
     np.testing.assert_array_equal(session["p_r"], frame["sine_a"])
-    np.testing.assert_array_equal(session["mode"], [int(flag, 16) & 1 for flag in frame["status_flags"]])
+    np.testing.assert_array_equal(
+        session["mode"], [int(flag, 16) & 1 for flag in frame["status_flags"]]
+    )
 
 
 def test_a_bag_of_joints_selected_by_name():
@@ -388,8 +418,13 @@ def test_a_bag_of_joints_selected_by_name():
     from rosbags.highlevel import AnyReader
 
     with AnyReader([path]) as reader:
-        own = [reader.deserialize(data, connection.msgtype) for connection, _, data in reader.messages()]
-    stamps = np.array([message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in own])
+        own = [
+            reader.deserialize(data, connection.msgtype)
+            for connection, _, data in reader.messages()
+        ]
+    stamps = np.array(
+        [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in own]
+    )
     times = (stamps - stamps[0]) / 1e9
     positions = np.array([message.position[message.name.index("joint_3")] for message in own])
     held = positions[np.searchsorted(times, session.t + 1e-8, side="right") - 1]
@@ -400,7 +435,9 @@ def test_a_bag_of_joints_selected_by_name():
 def test_a_motor_logged_at_a_kilohertz():
     path, recipe = public("motor_data.csv")
     session, frame = read_session(path, recipe=recipe), pd.read_csv(path).drop_duplicates("t")
-    np.testing.assert_allclose(session["v_command"], np.interp(session.t, frame["t"], frame["velocity"]), atol=1e-9)
+    np.testing.assert_allclose(
+        session["v_command"], np.interp(session.t, frame["t"], frame["velocity"]), atol=1e-9
+    )
     np.testing.assert_allclose(
         session["p_r"], 0.001 * np.interp(session.t, frame["t"], frame["motor_speed"]), atol=1e-9
     )

@@ -1,4 +1,6 @@
-"""CSV and Parquet: what reads back, and what each fault says. Oracle: the file as an editor shows it."""
+"""
+CSV and Parquet: what reads back, and what each fault says. Oracle: the file as an editor shows it.
+"""
 
 import json
 import warnings
@@ -10,7 +12,15 @@ import pyarrow.parquet as pq
 import pytest
 
 import trustlab as tl
-from trustlab.sessions import Metadata, RecipeError, Session, SessionError, read_session, read_sessions, write_session
+from trustlab.sessions import (
+    Metadata,
+    RecipeError,
+    Session,
+    SessionError,
+    read_session,
+    read_sessions,
+    write_session,
+)
 
 FORMATS = ["run.csv", "run.parquet", "run.bag", "run.mcap", "run"]
 
@@ -19,9 +29,20 @@ FORMATS = ["run.csv", "run.parquet", "run.bag", "run.mcap", "run"]
 def session():
     rng = np.random.default_rng(5)
     t = 100.0 + np.arange(50) * 0.024
-    data = pd.DataFrame({"mode": (t > 100.5) * 1.0, "p_r": rng.normal(size=50), "path_error": rng.random(50)}, index=t)
-    data.iloc[3, 1], data.iloc[4, 1], data.iloc[5, 1] = -0.0, 5e-324, 1.7976931348623157e308
-    more = {"trial": 7, "autonomy": 0.2, "training": False, "note": 'ä, "quoted"\n', "levels": [1, 2.5, None]}
+    data = pd.DataFrame(
+        {"mode": (t > 100.5) * 1.0, "p_r": rng.normal(size=50), "path_error": rng.random(50)},
+        index=t,
+    )
+    data.iloc[3, 1] = -0.0
+    data.iloc[4, 1] = 5e-324
+    data.iloc[5, 1] = 1.7976931348623157e308
+    more = {
+        "trial": 7,
+        "autonomy": 0.2,
+        "training": False,
+        "note": 'ä, "quoted"\n',
+        "levels": [1, 2.5, None],
+    }
     return Session(data, Metadata(participant=8, condition="C1", synthetic=True, more=more))
 
 
@@ -50,13 +71,19 @@ def test_round_trip(session, tmp_path, name):
         assert read[column].tobytes() == session[column].tobytes()
     assert read_session(path, columns=["p_r"]).columns == ["p_r"]
     # Again in the same place, and nothing else is left beside it.
-    assert read_session(write_session(session.with_metadata(participant="P8"), path)).metadata.participant == "P8"
+    assert (
+        read_session(
+            write_session(session.with_metadata(participant="P8"), path)
+        ).metadata.participant
+        == "P8"
+    )
     assert [each.name for each in tmp_path.iterdir()] == [name]
 
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_equality_notices_one_bit(session, tmp_path, name):
-    # Negative control of the round trip: the least change of one number, or of the metadata, is not equal.
+    # Negative control of the round trip: the least change of one number, or of the metadata, is not
+    # equal.
     values = session["p_r"].copy()
     values[10] = np.nextafter(values[10], 1.0)
     path = write_session(session.with_columns(p_r=values), tmp_path / name)
@@ -114,25 +141,37 @@ BAD = {
     "blank": (" \n\n", ["line 1", "is empty"]),
     "header only": (HEAD, ["line 1", "no samples"]),
     "one sample": (HEAD + "0,1,1\n", ["at least two samples"]),
-    "misspelt": ("t,mode,p_rr\n0,1,1\n1,1,1\n", ["line 1", "'p_rr'", "did you mean 'p_r'", "recipe"]),
+    "misspelt": (
+        "t,mode,p_rr\n0,1,1\n1,1,1\n",
+        ["line 1", "'p_rr'", "did you mean 'p_r'", "recipe"],
+    ),
     "no time": ("mode,p_r\n1,1\n1,1\n", ["line 1", "'t' is missing"]),
     "time misnamed": ("time,mode\n0,1\n1,1\n", ["line 1", "rename it to t"]),
     "twice": ("t,mode,mode\n0,1,1\n1,1,1\n", ["line 1", "'mode'", "twice"]),
     "no name": (",t,mode\n0,0,1\n1,1,1\n", ["line 1", "has no name", "index=False"]),
-    "no header": ("0,1,1\n1,1,1\n", ["line 1", "found numbers instead of column names", "header = false"]),
+    "no header": (
+        "0,1,1\n1,1,1\n",
+        ["line 1", "found numbers instead of column names", "header = false"],
+    ),
     "semicolons": (
         "t;mode\n0;1\n1;1\n",
         ["line 1", "one column only, 't;mode'", "separated by ';'", 'read it with delimiter=";"'],
     ),
     "text": (HEAD + "0,1,1\n1,1,abc\n2,1,1\n", ["line 3", "'p_r'", "'abc' is not a number", "map"]),
     "comma": (HEAD + '0,1,1\n1,1,"0,5"\n', ["line 3", "decimal"]),
-    "nan": (HEAD + "0,1,1\n1,1,1\n2,nan,1\n", ["line 4", "'mode'", "'nan' is not a finite number", "rule"]),
+    "nan": (
+        HEAD + "0,1,1\n1,1,1\n2,nan,1\n",
+        ["line 4", "'mode'", "'nan' is not a finite number", "rule"],
+    ),
     "infinite": (HEAD + "0,1,1\n1,1,-inf\n", ["line 3", "'p_r'", "not a finite number"]),
     "too large": (HEAD + "0,1,1\n1,1,1e999\n", ["line 3", "'p_r'", "too large"]),
     "empty cell": (HEAD + "0,1,1\n,1,1\n", ["line 3", "'t'", "empty"]),
     "repeats": (HEAD + "0,1,1\n1,1,1\n1,1,1\n", ["line 4", "column t", "repeats", "sort or split"]),
     "backwards": (HEAD + "0,1,1\n1,1,1\n0.5,1,1\n", ["line 4", "column t", "backwards", "0.5 s"]),
-    "irregular": (HEAD + "0,1,1\n1,1,1\n2,1,1\n3.5,1,1\n", ["line 5", "irregular", "3.5 s", 'resample="linear"']),
+    "irregular": (
+        HEAD + "0,1,1\n1,1,1\n2,1,1\n3.5,1,1\n",
+        ["line 5", "irregular", "3.5 s", 'resample="linear"'],
+    ),
     "outside": (HEAD + "0,1,1\n1,1.01,1\n", ["line 3", "'mode'", "t = 1 s", "1.01", "[0, 1]"]),
     "negative distance": ("t,path_error\n0,1\n1,-0.1\n", ["line 3", "'path_error'", "-0.1"]),
     "short row": (HEAD + "0,1,1\n1,1\n", ["line 3", "2 cells", "3"]),
@@ -172,10 +211,13 @@ def test_the_first_fault_is_told(tmp_path, rows, first):
 
 
 @pytest.mark.parametrize(
-    ("old", "new"), [("0.5", "0.500000001"), ("0.5", "0.49"), ("0.9", "0.90")], ids=["jitter", "off", "same"]
+    ("old", "new"),
+    [("0.5", "0.500000001"), ("0.5", "0.49"), ("0.9", "0.90")],
+    ids=["jitter", "off", "same"],
 )
 def test_sampling_control(tmp_path, old, new):
-    # Negative control: jitter within the tolerance and other spellings of the same number pass, more does not.
+    # Negative control: jitter within the tolerance and other spellings of the same number pass,
+    # more does not.
     rows = [f"{k / 10},1,1" for k in range(12)]
     path = write(tmp_path, HEAD + "\n".join(rows).replace(f"{old},", f"{new},", 1))
     if new == "0.49":
@@ -205,7 +247,9 @@ def test_an_argument_that_does_not_apply_is_refused_by_name(tmp_path, session):
     paths = [write_session(session, tmp_path / name) for name in FORMATS]
     for path in paths[1:]:
         for name, value in (("delimiter", ";"), ("decimal", ",")):
-            with pytest.raises(ValueError, match=rf"{name} applies to \.csv files, not to .*leave it out"):
+            with pytest.raises(
+                ValueError, match=rf"{name} applies to \.csv files, not to .*leave it out"
+            ):
                 read_session(path, **{name: value})
     with pytest.raises(RecipeError, match="delimiter must be one of"):
         read_session(paths[0], delimiter=";;")
@@ -230,11 +274,17 @@ def test_resampling_only_when_asked(tmp_path):
     linear = read_session(path, resample="linear", sample_time=0.5)
     np.testing.assert_allclose(linear.t, np.arange(9) * 0.5, atol=0)
     np.testing.assert_allclose(linear["p_r"], [0, 5, 10, 20, 30, 40, 30, 20, 10])
-    np.testing.assert_array_equal(linear["mode"], [1, 1, 1, 1, 1, 0, 0, 0, 0])  # a state is held, not halved
+    np.testing.assert_array_equal(
+        linear["mode"], [1, 1, 1, 1, 1, 0, 0, 0, 0]
+    )  # a state is held, not halved
     np.testing.assert_allclose(abs(linear["yaw"][1]), np.pi)  # the short way round
     assert linear.metadata.more["resampled"] == "linear at 0.5 s; longest gap in the log 1.5 s"
-    np.testing.assert_array_equal(read_session(path, resample="previous", sample_time=1.0)["p_r"], [0, 10, 10, 40, 10])
-    np.testing.assert_array_equal(read_session(path, resample="nearest", sample_time=1.0)["p_r"], [0, 10, 40, 40, 10])
+    np.testing.assert_array_equal(
+        read_session(path, resample="previous", sample_time=1.0)["p_r"], [0, 10, 10, 40, 10]
+    )
+    np.testing.assert_array_equal(
+        read_session(path, resample="nearest", sample_time=1.0)["p_r"], [0, 10, 40, 40, 10]
+    )
     # No extrapolation: the grid ends before the log does.
     assert read_session(path, resample="linear", sample_time=1.5).t[-1] == 3.0
     for options, fragment in [
@@ -249,14 +299,24 @@ def test_resampling_only_when_asked(tmp_path):
     refused(path, "at most 20000000", resample="linear", sample_time=1e-9)
     refused(path, "fewer than two", resample="linear", sample_time=100.0)
     # Faults that resampling would hide are told all the same.
-    refused(write(tmp_path, text.replace("40", "nan")), "line 4", resample="nearest", sample_time=1.0)
-    refused(write(tmp_path, text.replace("2.5", "1")), "line 4", "repeats", resample="nearest", sample_time=1.0)
+    refused(
+        write(tmp_path, text.replace("40", "nan")), "line 4", resample="nearest", sample_time=1.0
+    )
+    refused(
+        write(tmp_path, text.replace("2.5", "1")),
+        "line 4",
+        "repeats",
+        resample="nearest",
+        sample_time=1.0,
+    )
 
 
 def test_previous_does_not_lose_a_sample_to_rounding(tmp_path):
     t = np.array([0.1 * 3, 0.7, 0.1 * 8])
     assert (0.0 + 0.1 * np.arange(9))[3] != 0.3
-    path = write(tmp_path, "t,p_r\n0,0\n" + "".join(f"{a!r},{k + 1}\n" for k, a in enumerate(t.tolist())))
+    path = write(
+        tmp_path, "t,p_r\n0,0\n" + "".join(f"{a!r},{k + 1}\n" for k, a in enumerate(t.tolist()))
+    )
     np.testing.assert_array_equal(
         read_session(path, resample="previous", sample_time=0.1)["p_r"], [0, 0, 0, 1, 1, 1, 1, 2, 3]
     )
@@ -271,7 +331,8 @@ def parquet(tmp_path, columns, metadata=None):
 def test_plain_parquet(tmp_path):
     path = tmp_path / "run.parquet"
     frame = pd.DataFrame(
-        {"mode": [True, False], "p_r": np.array([1, 2], dtype="float32")}, index=pd.Index([0.0, 1.0], name="t")
+        {"mode": [True, False], "p_r": np.array([1, 2], dtype="float32")},
+        index=pd.Index([0.0, 1.0], name="t"),
     )
     frame.to_parquet(path)
     assert read_session(path).data.to_dict("list") == {"mode": [1.0, 0.0], "p_r": [1.0, 2.0]}
@@ -282,12 +343,18 @@ def test_plain_parquet(tmp_path):
     [
         ({"t": [0.0, 1.0, 2.0], "p_r": [1.0, None, 3.0]}, ["row 1", "'p_r'", "missing"]),
         ({"t": [0.0, 1.0, 1.0], "p_r": [1.0, 2.0, 3.0]}, ["row 2", "repeats"]),
-        ({"t": [0.0, 1.0], "p_r": ["a", "b"]}, ["'p_r'", "holds string", "write numbers", "recipe's map"]),
+        (
+            {"t": [0.0, 1.0], "p_r": ["a", "b"]},
+            ["'p_r'", "holds string", "write numbers", "recipe's map"],
+        ),
         (
             {"t": [0.0, 1.0], "p_r": pa.array(["a", "b"]).dictionary_encode()},
             ["'p_r'", "holds string", "write numbers"],
         ),
-        ({"t": pd.to_datetime(["2026-01-01", "2026-01-02"]), "p_r": [1.0, 2.0]}, ["'t'", "timestamp", "seconds"]),
+        (
+            {"t": pd.to_datetime(["2026-01-01", "2026-01-02"]), "p_r": [1.0, 2.0]},
+            ["'t'", "timestamp", "seconds"],
+        ),
         ({"t": [0.0, 1.0], "p_r": [[1.0], [2.0]]}, ["'p_r'", "list"]),
         ({"t": pa.array([], pa.float64()), "p_r": pa.array([], pa.float64())}, ["no rows"]),
         ({"t": [0.0, 1.0], "p_rr": [1.0, 2.0]}, ["'p_rr'", "did you mean 'p_r'"]),
@@ -298,13 +365,21 @@ def test_bad_parquet(tmp_path, columns, fragments):
 
 
 def test_a_parquet_file_with_a_recipe(tmp_path):
-    """Oracle: the numbers written; stamps of 1.7e18 ns would be 256 ns apart if they became floats too early."""
+    """
+    Oracle: the numbers written; stamps of 1.7e18 ns would be 256 ns apart if they became floats too
+    early.
+    """
     recipe = tl.sessions.Recipe.from_toml(
         'kind = "table"\n[time]\ncolumn = "stamp"\nunit = "ns"\nfrom_zero = true\n'
-        '[columns]\nmode = { column = "who", map = { H = 1, R = 0 } }\nrobot_x = { column = "x", unit = "cm" }\n'
+        '[columns]\nmode = { column = "who", map = { H = 1, R = 0 } }\nrobot_x = { column = '
+        '"x", unit = "cm" }\n'
     )
     start = 1_700_000_000_123_456_789
-    columns = {"stamp": [start, start + 1_000, start + 2_000], "who": ["H", "R", "H"], "x": [0, 50, 100]}
+    columns = {
+        "stamp": [start, start + 1_000, start + 2_000],
+        "who": ["H", "R", "H"],
+        "x": [0, 50, 100],
+    }
     read = read_session(parquet(tmp_path, columns), recipe=recipe)
     np.testing.assert_array_equal(read.t, np.array([0, 1_000, 2_000]) * 1e-9)
     np.testing.assert_array_equal(read["mode"], [1, 0, 1])
@@ -317,20 +392,33 @@ def test_damaged_parquet(tmp_path, session):
     data = write_session(session, tmp_path / "run.parquet").read_bytes()
     for cut in (0, 3, 50, len(data) // 2, len(data) - 1):
         refused(write(tmp_path, data[:cut], "cut.parquet"), "empty" if cut == 0 else "truncated")
-    refused(parquet(tmp_path, {"t": [0.0, 1.0], "p_r": [1.0, 2.0]}, {"trustlab": "{"}), "metadata are damaged")
+    refused(
+        parquet(tmp_path, {"t": [0.0, 1.0], "p_r": [1.0, 2.0]}, {"trustlab": "{"}),
+        "metadata are damaged",
+    )
 
 
 def test_folders(tmp_path, session):
     for participant in (10, 9, "x"):
         for trial in (2, 10, 1):
             each = session.with_metadata(participant=participant, trial=trial)
-            write_session(each, tmp_path / f"p{participant}_{trial}.{'csv' if trial > 1 else 'parquet'}")
+            write_session(
+                each, tmp_path / f"p{participant}_{trial}.{'csv' if trial > 1 else 'parquet'}"
+            )
     (tmp_path / "notes.txt").write_text("not a log")
     seen = []
     read = read_sessions(tmp_path, progress=lambda done, total: seen.append((done, total)))
     assert [(each.metadata.participant, each.metadata.more["trial"]) for each in read] == [
-        (9, 1), (9, 2), (9, 10), (10, 1), (10, 2), (10, 10), ("x", 1), ("x", 2), ("x", 10),
-    ]  # fmt: skip
+        (9, 1),
+        (9, 2),
+        (9, 10),
+        (10, 1),
+        (10, 2),
+        (10, 10),
+        ("x", 1),
+        ("x", 2),
+        ("x", 10),
+    ]
     assert seen == [(k, 9) for k in range(1, 10)]
     (tmp_path / "p9_2.csv").write_text(HEAD)
     with pytest.raises(SessionError, match=r"p9_2\.csv: line 1"):
@@ -345,7 +433,8 @@ def test_folders(tmp_path, session):
 
 
 def test_tables_without_fault_are_read_by_the_compiled_reader(tmp_path, session, monkeypatch):
-    # 240 files of 416 rows are read in less than a second that way; row by row it would take several.
+    # 240 files of 416 rows are read in less than a second that way; row by row it would take
+    # several.
     path = write_session(session, tmp_path / "a.csv")
     monkeypatch.setattr("trustlab.sessions.readers.csv_files._scan", None)
     assert read_session(path) == session
@@ -360,7 +449,9 @@ def test_no_warnings_and_no_shadowed_names(tmp_path, session):
 
 
 def test_old_names_work_and_say_the_new_one():
-    with pytest.warns(DeprecationWarning, match=r"is now trustlab\.sessions\.recipe\.Recipe") as caught:
+    with pytest.warns(
+        DeprecationWarning, match=r"is now trustlab\.sessions\.recipe\.Recipe"
+    ) as caught:
         assert tl.sessions.recipes.Recipe is tl.sessions.Recipe
     assert caught[0].filename == __file__
     with pytest.warns(DeprecationWarning, match=r"is now trustlab\.sessions\.recipe\.Recipe"):
@@ -370,4 +461,9 @@ def test_old_names_work_and_say_the_new_one():
 
 def test_what_is_written_says_what_it_is(tmp_path, session):
     write_session(session, tmp_path / "a.csv")
-    assert json.loads((tmp_path / "a.csv").read_text().splitlines()[0].removeprefix("# trustlab "))["participant"] == 8
+    assert (
+        json.loads((tmp_path / "a.csv").read_text().splitlines()[0].removeprefix("# trustlab "))[
+            "participant"
+        ]
+        == 8
+    )

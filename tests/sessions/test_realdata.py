@@ -1,4 +1,7 @@
-"""The shared-control study of Pan et al. (2024), where its files are. Oracle: its own header and measures."""
+"""
+The shared-control study of Pan et al. (2024), where its files are. Oracle: its own header and
+measures.
+"""
 
 import os
 import shutil
@@ -11,8 +14,13 @@ import pytest
 
 from trustlab.sessions import SessionError, read_session, read_sessions
 
-DATA = Path(os.environ.get("TRUSTLAB_DATA") or Path(__file__).parents[2] / "data" / "external") / "autonomy_cl_trust"
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the real sessions are not here: no folder {DATA}")
+DATA = (
+    Path(os.environ.get("TRUSTLAB_DATA") or Path(__file__).parents[2] / "data" / "external")
+    / "autonomy_cl_trust"
+)
+pytestmark = pytest.mark.skipif(
+    not DATA.is_dir(), reason=f"the real sessions are not here: no folder {DATA}"
+)
 
 
 @pytest.fixture(scope="module")
@@ -33,12 +41,15 @@ def test_what_there_is(sessions):
         assert session.sample_time == pytest.approx(0.024)
         np.testing.assert_array_equal(session["mode"], round(1 - more["autonomy"], 1))
         # Column 10 is the distance in y and z.
-        distance = np.hypot(session["robot_y"] - session["reference_y"], session["robot_z"] - session["reference_z"])
+        distance = np.hypot(
+            session["robot_y"] - session["reference_y"], session["robot_z"] - session["reference_z"]
+        )
         np.testing.assert_allclose(session["path_error"], distance, atol=1e-12)
 
 
 def test_the_robot_followed_the_mixture(sessions):
-    # The recipe's reading of columns 0-8 and of alpha_id: robot = share · human + (1 − share) · reference.
+    # The recipe's reading of columns 0-8 and of alpha_id: robot = share · human + (1 − share) ·
+    # reference.
     for session in sessions:
         for axis in "yz":
             share = session["mode"]
@@ -64,7 +75,10 @@ def test_mean_errors_against_the_header(sessions):
 def test_any_folder_above_and_one_file(sessions):
     assert read_sessions(DATA / "raw", recipe="autonomy_cl_trust") == sessions
     assert read_sessions(DATA / "raw" / "part25", recipe="autonomy_cl_trust") == sessions[210:]
-    assert read_session(DATA / "raw" / "part25" / "trial3.csv", recipe="autonomy_cl_trust") == sessions[212]
+    assert (
+        read_session(DATA / "raw" / "part25" / "trial3.csv", recipe="autonomy_cl_trust")
+        == sessions[212]
+    )
 
 
 def test_two_hundred_and_forty_files_in_four_seconds_of_the_processor():
@@ -85,7 +99,11 @@ def test_the_replaced_participant_and_others(tmp_path):
     assert all("part25" in s.metadata.source for s in found[:30])
     # Without its replacement participant 8 stands.
     shutil.rmtree(tmp_path / "part25")
-    assert [s.metadata.participant for s in read_sessions(tmp_path, recipe="autonomy_cl_trust")] == [8] * 30 + [24] * 30
+    assert [
+        s.metadata.participant for s in read_sessions(tmp_path, recipe="autonomy_cl_trust")
+    ] == [8] * 30 + [24] * 30
     (tmp_path / "part24" / "trial17.csv").unlink()
-    with pytest.raises(SessionError, match=r"part24_header\.csv: line 18: names trial_number 17, which has no file"):
+    with pytest.raises(
+        SessionError, match=r"part24_header\.csv: line 18: names trial_number 17, which has no file"
+    ):
         read_sessions(tmp_path, recipe="autonomy_cl_trust")

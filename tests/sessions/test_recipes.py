@@ -6,7 +6,14 @@ import warnings
 import numpy as np
 import pytest
 
-from trustlab.sessions import RecipeError, SessionError, list_recipes, load_recipe, read_session, read_sessions
+from trustlab.sessions import (
+    RecipeError,
+    SessionError,
+    list_recipes,
+    load_recipe,
+    read_session,
+    read_sessions,
+)
 from trustlab.sessions.patterns import PathPattern, natural_key
 from trustlab.sessions.recipe import Recipe
 from trustlab.sessions.vocabulary import UNITS, to_si
@@ -57,7 +64,10 @@ training = { from = "block", map = { 0 = true }, default = false }
 site = { value = "north" }
 synthetic = { value = true }
 """
-ROWS = "logger v2\nstamp;x;y;heading;driver;junk\n5000;0;5;180;HUMAN;a\n5100;100;1,5;-90;ROBOT;b\n5200;400;5;0;both;c\n"
+ROWS = (
+    "logger "
+    "v2\nstamp;x;y;heading;driver;junk\n5000;0;5;180;HUMAN;a\n5100;100;1,5;-90;ROBOT;b\n5200;400;5;0;both;c\n"
+)
 
 
 def lay(tmp_path, recipe=LAB, people=(1, 2), runs=(1, 2, 3)):
@@ -66,7 +76,8 @@ def lay(tmp_path, recipe=LAB, people=(1, 2), runs=(1, 2, 3)):
         folder = tmp_path / "raw" / f"p{who}"
         folder.mkdir(parents=True)
         (folder / "runs.csv").write_text(
-            "run,share,level\n" + "".join(f"{k},{10 * k},{'low' if k < 3 else 'high'}\n" for k in runs)
+            "run,share,level\n"
+            + "".join(f"{k},{10 * k},{'low' if k < 3 else 'high'}\n" for k in runs)
         )
         for k in runs:
             (folder / f"run{k}.csv").write_text(ROWS)
@@ -94,9 +105,17 @@ def test_every_rule(tmp_path):
     np.testing.assert_allclose(session.t, [0, 0.1, 0.2], rtol=1e-15)
     metadata = session.metadata
     assert (metadata.participant, metadata.condition, metadata.synthetic) == (2, "high", True)
-    assert dict(metadata.more) == {"start_time": 5.0, "trial": 3, "block": 2, "training": False, "site": "north"}
+    assert dict(metadata.more) == {
+        "start_time": 5.0,
+        "trial": 3,
+        "block": 2,
+        "training": False,
+        "site": "north",
+    }
     # Columns by name bring what they are computed from, and no more.
-    assert read_session(tmp_path / "raw/p2/run3.csv", recipe=recipe, columns=["path_error"]).columns == ["path_error"]
+    assert read_session(
+        tmp_path / "raw/p2/run3.csv", recipe=recipe, columns=["path_error"]
+    ).columns == ["path_error"]
     with pytest.raises(SessionError, match="no column 'path_eror'; did you mean 'path_error'"):
         read_session(tmp_path / "raw/p2/run3.csv", recipe=recipe, columns=["path_eror"])
 
@@ -141,7 +160,10 @@ def test_headers_and_files_name_each_other(tmp_path):
     (folder / "run4.csv").rename(folder / "run3.csv")
 
     for text, fragments in [
-        (good.replace("run,", "rum,"), ["runs.csv: line 1", "'run' is missing", "did you mean 'rum'"]),
+        (
+            good.replace("run,", "rum,"),
+            ["runs.csv: line 1", "'run' is missing", "did you mean 'rum'"],
+        ),
         (good.replace("share", "run"), ["line 1", "'run' occurs twice"]),
         (good + "3,1,low\n", ["line 5", "occurs twice, first in line 4"]),
         (good + "4,1\n", ["line 5", "2 cells", "3"]),
@@ -185,8 +207,16 @@ def test_faults_are_told_in_the_words_of_the_file(tmp_path):
         path.write_text(ROWS.replace(old, new))
         fails(read, str(path), *fragments)
     path.write_text(ROWS)
-    fails(lambda: read_session(path.rename(tmp_path / "run1.csv"), recipe=recipe), "does not fit", "p{who:int}")
-    fails(lambda: read_sessions(tmp_path / "raw" / "p1", recipe="autonomy_cl_trust"), "no file", "part{folder:int}")
+    fails(
+        lambda: read_session(path.rename(tmp_path / "run1.csv"), recipe=recipe),
+        "does not fit",
+        "p{who:int}",
+    )
+    fails(
+        lambda: read_sessions(tmp_path / "raw" / "p1", recipe="autonomy_cl_trust"),
+        "no file",
+        "part{folder:int}",
+    )
 
 
 SIGNED = """
@@ -207,9 +237,19 @@ def test_a_signed_deviation_becomes_a_distance(tmp_path):
     session = read_session(path, recipe=tmp_path / "my_lab.toml")
     np.testing.assert_allclose(session["path_error"], [0.3, 0.0, 0.2], rtol=1e-15)
     (tmp_path / "my_lab.toml").write_text(SIGNED.replace(", absolute = true", ""))
-    fails(lambda: read_session(path, recipe=tmp_path / "my_lab.toml"), "line 2", "-0.3", "absolute = true")
+    fails(
+        lambda: read_session(path, recipe=tmp_path / "my_lab.toml"),
+        "line 2",
+        "-0.3",
+        "absolute = true",
+    )
     (tmp_path / "my_lab.toml").write_text(SIGNED.replace("absolute = true", 'absolute = "yes"'))
-    fails(lambda: load_recipe(tmp_path / "my_lab.toml"), "path_error: absolute", "true or false", "'yes'")
+    fails(
+        lambda: load_recipe(tmp_path / "my_lab.toml"),
+        "path_error: absolute",
+        "true or false",
+        "'yes'",
+    )
 
 
 def test_a_recipe_and_a_delimiter_that_were_meant(tmp_path):
@@ -218,13 +258,19 @@ def test_a_recipe_and_a_delimiter_that_were_meant(tmp_path):
     fails(lambda: load_recipe(tmp_path / "mylab.toml"), "did you mean 'my_lab.toml'")
     for mark, shown in ((";", '";"'), ("\t", '"\\t"')):
         path.write_text(f"t{mark}cte\n0{mark}1\n1{mark}2\n")
-        fails(lambda: read_session(path, recipe=recipe), "line 1", "one column only", f"[table] delimiter = {shown}")
+        fails(
+            lambda: read_session(path, recipe=recipe),
+            "line 1",
+            "one column only",
+            f"[table] delimiter = {shown}",
+        )
         recipe.write_text(SIGNED.replace("[time]", f"[table]\ndelimiter = {shown}\n[time]"))
         assert len(read_session(path, recipe=recipe)) == 2
         recipe.write_text(SIGNED)
     path.write_text("t,cte\n0,1\n1,2\n")
     recipe.write_text(
-        SIGNED + '[files]\npattern = "{who}_{trial:int}.csv"\n[metadata]\nparticipant = { from = "who" }\n'
+        SIGNED
+        + '[files]\npattern = "{who}_{trial:int}.csv"\n[metadata]\nparticipant = { from = "who" }\n'
     )
     fails(lambda: read_session(path, recipe=recipe), "does not fit", "rename", "[metadata]")
     recipe.write_text(SIGNED + '[files]\npattern = "{who}_{trial:int}.csv"\n')
@@ -234,7 +280,9 @@ def test_a_recipe_and_a_delimiter_that_were_meant(tmp_path):
 def test_the_same_session_twice(tmp_path):
     recipe = lay(tmp_path)
     lay(tmp_path / "copy" if (tmp_path / "copy").mkdir() is None else tmp_path)
-    fails(lambda: read_sessions(tmp_path, recipe=recipe), "both who 1, trial 1", "one of the folders")
+    fails(
+        lambda: read_sessions(tmp_path, recipe=recipe), "both who 1, trial 1", "one of the folders"
+    )
 
 
 def test_metadata_maps_without_a_way_out(tmp_path):
@@ -259,7 +307,11 @@ def test_metadata_maps_without_a_way_out(tmp_path):
         ('unit = "mm"', 'unit = "mmm"', ["robot_x", "unknown unit 'mmm'", "did you mean 'mm'"]),
         ('unit = "mm"', 'unit = "ms"', ["robot_x", "'ms' measures s, but m is needed"]),
         (', unit = "mm"', "", ["robot_x", "needs its unit", "m"]),
-        ('unit = "ms"', 'unit = "furlong"', ["[time]", "unit must be one of 'iso', 'clock'", "'furlong'"]),
+        (
+            'unit = "ms"',
+            'unit = "furlong"',
+            ["[time]", "unit must be one of 'iso', 'clock'", "'furlong'"],
+        ),
         ("scale =", "scal =", ["robot_y", "unknown key 'scal'", "did you mean 'scale'"]),
         ("scale = -1.0", 'scale = "x"', ["robot_y: scale", "'x'"]),
         ("scale = -1.0", "scale = nan", ["robot_y: scale", "finite"]),
@@ -275,16 +327,36 @@ def test_metadata_maps_without_a_way_out(tmp_path):
             'distance = ["robot", "target"]',
             ["path_error: distance must be one of 'robot', 'reference'", "'target'"],
         ),
-        ('distance = ["robot", "reference"]', 'distance = ["robot", "human"]', ["human_x", "no rule"]),
+        (
+            'distance = ["robot", "reference"]',
+            'distance = ["robot", "human"]',
+            ["human_x", "no rule"],
+        ),
         ('axes = ["x", "y"]', 'axes = ["x", "w"]', ["axes", "'w'"]),
-        ('from = "who"', 'from = "whom"', ["participant", "nothing is called 'whom'", "did you mean 'who'"]),
+        (
+            'from = "who"',
+            'from = "whom"',
+            ["participant", "nothing is called 'whom'", "did you mean 'who'"],
+        ),
         ('from = "block"', 'from = "traning"', ["training", "nothing is called"]),
         ("bins = [1, 2]", "bins = [2, 1]", ["block", "rising"]),
         ('value = "north"', 'value = "north", from = "who"', ["site", "either from or value"]),
-        ("default = false", "defualt = false", ["training", "unknown key", "did you mean 'default'"]),
-        ('keys = { trial = "run" }', 'keys = { trail = "run" }', ["[header]", "'trail'", "did you mean 'trial'"]),
+        (
+            "default = false",
+            "defualt = false",
+            ["training", "unknown key", "did you mean 'default'"],
+        ),
+        (
+            'keys = { trial = "run" }',
+            'keys = { trail = "run" }',
+            ["[header]", "'trail'", "did you mean 'trial'"],
+        ),
         ("p{who}/runs", "p{whom}/runs", ["[header] file", "'whom'", "did you mean 'who'"]),
-        ("{who:int}", "{who:integer}", ["[files]", "type of field 'who'", "'integer'", "did you mean 'int'"]),
+        (
+            "{who:int}",
+            "{who:integer}",
+            ["[files]", "type of field 'who'", "'integer'", "did you mean 'int'"],
+        ),
         ("{who:int}", "{who:int", ["brace"]),
         ('field = "who"', 'field = "whom"', ["[supersedes]", "who"]),
         ('delimiter = ";"', 'delimiter = ";;"', ["delimiter"]),
@@ -297,7 +369,11 @@ def test_metadata_maps_without_a_way_out(tmp_path):
             "[resampling]\nmethod = 'lin'\nsample_time = 1\n[time]",
             ["[resampling]: method must be", "'lin'", "did you mean 'linear'"],
         ),
-        ("[time]", "[resampling]\nmethod = 'linear'\nsample_time = 0\n[time]", ["sample_time must be positive"]),
+        (
+            "[time]",
+            "[resampling]\nmethod = 'linear'\nsample_time = 0\n[time]",
+            ["sample_time must be positive"],
+        ),
         ("[time]", "[time", ["not a TOML file"]),
         ("site =", "source =", ["this name is taken"]),
     ],
@@ -317,7 +393,9 @@ def test_recipes_by_name_path_and_object(tmp_path):
     assert load_recipe(recipe) is recipe
     path = lay(tmp_path)
     assert load_recipe(path) == load_recipe(str(path))
-    with pytest.raises(RecipeError, match=r"no recipe 'ros_ground_robt'.*did you mean 'ros_ground_robot'.*known"):
+    with pytest.raises(
+        RecipeError, match=r"no recipe 'ros_ground_robt'.*did you mean 'ros_ground_robot'.*known"
+    ):
         load_recipe("ros_ground_robt")
     for wrong in (3, None, tmp_path, "", "a\0b"):
         with pytest.raises(RecipeError):
@@ -348,18 +426,32 @@ def test_patterns():
     assert match.texts["who"] == "07"
     assert PathPattern("p{who}/p{who}.csv").match("p1/p2.csv") is None
     assert PathPattern("a.csv").match("x/abcsv") is None
-    assert sorted(["b", 10, "a10", "a2", 2, None], key=natural_key) == [2, 10, "a2", "a10", "b", None]
+    assert sorted(["b", 10, "a10", "a2", 2, None], key=natural_key) == [
+        2,
+        10,
+        "a2",
+        "a10",
+        "b",
+        None,
+    ]
 
 
 def test_patterns_match_in_time_that_grows_with_the_path():
-    """A name of underscores that does not fit: each field more would otherwise multiply the places to try."""
+    """
+    A name of underscores that does not fit: each field more would otherwise multiply the places to
+    try.
+    """
     pattern = PathPattern("".join(f"{{f{k}}}_" for k in range(12)) + "end.csv")
     begun = time.process_time()
     assert pattern.match("/data/" + "_" * 240 + ".csv") is None
     assert time.process_time() - begun < 0.5
     names = "a b c d e f g h i j k l".split()  # noqa: SIM905
     assert list(pattern.match("/data/" + "_".join(names) + "_end.csv").fields.values()) == names
-    assert PathPattern("{a}_{b}_{n:int}.csv").match("/x/1_2_3_4.csv").fields == {"a": "1", "b": "2_3", "n": 4}
+    assert PathPattern("{a}_{b}_{n:int}.csv").match("/x/1_2_3_4.csv").fields == {
+        "a": "1",
+        "b": "2_3",
+        "n": 4,
+    }
     with pytest.raises(ValueError, match=r"more than 3 \* in one name"):
         PathPattern("*a*b*c*.csv")
 
@@ -373,7 +465,10 @@ def test_header_files_lie_below_the_folder(tmp_path, where):
 def test_a_folder_below_the_header(tmp_path):
     """The header names sessions of other folders too, which are not asked for."""
     recipe = lay(
-        tmp_path, LAB.replace("p{who}/runs.csv", "index.csv").replace('trial = "run"', 'who = "who", trial = "run"')
+        tmp_path,
+        LAB.replace("p{who}/runs.csv", "index.csv").replace(
+            'trial = "run"', 'who = "who", trial = "run"'
+        ),
     )
     rows = [f"{who},{k},{10 * k},low\n" for who in (1, 2) for k in (1, 2, 3)]
     (tmp_path / "raw" / "index.csv").write_text("who,run,share,level\n" + "".join(rows))
@@ -384,7 +479,9 @@ def test_a_folder_below_the_header(tmp_path):
 def test_tables_of_100_000_columns_in_linear_time(tmp_path):
     names = ["t", *(f"c{k}" for k in range(100_000)), "p_r"]
     row = ",".join(["{}"] + ["0"] * 100_000 + ["0.5"])
-    (tmp_path / "wide.csv").write_text(",".join(names) + "\n" + "".join(row.format(k) + "\n" for k in range(3)))
+    (tmp_path / "wide.csv").write_text(
+        ",".join(names) + "\n" + "".join(row.format(k) + "\n" for k in range(3))
+    )
     begun = time.process_time()
     assert read_session(tmp_path / "wide.csv", columns=["p_r"]).columns == ["p_r"]
     fails(lambda: read_session(tmp_path / "wide.csv"), "column 'c0' is not in the vocabulary")
@@ -410,7 +507,9 @@ def test_columns_that_are_no_means_are_said_to_be_none(tmp_path):
         warnings.simplefilter("error")
         session = read_session(path, recipe=Recipe.from_toml(TABLE.format(unit="ms")))
     assert session.metadata.more["performance_window"] == 0.0
-    with pytest.warns(UserWarning, match=r"a\.csv: samples are 100 s apart; if these are milliseconds") as caught:
+    with pytest.warns(
+        UserWarning, match=r"a\.csv: samples are 100 s apart; if these are milliseconds"
+    ) as caught:
         read_session(path, recipe=Recipe.from_toml(TABLE.format(unit="s")))
     assert caught[0].filename == __file__
 
@@ -418,16 +517,30 @@ def test_columns_that_are_no_means_are_said_to_be_none(tmp_path):
 def test_a_threshold_that_divides_nothing_is_told(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("t,trigger,p_r\n0,0.1,0.3\n100,0.2,0.3\n200,0.1,0.3\n")
-    with pytest.warns(UserWarning, match=r"a\.csv: column mode is 0 throughout: 2\.5 divides no sample"):
+    with pytest.warns(
+        UserWarning, match=r"a\.csv: column mode is 0 throughout: 2\.5 divides no sample"
+    ):
         read_session(path, recipe=Recipe.from_toml(TABLE.format(unit="ms")))
 
 
 @pytest.mark.parametrize(
     ("before", "after", "says"),
     [
-        ('unit = "s"', 'unit = "ISO8601"', r"'iso', 'clock', 's', .* got 'ISO8601'; did you mean 'iso'"),
-        ("[columns]", "[columns]\nperformance_window = 3", "performance_window goes above the first"),
-        ("mode =", "driver =", r"\[columns\] driver: not in the vocabulary.*trustlab\.sessions\.vocabulary\(\)"),
+        (
+            'unit = "s"',
+            'unit = "ISO8601"',
+            r"'iso', 'clock', 's', .* got 'ISO8601'; did you mean 'iso'",
+        ),
+        (
+            "[columns]",
+            "[columns]\nperformance_window = 3",
+            "performance_window goes above the first",
+        ),
+        (
+            "mode =",
+            "driver =",
+            r"\[columns\] driver: not in the vocabulary.*trustlab\.sessions\.vocabulary\(\)",
+        ),
     ],
 )
 def test_a_mistake_in_a_recipe_comes_with_the_remedy(before, after, says):
@@ -437,7 +550,15 @@ def test_a_mistake_in_a_recipe_comes_with_the_remedy(before, after, says):
 
 def test_positions_come_from_the_log():
     """A recipe at random: a position that is computed from itself raised a bare KeyError."""
-    for rule in ('{ travelled = "robot", axes = ["x"] }', '{ distance = ["robot", "reference"], axes = ["x"] }'):
-        text = f'kind = "table"\n[time]\nunit = "s"\n[columns]\nr = {{ column = "r" }}\nrobot_x = {rule}\n'
-        with pytest.raises(RecipeError, match=r"robot_x: needs column 'robot_x', which is itself computed"):
+    for rule in (
+        '{ travelled = "robot", axes = ["x"] }',
+        '{ distance = ["robot", "reference"], axes = ["x"] }',
+    ):
+        text = (
+            'kind = "table"\n[time]\nunit = "s"\n[columns]\nr = { column = "r" }\nrobot_x = '
+            f"{rule}\n"
+        )
+        with pytest.raises(
+            RecipeError, match=r"robot_x: needs column 'robot_x', which is itself computed"
+        ):
             Recipe.from_toml(text)

@@ -34,7 +34,11 @@ def test_names_work_as_those_of_a_data_frame():
     assert 0 not in session
     assert list(session) == session.keys() == ["t", "mode", "p_r"]
     assert all(name in session for name in session)
-    assert {name: len(values) for name, values in dict(session).items()} == {"t": 11, "mode": 11, "p_r": 11}
+    assert {name: len(values) for name, values in dict(session).items()} == {
+        "t": 11,
+        "mode": 11,
+        "p_r": 11,
+    }
     session.require("t", "mode")
     with pytest.raises(tl.SessionError, match=r"indexed by a column's name, got 0"):
         session[0]
@@ -78,7 +82,10 @@ def test_jitter_within_the_tolerance_is_kept_as_it_is():
     [
         ({"p_rr": 1.0}, "'p_rr' is not in the vocabulary; did you mean 'p_r'"),
         ({"p_r": [0.1, 0.2, np.nan, 0.3, 0.4]}, r"row 2, column 'p_r', t = 0.2 s: nan is missing"),
-        ({"path_error": [0.1, 0.2, 0.0, -0.3, 0.4]}, r"row 3, column 'path_error', t = 0.3 s: -0.3 lies outside"),
+        (
+            {"path_error": [0.1, 0.2, 0.0, -0.3, 0.4]},
+            r"row 3, column 'path_error', t = 0.3 s: -0.3 lies outside",
+        ),
         ({"r": [0, 0, 0, 0, 1.01]}, "'r'.*lies outside"),
         ({"p_r": list("abcde")}, "must hold numbers"),
     ],
@@ -103,7 +110,9 @@ def test_other_faults():
 
 
 def test_metadata_travels_and_can_be_added():
-    session = tl.Session(frame(), tl.Metadata(participant=3, condition="C1", synthetic=True, more={"trial": 2}))
+    session = tl.Session(
+        frame(), tl.Metadata(participant=3, condition="C1", synthetic=True, more={"trial": 2})
+    )
     assert session.label == "operator 3, C1, trial 2, synthetic"
     assert repr(session).endswith("columns mode; metadata.more: trial)")
     changed = session.with_metadata(condition="C2", block=1)
@@ -127,7 +136,9 @@ def test_parts_and_added_columns():
     assert more.columns == ["mode", "p_r"]
     assert (session.with_columns(p_r=0.3)["p_r"] == 0.3).all()
     for wrong in ([1.0, 2.0], [], np.zeros((11, 2))):
-        with pytest.raises(tl.SessionError, match=r"column 'p_r' is of shape .* the session has 11 samples"):
+        with pytest.raises(
+            tl.SessionError, match=r"column 'p_r' is of shape .* the session has 11 samples"
+        ):
             session.with_columns(p_r=wrong)
     with pytest.raises(tl.SessionError, match=r"no column 'p_h'; did you mean 'p_r'\?"):
         more.require("mode", "p_h")
@@ -167,7 +178,9 @@ def test_paths_of_several_sessions():
     assert [axis.get_title() for axis in axes] == ["participant 1", "operator 1, synthetic"]
     assert [line.get_label() for line in axes[0].lines] == ["operator", "robot", "reference"]
     assert axes[0].figure.get_suptitle() == "synthetic data"
-    assert tl.sessions.plot_paths([moving(False)], "yz", titles=["one"])[0].figure.get_suptitle() == ""
+    assert (
+        tl.sessions.plot_paths([moving(False)], "yz", titles=["one"])[0].figure.get_suptitle() == ""
+    )
     with pytest.raises(tl.SessionError, match="no column 'human_x'"):
         tl.sessions.plot_paths([moving(False)])
     plt.close("all")

@@ -23,11 +23,18 @@ def fresh(tmp_path_factory):
 
 def test_committed_sessions_are_what_the_generator_makes(fresh):
     names = sorted(path.name for path in FOLDER.iterdir() if path.suffix in (".csv", ".parquet"))
-    assert names == ["participant_1.parquet", *(f"participant_{k}.parquet" for k in range(2, 6)), "pilot.csv"]
+    assert names == [
+        "participant_1.parquet",
+        *(f"participant_{k}.parquet" for k in range(2, 6)),
+        "pilot.csv",
+    ]
     for name in names:
         kept, made = tl.read_session(FOLDER / name), tl.read_session(fresh / name)
-        assert kept.metadata.as_dict() | {"source": None} == made.metadata.as_dict() | {"source": None}
-        # Another platform's exp may differ in the last bit, which rounding to five decimals can turn into one unit.
+        assert kept.metadata.as_dict() | {"source": None} == made.metadata.as_dict() | {
+            "source": None
+        }
+        # Another platform's exp may differ in the last bit, which rounding to five decimals can
+        # turn into one unit.
         np.testing.assert_allclose(kept.data, made.data, rtol=0, atol=1.1e-5)
         assert kept.metadata.synthetic
         assert kept.sample_time == 0.1

@@ -20,7 +20,14 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from trustlab.sessions import Metadata, Session, SessionError, read_session, read_sessions, write_session
+from trustlab.sessions import (
+    Metadata,
+    Session,
+    SessionError,
+    read_session,
+    read_sessions,
+    write_session,
+)
 from trustlab.sessions.readers.unpacking import feather_size
 from trustlab.sessions.recipe import Recipe
 
@@ -29,7 +36,10 @@ NAMES = ["a.csv", "a.parquet", "a.bag", "a.mcap", "a"]
 
 def session(value=0.5, samples=50) -> Session:
     t = np.arange(samples) * 0.1
-    return Session(pd.DataFrame({"p_r": value + 0.0 * t, "robot_x": np.sin(t)}, index=t), Metadata(condition=value))
+    return Session(
+        pd.DataFrame({"p_r": value + 0.0 * t, "robot_x": np.sin(t)}, index=t),
+        Metadata(condition=value),
+    )
 
 
 def write_for_ever(folder: Path, begun):
@@ -43,12 +53,17 @@ def write_for_ever(folder: Path, begun):
 @pytest.fixture(scope="module")
 def processes():
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["trustlab.sessions.writers", "pyarrow.parquet", "rosbags.highlevel", "apsw"])
+    context.set_forkserver_preload(
+        ["trustlab.sessions.writers", "pyarrow.parquet", "rosbags.highlevel", "apsw"]
+    )
     return context
 
 
 def kill_writers(folder, processes, kills, seed):
-    """Kill a writer at random moments; each time, all that is there reads, is overwritten, and nothing else is left."""
+    """
+    Kill a writer at random moments; each time, all that is there reads, is overwritten, and nothing
+    else is left.
+    """
     rng = np.random.default_rng(seed)
     halfway = 0
     for _ in range(kills):
@@ -86,7 +101,9 @@ def test_a_recording_is_replaced_in_one_step(tmp_path, monkeypatch):
 
     def watched(*args):
         replace(*args)
-        seen.append(read_session(shutil.copytree(path, tmp_path / f"copy{len(seen)}")).metadata.condition)
+        seen.append(
+            read_session(shutil.copytree(path, tmp_path / f"copy{len(seen)}")).metadata.condition
+        )
 
     monkeypatch.setattr("trustlab.sessions.writers.os.replace", watched)
     write_session(session(2.0), path)
@@ -100,9 +117,12 @@ def test_files_being_written_are_no_sessions(tmp_path):
     write_session(session(), tmp_path / ".trustlab-host-1-x" / "run1.csv")
     write_session(session(), tmp_path / "run2.csv")
     recipe = Recipe.from_toml(
-        'kind = "table"\n[files]\npattern = "run{k:int}.csv"\n[time]\nunit = "s"\n[columns]\np_r = {column = "p_r"}'
+        'kind = "table"\n[files]\npattern = "run{k:int}.csv"\n[time]\nunit = '
+        '"s"\n[columns]\np_r = {column = "p_r"}'
     )
-    assert [each.metadata.source for each in read_sessions(tmp_path, recipe=recipe)] == [str(tmp_path / "run2.csv")]
+    assert [each.metadata.source for each in read_sessions(tmp_path, recipe=recipe)] == [
+        str(tmp_path / "run2.csv")
+    ]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -126,7 +146,8 @@ def test_symlink_loops(tmp_path):
     with pytest.raises(SessionError, match=r"run2\.csv: there is no such file"):
         read_session(tmp_path / "run2.csv")
     recipe = Recipe.from_toml(
-        'kind = "table"\n[files]\npattern = "run{k:int}.csv"\n[time]\nunit = "s"\n[columns]\np_r = {column = "p_r"}'
+        'kind = "table"\n[files]\npattern = "run{k:int}.csv"\n[time]\nunit = '
+        '"s"\n[columns]\np_r = {column = "p_r"}'
     )
     with pytest.raises(SessionError, match=r"run2\.csv: there is no such file"):
         read_sessions(tmp_path, recipe=recipe)
@@ -136,13 +157,18 @@ def test_symlink_loops(tmp_path):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_flipped_bit_is_noticed(tmp_path, name):
-    """Whatever bit is flipped, the file reads as it was or is refused; without the digests, other numbers are read."""
+    """
+    Whatever bit is flipped, the file reads as it was or is refused; without the digests, other
+    numbers are read.
+    """
     path = write_session(session(samples=40), tmp_path / name)
     file = next(path.glob("*.db3")) if path.is_dir() else path
     data = file.read_bytes()
     rng = np.random.default_rng(3)
     for at in rng.integers(len(data), size=60):
-        file.write_bytes(data[:at] + bytes([data[at] ^ (1 << int(rng.integers(8)))]) + data[at + 1 :])
+        file.write_bytes(
+            data[:at] + bytes([data[at] ^ (1 << int(rng.integers(8)))]) + data[at + 1 :]
+        )
         try:
             assert read_session(path) == session(samples=40)
         except SessionError as error:
@@ -155,7 +181,8 @@ def test_a_flipped_bit_of_a_number_is_named(tmp_path):
     at = text.index(f",{float(np.sin(0.5))!r}")
     path.write_text(text[: at + 5] + str(9 - int(text[at + 5])) + text[at + 6 :])
     with pytest.raises(
-        SessionError, match=r"a\.csv: column 'robot_x' is not as trustlab wrote it.*remove the first line"
+        SessionError,
+        match=r"a\.csv: column 'robot_x' is not as trustlab wrote it.*remove the first line",
     ):
         read_session(path)
     (tmp_path / "edited.csv").write_text(path.read_text().split("\n", 1)[1])
@@ -180,7 +207,9 @@ def bomb(path: Path, samples=2, size=40_000_000):
     kind = "std_msgs/msg/Float64MultiArray"
     layout = store.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=1)
     message = store.types[kind](layout=layout, data=np.zeros(size // 8))
-    data = bytes(store.serialize_ros1(message, kind) if ros1 else store.serialize_cdr(message, kind))
+    data = bytes(
+        store.serialize_ros1(message, kind) if ros1 else store.serialize_cdr(message, kind)
+    )
     folder = path if path.suffix in ("", ".bag") else path.with_suffix("")
     if ros1:
         writer = Writer1(folder)
@@ -188,7 +217,9 @@ def bomb(path: Path, samples=2, size=40_000_000):
     else:
         plugin = StoragePlugin.MCAP if path.suffix == ".mcap" else StoragePlugin.SQLITE3
         writer = Writer2(folder, version=8, storage_plugin=plugin)
-        mode = {"file": CompressionMode.FILE, "b": CompressionMode.MESSAGE}.get(path.name, CompressionMode.STORAGE)
+        mode = {"file": CompressionMode.FILE, "b": CompressionMode.MESSAGE}.get(
+            path.name, CompressionMode.STORAGE
+        )
         writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
         topic = writer.add_connection("/p", kind, typestore=store)
@@ -202,7 +233,11 @@ def bomb(path: Path, samples=2, size=40_000_000):
 def test_bags_that_unpack_to_much(tmp_path, name):
     path = tmp_path / name
     bomb(path)
-    packed = path.stat().st_size if path.is_file() else sum(file.stat().st_size for file in path.iterdir())
+    packed = (
+        path.stat().st_size
+        if path.is_file()
+        else sum(file.stat().st_size for file in path.iterdir())
+    )
     assert packed < 200_000
     recipe = Recipe.from_toml(BAG)
     assert len(read_session(path, recipe=recipe)) == 2  # 80 MB are allowed
@@ -226,9 +261,16 @@ def test_tables_that_unpack_to_much(tmp_path):
 @pytest.mark.parametrize("packing", ["lz4", "zstd"])
 @pytest.mark.parametrize("texts", [False, True])
 def test_a_feather_file_of_one_batch_says_how_large_it_is(tmp_path, packing, texts):
-    """pyarrow unpacks a batch as a whole: what it claims is counted before. Oracle: the size of the table written."""
+    """
+    pyarrow unpacks a batch as a whole: what it claims is counted before. Oracle: the size of the
+    table written.
+    """
     path, count = tmp_path / "b.feather", 20_000
-    values = pa.array(["0" * 50 * k for k in range(400)]).dictionary_encode() if texts else pa.array(np.zeros(count))
+    values = (
+        pa.array(["0" * 50 * k for k in range(400)]).dictionary_encode()
+        if texts
+        else pa.array(np.zeros(count))
+    )
     index = pa.array(np.zeros(count, dtype=np.int32))
     column = pa.DictionaryArray.from_arrays(index, values.dictionary) if texts else values
     table = pa.table({"t": pa.array(np.zeros(count)), "p_r": column})
@@ -240,10 +282,14 @@ def test_a_feather_file_of_one_batch_says_how_large_it_is(tmp_path, packing, tex
 
 def test_a_feather_file_that_claims_more_blocks_than_it_has_bytes_is_refused_at_once(tmp_path):
     path = tmp_path / "b.feather"
-    feather.write_feather(pa.table({"p_r": np.zeros(1000)}), path, compression="zstd", chunksize=1000)
+    feather.write_feather(
+        pa.table({"p_r": np.zeros(1000)}), path, compression="zstd", chunksize=1000
+    )
     data = bytearray(path.read_bytes())
     refused = 0
-    for at in range(len(data) - 400, len(data) - 10):  # the footer, whose list of batches has the length 1
+    for at in range(
+        len(data) - 400, len(data) - 10
+    ):  # the footer, whose list of batches has the length 1
         if data[at : at + 4] == b"\1\0\0\0":
             claimed = bytearray(data)
             claimed[at : at + 4] = (2**31).to_bytes(4, "little")
@@ -252,7 +298,9 @@ def test_a_feather_file_that_claims_more_blocks_than_it_has_bytes_is_refused_at_
                 assert feather_size(path.read_bytes()) < 2**20
             except ValueError as error:
                 refused += "longer than the file" in str(error)
-                with pytest.raises(SessionError, match=r"b\.feather: not a Feather file, or a damaged"):
+                with pytest.raises(
+                    SessionError, match=r"b\.feather: not a Feather file, or a damaged"
+                ):
                     read_session(path)
     assert refused
 

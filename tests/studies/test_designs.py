@@ -1,4 +1,7 @@
-"""Orders of conditions: balance is counted by brute force, for every number of conditions from 2 to 12."""
+"""
+Orders of conditions: balance is counted by brute force, for every number of conditions from 2 to
+12.
+"""
 
 import itertools
 
@@ -7,7 +10,12 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from trustlab.studies.designs import design_balance, latin_square_design, participants_needed, williams_square
+from trustlab.studies.designs import (
+    design_balance,
+    latin_square_design,
+    participants_needed,
+    williams_square,
+)
 
 SIZES = {n: n if n % 2 == 0 else 2 * n for n in range(2, 13)}
 
@@ -37,7 +45,14 @@ def test_a_square_is_balanced_in_position_and_carry_over(n, size):
 def test_the_squares_of_three_and_four_conditions():
     """Oracle: written out by hand from Williams (1949)."""
     assert williams_square(4).tolist() == [[0, 1, 3, 2], [1, 2, 0, 3], [2, 3, 1, 0], [3, 0, 2, 1]]
-    assert williams_square(3).tolist() == [[0, 1, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0], [0, 2, 1], [1, 0, 2]]
+    assert williams_square(3).tolist() == [
+        [0, 1, 2],
+        [1, 2, 0],
+        [2, 0, 1],
+        [2, 1, 0],
+        [0, 2, 1],
+        [1, 0, 2],
+    ]
 
 
 @given(st.integers(2, 12), st.integers(1, 4), st.integers(0, 2**63))
@@ -69,14 +84,21 @@ def test_same_seed_same_design_and_more_participants_change_no_order(k, seed):
 
 
 def test_seeds_differ():
-    plans = {latin_square_design(["A", "B", "C", "D"], 8, seed=s).orders().to_csv() for s in range(20)}
-    first = {tuple(latin_square_design(["A", "B", "C", "D"], 8, seed=s).square.iloc[0]) for s in range(60)}
+    plans = {
+        latin_square_design(["A", "B", "C", "D"], 8, seed=s).orders().to_csv() for s in range(20)
+    }
+    first = {
+        tuple(latin_square_design(["A", "B", "C", "D"], 8, seed=s).square.iloc[0])
+        for s in range(60)
+    }
     assert len(plans) > 15
     assert len(first) > 15
 
 
 def test_tables_of_a_design():
-    design = latin_square_design(["C1", "C2", "C3", "C4", "C5"], [f"p{i:02d}" for i in range(20)], seed=7)
+    design = latin_square_design(
+        ["C1", "C2", "C3", "C4", "C5"], [f"p{i:02d}" for i in range(20)], seed=7
+    )
     orders = design.orders()
     assert list(orders.columns) == ["participant", "position", "condition"]
     assert len(orders) == 100
@@ -103,7 +125,9 @@ def test_dropping_participants_ends_the_balance():
 
 def test_order_up_or_down_is_not_balanced():
     rows = [(p, k + 1, c) for p in range(6) for k, c in enumerate("ABCD" if p % 2 else "DCBA")]
-    balance = design_balance(pd.DataFrame(rows, columns=["who", "when", "what"]), "who", "when", "what")
+    balance = design_balance(
+        pd.DataFrame(rows, columns=["who", "when", "what"]), "who", "when", "what"
+    )
     assert not balance.balanced_positions
     assert not balance.balanced_carry_over
     assert balance.positions.loc["A"].tolist() == [3, 0, 0, 3]
@@ -111,7 +135,9 @@ def test_order_up_or_down_is_not_balanced():
     assert np.isnan(balance.carry_over.loc["A", "A"])
 
 
-@pytest.mark.parametrize(("k", "least", "needed"), [(4, 30, 32), (5, 18, 20), (5, 20, 20), (2, 1, 2), (3, 7, 12)])
+@pytest.mark.parametrize(
+    ("k", "least", "needed"), [(4, 30, 32), (5, 18, 20), (5, 20, 20), (2, 1, 2), (3, 7, 12)]
+)
 def test_participants_needed(k, least, needed):
     assert participants_needed(k, least) == needed
     assert participants_needed(list(range(k)), least) == needed
@@ -146,7 +172,9 @@ def test_bad_designs_are_refused(arguments, words):
 
 
 def test_an_unfinished_square_only_when_asked_for():
-    with pytest.warns(UserWarning, match="18 participants do not fill whole squares.*20 would do, or 10"):
+    with pytest.warns(
+        UserWarning, match="18 participants do not fill whole squares.*20 would do, or 10"
+    ):
         design = latin_square_design(list("ABCDE"), 18, whole_squares=False)
     assert not design.balance().balanced
     assert len(design.participants) == 18
@@ -167,9 +195,15 @@ def test_sizes_that_are_none(n):
     [
         (lambda f: f.drop(columns="position"), "position: no column 'position'"),
         (lambda f: f.rename(columns={"condition": "conditon"}), "did you mean 'conditon'"),
-        (lambda f: f.iloc[1:], r"participant 1 has positions \[2, 3, 4\]; 4 conditions need 1 to 4"),
+        (
+            lambda f: f.iloc[1:],
+            r"participant 1 has positions \[2, 3, 4\]; 4 conditions need 1 to 4",
+        ),
         (lambda f: pd.concat([f, f.iloc[:1]]), "participant 1 has positions"),
-        (lambda f: f.assign(condition=f["condition"].where(f.index != 2)), "column 'condition' has no label in row 2"),
+        (
+            lambda f: f.assign(condition=f["condition"].where(f.index != 2)),
+            "column 'condition' has no label in row 2",
+        ),
         (lambda f: f.assign(condition="A"), "at least two conditions, found 1"),
         (lambda f: f.assign(position=f["position"].astype(str)), "participant 1 has positions"),
         (lambda f: f.to_numpy(), "orders must be of class DataFrame, got ndarray"),

@@ -1,4 +1,7 @@
-"""Every result of studies has .table() and is written to HTML, LaTeX and Word; files are read again by independent readers."""
+"""
+Every result of studies has .table() and is written to HTML, LaTeX and Word; files are read again by
+independent readers.
+"""
 
 import io
 
@@ -13,12 +16,18 @@ from trustlab import studies
 
 mpl.use("Agg")
 RNG = np.random.default_rng(0)
-CELLS = pd.MultiIndex.from_product([range(1, 13), ["A", "B", "C"], ["x", "y"]], names=["who", "scheme", "task"])
-LONG = CELLS.to_frame(index=False).assign(error=RNG.standard_normal(72) + RNG.standard_normal(12).repeat(6))
+CELLS = pd.MultiIndex.from_product(
+    [range(1, 13), ["A", "B", "C"], ["x", "y"]], names=["who", "scheme", "task"]
+)
+LONG = CELLS.to_frame(index=False).assign(
+    error=RNG.standard_normal(72) + RNG.standard_normal(12).repeat(6)
+)
 ONE = LONG[LONG["task"] == "x"]
 PAIR = ONE[ONE["scheme"] != "C"]
 COLUMNS = {"dv": "error", "within": "scheme", "subject": "who"}
-ANSWERS = pd.DataFrame(RNG.integers(1, 8, (12, 12)), columns=studies.TRUST_CHECKLIST.items).assign(who=range(12))
+ANSWERS = pd.DataFrame(RNG.integers(1, 8, (12, 12)), columns=studies.TRUST_CHECKLIST.items).assign(
+    who=range(12)
+)
 DESIGN = tl.latin_square_design(["A", "B", "C"], 12)
 COVARIANCE = studies.graded_covariance(3)
 ORDERED = DESIGN.orders().assign(error=RNG.standard_normal(36))
@@ -27,16 +36,22 @@ ORDERED = DESIGN.orders().assign(error=RNG.standard_normal(36))
 RESULTS = {
     "RepeatedMeasures": lambda: tl.repeated_measures(ONE, **COLUMNS),
     "FactorialMeasures": lambda: tl.repeated_measures(LONG, "error", ["scheme", "task"], "who"),
-    "RepeatedMeasuresBatch": lambda: studies.repeated_measures_batch(RNG.standard_normal((4, 9, 3))),
+    "RepeatedMeasuresBatch": lambda: studies.repeated_measures_batch(
+        RNG.standard_normal((4, 9, 3))
+    ),
     "MixedModel": lambda: tl.mixed_model(ONE, **COLUMNS),
     "FormulaModel": lambda: tl.mixed_model("error ~ scheme", LONG, groups="who"),
     "PairedTTest": lambda: studies.paired_t_test(PAIR, **COLUMNS),
-    "OrderEffects": lambda: tl.order_effects(ORDERED, "error", "condition", "position", subject="participant"),
+    "OrderEffects": lambda: tl.order_effects(
+        ORDERED, "error", "condition", "position", subject="participant"
+    ),
     "Winsorized": lambda: studies.winsorize(ONE, **COLUMNS, outside="extremes", k=1, to="next"),
     "StudyReport": lambda: tl.report(ONE, **COLUMNS),
     "DesignBalance": lambda: DESIGN.balance(),
     "LatinSquareDesign": lambda: DESIGN,
-    "PowerAnalysis": lambda: tl.power_analysis([0.0, 0.4, 0.8], COVARIANCE, n=[8, 10], replicates=100),
+    "PowerAnalysis": lambda: tl.power_analysis(
+        [0.0, 0.4, 0.8], COVARIANCE, n=[8, 10], replicates=100
+    ),
     "PowerAnalysis of several factors": lambda: tl.power_analysis(
         {("g", c): 0.0 for c in "abc"} | {("h", c): 1.0 for c in "abc"},
         COVARIANCE,
@@ -60,7 +75,9 @@ RESULTS = {
     "intraclass_correlation": lambda: studies.intraclass_correlation(ONE, "error", "scheme", "who"),
     "factorial_batch": lambda: studies.factorial_batch(RNG.standard_normal((2, 9, 2, 3))),
     "Friedman": lambda: tl.repeated_measures(ONE, **COLUMNS).friedman(),
-    "aligned_ranks": lambda: tl.repeated_measures(LONG, "error", ["scheme", "task"], "who").aligned_ranks(),
+    "aligned_ranks": lambda: tl.repeated_measures(
+        LONG, "error", ["scheme", "task"], "who"
+    ).aligned_ranks(),
 }
 
 
@@ -81,21 +98,33 @@ def test_it_is_written_and_read_again(name, tmp_path):
     html = pd.read_html(io.StringIO(written.write(tmp_path / "r.html").read_text(encoding="utf-8")))
     document = docx.Document(str(written.write(tmp_path / "r.docx")))
     latex = written.write(tmp_path / "r.tex").read_text(encoding="utf-8")
-    assert len(html) == len(document.tables) == latex.count(r"\begin{tabular}") == len(written.tables) > 0
+    assert (
+        len(html)
+        == len(document.tables)
+        == latex.count(r"\begin{tabular}")
+        == len(written.tables)
+        > 0
+    )
     for read, grid in zip(html, document.tables, strict=True):
         assert read.shape == (len(grid.rows) - 1, len(grid.columns))
-        assert [str(column) for column in read.columns] == [cell.text for cell in grid.rows[0].cells]
+        assert [str(column) for column in read.columns] == [
+            cell.text for cell in grid.rows[0].cells
+        ]
     if written.origin:
         assert written.origin.split(",")[0] in document.paragraphs[int(bool(written.text))].text
 
 
 def test_one_wide_row_is_printed_as_a_column(tmp_path):
     written = tl.report(RESULTS["PairedTTest"]())
-    own = pd.read_html(io.StringIO(written.write(tmp_path / "r.html").read_text(encoding="utf-8")))[0]
+    own = pd.read_html(io.StringIO(written.write(tmp_path / "r.html").read_text(encoding="utf-8")))[
+        0
+    ]
     assert own.columns.tolist() == ["statistic", "value"]
     assert own["statistic"].tolist() == list(written.table().columns)
 
 
 def test_what_is_no_result_is_refused():
-    with pytest.raises(ValueError, match=r"frame must be a table with dv=, within=, subject=, or a result, got int"):
+    with pytest.raises(
+        ValueError, match=r"frame must be a table with dv=, within=, subject=, or a result, got int"
+    ):
         tl.report(3)

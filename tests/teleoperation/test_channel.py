@@ -1,4 +1,7 @@
-"""Theorem 3 and (3.12)-(3.22): wave identities, passivity under any delay, and guards that fail when removed."""
+"""
+Theorem 3 and (3.12)-(3.22): wave identities, passivity under any delay, and guards that fail when
+removed.
+"""
 
 import math
 
@@ -7,17 +10,29 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from trustlab.teleoperation.channel import channel_run
-from trustlab.teleoperation.delays import Delay, constant_delay, delay_from, random_walk_delay, recorded_delay
+from trustlab.teleoperation.delays import (
+    Delay,
+    constant_delay,
+    delay_from,
+    random_walk_delay,
+    recorded_delay,
+)
 from trustlab.teleoperation.ports.ledger import EnergyLedger
 from trustlab.teleoperation.ports.waves import Scattering
 
 T, N = 0.01, 1500
 INTERPOLATION = 0.011
-"""Share of the greatest energy of one sample that the interpolated read-out may give beyond what was sent."""
+"""
+Share of the greatest energy of one sample that the interpolated read-out may give beyond what was
+sent.
+"""
 
 
 def random_case(seed):
-    """A random channel: bounds, scales, delays whose rate reaches its limit, and signals from smooth to rough."""
+    """
+    A random channel: bounds, scales, delays whose rate reaches its limit, and signals from smooth
+    to rough.
+    """
     rng = np.random.default_rng([33, seed])
     rate = rng.uniform(0.0, 1.0)
     alphas, betas = np.sort(rng.uniform(0.01, 1.0, 2)), np.sort(rng.uniform(0.01, 3.0, 2))
@@ -35,7 +50,10 @@ def random_case(seed):
     alpha, beta = rng.uniform(*alphas, N), rng.uniform(*betas, N)
     if seed % 3 == 0:  # scales that jump from bound to bound
         alpha, beta = rng.choice(alphas, N), rng.choice(betas, N)
-    delays = [random_walk_delay(0.02, 1.5, rate, seed=int(s), hold=0.3) for s in rng.integers(1 << 30, size=2)]
+    delays = [
+        random_walk_delay(0.02, 1.5, rate, seed=int(s), hold=0.3)
+        for s in rng.integers(1 << 30, size=2)
+    ]
     return scattering, signals, alpha, beta, delays
 
 
@@ -65,7 +83,9 @@ def test_energy_is_never_negative_in_500_random_channels(read_out):
         run = channel_run(r_m, f_s, scattering, T, *delays, alpha, beta, read_out)
         margin = 1e-9 * run.exchanged
         if read_out == "interpolated":
-            margin = margin + INTERPOLATION * T * max((run.u_l**2).sum(1).max(), (run.u_r**2).sum(1).max())
+            margin = margin + INTERPOLATION * T * max(
+                (run.u_l**2).sum(1).max(), (run.u_r**2).sum(1).max()
+            )
         assert (run.energy >= -margin).all(), seed
         assert (run.energy >= run.wave_energy - 1e-9 * run.exchanged).all(), seed
 
@@ -74,7 +94,9 @@ def test_port_power_is_wave_power_in_every_sample():
     for seed in range(50):
         scattering, (r_m, f_s), alpha, beta, delays = random_case(seed)
         run = channel_run(r_m, f_s, scattering, T, *delays, alpha, beta)
-        square = {name: (getattr(run, name) ** 2).sum(axis=1) for name in ("u_l", "v_l", "u_r", "v_r")}
+        square = {
+            name: (getattr(run, name) ** 2).sum(axis=1) for name in ("u_l", "v_l", "u_r", "v_r")
+        }
         for port, scale, parts in (  # (3.15)
             (
                 (run.r_m * run.f_m).sum(1),
@@ -107,7 +129,11 @@ def test_waves_are_those_of_3_13():
 def test_constant_delay_of_whole_samples_shifts_the_waves():
     scattering, (r_m, f_s), alpha, beta, _ = random_case(7)
     scattering = Scattering(
-        scattering.b, scattering.alpha_min, scattering.alpha_max, scattering.beta_min, scattering.beta_max
+        scattering.b,
+        scattering.alpha_min,
+        scattering.alpha_max,
+        scattering.beta_min,
+        scattering.beta_max,
     )
     for read_out in ("ledger", "interpolated", "hold"):
         run = channel_run(r_m, f_s, scattering, T, 0.05, 0.12, alpha, beta, read_out)
@@ -149,7 +175,9 @@ def test_unit_gain_with_a_growing_delay_is_active():
 
 
 def swapped(run, scattering, alpha, beta):
-    """Energy with the bars of (3.13) exchanged: waves out with the greatest scale, in with the least."""
+    """
+    Energy with the bars of (3.13) exchanged: waves out with the greatest scale, in with the least.
+    """
     b, count = scattering.b, len(run.t)
     u_l, v_l, u_r, v_r = (np.zeros_like(run.r_m) for _ in range(4))
     energy = np.zeros(count)
@@ -203,7 +231,9 @@ def test_random_walk_keeps_bounds_rate_and_seed():
     assert values.min() >= 0.05
     assert values.max() <= 0.8
     assert 0.5 < (np.diff(values) / T).max() <= 0.6 + 1e-9
-    np.testing.assert_array_equal(values, random_walk_delay(0.05, 0.8, 0.6, seed=4).samples(5000, T))
+    np.testing.assert_array_equal(
+        values, random_walk_delay(0.05, 0.8, 0.6, seed=4).samples(5000, T)
+    )
 
 
 def test_recorded_and_given_delays():
@@ -242,16 +272,30 @@ ONE = np.ones((50, 1))
         (lambda: channel_run(ONE * np.nan, ONE, Scattering(1.0), T), "sample 0, axis 0 is nan"),
         (lambda: channel_run(ONE, ONE, 1.0, T), "must be of class Scattering"),
         (lambda: channel_run(ONE, ONE, Scattering(1.0), T, alpha=1.5), "alpha must lie in"),
-        (lambda: channel_run(ONE, ONE, Scattering(1.0), T, beta=np.ones(3)), "beta must be a number or"),
-        (lambda: channel_run(ONE, ONE, Scattering(1.0), T, read_out="guess"), "read_out must be one of"),
+        (
+            lambda: channel_run(ONE, ONE, Scattering(1.0), T, beta=np.ones(3)),
+            "beta must be a number or",
+        ),
+        (
+            lambda: channel_run(ONE, ONE, Scattering(1.0), T, read_out="guess"),
+            "read_out must be one of",
+        ),
         (lambda: channel_run(ONE, ONE, Scattering(1.0), T, lost=[True]), "lost must be"),
         (
             lambda: channel_run(
-                ONE, ONE, Scattering(1.0), T, random_walk_delay(0.02, 0.3, 0.5), read_out="interpolated"
+                ONE,
+                ONE,
+                Scattering(1.0),
+                T,
+                random_walk_delay(0.02, 0.3, 0.5),
+                read_out="interpolated",
             ),
             "max_delay_rate = 0",
         ),
-        (lambda: Delay(lambda t: 0.1 + 0.5 * t, 0.1, "this delay").samples(50, T), "grows by 0.5 s/s"),
+        (
+            lambda: Delay(lambda t: 0.1 + 0.5 * t, 0.1, "this delay").samples(50, T),
+            "grows by 0.5 s/s",
+        ),
         (
             lambda: Delay(lambda t: 0.1 - t, 0.1, "this delay").samples(50, T),
             r"-0\.01 s at t = 0\.11 s: it must not be negative",

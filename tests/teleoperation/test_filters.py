@@ -1,4 +1,7 @@
-"""Claim 2: what makes the two-port of Proposition 3 passive, found from H alone, on signals, and with guards removed."""
+"""
+Claim 2: what makes the two-port of Proposition 3 passive, found from H alone, on signals, and with
+guards removed.
+"""
 
 import numpy as np
 import pytest
@@ -58,7 +61,9 @@ def test_margin_against_a_grid_of_frequencies(seed):
     found = passivity_margin(top, bottom)
     omega = np.concatenate([[0.0], np.logspace(-4, 4, 80_001)])
     response = np.polyval(top, 1j * omega) / np.polyval(bottom, 1j * omega)
-    assert found.least_product == pytest.approx(float((response.imag**2).max()), rel=1e-5, abs=1e-14)
+    assert found.least_product == pytest.approx(
+        float((response.imag**2).max()), rel=1e-5, abs=1e-14
+    )
     assert found.least_product >= (response.imag**2).max() * (1 - 1e-9)
 
 

@@ -1,4 +1,6 @@
-"""(3.8)-(3.11) and Proposition 2: energy balance to rounding, python-control as oracle of passivity."""
+"""
+(3.8)-(3.11) and Proposition 2: energy balance to rounding, python-control as oracle of passivity.
+"""
 
 import control
 import numpy as np
@@ -17,9 +19,20 @@ def random_device(rng, n=3, passive=True):
     mass, weight = root @ root.T + 0.1 * np.eye(n), rng.uniform(0.5, 20.0, n)
     cross = 0.5 * (mass * weight + (mass * weight).T)
     least = np.linalg.eigvalsh(cross)[-1]
-    damping = np.full(n, least) * (1.0 + rng.uniform(0.0, 1.0, n)) if passive else np.full(n, 0.1 * least)
-    stiffness = rng.uniform(0.0, 50.0, n) + (np.linalg.norm(weight) ** 2 * np.linalg.norm(mass) if passive else 0)
-    return HapticDevice(mass, damping, stiffness, weight, force_scaling=rng.uniform(0.3, 3.0), require_passive=passive)
+    damping = (
+        np.full(n, least) * (1.0 + rng.uniform(0.0, 1.0, n)) if passive else np.full(n, 0.1 * least)
+    )
+    stiffness = rng.uniform(0.0, 50.0, n) + (
+        np.linalg.norm(weight) ** 2 * np.linalg.norm(mass) if passive else 0
+    )
+    return HapticDevice(
+        mass,
+        damping,
+        stiffness,
+        weight,
+        force_scaling=rng.uniform(0.3, 3.0),
+        require_passive=passive,
+    )
 
 
 def follow(device, rng, steps=200, sample_time=0.01):
@@ -48,7 +61,9 @@ def test_storage_dissipation_and_supply_balance_to_rounding(seed):
 def test_an_active_device_shows_negative_dissipation():
     rng = np.random.default_rng(5)
     device = random_device(rng, passive=False)
-    lost = [device.dissipation((x + x1) / 2, (v + v1) / 2) for x, v, x1, v1, *_ in follow(device, rng)]
+    lost = [
+        device.dissipation((x + x1) / 2, (v + v1) / 2) for x, v, x1, v1, *_ in follow(device, rng)
+    ]
     assert min(lost) < 0.0
 
 
@@ -66,7 +81,9 @@ def test_stable_at_the_printed_sample_time(gains):
 
 
 def test_heaviest_device_of_the_preliminary_study():
-    assert HapticDevice(mass=0.001, **PRELIMINARY).largest_mass() == pytest.approx(0.55 / 60, rel=1e-12)
+    assert HapticDevice(mass=0.001, **PRELIMINARY).largest_mass() == pytest.approx(
+        0.55 / 60, rel=1e-12
+    )
     counted = HapticDevice(mass=0.001, port_damping=0.2, **PRELIMINARY)
     assert counted.largest_mass() == pytest.approx(0.0125, rel=1e-12)
     with pytest.raises(PassivityError, match=r"up to 0.009167 kg only, and it has 1 kg"):

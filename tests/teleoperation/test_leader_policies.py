@@ -1,4 +1,7 @@
-"""Leader policies: the most trusted leads, hysteresis waits, sequences are followed, every switch is to another robot after τ_min."""
+"""
+Leader policies: the most trusted leads, hysteresis waits, sequences are followed, every switch is
+to another robot after τ_min.
+"""
 
 import numpy as np
 import pytest
@@ -18,7 +21,12 @@ def lead(policy, trust, dwell=1.0, step=0.1, seed=0, names=None):
     return policy.leaders(trust, names, step, dwell, np.random.default_rng(seed))
 
 
-@given(st.integers(0, 10_000), st.sampled_from(sorted(POLICIES)), st.floats(0.05, 20.0), st.integers(2, 9))
+@given(
+    st.integers(0, 10_000),
+    st.sampled_from(sorted(POLICIES)),
+    st.floats(0.05, 20.0),
+    st.integers(2, 9),
+)
 @settings(max_examples=100)
 def test_leaders_stay_for_the_minimum(seed, name, dwell, robots):
     trust = np.random.default_rng(seed).uniform(size=(400, robots))
@@ -34,7 +42,9 @@ def test_most_trusted_by_hand():
     trust = np.array([[0.5, 0.4], [0.5, 0.6], [0.5, 0.6], [0.5, 0.6], [0.7, 0.6], [0.7, 0.6]])
     assert lead(MostTrusted(), trust, 0.2).tolist() == [0, 0, 1, 1, 0, 0]
     assert lead(MostTrusted(margin=0.15), trust, 0.2).tolist() == [0] * 6
-    assert lead(MostTrusted(), np.full((5, 3), 0.5), 0.1).tolist() == [0] * 5  # equal trust is no reason to switch
+    assert (
+        lead(MostTrusted(), np.full((5, 3), 0.5), 0.1).tolist() == [0] * 5
+    )  # equal trust is no reason to switch
 
 
 def test_most_trusted_is_the_argmax_whenever_it_may_switch():
@@ -45,10 +55,23 @@ def test_most_trusted_is_the_argmax_whenever_it_may_switch():
 def test_given_sequence():
     trust = np.zeros((10, 3))
     assert (
-        lead(GivenSequence(["c", "a"], times=[0.0, 0.45]), trust, 0.2, names=("a", "b", "c")).tolist()
+        lead(
+            GivenSequence(["c", "a"], times=[0.0, 0.45]), trust, 0.2, names=("a", "b", "c")
+        ).tolist()
         == [2] * 5 + [0] * 5
     )
-    assert lead(GivenSequence([0, 2], every=0.3), trust, 0.2).tolist() == [0, 0, 0, 2, 2, 2, 0, 0, 0, 2]
+    assert lead(GivenSequence([0, 2], every=0.3), trust, 0.2).tolist() == [
+        0,
+        0,
+        0,
+        2,
+        2,
+        2,
+        0,
+        0,
+        0,
+        2,
+    ]
     assert lead(GivenSequence(), trust, 0.1).tolist() == [0, 0, 1, 1, 2, 2, 0, 0, 1, 1]
     assert lead(GivenSequence([1]), trust, 0.1).tolist() == [1] * 10
 

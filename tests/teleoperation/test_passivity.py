@@ -1,4 +1,7 @@
-"""Theorem 4 in discrete time: observed energy, force and deficit of both controllers; closed forms of the yielding port."""
+"""
+Theorem 4 in discrete time: observed energy, force and deficit of both controllers; closed forms of
+the yielding port.
+"""
 
 import numpy as np
 import pytest
@@ -68,14 +71,18 @@ def test_damping_of_a_yielding_port_takes_the_power_demanded(power, square, comp
     if met and np.isfinite(w):
         assert taken(w) >= demand - 1e-9 * (1 + abs(power) + square / compliance)
         if w > 0.0:
-            assert taken(w) == pytest.approx(demand, abs=1e-9 * (1 + abs(power) + square / compliance))
+            assert taken(w) == pytest.approx(
+                demand, abs=1e-9 * (1 + abs(power) + square / compliance)
+            )
             assert all(taken(share * w) <= demand + 1e-9 for share in (0.0, 0.3, 0.9))
     elif np.isinf(w):
         assert power + square / compliance <= 0.0
     else:
         best = minimize_scalar(lambda x: -taken(np.exp(x)), bounds=(-20, 20), method="bounded")
         assert max(-best.fun, taken(0.0)) <= demand + 1e-9
-        assert taken(w) >= max(-best.fun, taken(0.0)) - 1e-6 * (1 + abs(power) + square / compliance)
+        assert taken(w) >= max(-best.fun, taken(0.0)) - 1e-6 * (
+            1 + abs(power) + square / compliance
+        )
 
 
 @pytest.mark.parametrize(

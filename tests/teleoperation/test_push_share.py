@@ -1,4 +1,7 @@
-"""The operator's budget (4.30): the share of a push is the greatest whose power is within what is free."""
+"""
+The operator's budget (4.30): the share of a push is the greatest whose power is within what is
+free.
+"""
 
 import numpy as np
 from hypothesis import given, settings, strategies as st

@@ -1,4 +1,7 @@
-"""Theorem 5, (4.5)-(4.15): the channel stores energy whatever the leader, the scale and the delay do; guards removed."""
+"""
+Theorem 5, (4.5)-(4.15): the channel stores energy whatever the leader, the scale and the delay do;
+guards removed.
+"""
 
 import numpy as np
 import pytest
@@ -11,7 +14,10 @@ T, K = 0.01, 1500
 
 
 def random_case(seed):
-    """Robots with bounds of their own, signals from smooth to rough, leaders that change while waves are under way."""
+    """
+    Robots with bounds of their own, signals from smooth to rough, leaders that change while waves
+    are under way.
+    """
     rng = np.random.default_rng([75, seed])
     robots = int(rng.integers(2, 7))
     rate = rng.uniform(0.0, 0.9)
@@ -38,7 +44,10 @@ def random_case(seed):
     if seed % 2:
         delays = [float(T * rng.integers(1, 151)) for _ in range(2)]
     else:
-        delays = [random_walk_delay(0.02, 1.5, rate, seed=int(s), hold=0.3) for s in rng.integers(1 << 30, size=2)]
+        delays = [
+            random_walk_delay(0.02, 1.5, rate, seed=int(s), hold=0.3)
+            for s in rng.integers(1 << 30, size=2)
+        ]
     return ends, signals, leaders, beta, delays
 
 
@@ -59,7 +68,9 @@ def test_energy_of_the_channel_in_500_runs():
 
 
 def test_ends_may_switch_at_other_times():
-    """The operator's end may be set for any robot whose bounds hold β: each end balances by itself."""
+    """
+    The operator's end may be set for any robot whose bounds hold β: each end balances by itself.
+    """
     for seed in range(50):
         ends, signals, leaders, _, delays = random_case(seed)
         late = np.roll(leaders, 40)
@@ -71,33 +82,55 @@ def test_ends_may_switch_at_other_times():
 
 
 def absorbed(near, far, beta, b=2.0, delay=20):
-    """A robot that takes all that arrives, f_s = √(b/2) v_r, so that nothing comes back: power out is ½‖v_r‖²."""
+    """
+    A robot that takes all that arrives, f_s = √(b/2) v_r, so that nothing comes back: power out is
+    ½‖v_r‖².
+    """
     r_m = np.random.default_rng(76).normal(size=(K, 3))
     ends = [Scattering(b, beta_min=low, beta_max=high) for low, high in ((1.0, 2.0), (0.05, 0.1))]
     v_r = np.vstack([np.zeros((delay, 3)), np.sqrt(2.0 * b * ends[near].beta_min) * r_m[:-delay]])
     f_s = np.sqrt(0.5 * b) * v_r
     return switched_channel_run(
-        r_m, f_s, ends, np.full(K, far), T, np.full(K, beta), delay * T, operator_leaders=np.full(K, near)
+        r_m,
+        f_s,
+        ends,
+        np.full(K, far),
+        T,
+        np.full(K, beta),
+        delay * T,
+        operator_leaders=np.full(K, near),
     )
 
 
 def test_bounds_not_switched_with_the_leader_give_energy():
-    """Negative control: β of the new leader, but the end of the channel still set for the old one's bounds."""
+    """
+    Negative control: β of the new leader, but the end of the channel still set for the old one's
+    bounds.
+    """
     right, wrong = absorbed(1, 1, 0.05), absorbed(0, 1, 0.05)
     assert right.energy.min() >= -1e-12 * right.exchanged.max()
-    # closed form: β b ‖r_m‖² goes in and β_min b ‖r_m‖² comes out, with β_min that of the wrong robot
+    # closed form: β b ‖r_m‖² goes in and β_min b ‖r_m‖² comes out, with β_min that of the wrong
+    # robot
     given = T * (0.05 * 2.0 * (wrong.r_m**2).sum() - 1.0 * 2.0 * (wrong.r_m[:-20] ** 2).sum())
     assert wrong.energy[-1] == pytest.approx(given, rel=1e-9)
     assert given < -0.5 * wrong.exchanged[-1]
 
 
 def test_impedance_not_switched_with_the_leader_gives_none():
-    """What an end not switched does harm by is its bounds, not its b: waves carry their energy whatever made them."""
+    """
+    What an end not switched does harm by is its bounds, not its b: waves carry their energy
+    whatever made them.
+    """
     for seed in range(50):
         ends, signals, leaders, _, delays = random_case(seed)
-        same = [Scattering(end.b, beta_min=0.5, beta_max=1.5, max_delay_rate=end.max_delay_rate) for end in ends]
+        same = [
+            Scattering(end.b, beta_min=0.5, beta_max=1.5, max_delay_rate=end.max_delay_rate)
+            for end in ends
+        ]
         beta = np.random.default_rng(seed).uniform(0.5, 1.5, K)
-        run = switched_channel_run(*signals, same, leaders, T, beta, *delays, operator_leaders=np.zeros(K, int))
+        run = switched_channel_run(
+            *signals, same, leaders, T, beta, *delays, operator_leaders=np.zeros(K, int)
+        )
         assert run.energy.min() >= -1e-12 * run.exchanged.max()
 
 
@@ -106,7 +139,8 @@ def test_waves_obey_4_7():
     ends, signals, leaders, beta, delays = random_case(1)
     run = switched_channel_run(*signals, ends, leaders, T, beta, *delays)
     b, low, high = (
-        np.array([getattr(end, name) for end in ends])[leaders][:, None] for name in ("b", "beta_min", "beta_max")
+        np.array([getattr(end, name) for end in ends])[leaders][:, None]
+        for name in ("b", "beta_min", "beta_max")
     )
     f = run.f_m / beta[:, None]
     for found, wanted in (

@@ -41,4 +41,6 @@ def test_a_rendered_spring_and_what_tuning_trades():
     felt = rendered_impedance(main.scattering, omega, main.k_ffa / (1j * omega), 0.1, 0.1)
     np.testing.assert_allclose(lines[2].get_ydata(), np.abs(felt), rtol=1e-12)
     tunings = [tl.tune_transparency(main.scattering, weight) for weight in (0.2, 0.8)]
-    assert plot_tunings(tunings).lines[0].get_xdata().tolist() == [one.table()["velocity"].item() for one in tunings]
+    assert plot_tunings(tunings).lines[0].get_xdata().tolist() == [
+        one.table()["velocity"].item() for one in tunings
+    ]

@@ -49,16 +49,22 @@ def test_suggestions_follow_the_moving_thresholds(run):
 
 def test_ignoring_leaves_the_operator_as_they_were_and_adopting_does_not():
     ignoring, adopting = (
-        run_correction(2, TARGET, habit=habit, tests=1, laps=4, c_b=1e-3, seed=5) for habit in ("ignoring", "adopting")
+        run_correction(2, TARGET, habit=habit, tests=1, laps=4, c_b=1e-3, seed=5)
+        for habit in ("ignoring", "adopting")
     )
     child = np.random.SeedSequence(5).spawn(1)[0]
     alone = run_condition("C1", published_operator(2), published_model(2), laps=4, seed=child)
     np.testing.assert_array_equal(ignoring.data["p_r"], alone.session["p_r"])
-    assert len(adopting.data) != len(ignoring.data) or (adopting.data["mode"] != ignoring.data["mode"]).any()
+    assert (
+        len(adopting.data) != len(ignoring.data)
+        or (adopting.data["mode"] != ignoring.data["mode"]).any()
+    )
 
 
 def test_same_seed_same_run():
-    one, two = (run_correction("2", TARGET, habit="lagging", tests=1, laps=1, seed=9) for _ in range(2))
+    one, two = (
+        run_correction("2", TARGET, habit="lagging", tests=1, laps=1, seed=9) for _ in range(2)
+    )
     np.testing.assert_array_equal(one.data["p_r"], two.data["p_r"])
 
 

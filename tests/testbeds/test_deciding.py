@@ -1,7 +1,9 @@
-"""Who decides when, and what may be assumed of people: off by default, each with the effect that it names.
+"""
+Who decides when, and what may be assumed of people: off by default, each with the effect that it
+names.
 
-Oracles: sessions of the version before there were assumptions; closed forms of (2.5) and (2.6); the tables-free search on the
-course's path.
+Oracles: sessions of the version before there were assumptions; closed forms of (2.5) and (2.6); the
+tables-free search on the course's path.
 """
 
 from dataclasses import replace
@@ -77,22 +79,37 @@ def run(condition, seed=7, laps=4, **assumed):
 @pytest.mark.parametrize("condition", BEFORE)
 def test_with_assumptions_off_sessions_are_those_of_before(condition):
     found = tl.run_condition(condition, participant=2, laps=4, seed=7).measures
-    assert {name: found[name] for name in BEFORE[condition]} == pytest.approx(BEFORE[condition], rel=1e-12)
+    assert {name: found[name] for name in BEFORE[condition]} == pytest.approx(
+        BEFORE[condition], rel=1e-12
+    )
 
 
-@pytest.mark.parametrize("course", [Course(), Course(((0, 0), (12, 0), (12, 9), (0, 9)), radius=2.0, resolution=0.4)])
+@pytest.mark.parametrize(
+    "course", [Course(), Course(((0, 0), (12, 0), (12, 9), (0, 9)), radius=2.0, resolution=0.4)]
+)
 def test_tables_of_a_course_spare_search_and_change_no_bit(course):
     numbers, rng = course.numbers, np.random.default_rng(0)
-    low, high = course.path[:, :2].min(axis=0) - 4.0, course.path[:, :2].max(axis=0) + 4.0  # beyond the grid as well
+    low, high = (
+        course.path[:, :2].min(axis=0) - 4.0,
+        course.path[:, :2].max(axis=0) + 4.0,
+    )  # beyond the grid as well
     for x, y in rng.uniform(low, high, (4000, 2)):
         assert nearest_of(x, y, numbers) == nearest_point(x, y, numbers.path)
     corners = numbers.path[1:, 2]
-    for s in np.r_[rng.uniform(-50.0, 150.0, 2000), corners, np.nextafter(corners, -1.0), np.nextafter(corners, 1e9)]:
+    for s in np.r_[
+        rng.uniform(-50.0, 150.0, 2000),
+        corners,
+        np.nextafter(corners, -1.0),
+        np.nextafter(corners, 1e9),
+    ]:
         assert point_ahead(s, numbers) == path_point(s, numbers.path)
 
 
 def skill_of(session, before):
-    """P_h as measured relative to that of the run without the assumption, where the operator alone has driven."""
+    """
+    P_h as measured relative to that of the run without the assumption, where the operator alone has
+    driven.
+    """
     alone = slice(200, int(10 * SETTLING))
     return session["p_h"][alone].mean() / before["p_h"][alone].mean()
 
@@ -113,7 +130,13 @@ def test_attention_costs_while_a_suggestion_stands_that_may_be_declined():
 
 
 def test_bias_shifts_the_thresholds_of_tsc_as_measured():
-    exact = {"lower": -0.2, "upper": 0.5, "lower_spread": 0.0, "upper_spread": 0.0, "reaction_lag": 0.0}
+    exact = {
+        "lower": -0.2,
+        "upper": 0.5,
+        "lower_spread": 0.0,
+        "upper_spread": 0.0,
+        "reaction_lag": 0.0,
+    }
     shifted = exact | {"lower": -0.3, "upper": 0.4}
     trusting = run("C1", trust_bias=0.1, **exact).session
     np.testing.assert_array_equal(trusting["mode"], run("C1", **shifted).session["mode"])
@@ -130,7 +153,9 @@ def test_own_is_c3_with_the_thresholds_that_switches_in_c1_show(testbed):
     measured = (someone.lower - 0.05, someone.upper - 0.05)
     suggested = tl.run_condition("C3", thresholds=measured, **arguments)
     np.testing.assert_array_equal(own.session.data, suggested.session.data)
-    costly = tl.run_condition("own", **arguments | {"operator": replace(someone, attention_cost=0.3)})
+    costly = tl.run_condition(
+        "own", **arguments | {"operator": replace(someone, attention_cost=0.3)}
+    )
     np.testing.assert_array_equal(own.session.data, costly.session.data)
 
 
@@ -143,7 +168,9 @@ def test_random_suggestions_come_at_random_times_and_cost_no_attention():
     assert lengths.size > 100
     assert stats.kstest(lengths, stats.expon(scale=RANDOM_PHASE).cdf).pvalue > 0.01
     assert stats.kstest(lengths, stats.expon(scale=RANDOM_PHASE / 1.5).cdf).pvalue < 0.01
-    costly = tl.run_condition("random", operator=replace(someone, attention_cost=0.3), **arguments).session
+    costly = tl.run_condition(
+        "random", operator=replace(someone, attention_cost=0.3), **arguments
+    ).session
     np.testing.assert_array_equal(session.data, costly.data)
 
 
@@ -171,7 +198,9 @@ def test_utilization_begins_at_r0_unless_a_run_says_otherwise():
 
 def test_learning_and_fatigue_follow_their_formula():
     who = replace(published_operator(2), learning=0.1, fatigue=0.02)
-    assert [replace(who, sessions=i).skill for i in range(3)] == pytest.approx([1.0, 1.05 - 0.02, 1.075 - 0.04])
+    assert [replace(who, sessions=i).skill for i in range(3)] == pytest.approx(
+        [1.0, 1.05 - 0.02, 1.075 - 0.04]
+    )
     tired = run("C5", fatigue=0.05, sessions=4).session
     assert skill_of(tired, run("C5").session) == pytest.approx(0.8, abs=0.03)
 

@@ -1,4 +1,6 @@
-"""Whatever is put into an argument of a teleoperation run, a ValueError comes out or a sound answer."""
+"""
+Whatever is put into an argument of a teleoperation run, a ValueError comes out or a sound answer.
+"""
 
 import inspect
 from contextlib import suppress
@@ -29,7 +31,9 @@ PERHAPS = (
     1e9,
 )
 RUN = tl.simulate_teleoperation(duration=1.0)
-LOOP = inspect.signature(tl.TeleoperationLoop).parameters  # which `simulate_teleoperation` takes as well
+LOOP = inspect.signature(
+    tl.TeleoperationLoop
+).parameters  # which `simulate_teleoperation` takes as well
 CALLS = (
     (tl.simulate_teleoperation, {"duration": 1.0}),
     (tl.graded_teleoperators, {"n": 2}),

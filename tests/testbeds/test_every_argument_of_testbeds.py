@@ -1,4 +1,7 @@
-"""Whatever is put into an argument of testbeds and operators, a ValueError comes out or a sound answer."""
+"""
+Whatever is put into an argument of testbeds and operators, a ValueError comes out or a sound
+answer.
+"""
 
 from dataclasses import fields
 
@@ -26,7 +29,22 @@ from trustlab.testbeds.ground_robot.conditions import plot_path
 matplotlib.use("Agg")
 
 NEVER = (np.nan, np.inf, "x", b"x", True, [], object(), 1j, np.array(["a"]), tl)
-PERHAPS = (None, {}, -np.inf, -1, 0, 2.5, 1e300, 10**400, (1, 2), np.array([1.0, np.nan]), [[1.0]], 1e-320, "", 1e9)
+PERHAPS = (
+    None,
+    {},
+    -np.inf,
+    -1,
+    0,
+    2.5,
+    1e300,
+    10**400,
+    (1, 2),
+    np.array([1.0, np.nan]),
+    [[1.0]],
+    1e-320,
+    "",
+    1e9,
+)
 
 MODEL = tl.published_models()["2"]
 WHO = published_operator(2)
@@ -42,18 +60,42 @@ def double(values):
 CALLS = {
     "run_condition, printed": (
         run_condition,
-        {"condition": "C3", "participant": 2, "model": MODEL, "thresholds": (0.0, 0.35), "laps": 1, "r0": 0.5} | DRIVER,
+        {
+            "condition": "C3",
+            "participant": 2,
+            "model": MODEL,
+            "thresholds": (0.0, 0.35),
+            "laps": 1,
+            "r0": 0.5,
+        }
+        | DRIVER,
     ),
-    "run_condition, operator": (run_condition, {"condition": "C1", "operator": WHO, "model": MODEL, "laps": 1}),
-    "drive_modes": (drive_modes, {"mode": [1, 0, 1], "operator": WHO, "r0": 0.5, "condition": "test"} | DRIVER),
+    "run_condition, operator": (
+        run_condition,
+        {"condition": "C1", "operator": WHO, "model": MODEL, "laps": 1},
+    ),
+    "drive_modes": (
+        drive_modes,
+        {"mode": [1, 0, 1], "operator": WHO, "r0": 0.5, "condition": "test"} | DRIVER,
+    ),
     "identification_session": (
         identification_session,
-        {"operator": WHO, "manual": 2.0, "autonomous": 2.0, "mixed": 1, "phase": (1.0, 2.0)} | DRIVER,
+        {"operator": WHO, "manual": 2.0, "autonomous": 2.0, "mixed": 1, "phase": (1.0, 2.0)}
+        | DRIVER,
     ),
     "published_operator": (published_operator, {"participant": 1}),
     "published_thresholds": (published_thresholds, {"participant": "1"}),
     "published_table": (published_table, {"number": "2.1"}),
-    "Course": (Course, {"corners": CORNERS, "radius": 1.0, "post_spacing": 2.0, "half_width": 1.0, "resolution": 0.1}),
+    "Course": (
+        Course,
+        {
+            "corners": CORNERS,
+            "radius": 1.0,
+            "post_spacing": 2.0,
+            "half_width": 1.0,
+            "resolution": 0.1,
+        },
+    ),
     "Course.distance": (Course().distance, {"x": 0.0, "y": 1.0}),
     "Pioneer": (Pioneer, {item.name: getattr(Pioneer(), item.name) for item in fields(Pioneer)}),
     "Operator": (Operator, {item.name: getattr(WHO, item.name) for item in fields(Operator)}),
@@ -69,15 +111,30 @@ CALLS = {
         },
     ),
     "GroundRobotRun.plot": (RUN.plot, {"bounds": {"r": (0.1, 0.9)}}),
-    "plot_path": (plot_path, {"session": RUN.session, "course": RUN.course, "start": 0.0, "stop": 5.0}),
+    "plot_path": (
+        plot_path,
+        {"session": RUN.session, "course": RUN.course, "start": 0.0, "stop": 5.0},
+    ),
     "half_unit": (half_unit, {"printed": "0.320"}),
     "recompute": (
         recompute,
-        {"compute": double, "inputs": {"one": "1.0"}, "outputs": {"twice": "2.0"}, "draws": 3, "seed": 0},
+        {
+            "compute": double,
+            "inputs": {"one": "1.0"},
+            "outputs": {"twice": "2.0"},
+            "draws": 3,
+            "seed": 0,
+        },
     ),
     "smallest_change": (
         smallest_change,
-        {"compute": double, "inputs": {"one": "1.0"}, "output": "twice", "printed": "2.2", "units": 5},
+        {
+            "compute": double,
+            "inputs": {"one": "1.0"},
+            "output": "twice",
+            "printed": "2.2",
+            "units": 5,
+        },
     ),
 }
 FREE = {
@@ -125,5 +182,7 @@ def test_a_bad_sample_of_mode_is_named():
 
 
 def test_courses_too_fine_to_walk_are_refused():
-    with pytest.raises(ValueError, match=r"too fine for a course of about 36 m; it must be at least 0\.00036 m"):
+    with pytest.raises(
+        ValueError, match=r"too fine for a course of about 36 m; it must be at least 0\.00036 m"
+    ):
         Course(corners=CORNERS, resolution=1e-12)

@@ -1,7 +1,9 @@
-"""The ground robot: Assumptions 1 and 2 appear without being scripted, limits hold, conditions do what they say.
+"""
+The ground robot: Assumptions 1 and 2 appear without being scripted, limits hold, conditions do what
+they say.
 
-Oracles: Remark 7 for the sizes; closed-form geometry and a dense brute-force path; the models, rules and measures of
-the other rooms, run on the log after the fact.
+Oracles: Remark 7 for the sizes; closed-form geometry and a dense brute-force path; the models,
+rules and measures of the other rooms, run on the log after the fact.
 """
 
 import time
@@ -101,7 +103,13 @@ def test_a_weaker_operator_brings_it_less_far_and_more_slowly(one, sessions):
     "robot",
     [
         Pioneer(heading_drift=0.0, heading_noise=0.0),
-        Pioneer(scan_range=100.0, field_of_view=2.0 * np.pi, detection=1.0, range_noise=0.0, bearing_noise=0.0),
+        Pioneer(
+            scan_range=100.0,
+            field_of_view=2.0 * np.pi,
+            detection=1.0,
+            range_noise=0.0,
+            bearing_noise=0.0,
+        ),
     ],
     ids=["perfect odometry", "unlimited scanner"],
 )
@@ -121,13 +129,16 @@ def test_the_models_fit_its_sessions(operators):
     fits = []
     for seed in range(4):
         session = identification_session(operator("pilot", operators["pilot"]), seed)
-        # Least squares: what the testbed's columns are like is asked here, not how certain the estimates are.
+        # Least squares: what the testbed's columns are like is asked here, not how certain the
+        # estimates are.
         robot, human = tl.fit_robot(session, noise="white"), tl.fit_human(session, noise="white")
         assert robot.synthetic
         assert 0.993 < robot.model.a < 0.9995
         assert robot.model.p_min == pytest.approx(0.245, abs=0.01)
         assert robot.model.p_max == pytest.approx(0.395, abs=0.015)
-        assert "fitted as means over a moving window of 100 s" in robot.message  # as the session itself says
+        assert (
+            "fitted as means over a moving window of 100 s" in robot.message
+        )  # as the session itself says
         assert human.model.beta == pytest.approx(operators["pilot"].human.beta, abs=0.15)
         assert human.fit_percent > 40.0
         fits.append(robot.fit_percent)
@@ -149,7 +160,9 @@ def test_path_error_is_the_distance_to_the_course(sessions):
         np.testing.assert_allclose(session["path_error"][every], brute, atol=1e-3)
         np.testing.assert_allclose(course.distance(*at.T), session["path_error"][every], atol=1e-12)
         reference = np.column_stack([session["reference_x"], session["reference_y"]])[every]
-        np.testing.assert_allclose(np.hypot(*(at - reference).T), session["path_error"][every], atol=1e-12)
+        np.testing.assert_allclose(
+            np.hypot(*(at - reference).T), session["path_error"][every], atol=1e-12
+        )
         assert course.distance(*reference.T).max() < 1e-9
 
 
@@ -174,7 +187,13 @@ def test_the_course_is_the_rounded_polygon():
     "robot",
     [
         Pioneer(),
-        Pioneer(max_speed=0.4, max_turn_rate=0.35, max_acceleration=0.1, max_turn_acceleration=0.8, cruise_speed=0.4),
+        Pioneer(
+            max_speed=0.4,
+            max_turn_rate=0.35,
+            max_acceleration=0.1,
+            max_turn_acceleration=0.8,
+            cruise_speed=0.4,
+        ),
     ],
 )
 def test_limits_hold(one, robot):
@@ -202,7 +221,9 @@ def test_the_log_agrees_with_models_and_measures(runs, one, model):
         again = session.with_performance(window=100.0)
         for name in ("p_r", "p_h"):
             np.testing.assert_allclose(session[name], again[name], atol=1e-11)
-        np.testing.assert_allclose(session["tsc"], model.value(session["p_r"], session["p_h"]), atol=1e-12)
+        np.testing.assert_allclose(
+            session["tsc"], model.value(session["p_r"], session["p_h"]), atol=1e-12
+        )
         assert again.metadata.as_dict() == session.metadata.as_dict()
 
 
@@ -259,7 +280,9 @@ def test_free_suggestions_are_followed_with_their_probability(one, model, name, 
     for probability in (0.0, 0.6, 1.0):
         who = replace(one, **{key: probability})
         shown = [
-            run_condition(name, who, model, THRESHOLDS if name == "C2" else None, seed=s).suggestions()["state"]
+            run_condition(
+                name, who, model, THRESHOLDS if name == "C2" else None, seed=s
+            ).suggestions()["state"]
             for s in range(30)
         ]
         states = pd.concat(shown)
@@ -279,7 +302,9 @@ def test_an_operator_who_follows_nothing_still_switches_in_the_end(one, model):
 
 
 def test_free_choice_switches_at_the_operators_own_thresholds(one, model):
-    exact = replace(one, lower=-0.2, upper=0.6, lower_spread=0.0, upper_spread=0.0, reaction_lag=0.0)
+    exact = replace(
+        one, lower=-0.2, upper=0.6, lower_spread=0.0, upper_spread=0.0, reaction_lag=0.0
+    )
     session = run_condition("C1", exact, model, seed=2).session
     mode, tsc = session["mode"], session["tsc"]
     at = np.flatnonzero(np.diff(mode)) + 1
@@ -288,7 +313,9 @@ def test_free_choice_switches_at_the_operators_own_thresholds(one, model):
     step = 2.0 * np.abs(np.diff(tsc[200:])).max()
     for k in later:
         assert tsc[k] == pytest.approx(-0.2 if mode[k] == 1 else 0.6, abs=step)
-    spread = run_condition("C1", replace(exact, lower_spread=0.1, upper_spread=0.1, reaction_lag=2.0), model, seed=2)
+    spread = run_condition(
+        "C1", replace(exact, lower_spread=0.1, upper_spread=0.1, reaction_lag=2.0), model, seed=2
+    )
     at = np.flatnonzero(np.diff(spread.session["mode"])) + 1
     assert np.std(spread.session["tsc"][at][spread.session["mode"][at] == 0]) > step
 
@@ -312,7 +339,9 @@ def test_performance_suggestions_cost_more_utilization(one, model):
 
 def test_measures_and_laps(runs):
     for name, run in runs.items():
-        session, measures, laps = run.session, run.measures, run.laps()
+        session = run.session
+        measures = run.measures
+        laps = run.laps()
         assert measures["laps"] == 8
         assert measures["p_r"] == session["p_r"].mean()
         assert measures["switches"] == np.abs(np.diff(session["mode"])).sum()
@@ -332,17 +361,23 @@ def test_followed_suggestions_by_hand():
     mode, suggested = np.ones(n), np.full(n, -1.0)
     suggested[100:150] = 0.0  # shown at 10 s, followed at 15 s
     mode[150:] = 0.0
-    suggested[300:310] = 1.0  # shown at 30 s, gone after 1 s, back at 35 s (the same one), followed at 60 s: late
+    suggested[300:310] = (
+        1.0  # shown at 30 s, gone after 1 s, back at 35 s (the same one), followed at 60 s: late
+    )
     suggested[350:600] = 1.0
     mode[600:] = 1.0
     suggested[700:720] = 0.0  # shown for 2 s and withdrawn
     suggested[950:] = 0.0  # the session ends
-    frame = pd.DataFrame({"mode": mode, "suggested_mode": suggested}, index=np.round(np.arange(n) * 0.1, 1))
+    frame = pd.DataFrame(
+        {"mode": mode, "suggested_mode": suggested}, index=np.round(np.arange(n) * 0.1, 1)
+    )
     found = followed_suggestions(tl.Session(frame))
     assert found["start"].tolist() == [10.0, 30.0, 70.0, 95.0]
     assert found["state"].tolist() == ["followed", "not followed", "withdrawn", "open"]
     np.testing.assert_allclose(found["delay"], [5.0, 30.0, np.nan, np.nan])
-    agreed = np.where(np.arange(n) % 20 < 10, 1.0, 0.0)  # every second one second of disagreement, then agreement
+    agreed = np.where(
+        np.arange(n) % 20 < 10, 1.0, 0.0
+    )  # every second one second of disagreement, then agreement
     always = pd.DataFrame({"mode": np.ones(n), "suggested_mode": agreed}, index=frame.index)
     assert len(followed_suggestions(tl.Session(always))) == 50
 
@@ -360,7 +395,9 @@ def test_same_seed_same_run(one, model):
     runs = [run_condition("C2", one, model, THRESHOLDS, seed=s).session for s in (child, child)]
     assert runs[0] == runs[1]
     assert runs[0].metadata.more["spawn_key"] == "1"
-    sibling = run_condition("C2", one, model, THRESHOLDS, seed=np.random.SeedSequence(9).spawn(1)[0]).session
+    sibling = run_condition(
+        "C2", one, model, THRESHOLDS, seed=np.random.SeedSequence(9).spawn(1)[0]
+    ).session
     assert not np.array_equal(sibling["robot_x"][:500], runs[0]["robot_x"][:500])
 
 
@@ -425,12 +462,18 @@ def test_figures_say_that_they_are_synthetic(runs, sessions):
         ({"condition": ["C3"]}, r"'random', or rule=, got \['C3'\]"),
         ({"laps": 10**9}, "from 1 to 1000"),
         (
-            {"laps": 900, "course": Course(corners=((0, 0), (5e3, 0), (5e3, 5e3), (0, 5e3)), resolution=50.0)},
+            {
+                "laps": 900,
+                "course": Course(corners=((0, 0), (5e3, 0), (5e3, 5e3), (0, 5e3)), resolution=50.0),
+            },
             "may last",
         ),
         ({"participant": 1}, "either participant= or operator=, not both"),
         ({"operator": None}, "who drives"),
-        ({"operator": None, "participant": 6}, "no participant 6 among the printed ones: pilot, 1, 2, 3, 4, 5"),
+        (
+            {"operator": None, "participant": 6},
+            "no participant 6 among the printed ones: pilot, 1, 2, 3, 4, 5",
+        ),
         ({"operator": None, "participant": "pilt"}, "did you mean 'pilot'"),
         ({"laps": 0}, "laps must be a whole number"),
         ({"laps": 2.5}, "laps must be a whole number"),
@@ -452,7 +495,10 @@ def test_bad_input_is_named(one, model, change, says):
     ("make", "says"),
     [
         (lambda: Course(corners=((0, 0), (1, 0))), "corners must have at least 3 rows"),
-        (lambda: Course(corners=((0, 0), (1, 0), (np.nan, 1))), "corners must be finite, but sample 2"),
+        (
+            lambda: Course(corners=((0, 0), (1, 0), (np.nan, 1))),
+            "corners must be finite, but sample 2",
+        ),
         (lambda: Course(corners=((0, 0), (0, 0), (9, 0), (9, 9))), "twice in a row"),
         (lambda: Course(radius=5.0), "smaller radius or corners farther apart"),
         (lambda: Course(radius=0.0), "radius must be positive"),
@@ -474,7 +520,9 @@ def test_bad_schedules_are_named(one):
         drive_modes([1], one)
     with pytest.raises(ValueError, match=r"at least 0\.1 s, got -5"):
         identification_session(one, manual=-5.0)
-    with pytest.raises(ValueError, match=r"mixed must be a whole number, from 0 to 10000, got 1\.5"):
+    with pytest.raises(
+        ValueError, match=r"mixed must be a whole number, from 0 to 10000, got 1\.5"
+    ):
         identification_session(one, mixed=1.5)
     with pytest.raises(ValueError, match=r"phases, \(shortest, longest\)"):
         identification_session(one, phase=(500.0, 300.0))

@@ -20,20 +20,30 @@ def test_the_table_is_that_of_single_runs():
         error = {
             scheme: [
                 tl.simulate_teleoperation(
-                    scheme, person, seed=np.random.SeedSequence([0, person.participant]), duration=4.0, **variant
+                    scheme,
+                    person,
+                    seed=np.random.SeedSequence([0, person.participant]),
+                    duration=4.0,
+                    **variant,
                 )["path_error"].mean()
                 for person in people
             ]
             for scheme in ("M", "TMIG")
         }
-        assert table.loc[(name, "TMIG"), "tracking_error"] == pytest.approx(np.mean(error["TMIG"]), rel=1e-12)
-        assert table.loc[(name, "TMIG"), "better_than_m"] == np.mean(np.less(error["TMIG"], error["M"]))
+        assert table.loc[(name, "TMIG"), "tracking_error"] == pytest.approx(
+            np.mean(error["TMIG"]), rel=1e-12
+        )
+        assert table.loc[(name, "TMIG"), "better_than_m"] == np.mean(
+            np.less(error["TMIG"], error["M"])
+        )
         assert table.loc[(name, "M"), "better_than_m"] == 0.0
     assert result.table().attrs["origin"] == "simulated operators"
     assert [line.get_label() for line in result.plot().lines] == list(TWO)
 
 
 def test_a_run_that_fails_is_told():
-    stiff = {"stiff": {"guidance": "through_channel", "guard": "off", "push": np.full((400, 3), 1e12)}}
+    stiff = {
+        "stiff": {"guidance": "through_channel", "guard": "off", "push": np.full((400, 3), 1e12)}
+    }
     with pytest.warns(Warning, match="failed"), pytest.raises(RuntimeError, match="a run failed"):
         compare_guidance(1, ("M",), duration=4.0, variants=stiff, n_jobs=1)

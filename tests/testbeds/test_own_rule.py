@@ -1,7 +1,8 @@
 """
 A rule of one's own on the ground robot and the UAV, and studies in which nobody can switch.
 
-Oracles: the rule applied to what was logged gives the modes that were driven, and these modes, driven as given, give the same log.
+Oracles: the rule applied to what was logged gives the modes that were driven, and these modes,
+driven as given, give the same log.
 """
 
 import warnings
@@ -15,7 +16,9 @@ from trustlab.testbeds import drive_modes, published_operator
 
 class Relay:
     def __init__(self, low=0.28, high=0.32):
-        self.low, self.high, self.calls = low, high, 0
+        self.low = low
+        self.high = high
+        self.calls = 0
 
     def step(self, *, tsc, p_r):
         self.calls += 1
@@ -53,11 +56,16 @@ def test_a_rule_flies_too():
     assert rule.calls == np.sum(log.t > 99.95)
     assert np.count_nonzero(np.diff(log["mode"])) >= 2
     assert log.metadata.condition == "rule Relay"
-    # a rule that says what the operator's own suggestions say in C3, forced and without reaction, gives the same modes as (2.8)
+    # a rule that says what the operator's own suggestions say in C3, forced and without reaction,
+    # gives the same modes as (2.8)
     own = tl.run_condition("C3", participant=3, testbed="uav", seed=3)
-    again = tl.run_condition(rule=tl.ThresholdRule(*own.thresholds), participant=3, testbed="uav", seed=3)
+    again = tl.run_condition(
+        rule=tl.ThresholdRule(*own.thresholds), participant=3, testbed="uav", seed=3
+    )
     mode = 1
-    for t, tsc, driven in zip(again.session.t, again.session["tsc"], again.session["mode"], strict=True):
+    for t, tsc, driven in zip(
+        again.session.t, again.session["tsc"], again.session["mode"], strict=True
+    ):
         if t > 99.95:
             mode = 0 if tsc >= own.thresholds[1] else 1 if tsc <= own.thresholds[0] else mode
         assert driven == mode
@@ -65,7 +73,10 @@ def test_a_rule_flies_too():
 
 def test_the_rules_of_the_package_are_rules_too():
     thresholds = tl.ThresholdRule(0.0, 0.35, mode=0)
-    runs = [tl.run_condition(rule=thresholds, participant=2, laps=3, seed=1, mode=first) for first in (None, 1)]
+    runs = [
+        tl.run_condition(rule=thresholds, participant=2, laps=3, seed=1, mode=first)
+        for first in (None, 1)
+    ]
     assert [run.session["mode"][0] for run in runs] == [0.0, 1.0]
     assert thresholds.mode == 0
     run = tl.run_condition(rule=tl.PerformanceRule(0.24, 0.35), participant=2, laps=3, seed=1)
@@ -78,12 +89,21 @@ def test_rules_that_fail_say_when():
             raise RuntimeError("out of data")
 
     for more, says in (
-        ({"rule": Late()}, r"rule.step failed at t = 100.0 s, with TSC = .*RuntimeError: out of data"),
+        (
+            {"rule": Late()},
+            r"rule.step failed at t = 100.0 s, with TSC = .*RuntimeError: out of data",
+        ),
         ({"rule": 3}, "rule must have a method step"),
         ({"rule": Relay(), "condition": "C3"}, "no effect beside rule="),
         ({"rule": Relay(), "thresholds": (0.0, 0.3)}, "no effect beside rule="),
-        ({"rule": Late(), "testbed": "uav", "laps": None}, r"rule.step failed at t = 100.0 s.*out of data"),
-        ({"condition": "C3", "mode": 0, "testbed": "uav", "laps": None}, "mode has no effect without rule="),
+        (
+            {"rule": Late(), "testbed": "uav", "laps": None},
+            r"rule.step failed at t = 100.0 s.*out of data",
+        ),
+        (
+            {"condition": "C3", "mode": 0, "testbed": "uav", "laps": None},
+            "mode has no effect without rule=",
+        ),
         ({"condition": "C3", "mode": 0}, "mode has no effect without rule="),
         ({}, "condition must be one of .*or rule="),
     ):

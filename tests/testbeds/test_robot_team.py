@@ -1,4 +1,7 @@
-"""Chapter 4 in one loop: against a dense solver, Lemmas 6 and 7, V_T, Theorem 6, Remark 13, and guards removed."""
+"""
+Chapter 4 in one loop: against a dense solver, Lemmas 6 and 7, V_T, Theorem 6, Remark 13, and guards
+removed.
+"""
 
 import itertools
 import re
@@ -44,17 +47,23 @@ def random_graph(rng, robots):
 
 
 def random_team(seed):
-    """A random team: graph, delay to 1.5 s, per-robot b and bounds, policy, τ_min = 5 T, filter, start and goal."""
+    """
+    A random team: graph, delay to 1.5 s, per-robot b and bounds, policy, τ_min = 5 T, filter, start
+    and goal.
+    """
     rng = np.random.default_rng([7, seed])
     robots = int(rng.integers(2, 13))
     graph = random_graph(rng, robots)
     lows = rng.uniform(0.2, 1.0, robots)
     ends = tuple(
-        Scattering(10 ** rng.uniform(-0.3, 0.6), beta_min=low, beta_max=low + rng.uniform(0.0, 1.0)) for low in lows
+        Scattering(10 ** rng.uniform(-0.3, 0.6), beta_min=low, beta_max=low + rng.uniform(0.0, 1.0))
+        for low in lows
     )
     delay = rng.uniform(0.05, 1.5)
     return graph, {
-        "policy": ("random", RandomLeaders(0.0), "sequence", "most_trusted", "hysteresis")[seed % 5],
+        "policy": ("random", RandomLeaders(0.0), "sequence", "most_trusted", "hysteresis")[
+            seed % 5
+        ],
         "goal": rng.uniform(-5.0, 5.0, 3),
         "seed": seed,
         "duration": 1000.0,
@@ -70,27 +79,39 @@ def random_team(seed):
 
 def dense(graph, run, ends, n, leads, delay, vision, kind, start, goal, count, trust0=0.5):
     """
-    The same equations, every sample one dense linear system per axis in all midpoint unknowns; returns what the run logs.
+    The same equations, every sample one dense linear system per axis in all midpoint unknowns;
+    returns what the run logs.
 
     n: dict of device, operator and filter numbers. kind: "none", "two-port" or "waves".
     """
     names, adjacency = team_graph(graph)
     size, T = len(names), n["T"]
     L = n.get("coupling", 1.0) * (np.diag(adjacency.sum(1)) - adjacency)
-    q, zeta, x, v = start - goal, np.zeros((size, 3)), np.zeros(3), np.zeros(3)
-    fil, wave, held = np.zeros((4, 3)), np.zeros((2, 3)), []
+    q = start - goal
+    zeta = np.zeros((size, 3))
+    x = np.zeros(3)
+    v = np.zeros(3)
+    fil = np.zeros((4, 3))
+    wave = np.zeros((2, 3))
+    held = []
     u_l, u_r, sent, seen = (np.zeros((count, 3)) for _ in range(4))
-    far, trust, rows = np.linalg.norm(q, axis=1).max(), np.full(size, trust0), []
+    far = np.linalg.norm(q, axis=1).max()
+    trust = np.full(size, trust0)
+    rows = []
     w = n["cutoff"]
     Z, Q, V, RM, FM, RH, FH, RS, FS, R, F = (
-        slice(0, size), slice(size, 2 * size), *(2 * size + i for i in range(9)),
-    )  # fmt: skip
+        slice(0, size),
+        slice(size, 2 * size),
+        *(2 * size + i for i in range(9)),
+    )
     for k in range(count):
         lead, late = leads[k], k - vision
         error = -seen[late] if late >= 0 else np.zeros(3)
         good = max(1.0 - np.linalg.norm(error) / far, 0.0) if late >= 0 else 0.0
         end = ends[lead]
-        beta = end.beta_min + (end.beta_max - end.beta_min) * (1.0 - 1.0 / (1.0 + np.exp(-10.0 * (trust[lead] - 0.5))))
+        beta = end.beta_min + (end.beta_max - end.beta_min) * (
+            1.0 - 1.0 / (1.0 + np.exp(-10.0 * (trust[lead] - 0.5)))
+        )
         trust = trust + (1.0 - n["keep"]) * (good - trust)
         v_r = u_l[k - delay] if k >= delay else np.zeros(3)
         v_l = u_r[k - delay] if k >= delay else np.zeros(3)
@@ -101,24 +122,55 @@ def dense(graph, run, ends, n, leads, delay, vision, kind, start, goal, count, t
         held.append((n["k21"] * (fil[[0, 2]] ** 2).sum() + n["k12"] * (fil[[1, 3]] ** 2).sum()) / w)
         for i in range(3):
             A, y = np.zeros((2 * size + 9, 2 * size + 9)), np.zeros(2 * size + 9)
-            h, b, port = 0.5 * T, end.b, kind == "two-port"
-            A[Z, Z], A[Z, Q], y[Z] = np.eye(size), h * L, zeta[:, i]
-            A[Q, Q], A[Q, Z], y[Q] = np.eye(size) + h * L, -h * L.T, q[:, i]
+            h = 0.5 * T
+            b = end.b
+            port = kind == "two-port"
+            A[Z, Z] = np.eye(size)
+            A[Z, Q] = h * L
+            y[Z] = zeta[:, i]
+            A[Q, Q] = np.eye(size) + h * L
+            A[Q, Z] = -h * L.T
+            y[Q] = q[:, i]
             A[size + lead, R] = -h * n.get("lead", 1.0)
-            push, drag = (n["push"] * error[i], n["drag"])  # M (v_mid − v)/h = push − d r_m − f_m − B v_mid − K x_mid
-            A[V, V], A[V, RM], A[V, FM] = n["M"] / h + n["B"] + n["K"] * h, drag, 1.0
+            push, drag = (
+                n["push"] * error[i],
+                n["drag"],
+            )  # M (v_mid − v)/h = push − d r_m − f_m − B v_mid − K x_mid
+            A[V, V] = n["M"] / h + n["B"] + n["K"] * h
+            A[V, RM] = drag
+            A[V, FM] = 1.0
             y[V] = n["M"] * v[i] / h + push - n["K"] * x[i]
-            A[RM, RM], A[RM, V], y[RM] = 1.0, -(1.0 + n["Lam"] * h), n["Lam"] * x[i]
+            A[RM, RM] = 1.0
+            A[RM, V] = -(1.0 + n["Lam"] * h)
+            y[RM] = n["Lam"] * x[i]
             k12, k21 = (n["k12"], n["k21"]) if port else (0.0, 0.0)
             p1, p2, p3, p4 = fil[:, i] / (1 + h * w) if port else np.zeros(4)
             g = h * w / (1 + h * w) if port else 1.0
-            A[FM, FM], A[FM, RM], A[FM, FH], y[FM] = 1.0, -k21, -g, p2
-            A[RH, RH], A[RH, RM], A[RH, FH], y[RH] = 1.0, -g, k12, p1
-            A[FH, FH], A[FH, RH], y[FH] = 1.0, -beta * b, beta * np.sqrt(2 * b / end.beta_max) * v_l[i]
-            A[RS, RS], A[RS, FS], y[RS] = b, 1.0, np.sqrt(2 * b) * v_r[i]
-            A[R, R], A[R, RS], A[R, F], y[R] = 1.0, -g, k12, p3
-            A[FS, FS], A[FS, RS], A[FS, F], y[FS] = 1.0, -k21, -g, p4
-            A[F, F], A[F, Q], y[F] = 1.0, -n.get("felt", 1.0) * L[lead], 0.0
+            A[FM, FM] = 1.0
+            A[FM, RM] = -k21
+            A[FM, FH] = -g
+            y[FM] = p2
+            A[RH, RH] = 1.0
+            A[RH, RM] = -g
+            A[RH, FH] = k12
+            y[RH] = p1
+            A[FH, FH] = 1.0
+            A[FH, RH] = -beta * b
+            y[FH] = beta * np.sqrt(2 * b / end.beta_max) * v_l[i]
+            A[RS, RS] = b
+            A[RS, FS] = 1.0
+            y[RS] = np.sqrt(2 * b) * v_r[i]
+            A[R, R] = 1.0
+            A[R, RS] = -g
+            A[R, F] = k12
+            y[R] = p3
+            A[FS, FS] = 1.0
+            A[FS, RS] = -k21
+            A[FS, F] = -g
+            y[FS] = p4
+            A[F, F] = 1.0
+            A[F, Q] = -n.get("felt", 1.0) * L[lead]
+            y[F] = 0.0
             s = np.linalg.solve(A, y)
             zeta[:, i], q[:, i] = 2 * s[Z] - zeta[:, i], 2 * s[Q] - q[:, i]
             row[:, i] = s[Q][lead] + goal[i], x[i], s[RM], push - drag * s[RM], s[FM], s[R], s[F]
@@ -154,18 +206,43 @@ def test_kernel_against_a_dense_solver(kind, graph, scales):
     T, count = 0.02, 400
     rng = np.random.default_rng(8)
     start, goal = rng.normal(size=(4, 3)), np.array([1.0, -2.0, 0.5])
-    ends = tuple(Scattering(b, beta_min=low, beta_max=low + 0.7) for b, low in ((1, 0.3), (2, 0.5), (0.5, 1), (3, 0.2)))
-    filters = {"none": "none", "two-port": corrected_filter(8.0, 1.5), "waves": WaveFilter(8.0)}[kind]
+    ends = tuple(
+        Scattering(b, beta_min=low, beta_max=low + 0.7)
+        for b, low in ((1, 0.3), (2, 0.5), (0.5, 1), (3, 0.2))
+    )
+    filters = {"none": "none", "two-port": corrected_filter(8.0, 1.5), "waves": WaveFilter(8.0)}[
+        kind
+    ]
     run = tl.simulate_team(
-        graph, GivenSequence([2, 0, 3], times=[0.0, 2.0, 5.0]), goal, duration=count * T, sample_time=T,
+        graph,
+        GivenSequence([2, 0, 3], times=[0.0, 2.0, 5.0]),
+        goal,
+        duration=count * T,
+        sample_time=T,
         settings=TeamSettings(
-            scattering=ends, coupling=scales.get("coupling", 1.0), lead_gain=scales.get("lead", 1.0),
+            scattering=ends,
+            coupling=scales.get("coupling", 1.0),
+            lead_gain=scales.get("lead", 1.0),
             force_gain=scales.get("felt", 1.0),
         ),
         operator=TeamOperator(reach=1e9, guarded=False, slow_down=False, push=2.0),
-        delay=0.2, vision_delay=0.3, min_dwell=1.5, filters=filters, start=start, record_every=T,
-    )  # fmt: skip
-    n = scales | {"T": T, "M": 0.5, "B": 5.5, "K": 20.0, "Lam": 10.0, "push": 2.0, "drag": 1.0, "cutoff": 8.0}
+        delay=0.2,
+        vision_delay=0.3,
+        min_dwell=1.5,
+        filters=filters,
+        start=start,
+        record_every=T,
+    )
+    n = scales | {
+        "T": T,
+        "M": 0.5,
+        "B": 5.5,
+        "K": 20.0,
+        "Lam": 10.0,
+        "push": 2.0,
+        "drag": 1.0,
+        "cutoff": 8.0,
+    }
     n |= {"k12": 0.5 / 1.5, "k21": 0.5 * 1.5, "keep": np.exp(-0.1 * T)}
     leads = run.data["number"].to_numpy().astype(int)
     assert len(run.switches) == 2
@@ -173,17 +250,30 @@ def test_kernel_against_a_dense_solver(kind, graph, scales):
     found = run.data[run.data.columns[:21]].to_numpy()
     assert len(wanted) == len(found) == count
     np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-9 * np.abs(wanted).max())
-    np.testing.assert_allclose(run.data["v_filter"], held if kind == "two-port" else 0.0, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(
+        run.data["v_filter"], held if kind == "two-port" else 0.0, rtol=1e-8, atol=1e-9
+    )
 
 
 def test_converges_with_the_order_of_the_midpoint_rule():
-    """Order 2: halving the step divides the difference by four; delays are multiples of every step."""
+    """
+    Order 2: halving the step divides the difference by four; delays are multiples of every step.
+    """
     ends = []
     for T in (0.02, 0.01, 0.005, 0.0025):
         run = tl.simulate_team(
-            nx.path_graph(4), GivenSequence([0]), seed=3, duration=6.0, sample_time=T, delay=0.2, vision_delay=0.2,
-            settings=NO_SCALING, filters="corrected", record_every=0.1, operator=TeamOperator(guarded=False),
-        )  # fmt: skip
+            nx.path_graph(4),
+            GivenSequence([0]),
+            seed=3,
+            duration=6.0,
+            sample_time=T,
+            delay=0.2,
+            vision_delay=0.2,
+            settings=NO_SCALING,
+            filters="corrected",
+            record_every=0.1,
+            operator=TeamOperator(guarded=False),
+        )
         ends.append(run.positions[-1])
     errors = [np.abs(one - other).max() for one, other in itertools.pairwise(ends)]
     assert all(one > 3.0 * other for one, other in itertools.pairwise(errors))
@@ -198,8 +288,13 @@ def energies(seed, **change):
 @pytest.mark.parametrize("seed", range(12))
 def test_lemmas_6_and_7_balance_at_every_sample(seed):
     """V(k + 1) − V(k) = supply − dissipation, (4.25) and (4.33), relative to the storage."""
-    data = energies(seed, inner=np.random.default_rng(seed).normal(size=energies(seed).positions.shape[1:])).data
-    for storage, supply, lost in (("v_fs", "supply_team", "lost_team"), ("v_e", "supply_error", "lost_error")):
+    data = energies(
+        seed, inner=np.random.default_rng(seed).normal(size=energies(seed).positions.shape[1:])
+    ).data
+    for storage, supply, lost in (
+        ("v_fs", "supply_team", "lost_team"),
+        ("v_e", "supply_error", "lost_error"),
+    ):
         balance = data[storage] - data[supply] + data[lost]
         assert np.ptp(balance) <= 1e-12 * len(data) ** 0.5 * data[storage].max()
         step = np.abs(np.diff(balance)).max()
@@ -211,7 +306,10 @@ def test_lemmas_6_and_7_balance_at_every_sample(seed):
 
 @pytest.mark.parametrize("seed", range(15))
 def test_v_t_never_rises(seed):
-    """(4.32)-(4.35) with corrected filters, at every sample and to rounding, whatever the leader; (4.15) beside it."""
+    """
+    (4.32)-(4.35) with corrected filters, at every sample and to rounding, whatever the leader;
+    (4.15) beside it.
+    """
     data = energies(seed).data
     assert np.diff(data["v_t"]).max() <= 1e-12 * data["v_t"].max()
     assert data["v_ch"].min() >= -1e-12 * data["v_ch"].max()
@@ -219,7 +317,10 @@ def test_v_t_never_rises(seed):
 
 
 def test_v_t_falls_as_4_35_says():
-    """Without scaling or filter what V_T loses is the device's, (4.25)'s and (4.33)'s dissipation, and nothing else."""
+    """
+    Without scaling or filter what V_T loses is the device's, (4.25)'s and (4.33)'s dissipation, and
+    nothing else.
+    """
     data = energies(0, settings=NO_SCALING, filters="none").data
     kept = data["v_t"] + data["lost_device"] + data["lost_team"] + data["lost_error_delayed"]
     # with β = β_min = β_max the channel stores every joule
@@ -236,7 +337,9 @@ def test_v_t_never_rises_with_delays_that_vary():
 
 @pytest.mark.parametrize("teams", [50, pytest.param(200, marks=pytest.mark.long)])
 def test_theorem_6_in_random_teams(teams):
-    """Every robot within 1 mm of the goal after 1000 s, no case left out; and (4.30) held in each."""
+    """
+    Every robot within 1 mm of the goal after 1000 s, no case left out; and (4.30) held in each.
+    """
     for seed in range(teams):
         graph, arguments = random_team(seed)
         run = tl.simulate_team(graph, **arguments)
@@ -246,7 +349,8 @@ def test_theorem_6_in_random_teams(teams):
 
 def test_free_team_meets_at_a_point_of_its_own():
     """
-    Remark 13. Closed form for one leader, no scaling and ζ = 0: the mean of the start, whatever the goal.
+    Remark 13. Closed form for one leader, no scaling and ζ = 0: the mean of the start, whatever the
+    goal.
 
     ∫ f_s dτ = ζ_i(0) − mean ζ(0) = 0, and ∫ r_s dτ is a multiple of it; Σ q grows by ∫ r_s dτ.
     """
@@ -265,20 +369,24 @@ def test_free_team_meets_at_a_point_of_its_own():
         }
         for filters in ("corrected", "waves"):
             run, other = (
-                tl.simulate_team(graph, goal=goal, filters=filters, **shared) for goal in ((1, 2, 0.5), (9, -9, 3))
+                tl.simulate_team(graph, goal=goal, filters=filters, **shared)
+                for goal in ((1, 2, 0.5), (9, -9, 3))
             )
             assert run.synchronised
             assert not run.converged
-            np.testing.assert_allclose(run.positions[-1], np.tile(start.mean(axis=0), (len(graph), 1)), atol=1e-8)
+            np.testing.assert_allclose(
+                run.positions[-1], np.tile(start.mean(axis=0), (len(graph), 1)), atol=1e-8
+            )
             np.testing.assert_allclose(run.positions[-1], other.positions[-1], atol=1e-8)
 
 
 def test_without_filter_or_scaling_waves_ring():
     """
-    The cases of Theorem 6 that take longer than 1000 s: a lossless channel with nothing in it that takes energy.
+    The cases of Theorem 6 that take longer than 1000 s: a lossless channel with nothing in it that
+    takes energy.
 
-    Waves of high frequency come back from both ends all but whole, so that V_ch falls slowly and robots stay within centimetres.
-    The same teams with filtered waves arrive.
+    Waves of high frequency come back from both ends all but whole, so that V_ch falls slowly and
+    robots stay within centimetres. The same teams with filtered waves arrive.
     """
     late = 0
     for seed in range(20):
@@ -286,7 +394,10 @@ def test_without_filter_or_scaling_waves_ring():
         rng = np.random.default_rng(seed)
         own = tuple(Scattering(10 ** rng.uniform(-0.3, 0.6)) for _ in graph)
         bare, filtered = (
-            tl.simulate_team(graph, **(arguments | {"settings": TeamSettings(scattering=own), "filters": filters}))
+            tl.simulate_team(
+                graph,
+                **(arguments | {"settings": TeamSettings(scattering=own), "filters": filters}),
+            )
             for filters in ("none", "waves")
         )
         assert filtered.converged
@@ -298,20 +409,33 @@ def test_without_filter_or_scaling_waves_ring():
 
 
 def test_v_h_falls_although_the_hand_does_nothing():
-    """(4.30) is no property of the hand alone: the team drags its leader from the goal while f_h = 0."""
+    """
+    (4.30) is no property of the hand alone: the team drags its leader from the goal while f_h = 0.
+    """
     graph, goal = nx.path_graph(3), np.array([1.0, 2.0, 0.5])
     start = np.vstack([goal, goal + 4.0, goal + 4.0])
     run = tl.simulate_team(
-        graph, GivenSequence([0]), goal, start=start, operator=ALONE, duration=20.0, sample_time=0.01
+        graph,
+        GivenSequence([0]),
+        goal,
+        start=start,
+        operator=ALONE,
+        duration=20.0,
+        sample_time=0.01,
     )
     assert run.data["supply_hand"].abs().max() == 0.0
     assert run.data["v_h"].min() < -1.0
 
 
 def test_a_spent_budget_leaves_the_team_where_it_is():
-    """(4.30) alone is not enough: with β_h spent the hand rests away from the goal, against Assumption 4.b."""
+    """
+    (4.30) alone is not enough: with β_h spent the hand rests away from the goal, against Assumption
+    4.b.
+    """
     graph, arguments = random_team(3)
-    run = tl.simulate_team(graph, operator=TeamOperator(push=40.0, reach=60.0, slow_down=False), **arguments)
+    run = tl.simulate_team(
+        graph, operator=TeamOperator(push=40.0, reach=60.0, slow_down=False), **arguments
+    )
     assert run.operator_passive
     assert run.synchronised
     assert not run.converged
@@ -321,7 +445,13 @@ def test_a_spent_budget_leaves_the_team_where_it_is():
 def test_free_team_under_switching_depends_on_its_start_alone():
     """It is linear in the start: twice the start, twice the meeting point; and not the goal."""
     graph, start = nx.cycle_graph(5), np.random.default_rng(4).normal(size=(5, 3))
-    shared = {"policy": "random", "operator": ALONE, "sample_time": 0.02, "duration": 300.0, "seed": 5}
+    shared = {
+        "policy": "random",
+        "operator": ALONE,
+        "sample_time": 0.02,
+        "duration": 300.0,
+        "seed": 5,
+    }
     one, two, moved = (
         tl.simulate_team(graph, goal=goal, start=k * start, **shared)
         for k, goal in ((1, (1, 2, 3)), (2, (1, 2, 3)), (1, (-8, 0, 0)))
@@ -334,7 +464,10 @@ def test_free_team_under_switching_depends_on_its_start_alone():
 
 class TestGuardsRemoved:
     def test_printed_filter_makes_the_free_team_diverge(self):
-        """Proposition 3 inside the loop: with nobody at the device, at 10 rad/s and half a second of delay."""
+        """
+        Proposition 3 inside the loop: with nobody at the device, at 10 rad/s and half a second of
+        delay.
+        """
         shared = {"operator": ALONE, "delay": 0.5, "sample_time": 0.01, "duration": 200.0}
         with pytest.raises(DivergenceError, match="passive"):
             tl.simulate_team(nx.path_graph(4), filters="printed", **shared)
@@ -343,21 +476,37 @@ class TestGuardsRemoved:
 
     def test_printed_filter_raises_v_t(self):
         run = tl.simulate_team(
-            nx.path_graph(4), filters="printed", delay=0.5, sample_time=0.01, duration=60.0, operator=ALONE
+            nx.path_graph(4),
+            filters="printed",
+            delay=0.5,
+            sample_time=0.01,
+            duration=60.0,
+            operator=ALONE,
         )
         assert np.diff(run.data["v_t"]).max() > 1e-3
         assert run.data["supply_filter"].min() < -0.1  # (4.18) says zero
 
     def test_scattering_not_switched_with_the_leader(self):
-        """The operator's end keeps the first leader's bounds: the channel pays for what the operator does not."""
-        ends = (Scattering(2.0, beta_min=10.0, beta_max=20.0),) + (Scattering(2.0, beta_min=0.2, beta_max=0.4),) * 3
+        """
+        The operator's end keeps the first leader's bounds: the channel pays for what the operator
+        does not.
+        """
+        ends = (Scattering(2.0, beta_min=10.0, beta_max=20.0),) + (
+            Scattering(2.0, beta_min=0.2, beta_max=0.4),
+        ) * 3
         shared = {
-            "policy": GivenSequence(range(4), times=[0, 10, 200, 400]), "settings": TeamSettings(scattering=ends), "delay": 0.5,
-            "start": np.tile([-10.0, 0.0, 0.0], (4, 1)), "sample_time": 0.01, "duration": 600.0, "filters": "waves",
+            "policy": GivenSequence(range(4), times=[0, 10, 200, 400]),
+            "settings": TeamSettings(scattering=ends),
+            "delay": 0.5,
+            "start": np.tile([-10.0, 0.0, 0.0], (4, 1)),
+            "sample_time": 0.01,
+            "duration": 600.0,
+            "filters": "waves",
             "operator": TeamOperator(guarded=False),
-        }  # fmt: skip
+        }
         right, wrong = (
-            tl.simulate_team(nx.path_graph(4), switch_scattering=switched, **shared) for switched in (True, False)
+            tl.simulate_team(nx.path_graph(4), switch_scattering=switched, **shared)
+            for switched in (True, False)
         )
         assert right.converged
         assert right.data["v_ch"].min() >= 0.0
@@ -368,7 +517,11 @@ class TestGuardsRemoved:
     def test_disconnected_team_does_not_meet(self):
         graph = nx.Graph([("a", "b"), ("c", "d")])
         run = tl.simulate_team(
-            graph, GivenSequence(["a", "b"]), sample_time=0.01, duration=300.0, require_connected=False
+            graph,
+            GivenSequence(["a", "b"]),
+            sample_time=0.01,
+            duration=300.0,
+            require_connected=False,
         )
         assert run.distances[-1][:2].max() < 1e-3
         assert run.distances[-1][2:].min() > 0.1
@@ -378,7 +531,9 @@ class TestGuardsRemoved:
         """A hand that pushes hard on old pictures gives energy for ever; its budget stops it."""
         shared = {"delay": 1.0, "sample_time": 0.01, "duration": 200.0}
         eager = {"push": 40.0, "reach": 50.0, "slow_down": False}
-        active = tl.simulate_team(nx.path_graph(4), operator=TeamOperator(guarded=False, **eager), **shared)
+        active = tl.simulate_team(
+            nx.path_graph(4), operator=TeamOperator(guarded=False, **eager), **shared
+        )
         passive = tl.simulate_team(nx.path_graph(4), operator=TeamOperator(**eager), **shared)
         assert not active.operator_passive
         assert not active.converged
@@ -389,17 +544,24 @@ class TestGuardsRemoved:
 
 
 def test_budget_of_eager_operators_is_kept():
-    """The hand never takes V_h below −β_h + reserve by pushing; what falls below is r_sᵀe, not in its power."""
+    """
+    The hand never takes V_h below −β_h + reserve by pushing; what falls below is r_sᵀe, not in its
+    power.
+    """
     for seed in range(0, 40, 4):
         graph, arguments = random_team(seed)
         arguments |= {"duration": 200.0}
-        run = tl.simulate_team(graph, operator=TeamOperator(push=40.0, reach=60.0, slow_down=False), **arguments)
+        run = tl.simulate_team(
+            graph, operator=TeamOperator(push=40.0, reach=60.0, slow_down=False), **arguments
+        )
         assert run.operator_passive, seed
 
 
 def test_same_seed_same_run_and_trust_drives_the_leader():
     graph = nx.cycle_graph(5)
-    one, two, three = (tl.simulate_team(graph, seed=s, duration=60.0, sample_time=0.01) for s in (4, 4, 5))
+    one, two, three = (
+        tl.simulate_team(graph, seed=s, duration=60.0, sample_time=0.01) for s in (4, 4, 5)
+    )
     assert one.data.equals(two.data)
     assert not one.data.equals(three.data)
     assert ((one.trust >= 0.0) & (one.trust <= 1.0)).all()
@@ -509,7 +671,10 @@ class TestBadInput:
             ({"min_dwell": 0.2}, "greater than the delay"),
             ({"min_dwell": 0.1}, "greater than the delay"),
             ({"policy": GivenSequence([0, 7])}, "names robot 7, which does not exist"),
-            ({"policy": GivenSequence([0, 1], times=[0.0, 1.0])}, r"switches at t = 1 s, less than min_dwell"),
+            (
+                {"policy": GivenSequence([0, 1], times=[0.0, 1.0])},
+                r"switches at t = 1 s, less than min_dwell",
+            ),
             ({"policy": GivenSequence([0, 1], every=1.0)}, "less than min_dwell"),
             ({"policy": "best"}, "policy must be one of"),
             ({"policy": "sequense"}, "did you mean 'sequence'"),
@@ -538,7 +703,10 @@ class TestBadInput:
             ({"operator": 3}, "TeamOperator"),
             ({"switch_scattering": 1}, "True or False"),
             ({"require_connected": None}, "True or False"),
-            ({"settings": TeamSettings(scattering=(Scattering(1.0),) * 2)}, "2 entries for 3 robots"),
+            (
+                {"settings": TeamSettings(scattering=(Scattering(1.0),) * 2)},
+                "2 entries for 3 robots",
+            ),
             ({"duration": 1e5, "sample_time": 1e-3}, "too many"),
         ],
     )
@@ -564,8 +732,14 @@ class TestBadInput:
 
     def test_operator(self):
         for change in (
-            {"push": -1.0}, {"reach": 0.0}, {"drag": -1.0}, {"budget": 0.0}, {"reserve": 1.0}, {"guarded": 1}, {"push": "x"},
-        ):  # fmt: skip
+            {"push": -1.0},
+            {"reach": 0.0},
+            {"drag": -1.0},
+            {"budget": 0.0},
+            {"reserve": 1.0},
+            {"guarded": 1},
+            {"push": "x"},
+        ):
             with pytest.raises(ValueError, match=next(iter(change))):
                 TeamOperator(**change)
         assert TeamOperator(drag=-1.0, guarded=False).drag == -1.0
@@ -589,7 +763,9 @@ class TestBadInput:
             with pytest.raises(ValueError, match=words):
                 tl.simulate_team(nx.path_graph(3), Own(make), duration=10.0)
         assert (
-            tl.simulate_team(nx.path_graph(3), Own(lambda count: np.ones(count, int)), duration=5.0).facts["policy"]
+            tl.simulate_team(
+                nx.path_graph(3), Own(lambda count: np.ones(count, int)), duration=5.0
+            ).facts["policy"]
             == "own"
         )
 

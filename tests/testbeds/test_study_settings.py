@@ -1,4 +1,7 @@
-"""A study is the same by name and as settings; each trust model has its own ranges; columns are in the models' units."""
+"""
+A study is the same by name and as settings; each trust model has its own ranges; columns are in the
+models' units.
+"""
 
 from dataclasses import replace
 

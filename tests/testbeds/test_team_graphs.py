@@ -1,4 +1,7 @@
-"""Teams past Chapter 4: weights, directed graphs, links and robots that come and go, live policies, and large teams."""
+"""
+Teams past Chapter 4: weights, directed graphs, links and robots that come and go, live policies,
+and large teams.
+"""
 
 import networkx as nx
 import numpy as np
@@ -18,12 +21,16 @@ from trustlab.teleoperation import (
 
 
 def changing_team(seed):
-    """A weighted graph of six robots that twice loses or gains links, loses a robot and gains a new one."""
+    """
+    A weighted graph of six robots that twice loses or gains links, loses a robot and gains a new
+    one.
+    """
     rng = np.random.default_rng([15, seed])
 
     def some(names):
         graph = nx.relabel_nodes(
-            nx.random_labeled_tree(len(names), seed=int(rng.integers(1 << 30))), dict(enumerate(names))
+            nx.random_labeled_tree(len(names), seed=int(rng.integers(1 << 30))),
+            dict(enumerate(names)),
         )
         for _ in range(3):
             graph.add_edge(*(names[i] for i in rng.choice(len(names), 2, replace=False)))
@@ -38,7 +45,9 @@ def changing_team(seed):
         "seed": seed,
         "sample_time": 0.02,
         "settings": TeamSettings(
-            coupling=rng.uniform(0.5, 3.0), lead_gain=rng.uniform(0.5, 3.0), force_gain=rng.uniform(0.3, 2.0)
+            coupling=rng.uniform(0.5, 3.0),
+            lead_gain=rng.uniform(0.5, 3.0),
+            force_gain=rng.uniform(0.3, 2.0),
         ),
         "filters": ("none", "corrected", "waves")[seed % 3],
     }
@@ -46,7 +55,10 @@ def changing_team(seed):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_energy_balances_through_changes(seed):
-    """Lemmas 6 and 7 hold between changes, V_e through them; what V_fs jumps by is booked, and V_T without it never rises."""
+    """
+    Lemmas 6 and 7 hold between changes, V_e through them; what V_fs jumps by is booked, and V_T
+    without it never rises.
+    """
     graph, arguments = changing_team(seed)
     data = tl.simulate_team(graph, **arguments, duration=60.0, record_every=0.02).data
     team = data["v_fs"] - data["supply_team"] + data["lost_team"] - data["supply_links"]
@@ -54,8 +66,12 @@ def test_energy_balances_through_changes(seed):
     assert np.ptp(team) <= 1e-11 * max(data["v_fs"].max(), data["lost_team"].max())
     assert np.ptp(error) <= 1e-11 * max(data["v_e"].max(), data["lost_error"].max())
     assert np.diff(data["v_t"] - data["supply_links"]).max() <= 1e-11 * data["v_t"].max()
-    assert data["supply_links"].abs().max() > 0.0  # else nothing changed, and the bookkeeping would not be tried
-    assert np.diff(data["v_t"]).max() > 1e-6 or data["supply_links"].max() <= 0.0  # negative control: links that appear
+    assert (
+        data["supply_links"].abs().max() > 0.0
+    )  # else nothing changed, and the bookkeeping would not be tried
+    assert (
+        np.diff(data["v_t"]).max() > 1e-6 or data["supply_links"].max() <= 0.0
+    )  # negative control: links that appear
 
 
 @pytest.mark.parametrize("seed", range(9))
@@ -75,12 +91,20 @@ def test_robots_that_come_and_go_arrive(seed):
 
 
 def test_links_of_no_weight_leave_the_team_to_itself():
-    """Negative control of coupling: a robot whose links are all lost stays where it is, and is the only one that does."""
+    """
+    Negative control of coupling: a robot whose links are all lost stays where it is, and is the
+    only one that does.
+    """
     ring = nx.cycle_graph(5)
     cut = ring.copy()
     cut.remove_edges_from([(0, 1), (4, 0)])
     run = tl.simulate_team(
-        ring, GivenSequence([2], times=[0.0]), duration=300.0, seed=3, changes={10.0: cut}, require_connected=False
+        ring,
+        GivenSequence([2], times=[0.0]),
+        duration=300.0,
+        seed=3,
+        changes={10.0: cut},
+        require_connected=False,
     )
     stays = np.ptp(run.positions[run.t >= 10.0], axis=0).max(axis=1)
     assert stays[0] == pytest.approx(0.0, abs=1e-9)
@@ -92,40 +116,62 @@ class TestDirected:
     CHAIN = nx.DiGraph([(1, 0), (2, 1), (3, 2), (3, 0)])  # robot 0 sees nobody and is seen by all
 
     def test_a_spanning_tree_is_enough(self):
-        run = tl.simulate_team(self.CHAIN, GivenSequence([0], times=[0.0]), duration=300.0, sample_time=0.01, seed=1)
+        run = tl.simulate_team(
+            self.CHAIN, GivenSequence([0], times=[0.0]), duration=300.0, sample_time=0.01, seed=1
+        )
         assert run.converged
         assert run.data[["v_fs", "v_t"]].isna().all(axis=None)
-        error = run.data["v_e"] - run.data["supply_error"] + run.data["lost_error"]  # an identity on any graph
+        error = (
+            run.data["v_e"] - run.data["supply_error"] + run.data["lost_error"]
+        )  # an identity on any graph
         assert np.ptp(error) <= 1e-11 * run.data["v_e"].max()
 
     def test_only_who_is_seen_by_all_leads(self):
         with pytest.raises(
-            ValueError, match=r"at t = 0 s the policy picks robot 2, which not all others see.*who can: \[0\]"
+            ValueError,
+            match=r"at t = 0 s the policy picks robot 2, which not all others see.*who can: \[0\]",
         ):
             tl.simulate_team(self.CHAIN, GivenSequence([2], times=[0.0]), duration=20.0)
 
     def test_a_graph_in_both_directions_is_the_undirected_one(self):
-        """One arithmetic for both: modes here, dense matrices there (an entry of 1e-13 makes the graph directed)."""
+        """
+        One arithmetic for both: modes here, dense matrices there (an entry of 1e-13 makes the graph
+        directed).
+        """
         ring = nx.to_numpy_array(nx.cycle_graph(5))
         almost = ring.copy()
         almost[0, 2] = 1e-13
-        one, other = (tl.simulate_team(graph, "sequence", duration=30.0, seed=2) for graph in (ring, almost))
+        one, other = (
+            tl.simulate_team(graph, "sequence", duration=30.0, seed=2) for graph in (ring, almost)
+        )
         np.testing.assert_allclose(one.positions, other.positions, rtol=0.0, atol=1e-9)
 
     def test_differences_never_grow(self):
-        """No directed graph with a spanning tree was found on which the law with Lᵀ is unstable; with L, as printed, some are."""
+        """
+        No directed graph with a spanning tree was found on which the law with Lᵀ is unstable; with
+        L, as printed, some are.
+        """
         rng, printed = np.random.default_rng(4), 0
         for _ in range(300):
             size = int(rng.integers(2, 10))
-            a = rng.uniform(0.1, 3.0, (size, size)) * (rng.random((size, size)) < 0.4) * (1.0 - np.eye(size))
+            a = (
+                rng.uniform(0.1, 3.0, (size, size))
+                * (rng.random((size, size)) < 0.4)
+                * (1.0 - np.eye(size))
+            )
             try:
                 a = team_graph(a)[1]
             except GraphError:
                 continue
             matrix = np.diag(a.sum(axis=1)) - a
             none = np.zeros_like(matrix)
-            assert np.linalg.eigvals(np.block([[-matrix, matrix.T], [-matrix, none]])).real.max() < 1e-7
-            printed += np.linalg.eigvals(np.block([[-matrix, matrix], [-matrix, none]])).real.max() > 1e-6
+            assert (
+                np.linalg.eigvals(np.block([[-matrix, matrix.T], [-matrix, none]])).real.max()
+                < 1e-7
+            )
+            printed += (
+                np.linalg.eigvals(np.block([[-matrix, matrix], [-matrix, none]])).real.max() > 1e-6
+            )
         assert printed > 0
 
     def test_connectivity(self):
@@ -134,7 +180,9 @@ class TestDirected:
 
 
 class Patient:
-    """The most trusted robot, decided while the run goes on; counts its decisions in the run's memory."""
+    """
+    The most trusted robot, decided while the run goes on; counts its decisions in the run's memory.
+    """
 
     title = "patient"
 
@@ -168,7 +216,10 @@ class TestLivePolicies:
             (lambda now: 9, r"at t = 0 s names robot 9, which does not exist"),
             (lambda now: "a", "whole numbers"),
             (lambda now: None, "whole numbers"),
-            (lambda now: round(10 * now.t) % 2, r"switches at t = 0\.1 s, less than min_dwell = 5 s"),
+            (
+                lambda now: round(10 * now.t) % 2,
+                r"switches at t = 0\.1 s, less than min_dwell = 5 s",
+            ),
             (lambda now: 2, r"at t = 3 s the policy picks robot 2, which is not in the team"),
         ],
     )
@@ -186,9 +237,13 @@ class TestLargeTeams:
         scaled, still = scaled_settings(graph), TeamSettings()
         arguments = {"duration": 200.0, "sample_time": 0.02, "record_every": 2.0, "seed": 0}
         assert tl.simulate_team(graph, settings=scaled, **arguments).farthest[-1] < 1e-3
-        assert tl.simulate_team(graph, settings=still, **arguments).farthest[-1] > 1.0  # the gains as printed
+        assert (
+            tl.simulate_team(graph, settings=still, **arguments).farthest[-1] > 1.0
+        )  # the gains as printed
 
-    @pytest.mark.parametrize("graph", [nx.cycle_graph(100), nx.path_graph(4), nx.complete_graph(20), nx.star_graph(30)])
+    @pytest.mark.parametrize(
+        "graph", [nx.cycle_graph(100), nx.path_graph(4), nx.complete_graph(20), nx.star_graph(30)]
+    )
     def test_scaled_gains_keep_the_guarantees(self, graph):
         run = tl.simulate_team(
             graph,
@@ -219,7 +274,10 @@ class TestBadChanges:
             ([(3.0, RING)], "dict from time"),
             ({0.0: RING}, "after 0"),
             ({"soon": RING}, "a time in changes"),
-            ({3.0: nx.Graph([(0, 1), (2, 3)])}, r"from t = 3 s on: the graph is not connected.*\{0, 1\}; \{2, 3\}"),
+            (
+                {3.0: nx.Graph([(0, 1), (2, 3)])},
+                r"from t = 3 s on: the graph is not connected.*\{0, 1\}; \{2, 3\}",
+            ),
             ({3.0: np.zeros((2, 3))}, "from t = 3 s on: graph must be"),
         ],
     )
@@ -228,8 +286,13 @@ class TestBadChanges:
             tl.simulate_team(self.RING, duration=10.0, changes=changes)
 
     def test_who_left_does_not_lead(self):
-        with pytest.raises(ValueError, match="at t = 10 s the policy picks robot 3, which is not in the team then"):
+        with pytest.raises(
+            ValueError, match="at t = 10 s the policy picks robot 3, which is not in the team then"
+        ):
             tl.simulate_team(
-                self.RING, GivenSequence([3], times=[0.0]), duration=20.0, changes={10.0: nx.cycle_graph(3)},
+                self.RING,
+                GivenSequence([3], times=[0.0]),
+                duration=20.0,
+                changes={10.0: nx.cycle_graph(3)},
                 operator=TeamOperator(),
-            )  # fmt: skip
+            )

@@ -24,11 +24,18 @@ def test_measures_are_those_of_the_log():
     assert table["scheme"].tolist() == ["TMIG", "OMI"]
     assert table.attrs["origin"] == "simulated operators"
     data, row = RUNS[0].data, table.iloc[0]
-    offset = data[[f"reference_{a}" for a in "xyz"]].to_numpy() - data[[f"robot_{a}" for a in "xyz"]].to_numpy()
+    offset = (
+        data[[f"reference_{a}" for a in "xyz"]].to_numpy()
+        - data[[f"robot_{a}" for a in "xyz"]].to_numpy()
+    )
     assert row["tracking_error"] == pytest.approx(np.linalg.norm(offset, axis=1).mean(), rel=1e-12)
     assert row["worst_error"] == pytest.approx(np.linalg.norm(offset, axis=1).max(), rel=1e-12)
-    assert row["hand_force"] == pytest.approx(np.linalg.norm(data[[f"f_h_{a}" for a in "xyz"]], axis=1).mean())
-    assert row["alpha_rate"] == pytest.approx(np.abs(np.diff(data["alpha"])).sum() / (0.01 * (len(data) - 1)))
+    assert row["hand_force"] == pytest.approx(
+        np.linalg.norm(data[[f"f_h_{a}" for a in "xyz"]], axis=1).mean()
+    )
+    assert row["alpha_rate"] == pytest.approx(
+        np.abs(np.diff(data["alpha"])).sum() / (0.01 * (len(data) - 1))
+    )
     assert row["energy_operator"] == data["energy_operator"].iloc[-1]
     assert row["guarded"] == pytest.approx((data["port_share"] < 1).mean())
     assert row["port_share"] == pytest.approx(data["port_share"].mean(), rel=1e-12)
@@ -38,7 +45,9 @@ def test_measures_are_those_of_the_log():
 def test_figures_show_what_was_logged():
     axes = plot_trajectory(RUNS[0])
     x, y, z = axes.lines[1].get_data_3d()
-    np.testing.assert_array_equal(np.column_stack([x, y, z]), RUNS[0].data[[f"robot_{a}" for a in "xyz"]])
+    np.testing.assert_array_equal(
+        np.column_stack([x, y, z]), RUNS[0].data[[f"robot_{a}" for a in "xyz"]]
+    )
     panels = plot_signals(RUNS[0])
     np.testing.assert_array_equal(panels[2].lines[0].get_ydata(), RUNS[0]["alpha"])
     panels = plot_energies(RUNS[0])
@@ -48,7 +57,9 @@ def test_figures_show_what_was_logged():
     assert "synthetic" in panels[1].get_title()
 
 
-@pytest.mark.parametrize("call", [plot_trajectory, plot_signals, plot_energies, plot_alpha, tl.teleoperation_measures])
+@pytest.mark.parametrize(
+    "call", [plot_trajectory, plot_signals, plot_energies, plot_alpha, tl.teleoperation_measures]
+)
 @pytest.mark.parametrize("bad", [3, [3], None, "run"])
 def test_what_is_no_session_is_refused(call, bad):
     with pytest.raises((ValueError, TypeError)):
@@ -63,7 +74,9 @@ def test_nothing_to_show_is_refused():
         plot_alpha(RUNS, plt.subplots()[1])
 
 
-@pytest.mark.parametrize("call", [plot_trajectory, plot_signals, plot_energies, tl.teleoperation_measures])
+@pytest.mark.parametrize(
+    "call", [plot_trajectory, plot_signals, plot_energies, tl.teleoperation_measures]
+)
 def test_a_session_without_the_columns_is_refused(call):
     thin = tl.Session(RUNS[0].data[["path_error"]], RUNS[0].metadata)
     with pytest.raises(ValueError, match="has no column"):
@@ -71,7 +84,9 @@ def test_a_session_without_the_columns_is_refused(call):
 
 
 def test_means_stand_beside_each_other():
-    one = pd.DataFrame({"mean": [1.0, 2.0], "ci_low": [0.5, 1.5], "ci_high": [2.0, 3.0]}, index=["M", "TMIG"])
+    one = pd.DataFrame(
+        {"mean": [1.0, 2.0], "ci_low": [0.5, 1.5], "ci_high": [2.0, 3.0]}, index=["M", "TMIG"]
+    )
     axes = plot_beside({"people": one, "simulated": one + 1.0})
     assert [label.get_text() for label in axes.get_xticklabels()] == ["M", "TMIG"]
     for container, shift in zip(axes.containers, (0.0, 1.0), strict=True):

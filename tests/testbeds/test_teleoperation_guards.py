@@ -1,4 +1,7 @@
-"""Guards inside the loop: waves against ports, the ledger under jitter and loss, and what happens when a guard is gone."""
+"""
+Guards inside the loop: waves against ports, the ledger under jitter and loss, and what happens when
+a guard is gone.
+"""
 
 from dataclasses import replace
 
@@ -40,11 +43,19 @@ def squares(wave):
 def test_waves_arrive_as_they_were_sent_and_carry_the_power_of_the_ports(scheme, study):
     ends = STUDIES[study].scattering
     data = simulate_teleoperation(
-        scheme, study=study, seed=8, duration=20.0, delay_1=0.13, delay_2=0.21, guidance="through_channel"
+        scheme,
+        study=study,
+        seed=8,
+        duration=20.0,
+        delay_1=0.13,
+        delay_2=0.21,
+        guidance="through_channel",
     ).data
     u_l, v_l, u_r, v_r = waves(data, ends)
     scale = max(np.abs(wave).max() for wave in (u_l, v_l, u_r, v_r))
-    np.testing.assert_allclose(v_r[13:], u_l[:-13], atol=1e-11 * scale)  # constant delay: unit gain (Remark 10)
+    np.testing.assert_allclose(
+        v_r[13:], u_l[:-13], atol=1e-11 * scale
+    )  # constant delay: unit gain (Remark 10)
     np.testing.assert_allclose(v_l[21:], u_r[:-21], atol=1e-11 * scale)
     alpha, beta = data["alpha"].to_numpy(), data["beta"].to_numpy()
     carried = 0.5 * beta * (squares(u_l) / ends.beta_min - squares(v_l) / ends.beta_max)
@@ -56,7 +67,9 @@ def test_waves_arrive_as_they_were_sent_and_carry_the_power_of_the_ports(scheme,
 def jitter(seed):
     """Delays drawn anew in every sample: packets overtake one another."""
     return Delay(
-        lambda t: np.random.default_rng(seed).uniform(0.02, 0.6, t.size), np.inf, "delays drawn anew every sample"
+        lambda t: np.random.default_rng(seed).uniform(0.02, 0.6, t.size),
+        np.inf,
+        "delays drawn anew every sample",
     )
 
 
@@ -89,9 +102,16 @@ class Ungained(Scattering):
 
 
 def read_beyond_sent(kind):
-    """The greatest energy read beyond what was sent [J], the delays growing by half a second per second for a while."""
-    settings = replace(STUDIES["main"], scattering=kind(2.0, 0.9, 1.0, 0.9, 1.0, max_delay_rate=0.5))
-    growing = Delay(lambda t: 0.05 + 0.25 * (t % 4.0 + np.abs(t % 4.0 - 2.0) - 2.0), 0.5, "a saw of delays")
+    """
+    The greatest energy read beyond what was sent [J], the delays growing by half a second per
+    second for a while.
+    """
+    settings = replace(
+        STUDIES["main"], scattering=kind(2.0, 0.9, 1.0, 0.9, 1.0, max_delay_rate=0.5)
+    )
+    growing = Delay(
+        lambda t: 0.05 + 0.25 * (t % 4.0 + np.abs(t % 4.0 - 2.0) - 2.0), 0.5, "a saw of delays"
+    )
     data = simulate_teleoperation(
         "M",
         study=settings,

@@ -1,4 +1,7 @@
-"""The step interface: same bits as a whole run, parts of one's own, and what happens when one of them fails."""
+"""
+The step interface: same bits as a whole run, parts of one's own, and what happens when one of them
+fails.
+"""
 
 from functools import partial
 
@@ -16,14 +19,21 @@ SHORT = 8.0
 
 def tmig(state):
     """TMIG's formula (3.5) written out, trust being in [0, 1]."""
-    alpha = state.alpha_max - (state.alpha_max - state.alpha_min) / (1.0 + np.exp(-10.0 * (state.trust_hr - 0.5)))
-    beta = state.beta_max - (state.beta_max - state.beta_min) / (1.0 + np.exp(-10.0 * (state.trust_rh - 0.5)))
+    alpha = state.alpha_max - (state.alpha_max - state.alpha_min) / (
+        1.0 + np.exp(-10.0 * (state.trust_hr - 0.5))
+    )
+    beta = state.beta_max - (state.beta_max - state.beta_min) / (
+        1.0 + np.exp(-10.0 * (state.trust_rh - 0.5))
+    )
     return alpha, beta
 
 
 def tmig_as_built_in(state):
     """The same by tanh, as the package computes it."""
-    low, high = 0.5 * (1.0 - np.tanh(5.0 * (state.trust_hr - 0.5))), 0.5 * (1.0 - np.tanh(5.0 * (state.trust_rh - 0.5)))
+    low, high = (
+        0.5 * (1.0 - np.tanh(5.0 * (state.trust_hr - 0.5))),
+        0.5 * (1.0 - np.tanh(5.0 * (state.trust_rh - 0.5))),
+    )
     alpha = state.alpha_min + (state.alpha_max - state.alpha_min) * low
     return alpha, state.beta_min + (state.beta_max - state.beta_min) * high
 
@@ -40,7 +50,9 @@ def test_stepped_and_run_a_loop_has_the_bits_of_a_whole_run(scheme, guidance):
     for _ in range(300):
         loop.step()
     assert loop.run(SHORT) == whole
-    assert tl.TeleoperationLoop(scheme, seed=5, guidance=guidance).run(SHORT).data.equals(whole.data)
+    assert (
+        tl.TeleoperationLoop(scheme, seed=5, guidance=guidance).run(SHORT).data.equals(whole.data)
+    )
 
 
 def test_what_is_drawn_further_ahead_changes_nothing():
@@ -95,7 +107,9 @@ class Remembering:
 def test_an_operators_law_may_have_a_memory():
     compiled = tl.simulate_teleoperation("M", law, seed=3, duration=SHORT)
     assert compiled.metadata.more["parts"] == "operator compiled"
-    kept = tl.simulate_teleoperation("M", tl.Teleoperator(law=Remembering(), reach=1.0), seed=3, duration=SHORT)
+    kept = tl.simulate_teleoperation(
+        "M", tl.Teleoperator(law=Remembering(), reach=1.0), seed=3, duration=SHORT
+    )
     assert kept.metadata.more["parts"] == "operator Python"
     np.testing.assert_allclose(kept.data, compiled.data, rtol=0.0, atol=1e-12)
     own = tl.simulate_teleoperation("M", seed=3, duration=SHORT)
@@ -103,30 +117,50 @@ def test_an_operators_law_may_have_a_memory():
 
 
 def test_feedback_autonomy_and_trust_are_exchanged():
-    stiff = tl.simulate_teleoperation("M", seed=1, duration=SHORT, feedback=lambda state: -6.0 * state.stretch)
-    np.testing.assert_allclose(stiff.data, tl.simulate_teleoperation("M", seed=1, duration=SHORT).data, atol=1e-12)
-    idle = tl.simulate_teleoperation("TMIG", seed=1, duration=SHORT, autonomy=lambda state: (0, 0, 0))
+    stiff = tl.simulate_teleoperation(
+        "M", seed=1, duration=SHORT, feedback=lambda state: -6.0 * state.stretch
+    )
+    np.testing.assert_allclose(
+        stiff.data, tl.simulate_teleoperation("M", seed=1, duration=SHORT).data, atol=1e-12
+    )
+    idle = tl.simulate_teleoperation(
+        "TMIG", seed=1, duration=SHORT, autonomy=lambda state: (0, 0, 0)
+    )
     assert not columns(idle, "u_a").any()
-    fixed = tl.simulate_teleoperation("TMIG", seed=1, duration=SHORT, trust=lambda state: (0.25, 0.75))
+    fixed = tl.simulate_teleoperation(
+        "TMIG", seed=1, duration=SHORT, trust=lambda state: (0.25, 0.75)
+    )
     assert (fixed["trust_hr"][1:] == 0.25).all()
     assert (fixed["trust_rh"][1:] == 0.75).all()
 
 
 def test_vehicles_as_matrices_and_as_functions_are_the_transfer_functions():
     period, axes = 0.01, tracking_vehicle()
-    a, b, c = np.zeros((8, 8)), np.zeros((8, 3)), np.zeros((6, 8))
+    a = np.zeros((8, 8))
+    b = np.zeros((8, 3))
+    c = np.zeros((6, 8))
     place = 0
-    for i, axis in enumerate(axes):  # position and states of each axis, by the series of the exponential
+    for i, axis in enumerate(
+        axes
+    ):  # position and states of each axis, by the series of the exponential
         n = axis.order + 1
         block = np.zeros((n + 1, n + 1))
         block[0, 1], block[1:n, 1:n], block[1:n, n] = 1.0, *axis.matrices()
-        whole = sum(np.linalg.matrix_power(block * period, m) / float(np.prod(range(1, m + 1))) for m in range(12))
-        a[place : place + n, place : place + n], b[place : place + n, i] = whole[:n, :n], whole[:n, n]
+        whole = sum(
+            np.linalg.matrix_power(block * period, m) / float(np.prod(range(1, m + 1)))
+            for m in range(12)
+        )
+        a[place : place + n, place : place + n], b[place : place + n, i] = (
+            whole[:n, :n],
+            whole[:n, n],
+        )
         c[i, place], c[3 + i, place + 1] = 1.0, 1.0
         place += n
     ours = tl.simulate_teleoperation("TMIG", seed=4, duration=SHORT).data
     np.testing.assert_allclose(
-        tl.simulate_teleoperation("TMIG", seed=4, duration=SHORT, vehicle=(a, b, c)).data, ours, atol=1e-10
+        tl.simulate_teleoperation("TMIG", seed=4, duration=SHORT, vehicle=(a, b, c)).data,
+        ours,
+        atol=1e-10,
     )
 
     def lag(state):
@@ -141,13 +175,20 @@ def test_vehicles_as_matrices_and_as_functions_are_the_transfer_functions():
 def test_a_device_axis_by_axis():
     settings = STUDIES["main"]
     same = tl.simulate_teleoperation("TMIG", seed=6, duration=SHORT)
-    each = {name: (getattr(settings, name),) * 3 for name in ("mass", "damping", "stiffness", "weight")}
+    each = {
+        name: (getattr(settings, name),) * 3 for name in ("mass", "damping", "stiffness", "weight")
+    }
     from dataclasses import replace
 
-    assert tl.simulate_teleoperation("TMIG", study=replace(settings, **each), seed=6, duration=SHORT) == same
+    assert (
+        tl.simulate_teleoperation("TMIG", study=replace(settings, **each), seed=6, duration=SHORT)
+        == same
+    )
     heavier = replace(settings, mass=(0.5, 0.5, 0.2))
     for guidance in GUIDANCE:
-        run = tl.simulate_teleoperation("TMIG", study=heavier, seed=6, duration=20.0, guidance=guidance)
+        run = tl.simulate_teleoperation(
+            "TMIG", study=heavier, seed=6, duration=20.0, guidance=guidance
+        )
         power = (columns(run, "r_m") * (columns(run, "f_h") - columns(run, "f_m"))).sum(axis=1)
         held = run["energy_device"] + run["energy_dissipated"]
         np.testing.assert_allclose(held, 0.01 * np.cumsum(power), rtol=1e-10, atol=1e-12)
@@ -174,14 +215,19 @@ def test_a_trace_of_packets_is_read_newest_first():
         newest = come.max() if come.size else -0.01
         assert late[k] == pytest.approx(max(0.01 * k - newest, 0.01), abs=1e-12)
     for guidance in GUIDANCE:
-        run = tl.simulate_teleoperation("TMIG", duration=15.0, delay=(sent, received), guidance=guidance)
+        run = tl.simulate_teleoperation(
+            "TMIG", duration=15.0, delay=(sent, received), guidance=guidance
+        )
         assert run["energy_port"].min() > -1e-9
 
 
 @pytest.mark.parametrize(
     ("trace", "words"),
     [
-        (([0.0, 0.2, 0.1], [0.1, 0.3, 0.4]), "delay_1: the trace runs backwards: packet 2, sent at t = 0.1 s"),
+        (
+            ([0.0, 0.2, 0.1], [0.1, 0.3, 0.4]),
+            "delay_1: the trace runs backwards: packet 2, sent at t = 0.1 s",
+        ),
         (([0.0, 0.1], [0.05, 0.05]), "delay_1: .* received before it was sent"),
         (([0.0, 0.1], [np.nan, np.nan]), "delay_1: no packet"),
         (([0.0, 0.1], [0.1]), "delay_1: sent and received need the same number"),
@@ -202,19 +248,31 @@ def failing(state):
 @pytest.mark.parametrize(
     ("parts", "words"),
     [
-        ({"scheme": tl.Scheme("s", lambda s: (np.nan if s.t > 1 else 0.5, 0.3))}, "scheme .* alpha = nan"),
+        (
+            {"scheme": tl.Scheme("s", lambda s: (np.nan if s.t > 1 else 0.5, 0.3))},
+            "scheme .* alpha = nan",
+        ),
         ({"scheme": tl.Scheme("s", lambda s: (0.5 + s.t, 0.3))}, r"alpha in \[0.2, 1\]"),
         ({"scheme": tl.Scheme("s", lambda s: (0.5, -0.1 * s.t + 0.1))}, r"beta in \[0.05, 0.5\]"),
         ({"scheme": tl.Scheme("s", lambda s: 1.0 / (s.t - 1.0))}, "scheme .* raised TypeError"),
-        ({"scheme": tl.Scheme("s", lambda s: (s.robot_x, 0.3))}, "raised AttributeError: the state has no 'robot_x'"),
+        (
+            {"scheme": tl.Scheme("s", lambda s: (s.robot_x, 0.3))},
+            "raised AttributeError: the state has no 'robot_x'",
+        ),
         ({"operator": failing}, "operator .* raised RuntimeError: the hand slipped"),
         ({"operator": partial(failing)}, "operator .* raised RuntimeError: the hand slipped"),
         (
             {"operator": lambda s: (s.t / (s.t - 1.0), 0.0, 0.0) if s.t != 0.5 else (1.0, 2.0)},
             "operator .*three numbers",
         ),
-        ({"vehicle": lambda s: (s.robot, 0.0 / (1.0 - s.t) + s.velocity)}, "vehicle .* raised ZeroDivisionError"),
-        ({"vehicle": lambda s: (np.log(1.0 - s.t) + s.robot, s.velocity)}, "vehicle .* returned robot = .*nan|inf"),
+        (
+            {"vehicle": lambda s: (s.robot, 0.0 / (1.0 - s.t) + s.velocity)},
+            "vehicle .* raised ZeroDivisionError",
+        ),
+        (
+            {"vehicle": lambda s: (np.log(1.0 - s.t) + s.robot, s.velocity)},
+            "vehicle .* returned robot = .*nan|inf",
+        ),
         ({"trust": lambda s: (np.nan, 0.5)}, "trust .* trust_hr = nan"),
         ({"feedback": lambda s: np.full(3, np.inf)}, r"feedback .* guiding = \[inf inf inf\]"),
         ({"autonomy": lambda s: s.picture[:2]}, "autonomy .* raised ValueError: three numbers"),

@@ -1,7 +1,7 @@
 """The UAV that follows a leader (Section 2.4.2): its measures, its operators, its conditions.
 
-Oracles: the measures of the sessions room on the log after the fact; (2.5) and (2.6); the rules called one by one; the closed
-form of what a hand's imperfection comes to.
+Oracles: the measures of the sessions room on the log after the fact; (2.5) and (2.6); the rules
+called one by one; the closed form of what a hand's imperfection comes to.
 """
 
 from dataclasses import replace
@@ -18,12 +18,17 @@ from trustlab.testbeds.deciding import CONDITIONS, SETTLING
 from trustlab.testbeds.uav_following.kernel import MEAN_1
 from trustlab.testbeds.uav_following.run import DURATION, E_MAX, GAIN, U_MAX, measured_flight
 
-PEOPLE = [FollowingPopulation.person(row) for row in FollowingPopulation().draw(12, seed=1).to_dict("records")]
+PEOPLE = [
+    FollowingPopulation.person(row)
+    for row in FollowingPopulation().draw(12, seed=1).to_dict("records")
+]
 
 
 @pytest.fixture(scope="module")
 def runs():
-    return {name: tl.run_condition(name, testbed="uav", participant=2, seed=0) for name in CONDITIONS}
+    return {
+        name: tl.run_condition(name, testbed="uav", participant=2, seed=0) for name in CONDITIONS
+    }
 
 
 def test_measures_are_those_of_the_log(runs):
@@ -31,10 +36,14 @@ def test_measures_are_those_of_the_log(runs):
     for run in runs.values():
         session = run.session
         assert len(session) == 10 * DURATION
-        again = session.with_performance(window=100.0, measure="uav_tracking", e_max=E_MAX, u_max=U_MAX, axes="xy")
+        again = session.with_performance(
+            window=100.0, measure="uav_tracking", e_max=E_MAX, u_max=U_MAX, axes="xy"
+        )
         for name in ("p_r", "p_h"):
             np.testing.assert_allclose(session[name], again[name], atol=1e-11)
-        np.testing.assert_allclose(session["tsc"], model.value(session["p_r"], session["p_h"]), atol=1e-12)
+        np.testing.assert_allclose(
+            session["tsc"], model.value(session["p_r"], session["p_h"]), atol=1e-12
+        )
         np.testing.assert_allclose(session["r"], who.human.simulate(session["mode"])[0], atol=1e-12)
         apart = [session[f"reference_{axis}"] - session[f"robot_{axis}"] for axis in "xy"]
         np.testing.assert_allclose(session["path_error"], np.hypot(*apart), atol=1e-12)
@@ -55,7 +64,10 @@ def test_suggestions_are_those_of_the_rules(runs):
                 assert given == now
         elif name != "C1":
             robot = run.model.robot
-            expected = [performance_suggestion(p, robot.p_min, robot.p_max) for p in run.session["p_r"][after]]
+            expected = [
+                performance_suggestion(p, robot.p_min, robot.p_max)
+                for p in run.session["p_r"][after]
+            ]
             np.testing.assert_array_equal(shown[after], expected)
         if forced:
             assert set(run.suggestions()["state"]) <= {"followed", "open", "withdrawn"}
@@ -63,9 +75,17 @@ def test_suggestions_are_those_of_the_rules(runs):
 
 def flown(operator, model):
     """Two flights by hand alone: own thresholds that no TSC meets."""
-    alone = {"lower": 8.0, "upper": 9.0, "lower_spread": 0.0, "upper_spread": 0.0, "r0": operator.human.beta}
+    alone = {
+        "lower": 8.0,
+        "upper": 9.0,
+        "lower_spread": 0.0,
+        "upper_spread": 0.0,
+        "r0": operator.human.beta,
+    }
     who = replace(operator, **alone)
-    return [tl.run_condition("C1", who, model, testbed="uav", seed=seed).session for seed in range(2)]
+    return [
+        tl.run_condition("C1", who, model, testbed="uav", seed=seed).session for seed in range(2)
+    ]
 
 
 def test_hands_are_as_good_as_their_model_says():
@@ -75,7 +95,10 @@ def test_hands_are_as_good_as_their_model_says():
             late = slice(1000, None)
             assert session["mode"].all()
             skill = who.human.performance(session["r"])[late]
-            quality = 1.0 - sum(np.abs(session[f"u_i_{a}"] - session[f"u_h_{a}"]) for a in "xy")[late] / U_MAX
+            quality = (
+                1.0
+                - sum(np.abs(session[f"u_i_{a}"] - session[f"u_h_{a}"]) for a in "xy")[late] / U_MAX
+            )
             assert quality.mean() == pytest.approx(skill.mean(), abs=0.012)
             near = 1.0 - session["path_error"][late].mean() / E_MAX
             short.append(near - (who.robot_floor + who.robot_gain * skill.mean()))
@@ -84,8 +107,13 @@ def test_hands_are_as_good_as_their_model_says():
 
 def test_left_alone_the_autopilot_drifts_away():
     who, model, _ = PEOPLE[0]
-    at_once = replace(who, reaction_lag=0.0, lower=-9.0, upper=-8.0, lower_spread=0.0, upper_spread=0.0)
-    sessions = [tl.run_condition("C1", at_once, model, testbed="uav", seed=seed).session for seed in range(40)]
+    at_once = replace(
+        who, reaction_lag=0.0, lower=-9.0, upper=-8.0, lower_spread=0.0, upper_spread=0.0
+    )
+    sessions = [
+        tl.run_condition("C1", at_once, model, testbed="uav", seed=seed).session
+        for seed in range(40)
+    ]
     assert all(session["mode"][1001:].max() == 0.0 for session in sessions)
     near = 1.0 - np.mean([session["path_error"] for session in sessions], axis=0) / E_MAX
     course = [near[k : k + 300].mean() for k in (950, 1300, 1700)]
@@ -106,7 +134,9 @@ def test_twenty_people_by_number():
     assert [who.participant for who, _, _ in people] == list(range(1, 21))
     assert len({who.human.beta for who, _, _ in people}) == 20
     assert following_operator("7")[0] == following_operator(7)[0]
-    assert FollowingPopulation().draw(3, seed=5).equals(FollowingPopulation().draw(9, seed=5).head(3))
+    assert (
+        FollowingPopulation().draw(3, seed=5).equals(FollowingPopulation().draw(9, seed=5).head(3))
+    )
     table = FollowingPopulation().table().set_index("quantity")
     drawn = FollowingPopulation().draw(400, seed=2)
     assert drawn["p_r_max"].mean() == pytest.approx(table.loc["p_r_max", "mean"], abs=0.02)

@@ -1,4 +1,7 @@
-"""The whole loop: against independent integrators, its energy ledgers, its guards, and what it refuses."""
+"""
+The whole loop: against independent integrators, its energy ledgers, its guards, and what it
+refuses.
+"""
 
 from dataclasses import replace
 from types import MappingProxyType
@@ -15,13 +18,20 @@ from trustlab.teleoperation.loop.settings import STUDIES, DivergenceError, LoopS
 from trustlab.teleoperation.loop.setup import vehicle_matrices
 from trustlab.teleoperation.ports.device import PassivityError
 from trustlab.teleoperation.ports.waves import Scattering
-from trustlab.testbeds.uav_tracking import TASKS, TrackingTask, simulate_teleoperation, tracking_vehicle
+from trustlab.testbeds.uav_tracking import (
+    TASKS,
+    TrackingTask,
+    simulate_teleoperation,
+    tracking_vehicle,
+)
 
 SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS", "OMI")
 UNIT = replace(STUDIES["main"], scattering=Scattering(2.0), k_ffa=3.0)
 STILL = Teleoperator(proportional=0.0, derivative=0.0, noise=0.0)
 TASK = TrackingTask(failure_every=1e9)
-PUSH = MappingProxyType({"x": (1.0, 1.3), "y": (0.7, 0.8), "z": (0.5, 2.1)})  # size [N] and rate [rad/s]
+PUSH = MappingProxyType(
+    {"x": (1.0, 1.3), "y": (0.7, 0.8), "z": (0.5, 2.1)}
+)  # size [N] and rate [rad/s]
 
 
 def push(t):
@@ -32,9 +42,20 @@ def driven(sample_time, delay, settings=UNIT, duration=4.0, **more):
     """A run whose hand only holds still and is pushed by known forces."""
     t = sample_time * np.arange(round(duration / sample_time)) + 0.5 * sample_time
     return simulate_teleoperation(
-        "M", STILL, settings, duration=duration, sample_time=sample_time, task=TASK,
-        delay_1=delay, delay_2=delay, guard="off", guidance="through_channel", push=push(t), read_out="interpolated", **more,
-    ).data  # fmt: skip
+        "M",
+        STILL,
+        settings,
+        duration=duration,
+        sample_time=sample_time,
+        task=TASK,
+        delay_1=delay,
+        delay_2=delay,
+        guard="off",
+        guidance="through_channel",
+        push=push(t),
+        read_out="interpolated",
+        **more,
+    ).data
 
 
 def target(t):
@@ -46,7 +67,10 @@ def target(t):
 def device(settings, x, v, force, feedback):
     hand = STILL
     return (
-        force - (settings.stiffness + hand.stiffness) * x - (settings.damping + hand.damping) * v - feedback
+        force
+        - (settings.stiffness + hand.stiffness) * x
+        - (settings.damping + hand.damping) * v
+        - feedback
     ) / settings.mass
 
 
@@ -60,7 +84,9 @@ def test_without_delay_and_with_unit_scales_the_loop_is_the_continuous_one():
         out = [v, device(UNIT, x, v, push(np.array([t]))[0], -UNIT.k_ffa * e), w]
         d = np.array([[*m.denominator, 0.0][:2] for m in vehicle[:2]])
         speed = np.append(a[:2], vehicle[2].gain * r[2] - vehicle[2].denominator[0] * w[2])
-        jerk = np.append([vehicle[i].gain * r[i] - d[i, 1] * w[i] - d[i, 0] * a[i] for i in range(2)], 0.0)
+        jerk = np.append(
+            [vehicle[i].gain * r[i] - d[i, 1] * w[i] - d[i, 0] * a[i] for i in range(2)], 0.0
+        )
         return np.concatenate([*out, speed, jerk])
 
     start = np.zeros((5, 3))
@@ -70,17 +96,29 @@ def test_without_delay_and_with_unit_scales_the_loop_is_the_continuous_one():
     for sample_time in (0.004, 0.002, 0.001):
         data = driven(sample_time, 0.0)
         exact = solved.sol(data.index.to_numpy()).reshape(5, 3, -1)
-        ours = [data[[f"{stem}_{axis}" for axis in "xyz"]].to_numpy().T for stem in ("device", "robot")]
-        errors.append(max(np.abs(ours[0] - exact[0]).max() / np.abs(exact[0]).max(), np.abs(ours[1] - exact[2]).max()))
+        ours = [
+            data[[f"{stem}_{axis}" for axis in "xyz"]].to_numpy().T for stem in ("device", "robot")
+        ]
+        errors.append(
+            max(
+                np.abs(ours[0] - exact[0]).max() / np.abs(exact[0]).max(),
+                np.abs(ours[1] - exact[2]).max(),
+            )
+        )
     assert errors[-1] < 5e-3
     assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.25)  # first order in the sample time
     assert errors[1] / errors[2] == pytest.approx(2.0, abs=0.25)
 
 
 def second_integrator(settings, delay, step, duration=4.0):
-    """The loop with a constant delay by Heun's rule, waves read from their history: another discretization, in plain Python."""
+    """
+    The loop with a constant delay by Heun's rule, waves read from their history: another
+    discretization, in plain Python.
+    """
     b, ends = settings.scattering.b, settings.scattering
-    vehicle, count, late = tracking_vehicle(), round(duration / step), round(delay / step)
+    vehicle = tracking_vehicle()
+    count = round(duration / step)
+    late = round(delay / step)
     u_l, u_r = np.zeros((count + 1, 3)), np.zeros((count + 1, 3))
     y = np.zeros((5, 3))
     y[2] = target(0.0)[0]
@@ -93,10 +131,16 @@ def second_integrator(settings, delay, step, duration=4.0):
         f_m = ends.beta_max * (b * r_m + np.sqrt(2 * b / ends.beta_max) * v_l)
         r_s = ends.alpha_max * (np.sqrt(2 * b / ends.alpha_max) * v_r - f_s) / b
         out = np.zeros((5, 3))
-        out[0], out[1], out[2] = v, device(settings, x, v, push(np.array([t]))[0], f_m), w
+        out[0] = v
+        out[1] = device(settings, x, v, push(np.array([t]))[0], f_m)
+        out[2] = w
         for i in range(2):
             out[3, i] = a[i]
-            out[4, i] = vehicle[i].gain * r_s[i] - vehicle[i].denominator[1] * w[i] - vehicle[i].denominator[0] * a[i]
+            out[4, i] = (
+                vehicle[i].gain * r_s[i]
+                - vehicle[i].denominator[1] * w[i]
+                - vehicle[i].denominator[0] * a[i]
+            )
         out[3, 2] = vehicle[2].gain * r_s[2] - vehicle[2].denominator[0] * w[2]
         sent_l = np.sqrt(ends.beta_min / (2 * b)) * (f_m / ends.beta_max + b * r_m)
         sent_r = np.sqrt(ends.alpha_min / (2 * b)) * (f_s - b * r_s / ends.alpha_max)
@@ -106,7 +150,9 @@ def second_integrator(settings, delay, step, duration=4.0):
         rows[k] = y[0], y[2]
         v_r, v_l = (u_l[k - late], u_r[k - late]) if k >= late else (np.zeros(3), np.zeros(3))
         one, u_l[k], u_r[k] = rates(k * step, y, v_l, v_r)
-        later = (u_l[k + 1 - late], u_r[k + 1 - late]) if k + 1 >= late else (np.zeros(3), np.zeros(3))
+        later = (
+            (u_l[k + 1 - late], u_r[k + 1 - late]) if k + 1 >= late else (np.zeros(3), np.zeros(3))
+        )
         two = rates((k + 1) * step, y + step * one, later[1], later[0])[0]
         y = y + 0.5 * step * (one + two)
     return rows
@@ -141,33 +187,47 @@ def supplied(data):
 def test_every_port_balances_and_no_block_gives_energy_away(scheme, guidance, study):
     for seed in range(2):
         guard = ("repay", "cancel")[guidance == "through_channel"]
-        data = simulate_teleoperation(scheme, None, study, seed, 60.0, guidance=guidance, guard=guard).data
+        data = simulate_teleoperation(
+            scheme, None, study, seed, 60.0, guidance=guidance, guard=guard
+        ).data
         held = data["energy_device"] + data["energy_dissipated"]
         np.testing.assert_allclose(held, supplied(data), rtol=1e-11, atol=1e-12 * held.max())
         assert data["energy_device"].min() >= 0.0
         assert (np.diff(data["energy_dissipated"]) >= 0.0).all()
         exchanged = 0.01 * sum(
-            (data[f"r_m_{a}"] * data[f"f_m_{a}"]).abs() + (data[f"r_s_{a}"] * data[f"f_s_{a}"]).abs() for a in "xyz"
+            (data[f"r_m_{a}"] * data[f"f_m_{a}"]).abs()
+            + (data[f"r_s_{a}"] * data[f"f_s_{a}"]).abs()
+            for a in "xyz"
         )
         assert (data["energy_channel"] >= -1e-9 * exchanged.cumsum()).all()
         assert data["energy_port"].min() >= -1e-9
         power = sum(data[f"r_s_{a}"] * data[f"f_s_{a}"] for a in "xyz")
-        if guidance != "tank":  # which lets the robot's port give out what came in at the operator's
-            assert data["energy_robot"].min() >= 0.01 * power.min() - 1e-12  # Theorem 4: one sample's power at most
+        if (
+            guidance != "tank"
+        ):  # which lets the robot's port give out what came in at the operator's
+            assert (
+                data["energy_robot"].min() >= 0.01 * power.min() - 1e-12
+            )  # Theorem 4: one sample's power at most
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("seeds", [50, pytest.param(200, marks=pytest.mark.long)])
 def test_stored_energy_is_bounded_under_bounded_force(scheme, seeds):
-    # the hand as a passive spring, pushed by at most 4 N: what is stored is bounded by what it can hold, not by time
+    # the hand as a passive spring, pushed by at most 4 N: what is stored is bounded by what it can
+    # hold, not by time
     for seed in range(seeds):
         study = ("preliminary", "main")[seed % 2]
         rng = np.random.default_rng([44, seed])
         force = 4.0 * np.sign(np.repeat(rng.normal(size=(40, 3)), 150, axis=0))
-        data = simulate_teleoperation(scheme, STILL, study, seed=seed, duration=60.0, push=force / np.sqrt(3.0)).data
+        data = simulate_teleoperation(
+            scheme, STILL, study, seed=seed, duration=60.0, push=force / np.sqrt(3.0)
+        ).data
         settings = STUDIES[study]
-        first, second = data["energy_device"].iloc[:3000].max(), data["energy_device"].iloc[3000:].max()
+        first, second = (
+            data["energy_device"].iloc[:3000].max(),
+            data["energy_device"].iloc[3000:].max(),
+        )
         spring = settings.stiffness + settings.weight * settings.damping
         most = 3.0 * spring * (4.0 / settings.stiffness) ** 2
         assert max(first, second) < most
@@ -177,7 +237,10 @@ def test_stored_energy_is_bounded_under_bounded_force(scheme, seeds):
 
 def tracking(scheme, study, seeds=12, **more):
     return np.array(
-        [simulate_teleoperation(scheme, study=study, seed=s, **more).data["path_error"].mean() for s in range(seeds)]
+        [
+            simulate_teleoperation(scheme, study=study, seed=s, **more).data["path_error"].mean()
+            for s in range(seeds)
+        ]
     )
 
 
@@ -192,12 +255,16 @@ def test_which_scheme_tracks_better_depends_on_the_printed_guidance_in_one_study
 def test_the_printed_direction_of_the_force_is_active_and_without_a_guard_diverges():
     printed = replace(STUDIES["main"], printed_sign=True)
     with pytest.raises(DivergenceError, match=r"diverged at t = .* in the .*energy"):
-        simulate_teleoperation("TMIG", study=printed, guidance="through_channel", guard="off", seed=1)
+        simulate_teleoperation(
+            "TMIG", study=printed, guidance="through_channel", guard="off", seed=1
+        )
 
 
 def test_without_the_guard_the_port_gives_energy_away():
     guarded, bare = (
-        simulate_teleoperation("TMIG", seed=2, guidance="through_channel", guard=guard).data["energy_robot"].min()
+        simulate_teleoperation("TMIG", seed=2, guidance="through_channel", guard=guard)
+        .data["energy_robot"]
+        .min()
         for guard in ("cancel", "off")
     )
     assert guarded > -0.05
@@ -210,7 +277,10 @@ def test_repaying_keeps_the_port_at_zero_or_above():
 
 
 def test_same_seed_same_run_and_the_session_says_that_it_is_simulated():
-    one, other = simulate_teleoperation(seed=3, duration=5.0), simulate_teleoperation(seed=3, duration=5.0)
+    one, other = (
+        simulate_teleoperation(seed=3, duration=5.0),
+        simulate_teleoperation(seed=3, duration=5.0),
+    )
     assert one == other
     assert one.metadata.synthetic
     assert not simulate_teleoperation(seed=4, duration=5.0).data.equals(one.data)
@@ -220,8 +290,12 @@ def test_scales_follow_trust_as_3_5_and_3_6_say():
     for scheme, kind in (("TMIG", "logistic"), ("TMIS", "step")):
         data = simulate_teleoperation(scheme, seed=1, duration=60.0).data
         alpha, beta = STUDIES["main"].scalings(kind)
-        np.testing.assert_allclose(data["alpha"], alpha.value(data["trust_hr"].to_numpy()), atol=1e-12)
-        np.testing.assert_allclose(data["beta"], beta.value(data["trust_rh"].to_numpy()), atol=1e-12)
+        np.testing.assert_allclose(
+            data["alpha"], alpha.value(data["trust_hr"].to_numpy()), atol=1e-12
+        )
+        np.testing.assert_allclose(
+            data["beta"], beta.value(data["trust_rh"].to_numpy()), atol=1e-12
+        )
     for scheme in ("M", "MMI"):
         assert (simulate_teleoperation(scheme, duration=5.0).data["beta"] == 0.5).all()
     felt = simulate_teleoperation("MI", duration=5.0).data[["f_m_x", "f_m_y", "f_m_z"]]
@@ -238,14 +312,15 @@ def test_performance_is_the_window_mean_of_3_27():
     data, settings = simulate_teleoperation("TMIG", seed=5, duration=40.0).data, STUDIES["main"]
     e = sum((data[f"reference_{a}"] - data[f"robot_{a}"]).abs() for a in "xyz")
     gap = sum((data[f"u_a_{a}"] - data[f"u_i_{a}"]).abs() for a in "xyz")
-    now = (1 - gap / settings.command_range).clip(lower=0) * (1 - (1 - data["alpha"]) * e / settings.error_range).clip(
-        lower=0
-    )
+    now = (1 - gap / settings.command_range).clip(lower=0) * (
+        1 - (1 - data["alpha"]) * e / settings.error_range
+    ).clip(lower=0)
     np.testing.assert_allclose(data["p_r"], now.rolling(1000, min_periods=1).mean(), atol=1e-9)
 
 
 def test_the_hand_is_passive_for_a_fixed_wish():
-    # held still and moved about, the hand gives back no more than its spring held: its energy is bounded below by zero
+    # held still and moved about, the hand gives back no more than its spring held: its energy is
+    # bounded below by zero
     data = driven(0.01, 0.0, duration=20.0)
     hand = sum(
         (data[f"f_h_{a}"] - p) * data[f"device_velocity_{a}"]
@@ -258,7 +333,9 @@ def test_the_hand_is_passive_for_a_fixed_wish():
 def flown(data, matrices):
     """Position, velocity and acceleration of the vehicle, run again from the logged commands."""
     phi, gamma = matrices["phi"][0], matrices["gamma"][0]
-    command = np.stack([data[f"r_s_{a}"] + (1 - data["alpha"]) * data[f"u_a_{a}"] for a in "xyz"], axis=1)
+    command = np.stack(
+        [data[f"r_s_{a}"] + (1 - data["alpha"]) * data[f"u_a_{a}"] for a in "xyz"], axis=1
+    )
     state, rows = np.zeros((3, 3)), []
     state[:, 0] = data[[f"robot_{a}" for a in "xyz"]].iloc[0]
     for u in command:
@@ -270,16 +347,26 @@ def flown(data, matrices):
 @pytest.mark.parametrize("study", STUDIES)
 def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
     data = simulate_teleoperation("OMI", study=study, seed=6, duration=20.0).data
-    task, ends, vehicle = TASKS[study], STUDIES[study].scattering, tracking_vehicle()
+    task = TASKS[study]
+    ends = STUDIES[study].scattering
+    vehicle = tracking_vehicle()
     states = flown(data, vehicle_matrices(vehicle, 0.01))
     np.testing.assert_allclose(states[:, :, 0], data[[f"robot_{a}" for a in "xyz"]], atol=1e-9)
     blending = OptimalBlending(vehicle, ((task.proportional, task.derivative),) * 3, ends.alpha_min)
-    u_h, u_a, reference = (data[[f"{stem}_{a}" for a in "xyz"]].to_numpy() for stem in ("u_h", "u_a", "reference"))
+    u_h, u_a, reference = (
+        data[[f"{stem}_{a}" for a in "xyz"]].to_numpy() for stem in ("u_h", "u_a", "reference")
+    )
     phase = np.random.default_rng(np.random.SeedSequence(6).spawn(5)[0]).uniform(0.0, 2.0 * np.pi)
     moving = task.path(data.index.to_numpy(), STUDIES[study].height, phase)[1]
     for k in range(0, len(data), 37):
         said = np.zeros(3) if k == 0 else u_h[k - 1]
-        now = blending.step(said, u_a[k], reference[k] - states[k, :, 0], moving[k] - states[k, :, 1], -states[k, :, 2])
+        now = blending.step(
+            said,
+            u_a[k],
+            reference[k] - states[k, :, 0],
+            moving[k] - states[k, :, 1],
+            -states[k, :, 2],
+        )
         assert data["alpha"].iloc[k] == pytest.approx(now.alpha, abs=1e-6)
     assert data["alpha"].nunique() > 10
 
@@ -289,7 +376,11 @@ def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
     [
         ({"scheme": "TMIX"}, ValueError, "did you mean 'TMI"),
         ({"scheme": "tmigg"}, ValueError, "did you mean 'TMIG'"),
-        ({"scheme": 3}, ValueError, "scheme must be one of 'M', 'MI', .*, or a trustlab.Scheme, got 3"),
+        (
+            {"scheme": 3},
+            ValueError,
+            "scheme must be one of 'M', 'MI', .*, or a trustlab.Scheme, got 3",
+        ),
         ({"study": "third"}, ValueError, "study must be one of"),
         ({"operator": "me"}, ValueError, "operator must be of class Teleoperator"),
         ({"task": 1}, ValueError, "task must be of class TrackingTask"),

@@ -1,4 +1,6 @@
-"""Allocation of control: rules, limits, bounds, the steady cycle, and the correction of thresholds."""
+"""
+Allocation of control: rules, limits, bounds, the steady cycle, and the correction of thresholds.
+"""
 
 import lazy_loader as lazy
 

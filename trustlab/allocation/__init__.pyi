@@ -1,12 +1,24 @@
 from .blending import BlendingStep as BlendingStep, OptimalBlending as OptimalBlending
 from .bound_failures import bound_failures as bound_failures
-from .correction.corrector import TargetWarning as TargetWarning, ThresholdCorrector as ThresholdCorrector
+from .correction.corrector import (
+    TargetWarning as TargetWarning,
+    ThresholdCorrector as ThresholdCorrector,
+)
 from .correction.dynamics import simulate_correction as simulate_correction
-from .correction.incentive import incentive_bounds as incentive_bounds, incentive_box as incentive_box
+from .correction.incentive import (
+    incentive_bounds as incentive_bounds,
+    incentive_box as incentive_box,
+)
 from .correction.online import OnlineCorrection as OnlineCorrection, OnlineStep as OnlineStep
 from .correction.plan import CorrectionPlan as CorrectionPlan, CorrectionStatus as CorrectionStatus
-from .correction.tests_in_a_row import CorrectionRun as CorrectionRun, correct_pattern as correct_pattern
-from .cycle.invariant_bounds import InvariantBounds as InvariantBounds, invariant_bounds as invariant_bounds
+from .correction.tests_in_a_row import (
+    CorrectionRun as CorrectionRun,
+    correct_pattern as correct_pattern,
+)
+from .cycle.invariant_bounds import (
+    InvariantBounds as InvariantBounds,
+    invariant_bounds as invariant_bounds,
+)
 from .cycle.limit_cycle import LimitCycle as LimitCycle, limit_cycle as limit_cycle
 from .limits import (
     StepBounds as StepBounds,
@@ -22,9 +34,15 @@ from .parameter_sweep import (
 )
 from .rules import PerformanceRule as PerformanceRule, ThresholdRule as ThresholdRule
 from .simulation import simulate_allocation as simulate_allocation
-from .steady_state import SteadyStateBounds as SteadyStateBounds, steady_state_bounds as steady_state_bounds
+from .steady_state import (
+    SteadyStateBounds as SteadyStateBounds,
+    steady_state_bounds as steady_state_bounds,
+)
 from .suggestions import followed_suggestions as followed_suggestions
-from .threshold_choice import ThresholdChoice as ThresholdChoice, choose_thresholds as choose_thresholds
+from .threshold_choice import (
+    ThresholdChoice as ThresholdChoice,
+    choose_thresholds as choose_thresholds,
+)
 from .threshold_estimate import (
     ThresholdEstimate as ThresholdEstimate,
     estimate_thresholds as estimate_thresholds,

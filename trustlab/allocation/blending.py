@@ -1,4 +1,7 @@
-"""Optimal mixed initiative (OMI, Appendix A): the share α that trades tracking error against departing from the operator."""
+"""
+Optimal mixed initiative (OMI, Appendix A): the share α that trades tracking error against departing
+from the operator.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,10 +12,12 @@ from trustlab.models.checks import between, finite_array, in_order, positive, wh
 from trustlab.models.compiled import njit
 from trustlab.models.uav import TransferFunction, three_axes
 
-# Degree of the interpolation of the cost in α; its error over 0.2 s is below rounding (a test checks it).
+# Degree of the interpolation of the cost in α; its error over 0.2 s is below rounding (a test
+# checks it).
 DEGREE = 10
 
-# The vehicle as the state equations of Appendix A have it; (A.1) prints 1.475 and 0.4952 for the same numbers.
+# The vehicle as the state equations of Appendix A have it; (A.1) prints 1.475 and 0.4952 for the
+# same numbers.
 APPENDIX_A = (
     TransferFunction(9.22, (1.473, 0.2214)),
     TransferFunction(3.806, (0.4706, 2.457)),
@@ -25,8 +30,9 @@ def best_share(weights, states, low, high):
     """
     Return the α in [low, high] of least cost and that cost.
 
-    weights, shape (3, DEGREE + 1, 5, 5): the cost's matrices as Chebyshev series in α over [0, 1], per axis. states, shape
-    (3, 5): command of the operator and of the controller, error, its first and second derivative, per axis.
+    weights, shape (3, DEGREE + 1, 5, 5): the cost's matrices as Chebyshev series in α over [0, 1],
+    per axis. states, shape (3, 5): command of the operator and of the controller, error, its first
+    and second derivative, per axis.
     """
     terms = weights.shape[1]
     series = np.zeros(terms)
@@ -37,7 +43,8 @@ def best_share(weights, states, low, high):
                 if pair != 0.0:
                     for m in range(terms):
                         series[m] += pair * weights[axis, m, i, j]
-    # derivative in x = 2α − 1, and its value at many points: every change of sign is followed to its root
+    # derivative in x = 2α − 1, and its value at many points: every change of sign is followed to
+    # its root
     slope = np.zeros(terms + 1)
     for m in range(terms - 1, 0, -1):
         slope[m - 1] = slope[m + 1] + 2.0 * m * series[m]
@@ -106,19 +113,22 @@ class BlendingStep:
 
 class OptimalBlending:
     """
-    The allocation of Appendix A: α minimises ∫ 200‖e‖² + (1 − α)²‖u_a − u_h‖² dτ over a short horizon, (A.3).
+    The allocation of Appendix A: α minimises ∫ 200‖e‖² + (1 − α)²‖u_a − u_h‖² dτ over a short
+    horizon, (A.3).
 
-    Every axis has the states u_h (held), u_a (following its PD law), e and its derivatives; u = α u_h + (1 − α) u_a drives the
-    vehicle. For α held over the horizon the cost is, up to rounding, a polynomial in α with coefficients quadratic in the
-    state; its global minimum is found from all sign changes of its derivative. With more than one interval α may change
-    within the horizon, and CasADi solves the bilinear program from that minimum; a local optimum, never worse than holding.
+    Every axis has the states u_h (held), u_a (following its PD law), e and its derivatives; u = α
+    u_h + (1 − α) u_a drives the vehicle. For α held over the horizon the cost is, up to rounding, a
+    polynomial in α with coefficients quadratic in the state; its global minimum is found from all
+    sign changes of its derivative. With more than one interval α may change within the horizon, and
+    CasADi solves the bilinear program from that minimum; a local optimum, never worse than holding.
 
     Parameters
     ----------
     vehicle : three TransferFunction
         Command to velocity on x, y and z; Appendix A's when not given.
     gains : three pairs of float
-        Proportional and derivative gain of the autonomous controller per axis, as the prediction has them.
+        Proportional and derivative gain of the autonomous controller per axis, as the prediction
+        has them.
     alpha_min, alpha_max : float
         Bounds of α, 0 ≤ alpha_min < alpha_max ≤ 1.
     horizon : float
@@ -203,7 +213,10 @@ class OptimalBlending:
         return a
 
     def _series(self, length: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return flow and cost over a time in which α is held as Chebyshev series in α, shape (3, DEGREE + 1, 5, 5) each."""
+        """
+        Return flow and cost over a time in which α is held as Chebyshev series in α, shape (3,
+        DEGREE + 1, 5, 5) each.
+        """
         from scipy.linalg import expm
 
         nodes = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
@@ -248,7 +261,8 @@ class OptimalBlending:
         u_h, u_a : array_like, shape (3,)
             Commands of the operator and of the autonomous controller.
         e, rate, acceleration : array_like, shape (3,)
-            Tracking error [m], its first and second derivative; the last is not used on an axis of order one.
+            Tracking error [m], its first and second derivative; the last is not used on an axis of
+            order one.
 
         Returns
         -------
@@ -262,26 +276,36 @@ class OptimalBlending:
         """
         states = self._states(u_h, u_a, e, rate, acceleration)
         alpha, cost = best_share(self.weights, states, self.alpha_min, self.alpha_max)
-        held = BlendingStep(alpha, cost, (alpha,), "global minimum for a share held over the horizon")
+        held = BlendingStep(
+            alpha, cost, (alpha,), "global minimum for a share held over the horizon"
+        )
         if self.intervals == 1:
             return held
         return self._solve(states, held)
 
     def _states(self, *given) -> np.ndarray:
         names = ("u_h", "u_a", "e", "rate", "acceleration")
-        columns = [finite_array(name, value, length=3) for name, value in zip(names, given, strict=True)]
+        columns = [
+            finite_array(name, value, length=3) for name, value in zip(names, given, strict=True)
+        ]
         return np.array(columns).T.copy()
 
     def _solve(self, states: np.ndarray, held: BlendingStep) -> BlendingStep:
         if self._program is None:
             self._program = self._build()
         n = self.intervals
-        found = self._program(x0=np.full(n, held.alpha), lbx=self.alpha_min, ubx=self.alpha_max, p=states.ravel())
+        found = self._program(
+            x0=np.full(n, held.alpha), lbx=self.alpha_min, ubx=self.alpha_max, p=states.ravel()
+        )
         shares, cost = np.asarray(found["x"]).ravel(), float(found["f"])
         said = self._program.stats()["return_status"]
         if not np.isfinite(shares).all() or not cost <= held.cost * (1.0 + 1e-9):
-            return BlendingStep(held.alpha, held.cost, held.shares * n, f"{said}; the held share is kept")
-        shares = np.clip(shares, self.alpha_min, self.alpha_max)  # bounds are met to the solver's tolerance
+            return BlendingStep(
+                held.alpha, held.cost, held.shares * n, f"{said}; the held share is kept"
+            )
+        shares = np.clip(
+            shares, self.alpha_min, self.alpha_max
+        )  # bounds are met to the solver's tolerance
         return BlendingStep(float(shares[0]), cost, tuple(shares.tolist()), said)
 
     def _build(self):
@@ -294,11 +318,14 @@ class OptimalBlending:
         for axis in range(3):
             state = p[5 * axis : 5 * axis + 5]
             for k in range(self.intervals):
-                cost += _series_at([state.T @ casadi.DM(c) @ state for c in weight[axis]], 2 * alphas[k] - 1)
+                cost += _series_at(
+                    [state.T @ casadi.DM(c) @ state for c in weight[axis]], 2 * alphas[k] - 1
+                )
                 state = _series_at([casadi.DM(c) @ state for c in flow[axis]], 2 * alphas[k] - 1)
         options: dict[str, Any] = {"expand": True, "print_time": False}
         options |= {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
-        # the held share is a good start, often on a bound: neither push it away nor begin with a great barrier
+        # the held share is a good start, often on a bound: neither push it away nor begin with a
+        # great barrier
         options |= {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6}
         return casadi.nlpsol("blending", "ipopt", {"x": alphas, "p": p, "f": cost}, options)
 

@@ -1,4 +1,7 @@
-"""Limits within which thresholds keep switching, (2.9)-(2.10) and Theorem 1, and the largest one-step changes in them."""
+"""
+Limits within which thresholds keep switching, (2.9)-(2.10) and Theorem 1, and the largest one-step
+changes in them.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -41,9 +44,9 @@ def step_bounds(tsc: TscModel, r_low: float = 0.05, r_high: float = 0.95) -> Ste
     tsc : TscModel
         The model.
     r_low, r_high : float
-        Range of utilization that is considered. (2.6) is infinitely steep at rest and at full load, so that δ_Ph over
-        all of [0, 1] is of no use; the dissertation takes δ from the fitted curves of an experiment, which keeps
-        away from both ends.
+        Range of utilization that is considered. (2.6) is infinitely steep at rest and at full load,
+        so that δ_Ph over all of [0, 1] is of no use; the dissertation takes δ from the fitted
+        curves of an experiment, which keeps away from both ends.
 
     Returns
     -------
@@ -82,7 +85,8 @@ class ThresholdLimits:
     Parameters
     ----------
     lower, upper : float
-        TSC_lb (2.9) and TSC_ub (2.10): TSC_lb < TSC_l < TSC_u < TSC_ub keeps the rule switching (Theorem 1).
+        TSC_lb (2.9) and TSC_ub (2.10): TSC_lb < TSC_l < TSC_u < TSC_ub keeps the rule switching
+        (Theorem 1).
     delta_p_h : float
         δ_Ph, the largest one-step change of human performance that was used.
     """
@@ -112,22 +116,39 @@ class ThresholdLimits:
         ValueError
             If a threshold is not a finite number.
         """
-        return self.lower < finite_number("lower", lower) < finite_number("upper", upper) < self.upper
+        return (
+            self.lower < finite_number("lower", lower) < finite_number("upper", upper) < self.upper
+        )
 
     def __str__(self) -> str:
         if not self.feasible:
-            return f"none at δ_Ph = {self.delta_p_h:.3g} (TSC_lb = {self.lower:.4f}, TSC_ub = {self.upper:.4f})"
-        return f"TSC_lb = {self.lower:.4f} and TSC_ub = {self.upper:.4f} at δ_Ph = {self.delta_p_h:.3g}"
+            return (
+                f"none at δ_Ph = {self.delta_p_h:.3g} (TSC_lb = {self.lower:.4f}, TSC_ub = "
+                f"{self.upper:.4f})"
+            )
+        return (
+            f"TSC_lb = {self.lower:.4f} and TSC_ub = {self.upper:.4f} at δ_Ph = "
+            f"{self.delta_p_h:.3g}"
+        )
 
     def _repr_html_(self) -> str:
-        room = "thresholds fit between them" if self.feasible else "no thresholds fit between them (Remark 4)"
-        columns = {"TSC_lb": self.lower, "TSC_ub": self.upper, "δ_Ph": self.delta_p_h, "feasible": self.feasible}
+        room = (
+            "thresholds fit between them"
+            if self.feasible
+            else "no thresholds fit between them (Remark 4)"
+        )
+        columns = {
+            "TSC_lb": self.lower,
+            "TSC_ub": self.upper,
+            "δ_Ph": self.delta_p_h,
+            "feasible": self.feasible,
+        }
         return as_html(room, pd.DataFrame([columns]))
 
     def __repr__(self) -> str:
         return (
-            f"ThresholdLimits(lower={self.lower:.6g}, upper={self.upper:.6g}, delta_p_h={self.delta_p_h:.4g}, "
-            f"feasible={self.feasible})"
+            f"ThresholdLimits(lower={self.lower:.6g}, upper={self.upper:.6g}, "
+            f"delta_p_h={self.delta_p_h:.4g}, feasible={self.feasible})"
         )
 
 
@@ -136,7 +157,8 @@ def limits_as_printed(c: TscConstants, delta_p_h: float) -> tuple[Any, Any]:
     slack = c.b_T * delta_p_h / (c.a_T * (1.0 - c.a_pr))
     slope = c.a_T * c.b_pr / (1.0 - c.a_pr) - c.b_T
     lower = c.a_T * (c.p_r_min + slack) - c.b_T * c.p_h_min
-    # (2.10) must hold for every P_h, so that the limit is the least of a line over [P_h,min, P_h,max]: one of its ends.
+    # (2.10) must hold for every P_h, so that the limit is the least of a line over [P_h,min,
+    # P_h,max]: one of its ends.
     upper = c.a_T * (c.p_r_min - slack) + slope * np.where(slope < 0.0, c.p_h_max, c.p_h_min)
     return lower, upper
 
@@ -145,16 +167,18 @@ def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> Threshold
     """
     Return the limits of the decision thresholds, (2.9)-(2.10).
 
-    TSC_lb = a_T b'_1 − b_T P_h,min with b'_1 = P_r,min + b_T δ_Ph/(a_T (1 − a_pr)); TSC_ub = a'_3 P_h + b'_3 at
-    P_h,max where a'_3 < 0 and at P_h,min where a'_3 > 0, with a'_3 = a_T b_pr/(1 − a_pr) − b_T and
-    b'_3 = a_T (P_r,min − b_T δ_Ph/(a_T (1 − a_pr))).
+    TSC_lb = a_T b'_1 − b_T P_h,min with b'_1 = P_r,min + b_T δ_Ph/(a_T (1 − a_pr)); TSC_ub = a'_3
+    P_h + b'_3 at P_h,max where a'_3 < 0 and at P_h,min where a'_3 > 0, with a'_3 = a_T b_pr/(1 −
+    a_pr) − b_T and b'_3 = a_T (P_r,min − b_T δ_Ph/(a_T (1 − a_pr))).
 
     Parameters
     ----------
     tsc : TscModel
-        The model; its robot's b is used as it is (the printed limits come from the printed, rounded b_pr).
+        The model; its robot's b is used as it is (the printed limits come from the printed, rounded
+        b_pr).
     delta_p_h : float, optional
-        δ_Ph, largest one-step change of human performance; from the model (`step_bounds`) when not given.
+        δ_Ph, largest one-step change of human performance; from the model (`step_bounds`) when not
+        given.
 
     Raises
     ------
@@ -176,22 +200,35 @@ def threshold_limits(tsc: TscModel, delta_p_h: float | None = None) -> Threshold
 
 
 def ranges_table(result: Any, dwell_manual: tuple, dwell_autonomous: tuple) -> pd.DataFrame:
-    """Return the ranges of r, P_r and TSC that a result has, and those of dwell times, one row each."""
-    rows = {name: (getattr(result, f"{it}_low"), getattr(result, f"{it}_high")) for name, it in RANGES.items()}
+    """
+    Return the ranges of r, P_r and TSC that a result has, and those of dwell times, one row each.
+    """
+    rows = {
+        name: (getattr(result, f"{it}_low"), getattr(result, f"{it}_high"))
+        for name, it in RANGES.items()
+    }
     rows |= {"dwell time manual": dwell_manual, "dwell time autonomous": dwell_autonomous}
-    return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high"]).rename_axis("quantity")
+    return pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high"]).rename_axis(
+        "quantity"
+    )
 
 
 def ranges_text(result: Any) -> str:
     """Return the ranges of r, P_r and TSC that a result has, in a line."""
-    ends = {name: (getattr(result, f"{it}_low"), getattr(result, f"{it}_high")) for name, it in RANGES.items()}
+    ends = {
+        name: (getattr(result, f"{it}_low"), getattr(result, f"{it}_high"))
+        for name, it in RANGES.items()
+    }
     return ", ".join(f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in ends.items())
 
 
 def check_thresholds(
     tsc: TscModel, lower: float, upper: float, limits: ThresholdLimits | None = None
 ) -> tuple[float, float]:
-    """Return two thresholds as floats if they are finite, in order, and, where limits are given, strictly between them."""
+    """
+    Return two thresholds as floats if they are finite, in order, and, where limits are given,
+    strictly between them.
+    """
     of_class("tsc", tsc, TscModel)
     lower, upper = in_order("lower", lower, "upper", upper)
     if limits is None:
@@ -199,13 +236,15 @@ def check_thresholds(
     of_class("limits", limits, ThresholdLimits)
     if not limits.feasible:
         raise ValueError(
-            f"no thresholds keep switching: at δ_Ph = {limits.delta_p_h:.3g} TSC_ub = {limits.upper:.4f} does not exceed "
-            f"TSC_lb = {limits.lower:.4f} (Remark 4). {_remedy(tsc, limits)}"
+            f"no thresholds keep switching: at δ_Ph = {limits.delta_p_h:.3g} TSC_ub = "
+            f"{limits.upper:.4f} does not exceed TSC_lb = {limits.lower:.4f} (Remark 4). "
+            f"{_remedy(tsc, limits)}"
         )
     if not limits.contains(lower, upper):
         raise ValueError(
-            f"thresholds ({lower:g}, {upper:g}) must lie strictly between TSC_lb = {limits.lower:.4f} and "
-            f"TSC_ub = {limits.upper:.4f} (Theorem 1 at δ_Ph = {limits.delta_p_h:.3g})"
+            f"thresholds ({lower:g}, {upper:g}) must lie strictly between TSC_lb = "
+            f"{limits.lower:.4f} and TSC_ub = {limits.upper:.4f} (Theorem 1 at δ_Ph = "
+            f"{limits.delta_p_h:.3g})"
         )
     return lower, upper
 
@@ -217,10 +256,11 @@ def _remedy(tsc: TscModel, limits: ThresholdLimits) -> str:
     if gap > 0.0:
         most = gap / 2.0 * (1.0 - tsc.robot.a) / tsc.b_T
         return (
-            f"δ_Ph = {limits.delta_p_h:.3g} is too large: below {most:.3g} they part; let utilization change more slowly "
-            "(a_r nearer to 1) or robot performance more quickly (a_pr smaller)"
+            f"δ_Ph = {limits.delta_p_h:.3g} is too large: below {most:.3g} they part; let "
+            "utilization change more slowly (a_r nearer to 1) or robot performance more quickly "
+            "(a_pr smaller)"
         )
     return (
-        "Even with δ_Ph = 0 they do not part: widen the range of robot performance (p_max − p_min) or narrow that of "
-        "human performance"
+        "Even with δ_Ph = 0 they do not part: widen the range of robot performance (p_max − "
+        "p_min) or narrow that of human performance"
     )

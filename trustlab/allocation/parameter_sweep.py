@@ -34,7 +34,9 @@ QUANTITIES = {
 }
 
 PARAMETERS = tuple(
-    f"{part}.{field.name}" for part, kind in (("robot", RobotModel), ("human", HumanModel)) for field in fields(kind)
+    f"{part}.{field.name}"
+    for part, kind in (("robot", RobotModel), ("human", HumanModel))
+    for field in fields(kind)
 )
 THRESHOLDS = ("lower", "upper")
 
@@ -62,12 +64,15 @@ class Sweep:
         Returns
         -------
         pandas.DataFrame
-            What was varied, lower and upper; exists (whether the rule keeps switching), mean_p_r, p_r_low, p_r_high,
-            mean_r, r_low, r_high, dwell times in samples, NaN where there is no cycle; and `reason` in words.
+            What was varied, lower and upper; exists (whether the rule keeps switching), mean_p_r,
+            p_r_low, p_r_high, mean_r, r_low, r_high, dwell times in samples, NaN where there is no
+            cycle; and `reason` in words.
         """
         return self.points.copy()
 
-    def plot(self, quantity: str = "mean_p_r", x: str | None = None, y: str | None = None, axes=None):
+    def plot(
+        self, quantity: str = "mean_p_r", x: str | None = None, y: str | None = None, axes=None
+    ):
         """
         Map a quantity over one or two of what was varied; blank where the rule stops switching.
 
@@ -76,8 +81,8 @@ class Sweep:
         quantity : str
             A key of `QUANTITIES`.
         x, y : str, optional
-            What to put on the axes; the first and second varied when not given. With y, what else was varied must have one
-            value; with one thing varied, a line is drawn.
+            What to put on the axes; the first and second varied when not given. With y, what else
+            was varied must have one value; with one thing varied, a line is drawn.
         axes : matplotlib.axes.Axes, optional
             Where to draw; a new figure when not given.
 
@@ -101,15 +106,22 @@ class Sweep:
             raise ValueError(f"x and y must be different, both are {x!r}")
         hidden = [name for name in names if name not in (x, y) and self.axes[name].size > 1]
         if hidden:
-            raise ValueError(f"{hidden[0]} was varied too; a map shows two: sweep one value of it, or name it x or y")
+            raise ValueError(
+                f"{hidden[0]} was varied too; a map shows two: sweep one value of it, or name it "
+                "x or y"
+            )
         axes = axes_or_new(axes, figsize=(5.6, 4.2))
         if y is None:
             axes.plot(self.points[x], self.points[quantity], "o-", ms=3, color="#0072b2")
             axes.set_ylabel(QUANTITIES[quantity])
         else:
-            grid = self.points.pivot_table(index=y, columns=x, values=quantity, dropna=False, aggfunc="first")
+            grid = self.points.pivot_table(
+                index=y, columns=x, values=quantity, dropna=False, aggfunc="first"
+            )
             grid = grid.reindex(index=np.sort(self.axes[y]), columns=np.sort(self.axes[x]))
-            image = axes.pcolormesh(grid.columns, grid.index, grid.to_numpy(dtype=float), shading="nearest")
+            image = axes.pcolormesh(
+                grid.columns, grid.index, grid.to_numpy(dtype=float), shading="nearest"
+            )
             axes.figure.colorbar(image, ax=axes, label=QUANTITIES[quantity])
             axes.set_ylabel(_label(y))
         axes.set_xlabel(_label(x))
@@ -127,15 +139,17 @@ def varied_model(tsc: TscModel, values: Mapping[str, float]) -> TscModel:
     """
     Return a model with some parameters changed.
 
-    b_pr follows (2.3) where it does in `tsc`, and else stays as it was given; the robot's P_h,max follows the operator's
-    where the two are equal in `tsc`. A value given for either takes precedence.
+    b_pr follows (2.3) where it does in `tsc`, and else stays as it was given; the robot's P_h,max
+    follows the operator's where the two are equal in `tsc`. A value given for either takes
+    precedence.
 
     Parameters
     ----------
     tsc : TscModel
         The model.
     values : dict of float
-        By name: robot.a, robot.p_min, robot.p_max, robot.p_h_max, robot.b, human.a, human.beta, human.p_min, human.p_max.
+        By name: robot.a, robot.p_min, robot.p_max, robot.p_h_max, robot.b, human.a, human.beta,
+        human.p_min, human.p_max.
 
     Raises
     ------
@@ -147,7 +161,11 @@ def varied_model(tsc: TscModel, values: Mapping[str, float]) -> TscModel:
         part, _, field = one_of("what is varied", name, PARAMETERS).partition(".")
         parts[part][field] = value
     robot, human = tsc.robot, tsc.human
-    if "p_max" in parts["human"] and "p_h_max" not in parts["robot"] and robot.p_h_max == human.p_max:
+    if (
+        "p_max" in parts["human"]
+        and "p_h_max" not in parts["robot"]
+        and robot.p_h_max == human.p_max
+    ):
         parts["robot"]["p_h_max"] = parts["human"]["p_max"]
     follows = gain_of_human_performance(robot.a, robot.p_min, robot.p_max, robot.p_h_max)
     if parts["robot"] and abs(robot.b - follows) <= 1e-12 * follows:
@@ -156,9 +174,17 @@ def varied_model(tsc: TscModel, values: Mapping[str, float]) -> TscModel:
 
 
 def cycle_at(
-    tsc: TscModel, lower: float | None, upper: float | None, starts: int, seed: object, **values: float
+    tsc: TscModel,
+    lower: float | None,
+    upper: float | None,
+    starts: int,
+    seed: object,
+    **values: float,
 ) -> dict:
-    """Return the measures of one steady cycle, the task of a campaign; it needs no seed, as the cycle is exact."""
+    """
+    Return the measures of one steady cycle, the task of a campaign; it needs no seed, as the cycle
+    is exact.
+    """
     lower, upper = values.pop("lower", lower), values.pop("upper", upper)
     try:
         cycle = limit_cycle(varied_model(tsc, values), lower, upper, starts)
@@ -182,15 +208,17 @@ def sweep(
     **campaign: Any,
 ) -> Sweep:
     """
-    Map performance, utilization and dwell times of the steady cycle over thresholds and model parameters.
+    Map performance, utilization and dwell times of the steady cycle over thresholds and model
+    parameters.
 
     Parameters
     ----------
     tsc : TscModel
         The model around which parameters are varied.
     axes : dict of array_like
-        Values by name: lower, upper, robot.a … human.p_max (as in `varied_model`). Every combination is a point; where it
-        makes no model, or TSC_l is not below TSC_u, `reason` says so and there are no numbers.
+        Values by name: lower, upper, robot.a … human.p_max (as in `varied_model`). Every
+        combination is a point; where it makes no model, or TSC_l is not below TSC_u, `reason` says
+        so and there are no numbers.
     lower, upper : float, optional
         Thresholds, where they are not varied.
     starts : int
@@ -223,12 +251,18 @@ def sweep(
     for name, array in values.items():
         if np.unique(array).size < array.size:
             raise ValueError(f"{name} has a value twice; give each once")
-    task = functools.partial(cycle_at, tsc=tsc, lower=lower, upper=upper, starts=whole_number("starts", starts))
+    task = functools.partial(
+        cycle_at, tsc=tsc, lower=lower, upper=upper, starts=whole_number("starts", starts)
+    )
     table = run_campaign(task, ParameterGrid(values), **campaign)
     if table["failed"].any():
         bad = table[table["failed"]].iloc[0]
         raise ValueError(f"the point {bad[names].to_dict()} failed: {bad['error']}")
-    fixed = {name: float(value) for name, value in zip(THRESHOLDS, (lower, upper), strict=True) if value is not None}
+    fixed = {
+        name: float(value)
+        for name, value in zip(THRESHOLDS, (lower, upper), strict=True)
+        if value is not None
+    }
     return Sweep(values, table.assign(**fixed)[[*names, *fixed, "exists", *QUANTITIES, "reason"]])
 
 
@@ -239,7 +273,12 @@ def cycle_sensitivity(
     *,
     lower: float | None = None,
     upper: float | None = None,
-    quantities: tuple[str, ...] = ("mean_p_r", "mean_r", "dwell_manual_high", "dwell_autonomous_high"),
+    quantities: tuple[str, ...] = (
+        "mean_p_r",
+        "mean_r",
+        "dwell_manual_high",
+        "dwell_autonomous_high",
+    ),
     **options: Any,
 ) -> SobolIndices:
     """
@@ -258,8 +297,8 @@ def cycle_sensitivity(
     quantities : tuple of str
         Keys of `QUANTITIES`.
     **options : object
-        seed, level and resamples, as in `sobol_indices`; n_jobs, out, cluster, executor, progress and fresh, as in
-        `run_campaign`.
+        seed, level and resamples, as in `sobol_indices`; n_jobs, out, cluster, executor, progress
+        and fresh, as in `run_campaign`.
 
     Returns
     -------
@@ -269,8 +308,8 @@ def cycle_sensitivity(
     Raises
     ------
     ValueError
-        If a name is unknown, a threshold is missing or given twice, or the rule stops switching at a point: narrow the
-        ranges then.
+        If a name is unknown, a threshold is missing or given twice, or the rule stops switching at
+        a point: narrow the ranges then.
 
     Examples
     --------
@@ -294,13 +333,21 @@ def _checked(tsc: object, axes: object, lower: object, upper: object) -> list[st
     """Return the names varied, each known, each threshold given once."""
     of_class("tsc", tsc, TscModel)
     if not isinstance(axes, Mapping) or not axes:
-        raise ValueError("give what to vary by name, such as {'lower': [0.0, 0.1], 'human.beta': [0.7, 0.8]}")
+        raise ValueError(
+            "give what to vary by name, such as {'lower': [0.0, 0.1], 'human.beta': [0.7, 0.8]}"
+        )
     for name in axes:
         one_of("what is varied", name, (*THRESHOLDS, *PARAMETERS))
     for name, value in (("lower", lower), ("upper", upper)):
         if (value is None) == (name not in axes):
-            remedy = "give it a value, or vary it" if value is None else "do not give it where it is varied"
-            raise ValueError(f"threshold {name} is {'missing' if value is None else 'there twice'}: {remedy}")
+            remedy = (
+                "give it a value, or vary it"
+                if value is None
+                else "do not give it where it is varied"
+            )
+            raise ValueError(
+                f"threshold {name} is {'missing' if value is None else 'there twice'}: {remedy}"
+            )
         if value is not None:
             finite_number(name, value)
     return list(axes)

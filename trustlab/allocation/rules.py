@@ -1,21 +1,35 @@
-"""Rules that say who should drive, step by step: by thresholds of TSC (2.8), by performance (Algorithm 2), or a user's own."""
+"""
+Rules that say who should drive, step by step: by thresholds of TSC (2.8), by performance (Algorithm
+2), or a user's own.
+"""
 
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
-from trustlab.models.checks import finite_number, in_order, not_negative, shown, warn_renamed, whole_number
+from trustlab.models.checks import (
+    finite_number,
+    in_order,
+    not_negative,
+    shown,
+    warn_renamed,
+    whole_number,
+)
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import threshold_mode
 
-# How far below P_max, as a share of P_max − P_min, performance still counts as P_max in Algorithm 2. As printed it is 0,
-# which a measured performance never meets exactly; 0.05 is half-way to 0.9 (P_max − P_min), where manual is suggested.
+# How far below P_max, as a share of P_max − P_min, performance still counts as P_max in Algorithm
+# 2. As printed it is 0, which a measured performance never meets exactly; 0.05 is half-way to 0.9
+# (P_max − P_min), where manual is suggested.
 PERFORMANCE_TOLERANCE = 0.05
 
 
 @njit
 def performance_suggestion(p_r, p_min, p_max, tolerance=PERFORMANCE_TOLERANCE):
-    """Return what Algorithm 2 suggests: 0 near P_max, 1 up to P_min + 0.9(P_max − P_min), −1 (nothing) between."""
+    """
+    Return what Algorithm 2 suggests: 0 near P_max, 1 up to P_min + 0.9(P_max − P_min), −1 (nothing)
+    between.
+    """
     if p_r >= p_max - tolerance * (p_max - p_min):
         return 0
     if p_r <= p_min + 0.9 * (p_max - p_min):
@@ -26,10 +40,11 @@ def performance_suggestion(p_r, p_min, p_max, tolerance=PERFORMANCE_TOLERANCE):
 @dataclass
 class ThresholdRule:
     """
-    Manual when TSC has fallen to TSC_l, autonomous when it has risen to TSC_u, unchanged between, equation (2.8).
+    Manual when TSC has fallen to TSC_l, autonomous when it has risen to TSC_u, unchanged between,
+    equation (2.8).
 
-    Thresholds and mode may be assigned while the rule runs, with the same checks as at the beginning; `move` changes both
-    thresholds at once.
+    Thresholds and mode may be assigned while the rule runs, with the same checks as at the
+    beginning; `move` changes both thresholds at once.
 
     Parameters
     ----------
@@ -92,8 +107,8 @@ class ThresholdRule:
         tsc : float
             TSC now; needed.
         p_r : float, optional
-            Robot performance. The rule does not use it; it is accepted so that both rules are called alike, and checked so
-            that a NaN in the calling loop does not go unnoticed.
+            Robot performance. The rule does not use it; it is accepted so that both rules are
+            called alike, and checked so that a NaN in the calling loop does not go unnoticed.
 
         Raises
         ------
@@ -114,15 +129,16 @@ class ThresholdRule:
 @dataclass(frozen=True)
 class PerformanceRule:
     """
-    Suggest autonomous at P_r = P_max, manual at P_r ≤ P_min + 0.9 (P_max − P_min), else nothing (Algorithm 2).
+    Suggest autonomous at P_r = P_max, manual at P_r ≤ P_min + 0.9 (P_max − P_min), else nothing
+    (Algorithm 2).
 
     Parameters
     ----------
     p_min, p_max : float
         Least and greatest robot performance.
     tolerance : float
-        How far below P_max, as a share of P_max − P_min, counts as P_max; 0 is as printed, which a measured
-        performance never meets exactly.
+        How far below P_max, as a share of P_max − P_min, counts as P_max; 0 is as printed, which a
+        measured performance never meets exactly.
 
     Raises
     ------
@@ -145,7 +161,9 @@ class PerformanceRule:
         low, high = in_order("p_min", self.p_min, "p_max", self.p_max)
         tolerance = not_negative("tolerance", self.tolerance)
         if not tolerance < 0.1:
-            raise ValueError(f"tolerance must be below 0.1, where manual is suggested, got {tolerance}")
+            raise ValueError(
+                f"tolerance must be below 0.1, where manual is suggested, got {tolerance}"
+            )
         self.__dict__.update(p_min=low, p_max=high, tolerance=tolerance)
 
     def step(self, tsc: float | None = None, p_r: float | None = None) -> int | None:
@@ -155,10 +173,11 @@ class PerformanceRule:
         Parameters
         ----------
         tsc : float, optional
-            TSC. The rule does not use it; it is accepted so that both rules are called alike, and checked so that a NaN in
-            the calling loop does not go unnoticed.
+            TSC. The rule does not use it; it is accepted so that both rules are called alike, and
+            checked so that a NaN in the calling loop does not go unnoticed.
         p_r : float
-            Robot performance now; needed. A single argument without a name is taken for it, with a warning.
+            Robot performance now; needed. A single argument without a name is taken for it, with a
+            warning.
 
         Raises
         ------
@@ -179,14 +198,18 @@ def begun(rule: object, mode: int | None) -> tuple[Any, int]:
     """
     Return a rule and the mode before the first sample: the one given, else `rule.mode`, else 1.
 
-    The rules of this module come back as copies, so that a run leaves them as they are. A rule that has a mode is set to the
-    one given.
+    The rules of this module come back as copies, so that a run leaves them as they are. A rule that
+    has a mode is set to the one given.
     """
     if isinstance(rule, type) or not callable(getattr(rule, "step", None)):
-        kind = f"the class {rule.__name__}, not an object made from it" if isinstance(rule, type) else shown(rule)
+        kind = (
+            f"the class {rule.__name__}, not an object made from it"
+            if isinstance(rule, type)
+            else shown(rule)
+        )
         raise ValueError(
-            "rule must have a method step(tsc=…, p_r=…) that returns 1 (manual), 0 (autonomous) or None (keep the mode), "
-            f"as ThresholdRule and PerformanceRule have; got {kind}"
+            "rule must have a method step(tsc=…, p_r=…) that returns 1 (manual), 0 (autonomous) "
+            f"or None (keep the mode), as ThresholdRule and PerformanceRule have; got {kind}"
         )
     if type(rule) in (ThresholdRule, PerformanceRule):
         rule = copy(rule)
@@ -196,12 +219,16 @@ def begun(rule: object, mode: int | None) -> tuple[Any, int]:
         try:
             rule.mode = mode
         except AttributeError as error:
-            raise ValueError(f"rule.mode is {own} and cannot be set to mode={mode}: {error}; leave mode= out") from None
+            raise ValueError(
+                f"rule.mode is {own} and cannot be set to mode={mode}: {error}; leave mode= out"
+            ) from None
     return rule, mode
 
 
 def decision(rule: Any, where: str, tsc: float, p_r: float) -> int | None:
-    """Ask a rule for the mode, 1, 0 or None for the one that is on; `where` is the sample, for errors."""
+    """
+    Ask a rule for the mode, 1, 0 or None for the one that is on; `where` is the sample, for errors.
+    """
     here = f"at {where}, with TSC = {tsc:.6g} and P_r = {p_r:.6g}"
     try:
         wanted = rule.step(tsc=tsc, p_r=p_r)
@@ -209,4 +236,9 @@ def decision(rule: Any, where: str, tsc: float, p_r: float) -> int | None:
         raise ValueError(f"rule.step failed {here}: {type(error).__name__}: {error}") from error
     if wanted is None:
         return None
-    return whole_number(f"what rule.step returns (1 manual, 0 autonomous, None to keep the mode) {here}", wanted, 0, 1)
+    return whole_number(
+        f"what rule.step returns (1 manual, 0 autonomous, None to keep the mode) {here}",
+        wanted,
+        0,
+        1,
+    )

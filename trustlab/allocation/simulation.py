@@ -6,7 +6,13 @@ import numpy as np
 import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds
-from trustlab.allocation.rules import PerformanceRule, ThresholdRule, begun, decision, performance_suggestion
+from trustlab.allocation.rules import (
+    PerformanceRule,
+    ThresholdRule,
+    begun,
+    decision,
+    performance_suggestion,
+)
 from trustlab.models.checks import between, finite_number, of_class, whole_number
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc_at
@@ -14,16 +20,19 @@ from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc
 # Longest simulation: 40 bytes are kept of every sample.
 MOST_STEPS = 100_000_000
 
-# How many samples the model is simulated ahead of a rule in Python, which then says where the mode changes.
+# How many samples the model is simulated ahead of a rule in Python, which then says where the mode
+# changes.
 AHEAD = 256
 
 
 @njit
 def simulate_rule(start_r, start_p_r, mode, lower, upper, tolerance, c, r, p_r, p_h, tsc, modes):
     """
-    Fill five columns with the model under a rule; the mode follows from TSC and P_r of the same sample.
+    Fill five columns with the model under a rule; the mode follows from TSC and P_r of the same
+    sample.
 
-    `lower` and `upper` are the thresholds of (2.8); with a `tolerance` of 0 or more they are P_min and P_max of Algorithm 2.
+    `lower` and `upper` are the thresholds of (2.8); with a `tolerance` of 0 or more they are P_min
+    and P_max of Algorithm 2.
     """
     now_r, now_p_r = start_r, start_p_r
     for k in range(r.size):
@@ -65,11 +74,13 @@ def simulate_allocation(
     p_r0 : float, optional
         Robot performance at the first sample; the robot's P_min when not given.
     mode : int, optional
-        Mode before the first sample: 1 manual, 0 autonomous. That of the rule, `rule.mode`, or else 1 when not given.
+        Mode before the first sample: 1 manual, 0 autonomous. That of the rule, `rule.mode`, or else
+        1 when not given.
     rule : object, optional
-        Who drives: an object with a method that is called by keyword at each sample, step(tsc=…, p_r=…), and returns 1 (manual),
-        0 (autonomous) or None (keep the mode). `ThresholdRule` and `PerformanceRule` run compiled and stay as they are. A rule of
-        your own is called in the order of the samples and keeps what it remembers.
+        Who drives: an object with a method that is called by keyword at each sample, step(tsc=…,
+        p_r=…), and returns 1 (manual), 0 (autonomous) or None (keep the mode). `ThresholdRule` and
+        `PerformanceRule` run compiled and stay as they are. A rule of your own is called in the
+        order of the samples and keeps what it remembers.
 
     Returns
     -------
@@ -79,8 +90,9 @@ def simulate_allocation(
     Raises
     ------
     ValueError
-        If `tsc` is not a `TscModel`, the thresholds are not finite or in the wrong order, a start or `steps` is out of range,
-        both thresholds and a rule are given or neither, or a rule has no step, raises an exception, or returns something else.
+        If `tsc` is not a `TscModel`, the thresholds are not finite or in the wrong order, a start
+        or `steps` is out of range, both thresholds and a rule are given or neither, or a rule has
+        no step, raises an exception, or returns something else.
 
     Examples
     --------
@@ -94,22 +106,34 @@ def simulate_allocation(
     """
     of_class("tsc", tsc, TscModel)
     if (rule is None) == (lower is None and upper is None):
-        raise ValueError("give either lower= and upper=, the thresholds of (2.8), or rule=, and not both")
-    rule, mode = begun(ThresholdRule(*check_thresholds(tsc, lower, upper)) if rule is None else rule, mode)
+        raise ValueError(
+            "give either lower= and upper=, the thresholds of (2.8), or rule=, and not both"
+        )
+    rule, mode = begun(
+        ThresholdRule(*check_thresholds(tsc, lower, upper)) if rule is None else rule, mode
+    )
     steps = whole_number("steps", steps, most=MOST_STEPS)
-    start = between("r0", r0, 0.0, 1.0), tsc.robot.p_min if p_r0 is None else finite_number("p_r0", p_r0)
+    start = (
+        between("r0", r0, 0.0, 1.0),
+        tsc.robot.p_min if p_r0 is None else finite_number("p_r0", p_r0),
+    )
     columns = dict(zip(("r", "p_r", "p_h", "tsc", "mode"), np.empty((5, steps)), strict=True))
     if type(rule) not in (ThresholdRule, PerformanceRule):
         _ask_step_by_step(rule, mode, start, tsc.constants(), **columns)
     else:
         own = type(rule) is ThresholdRule
-        numbers = (rule.lower, rule.upper, -1.0) if own else (rule.p_min, rule.p_max, rule.tolerance)
+        numbers = (
+            (rule.lower, rule.upper, -1.0) if own else (rule.p_min, rule.p_max, rule.tolerance)
+        )
         simulate_rule(*start, float(mode), *numbers, tsc.constants(), *columns.values())
     return pd.DataFrame(columns, copy=False)
 
 
 def _ask_step_by_step(rule, now, start, c, r, p_r, p_h, tsc, mode):
-    """Fill five columns as a rule in Python decides; the model is simulated ahead in the present mode, and again after a switch."""
+    """
+    Fill five columns as a rule in Python decides; the model is simulated ahead in the present mode,
+    and again after a switch.
+    """
     r[0], p_r[0] = start
     # The first sample of a stretch is already decided but for that of the whole run.
     first = decided = 0

@@ -8,7 +8,13 @@ import numpy as np
 
 from trustlab.allocation.cycle.limit_cycle import limit_cycle
 from trustlab.allocation.cycle.phases import longest_phase
-from trustlab.allocation.limits import check_thresholds, ranges_table, ranges_text, step_bounds, threshold_limits
+from trustlab.allocation.limits import (
+    check_thresholds,
+    ranges_table,
+    ranges_text,
+    step_bounds,
+    threshold_limits,
+)
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import between
@@ -21,9 +27,10 @@ class SteadyStateBounds:
     """
     The dissertation's bounds on the switched system in steady state.
 
-    The bounds on utilization do not hold in general. For the upper one the text inserts the longest autonomous dwell
-    time where the shortest would be needed; for the lower one the shortest manual dwell time from P_rl to P_ru, where
-    actual swings are narrower and phases shorter. `limit_cycle` and `invariant_bounds` give values and bounds that hold.
+    The bounds on utilization do not hold in general. For the upper one the text inserts the longest
+    autonomous dwell time where the shortest would be needed; for the lower one the shortest manual
+    dwell time from P_rl to P_ru, where actual swings are narrower and phases shorter. `limit_cycle`
+    and `invariant_bounds` give values and bounds that hold.
 
     Parameters
     ----------
@@ -72,14 +79,16 @@ class SteadyStateBounds:
         Returns
         -------
         pandas.DataFrame
-            Index `quantity` (r, P_r, TSC, dwell time manual, dwell time autonomous); columns low, high.
+            Index `quantity` (r, P_r, TSC, dwell time manual, dwell time autonomous); columns low,
+            high.
         """
         manual = self.dwell_manual_low, self.dwell_manual_high
         return ranges_table(self, manual, (math.nan, self.dwell_autonomous))
 
     def plot(self, sample_time: float = 0.1):
         """
-        Plot what the dwell times are derived from, and utilization in steady state, as in Figs. 2.5, 2.6 and 2.7.
+        Plot what the dwell times are derived from, and utilization in steady state, as in Figs.
+        2.5, 2.6 and 2.7.
 
         Parameters
         ----------
@@ -96,15 +105,33 @@ class SteadyStateBounds:
         axes = axes_or_new(columns=3, figsize=(10, 3.4))
 
         def approach(axis, start, goal, dwell, color, label):
-            axis.plot(steps * sample_time, goal + (start - goal) * robot.a**steps, color=color, label=label)
+            axis.plot(
+                steps * sample_time,
+                goal + (start - goal) * robot.a**steps,
+                color=color,
+                label=label,
+            )
             if math.isfinite(dwell):
                 axis.axvline(dwell * sample_time, color=color, ls="--")
 
-        approach(axes[0], self.p_r_high, robot.p_min, self.dwell_autonomous, "C0", r"$\tau_{da}$ dashed")
+        approach(
+            axes[0], self.p_r_high, robot.p_min, self.dwell_autonomous, "C0", r"$\tau_{da}$ dashed"
+        )
         best, least = robot.steady_state(1.0, human.p_max), robot.steady_state(1.0, human.p_min)
-        approach(axes[1], self.p_r_low, best, self.dwell_manual_low, "C0", r"greatest $P_h$, $\tau_{dml}$")
-        approach(axes[1], self.p_r_low, least, self.dwell_manual_high, "C1", r"least $P_h$, $\tau_{dmu}$")
-        for axis, title in zip(axes, ("autonomous, from $P_{ru}$", "manual, from $P_{rl}$"), strict=False):
+        approach(
+            axes[1],
+            self.p_r_low,
+            best,
+            self.dwell_manual_low,
+            "C0",
+            r"greatest $P_h$, $\tau_{dml}$",
+        )
+        approach(
+            axes[1], self.p_r_low, least, self.dwell_manual_high, "C1", r"least $P_h$, $\tau_{dmu}$"
+        )
+        for axis, title in zip(
+            axes, ("autonomous, from $P_{ru}$", "manual, from $P_{rl}$"), strict=False
+        ):
             for bound in (self.p_r_low, self.p_r_high):
                 axis.axhline(bound, color="0.5", lw=0.8)
             axis.set(xlabel="dwell time [s]", ylabel="robot performance $P_r$", title=title)
@@ -114,15 +141,24 @@ class SteadyStateBounds:
         # The bounds are those of two periodic motions, one of each dwell time in the manual mode.
         for bound, manual, low, label in (
             (self.r_low, self.dwell_manual_low, True, r"period $\tau_{dml} + \tau_{da}$, to $r_l$"),
-            (self.r_high, self.dwell_manual_high, False, r"period $\tau_{dmu} + \tau_{da}$, to $r_u$"),
+            (
+                self.r_high,
+                self.dwell_manual_high,
+                False,
+                r"period $\tau_{dmu} + \tau_{da}$, to $r_u$",
+            ),
         ):
             color = "C1" if low else "C2"
             axes[2].axhline(bound, color=color, ls="--", lw=0.8)
             if math.isfinite(manual) and math.isfinite(self.dwell_autonomous):
-                mode = np.resize(np.repeat([1.0, 0.0], [int(manual), int(self.dwell_autonomous)]), 4001)
+                mode = np.resize(
+                    np.repeat([1.0, 0.0], [int(manual), int(self.dwell_autonomous)]), 4001
+                )
                 start = bound if low else bound * human.a**self.dwell_autonomous
                 r, _ = human.simulate(mode, start)
-                axes[2].plot(np.arange(4000) * sample_time, r[:4000], color=color, lw=1, label=label)
+                axes[2].plot(
+                    np.arange(4000) * sample_time, r[:4000], color=color, lw=1, label=label
+                )
         axes[2].axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
         axes[2].set(xlabel="time [s]", ylabel="utilization r", title="utilization in steady state")
         for axis in axes:
@@ -131,7 +167,9 @@ class SteadyStateBounds:
 
 
 class PerformanceRange(NamedTuple):
-    """P_rl and P_ru (2.15), and the dwell times between them (2.16), (2.20) and (2.21), in samples."""
+    """
+    P_rl and P_ru (2.15), and the dwell times between them (2.16), (2.20) and (2.21), in samples.
+    """
 
     p_r_low: np.ndarray
     p_r_high: np.ndarray
@@ -153,12 +191,14 @@ def performance_as_printed(
     """
     Evaluate (2.14)-(2.16), (2.20) and (2.21); the constants and arguments may be arrays.
 
-    `rise` is c of (2.20), how far robot performance rises above P_r,min under the operator's best performance:
-    P_r,max − P_r,min unless given, or b_pr P_h,max/(1 − a_pr) for a printed, rounded b_pr.
+    `rise` is c of (2.20), how far robot performance rises above P_r,min under the operator's best
+    performance: P_r,max − P_r,min unless given, or b_pr P_h,max/(1 − a_pr) for a printed, rounded
+    b_pr.
     """
     p_low = np.maximum((lower - delta_tsc + c.b_T * c.p_h_min) / c.a_T, c.p_r_min)
     p_high = np.minimum((upper + delta_tsc + c.b_T * c.p_h_max) / c.a_T, c.p_r_max)
-    # P_r,max itself where it is the goal: P_r,min + (P_r,max − P_r,min) can round above it, which would make an endless dwell time finite.
+    # P_r,max itself where it is the goal: P_r,min + (P_r,max − P_r,min) can round above it, which
+    # would make an endless dwell time finite.
     best = c.p_r_max if rise is None else c.p_r_min + rise
     worst = c.p_r_min + c.p_h_min * (c.p_r_max - c.p_r_min if rise is None else rise) / c.p_h_max
     with np.errstate(all="ignore"):  # impossible constants give NaN, which the caller sees
@@ -174,14 +214,18 @@ def performance_as_printed(
 def utilization_as_printed(a, dwell_manual_low, dwell_manual_high, dwell_autonomous):
     """Evaluate (2.33), NaN where both dwell times are 0; takes numbers or arrays."""
     a = np.asarray(a, dtype=float)  # a number's own power refuses what an array's gives as NaN
-    low, high, rest = a**dwell_manual_low, a**dwell_manual_high, a**dwell_autonomous
+    low = a**dwell_manual_low
+    high = a**dwell_manual_high
+    rest = a**dwell_autonomous
     with np.errstate(all="ignore"):
         r_low = np.where(low * rest < 1.0, (1.0 - low) * rest / (1.0 - low * rest), np.nan)
         r_high = np.where(high * rest < 1.0, (1.0 - high) / (1.0 - high * rest), np.nan)
     return r_low, r_high
 
 
-def steady_state_bounds(tsc: TscModel, lower: float, upper: float, delta_tsc: float | None = None) -> SteadyStateBounds:
+def steady_state_bounds(
+    tsc: TscModel, lower: float, upper: float, delta_tsc: float | None = None
+) -> SteadyStateBounds:
     """
     Return the steady-state bounds as printed, (2.14)-(2.16), (2.20), (2.21) and (2.33).
 
@@ -202,8 +246,9 @@ def steady_state_bounds(tsc: TscModel, lower: float, upper: float, delta_tsc: fl
     Raises
     ------
     ValueError
-        If the thresholds are in the wrong order or outside the limits of Theorem 1 at δ_Ph = 0 (which are quoted), δ_TSC
-        is negative, above 2 or not finite, or the thresholds leave no range of robot performance.
+        If the thresholds are in the wrong order or outside the limits of Theorem 1 at δ_Ph = 0
+        (which are quoted), δ_TSC is negative, above 2 or not finite, or the thresholds leave no
+        range of robot performance.
 
     Notes
     -----
@@ -233,8 +278,9 @@ def steady_state_bounds(tsc: TscModel, lower: float, upper: float, delta_tsc: fl
     p_low, p_high = numbers["p_r_low"], numbers["p_r_high"]
     if not p_low < p_high:
         raise ValueError(
-            f"the thresholds ({lower:g}, {upper:g}) leave no range of robot performance: (2.15) gives P_rl = {p_low:.4g} "
-            f"and P_ru = {p_high:.4g} within [{robot.p_min}, {robot.p_max}]; move them towards each other's middle"
+            f"the thresholds ({lower:g}, {upper:g}) leave no range of robot performance: (2.15) "
+            f"gives P_rl = {p_low:.4g} and P_ru = {p_high:.4g} within [{robot.p_min}, "
+            f"{robot.p_max}]; move them towards each other's middle"
         )
     dwells = found.dwell_manual_low, found.dwell_manual_high, found.dwell_autonomous
     r_low, r_high = utilization_as_printed(tsc.human.a, *dwells)

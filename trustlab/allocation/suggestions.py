@@ -14,10 +14,12 @@ FOLLOWED, NOT_FOLLOWED, WITHDRAWN, OPEN = range(4)
 
 def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFrame:
     """
-    Return the suggestions that were shown, each from its first appearance, and whether they were followed (Table 2.6).
+    Return the suggestions that were shown, each from its first appearance, and whether they were
+    followed (Table 2.6).
 
-    A suggestion is shown while `suggested_mode` is 0 or 1 and not the mode there is; one that comes back within the
-    deadline, while the mode stayed and the aid did not agree with it, is the same suggestion.
+    A suggestion is shown while `suggested_mode` is 0 or 1 and not the mode there is; one that comes
+    back within the deadline, while the mode stayed and the aid did not agree with it, is the same
+    suggestion.
 
     Parameters
     ----------
@@ -29,9 +31,9 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
     Returns
     -------
     pandas.DataFrame
-        Columns start [s], suggested_mode, delay [s] until the mode changed to it (NaN if it never did before the next
-        suggestion), followed (bool), state: "followed", "not followed", "withdrawn" (before the deadline) or "open" (the session ended
-        before the deadline).
+        Columns start [s], suggested_mode, delay [s] until the mode changed to it (NaN if it never
+        did before the next suggestion), followed (bool), state: "followed", "not followed",
+        "withdrawn" (before the deadline) or "open" (the session ended before the deadline).
 
     Raises
     ------
@@ -54,21 +56,35 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
         odd = ~np.isin(session[name], allowed)
         if odd.any():
             k = int(np.argmax(odd))
-            raise SessionError(f"column {name!r}, t = {session.t[k]:g} s: {session[name][k]} is not one of {allowed}")
+            raise SessionError(
+                f"column {name!r}, t = {session.t[k]:g} s: {session[name][k]} is not one of "
+                f"{allowed}"
+            )
     episodes = suggestion_episodes(session.t, session["mode"], session["suggested_mode"], deadline)
-    rows = [(start, float(to), delay, state == FOLLOWED, STATES[state]) for start, to, delay, state in episodes]
+    rows = [
+        (start, float(to), delay, state == FOLLOWED, STATES[state])
+        for start, to, delay, state in episodes
+    ]
     return pd.DataFrame(rows, columns=["start", "suggested_mode", "delay", "followed", "state"])
 
 
 @njit
 def suggestion_episodes(t, mode, suggested, deadline):
-    """Return start, suggested mode, delay until it was taken (or NaN) and state of every suggestion, as `followed_suggestions`."""
+    """
+    Return start, suggested mode, delay until it was taken (or NaN) and state of every suggestion,
+    as `followed_suggestions`.
+    """
     first, last = list(range(0)), list(range(0))
-    broken = False  # whether the mode has changed, or the aid has agreed with it, since the last one was shown
+    # Whether the mode has changed, or the aid has agreed with it, since the last one was shown
+    broken = False
     for k in range(t.size):
         before = mode[max(k - 1, 0)]
         if suggested[k] >= 0.0 and suggested[k] != before:
-            same = len(first) > 0 and suggested[first[-1]] == suggested[k] and t[k] - t[last[-1]] <= deadline
+            same = (
+                len(first) > 0
+                and suggested[first[-1]] == suggested[k]
+                and t[k] - t[last[-1]] <= deadline
+            )
             if same and not broken:
                 last[-1] = k
             else:
@@ -79,7 +95,9 @@ def suggestion_episodes(t, mode, suggested, deadline):
             broken = True
     found = []
     for i in range(len(first)):
-        start, wanted, delay = first[i], suggested[first[i]], np.nan
+        start = first[i]
+        wanted = suggested[first[i]]
+        delay = np.nan
         stop = first[i + 1] if i + 1 < len(first) else t.size
         for k in range(start, stop):
             if mode[k] == wanted:

@@ -30,13 +30,16 @@ class ThresholdChoice:
     bounds : InvariantBounds
         Bounds for every trajectory under them.
     limits : ThresholdLimits
-        TSC_lb and TSC_ub that the search kept to, at the `delta_p_h` given (0 if none was); `.delta_p_h` says which.
+        TSC_lb and TSC_ub that the search kept to, at the `delta_p_h` given (0 if none was);
+        `.delta_p_h` says which.
     encloses_beta : bool
         Whether the steady utilization encloses β.
     message : str
-        How the choice was made, and where it lies relative to the limits at the δ_Ph that the model itself gives.
+        How the choice was made, and where it lies relative to the limits at the δ_Ph that the model
+        itself gives.
     candidates : pandas.DataFrame
-        All pairs that were tried: lower, upper, r_low, r_high, mean_r, p_r_high, mean_p_r, encloses_beta, on_front.
+        All pairs that were tried: lower, upper, r_low, r_high, mean_r, p_r_high, mean_p_r,
+        encloses_beta, on_front.
     model : TscModel
         The model.
     """
@@ -53,11 +56,17 @@ class ThresholdChoice:
 
     @property
     def model_limits(self) -> ThresholdLimits:
-        """`threshold_limits(model)`: TSC_lb and TSC_ub at the δ_Ph that the model itself gives, narrower."""
+        """
+        `threshold_limits(model)`: TSC_lb and TSC_ub at the δ_Ph that the model itself gives,
+        narrower.
+        """
         return threshold_limits(self.model)
 
     def front(self) -> pd.DataFrame:
-        """Return the Pareto front: pairs that no other beats in both mean performance and mean utilization."""
+        """
+        Return the Pareto front: pairs that no other beats in both mean performance and mean
+        utilization.
+        """
         return self.candidates[self.candidates["on_front"]].sort_values("mean_r", ignore_index=True)
 
     def table(self) -> pd.DataFrame:
@@ -71,13 +80,15 @@ class ThresholdChoice:
 
     def __repr__(self) -> str:
         return (
-            f"ThresholdChoice(lower={self.lower:.6g}, upper={self.upper:.6g}, encloses_beta={self.encloses_beta}, "
-            f"delta_p_h={self.limits.delta_p_h:.4g}, {len(self.candidates)} candidates)"
+            f"ThresholdChoice(lower={self.lower:.6g}, upper={self.upper:.6g}, "
+            f"encloses_beta={self.encloses_beta}, delta_p_h={self.limits.delta_p_h:.4g}, "
+            f"{len(self.candidates)} candidates)"
         )
 
     def plot(self):
         """
-        Plot mean performance and utilization over the feasible triangle, the choice, and the Pareto front.
+        Plot mean performance and utilization over the feasible triangle, the choice, and the Pareto
+        front.
 
         Returns
         -------
@@ -87,14 +98,24 @@ class ThresholdChoice:
         titles = {"mean_p_r": "mean robot performance", "mean_r": "mean utilization r"}
         for axis, (name, title) in zip(axes, titles.items(), strict=False):
             points = axis.scatter(
-                "lower", "upper", c=name, data=self.candidates, s=14, marker="s", label="feasible pair"
+                "lower",
+                "upper",
+                c=name,
+                data=self.candidates,
+                s=14,
+                marker="s",
+                label="feasible pair",
             )
             axis.plot(self.lower, self.upper, "k*", ms=12, label="choice")
-            axis.set(xlabel="lower threshold $TSC_l$", ylabel="upper threshold $TSC_u$", title=title)
+            axis.set(
+                xlabel="lower threshold $TSC_l$", ylabel="upper threshold $TSC_u$", title=title
+            )
             axis.legend(loc="lower right", fontsize="small")
             axis.figure.colorbar(points, ax=axis)
         trade_off, means = axes[2], ("mean_r", "mean_p_r")
-        trade_off.plot(*means, "-", data=self.front(), color="C1", lw=1.5, zorder=4, label="Pareto front")
+        trade_off.plot(
+            *means, "-", data=self.front(), color="C1", lw=1.5, zorder=4, label="Pareto front"
+        )
         style = {"s": 24, "color": "0.65", "lw": 0, "zorder": 3}
         trade_off.scatter(*means, data=self.candidates, label="feasible pairs", **style)
         trade_off.plot(self.cycle.mean_r, self.cycle.mean_p_r, "k*", ms=12, label="choice")
@@ -108,18 +129,22 @@ def choose_thresholds(
     tsc: TscModel | FitResult, delta_p_h: float = 0.0, margin: float = 0.1, points: int = 24
 ) -> ThresholdChoice:
     """
-    Choose thresholds as Algorithm 1 asks: utilization encloses β, performance comes near its greatest.
+    Choose thresholds as Algorithm 1 asks: utilization encloses β, performance comes near its
+    greatest.
 
-    All pairs of a grid within the limits, less a margin, are followed to their steady cycle. Among those whose range
-    of utilization encloses β the one with the greatest highest performance is taken, ties by mean performance.
+    All pairs of a grid within the limits, less a margin, are followed to their steady cycle. Among
+    those whose range of utilization encloses β the one with the greatest highest performance is
+    taken, ties by mean performance.
 
     Parameters
     ----------
     tsc : TscModel or FitResult
-        The model, or a fit of one by `fit_tsc`: where its `success` is False, a warning and the choice give its `message`.
+        The model, or a fit of one by `fit_tsc`: where its `success` is False, a warning and the
+        choice give its `message`.
     delta_p_h : float
-        δ_Ph for the limits that the search keeps to. 0 takes them as TSC settles; whether a pair keeps switching is then
-        seen from its cycle. This is not the default of `threshold_limits`, see Notes.
+        δ_Ph for the limits that the search keeps to. 0 takes them as TSC settles; whether a pair
+        keeps switching is then seen from its cycle. This is not the default of `threshold_limits`,
+        see Notes.
     margin : float
         Distance to keep from either limit, as a share of TSC_ub − TSC_lb, in (0, 0.5).
     points : int
@@ -136,12 +161,13 @@ def choose_thresholds(
 
     Notes
     -----
-    `threshold_limits(tsc)` takes δ_Ph from the model unless told otherwise. Its limits are narrower than those searched
-    here at δ_Ph = 0, or there are none at all, and for all printed models the pair chosen here lies outside of them: Theorem
-    1, which is sufficient and not necessary, then does not promise that the rule keeps switching. What the choice rests on
-    is the exact cycle, `.cycle`, and the bounds for every trajectory, `.bounds`. `.limits` are the limits searched,
-    `.model_limits` those at the model's δ_Ph; `.message` says where the pair lies relative to both. To stay within the latter give
-    delta_p_h=threshold_limits(tsc).delta_p_h.
+    `threshold_limits(tsc)` takes δ_Ph from the model unless told otherwise. Its limits are narrower
+    than those searched here at δ_Ph = 0, or there are none at all, and for all printed models the
+    pair chosen here lies outside of them: Theorem 1, which is sufficient and not necessary, then
+    does not promise that the rule keeps switching. What the choice rests on is the exact cycle,
+    `.cycle`, and the bounds for every trajectory, `.bounds`. `.limits` are the limits searched,
+    `.model_limits` those at the model's δ_Ph; `.message` says where the pair lies relative to both.
+    To stay within the latter give delta_p_h=threshold_limits(tsc).delta_p_h.
 
     Examples
     --------
@@ -169,45 +195,66 @@ def choose_thresholds(
     grid = np.linspace(limits.lower + margin * span, limits.upper - margin * span, points)
     pairs = [(lower, upper) for i, lower in enumerate(grid) for upper in grid[i + 1 :]]
     survey = resampled(tsc)
-    cycles = [limit_cycle(survey, low, high, starts=1) for low, high in watched(pairs, "choose thresholds")]
+    cycles = [
+        limit_cycle(survey, low, high, starts=1)
+        for low, high in watched(pairs, "choose thresholds")
+    ]
     names = ["lower", "upper", "r_low", "r_high", "mean_r", "p_r_high", "mean_p_r"]
     rows = [[getattr(cycle, name) for name in names] for cycle in cycles if cycle.exists]
     table = pd.DataFrame(rows, columns=names)
-    table["encloses_beta"] = (table["r_low"] <= tsc.human.beta) & (tsc.human.beta <= table["r_high"])
+    table["encloses_beta"] = (table["r_low"] <= tsc.human.beta) & (
+        tsc.human.beta <= table["r_high"]
+    )
     table["on_front"] = _front(table["mean_r"].to_numpy(), table["mean_p_r"].to_numpy())
     inside = table[table["encloses_beta"]]
     if not inside.empty:
         best = inside.sort_values(["p_r_high", "mean_p_r"], ascending=False, kind="stable").index[0]
-        message = "Utilization encloses β; of all pairs for which it does, this one reaches the highest performance."
+        message = (
+            "Utilization encloses β; of all pairs for which it does, this one reaches the "
+            "highest performance."
+        )
     else:
         gap = np.maximum(tsc.human.beta - table["r_high"], table["r_low"] - tsc.human.beta)
         best = gap.idxmin()
         message = (
-            f"No pair between {grid[0]:.4f} and {grid[-1]:.4f} makes utilization enclose β = {tsc.human.beta:g}; this one "
-            f"comes nearest, within {gap[best]:.3f}. Allow a smaller margin for more."
+            f"No pair between {grid[0]:.4f} and {grid[-1]:.4f} makes utilization enclose β = "
+            f"{tsc.human.beta:g}; this one comes nearest, within {gap[best]:.3f}. Allow a smaller "
+            "margin for more."
         )
     lower, upper = float(table.loc[best, "lower"]), float(table.loc[best, "upper"])
     cycle = limit_cycle(tsc, lower, upper)
     bounds = invariant_bounds(tsc, lower, upper)
     message += _beside_limits(tsc, lower, upper, limits)
     if survey is not tsc:
-        message += " Candidates were compared at a longer sample time, as the model's time constants are very long."
-    return ThresholdChoice(lower, upper, cycle, bounds, limits, not inside.empty, message, table, tsc)
+        message += (
+            " Candidates were compared at a longer sample time, as the model's time "
+            "constants are very long."
+        )
+    return ThresholdChoice(
+        lower, upper, cycle, bounds, limits, not inside.empty, message, table, tsc
+    )
 
 
 def _beside_limits(tsc: TscModel, lower: float, upper: float, limits: ThresholdLimits) -> str:
-    """Say where a pair lies relative to the limits of the search and to those at the model's own δ_Ph."""
+    """
+    Say where a pair lies relative to the limits of the search and to those at the model's own δ_Ph.
+    """
     own = threshold_limits(tsc)
     if own.contains(lower, upper):
-        return f" Limits searched: {limits}. The pair also keeps those at the model's own δ_Ph: {own}."
+        return (
+            f" Limits searched: {limits}. The pair also keeps those at the model's own δ_Ph: {own}."
+        )
     return (
-        f" Limits searched: {limits}. Theorem 1 does not cover the pair at the model's own δ_Ph: {own}. Whether it keeps "
-        "switching is seen from its cycle, not from the limits."
+        f" Limits searched: {limits}. Theorem 1 does not cover the pair at the model's own δ_Ph: "
+        f"{own}. Whether it keeps switching is seen from its cycle, not from the limits."
     )
 
 
 def _front(cost: np.ndarray, gain: np.ndarray) -> np.ndarray:
-    """Return which points no other has with less cost and at least the gain, or more gain at no more cost."""
+    """
+    Return which points no other has with less cost and at least the gain, or more gain at no more
+    cost.
+    """
     order = np.lexsort((-gain, cost))
     best_before = np.maximum.accumulate(np.r_[-np.inf, gain[order]])[:-1]
     front = np.empty(cost.size, dtype=bool)

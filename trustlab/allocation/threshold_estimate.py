@@ -1,4 +1,7 @@
-"""Estimates of an operator's thresholds from their switches (Table 2.3), and relative performance (2.39)."""
+"""
+Estimates of an operator's thresholds from their switches (Table 2.3), and relative performance
+(2.39).
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -6,7 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import finite_array, finite_number, in_order, not_negative, of_class, positive, whole_number
+from trustlab.models.checks import (
+    finite_array,
+    finite_number,
+    in_order,
+    not_negative,
+    of_class,
+    positive,
+    whole_number,
+)
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
@@ -20,20 +31,23 @@ class ThresholdEstimate:
     Parameters
     ----------
     switches : pandas.DataFrame
-        One row per switch: run, t [s], threshold ("lower" on taking over, "upper" on handing over), tsc.
+        One row per switch: run, t [s], threshold ("lower" on taking over, "upper" on handing over),
+        tsc.
     summary : pandas.DataFrame
-        Index `threshold`; columns n, mean, sd, ci_low, ci_high (bootstrap 95 % interval of the mean), share_within (of the
-        switches within ±0.15 of their mean).
+        Index `threshold`; columns n, mean, sd, ci_low, ci_high (bootstrap 95 % interval of the
+        mean), share_within (of the switches within ±0.15 of their mean).
     separation : float
-        How far the means are apart in sums of the two SDs (`separation`). Above 1, mean ± SD do not overlap, the way in
-        which Table 2.3 sets participant 3 (0.99) apart from the others (1.5 to 6.5).
+        How far the means are apart in sums of the two SDs (`separation`). Above 1, mean ± SD do not
+        overlap, the way in which Table 2.3 sets participant 3 (0.99) apart from the others (1.5 to
+        6.5).
     separation_low, separation_high : float
         Its 95 % interval; NaN, as the two below, with fewer than two switches in one direction.
     p_overlap : float
         One-sided p against the hypothesis that `separation` is 1 or less.
     p_means : float
-        One-sided p of Welch's t test that the mean of the upper is greater: small also where single switches overlap,
-        if only there are many of them, and so no answer to whether an operator follows (2.8).
+        One-sided p of Welch's t test that the mean of the upper is greater: small also where single
+        switches overlap, if only there are many of them, and so no answer to whether an operator
+        follows (2.8).
     """
 
     switches: pd.DataFrame
@@ -46,7 +60,9 @@ class ThresholdEstimate:
 
     @property
     def distinguishable(self) -> bool:
-        """Whether single switches are shown to tell the thresholds apart: `p_overlap` below 0.05."""
+        """
+        Whether single switches are shown to tell the thresholds apart: `p_overlap` below 0.05.
+        """
         return bool(self.p_overlap < 0.05)
 
     @property
@@ -84,7 +100,8 @@ def estimate_thresholds(
     within : float
         Half width of the band around the means that `share_within` counts.
     resamples : int
-        Bootstrap resamples for the intervals of the means, and draws for the interval of `separation`; at least 100.
+        Bootstrap resamples for the intervals of the means, and draws for the interval of
+        `separation`; at least 100.
     seed : int
         Seed of both.
     after : float, optional
@@ -103,17 +120,20 @@ def estimate_thresholds(
 
     Notes
     -----
-    Rule (2.8) hands over at one level of TSC and takes over at a lower one. An operator follows it, as far as switches can
-    show, when nearly every single switch lies on its own side of a cut between the two. With normal spread the best cut
-    at equal distances in SDs leaves Φ(−s) of the switches on the wrong side, s being `separation`; s = 1, where mean ± SD
-    touch, leaves 16 %. The test asks whether s exceeds 1. Its p and interval are generalized ones (Weerahandi, 1993): means
-    and SDs are drawn from what normal samples of these sizes say about them. They keep their level with few switches.
+    Rule (2.8) hands over at one level of TSC and takes over at a lower one. An operator follows it,
+    as far as switches can show, when nearly every single switch lies on its own side of a cut
+    between the two. With normal spread the best cut at equal distances in SDs leaves Φ(−s) of the
+    switches on the wrong side, s being `separation`; s = 1, where mean ± SD touch, leaves 16 %. The
+    test asks whether s exceeds 1. Its p and interval are generalized ones (Weerahandi, 1993): means
+    and SDs are drawn from what normal samples of these sizes say about them. They keep their level
+    with few switches.
 
-    A switch shows TSC when the hand moved, not when the operator decided: TSC runs on during the reaction, so that means lie
-    beyond the operator's own thresholds by about its rate times the reaction lag, below the lower and above the upper.
-    Where switching was barred at first, a threshold may have been passed long before the first switch, whose TSC then
-    says nothing about it: `run_condition` bars switches for its first 100 s (`settling` in the session's metadata), and
-    after=110.0 leaves out what was merely waiting for that.
+    A switch shows TSC when the hand moved, not when the operator decided: TSC runs on during the
+    reaction, so that means lie beyond the operator's own thresholds by about its rate times the
+    reaction lag, below the lower and above the upper. Where switching was barred at first, a
+    threshold may have been passed long before the first switch, whose TSC then says nothing about
+    it: `run_condition` bars switches for its first 100 s (`settling` in the session's metadata),
+    and after=110.0 leaves out what was merely waiting for that.
 
     Examples
     --------
@@ -141,10 +161,13 @@ def estimate_thresholds(
         run.require("mode")
         mode = run["mode"]
         if not np.isin(mode, (0.0, 1.0)).all():
-            raise SessionError(f"{run.label}: thresholds need a mode of 0 or 1, not shares", run.metadata.source)
+            raise SessionError(
+                f"{run.label}: thresholds need a mode of 0 or 1, not shares", run.metadata.source
+            )
         if "tsc" not in run and model is None:
             raise SessionError(
-                f"{run.label} has no column 'tsc'; give model=TscModel(...) to compute it from p_r and p_h",
+                f"{run.label} has no column 'tsc'; give model=TscModel(...) to compute it from "
+                "p_r and p_h",
                 run.metadata.source,
             )
         run.require(*(["tsc"] if "tsc" in run else ["p_r", "p_h"]))
@@ -154,7 +177,9 @@ def estimate_thresholds(
     switches = pd.DataFrame(rows, columns=["run", "t", "threshold", "tsc"])
     if switches.empty:
         when = "" if after == -np.inf else f" at {after:g} s or later"
-        raise SessionError(f"mode never changes{when} in these sessions, so no threshold can be estimated")
+        raise SessionError(
+            f"mode never changes{when} in these sessions, so no threshold can be estimated"
+        )
     return _summarise(switches, within, resamples, np.random.default_rng(seed))
 
 
@@ -177,8 +202,12 @@ def separation(lower_mean: float, lower_sd: float, upper_mean: float, upper_sd: 
     return (high - low) / positive("lower_sd + upper_sd", spread)
 
 
-def _apart(groups: dict[str, np.ndarray], draws: int, rng: np.random.Generator) -> tuple[float, float, float, float]:
-    """Return the separation of two groups of switches, its 95 % interval, and p that it is 1 or less."""
+def _apart(
+    groups: dict[str, np.ndarray], draws: int, rng: np.random.Generator
+) -> tuple[float, float, float, float]:
+    """
+    Return the separation of two groups of switches, its 95 % interval, and p that it is 1 or less.
+    """
     numbers, drawn = [], []
     for values in (groups["lower"], groups["upper"]):
         n = values.size
@@ -193,10 +222,15 @@ def _apart(groups: dict[str, np.ndarray], draws: int, rng: np.random.Generator) 
     return separation(*numbers), float(low), float(high), float((found <= 1.0).mean())
 
 
-def _summarise(switches: pd.DataFrame, within: float, resamples: int, rng: np.random.Generator) -> ThresholdEstimate:
+def _summarise(
+    switches: pd.DataFrame, within: float, resamples: int, rng: np.random.Generator
+) -> ThresholdEstimate:
     from scipy import stats
 
-    groups = {name: switches.loc[switches["threshold"] == name, "tsc"].to_numpy() for name in ("lower", "upper")}
+    groups = {
+        name: switches.loc[switches["threshold"] == name, "tsc"].to_numpy()
+        for name in ("lower", "upper")
+    }
     rows = {}
     for name, values in groups.items():
         if values.size == 0:
@@ -211,13 +245,18 @@ def _summarise(switches: pd.DataFrame, within: float, resamples: int, rng: np.ra
     summary = pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("threshold")
     p = np.nan
     if min(values.size for values in groups.values()) > 1:
-        p = float(stats.ttest_ind(groups["upper"], groups["lower"], equal_var=False, alternative="greater").pvalue)
+        p = float(
+            stats.ttest_ind(
+                groups["upper"], groups["lower"], equal_var=False, alternative="greater"
+            ).pvalue
+        )
     return ThresholdEstimate(switches, summary, *_apart(groups, resamples, rng), p)
 
 
 def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) -> float:
     """
-    Return mean robot performance as a percentage of its range, (mean P_r − P_min)/(P_max − P_min) · 100 (2.39).
+    Return mean robot performance as a percentage of its range, (mean P_r − P_min)/(P_max − P_min) ·
+    100 (2.39).
 
     Parameters
     ----------

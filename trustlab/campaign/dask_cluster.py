@@ -15,7 +15,8 @@ from trustlab.models.extras import extra
 
 # Seconds after which a scheduler that does not answer counts as unreachable.
 CONNECT = 5.0
-# Seconds that a cluster may be without workers, or its scheduler without connection, before the campaign gives up.
+# Seconds that a cluster may be without workers, or its scheduler without connection, before the
+# campaign gives up.
 PATIENCE = 60.0
 
 
@@ -36,7 +37,9 @@ class DaskWorkers(Workers):
                 self.client.wait_for_workers(1, timeout=2 * CONNECT)
             except TimeoutError:
                 remedy = f"start some with `dask worker {self.address}`"
-                raise CampaignError(f"the scheduler at {self.address} has no workers; {remedy}") from None
+                raise CampaignError(
+                    f"the scheduler at {self.address} has no workers; {remedy}"
+                ) from None
             self.watch()
             unless_ready.pop_all()
 
@@ -68,8 +71,8 @@ class DaskWorkers(Workers):
         status = self.client.status
         state = "no workers" if status == "running" else f"the connection is {status}"
         return CampaignError(
-            f"the cluster at {self.address} is gone: {state}; finished chunks are safe where `out` was given: call again "
-            "with the same arguments to go on"
+            f"the cluster at {self.address} is gone: {state}; finished chunks are safe where "
+            "`out` was given: call again with the same arguments to go on"
         )
 
     def close(self, left: list[Future]) -> None:
@@ -88,15 +91,19 @@ def _client(cluster: Any) -> tuple[Any, bool]:
         from distributed import Client
     if isinstance(cluster, Client):
         if cluster.asynchronous:
-            raise CampaignError("the client is asynchronous; give an ordinary one, or the address of its scheduler")
+            raise CampaignError(
+                "the client is asynchronous; give an ordinary one, or the address of its scheduler"
+            )
         if cluster.status != "running":
-            raise CampaignError(f"the client is not connected, its status is {cluster.status}; make a new one")
+            raise CampaignError(
+                f"the client is not connected, its status is {cluster.status}; make a new one"
+            )
         return cluster, False
     address = cluster if isinstance(cluster, str) else getattr(cluster, "scheduler_address", None)
     if not isinstance(address, str) or not address:
         raise CampaignError(
-            "cluster must be a distributed.Client, a running cluster or the address of a scheduler such as "
-            f"'tcp://127.0.0.1:8786', got {cluster!r}"
+            "cluster must be a distributed.Client, a running cluster or the address of a "
+            f"scheduler such as 'tcp://127.0.0.1:8786', got {cluster!r}"
         )
     try:
         _reach(address)
@@ -104,13 +111,16 @@ def _client(cluster: Any) -> tuple[Any, bool]:
     except Exception as error:
         raise CampaignError(
             f"no Dask scheduler could be reached at {address!r} within {CONNECT:.0f} s "
-            f"({str(error) or type(error).__name__}); start one with `dask scheduler`, and mind port, firewalls and, "
-            "where it asks for TLS, give a Client with its `security`"
+            f"({str(error) or type(error).__name__}); start one with `dask scheduler`, and mind "
+            "port, firewalls and, where it asks for TLS, give a Client with its `security`"
         ) from error
 
 
 def _reach(address: str) -> None:
-    """Connect to a scheduler and disconnect: unlike a Client, this fails quietly and within the time limit."""
+    """
+    Connect to a scheduler and disconnect: unlike a Client, this fails quietly and within the time
+    limit.
+    """
     from distributed.comm import connect
 
     async def greet() -> None:

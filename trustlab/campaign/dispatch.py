@@ -1,4 +1,7 @@
-"""Sending runs to workers in chunks, storing what comes back, and isolating runs that kill their process."""
+"""
+Sending runs to workers in chunks, storing what comes back, and isolating runs that kill their
+process.
+"""
 
 import math
 from collections import deque
@@ -12,9 +15,11 @@ from trustlab.campaign.executors import Workers
 from trustlab.campaign.table import encoded
 from trustlab.campaign.worker import Outcome
 
-# Seconds that a chunk should last at least: less, and sending and writing it costs more than a few per cent.
+# Seconds that a chunk should last at least: less, and sending and writing it costs more than a few
+# per cent.
 LEAST = 0.1
-# Seconds that a chunk lasts in a short and a long campaign: what a killed campaign loses, per worker.
+# Seconds that a chunk lasts in a short and a long campaign: what a killed campaign loses, per
+# worker.
 USUAL, MOST = 0.25, 5.0
 # How many times longer the next chunk may be: the first runs say little of the others.
 GROWTH = 16
@@ -25,7 +30,10 @@ MOST_RUNS = 20_000
 WATCH = 2.0
 # Runs that may kill their process in a row, with none succeeding, before the campaign gives up.
 HOPELESS = 5
-DIED = "WorkerDiedError: the process ended while it ran this, twice: it was killed, ran out of memory or crashed"
+DIED = (
+    "WorkerDiedError: the process ended while it ran this, twice: it was killed, ran out of "
+    "memory or crashed"
+)
 
 
 class ChunkSizes:
@@ -53,33 +61,45 @@ class ChunkSizes:
     def took(self, runs: int, seconds: float) -> None:
         """Learn from a chunk: so many runs took so many seconds in a worker."""
         now = seconds / runs
-        # The first run also imports and compiles: the first chunk that is quicker says more than the mean of both.
+        # The first run also imports and compiles: the first chunk that is quicker says more than
+        # the mean of both.
         first = self.per_run is None or (self.largest == 1 and now < self.per_run)
         self.per_run = now if first else 0.5 * (self.per_run + now)
         self.largest = max(self.largest, runs)
 
 
 class Dispatcher:
-    """Sends chunks of runs to workers and stores their outcomes; a span is the first run and the one after the last."""
+    """
+    Sends chunks of runs to workers and stores their outcomes; a span is the first run and the one
+    after the last.
+    """
 
     def __init__(self, workers: Workers, parameters: Sequence[Mapping], add: Callable, bar: Any):
-        self.workers, self.parameters, self.add, self.bar = workers, parameters, add, bar
+        self.workers = workers
+        self.parameters = parameters
+        self.add = add
+        self.bar = bar
         self.under_way: dict[Future, tuple[int, int]] = {}
         self.suspects: deque[tuple[int, int]] = deque()  # spans that were lost when a process died
         self.alone: Future | None = None  # the suspect that is being tried with nothing beside it
-        self.deaths, self.failures, self.succeeded = 0, 0, False
+        self.deaths = 0
+        self.failures = 0
+        self.succeeded = False
         self.seconds = 0.0
         self.watched = monotonic()
 
     def run(self, spans: list[tuple[int, int]]) -> float:
         """Run all spans; return the seconds that the runs took, of all workers together."""
         todo = deque(spans)
-        sizes = self.sizes = ChunkSizes(sum(last - first for first, last in spans), self.workers.count)
+        sizes = self.sizes = ChunkSizes(
+            sum(last - first for first, last in spans), self.workers.count
+        )
         try:
             while todo or self.suspects or self.under_way:
                 if self.suspects:
-                    # When a process dies, all chunks on the same executor may be lost. Each is tried again with
-                    # nothing beside it, so that the next death has one possible cause.
+                    # When a process dies, all chunks on the same executor may be lost. Each is
+                    # tried again with nothing beside it, so that the next death has one possible
+                    # cause.
                     if not self.under_way:
                         self.alone = self._send(*self.suspects.popleft())
                 else:
@@ -123,11 +143,16 @@ class Dispatcher:
         else:
             self.sizes.took(last - first, seconds)
             self.seconds += seconds
-            self.succeeded = self.succeeded or any(outcome.results is not None for outcome in outcomes)
+            self.succeeded = self.succeeded or any(
+                outcome.results is not None for outcome in outcomes
+            )
             self._store(first, last, outcomes)
 
     def _lost(self, first: int, last: int, alone: bool, error: BaseException) -> None:
-        """Deal with a chunk whose process died: try it alone, then halve it until one run is left to blame."""
+        """
+        Deal with a chunk whose process died: try it alone, then halve it until one run is left to
+        blame.
+        """
         if not alone:
             self.suspects.append((first, last))
         elif last - first > 1:
@@ -137,8 +162,8 @@ class Dispatcher:
             self.deaths += 1
             if self.deaths >= HOPELESS and not self.succeeded:
                 raise CampaignError(
-                    f"{self.deaths} processes died one after the other and no run has succeeded ({error}); try the "
-                    "task with n_jobs=1"
+                    f"{self.deaths} processes died one after the other and no run has succeeded "
+                    f"({error}); try the task with n_jobs=1"
                 ) from error
             self._store(first, last, [Outcome(None, DIED, DIED + "\n")])
 

@@ -19,19 +19,37 @@ from trustlab.campaign.identity import differences, parameter_texts, versions
 from trustlab.campaign.table import assembled
 
 FORMAT = 1
-MANIFEST, CHUNKS, LOCK = "campaign.json", "chunks", ".lock"
+MANIFEST = "campaign.json"
+CHUNKS = "chunks"
+LOCK = ".lock"
 CHUNK = re.compile(r"runs-(\d+)-(\d+)-([0-9a-f]{32})\.parquet")
 PARTIAL = ".partial-"
-ENTRIES = {"format": int, "runs": int, "parameters": str, "names": list, "task": dict, "seed": str, "versions": dict}
+ENTRIES = {
+    "format": int,
+    "runs": int,
+    "parameters": str,
+    "names": list,
+    "task": dict,
+    "seed": str,
+    "versions": dict,
+}
 OWN = {MANIFEST, CHUNKS, LOCK}
 REMEDY = "restore it, use another folder, or fresh=True to remove what is there"
 
 
 class Folder:
-    """The files of one campaign, opened by one process at a time; `spans` are first run, end and file of each chunk."""
+    """
+    The files of one campaign, opened by one process at a time; `spans` are first run, end and file
+    of each chunk.
+    """
 
     def __init__(
-        self, path: object, identity: dict, parameters: Sequence[Mapping], fresh: bool, other_versions: Sequence[str]
+        self,
+        path: object,
+        identity: dict,
+        parameters: Sequence[Mapping],
+        fresh: bool,
+        other_versions: Sequence[str],
     ):
         self.path = folder_path(path)
         with contextlib.ExitStack() as stack, writing_in(self.path):
@@ -44,7 +62,9 @@ class Folder:
                 self._check_versions(other_versions)
             else:
                 self._create(identity, parameters)
-            for leftover in self.path.rglob(f"*{PARTIAL}*"):  # what was being written when a process ended
+            for leftover in self.path.rglob(
+                f"*{PARTIAL}*"
+            ):  # what was being written when a process ended
                 leftover.unlink(missing_ok=True)
             self.spans = _spans(self.path, len(parameters))
             self.close = stack.pop_all().close  # until then, other processes are kept out
@@ -56,8 +76,8 @@ class Folder:
         chunks.mkdir(exist_ok=True)
         if any(chunks.glob("*.parquet")):
             raise CampaignError(
-                f"{self.path} is half a campaign: {len(list(chunks.glob('*.parquet')))} chunks, but {MANIFEST}, which "
-                f"says of what, is missing; {REMEDY}"
+                f"{self.path} is half a campaign: {len(list(chunks.glob('*.parquet')))} chunks, "
+                f"but {MANIFEST}, which says of what, is missing; {REMEDY}"
             )
         digest = _digest_of(parameters, identity["names"])
         content = {"format": FORMAT, "runs": len(parameters), "parameters": digest, **identity}
@@ -68,16 +88,23 @@ class Folder:
         write_whole(self.path / MANIFEST, text.encode("utf-8", "backslashreplace"))
 
     def _check_versions(self, accepted: Sequence[str]) -> None:
-        """Raise if results of other versions would be mixed with those of the folder, unless the user accepts it."""
+        """
+        Raise if results of other versions would be mixed with those of the folder, unless the user
+        accepts it.
+        """
         content = _manifest(self.path)
         before = content["versions"]
         changed = {name: now for name, now in versions().items() if before.get(name) != now}
         refused = [name for name in changed if name not in accepted]
         if refused:
-            said = "; ".join(f"{name} was {before.get(name, 'not recorded')}, is {changed[name]}" for name in refused)
+            said = "; ".join(
+                f"{name} was {before.get(name, 'not recorded')}, is {changed[name]}"
+                for name in refused
+            )
             raise CampaignError(
-                f"{self.path} was begun with other versions, which may give other numbers: {said}. Go on with those, or use "
-                f"another folder, fresh=True to remove what is there, or other_versions={refused} to have both in one table"
+                f"{self.path} was begun with other versions, which may give other numbers: "
+                f"{said}. Go on with those, or use another folder, fresh=True to remove what is "
+                f"there, or other_versions={refused} to have both in one table"
             )
         for name, now in changed.items():
             known = before.get(name, "not recorded").split(", ")
@@ -88,23 +115,32 @@ class Folder:
     def _check_same(self, identity: dict, parameters: Sequence[Mapping]) -> None:
         """Raise if the folder holds another campaign, and say what changed."""
         before, names = _manifest(self.path), identity["names"]
-        changed = [f"the task changed: {text}" for text in differences(before["task"], identity["task"])]
+        changed = [
+            f"the task changed: {text}" for text in differences(before["task"], identity["task"])
+        ]
         if before["seed"] != identity["seed"]:
             changed.append(f"seed was {before['seed']}, is {identity['seed']}")
         if before["names"] != names:
             changed.append(f"parameters were {', '.join(before['names'])}, are {', '.join(names)}")
         if _digest_of(parameters, names) != before["parameters"]:
             runs, now = before["runs"], len(parameters)
-            found = f"{runs:,} runs then, {now:,} now" if runs != now else "runs have other values, or another order"
+            found = (
+                f"{runs:,} runs then, {now:,} now"
+                if runs != now
+                else "runs have other values, or another order"
+            )
             changed.append(f"parameters changed: {found}")
         if changed:
             raise CampaignError(
-                f"{self.path} holds another campaign: {'; '.join(changed)}. Use another folder for this one, or "
-                "fresh=True to remove what is there"
+                f"{self.path} holds another campaign: {'; '.join(changed)}. Use another folder "
+                "for this one, or fresh=True to remove what is there"
             )
 
     def _clear(self) -> None:
-        """Remove a campaign, chunks first, so that a kill leaves a folder that is refused rather than trusted."""
+        """
+        Remove a campaign, chunks first, so that a kill leaves a folder that is refused rather than
+        trusted.
+        """
         _refuse_foreign(self.path)
         for file in (self.path / CHUNKS).glob("*"):
             if CHUNK.fullmatch(file.name) or PARTIAL in file.name:
@@ -119,7 +155,10 @@ class Folder:
         pq.write_table(table, sink, compression="zstd")
         data = sink.getvalue().to_pybytes()
         path = self.path / CHUNKS / f"runs-{first:010d}-{last:010d}-{_digest(data)}.parquet"
-        safe = "finished chunks before it are safe: make room or restore access, and call again with the same arguments"
+        safe = (
+            "finished chunks before it are safe: make room or restore access, and call again "
+            "with the same arguments"
+        )
         with writing_in(path.parent, safe):
             write_whole(path, data)
         self.spans.append((first, last, path))
@@ -142,8 +181,9 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        The columns of `run_campaign`, one row per finished run, in the order of runs; parameters that are not plain values
-        are text. `attrs` holds runs, finished, failed, and the versions with which they were run.
+        The columns of `run_campaign`, one row per finished run, in the order of runs; parameters
+        that are not plain values are text. `attrs` holds runs, finished, failed, and the versions
+        with which they were run.
 
     Raises
     ------
@@ -177,7 +217,10 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that it is there complete or not at all, whenever the process or the machine stops."""
+    """
+    Write a file so that it is there complete or not at all, whenever the process or the machine
+    stops.
+    """
     partial = path.with_name(f"{path.name}{PARTIAL}{os.getpid()}")
     try:
         with partial.open("wb") as file:
@@ -214,18 +257,24 @@ def folder_path(path: object) -> Path:
 
 
 @contextlib.contextmanager
-def writing_in(folder: Path, remedy: str = "choose a folder that has room and that you may write to") -> Iterator[None]:
+def writing_in(
+    folder: Path, remedy: str = "choose a folder that has room and that you may write to"
+) -> Iterator[None]:
     """Say in which folder the system refused to write."""
     try:
         yield
     except OSError as error:
-        raise CampaignError(f"cannot write in {folder}: {error.strerror or error}; {remedy}") from error
+        raise CampaignError(
+            f"cannot write in {folder}: {error.strerror or error}; {remedy}"
+        ) from error
 
 
 def refuse(folder: Path, what: str, names: set[str]) -> None:
     """Raise if there are names of files that a folder must not hold."""
     if names:
-        raise CampaignError(f"{folder} holds {what}, such as {min(names)}; give a new or empty folder")
+        raise CampaignError(
+            f"{folder} holds {what}, such as {min(names)}; give a new or empty folder"
+        )
 
 
 @contextlib.contextmanager
@@ -242,7 +291,9 @@ def _held(folder: Path) -> Iterator[None]:
 
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (BlockingIOError, PermissionError):  # the second on Windows
-            raise CampaignError(f"another process is running a campaign in {folder}; wait, or use another") from None
+            raise CampaignError(
+                f"another process is running a campaign in {folder}; wait, or use another"
+            ) from None
         except OSError:  # not every network file system has locks
             pass
         yield
@@ -261,13 +312,18 @@ def _manifest(folder: Path) -> dict:
         wrong = [name for name, kind in ENTRIES.items() if not isinstance(content[name], kind)]
         texts = [*content["names"], *content["task"].values(), *content["versions"].values()]
         if wrong or not all(isinstance(text, str) for text in texts):
-            raise ValueError(f"{', '.join(wrong) or 'names, task or versions'} is of no kind that a campaign writes")
+            raise ValueError(
+                f"{', '.join(wrong) or 'names, task or versions'} is of no kind that a campaign "
+                "writes"
+            )
     except (OSError, LookupError, ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise CampaignError(f"{path} cannot be read ({type(error).__name__}: {error}); {REMEDY}") from error
+        raise CampaignError(
+            f"{path} cannot be read ({type(error).__name__}: {error}); {REMEDY}"
+        ) from error
     if content["format"] != FORMAT:
         raise CampaignError(
-            f"{path} has format {content['format']}, this version reads {FORMAT}; use the version of trustlab that wrote "
-            "it, or another folder"
+            f"{path} has format {content['format']}, this version reads {FORMAT}; use the version "
+            "of trustlab that wrote it, or another folder"
         )
     return content
 
@@ -285,8 +341,8 @@ def _spans(folder: Path, runs: int) -> list[tuple[int, int, Path]]:
     for first, last, file in spans:
         if not end <= first < last <= runs:
             raise CampaignError(
-                f"{file} holds runs {first} to {last - 1}, which other chunks hold too or the campaign of {runs} runs does not "
-                "have; remove it, and its runs are repeated"
+                f"{file} holds runs {first} to {last - 1}, which other chunks hold too or the "
+                f"campaign of {runs} runs does not have; remove it, and its runs are repeated"
             )
         end = last
     return spans
@@ -303,5 +359,7 @@ def _read_chunk(path: Path) -> pa.Table:
         if not np.array_equal(table["run"].to_numpy(), np.arange(int(first), int(last))):
             raise ValueError("it holds other runs than its name says")
     except (OSError, ValueError, KeyError, pa.ArrowException) as error:
-        raise CampaignError(f"{path} is damaged: {error}; delete it, and its runs are repeated") from error
+        raise CampaignError(
+            f"{path} is damaged: {error}; delete it, and its runs are repeated"
+        ) from error
     return table

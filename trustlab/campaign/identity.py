@@ -29,11 +29,12 @@ def task_identity(task: Callable) -> dict[str, str]:
     """
     Return what a task consists of, by name, as text.
 
-    What counts: the source of the function, comments and layout apart, and of functions and classes of its module that it
-    uses; default and bound arguments; values it closes over; plain values among the global names it uses (numbers, text,
-    tuples of them); other modules of its package that its module imports, directly or not. What does not: other packages,
-    files, and global objects that are not plain. Lambdas, wrappers, and functions without source text are known by their
-    compiled code, which changes with Python's version too.
+    What counts: the source of the function, comments and layout apart, and of functions and classes
+    of its module that it uses; default and bound arguments; values it closes over; plain values
+    among the global names it uses (numbers, text, tuples of them); other modules of its package
+    that its module imports, directly or not. What does not: other packages, files, and global
+    objects that are not plain. Lambdas, wrappers, and functions without source text are known by
+    their compiled code, which changes with Python's version too.
     """
     _package_modules.cache_clear()  # files may have been edited since the last campaign
     return _Identity(task).parts
@@ -51,7 +52,9 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def _package_modules(module: str) -> dict[str, str]:
-    """Return a digest of each other module of the same package that a module imports, directly or not."""
+    """
+    Return a digest of each other module of the same package that a module imports, directly or not.
+    """
     package = module.partition(".")[0]
     digests: dict[str, str] = {}
     waiting = [module]
@@ -64,7 +67,9 @@ def _package_modules(module: str) -> dict[str, str]:
             tree = ast.parse(Path(spec.origin).read_bytes())
         except (ImportError, AttributeError, TypeError, ValueError, OSError):
             continue  # a name inside a module, a module without a file, or one without source text
-        digests[name] = hashlib.sha256(ast.unparse(tree).encode("utf-8", "backslashreplace")).hexdigest()[:32]
+        digests[name] = hashlib.sha256(
+            ast.unparse(tree).encode("utf-8", "backslashreplace")
+        ).hexdigest()[:32]
         waiting.append(name.rpartition(".")[0])  # packages are imported before what is in them
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
@@ -112,18 +117,26 @@ class _Identity:
         if any(function is other for other in self.seen):
             return
         self.seen.append(function)
-        self.parts |= {f"module {name}": digest for name, digest in _package_modules(function.__module__ or "").items()}
+        self.parts |= {
+            f"module {name}": digest
+            for name, digest in _package_modules(function.__module__ or "").items()
+        }
         name = _name(function)
         same = sum(_name(other) == name for other in self.seen)
         if same > 1:  # made by the same lines, with other values closed over
             name = f"{name} (number {same})"
-        # Of a wrapper, inspect would show the source of what it wraps; a lambda's source is a line with more on it.
+        # Of a wrapper, inspect would show the source of what it wraps; a lambda's source is a line
+        # with more on it.
         wrapper = hasattr(function, "__wrapped__")
         name = f"the wrapper of {name}" if wrapper else name
         source = "" if wrapper or function.__name__ == "<lambda>" else _source(function)
-        self.parts[f"{'source' if source else 'code'} of {name}"] = source or code_digest(function.__code__)
+        self.parts[f"{'source' if source else 'code'} of {name}"] = source or code_digest(
+            function.__code__
+        )
         if function.__defaults__ or function.__kwdefaults__:
-            self.parts[f"defaults of {name}"] = value_text((function.__defaults__, function.__kwdefaults__))
+            self.parts[f"defaults of {name}"] = value_text(
+                (function.__defaults__, function.__kwdefaults__)
+            )
         code, space = function.__code__, function.__globals__
         for variable, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
             try:
@@ -171,10 +184,12 @@ def _source(thing: Any) -> str:
 
 def value_text(value: object) -> str:
     """
-    Return a text that is the same for equal values: the value where it is plain, else its type and a digest.
+    Return a text that is the same for equal values: the value where it is plain, else its type and
+    a digest.
 
-    A value that cannot be pickled is known by its attributes; where it has none, by its type alone, so that a change of it
-    is not seen. As a parameter such a value lets its run fail on record, so that no result is taken for another's.
+    A value that cannot be pickled is known by its attributes; where it has none, by its type alone,
+    so that a change of it is not seen. As a parameter such a value lets its run fail on record, so
+    that no result is taken for another's.
     """
     if isinstance(value, np.generic):
         value = value.item()
@@ -207,16 +222,24 @@ def value_text(value: object) -> str:
 
 
 def seed_text(seed: np.random.SeedSequence) -> str:
-    """Return the text of a seed: the number where it is no more than that, else all that it consists of."""
+    """
+    Return the text of a seed: the number where it is no more than that, else all that it consists
+    of.
+    """
     bare = np.random.SeedSequence(seed.entropy).state == seed.state
     return value_text(seed.entropy if bare else seed.state)
 
 
 class _Pickler(pickle.Pickler):
-    """Pickles equal values to equal bytes: no memo, which depends on which parts are one object, and sorted sets."""
+    """
+    Pickles equal values to equal bytes: no memo, which depends on which parts are one object, and
+    sorted sets.
+    """
 
     def persistent_id(self, value: object) -> tuple | None:
-        return ("set", sorted(map(value_text, value))) if isinstance(value, set | frozenset) else None
+        return (
+            ("set", sorted(map(value_text, value))) if isinstance(value, set | frozenset) else None
+        )
 
 
 def _pickle_digest(value: object) -> str:

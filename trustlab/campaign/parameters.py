@@ -12,7 +12,8 @@ from trustlab.models.checks import in_order, whole_number
 
 class ParameterGrid(Sequence):
     """
-    Every combination of values, each made when it is asked for: the last name varies fastest, repeats faster still.
+    Every combination of values, each made when it is asked for: the last name varies fastest,
+    repeats faster still.
 
     Parameters
     ----------
@@ -24,7 +25,9 @@ class ParameterGrid(Sequence):
 
     def __init__(self, axes: Mapping[str, Iterable], repeats: int = 1):
         if not isinstance(axes, Mapping) or not axes:
-            raise ValueError("a grid needs values by name, such as parameter_grid(lower=[0.0, 0.1])")
+            raise ValueError(
+                "a grid needs values by name, such as parameter_grid(lower=[0.0, 0.1])"
+            )
         self.axes = {name: _values(name, values) for name, values in axes.items()}
         self.repeats = whole_number("repeats", repeats)
         self.shape = tuple(len(values) for values in self.axes.values())
@@ -41,8 +44,14 @@ class ParameterGrid(Sequence):
 
 
 def _values(name: str, values: Iterable) -> list:
-    if isinstance(values, str | bytes) or not isinstance(values, Iterable) or isinstance(values, Mapping):
-        raise ValueError(f"{name} must be a list or array of values, got {values!r}; write [{values!r}] for one")
+    if (
+        isinstance(values, str | bytes)
+        or not isinstance(values, Iterable)
+        or isinstance(values, Mapping)
+    ):
+        raise ValueError(
+            f"{name} must be a list or array of values, got {values!r}; write [{values!r}] for one"
+        )
     array = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else list(values)
     if not array:
         raise ValueError(f"{name} has no values; give at least one")
@@ -89,10 +98,11 @@ def parameter_draws(
     n : int
         How many. `n=100` by name works too; a range, list or distribution called n is a parameter.
     seed : int or numpy.random.SeedSequence
-        Seed of the draws; each parameter has a child of its own, so that adding one leaves the others as they were.
+        Seed of the draws; each parameter has a child of its own, so that adding one leaves the
+        others as they were.
     **distributions : tuple, scipy.stats frozen distribution, list
-        By name: (low, high) for a uniform distribution, a distribution with `rvs`, or a list of values drawn with equal
-        chances.
+        By name: (low, high) for a uniform distribution, a distribution with `rvs`, or a list of
+        values drawn with equal chances.
 
     Returns
     -------
@@ -123,7 +133,10 @@ def parameter_draws(
         seed = np.random.SeedSequence(whole_number("seed", seed, least=0))
     columns = {}
     for name, kind in distributions.items():
-        key = (*seed.spawn_key, *name.encode())  # the stream follows from the name, not from the order
+        key = (
+            *seed.spawn_key,
+            *name.encode(),
+        )  # the stream follows from the name, not from the order
         child = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
         columns[name] = _drawn(name, kind, n, np.random.default_rng(child))
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
@@ -144,26 +157,38 @@ def _drawn(name: str, kind: Any, n: int, rng: np.random.Generator) -> list:
     if callable(getattr(kind, "rvs", None)):
         draws = np.asarray(kind.rvs(size=n, random_state=rng))
         if draws.shape != (n,) or not np.all(np.isfinite(draws)):
-            raise ValueError(f"the distribution of {name} must give {n} finite numbers, got shape {draws.shape}")
+            raise ValueError(
+                f"the distribution of {name} must give {n} finite numbers, got shape {draws.shape}"
+            )
         return draws.tolist()
-    raise ValueError(f"{name} must be (low, high), a list of values or a SciPy distribution, got {type(kind).__name__}")
+    raise ValueError(
+        f"{name} must be (low, high), a list of values or a SciPy distribution, got "
+        f"{type(kind).__name__}"
+    )
 
 
 def checked_names(parameters: Sequence[Mapping]) -> list[str]:
-    """Return the names of the parameters; raise unless there is a dict per run, with the same names in each."""
+    """
+    Return the names of the parameters; raise unless there is a dict per run, with the same names in
+    each.
+    """
     if isinstance(parameters, Mapping):
         raise ValueError(
-            "parameters must be a list of dicts, one per run, got one dict; for every combination of its values use "
-            "parameter_grid(**parameters)"
+            "parameters must be a list of dicts, one per run, got one dict; for every "
+            "combination of its values use parameter_grid(**parameters)"
         )
     frame = hasattr(parameters, "columns")
     listed = hasattr(parameters, "__len__") and hasattr(parameters, "__getitem__")
     if frame or not listed or isinstance(parameters, str | bytes):
         remedy = "; use frame.to_dict('records')" if frame else ""
-        raise ValueError(f"parameters must be a list of dicts, one per run, got {type(parameters).__name__}{remedy}")
+        raise ValueError(
+            "parameters must be a list of dicts, one per run, got "
+            f"{type(parameters).__name__}{remedy}"
+        )
     if len(parameters) == 0:
         raise ValueError("parameters is empty: there is nothing to run")
-    # Every run of a grid has the names of its axes; a grid of a million runs need not be made to see that.
+    # Every run of a grid has the names of its axes; a grid of a million runs need not be made to
+    # see that.
     first = parameters[0]
     runs = [first] if isinstance(parameters, ParameterGrid) else parameters
     for run, values in enumerate(runs):
@@ -179,6 +204,10 @@ def checked_names(parameters: Sequence[Mapping]) -> list[str]:
         if not isinstance(name, str) or not name:
             raise ValueError(f"names of parameters must be text, got {name!r} in run 0")
         if name in RESERVED:
-            own = "every run is given a seed of its own" if name == "seed" else "the table has a column of that name"
+            own = (
+                "every run is given a seed of its own"
+                if name == "seed"
+                else "the table has a column of that name"
+            )
             raise ValueError(f"a parameter cannot be called {name!r}: {own}; remove or rename it")
     return names

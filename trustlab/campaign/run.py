@@ -39,53 +39,60 @@ def run_campaign(
     """
     Run a task once for each set of parameters and return one table.
 
-    Run i gets the child i of `seed.spawn`, so that the table does not depend on which worker ran what and when: serial,
-    parallel, on a cluster, or resumed, it is the same bit for bit (as far as the task is a function of its arguments; the
-    text of an error may hold addresses). A run that fails is recorded, and the others go on.
+    Run i gets the child i of `seed.spawn`, so that the table does not depend on which worker ran
+    what and when: serial, parallel, on a cluster, or resumed, it is the same bit for bit (as far as
+    the task is a function of its arguments; the text of an error may hold addresses). A run that
+    fails is recorded, and the others go on.
 
     Parameters
     ----------
     task : callable
-        Called as `task(**parameters, seed=SeedSequence)`; returns a dict of numbers, texts, True, False or None by name,
-        the same names in every run. It works on copies of parameters that are not plain. Functions of notebooks, lambdas
-        and closures can be used.
+        Called as `task(**parameters, seed=SeedSequence)`; returns a dict of numbers, texts, True,
+        False or None by name, the same names in every run. It works on copies of parameters that
+        are not plain. Functions of notebooks, lambdas and closures can be used.
     parameters : sequence of dict
         One per run, with the same names in each; `parameter_grid` and `parameter_draws` make them.
     seed : int or numpy.random.SeedSequence
         Seed of the campaign.
     n_jobs : int
-        Processes, kept by loky for the next campaign: 1 runs everything in this process; -1 takes as many as there are
-        cores, -2 one fewer. Within a task of another campaign -1 means 1. With `executor`: how many workers it has, where
-        the executor does not know.
+        Processes, kept by loky for the next campaign: 1 runs everything in this process; -1 takes
+        as many as there are cores, -2 one fewer. Within a task of another campaign -1 means 1. With
+        `executor`: how many workers it has, where the executor does not know.
     out : str or os.PathLike, optional
-        A folder to which finished chunks are written at once. A call with the same arguments goes on where a killed one
-        stopped; at most the chunks under way are lost. Memory then holds no results until the table is read at the end.
+        A folder to which finished chunks are written at once. A call with the same arguments goes
+        on where a killed one stopped; at most the chunks under way are lost. Memory then holds no
+        results until the table is read at the end.
     cluster : distributed.Client, distributed cluster or str, optional
         A Dask cluster, or the address of its scheduler, instead of processes of this machine.
     executor : concurrent.futures.Executor or callable, optional
-        Any executor instead: ThreadPoolExecutor, ProcessPoolExecutor, or an adapter such as `mpi4py.futures.MPIPoolExecutor`
-        or `executorlib.SlurmClusterExecutor`; it stays open. A function without arguments that makes an executor is called
-        again when the death of a process has broken the executor, so that the campaign goes on; what it makes is shut down.
+        Any executor instead: ThreadPoolExecutor, ProcessPoolExecutor, or an adapter such as
+        `mpi4py.futures.MPIPoolExecutor` or `executorlib.SlurmClusterExecutor`; it stays open. A
+        function without arguments that makes an executor is called again when the death of a
+        process has broken the executor, so that the campaign goes on; what it makes is shut down.
     progress : bool, optional
-        Whether to show runs done, rate and time left on stderr; by default where it is a terminal. In a notebook: True.
+        Whether to show runs done, rate and time left on stderr; by default where it is a terminal.
+        In a notebook: True.
     fresh : bool
         Whether to remove an earlier campaign from `out`.
     other_versions : sequence of str
-        Of "trustlab", "Python", "numpy" and "numba": those that may have another version than the runs in `out` have, so
-        that the table mixes both; `read_campaign` says which. By default each must be the same.
+        Of "trustlab", "Python", "numpy" and "numba": those that may have another version than the
+        runs in `out` have, so that the table mixes both; `read_campaign` says which. By default
+        each must be the same.
 
     Returns
     -------
     pandas.DataFrame
-        One row per run, in order: run, parameters, results, failed, error (one line) and traceback. Results of a failed run
-        are NaN. `attrs` holds runs, failed, resumed (runs that were read from `out`), seconds, seconds_in_runs (of all
-        workers together), executor, and a `summary` in words.
+        One row per run, in order: run, parameters, results, failed, error (one line) and traceback.
+        Results of a failed run are NaN. `attrs` holds runs, failed, resumed (runs that were read
+        from `out`), seconds, seconds_in_runs (of all workers together), executor, and a `summary`
+        in words.
 
     Raises
     ------
     CampaignError
-        If the folder cannot be used, or holds a campaign with another task, parameters, seed or versions (it says what changed); if
-        the task cannot be sent to workers; if a cluster cannot be reached, or an executor is broken.
+        If the folder cannot be used, or holds a campaign with another task, parameters, seed or
+        versions (it says what changed); if the task cannot be sent to workers; if a cluster cannot
+        be reached, or an executor is broken.
     ValueError
         If an argument is not of its kind.
 
@@ -96,9 +103,10 @@ def run_campaign(
 
     Notes
     -----
-    A run also fails if its process dies (it is first tried once more, with nothing beside it), if it returns no dict, or
-    if it returns other names than most runs. Whether a task is the same as before is decided by its module, name and
-    source, see `trustlab.campaign.identity.task_identity`.
+    A run also fails if its process dies (it is first tried once more, with nothing beside it), if
+    it returns no dict, or if it returns other names than most runs. Whether a task is the same as
+    before is decided by its module, name and source, see
+    `trustlab.campaign.identity.task_identity`.
 
     Examples
     --------
@@ -112,7 +120,9 @@ def run_campaign(
     names = _checked_task(task, parameters)
     if not isinstance(seed, np.random.SeedSequence):
         seed = np.random.SeedSequence(whole_number("seed", seed, least=0))
-    quiet = None if progress is None else not flag("progress", progress)  # tqdm takes None as "only on a terminal"
+    quiet = (
+        None if progress is None else not flag("progress", progress)
+    )  # tqdm takes None as "only on a terminal"
     if flag("fresh", fresh) and out is None:
         raise ValueError("fresh=True removes a campaign from a folder, but `out` is not given")
     for name in other_versions:
@@ -127,8 +137,12 @@ def run_campaign(
             from trustlab.campaign.identity import seed_text, task_identity
 
             identity = {"task": task_identity(task), "seed": seed_text(seed), "names": names}
-            folder = stack.enter_context(contextlib.closing(Folder(out, identity, parameters, fresh, other_versions)))
-            tables, add, spans = folder, folder.add, folder.spans
+            folder = stack.enter_context(
+                contextlib.closing(Folder(out, identity, parameters, fresh, other_versions))
+            )
+            tables = folder
+            add = folder.add
+            spans = folder.spans
         gaps = _gaps(spans, len(parameters))
         resumed = len(parameters) - sum(last - first for first, last in gaps)
         where, busy = "none", 0.0
@@ -150,9 +164,14 @@ def run_campaign(
 
 
 def _checked_task(task: object, parameters: Any) -> list[str]:
-    """Return the names of the parameters; raise unless the task can be called with them and a seed."""
+    """
+    Return the names of the parameters; raise unless the task can be called with them and a seed.
+    """
     if not callable(task):
-        raise ValueError(f"task must be a function called as task(**parameters, seed=…), got {type(task).__name__}")
+        raise ValueError(
+            "task must be a function called as task(**parameters, seed=…), got "
+            f"{type(task).__name__}"
+        )
     names = checked_names(parameters)
     try:
         signature = inspect.signature(task)
@@ -163,30 +182,45 @@ def _checked_task(task: object, parameters: Any) -> list[str]:
         signature.bind(**dict.fromkeys([*names, "seed"]))
     except TypeError as error:
         raise ValueError(
-            f"task {called}{signature} cannot be called with {', '.join([*names, 'seed'])} as named arguments: {error}; "
-            "every task takes its parameters and `seed`, a numpy.random.SeedSequence"
+            f"task {called}{signature} cannot be called with {', '.join([*names, 'seed'])} as "
+            f"named arguments: {error}; every task takes its parameters and `seed`, a "
+            "numpy.random.SeedSequence"
         ) from None
     return names
 
 
 def _check_where(n_jobs: object, cluster: object, executor: object) -> None:
     """Raise unless exactly one place is given where chunks are to run."""
-    if isinstance(n_jobs, bool | np.bool_) or not isinstance(n_jobs, int | np.integer) or n_jobs == 0:
-        raise ValueError(f"n_jobs must be a whole number of processes: 1 for this, -1 for all cores, got {n_jobs!r}")
+    if (
+        isinstance(n_jobs, bool | np.bool_)
+        or not isinstance(n_jobs, int | np.integer)
+        or n_jobs == 0
+    ):
+        raise ValueError(
+            "n_jobs must be a whole number of processes: 1 for this, -1 for all cores, got "
+            f"{n_jobs!r}"
+        )
     if cluster is not None and executor is not None:
         raise ValueError("give cluster or executor, not both: each says where to run")
     if cluster is not None and n_jobs != -1:
-        raise ValueError(f"give n_jobs or cluster, not both: a cluster has its own workers, got n_jobs={n_jobs}")
+        raise ValueError(
+            f"give n_jobs or cluster, not both: a cluster has its own workers, got n_jobs={n_jobs}"
+        )
 
 
 def where_to_run(n_jobs: int | None, cluster: object, executor: object) -> dict:
-    """Return these arguments of `run_campaign` for a function that runs in this process unless told otherwise."""
+    """
+    Return these arguments of `run_campaign` for a function that runs in this process unless told
+    otherwise.
+    """
     if n_jobs is None:
         n_jobs = 1 if cluster is None and executor is None else -1
     return {"n_jobs": n_jobs, "cluster": cluster, "executor": executor}
 
 
-def _workers(task: Callable, seed: np.random.SeedSequence, n_jobs: int, cluster: object, executor: Any) -> Workers:
+def _workers(
+    task: Callable, seed: np.random.SeedSequence, n_jobs: int, cluster: object, executor: Any
+) -> Workers:
     """Return where chunks run."""
     from trustlab.campaign.executors import InProcess, brought_workers, loky_workers
 
@@ -222,8 +256,8 @@ def _summed(table: pd.DataFrame, resumed: int, facts: dict) -> pd.DataFrame:
         worst = table.loc[table["failed"], ["run", "error"]].iloc[0]
         words += f"; first run {worst['run']}: {worst['error']}"
         warn(
-            f"{failed:,} of {len(table):,} runs failed; run {worst['run']}: {worst['error']} (see the columns failed, "
-            "error and traceback)",
+            f"{failed:,} of {len(table):,} runs failed; run {worst['run']}: {worst['error']} (see "
+            "the columns failed, error and traceback)",
             CampaignWarning,
         )
     if resumed:

@@ -1,4 +1,7 @@
-"""Sobol' indices: how much each uncertain parameter of a task contributes to the variance of its results."""
+"""
+Sobol' indices: how much each uncertain parameter of a task contributes to the variance of its
+results.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -40,8 +43,9 @@ class SobolIndices:
         Returns
         -------
         pandas.DataFrame
-            Columns result, parameter, first_order, first_low, first_high, total, total_low, total_high; NaN for a result
-            that did not vary. Estimates may fall below 0 or above 1 by their error, and are not cut.
+            Columns result, parameter, first_order, first_low, first_high, total, total_low,
+            total_high; NaN for a result that did not vary. Estimates may fall below 0 or above 1 by
+            their error, and are not cut.
         """
         return self.indices.copy()
 
@@ -56,7 +60,9 @@ class SobolIndices:
         results = list(dict.fromkeys(self.indices["result"]))
         names = list(dict.fromkeys(self.indices["parameter"]))
         size = (max(4.0, 3.2 * len(results)), 1.4 + 0.4 * len(names))
-        axes = axes_or_new(columns=len(results), squeeze=False, sharey=True, sharex=True, figsize=size)
+        axes = axes_or_new(
+            columns=len(results), squeeze=False, sharey=True, sharex=True, figsize=size
+        )
         at = np.arange(len(names))
         for panel, result in zip(axes[0], results, strict=True):
             rows = self.indices[self.indices["result"] == result]
@@ -66,15 +72,28 @@ class SobolIndices:
             ):
                 middle = rows[value].to_numpy()
                 spread = np.abs(np.vstack([middle - rows[low], rows[high] - middle]))
-                panel.errorbar(middle, at + shift, xerr=spread, fmt="o", ms=4, capsize=3, color=color, label=label)
+                panel.errorbar(
+                    middle,
+                    at + shift,
+                    xerr=spread,
+                    fmt="o",
+                    ms=4,
+                    capsize=3,
+                    color=color,
+                    label=label,
+                )
             panel.axvline(0.0, color="0.8", lw=0.8, zorder=0)
             panel.set_title(result, fontsize="medium")
             panel.set_xlabel("share of variance")
         axes[0, 0].set_yticks(at, names)
         axes[0, 0].invert_yaxis()
         handles, labels = axes[0, 0].get_legend_handles_labels()
-        axes[0, 0].figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize="small", frameon=False)
-        axes[0, 0].figure.suptitle(f"Sobol' indices, {100 * self.level:g} % intervals", fontsize="medium")
+        axes[0, 0].figure.legend(
+            handles, labels, loc="outside lower center", ncols=2, fontsize="small", frameon=False
+        )
+        axes[0, 0].figure.suptitle(
+            f"Sobol' indices, {100 * self.level:g} % intervals", fontsize="medium"
+        )
         return axes[0]
 
 
@@ -92,18 +111,20 @@ def sobol_indices(
     """
     Estimate first-order and total Sobol' indices of a task's results from one campaign of runs.
 
-    The first-order index of a parameter is the share of a result's variance that knowing it would remove; the total index
-    counts its interactions too. Points are a scrambled Sobol' sequence, the estimators those of `scipy.stats.sobol_indices`
-    (Saltelli et al. 2010), intervals are percentiles of a bootstrap over points.
+    The first-order index of a parameter is the share of a result's variance that knowing it would
+    remove; the total index counts its interactions too. Points are a scrambled Sobol' sequence, the
+    estimators those of `scipy.stats.sobol_indices` (Saltelli et al. 2010), intervals are
+    percentiles of a bootstrap over points.
 
     Parameters
     ----------
     task : callable
-        As in `run_campaign`. Where its results depend on the seed too, every run has a seed of its own, so that the noise is
-        independent between points: its share of variance is in all total indices and in no first-order index.
+        As in `run_campaign`. Where its results depend on the seed too, every run has a seed of its
+        own, so that the noise is independent between points: its share of variance is in all total
+        indices and in no first-order index.
     ranges : dict
-        By name of the parameter: (low, high) for a uniform distribution, or a scipy.stats frozen distribution; taken as
-        independent.
+        By name of the parameter: (low, high) for a uniform distribution, or a scipy.stats frozen
+        distribution; taken as independent.
     n : int
         Points in each of two samples, a power of 2; the task is run n (parameters + 2) times.
     results : list of str, optional
@@ -125,12 +146,13 @@ def sobol_indices(
     Raises
     ------
     ValueError
-        If an argument is not of its kind, a run failed, or a result is not a finite number at some point.
+        If an argument is not of its kind, a run failed, or a result is not a finite number at some
+        point.
 
     Notes
     -----
-    Saltelli, A., et al. "Variance based sensitivity analysis of model output." *Computer Physics Communications* 181(2),
-    2010, 259-270.
+    Saltelli, A., et al. "Variance based sensitivity analysis of model output." *Computer Physics
+    Communications* 181(2), 2010, 259-270.
 
     Examples
     --------
@@ -152,13 +174,19 @@ def sobol_indices(
     seed = whole_number("seed", seed, least=0)
     distributions = _distributions(ranges)
     names, d = list(ranges), len(distributions)
-    # Runs take the children 0, 1, … of the seed; points and bootstrap those of another child far from them.
+    # Runs take the children 0, 1, … of the seed; points and bootstrap those of another child far
+    # from them.
     points, draws = np.random.SeedSequence(seed, spawn_key=(2**31,)).spawn(2)
-    parameters = [dict(zip(names, map(float, point), strict=True)) for point in _points(distributions, n, points)]
+    parameters = [
+        dict(zip(names, map(float, point), strict=True))
+        for point in _points(distributions, n, points)
+    ]
     table = run_campaign(task, parameters, seed=seed, **campaign)
     wanted = _numeric(table, names, results)
     values = table[wanted].to_numpy(dtype=float).T.reshape(len(wanted), d + 2, n)
-    f_a, f_b, f_ab = values[:, 0], values[:, 1], values[:, 2:].swapaxes(0, 1)
+    f_a = values[:, 0]
+    f_b = values[:, 1]
+    f_ab = values[:, 2:].swapaxes(0, 1)
 
     def indices(k: np.ndarray) -> np.ndarray:
         """Return first-order and total indices from the points k; SciPy drops axes of length 1."""
@@ -166,7 +194,9 @@ def sobol_indices(
         return np.stack([found.first_order, found.total_order]).reshape(2, -1, d)
 
     rng = np.random.default_rng(draws)
-    with np.errstate(invalid="ignore", divide="ignore"):  # a result that does not vary has no shares
+    with np.errstate(
+        invalid="ignore", divide="ignore"
+    ):  # a result that does not vary has no shares
         whole = indices(np.arange(n))
         again = [indices(rng.integers(n, size=n)) for _ in range(resamples)]
     low, high = np.nanquantile(again, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
@@ -181,9 +211,11 @@ def sobol_indices(
 
 def _points(distributions: dict[str, Any], n: int, seed: np.random.SeedSequence) -> np.ndarray:
     """
-    Return the points of Saltelli's design, shape (n (d + 2), d): A, B, then for each parameter A with B's column.
+    Return the points of Saltelli's design, shape (n (d + 2), d): A, B, then for each parameter A
+    with B's column.
 
-    A and B are the halves of one scrambled Sobol' sequence of 2 d dimensions, as in `scipy.stats.sobol_indices`.
+    A and B are the halves of one scrambled Sobol' sequence of 2 d dimensions, as in
+    `scipy.stats.sobol_indices`.
     """
     from scipy.stats import qmc
 
@@ -201,9 +233,14 @@ def _distributions(ranges: Any) -> dict[str, Any]:
     from scipy import stats
 
     if not isinstance(ranges, Mapping) or not ranges:
-        raise ValueError("ranges must be a dict of (low, high) by parameter, such as {'beta': (0.6, 0.8)}")
+        raise ValueError(
+            "ranges must be a dict of (low, high) by parameter, such as {'beta': (0.6, 0.8)}"
+        )
     if len(ranges) < 2:
-        raise ValueError(f"indices divide variance among parameters: give at least two, got {', '.join(ranges)} alone")
+        raise ValueError(
+            "indices divide variance among parameters: give at least two, got "
+            f"{', '.join(ranges)} alone"
+        )
     found = {}
     for name, kind in ranges.items():
         if isinstance(kind, tuple):
@@ -212,7 +249,10 @@ def _distributions(ranges: Any) -> dict[str, Any]:
         elif callable(getattr(kind, "ppf", None)):
             found[name] = kind
         else:
-            raise ValueError(f"ranges[{name!r}] must be (low, high) or a SciPy distribution, got {type(kind).__name__}")
+            raise ValueError(
+                f"ranges[{name!r}] must be (low, high) or a SciPy distribution, got "
+                f"{type(kind).__name__}"
+            )
     return found
 
 
@@ -221,8 +261,9 @@ def _numeric(table: pd.DataFrame, names: list[str], wanted: list[str] | None) ->
     if table["failed"].any():
         bad = table[table["failed"]].iloc[0]
         raise CampaignError(
-            f"indices need every point, but {int(table['failed'].sum())} of {len(table)} runs failed, first "
-            f"{bad[names].to_dict()}: {bad['error']}; narrow the ranges or mend the task"
+            f"indices need every point, but {int(table['failed'].sum())} of {len(table)} runs "
+            f"failed, first {bad[names].to_dict()}: {bad['error']}; narrow the ranges or mend the "
+            "task"
         )
     known = [c for c in table.columns if c not in ("run", *names, "failed", "error", "traceback")]
     if wanted is None:
@@ -233,12 +274,15 @@ def _numeric(table: pd.DataFrame, names: list[str], wanted: list[str] | None) ->
         if name not in known:
             raise ValueError(f"results names {name!r}, but the task returns {', '.join(known)}")
         if not pd.api.types.is_numeric_dtype(table[name]):
-            raise ValueError(f"result {name!r} is not a number in every run, so that it has no variance")
+            raise ValueError(
+                f"result {name!r} is not a number in every run, so that it has no variance"
+            )
         bad = ~np.isfinite(table[name].to_numpy(dtype=float))
         if bad.any():
             row = table.iloc[int(np.argmax(bad))]
             raise ValueError(
-                f"indices need every point, but result {name!r} is {row[name]} at {int(bad.sum())} of {len(table)} points, "
-                f"first at {row[names].to_dict()}; narrow the ranges, or choose results that are defined there"
+                f"indices need every point, but result {name!r} is {row[name]} at "
+                f"{int(bad.sum())} of {len(table)} points, first at {row[names].to_dict()}; "
+                "narrow the ranges, or choose results that are defined there"
             )
     return list(wanted)

@@ -14,8 +14,21 @@ from trustlab.campaign.worker import Outcome, plain
 # Characters that a file keeps of a parameter that is not a plain value.
 LONGEST = 1000
 
-KINDS = {type(None): "none", bool: "bool", np.bool_: "bool", float: "float", np.float64: "float", str: "str"}
-ARROW = {"none": pa.null(), "bool": pa.bool_(), "float": pa.float64(), "str": pa.string(), "int": pa.int64()}
+KINDS = {
+    type(None): "none",
+    bool: "bool",
+    np.bool_: "bool",
+    float: "float",
+    np.float64: "float",
+    str: "str",
+}
+ARROW = {
+    "none": pa.null(),
+    "bool": pa.bool_(),
+    "float": pa.float64(),
+    "str": pa.string(),
+    "int": pa.int64(),
+}
 KIND = b"kind"
 
 
@@ -47,7 +60,10 @@ def _written(value: object) -> bool | int | float | str | None:
 
 
 def encoded(first: int, parameters: list[Mapping], outcomes: list[Outcome]) -> pa.Table:
-    """Return a chunk as a table: run, parameters, results, failed, error, traceback, returned (names as JSON)."""
+    """
+    Return a chunk as a table: run, parameters, results, failed, error, traceback, returned (names
+    as JSON).
+    """
     results = [outcome.results or {} for outcome in outcomes]
     returned = dict.fromkeys(name for own in results for name in own)
     columns: dict[str, list] = {
@@ -63,18 +79,24 @@ def encoded(first: int, parameters: list[Mapping], outcomes: list[Outcome]) -> p
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
 
 
-def assembled(chunks: Iterable[pa.Table], names: list[str], parameters: Mapping[str, list] | None) -> pd.DataFrame:
+def assembled(
+    chunks: Iterable[pa.Table], names: list[str], parameters: Mapping[str, list] | None
+) -> pd.DataFrame:
     """
     Return the table of a campaign, in the order of runs, whatever the chunks were.
 
-    `parameters` are columns by name for all runs; None takes them from the chunks, where some are text.
+    `parameters` are columns by name for all runs; None takes them from the chunks, where some are
+    text.
     """
     chunks = sorted(chunks, key=lambda chunk: chunk["run"][0].as_py())
     run = np.concatenate([chunk["run"].to_numpy() for chunk in chunks])
     failed = np.concatenate([chunk["failed"].to_numpy(zero_copy_only=False) for chunk in chunks])
     once: dict = {}  # equal texts are kept once
     returned, error, trace = (
-        np.array([once.setdefault(x, x) for chunk in chunks for x in chunk[name].to_pylist()], dtype=object)
+        np.array(
+            [once.setdefault(x, x) for chunk in chunks for x in chunk[name].to_pylist()],
+            dtype=object,
+        )
         for name in ("returned", "error", "traceback")
     )
     results = _usual(returned)
@@ -84,12 +106,17 @@ def assembled(chunks: Iterable[pa.Table], names: list[str], parameters: Mapping[
             failed[odd] = True
             error[odd] = (
                 f"CampaignError: returned {', '.join(json.loads(text))}, where most runs returned "
-                f"{', '.join(results)}; return the same names from every run, NaN or None where undefined"
+                f"{', '.join(results)}; return the same names from every run, NaN or None where "
+                "undefined"
             )
     columns: dict[str, Any] = {"run": run}
     whole = np.zeros(run.size, dtype=bool)
     for name in names:
-        columns[name] = _gathered(chunks, name, whole) if parameters is None else _narrowest(parameters[name], whole)
+        columns[name] = (
+            _gathered(chunks, name, whole)
+            if parameters is None
+            else _narrowest(parameters[name], whole)
+        )
     columns |= {name: _gathered(chunks, name, failed) for name in results}
     columns |= {"failed": failed, "error": _texts(error), "traceback": _texts(trace)}
     return pd.DataFrame(columns, copy=False)
@@ -115,9 +142,16 @@ def _texts(values: Iterable) -> pd.Series:
 
 
 def _gathered(chunks: list[pa.Table], name: str, missing: np.ndarray) -> np.ndarray | pd.Series:
-    """Return one column over all chunks; where every chunk holds floats, without a list of Python values."""
-    if all(name in chunk.column_names and pa.types.is_floating(chunk[name].type) for chunk in chunks):
-        return np.where(missing, np.nan, np.concatenate([chunk[name].to_numpy() for chunk in chunks]))
+    """
+    Return one column over all chunks; where every chunk holds floats, without a list of Python
+    values.
+    """
+    if all(
+        name in chunk.column_names and pa.types.is_floating(chunk[name].type) for chunk in chunks
+    ):
+        return np.where(
+            missing, np.nan, np.concatenate([chunk[name].to_numpy() for chunk in chunks])
+        )
     values: list = []
     for chunk in chunks:
         if name not in chunk.column_names:

@@ -21,7 +21,8 @@ import numpy as np
 
 from trustlab.campaign.errors import CampaignError
 
-# Names that neither parameters nor results may have: columns of the table, and the argument of the seed.
+# Names that neither parameters nor results may have: columns of the table, and the argument of the
+# seed.
 RESERVED = ("run", "seed", "failed", "error", "traceback", "returned")
 
 PLAIN = (bool, int, float, str, type(None))
@@ -43,11 +44,15 @@ def running_task() -> bool:
 
 
 def exit_with_parent(lifeline: Connection) -> None:
-    """End this process when the one that holds the other end of a pipe ends, even where that one is killed."""
+    """
+    End this process when the one that holds the other end of a pipe ends, even where that one is
+    killed.
+    """
 
     def watch() -> None:
         with suppress(EOFError, OSError):
-            lifeline.recv_bytes()  # nothing is ever sent: it returns when the system closes the other end
+            # Nothing is ever sent: it returns when the system closes the other end
+            lifeline.recv_bytes()
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
@@ -65,7 +70,9 @@ def code_digest(code: CodeType) -> str:
 
     def add(part: CodeType) -> None:
         head = (part.co_code, part.co_names, part.co_varnames, part.co_freevars, part.co_cellvars)
-        digest.update(repr((head, part.co_argcount, part.co_kwonlyargcount, part.co_flags)).encode())
+        digest.update(
+            repr((head, part.co_argcount, part.co_kwonlyargcount, part.co_flags)).encode()
+        )
         for constant in part.co_consts:
             if isinstance(constant, CodeType):
                 add(constant)
@@ -79,27 +86,39 @@ def code_digest(code: CodeType) -> str:
 
 
 def pickled(what: str, value: object) -> bytes:
-    """Return a value as bytes that any process can load, with functions of scripts and notebooks by value."""
+    """
+    Return a value as bytes that any process can load, with functions of scripts and notebooks by
+    value.
+    """
     import cloudpickle
 
     try:
         return cloudpickle.dumps(value)
     except Exception as error:
         raise CampaignError(
-            f"{what} cannot be sent to other processes: {type(error).__name__}: {error}; open files, locks and "
-            "connections inside the task, or run with n_jobs=1"
+            f"{what} cannot be sent to other processes: {type(error).__name__}: {error}; open "
+            "files, locks and connections inside the task, or run with n_jobs=1"
         ) from error
 
 
 def pickled_task(task: Callable) -> tuple[bytes, str | None]:
-    """Return a task as bytes, and a digest of its code where workers import it by name from a module."""
-    by_name = isinstance(task, FunctionType) and task.__module__ != "__main__" and "<" not in task.__qualname__
+    """
+    Return a task as bytes, and a digest of its code where workers import it by name from a module.
+    """
+    by_name = (
+        isinstance(task, FunctionType)
+        and task.__module__ != "__main__"
+        and "<" not in task.__qualname__
+    )
     return pickled("task", task), code_digest(task.__code__) if by_name else None
 
 
 @lru_cache(maxsize=4)
 def unpickled_task(data: bytes, digest: str | None) -> Callable:
-    """Return the task that `pickled_task` made into bytes; a module imported in an earlier version is reloaded."""
+    """
+    Return the task that `pickled_task` made into bytes; a module imported in an earlier version is
+    reloaded.
+    """
     try:
         task = pickle.loads(data)
         if digest is not None and code_digest(task.__code__) != digest:
@@ -107,13 +126,14 @@ def unpickled_task(data: bytes, digest: str | None) -> Callable:
             task = pickle.loads(data)
     except Exception as error:
         raise CampaignError(
-            f"the task cannot be loaded in a worker: {type(error).__name__}: {error}; its module must be importable "
-            "there: install it, or define the task in the script or notebook"
+            f"the task cannot be loaded in a worker: {type(error).__name__}: {error}; its module "
+            "must be importable there: install it, or define the task in the script or notebook"
         ) from error
     if digest is not None and code_digest(task.__code__) != digest:
         raise CampaignError(
-            f"workers find other code for {task.__module__}.{task.__qualname__} than the process that sent it: the file "
-            "was edited after it was imported, or differs between machines; import it anew and start again"
+            f"workers find other code for {task.__module__}.{task.__qualname__} than the process "
+            "that sent it: the file was edited after it was imported, or differs between "
+            "machines; import it anew and start again"
         )
     return task
 
@@ -127,11 +147,17 @@ def run_pickled(data: bytes) -> tuple[list[Outcome], float]:
 def run_chunk(
     task: Callable, seed: np.random.SeedSequence, first: int, parameters: Sequence[Mapping]
 ) -> tuple[list[Outcome], float]:
-    """Run a task with consecutive parameters; return what came of each run, and the seconds they took together."""
+    """
+    Run a task with consecutive parameters; return what came of each run, and the seconds they took
+    together.
+    """
     began = perf_counter()
     _local.depth = getattr(_local, "depth", 0) + 1
     try:
-        outcomes = [_outcome(task, values, run_seed(seed, run)) for run, values in enumerate(parameters, first)]
+        outcomes = [
+            _outcome(task, values, run_seed(seed, run))
+            for run, values in enumerate(parameters, first)
+        ]
     finally:
         _local.depth -= 1
     return outcomes, perf_counter() - began
@@ -150,7 +176,8 @@ def _checked(results: object, parameters: Mapping) -> dict:
     """Return the results as plain Python values."""
     if not isinstance(results, Mapping):
         raise CampaignError(
-            f"a task must return a dict of results by name, got {type(results).__name__}; return {{'name': value}}"
+            f"a task must return a dict of results by name, got {type(results).__name__}; return "
+            "{'name': value}"
         )
     checked = {}
     for name, value in results.items():
@@ -158,13 +185,15 @@ def _checked(results: object, parameters: Mapping) -> dict:
             raise CampaignError(f"results must have names that are text, got {name!r}")
         if name in RESERVED or name in parameters:
             what = "a parameter" if name in parameters else "a column of every campaign"
-            raise CampaignError(f"result {name!r} has the name of {what}; return it under another name")
+            raise CampaignError(
+                f"result {name!r} has the name of {what}; return it under another name"
+            )
         try:
             checked[name] = plain(value)
         except TypeError:
             raise CampaignError(
-                f"result {name!r} must be a number, text, True, False or None, got {type(value).__name__}; return one "
-                "value under each name"
+                f"result {name!r} must be a number, text, True, False or None, got "
+                f"{type(value).__name__}; return one value under each name"
             ) from None
         if isinstance(value, str):
             value.encode()  # a lone surrogate cannot be written to a file
@@ -174,12 +203,19 @@ def _checked(results: object, parameters: Mapping) -> dict:
 
 
 def plain(value: object) -> bool | int | float | str | None:
-    """Return a number, text, truth value or None as Python's own; raise `TypeError` for anything else."""
+    """
+    Return a number, text, truth value or None as Python's own; raise `TypeError` for anything else.
+    """
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if value is None:
         return None
-    kinds: tuple[tuple[Any, Callable], ...] = ((bool | np.bool_, bool), (str, str), (Integral, int), (Real, float))
+    kinds: tuple[tuple[Any, Callable], ...] = (
+        (bool | np.bool_, bool),
+        (str, str),
+        (Integral, int),
+        (Real, float),
+    )
     for kind, of in kinds:
         if isinstance(value, kind):
             return of(value)
@@ -195,13 +231,17 @@ def _line(error: BaseException) -> str:
 
 
 def _traceback(error: BaseException) -> str:
-    """Return Python's text of a traceback, without source lines, which not every process can read."""
+    """
+    Return Python's text of a traceback, without source lines, which not every process can read.
+    """
     whole = traceback.TracebackException.from_exception(error, lookup_lines=False)
     waiting = [whole]
     while waiting:
         part = waiting.pop()
         part.stack[:] = [
-            traceback.FrameSummary(frame.filename, frame.lineno, frame.name, lookup_line=False, line="")
+            traceback.FrameSummary(
+                frame.filename, frame.lineno, frame.name, lookup_line=False, line=""
+            )
             for frame in part.stack
             if frame.filename != __file__
         ]

@@ -1,4 +1,7 @@
-"""What a fit returns: the model, its uncertainty, and how well it explains the data, in tables and plots."""
+"""
+What a fit returns: the model, its uncertainty, and how well it explains the data, in tables and
+plots.
+"""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -7,7 +10,11 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.identification.residuals import ljung_box, pooled_autocorrelation, pooled_cross_correlation
+from trustlab.identification.residuals import (
+    ljung_box,
+    pooled_autocorrelation,
+    pooled_cross_correlation,
+)
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import Structure
 from trustlab.models.checks import one_of, open_unit, whole_number
@@ -29,7 +36,8 @@ class RunFit:
     """
     One run, measured and fitted: time [s], inputs and outputs by name, shape (N,) each.
 
-    `prediction_errors` are what a noise model leaves of measured minus fitted: the same where noise is white.
+    `prediction_errors` are what a noise model leaves of measured minus fitted: the same where noise
+    is white.
     """
 
     label: str
@@ -47,7 +55,10 @@ class RunFit:
 
     def only(self, output: str) -> "RunFit":
         """Return the run with one of its outputs."""
-        own = ({output: every[output]} for every in (self.measured, self.fitted, self.prediction_errors))
+        own = (
+            {output: every[output]}
+            for every in (self.measured, self.fitted, self.prediction_errors)
+        )
         return RunFit(self.label, self.synthetic, self.t, self.inputs, *own)
 
     def residual(self, output: str) -> np.ndarray:
@@ -63,12 +74,14 @@ class FitResult:
     Parameters
     ----------
     model : RobotModel, HumanModel, TscModel or what the structure makes
-        The identified model. It does not know of `success`: what takes the model alone, such as `limit_cycle`, `run_condition`
-        and `Operator`, cannot warn; `choose_thresholds` takes the fit, and warns where `success` is False.
+        The identified model. It does not know of `success`: what takes the model alone, such as
+        `limit_cycle`, `run_condition` and `Operator`, cannot warn; `choose_thresholds` takes the
+        fit, and warns where `success` is False.
     method : {"output_error", "arx", "regression"}
         How it was identified.
     parameters : pandas.DataFrame
-        Index `parameter`; columns value, stderr, status (estimated, weak, fixed, given, derived, at bound).
+        Index `parameter`; columns value, stderr, status (estimated, weak, fixed, given, derived, at
+        bound).
     covariance : pandas.DataFrame
         Covariance of the parameters that were estimated.
     initial_states : pandas.DataFrame
@@ -124,8 +137,8 @@ class FitResult:
         Returns
         -------
         pandas.DataFrame
-            Index `parameter`; columns value, stderr, ci_low, ci_high, status. NaN where a parameter was not
-            estimated; intervals are not cut at bounds.
+            Index `parameter`; columns value, stderr, ci_low, ci_high, status. NaN where a parameter
+            was not estimated; intervals are not cut at bounds.
 
         Raises
         ------
@@ -142,13 +155,18 @@ class FitResult:
 
     @property
     def fit_percent(self) -> float | pd.Series:
-        """100(1 − ‖y − ŷ‖/‖y − ȳ‖) of the simulated output; a Series by output for a model with several."""
+        """
+        100(1 − ‖y − ŷ‖/‖y − ȳ‖) of the simulated output; a Series by output for a model with
+        several.
+        """
         percent = {}
         for name in self.outputs:
             y = np.concatenate([run.measured[name] for run in self.runs])
             error = np.concatenate(self.residuals(name))
             spread = np.linalg.norm(y - y.mean())
-            percent[name] = 100.0 * (1.0 - np.linalg.norm(error) / spread) if spread > 0.0 else np.nan
+            percent[name] = (
+                100.0 * (1.0 - np.linalg.norm(error) / spread) if spread > 0.0 else np.nan
+            )
         return float(percent[name]) if len(percent) == 1 else pd.Series(percent, name="fit_percent")
 
     def residuals(self, output: str | None = None) -> list[np.ndarray]:
@@ -167,7 +185,12 @@ class FitResult:
         """Return the prediction errors of an output whose runs are all longer than `lags`."""
         name = self.outputs[0] if output is None else one_of("output", output, self.outputs)
         residuals = [run.prediction_errors[name] for run in self.runs]
-        whole_number("lags (below the length of the shortest run)", lags, 1, min(r.size for r in residuals) - 1)
+        whole_number(
+            "lags (below the length of the shortest run)",
+            lags,
+            1,
+            min(r.size for r in residuals) - 1,
+        )
         return residuals
 
     def residual_correlations(self, lags: int = 25, output: str | None = None) -> pd.DataFrame:
@@ -184,16 +207,20 @@ class FitResult:
         Returns
         -------
         pandas.DataFrame
-            Index `lag` from −lags to lags; columns autocorrelation (with itself), cross_correlation (of e(k) with
-            the first input at k − lag: mode for the models of the dissertation) and band: ± 2.58/√n for white
-            residuals.
+            Index `lag` from −lags to lags; columns autocorrelation (with itself), cross_correlation
+            (of e(k) with the first input at k − lag: mode for the models of the dissertation) and
+            band: ± 2.58/√n for white residuals.
         """
         residuals = self._errors_for(lags, output)
         auto = pooled_autocorrelation(residuals, lags)
         inputs = [next(iter(run.inputs.values())) for run in self.runs]
         cross = pooled_cross_correlation(residuals, inputs, lags)
         band = special.ndtri(0.995) / np.sqrt(sum(run.size for run in residuals))
-        columns = {"autocorrelation": np.r_[auto[:0:-1], auto], "cross_correlation": cross, "band": band}
+        columns = {
+            "autocorrelation": np.r_[auto[:0:-1], auto],
+            "cross_correlation": cross,
+            "band": band,
+        }
         return pd.DataFrame(columns, index=pd.RangeIndex(-lags, lags + 1, name="lag"))
 
     def whiteness(self, lags: int = 25) -> pd.DataFrame:
@@ -236,7 +263,9 @@ class FitResult:
         shown = self.runs[: max(1, most)]
         rows, columns = len(self.outputs), len(shown)
         layout: dict = {"squeeze": False, "sharey": "row", "sharex": "col", "layout": "constrained"}
-        figure, axes = plt.subplots(rows, columns, figsize=(max(6.5, 3.0 * columns), 0.8 + 2.4 * rows), **layout)
+        figure, axes = plt.subplots(
+            rows, columns, figsize=(max(6.5, 3.0 * columns), 0.8 + 2.4 * rows), **layout
+        )
         for row, name in zip(axes, self.outputs, strict=True):
             for panel, run in zip(row, shown, strict=True):
                 panel.plot(run.t, run.measured[name], lw=0.8, color="0.55", label="measured")
@@ -270,7 +299,9 @@ class FitResult:
         import matplotlib.pyplot as plt
 
         rows = len(self.outputs)
-        figure, axes = plt.subplots(rows, 2, squeeze=False, figsize=(8, 0.6 + 2.2 * rows), layout="constrained")
+        figure, axes = plt.subplots(
+            rows, 2, squeeze=False, figsize=(8, 0.6 + 2.2 * rows), layout="constrained"
+        )
         for row, name in zip(axes, self.outputs, strict=True):
             frame = self.residual_correlations(lags, name)
             band = frame["band"].iloc[0]
@@ -291,30 +322,51 @@ class FitResult:
         return np.asarray(axes)
 
     def __repr__(self) -> str:
-        return f"FitResult({self.model!r}, method={self.method!r}, success={self.success}: {self.message})"
+        return (
+            f"FitResult({self.model!r}, method={self.method!r}, success={self.success}: "
+            f"{self.message})"
+        )
 
     def _repr_html_(self) -> str:
         fit = self.fit_percent
-        percent = f"{fit:.2f} %" if isinstance(fit, float) else ", ".join(f"{k} {v:.2f} %" for k, v in fit.items())
+        percent = (
+            f"{fit:.2f} %"
+            if isinstance(fit, float)
+            else ", ".join(f"{k} {v:.2f} %" for k, v in fit.items())
+        )
         origin = " Synthetic data." if self.synthetic else ""
         samples = sum(run.t.size for run in self.runs)
         words = f"{len(self.runs)} run(s), {samples} samples, fit {percent}.{origin} {self.message}"
         return as_html(words, self.table(), title=f"{type(self.model).__name__} by {self.method}")
 
 
-def gradient(function: Callable, names: Iterable[str], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a function of a dictionary of values, and its derivatives by complex steps, exact to rounding."""
+def gradient(
+    function: Callable, names: Iterable[str], values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return a function of a dictionary of values, and its derivatives by complex steps, exact to
+    rounding.
+    """
     at = dict(zip(names, values.tolist(), strict=True))
-    # f(x + ih) = f(x) + ih f'(x) + O(h²) involves no difference of like numbers, so h may be as small as one likes.
+    # f(x + ih) = f(x) + ih f'(x) + O(h²) involves no difference of like numbers, so h may be as
+    # small as one likes.
     step = 1e-100
-    slopes = [np.imag(function(at | {name: value + 1j * step})) / step for name, value in at.items()]
+    slopes = [
+        np.imag(function(at | {name: value + 1j * step})) / step for name, value in at.items()
+    ]
     return np.asarray(function(at), dtype=float), np.array(slopes).T
 
 
 def parameter_table(
-    names: Iterable[str], values: np.ndarray, covariance: np.ndarray, status: Iterable[str], derived: Mapping
+    names: Iterable[str],
+    values: np.ndarray,
+    covariance: np.ndarray,
+    status: Iterable[str],
+    derived: Mapping,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return a table of parameters, derived rows included, and the covariance of the estimated ones."""
+    """
+    Return a table of parameters, derived rows included, and the covariance of the estimated ones.
+    """
     names, status = list(names), list(status)
     kept = np.flatnonzero(np.array(status) == "estimated")
     stderr = np.full(values.size, np.nan)
@@ -333,11 +385,18 @@ def parameter_table(
 
 
 def run_fits(
-    structure: Structure, runs: list[Run], fitted: list[list[np.ndarray]], errors: list[list[np.ndarray]] | None = None
+    structure: Structure,
+    runs: list[Run],
+    fitted: list[list[np.ndarray]],
+    errors: list[list[np.ndarray]] | None = None,
 ) -> list[RunFit]:
-    """Put every run beside its fitted outputs and prediction errors, which are given by output, then by run."""
+    """
+    Put every run beside its fitted outputs and prediction errors, which are given by output, then
+    by run.
+    """
     errors = errors or [
-        [run[name] - own[j] for run, own in zip(runs, fitted, strict=True)] for j, name in enumerate(structure.outputs)
+        [run[name] - own[j] for run, own in zip(runs, fitted, strict=True)]
+        for j, name in enumerate(structure.outputs)
     ]
     return [
         RunFit(
@@ -346,7 +405,9 @@ def run_fits(
             run.t,
             inputs={name: run[name] for name in structure.inputs},
             measured={name: run[name] for name in structure.outputs},
-            fitted={name: values.copy() for name, values in zip(structure.outputs, own, strict=True)},
+            fitted={
+                name: values.copy() for name, values in zip(structure.outputs, own, strict=True)
+            },
             prediction_errors={name: errors[j][i] for j, name in enumerate(structure.outputs)},
         )
         for i, (run, own) in enumerate(zip(runs, fitted, strict=True))

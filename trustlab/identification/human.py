@@ -1,4 +1,7 @@
-"""Identification of human utilization and performance, (2.5)-(2.6): structure, sensitivities, initial guess, `fit_human`."""
+"""
+Identification of human utilization and performance, (2.5)-(2.6): structure, sensitivities, initial
+guess, `fit_human`.
+"""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -39,16 +42,17 @@ def fit_human(
     **logged: Any,
 ) -> FitResult:
     """
-    Identify the human model (2.5)-(2.6) from sessions: a, beta, p_min, p_max, and r at the start of every session.
+    Identify the human model (2.5)-(2.6) from sessions: a, beta, p_min, p_max, and r at the start of
+    every session.
 
     Parameters
     ----------
     sessions : Session or iterable of Session
         Runs with columns mode and p_h; parameters are shared, initial utilizations are not.
     method : {"output_error", "regression"}
-        "output_error" minimises Σ (p_h − P_h(k))² of the simulated model (what the dissertation calls PEM).
-        "regression" needs the logged utilization, column r: a by linear regression on (2.5), the rest by
-        least squares of p_h on (2.6) at the logged r.
+        "output_error" minimises Σ (p_h − P_h(k))² of the simulated model (what the dissertation
+        calls PEM). "regression" needs the logged utilization, column r: a by linear regression on
+        (2.5), the rest by least squares of p_h on (2.6) at the logged r.
     fixed : mapping, optional
         Values to hold, by name: a, beta, p_min, p_max, r0.
     bounds : mapping, optional
@@ -89,7 +93,7 @@ def fit_human(
     return fit(HUMAN, sessions, method, fixed, bounds, noise, **logged)
 
 
-# --- the structure -------------------------------------------------------------------------------------------------
+# --- the structure --------------------------------------------------------------------------------
 
 
 @njit(inline="always")
@@ -104,7 +108,9 @@ def performance_slopes(r, beta):
         if EDGE < r < 1.0 - EDGE:
             return shape, shape * (beta / r - (1.0 - beta) / (1.0 - r)), by_beta
     inside = min(max(r, EDGE), 1.0 - EDGE)
-    steep = np.exp(beta * np.log(inside / beta) + (1.0 - beta) * np.log((1.0 - inside) / (1.0 - beta)))
+    steep = np.exp(
+        beta * np.log(inside / beta) + (1.0 - beta) * np.log((1.0 - inside) / (1.0 - beta))
+    )
     return shape, steep * (beta / inside - (1.0 - beta) / (1.0 - inside)), by_beta
 
 
@@ -114,7 +120,9 @@ SLOPES = np.dtype([(name, float) for name in ("a", "beta", "p_min", "p_max", "r0
 @njit
 def _simulate_with_slopes(mode, a, beta, p_min, p_max, r0, p_h, by):
     """Run (2.5)-(2.6) and their derivatives by every parameter, into `p_h` and the records `by`."""
-    r, r_a, r_0 = r0, 0.0, 1.0  # utilization, and its derivatives by a and r0
+    r = r0
+    r_a = 0.0
+    r_0 = 1.0  # utilization, and its derivatives by a and r0
     span = p_max - p_min
     for k in range(mode.size):
         shape, slope, by_beta = performance_slopes(r, beta)
@@ -125,14 +133,17 @@ def _simulate_with_slopes(mode, a, beta, p_min, p_max, r0, p_h, by):
         row.p_min = 1.0 - shape
         row.p_max = shape
         row.r0 = span * slope * r_0
-        # (2.5) differentiated by a: ∂r(k+1) = a ∂r(k) + r(k) − M(k); by r0: the homogeneous part alone.
+        # (2.5) differentiated by a: ∂r(k+1) = a ∂r(k) + r(k) − M(k); by r0: the homogeneous part
+        # alone.
         r_a = a * r_a + r - mode[k]
         r_0 = a * r_0
         r = a * r + (1.0 - a) * mode[k]
 
 
 def simulate_human(run: Run, *parameters: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return P_h and the records of its derivatives by a, beta, p_min, p_max and r0, shape (N,) each."""
+    """
+    Return P_h and the records of its derivatives by a, beta, p_min, p_max and r0, shape (N,) each.
+    """
     p_h, by = run.scratch("P_h"), run.scratch("of P_h", SLOPES)
     _simulate_with_slopes(run["mode"], *parameters, p_h, by)
     return p_h, by
@@ -168,7 +179,8 @@ def initial_utilization(beta: str = "beta") -> Parameter:
     """Return r0; `beta` is the name of the parameter β of the same operator."""
 
     def coordinate(guess: Mapping) -> Coordinate:
-        # Close to rest (2.6) grows as r^β, with infinite slope: in x = r0^β the likelihood is smooth there.
+        # Close to rest (2.6) grows as r^β, with infinite slope: in x = r0^β the likelihood is
+        # smooth there.
         power = guess[beta]
         return Coordinate(
             lambda r: r**power,
@@ -179,7 +191,11 @@ def initial_utilization(beta: str = "beta") -> Parameter:
         )
 
     return Parameter(
-        "r0", 0.0, 1.0, search=coordinate, ends={0.0: "a rested operator", 1.0: "an operator at full load"}
+        "r0",
+        0.0,
+        1.0,
+        search=coordinate,
+        ends={0.0: "a rested operator", 1.0: "an operator at full load"},
     )
 
 
@@ -187,14 +203,14 @@ def build_human(a: float, beta: float, p_min: float, p_max: float) -> HumanModel
     """Return the model, or say what about the data contradicts (2.6)."""
     if not p_max > p_min:
         raise IdentificationError(
-            f"human performance is not greatest between rest and full load in these data (the fit has p_max = "
-            f"{p_max:.4g} below p_min = {p_min:.4g}), so (2.6) does not describe them",
+            "human performance is not greatest between rest and full load in these data (the fit "
+            f"has p_max = {p_max:.4g} below p_min = {p_min:.4g}), so (2.6) does not describe them",
             ("p_min", "p_max"),
         )
     return HumanModel(float(a), float(beta), float(p_min), float(p_max))
 
 
-# --- the initial guess ---------------------------------------------------------------------------------------------
+# --- the initial guess ----------------------------------------------------------------------------
 
 
 @njit
@@ -211,7 +227,10 @@ GRID_POINT = np.dtype([(name, float) for name in ("squares", "a", "beta", "p_min
 
 @njit
 def _search_grid(mode, p_h, starts, rates, betas, rests, out):
-    """Fill Σ e² and parameters at every grid point with p_max > p_min; `starts` are where runs begin and the end."""
+    """
+    Fill Σ e² and parameters at every grid point with p_max > p_min; `starts` are where runs begin
+    and the end.
+    """
     total = np.sum(p_h**2)
     log_r, log_q = np.empty(p_h.size), np.empty(p_h.size)  # of (2.6), shared by all beta
     number = 0
@@ -226,7 +245,8 @@ def _search_grid(mode, p_h, starts, rates, betas, rests, out):
                     log_q[k] = np.log(1.0 - middle) if inside else -np.inf
                     r += (1.0 - a) * (mode[k] - r)
             for beta in betas:
-                # P_h = p_min (1 − shape) + p_max shape is linear in p_min and p_max: they are solved for.
+                # P_h = p_min (1 − shape) + p_max shape is linear in p_min and p_max: they are
+                # solved for.
                 s11 = s12 = s22 = t1 = t2 = 0.0
                 top = beta * np.log(beta) + (1.0 - beta) * np.log(1.0 - beta)
                 for k in range(starts[0], starts[-1]):
@@ -250,7 +270,10 @@ def _search_grid(mode, p_h, starts, rates, betas, rests, out):
 
 
 def decay_rates(longest: int, length: int, limits: tuple[float, float]) -> np.ndarray:
-    """Return shares kept over a block of `length` samples, for time constants from a few samples to many runs."""
+    """
+    Return shares kept over a block of `length` samples, for time constants from a few samples to
+    many runs.
+    """
     time_constants = np.geomspace(min(20.0, 0.2 * longest), 4.0 * longest, 18)
     return np.unique(np.clip(1.0 - 1.0 / time_constants, *limits)) ** length
 
@@ -260,8 +283,13 @@ def undo_blocks(rate: float, length: int) -> float:
     return min(max(rate ** (1.0 / length), UNIT_MARGIN), 1.0 - UNIT_MARGIN)
 
 
-def human_guess(runs: list[Run], limits: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
-    """Return starting values of a, beta, p_min, p_max and r0 from a coarse search on block means, the best first."""
+def human_guess(
+    runs: list[Run], limits: Mapping[str, tuple[float, float]]
+) -> list[dict[str, float]]:
+    """
+    Return starting values of a, beta, p_min, p_max and r0 from a coarse search on block means, the
+    best first.
+    """
     means, length = block_means(runs)
     starts = np.cumsum([0, *(run.size for run in means)])
     betas = np.unique(np.clip(GRID_BETA, *limits["beta"]))
@@ -274,19 +302,24 @@ def human_guess(runs: list[Run], limits: Mapping[str, tuple[float, float]]) -> l
         high = p_h.max() + (1e-3 * max(abs(p_h.max()), 1.0) if np.ptp(p_h) == 0.0 else 0.0)
         middle = (0.0, rates[rates.size // 2], betas[betas.size // 2], p_h.min(), high, rests[0])
         grid = np.array([middle], GRID_POINT)
-    # The likelihood of (2.6) has several valleys (a slow operator beyond the best utilization looks like a quick one
-    # below it): the best points of different rates and initial utilizations are refined, and valleys as deep kept.
+    # The likelihood of (2.6) has several valleys (a slow operator beyond the best utilization looks
+    # like a quick one below it): the best points of different rates and initial utilizations are
+    # refined, and valleys as deep kept.
     refined = sorted(
-        (_refined(means, point, limits, length) for point in _best_apart(grid, rates)), key=lambda one: one[0]
+        (_refined(means, point, limits, length) for point in _best_apart(grid, rates)),
+        key=lambda one: one[0],
     )
     floor, kept = 1e-12 * float(p_h @ p_h), []
     for squares, *at in refined:
         deep = p_h.size * np.log((squares + floor) / (refined[0][0] + floor)) < SHALLOW
         if deep and not any(
-            abs(squares / other - 1.0) < 1e-4 and abs(at[1] - beta) < 0.01 for other, _, beta, *_ in kept
+            abs(squares / other - 1.0) < 1e-4 and abs(at[1] - beta) < 0.01
+            for other, _, beta, *_ in kept
         ):
             kept.append((squares, *at))
-    return [dict(zip(HUMAN.names, (undo_blocks(a, length), *rest), strict=True)) for _, a, *rest in kept]
+    return [
+        dict(zip(HUMAN.names, (undo_blocks(a, length), *rest), strict=True)) for _, a, *rest in kept
+    ]
 
 
 def _best_apart(grid: np.ndarray, rates: np.ndarray, most: int = 6) -> list[np.void]:
@@ -299,12 +332,17 @@ def _best_apart(grid: np.ndarray, rates: np.ndarray, most: int = 6) -> list[np.v
 
 
 def _refined(means: list[Run], point: np.void, limits: Mapping, length: int) -> tuple[float, ...]:
-    """Search from one grid point on block means; p_min and p_max stay free even where the user fixed them."""
+    """
+    Search from one grid point on block means; p_min and p_max stay free even where the user fixed
+    them.
+    """
     guess = {name: float(point[name]) for name in HUMAN.names}
     problem = Problem(HUMAN, means, guess)
     rate = [min(max(bound**length, UNIT_MARGIN), 1.0 - UNIT_MARGIN) for bound in limits["a"]]
     wide = {**limits, "a": rate, "p_min": (-np.inf, np.inf), "p_max": (-np.inf, np.inf)}
-    low, high = (problem.vector({name: wide[name][side] for name in HUMAN.names}) for side in (0, 1))
+    low, high = (
+        problem.vector({name: wide[name][side] for name in HUMAN.names}) for side in (0, 1)
+    )
     start = np.clip(problem.vector(guess), low, high)
     found = problem.search(start, low, high, tolerance=1e-2, max_iterations=25)
     a, beta, p_min, p_max, *states = problem.from_search(found.x)
@@ -326,7 +364,7 @@ HUMAN = Structure(
 )
 
 
-# --- least squares at the logged utilization -----------------------------------------------------------------------
+# --- least squares at the logged utilization ------------------------------------------------------
 
 
 def _fit_at_logged_utilization(sessions, how: HowLogged) -> FitResult:
@@ -337,8 +375,9 @@ def _fit_at_logged_utilization(sessions, how: HowLogged) -> FitResult:
         runs = read_runs(sessions, "mode", "p_h", "r", how=how)
     except ValueError as error:
         raise IdentificationError(
-            'method "regression" needs the logged utilization, column r, because (2.6) is not linear in its '
-            f'parameters: {error}; without it use method="output_error", as the dissertation does',
+            'method "regression" needs the logged utilization, column r, because (2.6) is not '
+            f'linear in its parameters: {error}; without it use method="output_error", as the '
+            "dissertation does",
             ("a", "beta"),
         ) from error
     # (2.5) as a regression without constant: r(k+1) − M(k) = a (r(k) − M(k)).
@@ -346,7 +385,8 @@ def _fit_at_logged_utilization(sessions, how: HowLogged) -> FitResult:
     target = np.concatenate([run["r"][1:] - run["mode"][:-1] for run in runs])
     rate = regression(design, target, ("a",))
 
-    # (2.6) is linear in p_min and p_max: a search over beta alone, the other two by regression at each.
+    # (2.6) is linear in p_min and p_max: a search over beta alone, the other two by regression at
+    # each.
     r, p_h = joined(runs, "r"), joined(runs, "p_h")
 
     def at_beta(beta):
@@ -358,10 +398,13 @@ def _fit_at_logged_utilization(sessions, how: HowLogged) -> FitResult:
         return float(residuals @ residuals)
 
     inside, precision = (1e-4, 1.0 - 1e-4), {"xatol": 1e-10}
-    beta = float(optimize.minimize_scalar(squares, bounds=inside, method="bounded", options=precision).x)
+    beta = float(
+        optimize.minimize_scalar(squares, bounds=inside, method="bounded", options=precision).x
+    )
     shape, at_best = at_beta(beta)
     p_min, p_max = at_best.values
-    # Regressing the residuals on the derivatives by all three moves nothing, but yields their joint covariance.
+    # Regressing the residuals on the derivatives by all three moves nothing, but yields their joint
+    # covariance.
     step = 1e-6 * min(beta, 1.0 - beta)
     above, below = (performance_curve(r, beta + sign * step, p_min, p_max) for sign in (1.0, -1.0))
     slopes = np.stack([(above - below) / (2.0 * step), 1.0 - shape, shape])

@@ -1,12 +1,16 @@
-"""Bounded nonlinear least squares on accumulated normal equations (Gauss–Newton with Levenberg–Marquardt damping)."""
+"""
+Bounded nonlinear least squares on accumulated normal equations (Gauss–Newton with
+Levenberg–Marquardt damping).
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-# scipy.optimize.least_squares (trf, on the same accumulated equations) takes 2.1 to 2.8 times as long for fit_tsc and
-# fit_human, 1.2 for fit_robot, and from an operator at full load, where (2.6) has a kink, it misses the 1e-6 of recovery.
+# scipy.optimize.least_squares (trf, on the same accumulated equations) takes 2.1 to 2.8 times as
+# long for fit_tsc and fit_human, 1.2 for fit_robot, and from an operator at full load, where (2.6)
+# has a kink, it misses the 1e-6 of recovery.
 
 
 @dataclass(frozen=True)
@@ -14,8 +18,9 @@ class NormalEquations:
     """
     A Gaussian likelihood with its derivatives at one point, for weights w = n/Σ e² of each output.
 
-    `value` is Σ n ln(Σ e²), `gradient` Σ w Jᵀe (minus half the derivative of `value`), `matrix` Σ w JᵀJ, `squares` the
-    Σ e² of every output; `exact` says that the outputs are reproduced to rounding, so that no search can come closer.
+    `value` is Σ n ln(Σ e²), `gradient` Σ w Jᵀe (minus half the derivative of `value`), `matrix` Σ w
+    JᵀJ, `squares` the Σ e² of every output; `exact` says that the outputs are reproduced to
+    rounding, so that no search can come closer.
     """
 
     value: float
@@ -32,7 +37,10 @@ class NormalEquations:
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where a search ended: the point, the equations there, what a bound holds, and whether it is a minimum."""
+    """
+    Where a search ended: the point, the equations there, what a bound holds, and whether it is a
+    minimum.
+    """
 
     x: np.ndarray
     normal: NormalEquations
@@ -52,18 +60,24 @@ def minimise(
     """
     Minimise a Gaussian likelihood within bounds; equal bounds fix a coordinate.
 
-    The search ends when a step promises to lower the value by less than `tolerance` (a step of √tolerance standard
-    errors), or when six evaluations gain less than 1e-4 (a hundredth of a standard error).
+    The search ends when a step promises to lower the value by less than `tolerance` (a step of
+    √tolerance standard errors), or when six evaluations gain less than 1e-4 (a hundredth of a
+    standard error).
     """
     x = np.clip(start, lower, upper)
     now = evaluate(x)
     if not now.finite:
         return Minimum(x, now, np.zeros(x.size, dtype=bool), False, 1)
-    damping, iterations, history = 1e-4, 1, [now.value]
-    pinned, refused, released = np.zeros(x.size, dtype=bool), 0, np.inf
+    damping = 1e-4
+    iterations = 1
+    history = [now.value]
+    pinned = np.zeros(x.size, dtype=bool)
+    refused = 0
+    released = np.inf
     while True:
         diagonal = np.diag(now.matrix)
-        # Coordinates at a bound whose gradient points outwards stay there for this step (an active set).
+        # Coordinates at a bound whose gradient points outwards stay there for this step (an active
+        # set).
         outwards = ((x <= lower) & (now.gradient <= 0.0)) | ((x >= upper) & (now.gradient >= 0.0))
         held = outwards | (diagonal <= 0.0) | pinned
         free = np.flatnonzero(~held)
@@ -76,12 +90,17 @@ def minimise(
             values, vectors = np.linalg.eigh(matrix)
             along, known = gradient @ vectors, values > 1e-14 * values[-1]
             promised = float(along[known] @ (along[known] / values[known]))
-            # A kink, as of (2.6) at r = 0, defies any quadratic model: stop where six evaluations gained nothing.
+            # A kink, as of (2.6) at r = 0, defies any quadratic model: stop where six evaluations
+            # gained nothing.
             stalled = len(history) > 12 and promised < 1.0 and history[-7] - history[-1] < 1e-4
             done = stalled or promised <= (1e-3 if now.exact else tolerance)
         if done and pinned.any() and released - now.value > 1e-4:
-            # The others have settled: try once more without what was pinned, for as long as that gains something.
-            released, pinned, damping, refused = now.value, np.zeros(x.size, dtype=bool), 1e-4, 0
+            # The others have settled: try once more without what was pinned, for as long as that
+            # gains something.
+            released = now.value
+            pinned = np.zeros(x.size, dtype=bool)
+            damping = 1e-4
+            refused = 0
             continue
         if done or iterations >= max_iterations or damping > 1e14:
             return Minimum(x, now, (lower < upper) & (outwards | pinned), bool(done), iterations)
@@ -90,14 +109,21 @@ def minimise(
         trial = np.clip(x + step, lower, upper)
         new = evaluate(trial)
         iterations += 1
-        # Below a thousandth of a standard error the value's last digits are rounding: trust the step, not the value.
+        # Below a thousandth of a standard error the value's last digits are rounding: trust the
+        # step, not the value.
         slack = 1e-6 if promised < 1e-6 else 0.0
         if new.finite and new.value < now.value + slack:
-            x, now, damping, refused = trial, new, max(damping / 10.0, 1e-12), 0
+            x = trial
+            now = new
+            damping = max(damping / 10.0, 1e-12)
+            refused = 0
         else:
             damping, refused = max(damping * 5.0, 1e-6), refused + 1
             on_edge = ~held & ((x <= lower) | (x >= upper))
             if refused >= 8 and on_edge.any():
-                # The slope at a bound promises what no step away from it keeps (a kink): hold it there.
-                pinned, damping, refused = pinned | on_edge, 1e-4, 0
+                # The slope at a bound promises what no step away from it keeps (a kink): hold it
+                # there.
+                pinned = pinned | on_edge
+                damping = 1e-4
+                refused = 0
         history.append(now.value)

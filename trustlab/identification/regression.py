@@ -1,4 +1,7 @@
-"""Linear regression with covariance: ARX models, the dissertation's own method (Section 2.2.2), and structures with a linear form."""
+"""
+Linear regression with covariance: ARX models, the dissertation's own method (Section 2.2.2), and
+structures with a linear form.
+"""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -6,20 +9,28 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.fit_result import FitResult, gradient, parameter_table, run_fits, with_intervals
+from trustlab.identification.fit_result import (
+    FitResult,
+    gradient,
+    parameter_table,
+    run_fits,
+    with_intervals,
+)
 from trustlab.identification.runs import Run
 from trustlab.identification.structure import IdentificationError, Structure
 from trustlab.models.checks import whole_number
 from trustlab.models.html import as_html
 
-# Up to this condition number (equilibrated) the normal equations are used, beyond it a singular value decomposition.
+# Up to this condition number (equilibrated) the normal equations are used, beyond it a singular
+# value decomposition.
 CONDITION_LIMIT = 1e5
 
 
 @dataclass(frozen=True, eq=False)
 class ArxResult:
     """
-    A fitted ARX model, y(k) + a_1 y(k−1) + … + a_na y(k−na) = b_1 u(k−nk) + … + b_nb u(k−nk−nb+1) + c + e(k).
+    A fitted ARX model, y(k) + a_1 y(k−1) + … + a_na y(k−na) = b_1 u(k−nk) + … + b_nb u(k−nk−nb+1) +
+    c + e(k).
 
     Parameters
     ----------
@@ -86,7 +97,10 @@ class ArxResult:
 
 
 class LeastSquares(NamedTuple):
-    """Estimates of a regression, their covariance, what it leaves unexplained, and equations less coefficients."""
+    """
+    Estimates of a regression, their covariance, what it leaves unexplained, and equations less
+    coefficients.
+    """
 
     values: np.ndarray
     covariance: np.ndarray
@@ -98,7 +112,8 @@ def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -
     """
     Solve a least-squares problem; the covariance is s² (XXᵀ)⁻¹.
 
-    `design` holds one regressor per row, shape (p, n); `names` are those of the coefficients, for the errors.
+    `design` holds one regressor per row, shape (p, n); `names` are those of the coefficients, for
+    the errors.
     """
     p, n = design.shape
     if n <= p:
@@ -110,23 +125,27 @@ def regression(design: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -
         raise ValueError("the data are too large to square; scale them")
     if not (scale > 0.0).all():
         dead = names[int(np.argmin(scale))]
-        raise IdentificationError(f"coefficient {dead} is not identifiable: its regressor is identically zero", (dead,))
+        raise IdentificationError(
+            f"coefficient {dead} is not identifiable: its regressor is identically zero", (dead,)
+        )
     # Regressors scaled to unit length: their units have no part in what counts as nearly collinear.
     sizes = np.outer(scale, scale)
     values, vectors = np.linalg.eigh(gram / sizes)
     if values[0] > 0.0 and values[-1] < CONDITION_LIMIT * values[0]:
         inverse = (vectors / values) @ vectors.T / sizes
         coefficients = inverse @ moment
-        # Normal equations square the condition number; one step of refinement with the residuals wins the digits back.
+        # Normal equations square the condition number; one step of refinement with the residuals
+        # wins the digits back.
         coefficients += inverse @ (design @ (target - coefficients @ design))
     else:
-        # Singular values of the regressors themselves, whose condition number is the root of that of their products.
+        # Singular values of the regressors themselves, whose condition number is the root of that
+        # of their products.
         vectors, values, across = np.linalg.svd(design / scale[:, None], full_matrices=False)
         if values[-1] <= n * np.finfo(float).eps * values[0]:
             free = names[int(np.argmax(np.abs(vectors[:, -1])))]
             raise IdentificationError(
-                f"coefficient {free} is not identifiable: its regressor is a linear combination of the others (does "
-                "the input move?)",
+                f"coefficient {free} is not identifiable: its regressor is a linear combination "
+                "of the others (does the input move?)",
                 (free,),
             )
         coefficients = vectors @ (across @ target / values) / scale
@@ -139,8 +158,9 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
     """
     Fit an ARX model by least squares.
 
-    y(k) + a_1 y(k−1) + … + a_na y(k−na) = b_1 u(k−nk) + … + b_nb u(k−nk−nb+1) + c + e(k). With white noise on the
-    measured output (rather than e(k) inside the recursion) the estimates are biased; see `fit_robot`.
+    y(k) + a_1 y(k−1) + … + a_na y(k−na) = b_1 u(k−nk) + … + b_nb u(k−nk−nb+1) + c + e(k). With
+    white noise on the measured output (rather than e(k) inside the recursion) the estimates are
+    biased; see `fit_robot`.
 
     Parameters
     ----------
@@ -183,14 +203,18 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
     """
     several = isinstance(y, (list, tuple)) and len(y) > 0 and np.ndim(y[0]) == 1
     if several and len(y) != len(u):
-        raise ValueError(f"y has {len(y)} runs and u has {len(u)}; give one input array for every run")
+        raise ValueError(
+            f"y has {len(y)} runs and u has {len(u)}; give one input array for every run"
+        )
     na, parts = whole_number("na", na, least=0), []
     for y_run, u_run in zip(y, u, strict=True) if several else [(y, u)]:
         y_run = np.ascontiguousarray(y_run, dtype=float)
         u_run = np.asarray(u_run, dtype=float)
         u_run = u_run[:, None] if u_run.ndim == 1 else u_run
         if y_run.ndim != 1 or u_run.ndim != 2 or len(u_run) != y_run.size:
-            raise ValueError(f"y must be (N,) and u (N,) or (N, m), got {y_run.shape} and {u_run.shape}")
+            raise ValueError(
+                f"y must be (N,) and u (N,) or (N, m), got {y_run.shape} and {u_run.shape}"
+            )
         if not (np.isfinite(y_run).all() and np.isfinite(u_run).all()):
             raise ValueError("y and u must be finite; a sample is NaN or infinite")
         inputs = u_run.shape[1]
@@ -199,13 +223,18 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
     design, target = _stacked(parts)
     names = _names(na, lags, intercept)
     found = regression(design, target, names)
-    return ArxResult(names, found.values, found.covariance, found.residuals, na, lags, delays, bool(intercept))
+    return ArxResult(
+        names, found.values, found.covariance, found.residuals, na, lags, delays, bool(intercept)
+    )
 
 
 def equations(
     y: np.ndarray, u: np.ndarray, na: int, nb: tuple[int, ...], nk: tuple[int, ...], intercept: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return regressors, one per row, and left-hand sides of one run's ARX equations; u has shape (N, m)."""
+    """
+    Return regressors, one per row, and left-hand sides of one run's ARX equations; u has shape (N,
+    m).
+    """
     first = max([na] + [delay + lags - 1 for delay, lags in zip(nk, nb, strict=True)])
     size = y.size - first
     if size < 1:
@@ -222,9 +251,15 @@ def equations(
 
 
 def _names(na: int, nb: tuple[int, ...], intercept: bool) -> tuple[str, ...]:
-    """Return the names of the coefficients: a1, …, b1, … (input, then lag, for several inputs), c."""
+    """
+    Return the names of the coefficients: a1, …, b1, … (input, then lag, for several inputs), c.
+    """
     of_y = [f"a{lag}" for lag in range(1, na + 1)]
-    of_u = [f"b{lag + 1}" if len(nb) == 1 else f"b{i + 1}_{lag + 1}" for i in range(len(nb)) for lag in range(nb[i])]
+    of_u = [
+        f"b{lag + 1}" if len(nb) == 1 else f"b{i + 1}_{lag + 1}"
+        for i in range(len(nb))
+        for lag in range(nb[i])
+    ]
     return (*of_y, *of_u, *(("c",) if intercept else ()))
 
 
@@ -240,37 +275,57 @@ def _stacked(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np
     """Join the equations of all runs."""
     if len(parts) == 1:
         return parts[0]
-    return np.concatenate([design for design, _ in parts], axis=1), np.concatenate([y for _, y in parts])
+    return np.concatenate([design for design, _ in parts], axis=1), np.concatenate(
+        [y for _, y in parts]
+    )
 
 
 def regress(structure: Structure, runs: list[Run], method: str) -> FitResult:
     """Fit a structure's linear form and turn the coefficients into its parameters."""
     form = structure.linear
     if form is None:
-        raise ValueError(f'structure {structure.name!r} has no linear form; use method="output_error"')
+        raise ValueError(
+            f'structure {structure.name!r} has no linear form; use method="output_error"'
+        )
     design, target = _stacked([form.equations(run) for run in runs])
     found = regression(design, target, form.coefficients)
-    values, slopes = gradient(lambda at: form.parameters(*at.values()), form.coefficients, found.values)
+    values, slopes = gradient(
+        lambda at: form.parameters(*at.values()), form.coefficients, found.values
+    )
     for parameter, value in zip(structure.parameters, values, strict=True):
         if not parameter.low <= value <= parameter.high:
             raise IdentificationError(
-                f"least squares gives {parameter.name} = {value:.6g}, outside ({parameter.low:g}, {parameter.high:g}); "
-                "use output_error",
+                f"least squares gives {parameter.name} = {value:.6g}, outside ({parameter.low:g}, "
+                f"{parameter.high:g}); use output_error",
                 (parameter.name,),
             )
     found = found._replace(values=values, covariance=slopes @ found.covariance @ slopes.T)
-    return simulated_result(structure, runs, found, [form.initial(run) for run in runs], method, form.caution)
+    return simulated_result(
+        structure, runs, found, [form.initial(run) for run in runs], method, form.caution
+    )
 
 
 def simulated_result(
-    structure: Structure, runs: list[Run], found: LeastSquares, initial: list, method: str, caution: str
+    structure: Structure,
+    runs: list[Run],
+    found: LeastSquares,
+    initial: list,
+    method: str,
+    caution: str,
 ) -> FitResult:
-    """Simulate every run with the estimates of a regression, from its initial states, and put all into a FitResult."""
+    """
+    Simulate every run with the estimates of a regression, from its initial states, and put all into
+    a FitResult.
+    """
     names, values = structure.names, found.values
     parameters = dict(zip(names, values.tolist(), strict=False))
     model = structure.model(**parameters) if structure.model is not None else parameters
     table, table_covariance = parameter_table(
-        names[: values.size], values, found.covariance, ["estimated"] * values.size, structure.derived
+        names[: values.size],
+        values,
+        found.covariance,
+        ["estimated"] * values.size,
+        structure.derived,
     )
     predicted = [
         structure.predict(run, dict(zip(names, (*values, *states), strict=True)))[0]
@@ -286,17 +341,23 @@ def simulated_result(
         method=method,
         parameters=table,
         covariance=table_covariance,
-        initial_states=pd.DataFrame(states, index=pd.Index([run.label for run in runs], name="run")),
+        initial_states=pd.DataFrame(
+            states, index=pd.Index([run.label for run in runs], name="run")
+        ),
         runs=fits,
         noise="white",
         sigma=dict.fromkeys(structure.outputs, sigma),
-        cost=0.5 * float(sum(np.sum(run.residual(name) ** 2) for run in fits for name in structure.outputs)),
+        cost=0.5
+        * float(sum(np.sum(run.residual(name) ** 2) for run in fits for name in structure.outputs)),
         success=True,
         message=caution,
         degrees_of_freedom=float(found.degrees_of_freedom),
     )
     if any(run.window > 1 for run in runs):
-        doubt = "Performance is logged as means over a window, which these equations take for the values themselves; use output_error."
+        doubt = (
+            "Performance is logged as means over a window, which these equations take for "
+            "the values themselves; use output_error."
+        )
     elif not np.all(fit.fit_percent > 0.0):
         doubt = "The simulated model explains less than the mean does; do not use the numbers."
     else:

@@ -1,4 +1,7 @@
-"""What a model leaves unexplained: outliers, correlations, whiteness, and what allows for autocorrelated noise: a Kalman filter, a sandwich."""
+"""
+What a model leaves unexplained: outliers, correlations, whiteness, and what allows for
+autocorrelated noise: a Kalman filter, a sandwich.
+"""
 
 from typing import NamedTuple
 
@@ -10,7 +13,8 @@ from trustlab.models.compiled import njit
 # Lags of the Ljung–Box test that chooses between white and robust standard errors.
 LAGS = 25
 
-# Robust standard deviations beyond which a sudden residual counts as an outlier: of white noise one sample in 5·10⁸ is.
+# Robust standard deviations beyond which a sudden residual counts as an outlier: of white noise one
+# sample in 5·10⁸ is.
 FAR = 6.0
 
 
@@ -28,12 +32,19 @@ def pooled_autocorrelation(residuals: list[np.ndarray], lags: int) -> np.ndarray
     return sums / sums[0] if sums[0] > 0.0 else np.r_[1.0, np.zeros(lags)]
 
 
-def pooled_cross_correlation(residuals: list[np.ndarray], inputs: list[np.ndarray], lags: int) -> np.ndarray:
-    """Return the correlation of e(k) with u(k − lag) for −lags … lags < N, pooled over runs; 0 where no input moves."""
+def pooled_cross_correlation(
+    residuals: list[np.ndarray], inputs: list[np.ndarray], lags: int
+) -> np.ndarray:
+    """
+    Return the correlation of e(k) with u(k − lag) for −lags … lags < N, pooled over runs; 0 where
+    no input moves.
+    """
     from scipy import signal
 
     e_mean, u_mean = np.concatenate(residuals).mean(), np.concatenate(inputs).mean()
-    sums, e_power, u_power = np.zeros(2 * lags + 1), 0.0, 0.0
+    sums = np.zeros(2 * lags + 1)
+    e_power = 0.0
+    u_power = 0.0
     for e, u in zip(residuals, inputs, strict=True):
         e, u = e - e_mean, u - u_mean
         e_power, u_power = e_power + e @ e, u_power + u @ u
@@ -43,7 +54,9 @@ def pooled_cross_correlation(residuals: list[np.ndarray], inputs: list[np.ndarra
 
 
 def ljung_box(correlation: np.ndarray, samples: int) -> tuple[float, int, float]:
-    """Return Q = n(n + 2) Σ ρ²(l)/(n − l) of ρ(0) … ρ(lags), its degrees of freedom and its p value."""
+    """
+    Return Q = n(n + 2) Σ ρ²(l)/(n − l) of ρ(0) … ρ(lags), its degrees of freedom and its p value.
+    """
     lags = min(correlation.size - 1, samples - 1)
     terms = correlation[1 : lags + 1] ** 2 / (samples - np.arange(1, lags + 1))
     q = samples * (samples + 2.0) * np.sum(terms)
@@ -59,14 +72,19 @@ def hac_lags(residuals: list[np.ndarray]) -> int:
     """
     Return the bandwidth of the Bartlett window for residuals, by Andrews' rule for an AR(1).
 
-    The rule, 1.1447 (α n)^(1/3) with α = 4ρ²/((1 − ρ)²(1 + ρ)²), is equations (6.2) and (6.4) of Andrews (1991),
-    *Econometrica* 59, 817-858; here at most a quarter of the shortest run.
+    The rule, 1.1447 (α n)^(1/3) with α = 4ρ²/((1 − ρ)²(1 + ρ)²), is equations (6.2) and (6.4) of
+    Andrews (1991), *Econometrica* 59, 817-858; here at most a quarter of the shortest run.
     """
-    # White noise on top hides slow noise from the first autocorrelation, but averages out in blocks: the rule is applied
-    # to the means over 1, 2, 4, 8 … samples too, and the widest result taken.
-    shortest, widest, length = min(run.size for run in residuals), 0.0, 1
+    # White noise on top hides slow noise from the first autocorrelation, but averages out in
+    # blocks: the rule is applied to the means over 1, 2, 4, 8 … samples too, and the widest result
+    # taken.
+    shortest = min(run.size for run in residuals)
+    widest = 0.0
+    length = 1
     while length == 1 or shortest // length >= 50:
-        means = [run[: run.size // length * length].reshape(-1, length).mean(axis=1) for run in residuals]
+        means = [
+            run[: run.size // length * length].reshape(-1, length).mean(axis=1) for run in residuals
+        ]
         total = sum(run.size for run in means)
         rho = min(abs(float(pooled_autocorrelation(means, 1)[1])), 0.9999)
         if length == 1 or rho > 3.0 / np.sqrt(total):
@@ -77,8 +95,11 @@ def hac_lags(residuals: list[np.ndarray]) -> int:
 
 
 def hac_matrix(scores: np.ndarray, lags: int) -> np.ndarray:
-    """Return the Bartlett-weighted sum of products of scores, shape (n, p), over lags (Newey–West)."""
-    # Sums over lags + 1 scores in a row hold each product at lag l in lags + 1 − l places: as Bartlett weights it.
+    """
+    Return the Bartlett-weighted sum of products of scores, shape (n, p), over lags (Newey–West).
+    """
+    # Sums over lags + 1 scores in a row hold each product at lag l in lags + 1 − l places: as
+    # Bartlett weights it.
     total = np.cumsum(np.pad(scores, ((lags + 1, lags), (0, 0))), axis=0)
     sums = total[lags + 1 :] - total[: -lags - 1]
     return sums.T @ sums / (lags + 1)
@@ -88,18 +109,22 @@ def sandwich(bread: np.ndarray, meat: np.ndarray | None, samples: float) -> np.n
     """
     Return n/(n − p) · bread · meat · bread, or n/(n − p) · bread for white residuals.
 
-    `bread` is the inverse of the information matrix Σ w JᵀJ with w = n/Σ e², `meat` the long-run covariance of the
-    scores w Jᵀe.
+    `bread` is the inverse of the information matrix Σ w JᵀJ with w = n/Σ e², `meat` the long-run
+    covariance of the scores w Jᵀe.
     """
-    # Residuals of a fit with p parameters are too small by (n − p)/n on average. The factor makes the white form
-    # s² (JᵀJ)⁻¹ with s² = Σ e²/(n − p); the robust form takes the same one (the small-sample form of MacKinnon & White
-    # 1985, HC1, and Stata's newey), so that both agree where residuals are white.
+    # Residuals of a fit with p parameters are too small by (n − p)/n on average. The factor makes
+    # the white form s² (JᵀJ)⁻¹ with s² = Σ e²/(n − p); the robust form takes the same one (the
+    # small-sample form of MacKinnon & White 1985, HC1, and Stata's newey), so that both agree where
+    # residuals are white.
     factor = samples / max(samples - len(bread), 1.0)
     return factor * (bread if meat is None else bread @ meat @ bread)
 
 
 class Noise(NamedTuple):
-    """AR(1) noise under white noise: its share of the variance and its correlation from one sample to the next."""
+    """
+    AR(1) noise under white noise: its share of the variance and its correlation from one sample to
+    the next.
+    """
 
     share: float = 0.0
     kept: float = 0.0
@@ -107,9 +132,14 @@ class Noise(NamedTuple):
 
 @njit
 def _filter(values, missing, share, kept, errors):
-    """Write the Kalman filter's prediction errors down the columns, scaled to one variance; return Σ ln of the scales squared."""
+    """
+    Write the Kalman filter's prediction errors down the columns, scaled to one variance; return Σ
+    ln of the scales squared.
+    """
     rest, drive = 1.0 - share, share * (1.0 - kept * kept)
-    state, variance, logs = np.zeros(values.shape[1]), share, 0.0
+    state = np.zeros(values.shape[1])
+    variance = share
+    logs = 0.0
     for k in range(values.shape[0]):
         if missing[k]:
             # Nothing was measured: the state is only predicted.
@@ -128,8 +158,13 @@ def _filter(values, missing, share, kept, errors):
     return logs
 
 
-def prediction_errors(values: np.ndarray, missing: np.ndarray, noise: Noise) -> tuple[np.ndarray, float]:
-    """Return columns, shape (N, p), whitened by the Kalman filter of a noise model, and the log determinant of its covariance."""
+def prediction_errors(
+    values: np.ndarray, missing: np.ndarray, noise: Noise
+) -> tuple[np.ndarray, float]:
+    """
+    Return columns, shape (N, p), whitened by the Kalman filter of a noise model, and the log
+    determinant of its covariance.
+    """
     errors = np.empty(values.shape)
     return errors, _filter(values, missing, *noise, errors)
 
@@ -138,9 +173,10 @@ def fit_noise(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], samples: f
     """
     Return the noise model of greatest restricted likelihood.
 
-    A part is one run: residual and derivatives side by side, shape (N, 1 + p); what is missing; and where the columns stand
-    among those of all runs. Restricted (Patterson & Thompson 1971, *Biometrika* 58, 545-554): the parameters are solved
-    for at every noise model, and what they take from the residuals is allowed for.
+    A part is one run: residual and derivatives side by side, shape (N, 1 + p); what is missing; and
+    where the columns stand among those of all runs. Restricted (Patterson & Thompson 1971,
+    *Biometrika* 58, 545-554): the parameters are solved for at every noise model, and what they
+    take from the residuals is allowed for.
     """
     from scipy import optimize
 
@@ -158,9 +194,16 @@ def fit_noise(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], samples: f
         known = roots > 1e-10
         along = (gram[0, 1:] / scale) @ vectors[:, known]
         squares = max(gram[0, 0] - along @ (along / roots[known]), 1e-300)
-        return (samples - known.sum()) * np.log(squares) + logs + np.log(roots[known]).sum() + 2.0 * np.log(scale).sum()
+        return (
+            (samples - known.sum()) * np.log(squares)
+            + logs
+            + np.log(roots[known]).sum()
+            + 2.0 * np.log(scale).sum()
+        )
 
-    starts = [(-np.log1p(-kept), logit) for kept in (0.3, 0.9, 0.99, 0.999) for logit in (-3.0, 0.0, 3.0)]
+    starts = [
+        (-np.log1p(-kept), logit) for kept in (0.3, 0.9, 0.99, 0.999) for logit in (-3.0, 0.0, 3.0)
+    ]
     best = np.array(min(starts, key=lack))
     simplex = best + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.5]])
     options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.02, "maxfev": 80}
@@ -169,13 +212,19 @@ def fit_noise(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], samples: f
 
 
 def _noise(at) -> Noise:
-    """Return the noise model at coordinates without bounds: −ln(1 − kept) and the log odds of the share."""
+    """
+    Return the noise model at coordinates without bounds: −ln(1 − kept) and the log odds of the
+    share.
+    """
     share = 1.0 / (1.0 + np.exp(-np.clip(at[1], -12.0, 12.0)))
     return Noise(float(share), float(np.clip(-np.expm1(-at[0]), 0.0, 1.0 - 1e-6)))
 
 
 def outliers(error: np.ndarray, scale: float) -> np.ndarray:
-    """Return which residuals are far off, in stretches that begin or end with a jump, as dropouts do and a wrong model does not."""
+    """
+    Return which residuals are far off, in stretches that begin or end with a jump, as dropouts do
+    and a wrong model does not.
+    """
     from scipy import ndimage
 
     far = np.abs(error) > FAR * scale
@@ -189,7 +238,10 @@ def outliers(error: np.ndarray, scale: float) -> np.ndarray:
 
 
 def robust_deviation(errors: list[np.ndarray]) -> float:
-    """Return the standard deviation that the median of the absolute residuals implies for Gaussian ones."""
+    """
+    Return the standard deviation that the median of the absolute residuals implies for Gaussian
+    ones.
+    """
     whole = np.abs(np.concatenate(errors))
     # A few thousand samples tell it to a few per cent.
     return 1.4826 * float(np.median(whole[:: 1 + whole.size // 4000]))

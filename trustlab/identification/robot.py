@@ -38,25 +38,27 @@ def fit_robot(
     **logged: Any,
 ) -> FitResult:
     """
-    Identify the robot model (2.3) from sessions: a, p_min, p_max, and P_r at the start of every session.
+    Identify the robot model (2.3) from sessions: a, p_min, p_max, and P_r at the start of every
+    session.
 
     Parameters
     ----------
     sessions : Session or iterable of Session
         Runs with columns mode, p_h and p_r; parameters are shared, initial performances are not.
     method : {"output_error", "arx"}
-        "output_error" minimises Σ (p_r − P_r(k))² of the simulated model. "arx" is the dissertation's least squares
-        on P_r(k + 1) = a P_r(k) + b M(k) P_h(k) + c: quick, and biased when p_r is measured with noise.
+        "output_error" minimises Σ (p_r − P_r(k))² of the simulated model. "arx" is the
+        dissertation's least squares on P_r(k + 1) = a P_r(k) + b M(k) P_h(k) + c: quick, and biased
+        when p_r is measured with noise.
     p_h_max : float, optional
-        Greatest human performance, to which p_max refers in (2.3). By default it is identified from the same sessions
-        (`fit_human`), and its uncertainty is part of that of p_max.
+        Greatest human performance, to which p_max refers in (2.3). By default it is identified from
+        the same sessions (`fit_human`), and its uncertainty is part of that of p_max.
     fixed : mapping, optional
         Values to hold, by name: a, p_min, p_max, p_r0.
     bounds : mapping, optional
         Bounds (low, high) by name; None leaves a side open.
     noise : {"auto", "white", "correlated", "hac"}
-        What the standard errors allow for; see `fit`. White noise on the input p_h is always allowed for; its
-        variance is estimated from first differences.
+        What the standard errors allow for; see `fit`. White noise on the input p_h is always
+        allowed for; its variance is estimated from first differences.
     **logged : float or bool
         window, step, mode_delay, stamp_error, robust: how the log shows the model; see `fit`.
         With a window, a finer step or a delay the measured P_h is not what drives
@@ -88,9 +90,13 @@ def fit_robot(
         refuse_options(method, fixed, bounds, noise, how)
     for given in (fixed, bounds):
         if isinstance(given, Mapping) and "p_h_max" in given:
-            raise ValueError("p_h_max is not a parameter of the search; give it as fit_robot(..., p_h_max=...)")
+            raise ValueError(
+                "p_h_max is not a parameter of the search; give it as fit_robot(..., p_h_max=...)"
+            )
     runs, any_operator = read_runs(sessions, "mode", "p_h", "p_r", how=how), robot_structure(1.0)
-    if method == "output_error" and (how.step or how.mode_delay or any(run.window > 1 for run in runs)):
+    if method == "output_error" and (
+        how.step or how.mode_delay or any(run.window > 1 for run in runs)
+    ):
         return _driven_by_the_operator(runs, p_h_max, fixed, bounds, noise, how)
     limits = any_operator.limits(fixed, bounds)
     check_data(any_operator, runs, limits)
@@ -108,13 +114,20 @@ def fit_robot(
     else:
         found = estimate_runs(structure, runs, limits, noise, robust=how.robust)
         covariance, shared = np.nan_to_num(found.covariance), np.zeros(found.theta.size)
-        # Robust errors see the noise of P_h already: filtered by (2.3), it is part of the residuals' autocorrelation.
+        # Robust errors see the noise of P_h already: filtered by (2.3), it is part of the
+        # residuals' autocorrelation.
         if found.noise == "white" and found.free.size:
             direct, shared = _input_noise(found, best, operator)
             covariance = covariance + direct
         shift = _shift_by_best(found, best)
         tables = _tables_with_best(
-            found.theta[:3], found.status[:3], covariance[:3, :3], best, operator, shared[:3], shift[:3]
+            found.theta[:3],
+            found.status[:3],
+            covariance[:3, :3],
+            best,
+            operator,
+            shared[:3],
+            shift[:3],
         )
         fit = result(found, tables)
     return fit if operator is None else _flag_weak_operator(fit, operator)
@@ -131,16 +144,27 @@ def _driven_by_the_operator(
     """Fit operator and robot together and return what belongs to the robot."""
     robot_structure(1.0).limits(fixed, bounds)  # refuses names and values in the robot's own words
     held, bounded = (
-        {name if name == "p_r0" else f"robot_{name}": value for name, value in (given or {}).items()}
+        {
+            name if name == "p_r0" else f"robot_{name}": value
+            for name, value in (given or {}).items()
+        }
         for given in (fixed, bounds)
     )
     if p_h_max is not None:
         held["human_p_max"] = _given_best(runs, p_h_max)
     whole = fit_runs(TSC, runs, held, bounded, noise, None, how)
-    rows = {"robot_a": "a", "robot_p_min": "p_min", "robot_p_max": "p_max", "human_p_max": "p_h_max", "robot_b": "b"}
+    rows = {
+        "robot_a": "a",
+        "robot_p_min": "p_min",
+        "robot_p_max": "p_max",
+        "human_p_max": "p_h_max",
+        "robot_b": "b",
+    }
     names = rows | ({"mode_delay": "mode_delay"} if "mode_delay" in whole.parameters.index else {})
     parameters = whole.parameters.loc[list(names)].rename(names)
-    parameters.loc["p_h_max", "status"] = "given" if p_h_max is not None else parameters.loc["p_h_max", "status"]
+    parameters.loc["p_h_max", "status"] = (
+        "given" if p_h_max is not None else parameters.loc["p_h_max", "status"]
+    )
     kept = [name for name in names if name in whole.covariance.index]
     return replace(
         whole,
@@ -154,7 +178,7 @@ def _driven_by_the_operator(
     )
 
 
-# --- the operator's greatest performance, and the errors that come of it -------------------------------------------
+# --- the operator's greatest performance, and the errors that come of it --------------------------
 
 
 def _given_best(runs: list[Run], p_h_max: float) -> float:
@@ -162,7 +186,8 @@ def _given_best(runs: list[Run], p_h_max: float) -> float:
     best, middle = positive("p_h_max", p_h_max), float(np.median(joined(runs, "p_h")))
     if best < middle:
         raise ValueError(
-            f"p_h_max = {p_h_max} lies below the median of the measured p_h, {middle:.4g}; it is the greatest"
+            f"p_h_max = {p_h_max} lies below the median of the measured p_h, {middle:.4g}; it is "
+            "the greatest"
         )
     return best
 
@@ -175,15 +200,15 @@ def _fit_operator(runs: list[Run]) -> Estimate:
         operator = estimate_runs(HUMAN, runs, limits)
     except IdentificationError as error:
         raise IdentificationError(
-            f"p_max refers to the operator's best performance, which could not be identified ({error}); "
-            "give it as p_h_max=...",
+            "p_max refers to the operator's best performance, which could not be identified "
+            f"({error}); give it as p_h_max=...",
             ("p_max", *error.parameters),
         ) from error
     best = _parameter(operator, "p_max")
     if not best > 0.0:
         raise IdentificationError(
-            f"column p_h: the operator's greatest performance comes out as {best:.4g}, but (2.3) divides by it; use a "
-            "measure of performance that is positive",
+            f"column p_h: the operator's greatest performance comes out as {best:.4g}, but (2.3) "
+            "divides by it; use a measure of performance that is positive",
             ("p_max",),
         )
     return operator
@@ -195,29 +220,43 @@ def _parameter(found: Estimate, name: str) -> float:
 
 
 def _input_influence(mode: np.ndarray, a: float, b: float, jacobian: np.ndarray) -> np.ndarray:
-    """Return LᵀJ, shape (N, p), where L maps a change of P_h to the change of simulated P_r (2.3)."""
+    """
+    Return LᵀJ, shape (N, p), where L maps a change of P_h to the change of simulated P_r (2.3).
+    """
     from scipy import signal
 
-    # L[k, i] = b M(i) a^(k−1−i) for i < k: one backward recursion per column instead of an N × N matrix.
+    # L[k, i] = b M(i) a^(k−1−i) for i < k: one backward recursion per column instead of an N × N
+    # matrix.
     tail = signal.lfilter([0.0, 1.0], [1.0, -a], jacobian[::-1], axis=0)[::-1]
     return b * mode[:, None] * tail
 
 
-def _input_noise(found: Estimate, best: float, operator: Estimate | None) -> tuple[np.ndarray, np.ndarray]:
+def _input_noise(
+    found: Estimate, best: float, operator: Estimate | None
+) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return what noise of the measured P_h adds to the covariance, and the covariance that it shares with p̂_h,max.
+    Return what noise of the measured P_h adds to the covariance, and the covariance that it shares
+    with p̂_h,max.
 
-    The simulation is driven by the measured P_h, whose noise e_h reaches the estimates: to first order
-    θ̂ − θ = (JᵀJ)⁻¹ Jᵀ(e_r − L e_h), with L the response of simulated P_r to P_h. So e_h, white with variance σ²,
-    adds σ² (JᵀJ)⁻¹ JᵀL LᵀJ (JᵀJ)⁻¹. p̂_h,max = p_h,max + gᵀe_h comes from the same samples of P_h, so that its
-    covariance with θ̂ is −σ² (JᵀJ)⁻¹ JᵀL g.
+    The simulation is driven by the measured P_h, whose noise e_h reaches the estimates: to first
+    order θ̂ − θ = (JᵀJ)⁻¹ Jᵀ(e_r − L e_h), with L the response of simulated P_r to P_h. So e_h,
+    white with variance σ², adds σ² (JᵀJ)⁻¹ JᵀL LᵀJ (JᵀJ)⁻¹. p̂_h,max = p_h,max + gᵀe_h comes from
+    the same samples of P_h, so that its covariance with θ̂ is −σ² (JᵀJ)⁻¹ JᵀL g.
     """
-    problem, free, size = found.problem, found.free, found.theta.size
+    problem = found.problem
+    free = found.free
+    size = found.theta.size
     # The first difference of a signal that moves slowly under white noise has variance 2σ².
-    variance = 0.5 * float(np.mean(np.concatenate([np.diff(run["p_h"]) for run in problem.runs]) ** 2))
+    variance = 0.5 * float(
+        np.mean(np.concatenate([np.diff(run["p_h"]) for run in problem.runs]) ** 2)
+    )
     if operator is not None:
         variance = min(variance, float(operator.sigma[0]) ** 2)
-    g = _best_by_samples(operator) if operator is not None else [np.zeros(run.size) for run in problem.runs]
+    g = (
+        _best_by_samples(operator)
+        if operator is not None
+        else [np.zeros(run.size) for run in problem.runs]
+    )
     a, p_min, p_max = found.theta[:3]
     b = (1.0 - a) * (p_max - p_min) / best
     spread, mixed = np.zeros((size, size)), np.zeros(size)  # JᵀL LᵀJ and JᵀL g
@@ -235,20 +274,27 @@ def _input_noise(found: Estimate, best: float, operator: Estimate | None) -> tup
 
 
 def _best_by_samples(operator: Estimate) -> list[np.ndarray]:
-    """Return g, the derivative of p̂_h,max by every sample of the measured P_h; 0 where the residuals are not white."""
+    """
+    Return g, the derivative of p̂_h,max by every sample of the measured P_h; 0 where the residuals
+    are not white.
+    """
     problem, row = operator.problem, operator.problem.names.index("p_max")
     solve = np.zeros(operator.theta.size)
     if operator.noise == "white":
         # p̂_h,max is one row of (JᵀJ)⁻¹ Jᵀ P_h, with the operator's own J.
         weight = problem.weights(operator.normal.squares)[0]
         solve[operator.free] = operator.inverse[list(operator.free).index(row)] * weight
-    return [jacobians[0] @ solve[where] for (_, jacobians), where in zip(problem.latest, problem.where, strict=True)]
+    return [
+        jacobians[0] @ solve[where]
+        for (_, jacobians), where in zip(problem.latest, problem.where, strict=True)
+    ]
 
 
 def _shift_by_best(found: Estimate, best: float) -> np.ndarray:
     """Return the derivative of all estimates by the p_h,max that they are made with."""
-    # P_r depends on p_h,max through (p_max − p_min)/p_h,max alone, so ∂P_r/∂p_h,max = −gain ∂P_r/∂p_max, and least squares
-    # answers with gain (JᵀJ)⁻¹ Jᵀ ∂P_r/∂p_max: p_max alone follows where it is free, the others give way where it is not.
+    # P_r depends on p_h,max through (p_max − p_min)/p_h,max alone, so ∂P_r/∂p_h,max = −gain
+    # ∂P_r/∂p_max, and least squares answers with gain (JᵀJ)⁻¹ Jᵀ ∂P_r/∂p_max: p_max alone follows
+    # where it is free, the others give way where it is not.
     gain = (_parameter(found, "p_max") - _parameter(found, "p_min")) / best
     shift = np.zeros(found.theta.size)
     by_p_max = found.normal.matrix[found.free, found.problem.names.index("p_max")]
@@ -265,14 +311,17 @@ def _tables_with_best(
     shared: np.ndarray | None = None,
     shift: np.ndarray | None = None,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return table and covariance of a, p_min, p_max and p_h_max, and the row of b; `shared` is their covariance with p̂_h,max."""
+    """
+    Return table and covariance of a, p_min, p_max and p_h_max, and the row of b; `shared` is their
+    covariance with p̂_h,max.
+    """
     row = HUMAN.names.index("p_max")
     total = np.zeros((4, 4))
     total[:3, :3] = covariance
     total[3, 3] = 0.0 if operator is None else operator.covariance[row, row]
     total[:3, 3] = total[3, :3] = 0.0 if shared is None else shared
-    # The estimates were made with p̂_h,max in place of p_h,max: its error is added to each as far as it shifts them.
-    # Of a regression it shifts p_max alone, by the gain.
+    # The estimates were made with p̂_h,max in place of p_h,max: its error is added to each as far
+    # as it shifts them. Of a regression it shifts p_max alone, by the gain.
     _, p_min, p_max = values
     through = np.eye(4)
     through[:3, 3] = (0.0, 0.0, (p_max - p_min) / best) if shift is None else shift
@@ -286,7 +335,10 @@ def _tables_with_best(
 
 
 def _flag_weak_operator(fit: FitResult, operator: Estimate) -> FitResult:
-    """Mark p_max as weak where the operator's model, which p_h_max comes from, is weakly determined itself."""
+    """
+    Mark p_max as weak where the operator's model, which p_h_max comes from, is weakly determined
+    itself.
+    """
     names = [parameter.name for parameter in weak_parameters(operator, found_table(operator)[0])]
     if operator.search.converged and not names:
         return fit

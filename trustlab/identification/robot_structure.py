@@ -1,13 +1,27 @@
-"""The structure of robot performance, (2.3): parameters, sensitivities, linear form, initial guess."""
+"""
+The structure of robot performance, (2.3): parameters, sensitivities, linear form, initial guess.
+"""
 
 from collections.abc import Mapping
 
 import numpy as np
 
-from trustlab.identification.human import decay_rates, range_parameters, rate_parameter, solve_pair, undo_blocks
+from trustlab.identification.human import (
+    decay_rates,
+    range_parameters,
+    rate_parameter,
+    solve_pair,
+    undo_blocks,
+)
 from trustlab.identification.regression import equations
 from trustlab.identification.runs import Run, as_columns, block_means, joined
-from trustlab.identification.structure import MODEL_STEP, IdentificationError, LinearForm, Parameter, Structure
+from trustlab.identification.structure import (
+    MODEL_STEP,
+    IdentificationError,
+    LinearForm,
+    Parameter,
+    Structure,
+)
 from trustlab.models.compiled import njit
 from trustlab.models.robot import RobotModel
 
@@ -16,8 +30,15 @@ SLOPES = np.dtype([(name, float) for name in ("a", "p_min", "p_max", "p_r0")])
 
 @njit
 def _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by):
-    """Run (2.3) under a given P_h, and its derivatives by every parameter, into `p_r` and the records `by`."""
-    now, by_a, by_min, by_max, by_0 = p_r0, 0.0, 0.0, 0.0, 1.0
+    """
+    Run (2.3) under a given P_h, and its derivatives by every parameter, into `p_r` and the records
+    `by`.
+    """
+    now = p_r0
+    by_a = 0.0
+    by_min = 0.0
+    by_max = 0.0
+    by_0 = 1.0
     gain = (p_max - p_min) / p_h_max
     rest = 1.0 - a
     for k in range(mode.size):
@@ -27,7 +48,8 @@ def _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by):
         row.p_min = by_min
         row.p_max = by_max
         row.p_r0 = by_0
-        # (2.3) as P_r(k+1) = a P_r(k) + (1 − a)(p_min + gain M(k) P_h(k)), differentiated by each parameter in turn.
+        # (2.3) as P_r(k+1) = a P_r(k) + (1 − a)(p_min + gain M(k) P_h(k)), differentiated by each
+        # parameter in turn.
         drive = mode[k] * p_h[k]
         share = drive / p_h_max
         by_a = a * by_a + now - p_min - gain * drive
@@ -38,7 +60,10 @@ def _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by):
 
 
 def simulate_robot(run: Run, p_h: np.ndarray, p_h_max: float, a, p_min, p_max, p_r0):
-    """Return P_r under a given P_h and the records of its derivatives by a, p_min, p_max and P_r at the start."""
+    """
+    Return P_r under a given P_h and the records of its derivatives by a, p_min, p_max and P_r at
+    the start.
+    """
     p_r, by = run.scratch("P_r"), run.scratch("of P_r", SLOPES)
     _simulate_with_slopes(run["mode"], p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by)
     return p_r, by
@@ -50,7 +75,10 @@ def robot_parameters(prefix: str = "") -> tuple[Parameter, ...]:
 
 
 def robot_structure(p_h_max: float) -> Structure:
-    """Return the structure of (2.3), driven by the measured P_h, for a known greatest human performance."""
+    """
+    Return the structure of (2.3), driven by the measured P_h, for a known greatest human
+    performance.
+    """
 
     def sensitivities(run, a, p_min, p_max, p_r0):
         p_r, by = simulate_robot(run, run["p_h"], p_h_max, a, p_min, p_max, p_r0)
@@ -63,12 +91,14 @@ def robot_structure(p_h_max: float) -> Structure:
 
     linear = LinearForm(
         coefficients=("a1", "b1", "c"),
-        equations=lambda run: equations(run["p_r"], (run["mode"] * run["p_h"])[:, None], 1, (1,), (1,), True),
+        equations=lambda run: equations(
+            run["p_r"], (run["mode"] * run["p_h"])[:, None], 1, (1,), (1,), True
+        ),
         parameters=from_coefficients,
         initial=lambda run: (float(run["p_r"][0]),),
         caution=(
-            "Least squares on one-step predictions: measurement noise on p_r biases a towards 0, and these standard "
-            "errors do not show it; compare output_error."
+            "Least squares on one-step predictions: measurement noise on p_r biases a towards 0, "
+            "and these standard errors do not show it; compare output_error."
         ),
     )
     return Structure(
@@ -90,42 +120,50 @@ def build_robot(a: float, p_min: float, p_max: float, p_h_max: float) -> RobotMo
     """Return the model, or say what about the data contradicts (2.3)."""
     if not p_max > p_min:
         raise IdentificationError(
-            "robot performance does not rise under manual control in these data (the fit has p_max = "
-            f"{p_max:.4g}, not above p_min = {p_min:.4g}), so (2.3) does not describe them",
+            "robot performance does not rise under manual control in these data (the fit has "
+            f"p_max = {p_max:.4g}, not above p_min = {p_min:.4g}), so (2.3) does not describe them",
             ("p_min", "p_max"),
         )
     return RobotModel(float(a), float(p_min), float(p_max), float(p_h_max))
 
 
-def check_excitation(runs: list[Run], limits: Mapping, low: str = "p_min", high: str = "p_max") -> None:
+def check_excitation(
+    runs: list[Run], limits: Mapping, low: str = "p_min", high: str = "p_max"
+) -> None:
     """Refuse data in which nothing separates the least from the greatest robot performance."""
     modes = joined(runs, "mode")
     held = {name for name in (low, high) if limits[name][0] == limits[name][1]}
-    # A mode that never changes leaves one steady state: under manual control either limit fixes the other, but an
-    # autonomous robot says nothing of p_max.
+    # A mode that never changes leaves one steady state: under manual control either limit fixes the
+    # other, but an autonomous robot says nothing of p_max.
     if np.ptp(modes) > 0.0 or (held and (modes[0] > 0.0 or high in held)):
         return
     lost = (high,) if modes[0] == 0.0 else (low, high)
     raise IdentificationError(
-        f"these data do not determine {' and '.join(lost)}: mode never changes (it is {modes[0]:g} throughout); log at "
-        "least one switch between manual and autonomous control, or fix a parameter, for example "
-        f"fixed={{{lost[0]!r}: ...}}",
+        f"these data do not determine {' and '.join(lost)}: mode never changes (it is "
+        f"{modes[0]:g} throughout); log at least one switch between manual and autonomous "
+        f"control, or fix a parameter, for example fixed={{{lost[0]!r}: ...}}",
         lost,
     )
 
 
-# --- the initial guess ---------------------------------------------------------------------------------------------
+# --- the initial guess ----------------------------------------------------------------------------
 
 
 @njit
 def _best_rate(mode, p_h, p_r, starts, rates, p_h_max):
     """Return the best of some rates, with p_min and p_max; NaN where no rate determines them."""
-    least, best_a, best_min, best_max = np.inf, np.nan, np.nan, np.nan
+    least = np.inf
+    best_a = np.nan
+    best_min = np.nan
+    best_max = np.nan
     for a in rates:
-        # P_r = p_min low + p_max high + what is left of the first sample is linear in p_min and p_max: solved for.
+        # P_r = p_min low + p_max high + what is left of the first sample is linear in p_min and
+        # p_max: solved for.
         s11 = s12 = s22 = t1 = t2 = total = 0.0
         for i in range(starts.size - 1):
-            low, high, left = 0.0, 0.0, p_r[starts[i]]
+            low = 0.0
+            high = 0.0
+            left = p_r[starts[i]]
             for k in range(starts[i], starts[i + 1]):
                 y = p_r[k] - left
                 s11 += low * low
@@ -141,18 +179,26 @@ def _best_rate(mode, p_h, p_r, starts, rates, p_h_max):
         p_min, p_max = solve_pair(s11, s12, s22, t1, t2)
         squares = total - p_min * t1 - p_max * t2
         if np.isfinite(p_min) and squares < least:
-            least, best_a, best_min, best_max = squares, a, p_min, p_max
+            least = squares
+            best_a = a
+            best_min = p_min
+            best_max = p_max
     return best_a, best_min, best_max
 
 
 def robot_guess(runs: list[Run], limits: Mapping, p_h_max: float) -> dict[str, float | np.ndarray]:
-    """Return starting values of a, p_min, p_max and, for every run, p_r0, from a coarse search on block means."""
+    """
+    Return starting values of a, p_min, p_max and, for every run, p_r0, from a coarse search on
+    block means.
+    """
     means, length = block_means(runs)
     starts = np.cumsum([0, *(run.size for run in means)])
     rates = decay_rates(max(run.size for run in runs), length, limits["a"])
     mode, p_h, p_r = (joined(means, name) for name in ("mode", "p_h", "p_r"))
     a, p_min, p_max = _best_rate(mode, p_h, p_r, starts, rates, p_h_max)
     if not np.isfinite(a):
-        a, p_min, p_max = rates[rates.size // 2], p_r.min(), p_r.max()
+        a = rates[rates.size // 2]
+        p_min = p_r.min()
+        p_max = p_r.max()
     first = np.array([run["p_r"][0] for run in means])
     return {"a": undo_blocks(a, length), "p_min": p_min, "p_max": p_max, "p_r0": first}

@@ -18,7 +18,9 @@ HOW_TO_GET = (
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One session, or block means of one: columns of shape (N,) by name, and what messages say of it."""
+    """
+    One session, or block means of one: columns of shape (N,) by name, and what messages say of it.
+    """
 
     label: str
     t: np.ndarray
@@ -44,14 +46,17 @@ class Run:
 
     def scratch(self, what: str, kind: np.dtype | type = float) -> np.ndarray:
         """Return an array of shape (N,) to simulate into, the same at every call."""
-        # The system hands out memory page by page: fresh arrays would take longer than the simulation that fills them.
+        # The system hands out memory page by page: fresh arrays would take longer than the
+        # simulation that fills them.
         if (what, kind) not in self.kept:
             self.kept[what, kind] = np.empty(self.size, kind)
         return self.kept[what, kind]
 
 
 class HowLogged(NamedTuple):
-    """How a log shows a model, as the user states it: see `fit`; None for what each session says."""
+    """
+    How a log shows a model, as the user states it: see `fit`; None for what each session says.
+    """
 
     window: float | None = None
     step: float | None = None
@@ -60,15 +65,21 @@ class HowLogged(NamedTuple):
     robust: bool = True
 
 
-def read_runs(sessions: Session | Iterable[Session], *needed: str, how: HowLogged | None = None) -> list[Run]:
+def read_runs(
+    sessions: Session | Iterable[Session], *needed: str, how: HowLogged | None = None
+) -> list[Run]:
     """
     Take the columns that a fit needs out of one or several sessions with the same sample time.
 
-    What `how` leaves open each session says: the window, 0 for none; and how exact its stamps of mode are.
+    What `how` leaves open each session says: the window, 0 for none; and how exact its stamps of
+    mode are.
     """
     how = how or HowLogged()
-    # A table, a mapping or a path can be iterated over too, but what comes out says nothing of the mistake.
-    several = isinstance(sessions, Iterable) and not isinstance(sessions, (Session, str, bytes, Mapping))
+    # A table, a mapping or a path can be iterated over too, but what comes out says nothing of the
+    # mistake.
+    several = isinstance(sessions, Iterable) and not isinstance(
+        sessions, (Session, str, bytes, Mapping)
+    )
     given: list = list(sessions) if several and not hasattr(sessions, "columns") else [sessions]
     if not given:
         raise IdentificationError("no session was given; pass one or a list of them")
@@ -77,8 +88,9 @@ def read_runs(sessions: Session | Iterable[Session], *needed: str, how: HowLogge
         session.require(*needed)
         if abs(session.sample_time - given[0].sample_time) > 1e-6 * given[0].sample_time:
             raise IdentificationError(
-                f"the parameters belong to one sample time, but {given[0].label} has {given[0].sample_time:g} s and "
-                f"{session.label} has {session.sample_time:g} s; resample by name when reading"
+                f"the parameters belong to one sample time, but {given[0].label} has "
+                f"{given[0].sample_time:g} s and {session.label} has {session.sample_time:g} s; "
+                "resample by name when reading"
             )
     return [
         Run(
@@ -106,23 +118,38 @@ def _stamp_error(session: Session, given: float | None) -> float:
 
 
 def _windows(sessions: list[Session], window: float | None, needed: tuple[str, ...]) -> list[int]:
-    """Return the window of each session's performance columns in samples, 1 for none; warn where nothing is said of it."""
-    stated = [session.metadata.more.get("performance_window") if window is None else window for session in sessions]
-    unsaid = [s for s, own in zip(sessions, stated, strict=True) if own is None and not s.metadata.synthetic]
+    """
+    Return the window of each session's performance columns in samples, 1 for none; warn where
+    nothing is said of it.
+    """
+    stated = [
+        session.metadata.more.get("performance_window") if window is None else window
+        for session in sessions
+    ]
+    unsaid = [
+        s
+        for s, own in zip(sessions, stated, strict=True)
+        if own is None and not s.metadata.synthetic
+    ]
     if unsaid and {"p_r", "p_h"} & set(needed):
         warn(
-            f"{unsaid[0].label}: nothing says whether p_r and p_h are means over a moving window, as (2.4) and (2.7) are, "
-            "and a fit that takes means for the values themselves is wrong: state window=… [s], or window=0 if they are no "
-            "means (in a recipe: performance_window = …; Session.with_performance notes its own)"
+            f"{unsaid[0].label}: nothing says whether p_r and p_h are means over a moving window, "
+            "as (2.4) and (2.7) are, and a fit that takes means for the values themselves is "
+            "wrong: state window=… [s], or window=0 if they are no means (in a recipe: "
+            "performance_window = …; Session.with_performance notes its own)"
         )
     for session, own in zip(sessions, stated, strict=True):
         if own and session.metadata.more.get("performance_cut"):
             raise IdentificationError(
-                f"{session.label} was cut after its performance was averaged, so that its first means hold what is no "
-                "longer there; cut the log first, then call with_performance"
+                f"{session.label} was cut after its performance was averaged, so that its first "
+                "means hold what is no longer there; cut the log first, then call "
+                "with_performance"
             )
     widths = [not_negative("window", own or 0.0) for own in stated]
-    return [max(1, round(own / session.sample_time)) for own, session in zip(widths, sessions, strict=True)]
+    return [
+        max(1, round(own / session.sample_time))
+        for own, session in zip(widths, sessions, strict=True)
+    ]
 
 
 def joined(runs: list[Run], name: str) -> np.ndarray:
@@ -136,12 +163,18 @@ def as_columns(records: np.ndarray) -> np.ndarray:
 
 
 def block_means(runs: list[Run], budget: int = 500) -> tuple[list[Run], int]:
-    """Return block means of all columns and the block length; about `budget` blocks in all, at least eight per run."""
+    """
+    Return block means of all columns and the block length; about `budget` blocks in all, at least
+    eight per run.
+    """
     total, shortest = sum(run.size for run in runs), min(run.size for run in runs)
     length = max(1, min(total // budget, shortest // 8))
     means = []
     for run in runs:
         size = run.size // length * length
-        columns = {name: values[:size].reshape(-1, length).mean(axis=1) for name, values in run.columns.items()}
+        columns = {
+            name: values[:size].reshape(-1, length).mean(axis=1)
+            for name, values in run.columns.items()
+        }
         means.append(Run(run.label, run.t[:size:length], columns))
     return means, length

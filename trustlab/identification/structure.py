@@ -1,4 +1,7 @@
-"""A model structure: its parameters with bounds, its simulation, its sensitivities; and the error when data do not identify it."""
+"""
+A model structure: its parameters with bounds, its simulation, its sensitivities; and the error when
+data do not identify it.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +15,8 @@ from trustlab.models.checks import between, did_you_mean, finite_number, one_of,
 # How close to 0 and 1 a parameter of (0, 1) may come during the search.
 UNIT_MARGIN = 1e-9
 
-# Relative step of central differences: truncation (∝ step²) and rounding (∝ 1/step) are then about equal.
+# Relative step of central differences: truncation (∝ step²) and rounding (∝ 1/step) are then about
+# equal.
 DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
 
 
@@ -48,7 +52,10 @@ class IdentificationError(ValueError):
 
 
 class Coordinate(NamedTuple):
-    """The coordinate in which a parameter is searched, as functions; and the widest interval that is still of use."""
+    """
+    The coordinate in which a parameter is searched, as functions; and the widest interval that is
+    still of use.
+    """
 
     to: Callable
     back: Callable
@@ -56,13 +63,15 @@ class Coordinate(NamedTuple):
     slope: Callable
     low: float = -np.inf
     high: float = np.inf
-    # Greatest half-width of a 95 % interval at a value of the parameter; wider ones mark it as weak.
+    # Greatest half-width of a 95 % interval at a value of the parameter; wider ones mark it as
+    # weak.
     useful: Callable = lambda value: np.inf
 
 
 COORDINATES = {
     "plain": Coordinate(lambda v: v, lambda x: x, lambda x: 1.0),
-    # −ln(1 − a) is the logarithm of the time constant 1/(1 − a): equal steps are equal ratios of time constants.
+    # −ln(1 − a) is the logarithm of the time constant 1/(1 − a): equal steps are equal ratios of
+    # time constants.
     "rate": Coordinate(
         lambda v: -np.log1p(-v),
         lambda x: -np.expm1(-x),
@@ -96,15 +105,17 @@ class Parameter:
     guess : float, optional
         Where the search starts; the middle of the bounds when not given.
     search : {"plain", "rate", "logit"} or callable
-        The coordinate of the search: the parameter itself; −ln(1 − a), for the share kept over one sample, in (0, 1);
-        the log odds, for a share in (0, 1). Or a function of the initial guess that returns a `Coordinate`.
+        The coordinate of the search: the parameter itself; −ln(1 − a), for the share kept over one
+        sample, in (0, 1); the log odds, for a share in (0, 1). Or a function of the initial guess
+        that returns a `Coordinate`.
     span : tuple of str, optional
-        Two parameters whose difference is the scale of this one: if its 95 % interval exceeds ± half that difference,
-        the parameter is reported as weak.
+        Two parameters whose difference is the scale of this one: if its 95 % interval exceeds ±
+        half that difference, the parameter is reported as weak.
     hint : str
         What to record when the data determine the parameter weakly.
     ends : mapping of float to str
-        For a bound at which an estimate is legitimate: what it means. An estimate there is no reason for doubt.
+        For a bound at which an estimate is legitimate: what it means. An estimate there is no
+        reason for doubt.
 
     Raises
     ------
@@ -129,14 +140,18 @@ class Parameter:
 
     def __post_init__(self):
         if not isinstance(self.name, str) or not self.name.isidentifier():
-            raise ValueError(f"the name of a parameter must be a Python name, got {shown(self.name)}")
+            raise ValueError(
+                f"the name of a parameter must be a Python name, got {shown(self.name)}"
+            )
         if not callable(self.search):
             one_of(f"search of {self.name}", self.search, COORDINATES, "a function")
             coordinate = COORDINATES[self.search]
             object.__setattr__(self, "low", max(float(self.low), coordinate.low))
             object.__setattr__(self, "high", min(float(self.high), coordinate.high))
         if not self.low < self.high:
-            raise ValueError(f"{self.name} needs bounds with low < high, got ({self.low}, {self.high})")
+            raise ValueError(
+                f"{self.name} needs bounds with low < high, got ({self.low}, {self.high})"
+            )
         if self.guess is not None:
             between(f"guess of {self.name}", self.guess, self.low, self.high)
 
@@ -171,7 +186,8 @@ class Parameter:
 @dataclass(frozen=True, eq=False)
 class LinearForm:
     """
-    The one-step equations of a structure that is linear in some coefficients, for `fit(..., method="regression")`.
+    The one-step equations of a structure that is linear in some coefficients, for `fit(...,
+    method="regression")`.
 
     Parameters
     ----------
@@ -180,8 +196,8 @@ class LinearForm:
     equations : callable
         From a run to the regressors, shape (p, n), and the left-hand sides, shape (n,).
     parameters : callable
-        From the coefficients to the structure's parameters, in order. It is differentiated by complex steps, so it
-        must be built from arithmetic.
+        From the coefficients to the structure's parameters, in order. It is differentiated by
+        complex steps, so it must be built from arithmetic.
     initial : callable
         From a run to its initial states, in order: where the fitted model is simulated from.
     caution : str
@@ -204,13 +220,16 @@ class LinearForm:
     equations: Callable
     parameters: Callable
     initial: Callable
-    caution: str = "Least squares on one-step predictions: noise in the regressors biases the parameters."
+    caution: str = (
+        "Least squares on one-step predictions: noise in the regressors biases the parameters."
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Structure:
     """
-    A model structure that `fit` can identify: what is unknown, what is measured, and how one follows from the other.
+    A model structure that `fit` can identify: what is unknown, what is measured, and how one
+    follows from the other.
 
     Parameters
     ----------
@@ -221,31 +240,37 @@ class Structure:
     outputs : sequence of str
         Columns of a session that the model explains.
     simulate : callable
-        ``simulate(run, **values)``, with the parameters and initial states by name; ``run["mode"]`` is a column, shape
-        (N,). It returns the output, shape (N,), or a tuple of outputs. Not needed where `sensitivities` is given.
+        ``simulate(run, **values)``, with the parameters and initial states by name; ``run["mode"]``
+        is a column, shape (N,). It returns the output, shape (N,), or a tuple of outputs. Not
+        needed where `sensitivities` is given.
     initial : sequence of Parameter
         Initial states; every run has its own.
     inputs : sequence of str
         Columns that the simulation reads. Residuals are tested for correlation with the first.
     sensitivities : callable, optional
-        ``sensitivities(run, **values)`` returns the outputs and, for each, its derivatives, shape (N, number of names
-        in `affected_by`). Central differences of `simulate` when not given.
+        ``sensitivities(run, **values)`` returns the outputs and, for each, its derivatives, shape
+        (N, number of names in `affected_by`). Central differences of `simulate` when not given.
     affected_by : mapping, optional
-        Names of the parameters and initial states that affect each output, by output; all by default.
+        Names of the parameters and initial states that affect each output, by output; all by
+        default.
     guess : callable, optional
-        ``guess(runs, limits)`` returns starting values by name, or several such mappings, best first, where the likelihood
-        has several valleys; an initial state may have one value per run.
+        ``guess(runs, limits)`` returns starting values by name, or several such mappings, best
+        first, where the likelihood has several valleys; an initial state may have one value per
+        run.
     model : callable, optional
-        ``model(**parameters)`` makes `FitResult.model` from the estimates; a dictionary of them when not given.
+        ``model(**parameters)`` makes `FitResult.model` from the estimates; a dictionary of them
+        when not given.
     derived : mapping, optional
-        Further rows of the table, by name: functions of the dictionary of estimates, built from arithmetic.
+        Further rows of the table, by name: functions of the dictionary of estimates, built from
+        arithmetic.
     check : callable, optional
-        ``check(runs, limits)`` raises `IdentificationError` if the data cannot identify the structure.
+        ``check(runs, limits)`` raises `IdentificationError` if the data cannot identify the
+        structure.
     linear : LinearForm, optional
         The structure as a linear regression.
     step : float, optional
-        Time step of the model [s]: a fit to a log with a longer sample time is reported as doubtful unless it is
-        given a step.
+        Time step of the model [s]: a fit to a log with a longer sample time is reported as doubtful
+        unless it is given a step.
 
     Raises
     ------
@@ -288,7 +313,9 @@ class Structure:
         for what in ("parameters", "initial"):
             given = tuple(getattr(self, what))
             if not all(isinstance(one, Parameter) for one in given):
-                raise ValueError(f"{what} of {self.name!r} must be a sequence of trustlab.Parameter")
+                raise ValueError(
+                    f"{what} of {self.name!r} must be a sequence of trustlab.Parameter"
+                )
             object.__setattr__(self, what, given)
         if not self.parameters or not self.outputs:
             raise ValueError(f"structure {self.name!r} needs at least one parameter and one output")
@@ -296,7 +323,9 @@ class Structure:
             raise ValueError(f"structure {self.name!r} needs a function simulate or sensitivities")
         repeated = {name for name in self.names if self.names.count(name) > 1}
         if repeated:
-            raise ValueError(f"structure {self.name!r} has two parameters called {sorted(repeated)[0]!r}")
+            raise ValueError(
+                f"structure {self.name!r} has two parameters called {sorted(repeated)[0]!r}"
+            )
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -315,7 +344,9 @@ class Structure:
         moving = self.names if self.affected_by is None else self.affected_by[output]
         return [self.names.index(name) for name in moving]
 
-    def predict(self, run: Any, values: Mapping[str, float]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    def predict(
+        self, run: Any, values: Mapping[str, float]
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """
         Return the simulated outputs of a run and their derivatives.
 
@@ -343,13 +374,18 @@ class Structure:
     def _simulated(self, run, values: Mapping[str, float]) -> list[np.ndarray]:
         """Simulate by the user's function and check what it returns."""
         found = self.simulate(run, **values)
-        outputs = [np.array(one, dtype=float) for one in (found if isinstance(found, tuple) else (found,))]
+        outputs = [
+            np.array(one, dtype=float) for one in (found if isinstance(found, tuple) else (found,))
+        ]
         self._check_shapes("simulate", outputs, [(run.size,)] * len(self.outputs))
         return outputs
 
-    def check_sensitivities(self, run: Any, outputs: Sequence[np.ndarray], jacobians: Sequence[np.ndarray]) -> None:
+    def check_sensitivities(
+        self, run: Any, outputs: Sequence[np.ndarray], jacobians: Sequence[np.ndarray]
+    ) -> None:
         """
-        Refuse what `sensitivities` returns unless there is an array of the right shape for each output.
+        Refuse what `sensitivities` returns unless there is an array of the right shape for each
+        output.
 
         Parameters
         ----------
@@ -363,12 +399,15 @@ class Structure:
         self._check_shapes("the derivatives of sensitivities", jacobians, shapes)
 
     def _check_shapes(self, what: str, found: Sequence[np.ndarray], wanted: list[tuple]) -> None:
-        """Refuse what a user's function returns unless there is one array of the right shape for each output."""
+        """
+        Refuse what a user's function returns unless there is one array of the right shape for each
+        output.
+        """
         shapes = [one.shape for one in found]
         if shapes != wanted:
             raise ValueError(
-                f"{what} of structure {self.name!r} must return {' and '.join(self.outputs)} in the shapes {wanted}, got "
-                f"{shapes}"
+                f"{what} of structure {self.name!r} must return {' and '.join(self.outputs)} in "
+                f"the shapes {wanted}, got {shapes}"
             )
 
     def limits(
@@ -392,7 +431,9 @@ class Structure:
         fixed, bounds = {} if fixed is None else fixed, {} if bounds is None else bounds
         for what, given in (("fixed", fixed), ("bounds", bounds)):
             if not isinstance(given, Mapping):
-                raise ValueError(f"{what} must be a dictionary by parameter, {{'a': ...}}, got {given!r}")
+                raise ValueError(
+                    f"{what} must be a dictionary by parameter, {{'a': ...}}, got {given!r}"
+                )
             self.check_names(given, what)
         for name in set(fixed) & set(bounds):
             raise ValueError(f"{name} is both fixed and bounded; give one of them")
@@ -438,9 +479,13 @@ class Structure:
 
 def _narrowed(parameter: Parameter, pair: tuple) -> tuple[float, float]:
     """Return the user's bounds within those of the parameter."""
-    name, low, high = parameter.name, parameter.low, parameter.high
+    name = parameter.name
+    low = parameter.low
+    high = parameter.high
     if not isinstance(pair, (tuple, list)) or len(pair) != 2:
-        raise ValueError(f"bounds of {name} must be a pair (low, high), None for an open side, got {pair!r}")
+        raise ValueError(
+            f"bounds of {name} must be a pair (low, high), None for an open side, got {pair!r}"
+        )
     own_low = low if pair[0] is None else finite_number(f"lower bound of {name}", pair[0])
     own_high = high if pair[1] is None else finite_number(f"upper bound of {name}", pair[1])
     if not own_low < own_high:
@@ -451,11 +496,15 @@ def _narrowed(parameter: Parameter, pair: tuple) -> tuple[float, float]:
 
 
 def _around(parameter: Parameter, value: float) -> tuple[float, float]:
-    """Return two values, one on each side, for central differences; at a bound one of them is the value itself."""
+    """
+    Return two values, one on each side, for central differences; at a bound one of them is the
+    value itself.
+    """
     coordinate = COORDINATES["plain" if callable(parameter.search) else parameter.search]
     x = coordinate.to(value)
     width = coordinate.to(parameter.high) - coordinate.to(parameter.low)
-    # A parameter near 0 has no scale of its own: a thousandth of its range, or of 1, takes its place.
+    # A parameter near 0 has no scale of its own: a thousandth of its range, or of 1, takes its
+    # place.
     step = DIFFERENCE * max(abs(x), 1e-3 * min(width, 1.0))
     ends = (coordinate.back(x - step), coordinate.back(x + step))
     return max(ends[0], parameter.low), min(ends[1], parameter.high)

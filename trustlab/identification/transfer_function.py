@@ -1,4 +1,7 @@
-"""Continuous-time transfer functions of order 1 and 2 from a logged command and velocity, as (A.1) was found."""
+"""
+Continuous-time transfer functions of order 1 and 2 from a logged command and velocity, as (A.1) was
+found.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -40,7 +43,9 @@ class TransferFunctionFit(FitResult):
         return float(self.runs[0].t[1])
 
     def plot(self, ax=None):
-        """Plot the first run, measured and simulated, on given axes or new ones; return the axes."""
+        """
+        Plot the first run, measured and simulated, on given axes or new ones; return the axes.
+        """
         ax = axes_or_new(ax)
         ax.plot(self.runs[0].t, self.measured[0], color="0.6", label="measured")
         ax.plot(self.runs[0].t, self.fitted[0], label=f"fitted, {self.fit_percent:.1f} %")
@@ -53,7 +58,8 @@ def fit_transfer_function(
     command, velocity, sample_time: float, order: int = 2, noise: str = "auto"
 ) -> TransferFunctionFit:
     """
-    Identify gain/(s + d_0) or gain/(s² + d_1 s + d_0) by output error, the command being held over each sample.
+    Identify gain/(s + d_0) or gain/(s² + d_1 s + d_0) by output error, the command being held over
+    each sample.
 
     Parameters
     ----------
@@ -94,7 +100,9 @@ def fit_transfer_function(
     structure = transfer_structure(order, sample_time)
     unknowns, samples = 1 + order + order * len(runs), sum(run.size for run in runs)
     if samples < 2 * unknowns:
-        raise IdentificationError(f"{samples} samples are too few for {unknowns} unknowns; record longer runs")
+        raise IdentificationError(
+            f"{samples} samples are too few for {unknowns} unknowns; record longer runs"
+        )
     limits = structure.limits()
     check_data(structure, runs, limits)
     fit = result(estimate_runs(structure, runs, limits, noise))
@@ -102,7 +110,10 @@ def fit_transfer_function(
 
 
 def transfer_structure(order: int, sample_time: float) -> Structure:
-    """Return the structure: gain and denominator shared, velocity (and acceleration) at the start of each run its own."""
+    """
+    Return the structure: gain and denominator shared, velocity (and acceleration) at the start of
+    each run its own.
+    """
     denominator = ("d_0",) if order == 1 else ("d_1", "d_0")
     states = ("velocity_0", "acceleration_0")[:order]
 
@@ -110,7 +121,8 @@ def transfer_structure(order: int, sample_time: float) -> Structure:
         d = np.array([values[name] for name in denominator])
         weights = np.array([gain, *(values[name] for name in states)])
         responses = _responses(d, run["command"], sample_time)
-        # The output is linear in gain and initial states; the denominator's derivatives are complex steps.
+        # The output is linear in gain and initial states; the denominator's derivatives are complex
+        # steps.
         by_d = np.empty((run.size, order))
         for i in range(order):
             step = COMPLEX_STEP * max(1.0, abs(d[i]))
@@ -121,7 +133,9 @@ def transfer_structure(order: int, sample_time: float) -> Structure:
 
     def check(runs, limits):
         if max(np.ptp(run["command"]) for run in runs) == 0.0:
-            raise IdentificationError("the command never changes: it identifies nothing", ("gain", *denominator))
+            raise IdentificationError(
+                "the command never changes: it identifies nothing", ("gain", *denominator)
+            )
 
     return Structure(
         "transfer function",
@@ -132,21 +146,27 @@ def transfer_structure(order: int, sample_time: float) -> Structure:
         sensitivities=sensitivities,
         guess=lambda runs, limits: _guess(runs, denominator, states, sample_time),
         check=check,
-        model=lambda gain, **values: TransferFunction(gain, tuple(values[name] for name in denominator)),
+        model=lambda gain, **values: TransferFunction(
+            gain, tuple(values[name] for name in denominator)
+        ),
     )
 
 
 def _responses(denominator: np.ndarray, u: np.ndarray, sample_time: float) -> np.ndarray:
-    """Return velocity per unit gain and per unit of each initial state, shape (N, 1 + n), for a held command."""
+    """
+    Return velocity per unit gain and per unit of each initial state, shape (N, 1 + n), for a held
+    command.
+    """
     n, dtype = len(denominator), np.result_type(denominator, float)
-    # The companion form, with the command as a further, constant state: its exponential holds Φ and Γ of one sample.
+    # The companion form, with the command as a further, constant state: its exponential holds Φ and
+    # Γ of one sample.
     block = np.zeros((n + 1, n + 1), dtype)
     block[: n - 1, 1:n] = np.eye(n - 1)
     block[n - 1, :n], block[n - 1, n] = -denominator[::-1], 1.0
     whole = linalg.expm(block * sample_time)
     phi, gamma = whole[:n, :n], whole[:n, n]
-    # As difference equations: v is the first state, so the first row of (zI − Φ)⁻¹ is written out for n = 1 and 2, its
-    # numerators by falling powers of z.
+    # As difference equations: v is the first state, so the first row of (zI − Φ)⁻¹ is written out
+    # for n = 1 and 2, its numerators by falling powers of z.
     pulse = np.zeros(u.size)
     pulse[0] = 1.0
     if n == 1:
@@ -161,8 +181,13 @@ def _responses(denominator: np.ndarray, u: np.ndarray, sample_time: float) -> np
     return np.column_stack([signal.lfilter(top, poles, x) for top, x in filters])
 
 
-def _guess(runs: list[Run], denominator: tuple[str, ...], states: tuple[str, ...], sample_time: float) -> Mapping:
-    """Return starting values by variable projection: a search over the denominator, the rest by linear least squares."""
+def _guess(
+    runs: list[Run], denominator: tuple[str, ...], states: tuple[str, ...], sample_time: float
+) -> Mapping:
+    """
+    Return starting values by variable projection: a search over the denominator, the rest by linear
+    least squares.
+    """
     order, target = len(denominator), np.concatenate([run["velocity"] for run in runs])
 
     def project(d):
@@ -179,32 +204,49 @@ def _guess(runs: list[Run], denominator: tuple[str, ...], states: tuple[str, ...
         with np.errstate(all="ignore"):
             return project(d)[1]
 
-    starts = sorted(_denominators(order, runs, sample_time), key=lambda d: float(np.sum(residuals(d) ** 2)))
+    starts = sorted(
+        _denominators(order, runs, sample_time), key=lambda d: float(np.sum(residuals(d) ** 2))
+    )
     tight = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14, "max_nfev": 200}
-    found = [optimize.least_squares(residuals, start, x_scale="jac", **tight) for start in starts[:2]]
+    found = [
+        optimize.least_squares(residuals, start, x_scale="jac", **tight) for start in starts[:2]
+    ]
     best = min(found, key=lambda done: done.cost).x
     weights = project(best)[0]
     own = weights[1:].reshape(len(runs), order)
-    return {"gain": weights[0], **dict(zip(denominator, best, strict=True)), **dict(zip(states, own.T, strict=True))}
+    return {
+        "gain": weights[0],
+        **dict(zip(denominator, best, strict=True)),
+        **dict(zip(states, own.T, strict=True)),
+    }
 
 
 def _denominators(order: int, runs: list[Run], sample_time: float) -> list[np.ndarray]:
-    """Return denominators to start from: natural frequencies from the sample time to the runs' length, damped or not."""
+    """
+    Return denominators to start from: natural frequencies from the sample time to the runs' length,
+    damped or not.
+    """
     longest = sample_time * max(run.size for run in runs)
     rates = 1.0 / np.geomspace(2.0 * sample_time, longest / 2.0, 12)
     if order == 1:
         return [np.array([rate]) for rate in rates]
-    return [np.array([2.0 * damping * rate, rate**2]) for rate in rates for damping in (0.1, 0.5, 2.0)]
+    return [
+        np.array([2.0 * damping * rate, rate**2]) for rate in rates for damping in (0.1, 0.5, 2.0)
+    ]
 
 
 def _runs(command, velocity, sample_time: float) -> list[Run]:
     """Check both signals and pair them by run."""
     commands, velocities = (
-        list(value) if isinstance(value, list | tuple) and np.ndim(value[0] if value else 0) else [value]
+        list(value)
+        if isinstance(value, list | tuple) and np.ndim(value[0] if value else 0)
+        else [value]
         for value in (command, velocity)
     )
     if len(commands) != len(velocities):
-        raise ValueError(f"there are {len(commands)} runs of command but {len(velocities)} of velocity")
+        raise ValueError(
+            f"there are {len(commands)} runs of command but {len(velocities)} of velocity"
+        )
     runs = []
     for j, (u, v) in enumerate(zip(commands, velocities, strict=True)):
         u = finite_array(f"command of run {j}", u)

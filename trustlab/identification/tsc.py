@@ -1,4 +1,7 @@
-"""Identification of robot and operator together, (2.3), (2.5) and (2.6): structure, sensitivities, `fit_tsc`."""
+"""
+Identification of robot and operator together, (2.3), (2.5) and (2.6): structure, sensitivities,
+`fit_tsc`.
+"""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -36,15 +39,16 @@ def fit_tsc(
     **logged: Any,
 ) -> FitResult:
     """
-    Identify robot (2.3) and operator (2.5)-(2.6) together: one likelihood, the robot driven by the fitted operator.
+    Identify robot (2.3) and operator (2.5)-(2.6) together: one likelihood, the robot driven by the
+    fitted operator.
 
     Parameters
     ----------
     sessions : Session or iterable of Session
         Runs with columns mode, p_h and p_r; parameters are shared, initial states are not.
     fixed : mapping, optional
-        Values to hold, by name: human_a, human_beta, human_p_min, human_p_max, robot_a, robot_p_min, robot_p_max,
-        r0, p_r0.
+        Values to hold, by name: human_a, human_beta, human_p_min, human_p_max, robot_a,
+        robot_p_min, robot_p_max, r0, p_r0.
     bounds : mapping, optional
         Bounds (low, high) by name; None leaves a side open.
     noise : {"auto", "white", "correlated", "hac"}
@@ -60,7 +64,8 @@ def fit_tsc(
     Raises
     ------
     IdentificationError
-        If the data do not determine a parameter, which is named, or the fitted ranges give no a_T and b_T of (2.2).
+        If the data do not determine a parameter, which is named, or the fitted ranges give no a_T
+        and b_T of (2.2).
     SessionError
         If a column is missing.
     ValueError
@@ -87,10 +92,19 @@ SLOPES = np.dtype([(name, float) for name in (*OPERATOR, *ROBOT)])
 
 @njit
 def _through_operator(mode, p_h, by_h, by_r, p_h_max, a, gain, out):
-    """Write the derivatives of P_r into the records `out`: by the operator's parameters from those of P_h, by the robot's as they are."""
-    by_a, by_beta, by_min, by_max, by_r0 = 0.0, 0.0, 0.0, 0.0, 0.0
+    """
+    Write the derivatives of P_r into the records `out`: by the operator's parameters from those of
+    P_h, by the robot's as they are.
+    """
+    by_a = 0.0
+    by_beta = 0.0
+    by_min = 0.0
+    by_max = 0.0
+    by_r0 = 0.0
     for k in range(mode.size):
-        operator, robot, row = by_h[k], by_r[k], out[k]
+        operator = by_h[k]
+        robot = by_r[k]
+        row = out[k]
         row.human_a = by_a
         row.human_beta = by_beta
         row.human_p_min = by_min
@@ -100,7 +114,8 @@ def _through_operator(mode, p_h, by_h, by_r, p_h_max, a, gain, out):
         row.robot_p_min = robot.p_min
         row.robot_p_max = robot.p_max
         row.p_r0 = robot.p_r0
-        # (2.3) differentiated by x: ∂P_r(k+1) = a ∂P_r(k) + (1 − a) gain M(k) ∂P_h(k), gain = (p_max − p_min)/p_h,max.
+        # (2.3) differentiated by x: ∂P_r(k+1) = a ∂P_r(k) + (1 − a) gain M(k) ∂P_h(k), gain =
+        # (p_max − p_min)/p_h,max.
         into = (1.0 - a) * gain * mode[k]
         by_a = a * by_a + into * operator.a
         by_beta = a * by_beta + into * operator.beta
@@ -111,9 +126,21 @@ def _through_operator(mode, p_h, by_h, by_r, p_h_max, a, gain, out):
 
 
 def _sensitivities(
-    run: Run, human_a, human_beta, human_p_min, human_p_max, robot_a, robot_p_min, robot_p_max, r0, p_r0
+    run: Run,
+    human_a,
+    human_beta,
+    human_p_min,
+    human_p_max,
+    robot_a,
+    robot_p_min,
+    robot_p_max,
+    r0,
+    p_r0,
 ):
-    """Return P_h and P_r with their derivatives, shapes (N, 5) and (N, 9): the simulated operator drives the robot."""
+    """
+    Return P_h and P_r with their derivatives, shapes (N, 5) and (N, 9): the simulated operator
+    drives the robot.
+    """
     p_h, by_human = simulate_human(run, human_a, human_beta, human_p_min, human_p_max, r0)
     p_r, by_robot = simulate_robot(run, p_h, human_p_max, robot_a, robot_p_min, robot_p_max, p_r0)
     gain = (robot_p_max - robot_p_min) / human_p_max
@@ -124,7 +151,11 @@ def _sensitivities(
 
 def _own(values: Mapping, prefix: str) -> dict:
     """Return what belongs to one of the two models, by its own names."""
-    return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
+    return {
+        name.removeprefix(prefix): value
+        for name, value in values.items()
+        if name.startswith(prefix)
+    }
 
 
 def _guess(runs: list[Run], limits: Mapping) -> list[dict]:
@@ -160,7 +191,9 @@ TSC = Structure(
     model=_build,
     derived={
         "human_b": lambda at: 1.0 - at["human_a"],
-        "robot_b": lambda at: (1.0 - at["robot_a"]) * (at["robot_p_max"] - at["robot_p_min"]) / at["human_p_max"],
+        "robot_b": lambda at: (
+            (1.0 - at["robot_a"]) * (at["robot_p_max"] - at["robot_p_min"]) / at["human_p_max"]
+        ),
     },
     check=lambda runs, limits: check_excitation(runs, limits, "robot_p_min", "robot_p_max"),
     step=MODEL_STEP,

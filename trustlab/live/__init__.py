@@ -1,4 +1,7 @@
-"""The same tasks driven by people in a browser: one physics, bit for bit, for notebooks and for studies."""
+"""
+The same tasks driven by people in a browser: one physics, bit for bit, for notebooks and for
+studies.
+"""
 
 import lazy_loader as lazy
 

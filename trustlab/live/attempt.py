@@ -1,4 +1,7 @@
-"""Rows of one drive on their way from a browser to a file: appended and on the disk before they are acknowledged."""
+"""
+Rows of one drive on their way from a browser to a file: appended and on the disk before they are
+acknowledged.
+"""
 
 import hashlib
 import json
@@ -16,9 +19,11 @@ from trustlab.sessions.session import Session
 
 class Attempt:
     """
-    One attempt at a drive: a file whose first line holds the settings, and then one line per row or note.
+    One attempt at a drive: a file whose first line holds the settings, and then one line per row or
+    note.
 
-    A drive that was cut off goes on in its file; where the last attempt was finished, another one begins.
+    A drive that was cut off goes on in its file; where the last attempt was finished, another one
+    begins.
     """
 
     def __init__(self, folder: str | Path, participant: str, config: Mapping[str, Any]):
@@ -26,13 +31,19 @@ class Attempt:
         text = json.dumps({"participant": participant, "config": config}, sort_keys=True)
         self.digest = hashlib.sha256(text.encode()).hexdigest()[:12]
         number = 1
-        while not self._open(Path(folder) / f"{config['condition']}-{self.digest}-{number}.jsonl", text):
+        while not self._open(
+            Path(folder) / f"{config['condition']}-{self.digest}-{number}.jsonl", text
+        ):
             number += 1
         self.key = f"notebook/{self.digest}/{number}"
 
     def _open(self, path: Path, header: str) -> bool:
         """Read a file, if there is one, and return whether its drive can go on."""
-        self.path, self.rows, self.stamps, self.notes, self.finished = path, [], [], [], False
+        self.path = path
+        self.rows = []
+        self.stamps = []
+        self.notes = []
+        self.finished = False
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             self._append([header])
@@ -61,7 +72,10 @@ class Attempt:
             os.fsync(file.fileno())
 
     def answer(self, said: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the answer to a message of the browser: rows to keep, a note, the beginning or the end of the drive."""
+        """
+        Return the answer to a message of the browser: rows to keep, a note, the beginning or the
+        end of the drive.
+        """
         if said.get("rows"):
             new = []
             for row in said["rows"]:
@@ -70,7 +84,9 @@ class Attempt:
                     new.append(row)
             self._append([json.dumps(row) for row in new])
         else:
-            new = [{"note": str(said["note"])[:200], "row": len(self.rows)}] if "note" in said else []
+            new = (
+                [{"note": str(said["note"])[:200], "row": len(self.rows)}] if "note" in said else []
+            )
             new += [{"end": said["end"]}] if "end" in said and not self.finished else []
             self._append([json.dumps(entry) for entry in new])
         for entry in new:
@@ -83,7 +99,9 @@ class Attempt:
             or len(row) != 2 + len(self.config["columns"])
             or not all(type(x) in (int, float) for x in row)
         ):
-            raise ValueError(f"a row is {2 + len(self.config['columns'])} numbers, got {shown(row)}")
+            raise ValueError(
+                f"a row is {2 + len(self.config['columns'])} numbers, got {shown(row)}"
+            )
         return row
 
     @property
@@ -101,7 +119,11 @@ class Attempt:
             "file": self.path.name,
             "pauses": list(self.notes),
         }
-        facts |= {"period_median": float(np.median(period)), "period_max": float(period.max())} if period.size else {}
+        facts |= (
+            {"period_median": float(np.median(period)), "period_max": float(period.max())}
+            if period.size
+            else {}
+        )
         return session_of(
             self.config,
             np.array(self.rows, dtype=float).reshape(-1, len(self.config["columns"])),

@@ -1,9 +1,11 @@
 """
 `python -m trustlab.live.build`: numba's LLVM IR of a tick, compiled to WebAssembly for browsers.
 
-The bits are the same because both come from one IR whose arithmetic IEEE 754 fixes: no library functions, no contraction to fused
-multiply-adds, no vectors. Needs llvmlite (numba's own dependency) and the linker `wasm-ld` of LLVM (Debian: package lld), or the
-package `ziglang`, which has one. The file is committed with a digest of its sources; `digest()` of a checkout tells whether they have parted.
+The bits are the same because both come from one IR whose arithmetic IEEE 754 fixes: no library
+functions, no contraction to fused multiply-adds, no vectors. Needs llvmlite (numba's own
+dependency) and the linker `wasm-ld` of LLVM (Debian: package lld), or the package `ziglang`, which
+has one. The file is committed with a digest of its sources; `digest()` of a checkout tells whether
+they have parted.
 """
 
 import hashlib
@@ -34,13 +36,20 @@ GENERIC = {
 
 
 def sources(function: Any, found: dict[str, str]) -> None:
-    """Add the text of a compiled function, of those that it calls, and of the constants that they read, by name."""
+    """
+    Add the text of a compiled function, of those that it calls, and of the constants that they
+    read, by name.
+    """
     plain = getattr(function, "py_func", function)
     name = f"{plain.__module__}.{plain.__qualname__}"
     if name in found:
         return
     tokens = tokenize.generate_tokens(io.StringIO(inspect.getsource(plain)).readline)
-    idle = {tokenize.COMMENT, tokenize.STRING, tokenize.NL}  # kernels hold no texts but their docstrings
+    idle = {
+        tokenize.COMMENT,
+        tokenize.STRING,
+        tokenize.NL,
+    }  # kernels hold no texts but their docstrings
     found[name] = " ".join(token.string for token in tokens if token.type not in idle)
     for word in sorted(set(plain.__code__.co_names) & set(plain.__globals__)):
         value = plain.__globals__[word]
@@ -53,23 +62,36 @@ def sources(function: Any, found: dict[str, str]) -> None:
 
 
 def digest() -> str:
-    """Return a digest of all that the WebAssembly file is made of: functions, constants, records and signatures."""
+    """
+    Return a digest of all that the WebAssembly file is made of: functions, constants, records and
+    signatures.
+    """
     from trustlab.live import noise, tick
 
     found: dict[str, str] = {}
     for function, _ in tick.ENTRIES.values():
         sources(function, found)
-    for function in (noise.uniform, noise.normal):  # methods of a record there, so that no name leads to them
+    for function in (
+        noise.uniform,
+        noise.normal,
+    ):  # methods of a record there, so that no name leads to them
         sources(function, found)
-    records = [repr(kind) for kind in (tick.TASK, tick.ROBOT, tick.FORCING, tick.STATE, tick.LOG, noise.HASHED)]
-    return hashlib.sha256("\n".join(records + [f"{k} {v}" for k, v in sorted(found.items())]).encode()).hexdigest()
+    records = [
+        repr(kind)
+        for kind in (tick.TASK, tick.ROBOT, tick.FORCING, tick.STATE, tick.LOG, noise.HASHED)
+    ]
+    return hashlib.sha256(
+        "\n".join(records + [f"{k} {v}" for k, v in sorted(found.items())]).encode()
+    ).hexdigest()
 
 
 def llvm_ir(name: str, function: Any, signature: Any) -> tuple[str, str]:
     """Return numba's IR of a function, fit for WebAssembly, and the function's name in it."""
     import numba
 
-    made = numba.njit(signature, no_cpython_wrapper=True, no_cfunc_wrapper=True, error_model="numpy")(function)
+    made = numba.njit(
+        signature, no_cpython_wrapper=True, no_cfunc_wrapper=True, error_model="numpy"
+    )(function)
     ir = made.inspect_llvm(made.signatures[0])
     ir = re.sub(r'target triple = ".*"', 'target triple = "wasm32-unknown-unknown"', ir)
     ir = re.sub(r'target datalayout = ".*"\n', "", ir)
@@ -77,9 +99,14 @@ def llvm_ir(name: str, function: Any, signature: Any) -> tuple[str, str]:
     # Arrays made of pointers own nothing: there is nothing to count.
     ir = re.sub(r"define [^\n]*@NRT_\w+\(.*?\n}\n", "", ir, flags=re.S)
     ir = re.sub(r"declare [^\n]*@NRT_\w+\(.*\n", "", ir)
-    ir += "".join(f"define internal void @{name}(ptr %x) {{ ret void }}\n" for name in ("NRT_incref", "NRT_decref"))
+    ir += "".join(
+        f"define internal void @{name}(ptr %x) {{ ret void }}\n"
+        for name in ("NRT_incref", "NRT_decref")
+    )
     # WebAssembly has no common symbols.
-    ir = re.sub(r" = common local_unnamed_addr global (\S+) null", r" = internal global \1 null", ir)
+    ir = re.sub(
+        r" = common local_unnamed_addr global (\S+) null", r" = internal global \1 null", ir
+    )
     full = re.search(rf"define [^@]*@(\S*{name}_there\S*?)\(", ir).group(1)
     return ir, full.strip('"')
 
@@ -92,7 +119,9 @@ def linker() -> list[str]:
         return [found]
     if find_spec("ziglang"):
         return [sys.executable, "-m", "ziglang", "wasm-ld"]
-    raise SystemExit("no linker: install LLVM's wasm-ld (Debian: apt install lld) or the Python package ziglang")
+    raise SystemExit(
+        "no linker: install LLVM's wasm-ld (Debian: apt install lld) or the Python package ziglang"
+    )
 
 
 def build() -> None:
@@ -108,13 +137,24 @@ def build() -> None:
         objects, exports = [], []
         for name, (function, signature) in ENTRIES.items():
             ir, full = llvm_ir(name, function, signature)
-            module = llvm.parse_assembly(ir.replace(f'"{full}"', f'"{name}"').replace(f"@{full}(", f"@{name}("))
+            module = llvm.parse_assembly(
+                ir.replace(f'"{full}"', f'"{name}"').replace(f"@{full}(", f"@{name}(")
+            )
             module.verify()
             path = Path(folder) / f"{name}.o"
-            path.write_bytes(target.create_target_machine(opt=2, reloc="static").emit_object(module))
+            path.write_bytes(
+                target.create_target_machine(opt=2, reloc="static").emit_object(module)
+            )
             objects.append(str(path))
             exports.append(f"--export={name}")
-        options = ["--no-entry", "--export=__heap_base", "--gc-sections", "--strip-all", "-z", "stack-size=65536"]
+        options = [
+            "--no-entry",
+            "--export=__heap_base",
+            "--gc-sections",
+            "--strip-all",
+            "-z",
+            "stack-size=65536",
+        ]
         subprocess.run([*linker(), *options, *exports, *objects, "-o", str(WASM)], check=True)
     file = hashlib.sha256(WASM.read_bytes()).hexdigest()
     STAMP.write_text(json.dumps({"sources": digest(), "file": file}, indent=1) + "\n")

@@ -1,4 +1,7 @@
-"""A person's model from minutes of driving: `fit_tsc`, with what the drive does not determine held at another model's values."""
+"""
+A person's model from minutes of driving: `fit_tsc`, with what the drive does not determine held at
+another model's values.
+"""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -20,10 +23,12 @@ LEVELS = ("human_p_min", "human_p_max", "robot_p_min", "robot_p_max")
 
 def fit_holding(session: Session, other: TscModel) -> FitResult:
     """
-    Identify a person's model from a drive, with what it leaves undetermined held at another model's values.
+    Identify a person's model from a drive, with what it leaves undetermined held at another model's
+    values.
 
-    Utilization is 0 at the beginning by definition. What the fit then calls weak or at its bound (mostly time constants, which are
-    minutes long, and β) is held, levels of performance last, and the rest fitted again; held parameters have the status "fixed".
+    Utilization is 0 at the beginning by definition. What the fit then calls weak or at its bound
+    (mostly time constants, which are minutes long, and β) is held, levels of performance last, and
+    the rest fitted again; held parameters have the status "fixed".
 
     Parameters
     ----------
@@ -37,7 +42,9 @@ def fit_holding(session: Session, other: TscModel) -> FitResult:
     IdentificationError
         If no level of performance remains that is the person's own.
     """
-    known = {f"{who}_{name}": value for who, own in asdict(other).items() for name, value in own.items()}
+    known = {
+        f"{who}_{name}": value for who, own in asdict(other).items() for name, value in own.items()
+    }
     held = {"r0": 0.0}
     fit, weak, said = _fit(session, held)
     while weak := [name for name in weak if name in known and name not in held]:
@@ -46,15 +53,19 @@ def fit_holding(session: Session, other: TscModel) -> FitResult:
         fit, weak, said = _fit(session, held)
     if fit is None or UNUSABLE in said or not set(LEVELS) - set(held):
         raise IdentificationError(
-            f"{session.duration:.0f} s of this drive determine no level of performance, even with all else held at another "
-            f"model's values; drive longer (laps=8, as printed), in both modes: {said}",
+            f"{session.duration:.0f} s of this drive determine no level of performance, even with "
+            "all else held at another model's values; drive longer (laps=8, as printed), in both "
+            f"modes: {said}",
             tuple(name for name in held if name != "r0"),
         )
     return fit
 
 
 def _fit(session: Session, held: dict[str, float]) -> tuple[FitResult | None, Sequence[str], str]:
-    """Return a fit with some parameters held, the parameters that the drive does not determine even so, and what the fit says."""
+    """
+    Return a fit with some parameters held, the parameters that the drive does not determine even
+    so, and what the fit says.
+    """
     try:
         fit = fit_tsc(session, fixed=held)
     except IdentificationError as error:

@@ -1,4 +1,7 @@
-"""`tl.LiveGroundRobot`: a person drives the ground robot in a notebook; the kernel stays out of the loop."""
+"""
+`tl.LiveGroundRobot`: a person drives the ground robot in a notebook; the kernel stays out of the
+loop.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,14 +31,22 @@ def module_of(*names: str) -> str:
     return "\n".join((STATIC / name).read_text(encoding="utf-8") for name in names)
 
 
-def checked_thresholds(condition: str, model: TscModel, thresholds: Any) -> tuple[float, float] | None:
-    """Return the thresholds of a condition's suggestions within Theorem 1's limits; needed in C2 and C3, refused elsewhere."""
+def checked_thresholds(
+    condition: str, model: TscModel, thresholds: Any
+) -> tuple[float, float] | None:
+    """
+    Return the thresholds of a condition's suggestions within Theorem 1's limits; needed in C2 and
+    C3, refused elsewhere.
+    """
     if suggested_by_tsc(condition):
         if thresholds is None:
             raise ValueError(
-                f"{condition} needs thresholds=(TSC_l, TSC_u): take those of trustlab.choose_thresholds(model)"
+                f"{condition} needs thresholds=(TSC_l, TSC_u): take those of "
+                "trustlab.choose_thresholds(model)"
             )
-        return check_thresholds(model, *threshold_pair("threshold", thresholds), threshold_limits(model, 0.0))
+        return check_thresholds(
+            model, *threshold_pair("threshold", thresholds), threshold_limits(model, 0.0)
+        )
     if thresholds is not None:
         raise ValueError(f"thresholds have no effect in {condition}; leave them out")
     return None
@@ -45,34 +56,40 @@ class LiveGroundRobot(anywidget.AnyWidget):
     """
     A drive of the ground robot by a person, in a notebook.
 
-    The robot, its sensing and the suggestions are those of `run_condition`, computed in the browser by the same compiled steps;
-    what is logged is replayed by numba, bit for bit. In C1 the person switches when they like; in C2 and C4 suggestions, by (2.8) and
-    Algorithm 2, may be followed with the space bar; in C3 and C5 they are carried out 3 s later at the latest. As in `run_condition`,
-    nobody switches in the first 100 s. The camera shows the posts of 4 m ahead, 0.2 s late; the robot drives at most 0.5 m/s.
+    The robot, its sensing and the suggestions are those of `run_condition`, computed in the browser
+    by the same compiled steps; what is logged is replayed by numba, bit for bit. In C1 the person
+    switches when they like; in C2 and C4 suggestions, by (2.8) and Algorithm 2, may be followed
+    with the space bar; in C3 and C5 they are carried out 3 s later at the latest. As in
+    `run_condition`, nobody switches in the first 100 s. The camera shows the posts of 4 m ahead,
+    0.2 s late; the robot drives at most 0.5 m/s.
 
     Parameters
     ----------
     condition : {"C1", "C2", "C3", "C4", "C5"}
         Who allocates.
     model : TscModel
-        What TSC (2.1) and suggestions come from: of the person, for example `fit_tsc(session).model`.
+        What TSC (2.1) and suggestions come from: of the person, for example
+        `fit_tsc(session).model`.
     thresholds : (float, float), optional
         TSC_l and TSC_u of (2.8), in C2 and C3 only.
     laps : int
-        How many laps, at most 8. For a fit of the driver's model take 8, in a condition with both modes.
+        How many laps, at most 8. For a fit of the driver's model take 8, in a condition with both
+        modes.
     participant : str or int
         Who drives.
     seed : int
         Of the robot's sensing.
     show_map : bool
-        Whether a small map shows where the robot is; for experimenters, since it makes the task easier.
+        Whether a small map shows where the robot is; for experimenters, since it makes the task
+        easier.
     folder : str or Path
         Where rows are kept: each is on the disk before the browser forgets it.
 
     Attributes
     ----------
     session : Session
-        What has been driven so far, also in mid-run; its metadata hold `verified`, pauses and the log period.
+        What has been driven so far, also in mid-run; its metadata hold `verified`, pauses and the
+        log period.
     verified : bool
         Whether all rows so far are, bit for bit, what numba computes from their commands.
 
@@ -83,8 +100,9 @@ class LiveGroundRobot(anywidget.AnyWidget):
 
     Notes
     -----
-    After a restart of the kernel, run the cell again: rows that were on their way come back, and the drive goes on where it was. A
-    finished drive is followed by a new attempt. Needs the extra `trustlab[live]`.
+    After a restart of the kernel, run the cell again: rows that were on their way come back, and
+    the drive goes on where it was. A finished drive is followed by a new attempt. Needs the extra
+    `trustlab[live]`.
 
     Examples
     --------
@@ -114,10 +132,16 @@ class LiveGroundRobot(anywidget.AnyWidget):
         model = of_class("model", model, TscModel)
         check_participant(participant)
         thresholds = checked_thresholds(condition, model, thresholds)
-        config = drive_config(condition, model, thresholds, laps, seed, map=flag("show_map", show_map))
+        config = drive_config(
+            condition, model, thresholds, laps, seed, map=flag("show_map", show_map)
+        )
         self.model, self.attempt = model, Attempt(folder, str(participant), config)
         super().__init__(config=config, wasm=WASM.read_bytes(), key=self.attempt.key)
-        self.on_msg(lambda _widget, said, _buffers: self.send({"id": said["id"]} | self.attempt.answer(said)))
+        self.on_msg(
+            lambda _widget, said, _buffers: self.send(
+                {"id": said["id"]} | self.attempt.answer(said)
+            )
+        )
 
     @property
     def session(self) -> Session:
@@ -131,11 +155,14 @@ class LiveGroundRobot(anywidget.AnyWidget):
 
     def fit(self) -> "FitResult":
         """
-        Identify the driver's model: `fit_tsc`, with what the drive leaves undetermined held at the values of `model`.
+        Identify the driver's model: `fit_tsc`, with what the drive leaves undetermined held at the
+        values of `model`.
 
-        Eight laps in both modes determine levels of performance and hardly a time constant: `fit_tsc(live.session)` marks the
-        others weak. Here what it calls weak or at its bound is held and the rest fitted again, as for a participant of `LiveStudy`;
-        the table of parameters says which ("fixed"). Two laps determine nothing: half of them passes until the window of (2.4) is full.
+        Eight laps in both modes determine levels of performance and hardly a time constant:
+        `fit_tsc(live.session)` marks the others weak. Here what it calls weak or at its bound is
+        held and the rest fitted again, as for a participant of `LiveStudy`; the table of parameters
+        says which ("fixed"). Two laps determine nothing: half of them passes until the window of
+        (2.4) is full.
 
         Raises
         ------

@@ -1,4 +1,7 @@
-"""Random numbers that every machine draws alike: SplitMix64 of a seed and a count, for the steps that draw from a generator."""
+"""
+Random numbers that every machine draws alike: SplitMix64 of a seed and a count, for the steps that
+draw from a generator.
+"""
 
 import numpy as np
 from numba import types
@@ -13,7 +16,10 @@ HASHED = record(counts="seed drawn")
 
 @njit
 def logarithm(x):
-    """Return the natural logarithm of a positive number from + − × ÷ alone, by fdlibm's polynomial (Sun Microsystems, 1993)."""
+    """
+    Return the natural logarithm of a positive number from + − × ÷ alone, by fdlibm's polynomial
+    (Sun Microsystems, 1993).
+    """
     halvings = 0.0
     while x < 0.70710678118654752440:
         x, halvings = 2.0 * x, halvings - 1.0
@@ -23,7 +29,9 @@ def logarithm(x):
     s = f / (2.0 + f)
     z = s * s
     r = 1.531383769920937332e-01 + z * 1.479819860511658591e-01
-    r = 2.857142874366239149e-01 + z * (2.222219843214978396e-01 + z * (1.818357216161805012e-01 + z * r))
+    r = 2.857142874366239149e-01 + z * (
+        2.222219843214978396e-01 + z * (1.818357216161805012e-01 + z * r)
+    )
     r = z * (6.666666666666735130e-01 + z * (3.999999999940941908e-01 + z * r))
     half = 0.5 * f * f
     # ln 2 in two parts
@@ -34,7 +42,10 @@ def logarithm(x):
 
 @njit
 def uniform(source):
-    """Return the next number in [0, 1) of a record of HASHED: SplitMix64 (Steele, Lea and Flood, 2014)."""
+    """
+    Return the next number in [0, 1) of a record of HASHED: SplitMix64 (Steele, Lea and Flood,
+    2014).
+    """
     source.drawn += 1
     z = np.uint64(source.seed) + np.uint64(source.drawn) * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -52,7 +63,8 @@ def normal(source):
             return x * np.sqrt(-2.0 * logarithm(square) / square)
 
 
-# Within compiled steps, a record of HASHED answers to the two methods of numpy's generators that they call.
+# Within compiled steps, a record of HASHED answers to the two methods of numpy's generators that
+# they call.
 def _is_source(record):
     return set(record.fields) == set(HASHED.names)
 

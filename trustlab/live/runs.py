@@ -8,38 +8,67 @@ import numpy as np
 import pandas as pd
 
 from trustlab.live.noise import HASHED
-from trustlab.live.tick import FORCING, LOG, ROBOT, STATE, TASK, begin_drive, course_of, drive_commands, tick
+from trustlab.live.tick import (
+    FORCING,
+    LOG,
+    ROBOT,
+    STATE,
+    TASK,
+    begin_drive,
+    course_of,
+    drive_commands,
+    tick,
+)
 from trustlab.models.checks import of_class, one_of, positive, shown, whole_number
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Metadata, Session
-from trustlab.testbeds.deciding import CONDITIONS, OWN, SAMPLE_TIME, SCHEDULE, SETTLING, sample_times, task_of
+from trustlab.testbeds.deciding import (
+    CONDITIONS,
+    OWN,
+    SAMPLE_TIME,
+    SCHEDULE,
+    SETTLING,
+    sample_times,
+    task_of,
+)
 from trustlab.testbeds.ground_robot.conditions import E_MAX, SLOWEST
 from trustlab.testbeds.ground_robot.course import Course, default_course
 from trustlab.testbeds.ground_robot.kernel import COLUMNS
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 
 DRIVES = {**CONDITIONS, "training": (OWN, False), "identification": (SCHEDULE, False)}
-"""Conditions that a person can drive, and two drives without suggestions: free, and by a given sequence of modes."""
+"""
+Conditions that a person can drive, and two drives without suggestions: free, and by a given
+sequence of modes.
+"""
 
 LIVE_SPEED = 0.5
 """
 Largest speed of the robot in live drives [m/s].
 
-The printed people reach P_r = 0.35–0.40 and P_h up to 0.465 (Table 2.1), which a robot of the calibrated 0.7 m/s makes too easy: a
-hand that sees everything reaches 0.67 there. At 0.5 m/s the best that (2.4) allows is just above the best person printed.
+The printed people reach P_r = 0.35–0.40 and P_h up to 0.465 (Table 2.1), which a robot of the
+calibrated 0.7 m/s makes too easy: a hand that sees everything reaches 0.67 there. At 0.5 m/s the
+best that (2.4) allows is just above the best person printed.
 """
 
 VIEW = {"range": 4.0, "field": 1.9, "delay": 0.2, "height": 0.6, "map": False}
 """
-What is seen of the course, from the robot: posts as far as the scanner sees them [m], within a camera's field of view [rad],
-0.2 s late, which is an everyday video link, from 0.6 m above the ground. The map is for experimenters.
+What is seen of the course, from the robot: posts as far as the scanner sees them [m], within a
+camera's field of view [rad], 0.2 s late, which is an everyday video link, from 0.6 m above the
+ground. The map is for experimenters.
 """
 
 RAMP = {"rise": 2.5, "fall": 6.0}
-"""Keys move a lever and throw no switch: its speed towards full deflection and back to the middle [1/s]."""
+"""
+Keys move a lever and throw no switch: its speed towards full deflection and back to the middle
+[1/s].
+"""
 
 NOTICE = 3.0
-"""Time between a suggestion that must be followed and its being carried out, if the person has not accepted it before [s]."""
+"""
+Time between a suggestion that must be followed and its being carried out, if the person has not
+accepted it before [s].
+"""
 
 MOST_SAMPLES = 36_000
 """An hour: the longest live drive."""
@@ -49,11 +78,24 @@ MOST_SEED = 2**53 - 1
 
 
 def layout(kind: np.dtype) -> dict[str, Any]:
-    """Return where a record's fields stand, for a program in another language: offset and kind (f, i or b), and the size."""
-    return {"size": kind.itemsize, "fields": {name: [kind.fields[name][1], kind[name].kind] for name in kind.names}}
+    """
+    Return where a record's fields stand, for a program in another language: offset and kind (f, i
+    or b), and the size.
+    """
+    return {
+        "size": kind.itemsize,
+        "fields": {name: [kind.fields[name][1], kind[name].kind] for name in kind.names},
+    }
 
 
-RECORDS = {"task": TASK, "robot": ROBOT, "state": STATE, "source": HASHED, "forcing": FORCING, "row": LOG}
+RECORDS = {
+    "task": TASK,
+    "robot": ROBOT,
+    "state": STATE,
+    "source": HASHED,
+    "forcing": FORCING,
+    "row": LOG,
+}
 
 
 def drive_config(
@@ -74,13 +116,16 @@ def drive_config(
     Parameters
     ----------
     condition : str
-        "C1" to "C5", "training" (the person switches at will) or "identification" (modes by `schedule`).
+        "C1" to "C5", "training" (the person switches at will) or "identification" (modes by
+        `schedule`).
     model : TscModel, optional
-        What TSC (2.1) and suggestions come from, and a of (2.5); without one TSC is 0 and a that of the pilot operator.
+        What TSC (2.1) and suggestions come from, and a of (2.5); without one TSC is 0 and a that of
+        the pilot operator.
     thresholds : (float, float), optional
         TSC_l and TSC_u of (2.8), for C2 and C3.
     laps, seconds, schedule : int, float, sequence of (int, float), optional
-        When the drive ends: after so many laps, so many seconds, or the last of the phases (mode, length [s]).
+        When the drive ends: after so many laps, so many seconds, or the last of the phases (mode,
+        length [s]).
     seed : int
         Of the robot's sensing; below 2⁵³.
     robot : Pioneer, optional
@@ -93,13 +138,20 @@ def drive_config(
     scheme, forced = DRIVES[one_of("condition", condition, DRIVES)]
     robot = of_class("robot", Pioneer(max_speed=LIVE_SPEED) if robot is None else robot, Pioneer)
     course = of_class("course", default_course() if course is None else course, Course)
-    phases = None if schedule is None else [[whole_number("mode", m, 0, 1), positive("length", s)] for m, s in schedule]
+    phases = (
+        None
+        if schedule is None
+        else [[whole_number("mode", m, 0, 1), positive("length", s)] for m, s in schedule]
+    )
     if (scheme == SCHEDULE) != (phases is not None):
-        raise ValueError("a schedule of modes goes with the condition 'identification', and only with it")
+        raise ValueError(
+            "a schedule of modes goes with the condition 'identification', and only with it"
+        )
     lower, upper = thresholds or (0.0, 0.0)
     if condition in ("C2", "C3") and thresholds is None:
         raise ValueError(
-            f"{condition} needs thresholds=(TSC_l, TSC_u); take them from trustlab.choose_thresholds(model)"
+            f"{condition} needs thresholds=(TSC_l, TSC_u); take them from "
+            "trustlab.choose_thresholds(model)"
         )
     for name in view:
         one_of("a setting of the view", name, VIEW)
@@ -116,7 +168,10 @@ def drive_config(
         "samples": _samples(laps, seconds, phases, course),
         "seed": whole_number("seed", seed, least=0, most=MOST_SEED),
         "schedule": phases,
-        "task": {name: int(value) if TASK[name].kind == "i" else float(value) for name, value in task.items()},
+        "task": {
+            name: int(value) if TASK[name].kind == "i" else float(value)
+            for name, value in task.items()
+        },
         "robot": numbers | {"anchor": 1.0 - math.exp(-SAMPLE_TIME / robot.anchoring_time)},
         "path": course.path.tolist(),
         "posts": course.posts.tolist(),
@@ -128,7 +183,9 @@ def drive_config(
     }
 
 
-def _samples(laps: int, seconds: float | None, phases: list[list[float]] | None, course: Course) -> int:
+def _samples(
+    laps: int, seconds: float | None, phases: list[list[float]] | None, course: Course
+) -> int:
     """Return after how many samples a drive ends at the latest."""
     if (laps > 0) + (seconds is not None) + (phases is not None) != 1:
         raise ValueError("say when the drive ends: give one of laps=, seconds= and schedule=")
@@ -139,7 +196,8 @@ def _samples(laps: int, seconds: float | None, phases: list[list[float]] | None,
     samples = round(positive("seconds", seconds) / SAMPLE_TIME)
     if not 2 <= samples <= MOST_SAMPLES:
         raise ValueError(
-            f"a live drive lasts from 0.2 s to {MOST_SAMPLES * SAMPLE_TIME:g} s, got up to {seconds:g} s; split it"
+            f"a live drive lasts from 0.2 s to {MOST_SAMPLES * SAMPLE_TIME:g} s, got up to "
+            f"{seconds:g} s; split it"
         )
     return samples
 
@@ -148,7 +206,9 @@ class Drive:
     """A drive in Python, step by step: what a browser does, by numba."""
 
     def __init__(self, config: Mapping[str, Any]):
-        self.config, self.k, self.done = config, 0, False
+        self.config = config
+        self.k = 0
+        self.done = False
         self.task, self.robot = (
             np.array([tuple(config[name][field] for field in kind.names)], kind)[0]
             for name, kind in (("task", TASK), ("robot", ROBOT))
@@ -167,24 +227,40 @@ class Drive:
         row, world = self._log[self.k], (self.task, self.robot, self._course, self.source)
         room = (self._z_r, self._z_h, self._found, self.state, self.forcing)
         # a float also where the mode is whole: else all would be compiled once more
-        self.done = bool(tick(self.k, v, w, float(wanted), *world, *room, row)) or self.k + 1 >= self.config["samples"]
+        self.done = (
+            bool(tick(self.k, v, w, float(wanted), *world, *room, row))
+            or self.k + 1 >= self.config["samples"]
+        )
         self.k += 1
         return row
 
 
 def driven(config: Mapping[str, Any], commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows that commands, shape (N, 3), v, w and wanted mode, lead to, and when laps ended [s]."""
+    """
+    Return the rows that commands, shape (N, 3), v, w and wanted mode, lead to, and when laps ended
+    [s].
+    """
     drive = Drive(config)
     rows = np.empty((len(commands), len(COLUMNS)))
     lap_times = np.empty(max(config["task"]["laps"], 1000))
-    world = drive.task, drive.robot, drive.path, drive.posts, drive.source, drive.state, drive.forcing
+    world = (
+        drive.task,
+        drive.robot,
+        drive.path,
+        drive.posts,
+        drive.source,
+        drive.state,
+        drive.forcing,
+    )
     count, laps = drive_commands(commands, *world, rows.view(LOG)[:, 0], lap_times)
     return rows[:count], lap_times[:laps]
 
 
 def commands_of(rows: np.ndarray) -> np.ndarray:
     """Return the commands that rows hold: v, w and the mode."""
-    return np.ascontiguousarray(rows[:, [COLUMNS.index(name) for name in ("v_command", "w_command", "mode")]])
+    return np.ascontiguousarray(
+        rows[:, [COLUMNS.index(name) for name in ("v_command", "w_command", "mode")]]
+    )
 
 
 def _checked_rows(config: Mapping[str, Any], rows: Any) -> np.ndarray:
@@ -192,8 +268,14 @@ def _checked_rows(config: Mapping[str, Any], rows: Any) -> np.ndarray:
         table = np.ascontiguousarray(rows, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(f"rows must be numbers, got {shown(rows)}") from None
-    if table.ndim != 2 or table.shape[1] != len(COLUMNS) or not 1 <= len(table) <= config["samples"]:
-        raise ValueError(f"rows must have shape (1 to {config['samples']}, {len(COLUMNS)}), got {table.shape}")
+    if (
+        table.ndim != 2
+        or table.shape[1] != len(COLUMNS)
+        or not 1 <= len(table) <= config["samples"]
+    ):
+        raise ValueError(
+            f"rows must have shape (1 to {config['samples']}, {len(COLUMNS)}), got {table.shape}"
+        )
     return table
 
 
@@ -238,9 +320,17 @@ def session_of(config: Mapping[str, Any], rows: np.ndarray, **metadata: Any) -> 
     if len(table) < 2:
         raise ValueError("a session has at least two samples; wait until 0.2 s are driven")
     task = config["task"]
-    facts = {"seed": config["seed"], "settling": task["settling"], "performance_window": task["window"] * SAMPLE_TIME}
+    facts = {
+        "seed": config["seed"],
+        "settling": task["settling"],
+        "performance_window": task["window"] * SAMPLE_TIME,
+    }
     facts |= {"laps": task["laps"]} if task["laps"] else {}
-    facts |= {"TSC_l": task["lower"], "TSC_u": task["upper"]} if config["condition"] in ("C2", "C3") else {}
+    facts |= (
+        {"TSC_l": task["lower"], "TSC_u": task["upper"]}
+        if config["condition"] in ("C2", "C3")
+        else {}
+    )
     facts |= {"stamp_error": 0.0}  # the drive switches on a sample
     facts |= {"lap_times": driven(config, commands_of(table))[1].tolist()}
     frame = pd.DataFrame(table, columns=COLUMNS, index=pd.Index(sample_times(len(table)), name="t"))

@@ -1,8 +1,9 @@
 """
-One tenth of a second of a drive by a person: the testbed's own steps, the hand's command in place of the operator.
+One tenth of a second of a drive by a person: the testbed's own steps, the hand's command in place
+of the operator.
 
-`tick` is compiled by numba for replays and, from the same LLVM IR, to WebAssembly for browsers (trustlab/live/build.py). Records that
-it shares with a browser consist of 8-byte fields alone.
+`tick` is compiled by numba for replays and, from the same LLVM IR, to WebAssembly for browsers
+(trustlab/live/build.py). Records that it shares with a browser consist of 8-byte fields alone.
 """
 
 import numpy as np
@@ -18,14 +19,21 @@ from trustlab.testbeds.ground_robot.kernel import LOG, STATE, enter, locate, per
 from trustlab.testbeds.ground_robot.pioneer import PioneerNumbers
 
 WHOLE = ("scheme", "forced", "laps", "window", "first_mode")
-TASK = np.dtype([(name, np.int64 if name in WHOLE else float) for name in (*Task._fields, "settling", "notice", "a")])
+TASK = np.dtype(
+    [
+        (name, np.int64 if name in WHOLE else float)
+        for name in (*Task._fields, "settling", "notice", "a")
+    ]
+)
 """
-A `Task` and what only live drives need: the time before which nobody switches and that between a forced suggestion and its being
-carried out [s], and a of (2.5).
+A `Task` and what only live drives need: the time before which nobody switches and that between a
+forced suggestion and its being carried out [s], and a of (2.5).
 """
 
 ROBOT = record(numbers=" ".join((*PioneerNumbers._fields, "anchor")))
-"""A `Pioneer`, and the share by which its estimate is anchored in one sample while the person drives."""
+"""
+A `Pioneer`, and the share by which its estimate is anchored in one sample while the person drives.
+"""
 
 FORCING = record(numbers="since")
 """Since when a forced suggestion stands that is not carried out yet [s]; −1 for none."""
@@ -35,13 +43,20 @@ FORCING = record(numbers="since")
 def begin_drive(task, robot, course, state, forcing):
     """Put a robot on the course, rolling, the person rested and the mode the first one."""
     place(course, robot, task.sample_time, state)
-    state.r, state.mode, state.suggested = task.r0, task.first_mode, -1
-    state.lower, state.upper, forcing.since = task.lower, task.upper, -1.0
+    state.r = task.r0
+    state.mode = task.first_mode
+    state.suggested = -1
+    state.lower = task.lower
+    state.upper = task.upper
+    forcing.since = -1.0
 
 
 @njit
 def decide(task, t, wanted, state, forcing):
-    """Make the suggestion of the scheme; the person's wish decides, or a forced suggestion, a notice later or as soon as accepted."""
+    """
+    Make the suggestion of the scheme; the person's wish decides, or a forced suggestion, a notice
+    later or as soon as accepted.
+    """
     if t < task.settling:
         return
     if task.scheme != OWN and task.scheme != SCHEDULE:
@@ -58,7 +73,10 @@ def decide(task, t, wanted, state, forcing):
 
 @njit
 def tick(k, v, w, wanted, task, robot, course, source, z_r, z_h, found, state, forcing, row):
-    """Fill the row of sample k under a command (v, w) and a wanted mode, then move; return whether all laps are done."""
+    """
+    Fill the row of sample k under a command (v, w) and a wanted mode, then move; return whether all
+    laps are done.
+    """
     t = k * task.sample_time
     locate(course, k, row, state)
     state.v_hand = min(max(v, 0.0), robot.max_speed)
@@ -75,21 +93,33 @@ def tick(k, v, w, wanted, task, robot, course, source, z_r, z_h, found, state, f
 
 @njit
 def course_of(path, posts):
-    """Return a course without tables that spare search: at ten samples a second there is time to look at every piece."""
+    """
+    Return a course without tables that spare search: at ten samples a second there is time to look
+    at every piece.
+    """
     nothing = np.zeros(1, np.int64)
     return CourseNumbers(path, posts, 0.0, 0.0, 1.0, 0, 0, nothing, nothing, nothing, path[-1, 2])
 
 
 @njit
 def drive_commands(commands, task, robot, path, posts, source, state, forcing, rows, lap_times):
-    """Drive by commands, shape (N, 3): v, w and wanted mode; fill N records of LOG and the times of laps, return rows and laps."""
+    """
+    Drive by commands, shape (N, 3): v, w and wanted mode; fill N records of LOG and the times of
+    laps, return rows and laps.
+    """
     course = course_of(path, posts)
-    z_r, z_h, found = np.empty(rows.size), np.empty(rows.size), np.empty((posts.shape[0], 4))
+    z_r = np.empty(rows.size)
+    z_h = np.empty(rows.size)
+    found = np.empty((posts.shape[0], 4))
     begin_drive(task, robot, course, state, forcing)
     for k in range(rows.size):
-        v, w, wanted = commands[k, 0], commands[k, 1], commands[k, 2]
+        v = commands[k, 0]
+        w = commands[k, 1]
+        wanted = commands[k, 2]
         before = state.laps
-        done = tick(k, v, w, wanted, task, robot, course, source, z_r, z_h, found, state, forcing, rows[k])
+        done = tick(
+            k, v, w, wanted, task, robot, course, source, z_r, z_h, found, state, forcing, rows[k]
+        )
         if before < state.laps <= lap_times.size:
             lap_times[before] = k * task.sample_time
         if done:
@@ -97,16 +127,35 @@ def drive_commands(commands, task, robot, path, posts, source, state, forcing, r
     return rows.size, state.laps
 
 
-# What a browser calls: the same with pointers into the WebAssembly module's memory. Its course has no tables either; arrays are
-# made of pointers, because memory cannot be allocated there.
+# What a browser calls: the same with pointers into the WebAssembly module's memory. Its course has
+# no tables either; arrays are made of pointers, because memory cannot be allocated there.
 def begin_there(task, robot, path, pieces, posts, count, nothing, state, forcing):
     """Begin a drive in a browser's memory."""
     course = course_there(path, pieces, posts, count, nothing)
-    begin_drive(carray(task, 1)[0], carray(robot, 1)[0], course, carray(state, 1)[0], carray(forcing, 1)[0])
+    begin_drive(
+        carray(task, 1)[0], carray(robot, 1)[0], course, carray(state, 1)[0], carray(forcing, 1)[0]
+    )
 
 
 def tick_there(
-    k, v, w, wanted, task, robot, path, pieces, posts, count, nothing, source, z_r, z_h, found, state, forcing, row
+    k,
+    v,
+    w,
+    wanted,
+    task,
+    robot,
+    path,
+    pieces,
+    posts,
+    count,
+    nothing,
+    source,
+    z_r,
+    z_h,
+    found,
+    state,
+    forcing,
+    row,
 ):
     """Make one step in a browser's memory; return whether all laps are done."""
     course = course_there(path, pieces, posts, count, nothing)
@@ -117,16 +166,38 @@ def tick_there(
 
 
 def many_there(
-    count, commands, task, robot, path, pieces, posts, gates, nothing, source, z_r, z_h, found, state, forcing, rows
+    count,
+    commands,
+    task,
+    robot,
+    path,
+    pieces,
+    posts,
+    gates,
+    nothing,
+    source,
+    z_r,
+    z_h,
+    found,
+    state,
+    forcing,
+    rows,
 ):
-    """Make steps by commands, shape (count, 3), in a browser's memory; return how many rows there are then."""
-    course, commands, log = (
-        course_there(path, pieces, posts, gates, nothing),
-        carray(commands, (count, 3)),
-        carray(rows, count),
-    )
+    """
+    Make steps by commands, shape (count, 3), in a browser's memory; return how many rows there are
+    then.
+    """
+    course = course_there(path, pieces, posts, gates, nothing)
+    commands = carray(commands, (count, 3))
+    log = carray(rows, count)
     world = carray(task, 1)[0], carray(robot, 1)[0], course, carray(source, 1)[0]
-    room = carray(z_r, count), carray(z_h, count), carray(found, (gates, 4)), carray(state, 1)[0], carray(forcing, 1)[0]
+    room = (
+        carray(z_r, count),
+        carray(z_h, count),
+        carray(found, (gates, 4)),
+        carray(state, 1)[0],
+        carray(forcing, 1)[0],
+    )
     for k in range(count):
         if tick(k, commands[k, 0], commands[k, 1], commands[k, 2], *world, *room, log[k]):
             return k + 1
@@ -137,20 +208,33 @@ def many_there(
 def course_there(path, pieces, posts, count, nothing):
     """Return the course at pointers; `nothing` points to a zero."""
     path, nothing = carray(path, (pieces, 3)), carray(nothing, 1)
-    return CourseNumbers(path, carray(posts, (count, 2)), 0.0, 0.0, 1.0, 0, 0, nothing, nothing, nothing, path[-1, 2])
+    return CourseNumbers(
+        path, carray(posts, (count, 2)), 0.0, 0.0, 1.0, 0, 0, nothing, nothing, nothing, path[-1, 2]
+    )
 
 
 def _pointers(*kinds):
-    return tuple(types.CPointer(from_dtype(kind) if isinstance(kind, np.dtype) else kind) for kind in kinds)
+    return tuple(
+        types.CPointer(from_dtype(kind) if isinstance(kind, np.dtype) else kind) for kind in kinds
+    )
 
 
 _world = _pointers(TASK, ROBOT)
-_course = (*_pointers(types.float64), types.int32, *_pointers(types.float64), types.int32, *_pointers(types.int64))
+_course = (
+    *_pointers(types.float64),
+    types.int32,
+    *_pointers(types.float64),
+    types.int32,
+    *_pointers(types.int64),
+)
 _numbers = types.int32, types.float64, types.float64, types.float64
 _room = _pointers(HASHED, types.float64, types.float64, types.float64, STATE, FORCING, LOG)
 ENTRIES = {
     "begin": (begin_there, types.void(*_world, *_course, *_pointers(STATE, FORCING))),
     "tick": (tick_there, types.int32(*_numbers, *_world, *_course, *_room)),
-    "many": (many_there, types.int32(types.int32, *_pointers(types.float64), *_world, *_course, *_room)),
+    "many": (
+        many_there,
+        types.int32(types.int32, *_pointers(types.float64), *_world, *_course, *_room),
+    ),
 }
 """The functions that the WebAssembly module exports, and numba's signatures."""

@@ -1,4 +1,7 @@
-"""`tl.LiveTracking`: a person flies the UAV that follows a target; the simulated haptic device stays in the kernel."""
+"""
+`tl.LiveTracking`: a person flies the UAV that follows a target; the simulated haptic device stays
+in the kernel.
+"""
 
 from collections import deque
 from collections.abc import Mapping
@@ -14,7 +17,12 @@ from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.delays import Delay
 from trustlab.teleoperation.loop.schemes import Scheme, scheme_named
-from trustlab.teleoperation.loop.settings import DivergenceError, LoopSettings, PartError, study_named
+from trustlab.teleoperation.loop.settings import (
+    DivergenceError,
+    LoopSettings,
+    PartError,
+    study_named,
+)
 from trustlab.testbeds.tracking_task import TASKS, TrackingTask
 from trustlab.testbeds.uav_tracking import TeleoperationLoop
 
@@ -26,7 +34,10 @@ SILENCE = 0.5
 """Where the page sends nothing for longer than this, the robot pauses [s]."""
 
 DEFLECTION = 2.0
-"""At the edge of the hand's square the command is so many times the largest one of the study's simulated operators."""
+"""
+At the edge of the hand's square the command is so many times the largest one of the study's
+simulated operators.
+"""
 
 LONGEST = 3600.0
 """The longest live run [s]."""
@@ -35,11 +46,16 @@ UNBOUNDED = 1e6
 """The `view` of a task whose camera always has its target in the picture [m]."""
 
 HAND = ("hand_x", "hand_y", "hand_z")
-NOTE = "a person's hand on a simulated haptic device, channel and robot; forces are shown as cues and not felt"
+NOTE = (
+    "a person's hand on a simulated haptic device, channel and robot; forces are shown as "
+    "cues and not felt"
+)
 
 
 class HandDrivenLoop:
-    """A teleoperation loop that advances by the times of the messages that bring a hand's position."""
+    """
+    A teleoperation loop that advances by the times of the messages that bring a hand's position.
+    """
 
     def __init__(self, duration: float, arguments: Mapping[str, Any]):
         self.arguments, self.loop = arguments, TeleoperationLoop(**arguments)
@@ -47,15 +63,21 @@ class HandDrivenLoop:
             **arguments
         ).step()  # compiles, and refuses what only a step can refuse, before anybody drives
         settings, task = study_named(arguments["study"]), arguments["task"]
-        self.sample_time, self.settings, self.task = self.loop.sample_time, settings, task
+        self.sample_time = self.loop.sample_time
+        self.settings = settings
+        self.task = task
         self.samples = round(between("duration", duration, 1.0, LONGEST) / self.sample_time)
         weight = np.broadcast_to(settings.weight, 3)[:2]
         self.reach = DEFLECTION * REACH[settings.study] / weight
         self.hands: list[tuple[float, float, float]] = []
         self.notes: list[str] = []
         self.hand = (0.0, 0.0, 0.0)
-        self.heard: float | None = None  # the page's clock at its last message; None before the first and in a pause
-        self.elapsed, self.finished, self.failed = 0.0, False, False
+        self.heard: float | None = (
+            None  # the page's clock at its last message; None before the first and in a pause
+        )
+        self.elapsed = 0.0
+        self.finished = False
+        self.failed = False
         late = max(round(task.camera_delay / self.sample_time), 1)
         self.pictures: deque = deque([(np.zeros(3), np.zeros(3))], maxlen=late + 1)
 
@@ -110,12 +132,17 @@ class HandDrivenLoop:
             self._note(f"ended: {why}")
 
     def _shown(self) -> dict[str, Any]:
-        """Return what the page draws: the camera's picture as late as it arrives, the device, forces, energies and shares."""
+        """
+        Return what the page draws: the camera's picture as late as it arrives, the device, forces,
+        energies and shares.
+        """
         if self.failed:  # its numbers may be infinite
             return {"over": self.notes[-1]}
         state, (error, robot) = self.loop.state, self.pictures[0]
         seen = bool((np.abs(error[:2]) <= self.task.view).all())
-        energies = {name: state[f"energy_{name}"] for name in ("operator", "device", "dissipated", "port")}
+        energies = {
+            name: state[f"energy_{name}"] for name in ("operator", "device", "dissipated", "port")
+        }
         return {
             "t": self.loop.t,
             "target": error[:2].tolist() if seen else None,
@@ -154,12 +181,14 @@ class HandDrivenLoop:
 
 
 def checked_scheme(scheme: str | Scheme) -> Scheme:
-    """Return a scheme that a person can drive; MMI's α would be set by a simulated operator's hand."""
+    """
+    Return a scheme that a person can drive; MMI's α would be set by a simulated operator's hand.
+    """
     found = scheme_named(scheme)
     if found.name == "MMI" and not isinstance(scheme, Scheme):
         raise ValueError(
-            "in MMI the operator allocates by hand, which a live run has no key for: drive M, MI, TMIG, TMIS or OMI, "
-            "or give a trustlab.Scheme of your own"
+            "in MMI the operator allocates by hand, which a live run has no key for: drive M, "
+            "MI, TMIG, TMIS or OMI, or give a trustlab.Scheme of your own"
         )
     return found
 
@@ -168,16 +197,19 @@ class LiveTracking(anywidget.AnyWidget):
     """
     A person flies the UAV that follows a target, in a notebook.
 
-    The person's hand is the pointer in a square, a finger or a gamepad's stick. A simulated spring and damper (the hand of
-    `Teleoperator`, without its motor noise) holds a simulated two-axis haptic device there; device, channel, robot and the ledger
-    of energy are those of `TeleoperationLoop` and stay in the kernel. Nothing is felt. The guiding force that the device would
-    give is shown as a *visual cue*, an arrow (the column `guide`, in a scale of its own, stated beside it) and a drawn spring
-    from hand to device; and on wish as a *vibration cue* of the gamepad. The ledger is that of the simulated device.
+    The person's hand is the pointer in a square, a finger or a gamepad's stick. A simulated spring
+    and damper (the hand of `Teleoperator`, without its motor noise) holds a simulated two-axis
+    haptic device there; device, channel, robot and the ledger of energy are those of
+    `TeleoperationLoop` and stay in the kernel. Nothing is felt. The guiding force that the device
+    would give is shown as a *visual cue*, an arrow (the column `guide`, in a scale of its own,
+    stated beside it) and a drawn spring from hand to device; and on wish as a *vibration cue* of
+    the gamepad. The ledger is that of the simulated device.
 
     Parameters
     ----------
     scheme : {"M", "MI", "TMIG", "TMIS", "OMI"} or Scheme
-        Who sets the scales, as of `TeleoperationLoop`; MMI, where the operator allocates by hand, is refused.
+        Who sets the scales, as of `TeleoperationLoop`; MMI, where the operator allocates by hand,
+        is refused.
     study : {"preliminary", "main"} or LoopSettings
         Printed settings, or own ones.
     guidance : {"at_operator", "through_channel", "tank", "two_port"}
@@ -185,7 +217,8 @@ class LiveTracking(anywidget.AnyWidget):
     guard : {"repay", "cancel", "off"}
         The passivity controllers of the guidance.
     delay : float, callable or Delay, optional
-        Delay both ways [s]; random walks of the study when not given. The kernel's round trip comes on top.
+        Delay both ways [s]; random walks of the study when not given. The kernel's round trip comes
+        on top.
     seed : int or numpy.random.SeedSequence
         Of the path's start, losses of the target, and delays.
     duration : float
@@ -193,16 +226,18 @@ class LiveTracking(anywidget.AnyWidget):
     participant : str or int
         Who flies.
     task : TrackingTask, optional
-        The target; the study's own when not given. With `view`, the target can leave the picture, and is not shown then.
+        The target; the study's own when not given. With `view`, the target can leave the picture,
+        and is not shown then.
     vibration : bool
         Whether a gamepad rumbles with the size of the force: a vibration cue, without a direction.
 
     Attributes
     ----------
     session : Session
-        What has been flown so far, also in mid-run, from two samples on: the columns of `simulate_teleoperation`, and `hand_x`,
-        `hand_y` and `hand_z` [m], the hand that each sample had. Not synthetic, for a person flew; its metadata say that the
-        robot is simulated, and hold notes of pauses and, at the end, `verified`.
+        What has been flown so far, also in mid-run, from two samples on: the columns of
+        `simulate_teleoperation`, and `hand_x`, `hand_y` and `hand_z` [m], the hand that each sample
+        had. Not synthetic, for a person flew; its metadata say that the robot is simulated, and
+        hold notes of pauses and, at the end, `verified`.
     energy : pandas.DataFrame
         The ledger [J]: the session's columns of energies.
     verified : bool
@@ -215,16 +250,18 @@ class LiveTracking(anywidget.AnyWidget):
 
     Notes
     -----
-    The page sends the hand's position with its time 30 times a second; the kernel advances by the samples of 0.01 s that have
-    passed by the page's clock, each under the newest hand sent before it, and answers with what is to be drawn. A round
-    trip takes 40 ms in the median on one machine, and as long as the kernel is busy with another cell nothing moves, unless it
-    answers in a thread of its own, as ipykernel 7 does in JupyterLab: this is a delay in the eye, besides the camera's, which the
-    log does not know. For studies of reaction times use `LiveGroundRobot`,
-    which is computed in the browser.
+    The page sends the hand's position with its time 30 times a second; the kernel advances by the
+    samples of 0.01 s that have passed by the page's clock, each under the newest hand sent before
+    it, and answers with what is to be drawn. A round trip takes 40 ms in the median on one machine,
+    and as long as the kernel is busy with another cell nothing moves, unless it answers in a thread
+    of its own, as ipykernel 7 does in JupyterLab: this is a delay in the eye, besides the camera's,
+    which the log does not know. For studies of reaction times use `LiveGroundRobot`, which is
+    computed in the browser.
 
-    The device moves on two horizontal axes. The third is held at zero: no climb is commanded, and the UAV starts at the target's
-    height, which does not change. At the edge of the square the hand asks for twice the largest command of the study's simulated
-    operators. The run pauses while the page is hidden and where nothing was heard for 0.5 s. Needs the extra `trustlab[live]`.
+    The device moves on two horizontal axes. The third is held at zero: no climb is commanded, and
+    the UAV starts at the target's height, which does not change. At the edge of the square the hand
+    asks for twice the largest command of the study's simulated operators. The run pauses while the
+    page is hidden and where nothing was heard for 0.5 s. Needs the extra `trustlab[live]`.
 
     Examples
     --------
@@ -268,7 +305,9 @@ class LiveTracking(anywidget.AnyWidget):
         half = own.task.view if own.task.view < UNBOUNDED else own.task.size_x
         length = own.samples * own.sample_time
         super().__init__(config={"half": half, "duration": length, "vibration": self.vibration})
-        self.on_msg(lambda _widget, said, _buffers: self.send({"id": said.get("id")} | self.hear(said)))
+        self.on_msg(
+            lambda _widget, said, _buffers: self.send({"id": said.get("id")} | self.hear(said))
+        )
 
     def hear(self, said: Mapping[str, Any]) -> dict[str, Any]:
         """
@@ -277,7 +316,8 @@ class LiveTracking(anywidget.AnyWidget):
         Parameters
         ----------
         said : mapping
-            {"hand": [x, y], "time": seconds} with the hand in [−1, 1] on each axis, {"pause": why} or {"end": why}.
+            {"hand": [x, y], "time": seconds} with the hand in [−1, 1] on each axis, {"pause": why}
+            or {"end": why}.
         """
         return self.run.hear(said)
 

@@ -2,7 +2,10 @@
 
 
 def axes_or_new(axes=None, rows: int = 1, columns: int = 1, title: str = "", **options):
-    """Return the Matplotlib axes given, or those of a new figure with this title; options are those of `plt.subplots`."""
+    """
+    Return the Matplotlib axes given, or those of a new figure with this title; options are those of
+    `plt.subplots`.
+    """
     if axes is not None:
         return axes
     import matplotlib.pyplot as plt

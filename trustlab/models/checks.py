@@ -1,7 +1,9 @@
 """
-Checks on arguments that all rooms share: each names the argument, what was found, and what is allowed.
+Checks on arguments that all rooms share: each names the argument, what was found, and what is
+allowed.
 
-Every check returns the value in the type that the caller works with, and raises `ValueError` otherwise.
+Every check returns the value in the type that the caller works with, and raises `ValueError`
+otherwise.
 """
 
 import difflib
@@ -27,7 +29,10 @@ def shown(value: object) -> str:
 
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
-    """Warn at the user's line, the first outside trustlab, however deep inside it the reason was found."""
+    """
+    Warn at the user's line, the first outside trustlab, however deep inside it the reason was
+    found.
+    """
     frame, level = sys._getframe(1), 2
     while frame and frame.f_globals.get("__name__", "").startswith(("trustlab.", "contextlib")):
         frame, level = frame.f_back, level + 1
@@ -52,7 +57,9 @@ def finite_number(name: str, value: Any) -> float:
         return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
-    if isinstance(value, bool | np.bool_ | str | bytes | np.ndarray) or not hasattr(value, "__float__"):
+    if isinstance(value, bool | np.bool_ | str | bytes | np.ndarray) or not hasattr(
+        value, "__float__"
+    ):
         raise ValueError(f"{name} must be a number, got {shown(value)}")
     try:
         number = float(value)
@@ -91,7 +98,9 @@ def in_order(low_name: str, low: Any, high_name: str, high: Any) -> tuple[float,
     """Return two finite numbers as floats, the first below the second."""
     low, high = finite_number(low_name, low), finite_number(high_name, high)
     if not low < high:
-        raise ValueError(f"{low_name} must be below {high_name}, got {low_name} = {low} and {high_name} = {high}")
+        raise ValueError(
+            f"{low_name} must be below {high_name}, got {low_name} = {low} and {high_name} = {high}"
+        )
     return low, high
 
 
@@ -104,7 +113,10 @@ def open_unit(name: str, value: Any) -> float:
 
 
 def whole_number(name: str, value: Any, least: int = 1, most: int | None = None) -> int:
-    """Return a whole number from `least` to `most` as an int; a float counts where it is whole and below 2⁵³."""
+    """
+    Return a whole number from `least` to `most` as an int; a float counts where it is whole and
+    below 2⁵³.
+    """
     if type(value) is int and value >= least and (most is None or value <= most):
         return value
     allowed = f"{least} or more" if most is None else f"from {least} to {most}"
@@ -130,7 +142,10 @@ def flag(name: str, value: Any) -> bool:
 
 
 def one_of(name: str, value: Any, allowed: Iterable[str], also: str = "") -> str:
-    """Return a word that is among those allowed; `also` says what else an argument may be, for the error only."""
+    """
+    Return a word that is among those allowed; `also` says what else an argument may be, for the
+    error only.
+    """
     allowed = list(allowed)
     if isinstance(value, str) and value in allowed:
         return value
@@ -143,8 +158,8 @@ def of_class(name: str, value: object, kind: type[Kind], remedy: str = "") -> Ki
     """
     Return a value that is an instance of `kind`.
 
-    The error says how to obtain one: `remedy`, or the class's own attribute `how_to_get`; and where the value carries
-    what is wanted as `.session`, it says so.
+    The error says how to obtain one: `remedy`, or the class's own attribute `how_to_get`; and where
+    the value carries what is wanted as `.session`, it says so.
     """
     if isinstance(value, kind):
         return value
@@ -156,10 +171,16 @@ def of_class(name: str, value: object, kind: type[Kind], remedy: str = "") -> Ki
 
 
 def spawned(seed: int | np.random.SeedSequence, count: int) -> list[np.random.SeedSequence]:
-    """Return `count` independent children of a seed, the same at every call; a SeedSequence given is not changed."""
+    """
+    Return `count` independent children of a seed, the same at every call; a SeedSequence given is
+    not changed.
+    """
     if isinstance(seed, np.random.SeedSequence):
-        # Spawning advances a SeedSequence, so that the second call would give other children: spawn from a copy.
-        own = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
+        # Spawning advances a SeedSequence, so that the second call would give other children: spawn
+        # from a copy.
+        own = np.random.SeedSequence(
+            seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size
+        )
     else:
         own = np.random.SeedSequence(whole_number("seed", seed, least=0))
     return own.spawn(count)
@@ -172,17 +193,25 @@ def set_checked(record: object, check: Callable[[str, Any], Any], *names: str) -
 
 
 def finite_array(name: str, values: Any, *, length: int | None = None) -> np.ndarray:
-    """Return a one-dimensional float array without gaps, of `length` samples where that is given."""
+    """
+    Return a one-dimensional float array without gaps, of `length` samples where that is given.
+    """
     try:
         given = np.asarray(values)
         kind = given.dtype.kind
-        if kind not in "biufO" or (kind == "O" and any(isinstance(x, str | bytes) for x in given.flat)):
+        if kind not in "biufO" or (
+            kind == "O" and any(isinstance(x, str | bytes) for x in given.flat)
+        ):
             raise TypeError
         array = np.asarray(given, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} must be an array of numbers, got {type(values).__name__}") from None
+        raise ValueError(
+            f"{name} must be an array of numbers, got {type(values).__name__}"
+        ) from None
     if array.ndim != 1 or array.size == 0:
-        raise ValueError(f"{name} must be one-dimensional with at least one sample, got shape {array.shape}")
+        raise ValueError(
+            f"{name} must be one-dimensional with at least one sample, got shape {array.shape}"
+        )
     if length is not None and array.size != length:
         raise ValueError(f"{name} must have {length} samples, got {array.size}")
     finite = np.isfinite(array)
@@ -193,15 +222,23 @@ def finite_array(name: str, values: Any, *, length: int | None = None) -> np.nda
 
 
 def array_between(name: str, values: Any, low: float, high: float, meaning: str) -> np.ndarray:
-    """Return a float array, as `finite_array`, within [low, high]; `meaning` says what these are, for the error only."""
+    """
+    Return a float array, as `finite_array`, within [low, high]; `meaning` says what these are, for
+    the error only.
+    """
     array = finite_array(name, values)
     outside = (array < low) | (array > high)
     if outside.any():
         k = int(np.argmax(outside))
-        raise ValueError(f"{name} must lie in [{low:g}, {high:g}] ({meaning}), but sample {k} is {array[k]}")
+        raise ValueError(
+            f"{name} must lie in [{low:g}, {high:g}] ({meaning}), but sample {k} is {array[k]}"
+        )
     return array
 
 
 def mode_array(mode: Any) -> np.ndarray:
-    """Return a float array of manual shares in [0, 1]: 1 manual, 0 autonomous, or a share between them."""
+    """
+    Return a float array of manual shares in [0, 1]: 1 manual, 0 autonomous, or a share between
+    them.
+    """
     return array_between("mode", mode, 0.0, 1.0, "1 manual, 0 autonomous, or a share")

@@ -1,10 +1,11 @@
 """
 Compiled functions whose cache on disk never goes stale.
 
-numba keeps a compiled function beside its source file and compiles it again when that file changes, but not when a
-function that it calls changes in another file: after an update of the package it would go on returning the old numbers
-without a word. Here the place of a module's cache carries a digest of the module's source, of all modules of trustlab
-that it imports, directly or not, and of numba's version; so it is found again only while all of them are unchanged.
+numba keeps a compiled function beside its source file and compiles it again when that file changes,
+but not when a function that it calls changes in another file: after an update of the package it
+would go on returning the old numbers without a word. Here the place of a module's cache carries a
+digest of the module's source, of all modules of trustlab that it imports, directly or not, and of
+numba's version; so it is found again only while all of them are unchanged.
 """
 
 from __future__ import annotations
@@ -30,15 +31,23 @@ import numba
 from numba.core import event
 
 PACKAGE = Path(__file__).resolve().parents[1]
-# Every import statement of the package, inside functions as well: "from trustlab.a.b import c, d" or "import trustlab.a".
-IMPORT = re.compile(r"^[ \t]*(?:from (trustlab[\w.]*) import \(?([^)#]*?)\)?|import (trustlab[\w.]+))[ \t]*$", re.M)
+# Every import statement of the package, inside functions as well: "from trustlab.a.b import c, d"
+# or "import trustlab.a".
+IMPORT = re.compile(
+    r"^[ \t]*(?:from (trustlab[\w.]*) import \(?([^)#]*?)\)?|import (trustlab[\w.]+))[ \t]*$", re.M
+)
 
 
-NOTICE = "trustlab is compiling what this call needs. It happens once; later calls and sessions find it on disk."
+NOTICE = (
+    "trustlab is compiling what this call needs. It happens once; later calls and sessions "
+    "find it on disk."
+)
 
 
 class _Notice(event.Listener):
-    """Says once, on stderr, that compilation is what takes the time, when it has taken two seconds."""
+    """
+    Says once, on stderr, that compilation is what takes the time, when it has taken two seconds.
+    """
 
     def __init__(self):
         self.begun: list[float] = []  # of the functions being compiled, one inside the other
@@ -47,7 +56,9 @@ class _Notice(event.Listener):
     def on_start(self, event: Any) -> None:
         self.begun.append(time.monotonic())
         if len(self.begun) == 1 and self.spent < 2.0:
-            self.timer = threading.Timer(2.0 - self.spent, print, [NOTICE], {"file": sys.stderr, "flush": True})
+            self.timer = threading.Timer(
+                2.0 - self.spent, print, [NOTICE], {"file": sys.stderr, "flush": True}
+            )
             self.timer.daemon = True
             self.timer.start()
 
@@ -63,19 +74,26 @@ if multiprocessing.parent_process() is None:  # the workers of a campaign are si
 
 
 def njit(function: Callable | None = None, **options: Any) -> Any:
-    """Compile a function in numba's nopython mode and cache it on disk; options are those of `numba.njit`."""
+    """
+    Compile a function in numba's nopython mode and cache it on disk; options are those of
+    `numba.njit`.
+    """
     if function is None:
         return functools.partial(njit, **options)
     folder = _cache_folder(Path(function.__code__.co_filename))
     if folder is None:
         return numba.njit(**options)(function)
     with _numba_caches_in(folder):
-        # no second wrapper, for C: it would take a tenth of the time, and `cfunc` makes one where it is wanted
+        # no second wrapper, for C: it would take a tenth of the time, and `cfunc` makes one where
+        # it is wanted
         return numba.njit(cache=True, no_cfunc_wrapper=True, **options)(function)
 
 
 def cfunc(signature: Any, function: Callable, **options: Any) -> Any:
-    """Compile a function to one that C can call, and cache it on disk; options are those of `numba.cfunc`."""
+    """
+    Compile a function to one that C can call, and cache it on disk; options are those of
+    `numba.cfunc`.
+    """
     folder = _cache_folder(Path(function.__code__.co_filename))
     if folder is None:
         return numba.cfunc(signature, **options)(function)
@@ -85,7 +103,10 @@ def cfunc(signature: Any, function: Callable, **options: Any) -> Any:
 
 @contextmanager
 def _numba_caches_in(folder: Path):
-    """Point numba to `folder` while it decides where to cache; whatever the user has set for other packages stays."""
+    """
+    Point numba to `folder` while it decides where to cache; whatever the user has set for other
+    packages stays.
+    """
     ours = {"CACHE_DIR": str(folder), "CACHE_LOCATOR_CLASSES": ""}
     before = {name: getattr(numba.config, name) for name in ours if hasattr(numba.config, name)}
     for name in before:
@@ -99,7 +120,10 @@ def _numba_caches_in(folder: Path):
 
 @functools.cache
 def _cache_folder(path: Path) -> Path | None:
-    """Return the folder for compiled functions of a module, without what older versions of it left there."""
+    """
+    Return the folder for compiled functions of a module, without what older versions of it left
+    there.
+    """
     if not path.is_file():  # a package in a zip archive has no files: compile in every process
         return None
     name = ".".join(path.resolve().relative_to(PACKAGE).with_suffix("").parts)
@@ -111,7 +135,10 @@ def _cache_folder(path: Path) -> Path | None:
 
 
 def _digest(path: Path) -> str:
-    """Return a digest of a module, of all modules of the package that it imports, and of numba's version."""
+    """
+    Return a digest of a module, of all modules of the package that it imports, and of numba's
+    version.
+    """
     found, waiting = set(), [path]
     while waiting:
         one = waiting.pop()
@@ -134,14 +161,26 @@ def _imported(path: Path) -> list[Path]:
     """Return the files of the package that a file imports from."""
     modules = []
     for origin, names, module in IMPORT.findall(_source(path).decode()):
-        modules += [module] if module else [origin, *(f"{origin}.{name.strip()}" for name in names.split(","))]
+        modules += (
+            [module]
+            if module
+            else [origin, *(f"{origin}.{name.strip()}" for name in names.split(","))]
+        )
     bases = {PACKAGE.joinpath(*module.split(".")[1:]) for module in modules}
-    return [file for base in bases for file in (base.with_suffix(".py"), base / "__init__.py") if file.is_file()]
+    return [
+        file
+        for base in bases
+        for file in (base.with_suffix(".py"), base / "__init__.py")
+        if file.is_file()
+    ]
 
 
 @functools.cache
 def _cache_root() -> Path:
-    """Return the first folder that can be written: the one named by the user, the package's own, the user's, a temporary one."""
+    """
+    Return the first folder that can be written: the one named by the user, the package's own, the
+    user's, a temporary one.
+    """
     named = os.environ.get("TRUSTLAB_CACHE_DIR")
     if sys.platform == "darwin":
         home = "~/Library/Caches"
@@ -149,17 +188,22 @@ def _cache_root() -> Path:
         home = os.environ.get("LOCALAPPDATA", "~/AppData/Local")
     else:
         home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    # In the user's folder several installations meet: each has a place of its own, else they would sweep each other's.
+    # In the user's folder several installations meet: each has a place of its own, else they would
+    # sweep each other's.
     own = hashlib.sha256(str(PACKAGE).encode()).hexdigest()[:12]
-    candidates = [PACKAGE / "__pycache__" / "compiled", Path(os.path.expanduser(home)) / "trustlab" / own]
+    candidates = [
+        PACKAGE / "__pycache__" / "compiled",
+        Path(os.path.expanduser(home)) / "trustlab" / own,
+    ]
     for root in ([Path(named)] if named else []) + candidates:
         if _writable(root):
             return root
     root = Path(tempfile.mkdtemp(prefix="trustlab-"))
     atexit.register(shutil.rmtree, root, ignore_errors=True)
     warnings.warn(
-        "trustlab finds no folder that it can write to, so compiled functions are kept for this process only and every "
-        "start compiles them again; name a folder in the environment variable TRUSTLAB_CACHE_DIR",
+        "trustlab finds no folder that it can write to, so compiled functions are kept for this "
+        "process only and every start compiles them again; name a folder in the environment "
+        "variable TRUSTLAB_CACHE_DIR",
         RuntimeWarning,
         stacklevel=2,
     )

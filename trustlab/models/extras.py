@@ -1,4 +1,6 @@
-"""Optional dependencies: a missing one is an error that names the extra of trustlab that brings it."""
+"""
+Optional dependencies: a missing one is an error that names the extra of trustlab that brings it.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -6,7 +8,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def extra(name: str) -> Iterator[None]:
-    """Wrap the imports that an extra brings: where one is missing, the error says what to install."""
+    """
+    Wrap the imports that an extra brings: where one is missing, the error says what to install.
+    """
     try:
         yield
     except ModuleNotFoundError as error:
@@ -14,5 +18,6 @@ def extra(name: str) -> Iterator[None]:
         if missing.partition(".")[0] == "trustlab":  # a mistake of ours, which no extra mends
             raise
         raise ModuleNotFoundError(
-            f'{missing} is not installed; install it with: pip install "trustlab[{name}]"', name=error.name
+            f'{missing} is not installed; install it with: pip install "trustlab[{name}]"',
+            name=error.name,
         ) from error

@@ -1,4 +1,7 @@
-"""HTML that shows what others wrote: their words are escaped, and a page runs and fetches nothing but what it brings."""
+"""
+HTML that shows what others wrote: their words are escaped, and a page runs and fetches nothing but
+what it brings.
+"""
 
 import base64
 import hashlib
@@ -9,11 +12,17 @@ import pandas as pd
 # Rows of a table that a result shows of itself; `table()` returns all.
 MOST_ROWS = 60
 
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; form-action 'none'; base-uri 'none'"
+POLICY = (
+    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; form-action 'none'; "
+    "base-uri 'none'"
+)
 
 
 def as_html(text: str, *tables: pd.DataFrame, title: str = "") -> str:
-    """Return a result as a title in bold, a sentence, and tables; nothing in them is read as markup or as a formula."""
+    """
+    Return a result as a title in bold, a sentence, and tables; nothing in them is read as markup or
+    as a formula.
+    """
     bold = f"<b>{html.escape(title)}</b>: " if title else ""
     parts = [
         table.to_html(
@@ -28,8 +37,13 @@ def as_html(text: str, *tables: pd.DataFrame, title: str = "") -> str:
 
 
 def policy(*scripts: str) -> str:
-    """Return the element of a page's head that lets it run these scripts, to the letter, and fetch nothing."""
-    hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    """
+    Return the element of a page's head that lets it run these scripts, to the letter, and fetch
+    nothing.
+    """
+    hashes = [
+        base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts
+    ]
     allowed = "".join(f" 'sha256-{found}'" for found in hashes)
     more = f"; script-src{allowed}" if scripts else ""
     return f'<meta http-equiv="Content-Security-Policy" content="{POLICY}{more}">'

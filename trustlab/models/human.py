@@ -32,8 +32,12 @@ def performance_at(r, beta, p_min, p_max):
 @njit
 def performance_range(low, high, beta, p_min, p_max):
     """Return the least and greatest P_h of (2.6) over utilizations in [low, high]."""
-    # (2.6) is concave with its maximum at β: the minimum is at an end, and so is the maximum unless β lies between.
-    at_low, at_high = performance_at(low, beta, p_min, p_max), performance_at(high, beta, p_min, p_max)
+    # (2.6) is concave with its maximum at β: the minimum is at an end, and so is the maximum unless
+    # β lies between.
+    at_low, at_high = (
+        performance_at(low, beta, p_min, p_max),
+        performance_at(high, beta, p_min, p_max),
+    )
     return min(at_low, at_high), p_max if low <= beta <= high else max(at_low, at_high)
 
 
@@ -70,9 +74,11 @@ class HumanModel:
     Parameters
     ----------
     a : float
-        a_r = 1 − 1/τ, the share of utilization that remains after one sample, in (0, 1). b_r is 1 − a.
+        a_r = 1 − 1/τ, the share of utilization that remains after one sample, in (0, 1). b_r is 1 −
+        a.
     beta : float
-        β, the utilization at which the operator performs best, in (0, 1); smaller for a harder task.
+        β, the utilization at which the operator performs best, in (0, 1); smaller for a harder
+        task.
     p_min, p_max : float
         Human performance at r = 0 and r = 1, and at r = β, in the unit of the measure.
 
@@ -110,12 +116,17 @@ class HumanModel:
     @property
     def tau(self) -> float:
         """τ = 1/b_r of (2.5): an old name, see `time_constant`."""
-        warn_renamed("HumanModel.tau", "HumanModel.time_constant (−1/ln a; τ of (2.5) itself is 1/b)")
+        warn_renamed(
+            "HumanModel.tau", "HumanModel.time_constant (−1/ln a; τ of (2.5) itself is 1/b)"
+        )
         return 1.0 / (1.0 - self.a)
 
     @property
     def time_constant(self) -> float:
-        """−1/ln a, in samples: after this many, 1/e of a deviation is left; τ of (2.5), 1/b, is half a sample more."""
+        """
+        −1/ln a, in samples: after this many, 1/e of a deviation is left; τ of (2.5), 1/b, is half a
+        sample more.
+        """
         return -1.0 / np.log(self.a)
 
     def performance(self, r: float | np.ndarray) -> Any:
@@ -141,7 +152,9 @@ class HumanModel:
         inside = (array >= 0.0) & (array <= 1.0)
         if not inside.all():
             raise ValueError(f"utilization r must lie in [0, 1], got {array[~inside].flat[0]}")
-        p_h = performance_curve(np.ascontiguousarray(array.ravel()), self.beta, self.p_min, self.p_max)
+        p_h = performance_curve(
+            np.ascontiguousarray(array.ravel()), self.beta, self.p_min, self.p_max
+        )
         return float(p_h[0]) if array.ndim == 0 else p_h.reshape(array.shape)
 
     def simulate(self, mode: np.ndarray, r0: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

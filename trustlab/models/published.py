@@ -13,17 +13,25 @@ from trustlab.models.tsc import TscModel
 
 
 class ByName(dict):
-    """A dictionary by name that takes 2 for "2", and whose KeyError says which names there are and which is nearest."""
+    """
+    A dictionary by name that takes 2 for "2", and whose KeyError says which names there are and
+    which is nearest.
+    """
 
     def __missing__(self, key):
         if isinstance(key, Integral) and not isinstance(key, bool) and str(key) in self:
             return self[str(key)]
         meant = did_you_mean(key, self) if isinstance(key, str) else ""
-        raise KeyError(f"nothing is called {key!r:.60}{meant} (there are {', '.join(map(str, self))})")
+        raise KeyError(
+            f"nothing is called {key!r:.60}{meant} (there are {', '.join(map(str, self))})"
+        )
 
 
 def published_folder() -> Path:
-    """Return the folder of printed tables: in the installed package, or data/published of the repository."""
+    """
+    Return the folder of printed tables: in the installed package, or data/published of the
+    repository.
+    """
     package = Path(__file__).resolve().parents[1]
     installed = package / "data" / "published"
     return installed if installed.is_dir() else package.parent / "data" / "published"
@@ -55,7 +63,10 @@ def published_table(number: str) -> pd.DataFrame:
     ['0.95', '0.81', '0.8', '0.75', '0.71']
     """
     folder = published_folder()
-    paths = {p.stem.removeprefix("table_").replace("_", "."): p for p in sorted(folder.glob("table_*.csv"))}
+    paths = {
+        p.stem.removeprefix("table_").replace("_", "."): p
+        for p in sorted(folder.glob("table_*.csv"))
+    }
     name = str(number).strip() if isinstance(number, str | float) else None
     if name not in paths:
         raise ValueError(f"no printed table {number!r:.60}; there are {', '.join(paths)}")
@@ -75,12 +86,14 @@ def printed_pilot() -> dict[str, str]:
 
 def published_models() -> dict[str, TscModel]:
     """
-    Return the models with the printed parameters: the pilot operator and the five participants of Table 2.1.
+    Return the models with the printed parameters: the pilot operator and the five participants of
+    Table 2.1.
 
     Returns
     -------
     dict of str to TscModel
-        Keys "pilot", "1" … "5" (or 1 … 5). b_pr follows from (2.3); the printed one is this, rounded to four decimals.
+        Keys "pilot", "1" … "5" (or 1 … 5). b_pr follows from (2.3); the printed one is this,
+        rounded to four decimals.
 
     Examples
     --------

@@ -4,7 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, in_order, mode_array, open_unit, positive
+from trustlab.models.checks import (
+    finite_array,
+    finite_number,
+    in_order,
+    mode_array,
+    open_unit,
+    positive,
+)
 from trustlab.models.compiled import njit
 
 
@@ -21,7 +28,9 @@ def next_performance(p_r, p_h, mode, a, b, p_min):
 
 @njit
 def robot_performance(mode, p_h, a, b, p_min, p_r0):
-    """Simulate (2.3) from `p_r0`; the last sample of `mode` and `p_h` does not affect the result."""
+    """
+    Simulate (2.3) from `p_r0`; the last sample of `mode` and `p_h` does not affect the result.
+    """
     p_r = np.empty(mode.size)
     p_r[0] = p_r0
     for k in range(mode.size - 1):
@@ -34,20 +43,22 @@ class RobotModel:
     """
     How robot performance rises under manual control and decays when the robot is left alone.
 
-    P_r(k+1) = a P_r(k) + (1 − a) P_min + M(k) b P_h(k), equation (2.3), with
-    b = (1 − a)(P_max − P_min)/P_h,max, so that P_max is reached under the operator's best performance.
+    P_r(k+1) = a P_r(k) + (1 − a) P_min + M(k) b P_h(k), equation (2.3), with b = (1 − a)(P_max −
+    P_min)/P_h,max, so that P_max is reached under the operator's best performance.
 
     Parameters
     ----------
     a : float
         a_pr, the share of performance kept over one sample, in (0, 1).
     p_min, p_max : float
-        Least and greatest robot performance, in the unit of the measure (m/s for (2.4), 1 for a share).
+        Least and greatest robot performance, in the unit of the measure (m/s for (2.4), 1 for a
+        share).
     p_h_max : float
         Greatest human performance, in the unit of the operator's measure; positive.
     b : float, optional
-        b_pr, the gain of human performance per sample. From (2.3) when not given. Give it to use a printed,
-        rounded value. `dataclasses.replace` keeps b; pass b=None with the change to have it follow (2.3) again.
+        b_pr, the gain of human performance per sample. From (2.3) when not given. Give it to use a
+        printed, rounded value. `dataclasses.replace` keeps b; pass b=None with the change to have
+        it follow (2.3) again.
 
     Raises
     ------
@@ -75,7 +86,9 @@ class RobotModel:
         a = open_unit("a", self.a)
         p_min, p_max = in_order("p_min", self.p_min, "p_max", self.p_max)
         p_h_max = positive("p_h_max", self.p_h_max)
-        b = positive("b", gain_of_human_performance(a, p_min, p_max, p_h_max) if self.b is None else self.b)
+        b = positive(
+            "b", gain_of_human_performance(a, p_min, p_max, p_h_max) if self.b is None else self.b
+        )
         self.__dict__.update(a=a, p_min=p_min, p_max=p_max, p_h_max=p_h_max, b=b)
 
     @property

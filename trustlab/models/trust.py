@@ -5,25 +5,40 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.models.checks import array_between, between, finite_array, finite_number, in_order, positive, warn_renamed
+from trustlab.models.checks import (
+    array_between,
+    between,
+    finite_array,
+    finite_number,
+    in_order,
+    positive,
+    warn_renamed,
+)
 from trustlab.models.compiled import njit
 
 
 @njit(error_model="numpy", forceinline=True)
 def trust_step(trust, share, decay, gain):
-    """Return trust one sample later, (3.2) or (3.3), all as shares of their ranges; exact for a held performance."""
+    """
+    Return trust one sample later, (3.2) or (3.3), all as shares of their ranges; exact for a held
+    performance.
+    """
     return decay * trust + gain * (1.0 - decay) * share
 
 
 @njit(error_model="numpy", forceinline=True)
 def logistic_scale(low, high, steepness, midpoint, trust):
-    """Return the scale of (3.5) at a trust; tanh, unlike exp, does not overflow far from the midpoint."""
+    """
+    Return the scale of (3.5) at a trust; tanh, unlike exp, does not overflow far from the midpoint.
+    """
     return low + (high - low) * (0.5 * (1.0 - np.tanh(0.5 * steepness * (trust - midpoint))))
 
 
 @njit
 def trust_run(share, decay, gain, start):
-    """Run trust, as a share of its range, over performance shares that are each held for one sample."""
+    """
+    Run trust, as a share of its range, over performance shares that are each held for one sample.
+    """
     out, now = np.empty(share.size + 1), start
     for k in range(share.size):
         out[k] = now
@@ -35,10 +50,12 @@ def trust_run(share, decay, gain, start):
 @dataclass(frozen=True)
 class TrustModel:
     """
-    Trust that grows with performance and decays in proportion to its own level, equations (3.2) and (3.3).
+    Trust that grows with performance and decays in proportion to its own level, equations (3.2) and
+    (3.3).
 
-    dT/dt = −a (T − T_min)/(T_max − T_min) + b (P − P_min)/(P_max − P_min). With b ≤ a trust stays between its bounds
-    (3.4) for any performance within its range; with b > a it settles above T_max at full performance.
+    dT/dt = −a (T − T_min)/(T_max − T_min) + b (P − P_min)/(P_max − P_min). With b ≤ a trust stays
+    between its bounds (3.4) for any performance within its range; with b > a it settles above T_max
+    at full performance.
 
     Parameters
     ----------
@@ -88,8 +105,9 @@ class TrustModel:
         self.__dict__.update(t_min=t_min, t_max=t_max, p_min=p_min, p_max=p_max)
         if self.b > self.a and not self.allow_unbounded:
             raise ValueError(
-                f"with b = {self.b} > a = {self.a} trust settles above t_max at full performance, so that (3.4) does not "
-                "hold; choose b ≤ a, or ask for it with allow_unbounded=True"
+                f"with b = {self.b} > a = {self.a} trust settles above t_max at full performance, "
+                "so that (3.4) does not hold; choose b ≤ a, or ask for it with "
+                "allow_unbounded=True"
             )
 
     def _share(self, performance: float) -> float:
@@ -98,7 +116,8 @@ class TrustModel:
 
     def decay(self, sample_time: float) -> float:
         """
-        Return the factor by which trust decays over one sample without performance, exp(−a T/(T_max − T_min)).
+        Return the factor by which trust decays over one sample without performance, exp(−a T/(T_max
+        − T_min)).
 
         Parameters
         ----------
@@ -156,7 +175,9 @@ class TrustModel:
         trust, decay = finite_number("trust", trust), self.decay(sample_time)
         return decay * trust + (1.0 - decay) * self.steady_state(performance)
 
-    def simulate(self, performance: np.ndarray, sample_time: float, trust0: float | None = None) -> np.ndarray:
+    def simulate(
+        self, performance: np.ndarray, sample_time: float, trust0: float | None = None
+    ) -> np.ndarray:
         """
         Return trust along a record of performance, each sample held until the next.
 
@@ -183,7 +204,9 @@ class TrustModel:
         span = self.t_max - self.t_min
         start = self.t_min if trust0 is None else finite_number("trust0", trust0)
         share = (values[:-1] - self.p_min) / (self.p_max - self.p_min)
-        run = trust_run(share, self.decay(sample_time), self.b / self.a, (start - self.t_min) / span)
+        run = trust_run(
+            share, self.decay(sample_time), self.b / self.a, (start - self.t_min) / span
+        )
         return self.t_min + span * run
 
 
@@ -192,8 +215,8 @@ class LogisticScaling:
     """
     A scale that falls smoothly from `high` to `low` as trust grows, equation (3.5).
 
-    α = high − (high − low)/(1 + exp(−s (T − T_mid)/(T_max − T_min))). At the ends of trust it is within
-    (high − low)/(1 + exp(s/2)) of its bounds, 0.7 % of the range for s = 10.
+    α = high − (high − low)/(1 + exp(−s (T − T_mid)/(T_max − T_min))). At the ends of trust it is
+    within (high − low)/(1 + exp(s/2)) of its bounds, 0.7 % of the range for s = 10.
 
     Parameters
     ----------
@@ -209,8 +232,8 @@ class LogisticScaling:
     Raises
     ------
     ValueError
-        If low is not positive (that would make teleoperation unilateral), bounds are in the wrong order, s is below 10,
-        or the midpoint is outside the range of trust.
+        If low is not positive (that would make teleoperation unilateral), bounds are in the wrong
+        order, s is below 10, or the midpoint is outside the range of trust.
 
     Examples
     --------
@@ -230,7 +253,8 @@ class LogisticScaling:
         self.__dict__["steepness"] = finite_number("steepness", self.steepness)
         if self.steepness < 10.0:
             raise ValueError(
-                f"steepness must be at least 10, so that the scale nearly meets its bounds, got {self.steepness}"
+                "steepness must be at least 10, so that the scale nearly meets its bounds, got "
+                f"{self.steepness}"
             )
 
     def value(self, trust):
@@ -268,11 +292,13 @@ class StepScaling:
     Raises
     ------
     ValueError
-        If low is not positive, bounds are in the wrong order, or the threshold is outside the range of trust.
+        If low is not positive, bounds are in the wrong order, or the threshold is outside the range
+        of trust.
 
     Notes
     -----
-    Printed as α' = α_max + (α_min − α_max) H(T − b): falling in trust, as (3.5) is (Remark 9), H(0) = 1.
+    Printed as α' = α_max + (α_min − α_max) H(T − b): falling in trust, as (3.5) is (Remark 9), H(0)
+    = 1.
     """
 
     low: float
@@ -306,13 +332,17 @@ def _check_scaling(scaling) -> None:
     if low > high:
         raise ValueError(f"low must not exceed high, got low = {low} and high = {high}")
     if not low > 0.0:
-        raise ValueError(f"low must be positive, got {low}: a scale of zero leaves one-way teleoperation (3.1)")
+        raise ValueError(
+            f"low must be positive, got {low}: a scale of zero leaves one-way teleoperation (3.1)"
+        )
     t_min, t_max = in_order("t_min", scaling.t_min, "t_max", scaling.t_max)
     middle = (t_min + t_max) / 2.0
     if scaling.midpoint is not None:
         middle = finite_number("midpoint", scaling.midpoint)
     if not t_min < middle < t_max:
-        raise ValueError(f"midpoint must lie strictly between t_min = {t_min} and t_max = {t_max}, got {middle}")
+        raise ValueError(
+            f"midpoint must lie strictly between t_min = {t_min} and t_max = {t_max}, got {middle}"
+        )
     scaling.__dict__.update(low=low, high=high, midpoint=middle, t_min=t_min, t_max=t_max)
 
 

@@ -32,7 +32,10 @@ class TscConstants(NamedTuple):
 
 
 def performance_weights(p_r_min, p_r_max, p_h_min, p_h_max):
-    """Return a_T and b_T, the weights of robot and human performance in TSC, (2.2); takes numbers or arrays."""
+    """
+    Return a_T and b_T, the weights of robot and human performance in TSC, (2.2); takes numbers or
+    arrays.
+    """
     scale = p_r_max * p_h_max - p_r_min * p_h_min
     return (p_h_max + p_h_min) / scale, (p_r_max + p_r_min) / scale
 
@@ -58,14 +61,19 @@ def tsc_at(p_r, p_h, c):
 @njit
 def advance(r, p_r, p_h, mode, c):
     """Return r and P_r one sample later, (2.5) and (2.3); p_h is P_h at r."""
-    return next_utilization(r, mode, c.a_r), next_performance(p_r, p_h, mode, c.a_pr, c.b_pr, c.p_r_min)
+    return next_utilization(r, mode, c.a_r), next_performance(
+        p_r, p_h, mode, c.a_pr, c.b_pr, c.p_r_min
+    )
 
 
-# Inlined before it is optimized, so that loops keep its branches, which the processor predicts: as selections they would make
-# each step wait for the TSC of the one before, and a simulation take twice as long.
+# Inlined before it is optimized, so that loops keep its branches, which the processor predicts: as
+# selections they would make each step wait for the TSC of the one before, and a simulation take
+# twice as long.
 @njit(inline="always")
 def threshold_mode(tsc, lower, upper, mode):
-    """Return the mode of rule (2.8): 0 when TSC ≥ upper, 1 when TSC ≤ lower, else `mode` unchanged."""
+    """
+    Return the mode of rule (2.8): 0 when TSC ≥ upper, 1 when TSC ≤ lower, else `mode` unchanged.
+    """
     if tsc >= upper:
         return 0
     if tsc <= lower:
@@ -78,8 +86,8 @@ class TscModel:
     """
     The difference between trust in the robot and self-confidence, from the performance of both.
 
-    TSC(k) = a_T P_r(k) − b_T P_h(k), equation (2.1), with a_T and b_T of (2.2), so that TSC is +1 where the
-    robot is at its best and the operator at their worst, and −1 the other way round.
+    TSC(k) = a_T P_r(k) − b_T P_h(k), equation (2.1), with a_T and b_T of (2.2), so that TSC is +1
+    where the robot is at its best and the operator at their worst, and −1 the other way round.
 
     Parameters
     ----------
@@ -110,7 +118,9 @@ class TscModel:
     robot: RobotModel
     human: HumanModel
 
-    how_to_get = "fit one with trustlab.fit_tsc(session) or build it with trustlab.TscModel(robot, human)"
+    how_to_get = (
+        "fit one with trustlab.fit_tsc(session) or build it with trustlab.TscModel(robot, human)"
+    )
 
     def __post_init__(self):
         if not isinstance(self.robot, RobotModel) or not isinstance(self.human, HumanModel):
@@ -122,9 +132,10 @@ class TscModel:
         scale = robot.p_max * human.p_max - robot.p_min * human.p_min
         if not (scale > 0.0 and self.a_T > 0.0 and self.b_T > 0.0):
             raise ValueError(
-                f"a_T and b_T of (2.2) must be positive, but the ranges of performance [{robot.p_min}, {robot.p_max}] "
-                f"(robot) and [{human.p_min}, {human.p_max}] (human) give {self.a_T} and {self.b_T}; use measures of "
-                "performance that are not negative"
+                "a_T and b_T of (2.2) must be positive, but the ranges of performance "
+                f"[{robot.p_min}, {robot.p_max}] (robot) and [{human.p_min}, {human.p_max}] "
+                f"(human) give {self.a_T} and {self.b_T}; use measures of performance that are "
+                "not negative"
             )
 
     def _weights(self) -> tuple[float, float]:
@@ -166,7 +177,10 @@ class TscModel:
         p_r, p_h : float or array_like
             Robot and human performance, of shapes that broadcast.
         """
-        return self.a_T * np.asarray(p_r, dtype=float)[()] - self.b_T * np.asarray(p_h, dtype=float)[()]
+        return (
+            self.a_T * np.asarray(p_r, dtype=float)[()]
+            - self.b_T * np.asarray(p_h, dtype=float)[()]
+        )
 
     def delta(self, delta_p_r: float, delta_p_h: float) -> float:
         """
@@ -182,10 +196,15 @@ class TscModel:
         ValueError
             If a change is negative or not finite.
         """
-        delta_p_r, delta_p_h = not_negative("delta_p_r", delta_p_r), not_negative("delta_p_h", delta_p_h)
+        delta_p_r, delta_p_h = (
+            not_negative("delta_p_r", delta_p_r),
+            not_negative("delta_p_h", delta_p_h),
+        )
         return self.a_T * delta_p_r + self.b_T * delta_p_h
 
-    def simulate(self, mode: np.ndarray, r0: float = 0.0, p_r0: float | None = None) -> pd.DataFrame:
+    def simulate(
+        self, mode: np.ndarray, r0: float = 0.0, p_r0: float | None = None
+    ) -> pd.DataFrame:
         """
         Simulate (2.1), (2.3), (2.5) and (2.6) under a given sequence of modes.
 

@@ -10,7 +10,8 @@ from trustlab.models.checks import finite_array, finite_number, positive, set_ch
 @dataclass(frozen=True)
 class TransferFunction:
     """
-    A continuous-time transfer function of order 1 or 2 without zeros, gain/(s + d_0) or gain/(s² + d_1 s + d_0).
+    A continuous-time transfer function of order 1 or 2 without zeros, gain/(s + d_0) or gain/(s² +
+    d_1 s + d_0).
 
     Parameters
     ----------
@@ -39,7 +40,10 @@ class TransferFunction:
             raise ValueError("gain must not be zero: the command would have no effect")
         numbers = tuple(finite_array("denominator", self.denominator).tolist())
         if len(numbers) > 2:
-            raise ValueError(f"denominator must have one or two coefficients, highest power first, got {len(numbers)}")
+            raise ValueError(
+                "denominator must have one or two coefficients, highest power first, got "
+                f"{len(numbers)}"
+            )
         object.__setattr__(self, "denominator", numbers)
 
     @property
@@ -112,7 +116,8 @@ def three_axes(vehicle) -> tuple[TransferFunction, ...]:
     if given and all(isinstance(axis, TransferFunction) for axis in vehicle):
         return tuple(vehicle)
     raise ValueError(
-        f"a vehicle needs three transfer functions, for x, y and z, got {type(vehicle).__name__} {vehicle!r:.60}"
+        f"a vehicle needs three transfer functions, for x, y and z, got {type(vehicle).__name__} "
+        f"{vehicle!r:.60}"
     )
 
 

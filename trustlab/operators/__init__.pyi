@@ -1,4 +1,7 @@
-from .answers import allocation_answers as allocation_answers, simulated_answers as simulated_answers
+from .answers import (
+    allocation_answers as allocation_answers,
+    simulated_answers as simulated_answers,
+)
 from .ground_robot import (
     ASSUMPTIONS as ASSUMPTIONS,
     Operator as Operator,

@@ -1,4 +1,7 @@
-"""Simulated answers to questionnaires: an explicit assumption about what a run feels like, not a model of people."""
+"""
+Simulated answers to questionnaires: an explicit assumption about what a run feels like, not a model
+of people.
+"""
 
 from collections.abc import Mapping
 
@@ -11,7 +14,8 @@ from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.settings import LoopSettings, study_named
 
-# Standard deviations, as shares of a scale: of a person's way of answering, the same in all conditions, and of one answer.
+# Standard deviations, as shares of a scale: of a person's way of answering, the same in all
+# conditions, and of one answer.
 TRAIT, MOOD = 0.10, 0.05
 
 
@@ -29,9 +33,10 @@ def experience(session: Session, study: str | LoopSettings = "main") -> dict[str
     Returns
     -------
     dict of str to float
-        error: mean distance to the target over `error_range`, at most 1. effort: F/(F + F_0) with F the mean force of the hand and
-        F_0 the force that holds the device, its spring and that of the channel, at a command of 1 m/s, (K + β_max b Λ)/Λ.
-        agreement: 1 − mean |(α − α_min)/(α_max − α_min) − P_h/(P_h + P_r)|, how nearly the operator's share of the commands
+        error: mean distance to the target over `error_range`, at most 1. effort: F/(F + F_0) with F
+        the mean force of the hand and F_0 the force that holds the device, its spring and that of
+        the channel, at a command of 1 m/s, (K + β_max b Λ)/Λ. agreement: 1 − mean |(α −
+        α_min)/(α_max − α_min) − P_h/(P_h + P_r)|, how nearly the operator's share of the commands
         follows the operator's share of the performance.
 
     Raises
@@ -44,7 +49,9 @@ def experience(session: Session, study: str | LoopSettings = "main") -> dict[str
     session.require("path_error", "f_h_x", "f_h_y", "f_h_z", "alpha", "p_r", "p_h")
     ends = settings.scattering
     force = np.sqrt(sum(session[f"f_h_{axis}"] ** 2 for axis in "xyz")).mean()
-    holding = float(np.mean(np.divide(settings.stiffness, settings.weight))) + ends.beta_max * ends.b
+    holding = (
+        float(np.mean(np.divide(settings.stiffness, settings.weight))) + ends.beta_max * ends.b
+    )
     share = (session["alpha"] - ends.alpha_min) / max(ends.alpha_max - ends.alpha_min, 1e-12)
     total = session["p_h"] + session["p_r"]
     own = np.divide(session["p_h"], total, out=np.full(len(session), 0.5), where=total > 0.0)
@@ -56,15 +63,22 @@ def experience(session: Session, study: str | LoopSettings = "main") -> dict[str
 
 
 def simulated_answers(
-    session: Session, study: str | LoopSettings = "main", participant: int = 1, seed: int = 0, points: int = 7
+    session: Session,
+    study: str | LoopSettings = "main",
+    participant: int = 1,
+    seed: int = 0,
+    points: int = 7,
 ) -> dict[str, float]:
     """
-    Return answers that follow, by assumption, from tracking error, effort, and agreement of α with own performance.
+    Return answers that follow, by assumption, from tracking error, effort, and agreement of α with
+    own performance.
 
-    Every answer is its drive, a share in [0, 1], plus a personal offset and a draw per answer, cut to [0, 1], put on its scale and
-    rounded to its steps. Drives of the task load index: mental, temporal and performance: error; physical and effort: effort;
-    frustration: 1 − agreement. Of satisfaction: satisfaction: 1 − error, comfort: 1 − effort, control: agreement. Of trust:
-    ½(1 − error + agreement). All weights are one. People may answer by anything else, and no answer of people went into this.
+    Every answer is its drive, a share in [0, 1], plus a personal offset and a draw per answer, cut
+    to [0, 1], put on its scale and rounded to its steps. Drives of the task load index: mental,
+    temporal and performance: error; physical and effort: effort; frustration: 1 − agreement. Of
+    satisfaction: satisfaction: 1 − error, comfort: 1 − effort, control: agreement. Of trust: ½(1 −
+    error + agreement). All weights are one. People may answer by anything else, and no answer of
+    people went into this.
 
     Parameters
     ----------
@@ -82,8 +96,8 @@ def simulated_answers(
     Returns
     -------
     dict of str to float
-        The six scales of the task load index (0 to 100, steps of 5), three items of satisfaction (1 to `points`), and one of
-        trust (1 to 7, in steps of one twelfth: the mean of twelve items).
+        The six scales of the task load index (0 to 100, steps of 5), three items of satisfaction (1
+        to `points`), and one of trust (1 to 7, in steps of one twelfth: the mean of twelve items).
 
     Raises
     ------
@@ -97,11 +111,16 @@ def simulated_answers(
     >>> tl.simulated_answers(run, seed=0)
     {'mental': 10, 'physical': 5, 'temporal': 15, 'performance': 10, 'effort': 10, 'frustration': 30, 'satisfaction': 6, 'comfort': 6, 'control': 5, 'trust': 5.083333333333333}
     """
-    participant, seed = whole_number("participant", participant), whole_number("seed", seed, least=0)
+    participant, seed = (
+        whole_number("participant", participant),
+        whole_number("seed", seed, least=0),
+    )
     if isinstance(points, bool) or points not in (5, 7):
         raise ValueError(f"points must be 5 or 7, got {points!r}")
     felt = experience(session, study)
-    error, effort, agreement = felt["error"], felt["effort"], felt["agreement"]
+    error = felt["error"]
+    effort = felt["effort"]
+    agreement = felt["agreement"]
     drives = {
         "mental": (error, 0, 100, 5),
         "physical": (effort, 0, 100, 5),
@@ -119,21 +138,31 @@ def simulated_answers(
     mood = np.random.default_rng([seed, participant, *condition]).normal(0.0, MOOD, len(drives))
     offsets = np.repeat(person, (6, 3, 1))
     answers = {}
-    for (name, (drive, low, high, step)), offset in zip(drives.items(), offsets + mood, strict=True):
+    for (name, (drive, low, high, step)), offset in zip(
+        drives.items(), offsets + mood, strict=True
+    ):
         share = min(max(drive + offset, 0.0), 1.0)
         answers[name] = low + step * round(share * (high - low) / step)
     return answers
 
 
 def allocation_answers(
-    mode: np.ndarray, tsc: np.ndarray, means: Mapping[str, float], judged: float, operator: Operator, model: TscModel
+    mode: np.ndarray,
+    tsc: np.ndarray,
+    means: Mapping[str, float],
+    judged: float,
+    operator: Operator,
+    model: TscModel,
 ) -> dict[str, float]:
     """
-    Return answers after a run under C1–C5 that follow, by assumption, from utilization, switching, performance and agreement.
+    Return answers after a run under C1–C5 that follow, by assumption, from utilization, switching,
+    performance and agreement.
 
-    Task load is load = load_utilization · mean r + load_switching · (switches or suggestions judged a minute), at most 1; relative
-    performance p = (mean P_r − P_r,min)/(P_r,max − P_r,min), cut to [0, 1]; agreement the share of time in which the mode is the one
-    that the operator's own thresholds, on TSC as perceived, would have chosen. Nothing is drawn and no answer of people went into this.
+    Task load is load = load_utilization · mean r + load_switching · (switches or suggestions judged
+    a minute), at most 1; relative performance p = (mean P_r − P_r,min)/(P_r,max − P_r,min), cut to
+    [0, 1]; agreement the share of time in which the mode is the one that the operator's own
+    thresholds, on TSC as perceived, would have chosen. Nothing is drawn and no answer of people
+    went into this.
 
     Parameters
     ----------
@@ -142,7 +171,8 @@ def allocation_answers(
     means : mapping of str to float
         p_r, r and duration [s] of the run.
     judged : float
-        How many decisions the operator made: switches in C1, suggestions in C2 and C4, none where they are forced.
+        How many decisions the operator made: switches in C1, suggestions in C2 and C4, none where
+        they are forced.
     operator : Operator
         With load_utilization and load_switching.
     model : TscModel
@@ -153,17 +183,27 @@ def allocation_answers(
     dict of str to float
         tlx, 100 load; satisfaction, 1 + 6 · ½(1 − load + p); trust, 1 + 6 · ½(p + agreement).
     """
-    load = operator.load_utilization * means["r"] + operator.load_switching * 60.0 * judged / means["duration"]
+    load = (
+        operator.load_utilization * means["r"]
+        + operator.load_switching * 60.0 * judged / means["duration"]
+    )
     load, robot = min(load, 1.0), model.robot
     relative = min(max((means["p_r"] - robot.p_min) / (robot.p_max - robot.p_min), 0.0), 1.0)
     agreement = agreeing(mode, tsc + operator.trust_bias, operator.lower, operator.upper)
     satisfaction, trust = 0.5 * (1.0 - load + relative), 0.5 * (relative + agreement)
-    return {"tlx": 100.0 * load, "satisfaction": 1.0 + 6.0 * satisfaction, "trust": 1.0 + 6.0 * trust}
+    return {
+        "tlx": 100.0 * load,
+        "satisfaction": 1.0 + 6.0 * satisfaction,
+        "trust": 1.0 + 6.0 * trust,
+    }
 
 
 @njit
 def agreeing(mode, tsc, lower, upper):
-    """Return the share of samples whose mode is that of rule (2.8) with these thresholds, begun in the same mode."""
+    """
+    Return the share of samples whose mode is that of rule (2.8) with these thresholds, begun in the
+    same mode.
+    """
     own, count = int(mode[0]), 0
     for k in range(mode.size):
         own = threshold_mode(tsc[k], lower, upper, own)

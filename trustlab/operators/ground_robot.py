@@ -1,4 +1,6 @@
-"""Simulated operators of the ground robot: how well they drive, how fast they react, when they switch."""
+"""
+Simulated operators of the ground robot: how well they drive, how fast they react, when they switch.
+"""
 
 from collections import namedtuple
 from collections.abc import Mapping
@@ -7,7 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import between, finite_number, not_negative, of_class, one_of, positive, shown, whole_number
+from trustlab.models.checks import (
+    between,
+    finite_number,
+    not_negative,
+    of_class,
+    one_of,
+    positive,
+    shown,
+    whole_number,
+)
 from trustlab.models.compiled import njit
 from trustlab.models.human import HumanModel
 from trustlab.models.robot import RobotModel
@@ -33,8 +44,20 @@ MOST = {
 }
 
 POSITIVE = ("look_ahead", "steering_gain", "wander_time", "hand_lag")
-SHARES = ("idle_share", "follow_tsc", "follow_performance", "r0", "load_utilization", "load_switching")
-RANGES = {"attention_cost": (0.0, 0.5), "trust_bias": (-2.0, 2.0), "learning": (0.0, 0.5), "fatigue": (0.0, 0.05)}
+SHARES = (
+    "idle_share",
+    "follow_tsc",
+    "follow_performance",
+    "r0",
+    "load_utilization",
+    "load_switching",
+)
+RANGES = {
+    "attention_cost": (0.0, 0.5),
+    "trust_bias": (-2.0, 2.0),
+    "learning": (0.0, 0.5),
+    "fatigue": (0.0, 0.05),
+}
 # What may be assumed of people beyond the identified models; 0 is off.
 ASSUMPTIONS = (*RANGES, "take_over_lag", "r0", "load_utilization", "load_switching")
 
@@ -52,11 +75,12 @@ def check_participant(participant: str | int) -> None:
 @njit
 def driving_style(performance, robot_floor, robot_gain):
     """
-    Return cruising speed [m/s], wander [m] and steering activity [rad/s] for a given performance [m/s].
+    Return cruising speed [m/s], wander [m] and steering activity [rad/s] for a given performance
+    [m/s].
 
-    They are such that (2.7) comes out as `performance` and (2.4), after long, as robot_floor + robot_gain · performance,
-    or as much of it as `performance` leaves room for; what is left of (2.7) is steering. A regression on laps of the
-    default course.
+    They are such that (2.7) comes out as `performance` and (2.4), after long, as robot_floor +
+    robot_gain · performance, or as much of it as `performance` leaves room for; what is left of
+    (2.7) is steering. A regression on laps of the default course.
     """
     p_r = min(robot_floor + robot_gain * performance, performance - 0.029)
     steering = performance - p_r
@@ -68,7 +92,10 @@ def driving_style(performance, robot_floor, robot_gain):
 
 @njit
 def joystick(bearing, speed, gain, easing):
-    """Return the commands v, w of a hand that steers towards what it looks at, slower the farther that is aside."""
+    """
+    Return the commands v, w of a hand that steers towards what it looks at, slower the farther that
+    is aside.
+    """
     return speed * max(1.0 - easing * abs(bearing), 0.2), gain * bearing
 
 
@@ -82,10 +109,12 @@ class Operator:
     participant : str or int
         Who this stands for.
     human : HumanModel
-        Utilization (2.5) and performance (2.6), in the unit of (2.7) [m/s], which sets how the operator drives.
+        Utilization (2.5) and performance (2.6), in the unit of (2.7) [m/s], which sets how the
+        operator drives.
     robot_floor, robot_gain : float
-        What robot performance comes to in the operator's hand, robot_floor + robot_gain · P_h [m/s]: where (2.3) settles
-        under manual control, P_r,min + b_pr/(1 − a_pr) P_h. The defaults are the pilot operator's.
+        What robot performance comes to in the operator's hand, robot_floor + robot_gain · P_h
+        [m/s]: where (2.3) settles under manual control, P_r,min + b_pr/(1 − a_pr) P_h. The defaults
+        are the pilot operator's.
     delay : float
         Visuomotor delay: the hand acts on what the eye saw this long ago [s]; at most 5 s.
     noise : float
@@ -99,38 +128,43 @@ class Operator:
     easing : float
         Share of speed given up per radian of that angle [1/rad].
     idle_share : float
-        The robot being autonomous, the hand stays on the joystick and keeps making commands, which are logged and have
-        no effect; this is the share of steering that it keeps.
+        The robot being autonomous, the hand stays on the joystick and keeps making commands, which
+        are logged and have no effect; this is the share of steering that it keeps.
     wander_time : float
         Correlation time of the wander about the path [s].
     reaction_lag, reaction_spread : float
-        Median [s] and logarithmic standard deviation of the lag between deciding for a mode and switching to it.
+        Median [s] and logarithmic standard deviation of the lag between deciding for a mode and
+        switching to it.
     follow_tsc, follow_performance : float
         Probability of following a suggestion by TSC (C2) and by robot performance (C4).
     ignoring_time : float
-        A suggestion not followed is taken up, if it still stands, after 15 s and a further time that is exponentially
-        distributed with this mean [s].
+        A suggestion not followed is taken up, if it still stands, after 15 s and a further time
+        that is exponentially distributed with this mean [s].
     lower, upper : float
-        The operator's own thresholds of TSC when free to choose (C1): manual below, autonomous above.
+        The operator's own thresholds of TSC when free to choose (C1): manual below, autonomous
+        above.
     lower_spread, upper_spread : float
         Standard deviations of the thresholds, which are drawn anew at every switch.
     attention_cost : float
-        Assumption, as all that follow; 0 is off. Share of performance (2.6) lost while the operator must decide: in all of C1, and
-        in C2 and C4 while a suggestion stands that is not followed yet; at most 0.5.
+        Assumption, as all that follow; 0 is off. Share of performance (2.6) lost while the operator
+        must decide: in all of C1, and in C2 and C4 while a suggestion stands that is not followed
+        yet; at most 0.5.
     trust_bias : float
-        Perceived minus measured TSC, in [-2, 2]: positive where the operator trusts the robot too much (C1).
+        Perceived minus measured TSC, in [-2, 2]: positive where the operator trusts the robot too
+        much (C1).
     take_over_lag : float
         Added to the lag between deciding for the manual mode and switching to it [s]; at most 60 s.
     r0 : float
-        Utilization at the beginning of a run for which none is given, in [0, 1]; 0 is a rested operator.
+        Utilization at the beginning of a run for which none is given, in [0, 1]; 0 is a rested
+        operator.
     learning, fatigue : float
-        Change of performance over the sessions of a study: after i of them it is 1 + learning (1 − 2⁻ⁱ) − fatigue i times (2.6). In
-        [0, 0.5] and [0, 0.05].
+        Change of performance over the sessions of a study: after i of them it is 1 + learning (1 −
+        2⁻ⁱ) − fatigue i times (2.6). In [0, 0.5] and [0, 0.05].
     sessions : int
         i, how many sessions the operator has had before; at most 10.
     load_utilization, load_switching : float
-        Share of the scale of task load at r = 1, and per switch or judged suggestion a minute (`allocation_answers`), in [0, 1].
-        With both 0 the operator answers no questionnaire.
+        Share of the scale of task load at r = 1, and per switch or judged suggestion a minute
+        (`allocation_answers`), in [0, 1]. With both 0 the operator answers no questionnaire.
 
     Raises
     ------
@@ -139,8 +173,8 @@ class Operator:
 
     Notes
     -----
-    The defaults of the driving parameters are calibrated on the ground-robot testbed; they are not measurements of
-    people.
+    The defaults of the driving parameters are calibrated on the ground-robot testbed; they are not
+    measurements of people.
 
     Examples
     --------
@@ -187,42 +221,71 @@ class Operator:
         of_class("human", self.human, HumanModel, "of a TscModel take .human")
         check_participant(self.participant)
         for item in fields(self)[2:]:
-            check = finite_number if item.name in ("lower", "upper", *SHARES, *RANGES) else not_negative
+            check = (
+                finite_number if item.name in ("lower", "upper", *SHARES, *RANGES) else not_negative
+            )
             check = positive if item.name in POSITIVE else check
             object.__setattr__(self, item.name, check(item.name, getattr(self, item.name)))
-        limits = {name: (0.0, most) for name, most in MOST.items()} | dict.fromkeys(SHARES, (0.0, 1.0)) | RANGES
+        limits = (
+            {name: (0.0, most) for name, most in MOST.items()}
+            | dict.fromkeys(SHARES, (0.0, 1.0))
+            | RANGES
+        )
         for name, (low, high) in limits.items():
             between(name, getattr(self, name), low, high)
-        object.__setattr__(self, "sessions", whole_number("sessions", self.sessions, least=0, most=MOST_SESSIONS))
+        object.__setattr__(
+            self, "sessions", whole_number("sessions", self.sessions, least=0, most=MOST_SESSIONS)
+        )
         if not self.lower < self.upper:
             raise ValueError(
-                f"own thresholds must have lower below upper, got lower = {self.lower} and upper = {self.upper}"
+                f"own thresholds must have lower below upper, got lower = {self.lower} and upper "
+                f"= {self.upper}"
             )
         if self.human.p_min < 0.1 or self.human.p_max > 1.0:
             raise ValueError(
-                "an operator drives at a performance (2.7) in m/s, between 0.1 and 1, but human has p_min = "
-                f"{self.human.p_min} and p_max = {self.human.p_max}; rescale the model or fit it to ground-robot sessions"
+                "an operator drives at a performance (2.7) in m/s, between 0.1 and 1, but human "
+                f"has p_min = {self.human.p_min} and p_max = {self.human.p_max}; rescale the "
+                "model or fit it to ground-robot sessions"
             )
 
     @property
     def skill(self) -> float:
-        """Performance relative to (2.6), as learning and fatigue over sessions leave it: 1 without them."""
+        """
+        Performance relative to (2.6), as learning and fatigue over sessions leave it: 1 without
+        them.
+        """
         return 1.0 + self.learning * (1.0 - 0.5**self.sessions) - self.fatigue * self.sessions
 
     @property
     def numbers(self) -> Any:
         """The operator as plain numbers, `OperatorNumbers`."""
         human = (self.human.a, self.human.beta, self.human.p_min, self.human.p_max)
-        return OperatorNumbers._make((*human, *(getattr(self, name) for name in OperatorNumbers._fields[4:])))
+        return OperatorNumbers._make(
+            (*human, *(getattr(self, name) for name in OperatorNumbers._fields[4:]))
+        )
 
 
 # What a loop reads of an operator while a run goes on; the rest is settled before or after it.
-ASIDE = ("participant", "human", "r0", "learning", "fatigue", "sessions", "load_utilization", "load_switching")
+ASIDE = (
+    "participant",
+    "human",
+    "r0",
+    "learning",
+    "fatigue",
+    "sessions",
+    "load_utilization",
+    "load_switching",
+)
 READ = [item.name for item in fields(Operator) if item.name not in ASIDE]
 
 
-class OperatorNumbers(namedtuple("OperatorNumbers", ["a", "beta", "p_min", "p_max", *READ, "skill"])):  # type: ignore[misc]
-    """An `Operator` as plain numbers for compiled loops; the names are the operator's and its human model's."""
+class OperatorNumbers(
+    namedtuple("OperatorNumbers", ["a", "beta", "p_min", "p_max", *READ, "skill"])
+):  # type: ignore[misc]
+    """
+    An `Operator` as plain numbers for compiled loops; the names are the operator's and its human
+    model's.
+    """
 
     __slots__ = ()
 
@@ -253,12 +316,14 @@ def operator(
     participant : str or int
         Who, for example "pilot" or 3.
     model : TscModel or HumanModel
-        The participant's model, for example `trustlab.published_models()["3"]`; from a `TscModel` robot_floor and
-        robot_gain follow, unless given.
+        The participant's model, for example `trustlab.published_models()["3"]`; from a `TscModel`
+        robot_floor and robot_gain follow, unless given.
     lower, upper : (float, float), optional
-        Mean and standard deviation of the participant's own thresholds of TSC, as Table 2.3 prints them.
+        Mean and standard deviation of the participant's own thresholds of TSC, as Table 2.3 prints
+        them.
     follow : (float, float), optional
-        Shares of suggestions followed, by TSC and by robot performance, as Table 2.6 prints them, but in [0, 1].
+        Shares of suggestions followed, by TSC and by robot performance, as Table 2.6 prints them,
+        but in [0, 1].
     **more : float or int
         Any other argument of `Operator`.
 
@@ -293,11 +358,15 @@ def operator(
 def model_of(values: dict[str, float]) -> TscModel:
     """Return the model of one row of a population's draw."""
     human = HumanModel(values["a_r"], values["beta"], values["p_h_min"], values["p_h_max"])
-    return TscModel(RobotModel(values["a_pr"], values["p_r_min"], values["p_r_max"], human.p_max), human)
+    return TscModel(
+        RobotModel(values["a_pr"], values["p_r_min"], values["p_r_max"], human.p_max), human
+    )
 
 
 def person_of(values: dict[str, float]) -> tuple[Operator, TscModel, tuple[float, float]]:
-    """Return the simulated operator, model and thresholds of TSC of one row of a population's draw."""
+    """
+    Return the simulated operator, model and thresholds of TSC of one row of a population's draw.
+    """
     model = model_of(values)
     one = operator(
         int(values["participant"]),

@@ -15,7 +15,8 @@ from trustlab.teleoperation.records import filled
 # Largest command [m/s] that operators of each study ask for, above the speed of its target.
 REACH = {"preliminary": 2.5, "main": 1.0}
 
-# Least and most skilled value of what skill changes: about a `Teleoperator`'s defaults, which are their middles.
+# Least and most skilled value of what skill changes: about a `Teleoperator`'s defaults, which are
+# their middles.
 RANGES = {
     "proportional": (0.6, 1.4),
     "derivative": (0.2, 0.6),
@@ -28,10 +29,12 @@ RANGES = {
 @dataclass(frozen=True)
 class Teleoperator:
     """
-    Who holds the haptic device: sees the tracking error late, wants a command in proportion to it, and moves the hand there.
+    Who holds the haptic device: sees the tracking error late, wants a command in proportion to it,
+    and moves the hand there.
 
-    The hand is a spring and a damper about the position it wants to be at, so that it yields to force feedback; for a fixed
-    wish it is passive. What it wants is the only source of energy. It compensates the device's own spring.
+    The hand is a spring and a damper about the position it wants to be at, so that it yields to
+    force feedback; for a fixed wish it is passive. What it wants is the only source of energy. It
+    compensates the device's own spring.
 
     Parameters
     ----------
@@ -58,20 +61,24 @@ class Teleoperator:
     patience : float
         How long between two such moves [s].
     compensation : float
-        By how much the hand moves more than it should, to make up for the scales of the channel: 1 not at all. The main study's
-        channel passes at least 2√β̲ = 0.447 of a command, which 2.24 makes up for.
+        By how much the hand moves more than it should, to make up for the scales of the channel: 1
+        not at all. The main study's channel passes at least 2√β̲ = 0.447 of a command, which 2.24
+        makes up for.
     preview : float
         How far ahead the operator sees the target's path [s].
     law : {"proportional", "crossover"} or callable
-        "proportional": `proportional` and `derivative` on the error seen, the same on any channel. "crossover": people keep the
-        open loop near its crossover an integrator with a delay, ω_c e^(−τs)/s, whatever they control; the robot is an integrator
-        already, so that the gain on the error is ω_c over the scale of the channel, which they learn as the ratio of the root mean
-        squares of r_s and r_m. Or f(state) → command wanted [m/s] on each axis, shape (3,), in place of the proportional law: `state.seen` is the error
-        seen, late by `reaction` and the camera's delay, `state.seen_before` that of the sample before, and `state.sees` is
-        False before the first picture. With f(state, memory) it has 16 numbers of its own. The hand (lag, stiffness, noise)
-        stays as it is.
+        "proportional": `proportional` and `derivative` on the error seen, the same on any channel.
+        "crossover": people keep the open loop near its crossover an integrator with a delay, ω_c
+        e^(−τs)/s, whatever they control; the robot is an integrator already, so that the gain on
+        the error is ω_c over the scale of the channel, which they learn as the ratio of the root
+        mean squares of r_s and r_m. Or f(state) → command wanted [m/s] on each axis, shape (3,), in
+        place of the proportional law: `state.seen` is the error seen, late by `reaction` and the
+        camera's delay, `state.seen_before` that of the sample before, and `state.sees` is False
+        before the first picture. With f(state, memory) it has 16 numbers of its own. The hand (lag,
+        stiffness, noise) stays as it is.
     crossover : float
-        ω_c [rad/s] of the law of that name; the loop is stable below π/2 over the whole delay of eye, hand and channel.
+        ω_c [rad/s] of the law of that name; the loop is stable below π/2 over the whole delay of
+        eye, hand and channel.
     adaptation : float
         Time constant of what that law learns of the channel [s].
 
@@ -82,8 +89,9 @@ class Teleoperator:
 
     Notes
     -----
-    The defaults are plausible, not measured, and were not chosen for any outcome. Crossover model: D. T. McRuer and H. R. Jex, A
-    review of quasi-linear pilot models, IEEE Trans. Human Factors in Electronics 8(3), 1967.
+    The defaults are plausible, not measured, and were not chosen for any outcome. Crossover model:
+    D. T. McRuer and H. R. Jex, A review of quasi-linear pilot models, IEEE Trans. Human Factors in
+    Electronics 8(3), 1967.
 
     Examples
     --------
@@ -119,7 +127,15 @@ class Teleoperator:
         for item in fields(self)[1:]:
             if item.name == "law":
                 continue
-            above_zero = ("reach", "lag", "noise_time", "patience", "compensation", "crossover", "adaptation")
+            above_zero = (
+                "reach",
+                "lag",
+                "noise_time",
+                "patience",
+                "compensation",
+                "crossover",
+                "adaptation",
+            )
             check = positive if item.name in above_zero else not_negative
             object.__setattr__(self, item.name, check(item.name, getattr(self, item.name)))
         for name, most in (("reaction", 2.0), ("lag", 5.0), ("shift", 1.0), ("preview", 10.0)):
@@ -146,17 +162,21 @@ class Teleoperator:
         return filled(HAND, **numbers)
 
 
-# Of operators who adapt: ω_c over their whole delay [rad], of which the camera and the channel take some [s].
+# Of operators who adapt: ω_c over their whole delay [rad], of which the camera and the channel take
+# some [s].
 MARGIN, ON_THE_WAY = 0.6, 0.3
 
 
-def graded_teleoperators(n: int, seed: int = 0, study: str = "main", law: str = "proportional") -> list[Teleoperator]:
+def graded_teleoperators(
+    n: int, seed: int = 0, study: str = "main", law: str = "proportional"
+) -> list[Teleoperator]:
     """
     Return simulated operators of graded skill.
 
-    Operator i has the grade g = (i + ½)/n. Each property lies at the share q = ½(g + u) of its range in `RANGES`, with u uniform
-    in [0, 1] and drawn for every property apart, so that the better operator is not better in everything. The patience of
-    moving α by hand is uniform in 2 to 4 s and owes nothing to skill. Nothing was chosen for any outcome.
+    Operator i has the grade g = (i + ½)/n. Each property lies at the share q = ½(g + u) of its
+    range in `RANGES`, with u uniform in [0, 1] and drawn for every property apart, so that the
+    better operator is not better in everything. The patience of moving α by hand is uniform in 2 to
+    4 s and owes nothing to skill. Nothing was chosen for any outcome.
 
     Parameters
     ----------
@@ -167,8 +187,9 @@ def graded_teleoperators(n: int, seed: int = 0, study: str = "main", law: str = 
     study : {"preliminary", "main"}
         Sets the largest command.
     law : {"proportional", "crossover"}
-        As of `Teleoperator`. With "crossover" ω_c is 0.6 rad over reaction, lag and 0.3 s of camera and channel: who is quicker
-        can follow more closely. With "proportional" the gains are so low that reaction, lag and noise hardly matter.
+        As of `Teleoperator`. With "crossover" ω_c is 0.6 rad over reaction, lag and 0.3 s of camera
+        and channel: who is quicker can follow more closely. With "proportional" the gains are so
+        low that reaction, lag and noise hardly matter.
 
     Returns
     -------

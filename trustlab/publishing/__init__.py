@@ -1,4 +1,7 @@
-"""Notebooks to reports: run, checked, self-contained, with their provenance; and the house style of figures."""
+"""
+Notebooks to reports: run, checked, self-contained, with their provenance; and the house style of
+figures.
+"""
 
 import lazy_loader
 

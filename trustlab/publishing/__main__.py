@@ -14,13 +14,28 @@ from trustlab.publishing.provenance import Checkout, duration
 def _arguments(words: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m trustlab.publishing",
-        description="Run notebooks/NN_*.ipynb and write one self-contained HTML report each, and reports/index.html. "
-        "Notebooks run with their own folder as working directory.",
+        description="Run notebooks/NN_*.ipynb and write one self-contained HTML report each, and "
+        "reports/index.html. Notebooks run with their own folder as working directory.",
     )
     add = parser.add_argument
-    add("names", nargs="*", metavar="NAME", help="notebooks (01, 01_identification); all by default")
-    add("-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), help="a declared parameter")
-    add("--jobs", default="auto", metavar="N", type=_jobs, help="notebooks run at once; auto: one per CPU")
+    add(
+        "names", nargs="*", metavar="NAME", help="notebooks (01, 01_identification); all by default"
+    )
+    add(
+        "-p",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar=("NAME", "VALUE"),
+        help="a declared parameter",
+    )
+    add(
+        "--jobs",
+        default="auto",
+        metavar="N",
+        type=_jobs,
+        help="notebooks run at once; auto: one per CPU",
+    )
     add("--notebooks", metavar="DIR", help="folder of the notebooks (default: notebooks)")
     add("--reports", metavar="DIR", help="folder of the reports (default: reports)")
     add("--timeout", metavar="SECONDS", type=float, help="time limit of each cell (default: none)")
@@ -39,17 +54,24 @@ def _complain(built: Built) -> None:
 
 
 def main(words: list[str] | None = None) -> int:
-    """Publish as the command line says; return 0, 1 if a notebook failed, 2 for a wrong command, 130 if interrupted."""
+    """
+    Publish as the command line says; return 0, 1 if a notebook failed, 2 for a wrong command, 130
+    if interrupted.
+    """
     options = _arguments(words)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # not every locale has "…"
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: no kernel stays
+    signal.signal(
+        signal.SIGTERM, signal.default_int_handler
+    )  # ends as Ctrl-C does: no kernel stays
     clock = time.monotonic()
     try:
         checkout = Checkout.find(notebooks=options.notebooks, reports=options.reports)
         if not checkout.external.is_dir():
-            print("no third-party data in TRUSTLAB_DATA or data/external: what needs them is left out")
+            print(
+                "no third-party data in TRUSTLAB_DATA or data/external: what needs them is left out"
+            )
         built = publish(
             options.names,
             checkout=checkout,
@@ -69,7 +91,10 @@ def main(words: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("\ninterrupted: every kernel is ended, no report is half made", file=sys.stderr)
         return 130
-    counts = {state: sum(one.state == state for one in built) for state in ("built", "up to date", "failed")}
+    counts = {
+        state: sum(one.state == state for one in built)
+        for state in ("built", "up to date", "failed")
+    }
     told = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
     print(f"{told}, in {duration(time.monotonic() - clock)}: {checkout.reports / 'index.html'}")
     return 1 if counts["failed"] else 0

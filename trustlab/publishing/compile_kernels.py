@@ -1,8 +1,9 @@
 """
 Compile the large kernels in two processes at once: `python -m trustlab.publishing.compile_kernels`.
 
-`make test` and `make reports` begin with it, because parallel tests and notebooks would otherwise compile the same kernels
-at the same time. Where they are compiled already, it does no more than load them.
+`make test` and `make reports` begin with it, because parallel tests and notebooks would otherwise
+compile the same kernels at the same time. Where they are compiled already, it does no more than
+load them.
 """
 
 from concurrent.futures import ProcessPoolExecutor
@@ -15,7 +16,9 @@ import trustlab as tl
 
 def _ground_robot() -> None:
     tl.run_condition("C3", participant=2, laps=2, seed=0)
-    tl.testbeds.run_correction(2, (0.0, 0.35), tests=1, laps=1, seed=0)  # the kernel again, with the correction in it
+    tl.testbeds.run_correction(
+        2, (0.0, 0.35), tests=1, laps=1, seed=0
+    )  # the kernel again, with the correction in it
     tl.virtual_study(n=4, testbed="uav", conditions=["C1", "C3"], seed=0)
 
 

@@ -22,11 +22,19 @@ with extra("reports"):
     from papermill.exceptions import PapermillExecutionError
 
 # Libraries told to sum in one thread: with more, the last digits differ from machine to machine.
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+ONE_THREAD = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
 
 
 class Kernels:
-    """The kernels of one command: started in one folder and environment, and ended together when it is interrupted."""
+    """
+    The kernels of one command: started in one folder and environment, and ended together when it is
+    interrupted.
+    """
 
     def __init__(self, checkout: Checkout, threads: int):
         self.running: list[AsyncKernelManager] = []
@@ -40,21 +48,28 @@ class Kernels:
             self.environment["TRUSTLAB_DATA"] = str(checkout.external)
 
     def manager(self, scratch: str) -> type[AsyncKernelManager]:
-        """Return the class that starts a kernel of this command; its sockets lie in the folder `scratch`."""
+        """
+        Return the class that starts a kernel of this command; its sockets lie in the folder
+        `scratch`.
+        """
         kernels = self
 
         class Manager(AsyncKernelManager):
             def __init__(self, **options: Any):
                 super().__init__(**options)
                 self.connection_file = str(Path(scratch, "kernel.json"))
-                # Sockets in a folder: kernels that start at the same time now and then take the same ports.
+                # Sockets in a folder: kernels that start at the same time now and then take the
+                # same ports.
                 self.transport, self.ip = "ipc", str(Path(scratch, "kernel"))
 
             async def start_kernel(self, **options: Any) -> None:  # type: ignore[override]  # theirs is an alias
                 own = {"IPYTHONDIR": str(Path(scratch, "ipython"))}  # nobody's own start-up files
                 options |= {"cwd": str(kernels.folder), "env": kernels.environment | own}
                 # At its end a kernel is interrupted first, and would log that as an error.
-                options["extra_arguments"] = [*options.get("extra_arguments", []), "--log-level=CRITICAL"]
+                options["extra_arguments"] = [
+                    *options.get("extra_arguments", []),
+                    "--log-level=CRITICAL",
+                ]
                 kernels.running.append(self)
                 await super().start_kernel(**options)
                 if kernels.ended:  # interrupted while this kernel started
@@ -66,14 +81,19 @@ class Kernels:
         """End every kernel at once, with the processes that it started."""
         self.ended = True
         for manager in self.running:
-            group = getattr(manager.provisioner, "pgid", None)  # each kernel leads a group of processes
+            group = getattr(
+                manager.provisioner, "pgid", None
+            )  # each kernel leads a group of processes
             if manager.has_kernel and group:
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(group, signal.SIGKILL)
 
 
 class CellError(ValueError):
-    """A notebook that failed: what happened, the index of its cell, that cell's source, and the traceback."""
+    """
+    A notebook that failed: what happened, the index of its cell, that cell's source, and the
+    traceback.
+    """
 
     def __init__(self, words: str, cell: int | None = None, source: str = "", traceback: str = ""):
         super().__init__(strip_ansi(words).strip())
@@ -81,10 +101,13 @@ class CellError(ValueError):
         self.traceback = strip_ansi(traceback or words).strip()
 
 
-def execute(path: Path, parameters: dict, kernels: Kernels, timeout: float | None = None) -> NotebookNode:
+def execute(
+    path: Path, parameters: dict, kernels: Kernels, timeout: float | None = None
+) -> NotebookNode:
     """Run a notebook, each cell at most `timeout` seconds, and return it with its outputs."""
     reached: list[tuple[int | None, str]] = [(None, "")]
-    # A socket's path has some 100 characters at most; macOS's own folder for temporary files is long.
+    # A socket's path has some 100 characters at most; macOS's own folder for temporary files is
+    # long.
     with tempfile.TemporaryDirectory(prefix="tl-", dir="/tmp") as scratch:
         try:
             return papermill.execute_notebook(
@@ -102,7 +125,9 @@ def execute(path: Path, parameters: dict, kernels: Kernels, timeout: float | Non
             words, traceback = f"{error.ename}: {error.evalue}", "\n".join(error.traceback)
             raise CellError(words, error.cell_index, error.source, traceback) from error
         except CellTimeoutError:
-            raise CellError(f"the cell took longer than {timeout:g} s, the time limit", *reached[-1]) from None
+            raise CellError(
+                f"the cell took longer than {timeout:g} s, the time limit", *reached[-1]
+            ) from None
         except Exception as error:  # the kernel died, or never came up
             words = f"{type(error).__name__}: {error}"
             more = f"{words}\nThe kernel ended before the cell did (out of memory?)."
@@ -122,9 +147,12 @@ def anonymous(text: str, checkout: Checkout) -> str:
     }
     words = {f"{place}/": f"{name}/".removeprefix("./") for place, name in places.items()}
     words |= {str(place): name for place, name in list(places.items())[:2]}
-    longest_first = sorted((re.escape(word) for word in words if len(word) > 2), key=len, reverse=True)
-    # Embedded pictures come first and stay as they are: base64 may spell anything. A path begins where nothing of it stands
-    # before: else the time would grow with the square of a long word's length.
+    longest_first = sorted(
+        (re.escape(word) for word in words if len(word) > 2), key=len, reverse=True
+    )
+    # Embedded pictures come first and stay as they are: base64 may spell anything. A path begins
+    # where nothing of it stands before: else the time would grow with the square of a long word's
+    # length.
     cell = r"(?P<cell>(?<![\w.@+~/-])[\w.@+~/-]*ipykernel_\d+/\d+\.py)"
     pattern = "|".join([r"data:image/[^\"]*", cell, *longest_first])
 

@@ -1,4 +1,7 @@
-"""The house style of figures: readable, distinguishable without colour vision, honest about synthetic data."""
+"""
+The house style of figures: readable, distinguishable without colour vision, honest about synthetic
+data.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,8 @@ from trustlab.models.checks import one_of
 if TYPE_CHECKING:  # nbformat takes longer to load than all else that a notebook needs
     from nbformat import NotebookNode
 
-# Okabe and Ito's colours (2008), told apart with any colour vision; yellow is left out, too pale on white.
+# Okabe and Ito's colours (2008), told apart with any colour vision; yellow is left out, too pale on
+# white.
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
 
 CAPTION_ID = "trustlab-caption"
@@ -32,8 +36,8 @@ def use_house_style(inline: str = "svg") -> None:
     Parameters
     ----------
     inline : {"svg", "png"}
-        Format in which a notebook keeps its figures: ``"svg"`` stays sharp; ``"png"`` (150 dpi) stays small where a figure
-        has more than some ten thousand marks.
+        Format in which a notebook keeps its figures: ``"svg"`` stays sharp; ``"png"`` (150 dpi)
+        stays small where a figure has more than some ten thousand marks.
 
     Raises
     ------
@@ -56,9 +60,12 @@ def use_house_style(inline: str = "svg") -> None:
     shell = get_ipython()
     if shell is not None:
         set_matplotlib_formats(inline, **({"dpi": 150} if inline == "png" else {}))
-        _describe_figures(shell.display_formatter.formatters["image/png" if inline == "png" else "image/svg+xml"])
+        _describe_figures(
+            shell.display_formatter.formatters["image/png" if inline == "png" else "image/svg+xml"]
+        )
         if mpl.get_backend().endswith("inline"):
-            # After each cell pyplot would draw what the notebook then draws for itself, in half of a figure's time.
+            # After each cell pyplot would draw what the notebook then draws for itself, in half of
+            # a figure's time.
             pyplot.switch_backend(
                 mpl.get_backend()
             )  # before the first figure does, which asks for those drawings again
@@ -77,7 +84,10 @@ def _describe_figures(formatter: Any) -> None:
         for text in words:
             text.set_visible("TRUSTLAB_REPORT" not in os.environ)  # a report sets it in type
         picture = draw(figure)  # first: drawing settles ticks and ranges
-        return picture, {"drawn": describe(figure), "caption": " ".join(text.get_text() for text in words)}
+        return picture, {
+            "drawn": describe(figure),
+            "caption": " ".join(text.get_text() for text in words),
+        }
 
     formatter.for_type(Figure, drawn)
 
@@ -114,7 +124,9 @@ def caption(where, text: str, synthetic: bool | str = False):
         label_synthetic(figure, synthetic)
     _remove(figure, CAPTION_ID)
     words = textwrap.fill(text, max(30, int(figure.get_figwidth() * 14)))
-    return figure.text(0.01, -0.02, words, ha="left", va="top", fontsize=9, color="#555555", gid=CAPTION_ID)
+    return figure.text(
+        0.01, -0.02, words, ha="left", va="top", fontsize=9, color="#555555", gid=CAPTION_ID
+    )
 
 
 def _label(synthetic: bool | str) -> str:
@@ -137,7 +149,13 @@ def label_synthetic(where, synthetic: bool | str = True):
         The mark.
     """
     _remove(where, MARK_ID)
-    style: dict[str, Any] = {"fontsize": 8, "color": "#8a5a00", "ha": "right", "va": "bottom", "gid": MARK_ID}
+    style: dict[str, Any] = {
+        "fontsize": 8,
+        "color": "#8a5a00",
+        "ha": "right",
+        "va": "bottom",
+        "gid": MARK_ID,
+    }
     if hasattr(where, "transAxes"):
         return where.text(1.0, 1.01, _label(synthetic), transform=where.transAxes, **style)
     return where.text(0.995, 1.01, _label(synthetic), **style)
@@ -158,7 +176,10 @@ def image_uri(output: NotebookNode) -> str:
 
 
 def said_of(output: NotebookNode, what: str) -> str:
-    """Return what is noted with a picture: its author's words, "alt"; its "caption"; or "drawn", what one sees in it."""
+    """
+    Return what is noted with a picture: its author's words, "alt"; its "caption"; or "drawn", what
+    one sees in it.
+    """
     noted = [output.metadata, *(output.metadata.get(kind, {}) for kind in IMAGES)]
     return " ".join(next((entry[what] for entry in noted if entry.get(what)), "").split())
 
@@ -176,10 +197,19 @@ def spoken(text: str) -> str:
 
 
 def describe(figure) -> str:
-    """Return a figure in words: for each panel its axes with their ranges, and how each named line runs."""
-    panels = [axes for axes in figure.axes if axes.get_visible() and (axes.axison or axes.name == "3d")]
+    """
+    Return a figure in words: for each panel its axes with their ranges, and how each named line
+    runs.
+    """
+    panels = [
+        axes for axes in figure.axes if axes.get_visible() and (axes.axison or axes.name == "3d")
+    ]
     told = [_panel(axes) for axes in panels if axes.get_label() != "<colorbar>"]
-    scales = [spoken(axes.get_ylabel() or axes.get_xlabel()) for axes in panels if axes.get_label() == "<colorbar>"]
+    scales = [
+        spoken(axes.get_ylabel() or axes.get_xlabel())
+        for axes in panels
+        if axes.get_label() == "<colorbar>"
+    ]
     count = [f"{len(told)} panels."] if len(told) > 1 else []
     colours = [f"Colours show {', '.join(dict.fromkeys(scales))}."] if any(scales) else []
     return " ".join([*count, *filter(None, told), *colours])
@@ -187,11 +217,20 @@ def describe(figure) -> str:
 
 def _panel(axes) -> str:
     """Return one panel in words."""
-    title = next((spoken(words) for side in ("left", "center", "right") if (words := axes.get_title(loc=side))), "")
+    title = next(
+        (
+            spoken(words)
+            for side in ("left", "center", "right")
+            if (words := axes.get_title(loc=side))
+        ),
+        "",
+    )
     against = f"{_axis(axes.yaxis)} against {_axis(axes.xaxis)}"
     if axes.name == "3d":
         against = ", ".join(spoken(getattr(axes, f"get_{name}label")()) or name for name in "xyz")
-    lines = {name: line for line in axes.lines if (name := _name(line)) and len(line.get_xdata()) > 2}
+    lines = {
+        name: line for line in axes.lines if (name := _name(line)) and len(line.get_xdata()) > 2
+    }
     runs = [f"{name} {_run(line)}" for name, line in list(lines.items())[:MOST_LINES]]
     legend = axes.get_legend()
     keys = [spoken(text.get_text()) for text in legend.get_texts()] if legend else []
@@ -208,10 +247,15 @@ def _name(artist) -> str:
 
 def _axis(axis) -> str:
     """Return label and range of an axis, or the names along it."""
-    label = spoken(axis.get_label_text()) or ("horizontal axis" if axis.axis_name == "x" else "vertical axis")
+    label = spoken(axis.get_label_text()) or (
+        "horizontal axis" if axis.axis_name == "x" else "vertical axis"
+    )
     names = [spoken(tick.get_text()) for tick in axis.get_ticklabels()]
     if any(re.search(r"[^\W\d_]{2}|[A-Z]\d", name) for name in names):
-        return f"{label} ({', '.join(filter(None, names[:MOST_LINES]))}{' …' if len(names) > MOST_LINES else ''})"
+        return (
+            f"{label} "
+            f"({', '.join(filter(None, names[:MOST_LINES]))}{' …' if len(names) > MOST_LINES else ''})"
+        )
     low, high = sorted(axis.get_view_interval())
     return f"{label} from {low:.3g} to {high:.3g}"
 
@@ -222,7 +266,10 @@ def _run(line) -> str:
     heights = heights[np.isfinite(heights)]
     if not heights.size:
         return "is empty"
-    first, last, low, high = heights[0], heights[-1], heights.min(), heights.max()
+    first = heights[0]
+    last = heights[-1]
+    low = heights.min()
+    high = heights.max()
     if low == high:
         return f"stays at {first:.3g}"
     run = f"goes from {first:.3g} to {last:.3g}"
@@ -230,12 +277,21 @@ def _run(line) -> str:
 
 
 def calibrate(figure) -> None:
-    """Name the panels and lines of a figure in its drawing so that a viewer can read values from it."""
+    """
+    Name the panels and lines of a figure in its drawing so that a viewer can read values from it.
+    """
     for axes in figure.axes:
-        if axes.name != "rectilinear" or not {axes.get_xscale(), axes.get_yscale()} <= {"linear", "log"}:
+        if axes.name != "rectilinear" or not {axes.get_xscale(), axes.get_yscale()} <= {
+            "linear",
+            "log",
+        }:
             continue
         sides = {
-            name: [*axis.get_view_interval(), axis.get_scale(), spoken(axis.get_label_text()) or name]
+            name: [
+                *axis.get_view_interval(),
+                axis.get_scale(),
+                spoken(axis.get_label_text()) or name,
+            ]
             for name, axis in (("x", axes.xaxis), ("y", axes.yaxis))
         }
         axes.patch.set_gid(json.dumps(sides))

@@ -1,4 +1,7 @@
-"""The records of reports, and the page that leads to all: a card each, with a picture, a sentence and the time taken."""
+"""
+The records of reports, and the page that leads to all: a card each, with a picture, a sentence and
+the time taken.
+"""
 
 import contextlib
 import html
@@ -28,7 +31,9 @@ with extra("reports"):
 
 
 # What a record of a report that was built holds.
-KINDS: dict[str, type] = dict.fromkeys(("digest", "sources", "started", "title", "sentence", "thumbnail"), str)
+KINDS: dict[str, type] = dict.fromkeys(
+    ("digest", "sources", "started", "title", "sentence", "thumbnail"), str
+)
 KINDS |= {"seconds": float, "parameters": dict}
 
 
@@ -55,20 +60,32 @@ def held(checkout: Checkout, say: Callable[[str], object]) -> Iterator[None]:
 
 
 def record_path(checkout: Checkout, name: str) -> Path:
-    """Return where the record of a report is kept: digests of its inputs, title, sentence, thumbnail, or its failure."""
+    """
+    Return where the record of a report is kept: digests of its inputs, title, sentence, thumbnail,
+    or its failure.
+    """
     return checkout.reports / ".build" / f"{name}.json"
 
 
 def read_record(checkout: Checkout, name: str) -> dict:
-    """Return the record of a report; empty where there is none, or none that a report leaves: it is built again then."""
+    """
+    Return the record of a report; empty where there is none, or none that a report leaves: it is
+    built again then.
+    """
     try:
         found = json.loads(record_path(checkout, name).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
     if isinstance(found, dict) and isinstance(found.get("failure"), dict):
         return found
-    built = isinstance(found, dict) and all(isinstance(found.get(key), kind) for key, kind in KINDS.items())
-    return found if built and not page_faults(f"{found['sentence']}{found.get('headline', '')}") else {}
+    built = isinstance(found, dict) and all(
+        isinstance(found.get(key), kind) for key, kind in KINDS.items()
+    )
+    return (
+        found
+        if built and not page_faults(f"{found['sentence']}{found.get('headline', '')}")
+        else {}
+    )
 
 
 def replace_file(path: Path, text: str) -> None:
@@ -86,7 +103,11 @@ def _card(checkout: Checkout, notebook: Path, shared: str) -> dict:
     name = notebook.stem
     record = read_record(checkout, name)
     page = checkout.reports / f"{name}.html"
-    card = {"title": record.get("title", name), "mark": name[:2], "thumbnail": record.get("thumbnail", "")}
+    card = {
+        "title": record.get("title", name),
+        "mark": name[:2],
+        "thumbnail": record.get("thumbnail", ""),
+    }
     if failure := record.get("failure"):
         return card | {"failure": failure, "facts": name}
     if not record or not page.is_file():
@@ -114,13 +135,20 @@ def _others(checkout: Checkout, names: set[str]) -> list[tuple[str, str]]:
 
 
 def write_index(checkout: Checkout, notebooks: list[Path], shared: str) -> None:
-    """Write ``index.html`` with a card for every notebook; `shared` is the `shared_digest` of the checkout."""
+    """
+    Write ``index.html`` with a card for every notebook; `shared` is the `shared_digest` of the
+    checkout.
+    """
     cards = [_card(checkout, notebook, shared) for notebook in notebooks]
     failed = sum("failure" in card for card in cards)
-    built = [notebook.stem for notebook, card in zip(notebooks, cards, strict=True) if "link" in card]
+    built = [
+        notebook.stem for notebook, card in zip(notebooks, cards, strict=True) if "link" in card
+    ]
     # titles are escaped in the template; sentences and style sheet are HTML and CSS of our own
     templates = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=False, trim_blocks=True)
-    equations = [row | {"number": number} for number, row in read_equations(checkout.notebooks).items()]
+    equations = [
+        row | {"number": number} for number, row in read_equations(checkout.notebooks).items()
+    ]
     page = templates.get_template("index.html.j2").render(
         policy=policy(script()),
         script=script(),
@@ -131,7 +159,8 @@ def write_index(checkout: Checkout, notebooks: list[Path], shared: str) -> None:
         cards=cards,
         docs=(checkout.reports / "docs" / "index.html").is_file(),
         others=_others(checkout, {notebook.stem for notebook in notebooks}),
-        summary=f"{len(built)} of {len(cards)} notebooks published" + (f"; {failed} failed." if failed else "."),
+        summary=f"{len(built)} of {len(cards)} notebooks published"
+        + (f"; {failed} failed." if failed else "."),
     )
     page = linker(checkout.notebooks, "")(page)
     check_page(page, "index")

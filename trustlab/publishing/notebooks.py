@@ -18,7 +18,13 @@ from loky import cpu_count
 
 from trustlab.models.checks import did_you_mean, positive, shown, whole_number
 from trustlab.models.extras import extra
-from trustlab.publishing.provenance import Checkout, duration, input_digest, provenance, shared_digest
+from trustlab.publishing.provenance import (
+    Checkout,
+    duration,
+    input_digest,
+    provenance,
+    shared_digest,
+)
 
 if TYPE_CHECKING:
     from trustlab.publishing.execution import Kernels
@@ -39,7 +45,8 @@ class Built:
     seconds : float
         Time taken, s; 0 where nothing was run.
     failure : dict or None
-        ``cell`` (its number from 1, or None), ``source``, ``error`` and ``traceback`` of a failed one.
+        ``cell`` (its number from 1, or None), ``source``, ``error`` and ``traceback`` of a failed
+        one.
     """
 
     name: str
@@ -50,20 +57,31 @@ class Built:
     @property
     def where(self) -> str:
         """The cell that failed, in words; empty where it is none's."""
-        return f" in cell {self.failure['cell']}" if self.failure and self.failure.get("cell") else ""
+        return (
+            f" in cell {self.failure['cell']}" if self.failure and self.failure.get("cell") else ""
+        )
 
 
 def find_notebooks(checkout: Checkout, names: Iterable[str] = ()) -> list[Path]:
-    """Return the files ``NN_*.ipynb`` in order; those that `names` name, in full or by their beginning, or all."""
-    found = sorted(path for path in checkout.notebooks.glob("*.ipynb") if NAMED.fullmatch(path.name))
+    """
+    Return the files ``NN_*.ipynb`` in order; those that `names` name, in full or by their
+    beginning, or all.
+    """
+    found = sorted(
+        path for path in checkout.notebooks.glob("*.ipynb") if NAMED.fullmatch(path.name)
+    )
     if not found:
-        raise ValueError(f"no notebook NN_name.ipynb (two digits, underscore, name) in {checkout.notebooks}")
+        raise ValueError(
+            f"no notebook NN_name.ipynb (two digits, underscore, name) in {checkout.notebooks}"
+        )
     if not names:
         return found
     stems, chosen = [path.stem for path in found], set()
     for name in names:
         short = Path(name).name.removesuffix(".ipynb")
-        fits = [stem for stem in stems if stem == short] or [stem for stem in stems if stem.startswith(short)]
+        fits = [stem for stem in stems if stem == short] or [
+            stem for stem in stems if stem.startswith(short)
+        ]
         if not fits:
             known = f"{did_you_mean(short, stems)}. There are: {', '.join(stems)}"
             raise ValueError(f"no notebook is called {name!r}{known}")
@@ -72,7 +90,10 @@ def find_notebooks(checkout: Checkout, names: Iterable[str] = ()) -> list[Path]:
 
 
 def _parameters_cell(path: Path) -> tuple[int, str]:
-    """Return index and source of the cell tagged ``parameters``; behind the last cell and empty where there is none."""
+    """
+    Return index and source of the cell tagged ``parameters``; behind the last cell and empty where
+    there is none.
+    """
     with extra("reports"):
         import nbformat
 
@@ -83,7 +104,10 @@ def _parameters_cell(path: Path) -> tuple[int, str]:
 
 
 def declared_parameters(path: Path) -> dict[str, Any]:
-    """Return the parameters that a notebook declares in its cell tagged ``parameters``, and their defaults."""
+    """
+    Return the parameters that a notebook declares in its cell tagged ``parameters``, and their
+    defaults.
+    """
     with extra("reports"):
         from papermill.translators import PythonTranslator
 
@@ -92,7 +116,10 @@ def declared_parameters(path: Path) -> dict[str, Any]:
 
 
 def parse_value(text: str) -> Any:
-    """Return a parameter's value: what Python reads in the text, a number that it spells (inf, nan), or else the text."""
+    """
+    Return a parameter's value: what Python reads in the text, a number that it spells (inf, nan),
+    or else the text.
+    """
     with contextlib.suppress(SyntaxError, ValueError):
         return ast.literal_eval(text)
     with contextlib.suppress(ValueError):
@@ -101,18 +128,25 @@ def parse_value(text: str) -> Any:
 
 
 def parameters_for(notebooks: list[Path], given: dict[str, Any]) -> dict[Path, dict[str, Any]]:
-    """Return the parameters each notebook gets: those of the given ones that it declares, of the kind of their default."""
+    """
+    Return the parameters each notebook gets: those of the given ones that it declares, of the kind
+    of their default.
+    """
     if not given:
         return {path: {} for path in notebooks}
     declared = {path: declared_parameters(path) for path in notebooks}
     known = {name for names in declared.values() for name in names}
     for name in given:
         if name not in known:
-            lines = [f"  {path.stem}: {', '.join(names) or '(none)'}" for path, names in declared.items()]
+            lines = [
+                f"  {path.stem}: {', '.join(names) or '(none)'}" for path, names in declared.items()
+            ]
             unknown = f"no notebook declares a parameter {name!r}{did_you_mean(name, known)}"
             raise ValueError("\n".join([unknown, "Declared parameters:", *lines]))
     return {
-        path: {name: _fitting(name, given[name], names[name], path) for name in given if name in names}
+        path: {
+            name: _fitting(name, given[name], names[name], path) for name in given if name in names
+        }
         for path, names in declared.items()
     }
 
@@ -130,7 +164,11 @@ def _fitting(name: str, given: Any, default: Any, notebook: Path) -> Any:
 
 
 def _run(
-    checkout: Checkout, path: Path, parameters: dict[str, Any], kernels: Kernels, timeout: float | None
+    checkout: Checkout,
+    path: Path,
+    parameters: dict[str, Any],
+    kernels: Kernels,
+    timeout: float | None,
 ) -> dict[str, Any]:
     """Run one notebook and lay out its page; return what is known of it afterwards."""
     from trustlab.publishing.execution import CellError, anonymous, execute
@@ -187,14 +225,17 @@ def publish(
 ) -> list[Built]:
     """Run notebooks and write one self-contained HTML report each, and the index of all.
 
-    A notebook that fails leaves no report, an earlier one of it is removed, and the others are built all the same.
+    A notebook that fails leaves no report, an earlier one of it is removed, and the others are
+    built all the same.
 
     Parameters
     ----------
     names : iterable of str
-        Notebooks to publish, none for all. Reports of notebooks that no longer exist are removed when all are published.
+        Notebooks to publish, none for all. Reports of notebooks that no longer exist are removed
+        when all are published.
     checkout : Checkout, optional
-        The folders, by default ``Checkout.find()``. Notebooks run with the folder of the notebooks as working directory.
+        The folders, by default ``Checkout.find()``. Notebooks run with the folder of the notebooks
+        as working directory.
     parameters : dict, optional
         Parameter → value; a notebook gets those it declares. Strings are read by `parse_value`.
     jobs : int or "auto"
@@ -216,8 +257,8 @@ def publish(
     Raises
     ------
     ValueError
-        Before any notebook runs: no such notebook, a parameter no notebook declares, a value of another kind, a time limit
-        that is not positive.
+        Before any notebook runs: no such notebook, a parameter no notebook declares, a value of
+        another kind, a time limit that is not positive.
     OSError
         If the reports cannot be written.
     ModuleNotFoundError
@@ -240,7 +281,10 @@ def publish(
             "parameters": {name: repr(value) for name, value in given[path].items()},
         }
         done[path] = built = _keep(checkout, path.stem, result, record)
-        say(f"{path.stem} … {f'FAILED{built.where} after' if built.failure else 'built in'} {duration(built.seconds)}")
+        say(
+            f"{path.stem} … {f'FAILED{built.where} after' if built.failure else 'built in'} "
+            f"{duration(built.seconds)}"
+        )
         if built.failure and on_failure:
             on_failure(built)
 
@@ -267,7 +311,10 @@ def _run_all(
     timeout: float | None,
     finish: Callable[[Path, dict], None],
 ) -> None:
-    """Run notebooks with their parameters, `jobs` at once, and hand over what became of each as soon as it is known."""
+    """
+    Run notebooks with their parameters, `jobs` at once, and hand over what became of each as soon
+    as it is known.
+    """
     from trustlab.publishing.execution import Kernels
 
     jobs = max(1, min(jobs, len(waiting)))
@@ -275,7 +322,10 @@ def _run_all(
     # The work is done in the kernels, which are processes: threads are enough to wait for them.
     pool = ThreadPoolExecutor(jobs)
     try:
-        runs = {pool.submit(_run, checkout, path, given, kernels, timeout): path for path, given in waiting.items()}
+        runs = {
+            pool.submit(_run, checkout, path, given, kernels, timeout): path
+            for path, given in waiting.items()
+        }
         for run in as_completed(runs):
             finish(runs[run], run.result())
     except BaseException:  # an interrupt too: no kernel outlives the command

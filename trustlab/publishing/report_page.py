@@ -1,4 +1,6 @@
-"""An executed notebook to one HTML page by nbconvert: no script, nothing fetched, formulas as MathML."""
+"""
+An executed notebook to one HTML page by nbconvert: no script, nothing fetched, formulas as MathML.
+"""
 
 import contextlib
 import csv
@@ -21,7 +23,11 @@ with extra("reports"):
     from bs4 import BeautifulSoup, Tag
     from nbconvert import HTMLExporter, TemplateExporter
     from nbconvert.filters import Highlight2HTML, strip_ansi
-    from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath, MathInlineParser
+    from nbconvert.filters.markdown_mistune import (
+        IPythonRenderer,
+        MarkdownWithMath,
+        MathInlineParser,
+    )
     from nbformat import NotebookNode
     from pygments.formatters import HtmlFormatter
     from traitlets.config import Config
@@ -32,12 +38,21 @@ TEMPLATES = Path(__file__).parent / "templates"
 CONTENTS_FROM = 5
 
 # Forms of an output, the best first: a page shows one of them.
-SHOWN = ("text/html", "text/markdown", "text/latex", *IMAGES, "application/javascript", "text/plain")
+SHOWN = (
+    "text/html",
+    "text/markdown",
+    "text/latex",
+    *IMAGES,
+    "application/javascript",
+    "text/plain",
+)
 
 # What a cell that ends with a call of Matplotlib returns: no reader wants to see it.
-LEFT_OVER = re.compile(r"\[?(<Axes|<matplotlib\.|<Figure|Text\(|\(?array\(\[<Axes|<[\w. ]+ at 0x[0-9a-f]+>)")
-# $5 and $6 are prices: a dollar that opens a formula is not followed by a space; one that closes it is neither preceded
-# by a space nor followed by a digit.
+LEFT_OVER = re.compile(
+    r"\[?(<Axes|<matplotlib\.|<Figure|Text\(|\(?array\(\[<Axes|<[\w. ]+ at 0x[0-9a-f]+>)"
+)
+# $5 and $6 are prices: a dollar that opens a formula is not followed by a space; one that closes it
+# is neither preceded by a space nor followed by a digit.
 FORMULA = r"(?s:(?<![\\$])\$(?![\s$])(?P<math_inline_tex>(?:\\\$|(?!\n\s*\n)[^$`])+?)(?<![\s\\])\$(?![\d$]))"
 FETCHED = ("src", "srcset", "poster", "data", "background", "xlink:href", "action", "formaction")
 # A backslash may spell any of the others; within a picture "<" ends a style.
@@ -47,7 +62,10 @@ REFUSED = re.compile(r"<(script|iframe|frame|object|embed|base|meta|link|form)\b
 
 
 class ReportError(CellError):
-    """A notebook that ran but cannot be published: what is wrong, and the index of its cell where it is one cell's."""
+    """
+    A notebook that ran but cannot be published: what is wrong, and the index of its cell where it
+    is one cell's.
+    """
 
 
 class _Inline(MathInlineParser):
@@ -55,7 +73,9 @@ class _Inline(MathInlineParser):
 
 
 class _Renderer(IPythonRenderer):
-    """nbconvert's Markdown, with MathML in place of formulas for a script, and anchors that are noted."""
+    """
+    nbconvert's Markdown, with MathML in place of formulas for a script, and anchors that are noted.
+    """
 
     def __init__(self, headings: list[Heading], attachments: dict, folder: str | Path):
         super().__init__(escape=False, embed_images=True, attachments=attachments, path=str(folder))
@@ -72,7 +92,10 @@ class _Renderer(IPythonRenderer):
 
     def heading(self, text: str, level: int, **_: Any) -> str:
         anchor = slug(plain(text))
-        repeated = sum(re.fullmatch(re.escape(anchor) + r"(-\d+)?", other) is not None for _, other, _ in self.headings)
+        repeated = sum(
+            re.fullmatch(re.escape(anchor) + r"(-\d+)?", other) is not None
+            for _, other, _ in self.headings
+        )
         anchor += f"-{repeated + 1}" if repeated else ""
         self.headings.append((level, anchor, text))
         link = f'<a class="anchor" href="#{anchor}" aria-hidden="true" tabindex="-1">#</a>'
@@ -80,9 +103,15 @@ class _Renderer(IPythonRenderer):
 
 
 def markdown_html(
-    source: str, headings: list | None = None, attachments: dict | None = None, folder: str | Path = ""
+    source: str,
+    headings: list | None = None,
+    attachments: dict | None = None,
+    folder: str | Path = "",
 ) -> str:
-    """Return Markdown as HTML with formulas and pictures embedded; `headings` gets (level, anchor, HTML) of each."""
+    """
+    Return Markdown as HTML with formulas and pictures embedded; `headings` gets (level, anchor,
+    HTML) of each.
+    """
     renderer = _Renderer([] if headings is None else headings, attachments or {}, folder)
     rendered = MarkdownWithMath(renderer, inline=_Inline()).render(source)
     # Browsers would break a line between a formula and the parenthesis or stop beside it.
@@ -123,15 +152,21 @@ class Page:
     """What the template asks for while nbconvert lays out a notebook, cell by cell."""
 
     def __init__(self, notebook: NotebookNode, name: str, folder: str | Path):
-        self.notebook, self.name, self.folder = notebook, name, folder
+        self.notebook = notebook
+        self.name = name
+        self.folder = folder
         self.headings: list[Heading] = []
         self.code: list[str] = []  # kept for the fold at the end of its section
-        self.answers: list[str] = []  # outputs of cells tagged ``answer``, for the box below the title
+        self.answers: list[
+            str
+        ] = []  # outputs of cells tagged ``answer``, for the box below the title
         self.figures = 0
         self.index: int | None = None
         self.attachments = None
 
-    def __deepcopy__(self, memo: dict) -> "Page":  # nbconvert copies what it passes on to the template
+    def __deepcopy__(
+        self, memo: dict
+    ) -> "Page":  # nbconvert copies what it passes on to the template
         return self
 
     def enter(self, index: int) -> str:
@@ -150,10 +185,17 @@ class Page:
         above = plain(self.headings[-1][2]) if self.headings else "Result"
         given = said_of(output, "alt") or said_of(output, "caption")
         seen = said_of(output, "drawn") or given or f"Figure: {above}"
-        return {"uri": image_uri(output), "alt": seen, "caption": f"Figure {self.figures}. {given or above}"}
+        return {
+            "uri": image_uri(output),
+            "alt": seen,
+            "caption": f"Figure {self.figures}. {given or above}",
+        }
 
     def fold(self, source: str = "# ") -> str:
-        """Return the code kept so far, folded, where a section ends: before a heading, and at the end of the page."""
+        """
+        Return the code kept so far, folded, where a section ends: before a heading, and at the end
+        of the page.
+        """
         if not self.code or not re.match("#{1,3} ", source.lstrip()):
             return ""
         code, self.code = "".join(self.code), []
@@ -161,14 +203,20 @@ class Page:
 
     def opened(self, content: str, contents: str) -> str:
         """Return the page's content with the answer and the list of contents below its title."""
-        box = f'<section class="answer" aria-label="In short">{"".join(self.answers)}</section>' if self.answers else ""
+        box = (
+            f'<section class="answer" aria-label="In short">{"".join(self.answers)}</section>'
+            if self.answers
+            else ""
+        )
         title, end, rest = content.partition("</h1>")
         linked = linker(Path(self.folder), self.name)(f"{box}{contents}{rest or title}")
         return f"{title}{end}{linked}" if end else linked
 
     def refuse_script(self) -> None:
         """Refuse an output that needs JavaScript."""
-        raise MathError("it shows JavaScript, which a report cannot hold; show a figure or a table instead")
+        raise MathError(
+            "it shows JavaScript, which a report cannot hold; show a figure or a table instead"
+        )
 
     @property
     def title(self) -> str:
@@ -178,34 +226,53 @@ class Page:
 
     @property
     def contents(self) -> list[Heading]:
-        """The headings of levels 2 and 3, where there are enough of them for a table of contents."""
+        """
+        The headings of levels 2 and 3, where there are enough of them for a table of contents.
+        """
         if len(self.headings) < CONTENTS_FROM:
             return []
         listed = [heading for heading in self.headings if heading[0] in (2, 3)]
-        return [(level, anchor, re.sub(r"</?a\b[^>]*>", "", text)) for level, anchor, text in listed]
+        return [
+            (level, anchor, re.sub(r"</?a\b[^>]*>", "", text)) for level, anchor, text in listed
+        ]
 
     @property
     def thumbnail(self) -> str:
         """The picture of the cell tagged ``thumbnail``, else the first there is, as a data URI."""
         cells = [cell for cell in self.notebook.cells if cell.cell_type == "code"]
         cells.sort(key=lambda cell: "thumbnail" not in cell.metadata.get("tags", []))
-        return next((uri for cell in cells for output in cell.outputs if (uri := image_uri(output))), "")
+        return next(
+            (uri for cell in cells for output in cell.outputs if (uri := image_uri(output))), ""
+        )
 
     @property
     def sentence(self) -> str:
         """The first sentence below the title as HTML."""
-        first = next((cell.source for cell in self.notebook.cells if cell.cell_type == "markdown"), "")
+        first = next(
+            (cell.source for cell in self.notebook.cells if cell.cell_type == "markdown"), ""
+        )
         paragraphs = re.split(r"\n\s*\n", re.sub(r"(?m)^#.*$", "\n", first).strip())
-        words = re.split(r"(?<!e\.g\.)(?<!i\.e\.)(?<!\bcf\.)(?<!Fig\.)(?<=[.!?])\s+(?=[A-Z“])", paragraphs[0])[0]
+        words = re.split(
+            r"(?<!e\.g\.)(?<!i\.e\.)(?<!\bcf\.)(?<!Fig\.)(?<=[.!?])\s+(?=[A-Z“])", paragraphs[0]
+        )[0]
         return re.sub(r"</?(p|a)\b[^>]*>", "", markdown_html(words, folder=self.folder)).strip()
 
 
 def report_html(
-    notebook: NotebookNode, name: str, origin: dict, given: dict | None = None, folder: str | Path = ""
+    notebook: NotebookNode,
+    name: str,
+    origin: dict,
+    given: dict | None = None,
+    folder: str | Path = "",
 ) -> tuple[str, dict[str, Any]]:
     """Return an executed notebook as one self-contained page, and what the index shows of it."""
     page = Page(notebook, name, folder)
-    filters = {"duration": duration, "image_uri": image_uri, "output_html": output_html, "result": result}
+    filters = {
+        "duration": duration,
+        "image_uri": image_uri,
+        "output_html": output_html,
+        "result": result,
+    }
     exporter = HTMLExporter(
         template_file="report.html.j2",
         extra_template_paths=[str(TEMPLATES)],
@@ -215,7 +282,8 @@ def report_html(
     resources = {"page": page, "name": name, "origin": origin, "given": given or {}}
     resources |= {"css": stylesheet(), "script": script(), "policy": policy(script())}
     try:
-        # Not HTMLExporter's own, which would parse the finished page once more for what our template has written already.
+        # Not HTMLExporter's own, which would parse the finished page once more for what our
+        # template has written already.
         text, _ = TemplateExporter.from_notebook_node(exporter, notebook, resources)
     except MathError as error:
         raise ReportError(str(error), page.index) from error
@@ -230,23 +298,38 @@ def report_html(
 def stylesheet() -> str:
     """Return the style sheet of reports and index, with the colours of code."""
     own = (TEMPLATES / "report.css").read_text(encoding="utf-8")
-    light, dark = (HtmlFormatter(style=style, nobackground=True) for style in ("xcode", "github-dark"))
+    light, dark = (
+        HtmlFormatter(style=style, nobackground=True) for style in ("xcode", "github-dark")
+    )
     defs = dark.get_style_defs(".highlight")
-    return f"{own}{light.get_style_defs('.highlight')}\n@media screen and (prefers-color-scheme: dark) {{{defs}}}"
+    return (
+        f"{own}{light.get_style_defs('.highlight')}\n@media screen and (prefers-color-scheme: "
+        f"dark) {{{defs}}}"
+    )
 
 
 def script() -> str:
-    """Return the script of reports and index: tables are sorted, filtered, unfolded and saved, figures are explored."""
-    return "".join((TEMPLATES / name).read_text(encoding="utf-8") for name in ("tables.js", "figures.js"))
+    """
+    Return the script of reports and index: tables are sorted, filtered, unfolded and saved, figures
+    are explored.
+    """
+    return "".join(
+        (TEMPLATES / name).read_text(encoding="utf-8") for name in ("tables.js", "figures.js")
+    )
 
 
 def page_faults(page: str) -> list[str]:
-    """Return what the body of a page would run or fetch, one phrase each; nothing where it is complete in itself.
+    """
+    Return what the body of a page would run or fetch, one phrase each; nothing where it is complete
+    in itself.
 
-    The page's policy keeps browsers from all of it but from loading another page; here the author is told.
+    The page's policy keeps browsers from all of it but from loading another page; here the author
+    is told.
     """
     # Without its embedded pictures the page is small.
-    body = re.sub(r"""(["'])data:image/[^"'>]*\1""", '"data:"', page[max(page.find("</head>"), 0) :])
+    body = re.sub(
+        r"""(["'])data:image/[^"'>]*\1""", '"data:"', page[max(page.find("</head>"), 0) :]
+    )
     faults = [f"it has a <{name.lower()}> element" for name in REFUSED.findall(body)]
     for tag in BeautifulSoup(body, "html.parser").find_all(True):
         for name, value in tag.attrs.items():
@@ -267,7 +350,9 @@ def check_page(page: str, what: str) -> None:
         raise ReportError(f"the {what} would not be self-contained: {'; '.join(faults)}")
 
 
-NUMBER = re.compile(r"[<>]?\s*[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|<NA>|[-+]?inf|\u2013|-")
+NUMBER = re.compile(
+    r"[<>]?\s*[-+\u2212]?(\d[\d,\u202f ]*)?\.?\d*([eE][-+]?\d+)?\s*%?|nan|NaN|<NA>|[-+]?inf|\u2013|-"
+)
 P_VALUE = re.compile(
     r"p|p, .*|mauchly_p"
     r"|p[ _](gg|hf|holm|bonferroni|corrected|adjusted|uncorrected|value|mauchly|anova|friedman|mixed|shapiro_least|simulated|chi2)"
@@ -286,15 +371,20 @@ WORDS = tomllib.loads((TEMPLATES / "columns.toml").read_text(encoding="utf-8"))
 def style_table(table: Tag) -> None:
     """Head a table by words, and mark and write its numbers."""
     heads = [row for row in table.find_all("tr") if row.find("th") and not row.find("td")]
-    # pandas writes the names of the rows below those of the columns, in a row that is empty but for them.
+    # pandas writes the names of the rows below those of the columns, in a row that is empty but for
+    # them.
     if len(heads) > 1 and not heads[-1].find_all("th")[-1].get_text(strip=True):
         _join_names(heads[-2], heads.pop())
     names = [name.get_text(strip=True) for name in heads[-1].find_all("th")] if heads else []
     for row in table.find_all("tr"):
         # From the right, as the first cells of a row may be those of a row above.
-        for cell, name in zip(reversed(row.find_all(["th", "td"])), chain(reversed(names), repeat("")), strict=False):
+        for cell, name in zip(
+            reversed(row.find_all(["th", "td"])), chain(reversed(names), repeat("")), strict=False
+        ):
             _write_cell(cell, P_VALUE.fullmatch(name) is not None)
-    first = next((row.find_all(["th", "td"]) for row in table.find_all("tr") if row not in heads), [])
+    first = next(
+        (row.find_all(["th", "td"]) for row in table.find_all("tr") if row not in heads), []
+    )
     for head in heads if not table.select("thead [colspan]") else heads[-1:]:
         for title, cell in zip(reversed(head.find_all("th")), reversed(first), strict=False):
             if "number" in cell.get_attribute_list("class"):
@@ -302,7 +392,9 @@ def style_table(table: Tag) -> None:
     for cell in table.find_all(["th", "td"]):
         code = cell.get_text()
         if words := (WORDS["td"] | WORDS[cell.name]).get(code):
-            cell["title"], cell["data-value"], cell.string = code, code, words
+            cell["title"] = code
+            cell["data-value"] = code
+            cell.string = words
 
 
 def _join_names(above: Tag, last: Tag) -> None:
@@ -326,7 +418,10 @@ def _write_cell(cell: Tag, is_p: bool) -> None:
 
 
 def _as_papers_write(text: str, is_p: bool) -> str:
-    """Return a p-value with three decimals or as a bound, a long fraction rounded, a zero without a minus, and a dash for no value."""
+    """
+    Return a p-value with three decimals or as a bound, a long fraction rounded, a zero without a
+    minus, and a dash for no value.
+    """
     with contextlib.suppress(ValueError):
         if is_p and float(text) < LEAST_P:
             return "< .001"
@@ -345,7 +440,8 @@ def _mark(cell: Tag, name: str) -> None:
 LINKABLE = re.compile(
     r"(?s)<(?:a|pre|code|math|h\d)\b.*?</(?:a|pre|code|math|h\d)>|<[^>]*>"
     r"|\b[Rr]eport (?P<report>\d\d)\b|\((?P<equation>[2-4A]\.\d+)\)"
-    # A figure or table is linked where a cell or paragraph begins with it: in a list of places, not in running prose.
+    # A figure or table is linked where a cell or paragraph begins with it: in a list of places, not
+    # in running prose.
     r"|(?<=>)(?:Section [\d.]+, )?(?P<entry>(?:Fig\.|Table) \d\.\d+)(?=\W)"
 )
 
@@ -362,13 +458,19 @@ def slug(words: str) -> str:
 
 
 def read_finder(notebooks: Path) -> list[dict[str, str]]:
-    """Return what became of each figure, table, theorem and study, with the address of the section that shows it."""
+    """
+    Return what became of each figure, table, theorem and study, with the address of the section
+    that shows it.
+    """
     listed = notebooks / "finder.csv"
     if not listed.is_file():
         return []
     with listed.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    return [row | {"link": row["report"] and f"{row['report']}.html#{slug(row['section'])}"} for row in rows]
+    return [
+        row | {"link": row["report"] and f"{row['report']}.html#{slug(row['section'])}"}
+        for row in rows
+    ]
 
 
 def read_equations(notebooks: Path) -> dict[str, dict[str, str]]:
@@ -378,14 +480,25 @@ def read_equations(notebooks: Path) -> dict[str, dict[str, str]]:
 
 
 def linker(notebooks: Path, name: str) -> Callable[[str], str]:
-    """Return what links, in the markup of the page `name`, what it names; places on the page itself are not linked."""
+    """
+    Return what links, in the markup of the page `name`, what it names; places on the page itself
+    are not linked.
+    """
     reports = {path.name[:2]: f"{path.stem}.html" for path in notebooks.glob("[0-9][0-9]_*.ipynb")}
-    equations = {number: f"index.html#eq-{number.replace('.', '-')}" for number in read_equations(notebooks)}
+    equations = {
+        number: f"index.html#eq-{number.replace('.', '-')}" for number in read_equations(notebooks)
+    }
     shown = {row["entry"]: row["link"] for row in read_finder(notebooks)}
 
     def link(found: re.Match[str]) -> str:
-        known = {"report": reports, "equation": equations, "entry": shown}.get(found.lastgroup or "", {})
+        known = {"report": reports, "equation": equations, "entry": shown}.get(
+            found.lastgroup or "", {}
+        )
         address = known.get(found[found.lastgroup] if found.lastgroup else "", "")
-        return f'<a href="{address}">{found[0]}</a>' if address and not address.startswith(f"{name}.") else found[0]
+        return (
+            f'<a href="{address}">{found[0]}</a>'
+            if address and not address.startswith(f"{name}.")
+            else found[0]
+        )
 
     return lambda markup: LINKABLE.sub(link, markup)

@@ -20,7 +20,10 @@ from .comparison import (
 )
 from .effects import model_effects as model_effects, printed_effects as printed_effects
 from .effects_simulated import plot_effects as plot_effects, simulated_effects as simulated_effects
-from .performance_line import PerformanceLine as PerformanceLine, performance_line as performance_line
+from .performance_line import (
+    PerformanceLine as PerformanceLine,
+    performance_line as performance_line,
+)
 from .published import published_models as published_models, published_table as published_table
 from .published_study import (
     PublishedStudy as PublishedStudy,

@@ -1,12 +1,15 @@
 """
-What must be true of people for a study's printed effects to hold at once: approximate Bayesian computation over assumptions.
+What must be true of people for a study's printed effects to hold at once: approximate Bayesian
+computation over assumptions.
 
-A table of simulated studies, each under assumptions drawn from a prior, is made as a campaign. Linear regressions of every
-assumption on the effects give summaries, one per assumption (Fearnhead and Prangle 2012); the simulated studies nearest to the
-printed one in these are kept, and their assumptions moved along a local regression to where the printed summaries lie (Beaumont,
-Zhang and Balding 2002), on the probit scale of the prior's range. Where printed effects lie beyond all that simulated studies give,
-that regression extrapolates, and the posterior means nothing (Frazier, Robert and Rousseau 2020): `Calibration.reach` tells, the
-table marks such assumptions, and `Calibration.given` conditions on the measures that are within reach.
+A table of simulated studies, each under assumptions drawn from a prior, is made as a campaign.
+Linear regressions of every assumption on the effects give summaries, one per assumption (Fearnhead
+and Prangle 2012); the simulated studies nearest to the printed one in these are kept, and their
+assumptions moved along a local regression to where the printed summaries lie (Beaumont, Zhang and
+Balding 2002), on the probit scale of the prior's range. Where printed effects lie beyond all that
+simulated studies give, that regression extrapolates, and the posterior means nothing (Frazier,
+Robert and Rousseau 2020): `Calibration.reach` tells, the table marks such assumptions, and
+`Calibration.given` conditions on the measures that are within reach.
 """
 
 import json
@@ -49,7 +52,8 @@ LEAST_PER_SUMMARY = 5
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """
-    Which assumptions about people reproduce a study's printed effects at once, within this model of operators.
+    Which assumptions about people reproduce a study's printed effects at once, within this model of
+    operators.
 
     Parameters
     ----------
@@ -64,9 +68,11 @@ class Calibration:
     posterior : pandas.DataFrame
         A sample of assumptions, a row each.
     extrapolated : tuple of str
-        Assumptions for which the printed effects lie beyond those of all simulated studies: their posterior is no estimate.
+        Assumptions for which the printed effects lie beyond those of all simulated studies: their
+        posterior is no estimate.
     settings : dict
-        n (operators of each simulated study), seed, simulations, accepted, left_out (failed, or without some effect).
+        n (operators of each simulated study), seed, simulations, accepted, left_out (failed, or
+        without some effect).
     """
 
     study: str
@@ -88,19 +94,37 @@ class Calibration:
         return {str(name): float(value) for name, value in self.posterior.median().items()}
 
     def table(self) -> pd.DataFrame:
-        """Return assumption, prior_low, prior_high, median, low, high (95 %), contraction (1 − variance over the prior's), extrapolated."""
+        """
+        Return assumption, prior_low, prior_high, median, low, high (95 %), contraction (1 −
+        variance over the prior's), extrapolated.
+        """
         rows = []
         for name, (low, high) in self.priors.items():
             values = self.posterior[name]
             contraction = 1.0 - 12.0 * values.var() / (high - low) ** 2
-            found = (values.median(), *values.quantile([0.025, 0.975]), contraction, name in self.extrapolated)
+            found = (
+                values.median(),
+                *values.quantile([0.025, 0.975]),
+                contraction,
+                name in self.extrapolated,
+            )
             rows.append((name, low, high, *found))
-        names = ["assumption", "prior_low", "prior_high", "median", "low", "high", "contraction", "extrapolated"]
+        names = [
+            "assumption",
+            "prior_low",
+            "prior_high",
+            "median",
+            "low",
+            "high",
+            "contraction",
+            "extrapolated",
+        ]
         return pd.DataFrame(rows, columns=names)
 
     def given(self, *measures: str) -> "Calibration":
         """
-        Return the calibration from the same simulated studies that some measures' effects alone make.
+        Return the calibration from the same simulated studies that some measures' effects alone
+        make.
 
         Parameters
         ----------
@@ -116,15 +140,18 @@ class Calibration:
 
     def reach(self) -> pd.DataFrame:
         """
-        Return how near simulated studies come to the printed effects of each measure that was given, and of all of them at once.
+        Return how near simulated studies come to the printed effects of each measure that was
+        given, and of all of them at once.
 
         Returns
         -------
         pandas.DataFrame
-            measures; effects, how many; nearest: distance from the printed effects to the nearest simulated study, each effect in
-            standard deviations over all simulated studies; typical: the median of that distance from one simulated study to the
-            others; share of the simulated studies that are at least as far from the others. A share near 0 says that no such study
-            comes out of this model of operators, whatever people are like within the priors.
+            measures; effects, how many; nearest: distance from the printed effects to the nearest
+            simulated study, each effect in standard deviations over all simulated studies; typical:
+            the median of that distance from one simulated study to the others; share of the
+            simulated studies that are at least as far from the others. A share near 0 says that no
+            such study comes out of this model of operators, whatever people are like within the
+            priors.
         """
         rows = []
         for measures in dict.fromkeys([*((name,) for name in self.measures), self.measures]):
@@ -134,12 +161,21 @@ class Calibration:
             tree = KDTree(values / scale)
             nearest = tree.query(np.array([effect.printed for effect in chosen]) / scale)[0]
             others = tree.query(values / scale, 2)[0][:, 1]
-            rows.append((" ".join(measures), len(chosen), nearest, np.median(others), (others >= nearest).mean()))
+            rows.append(
+                (
+                    " ".join(measures),
+                    len(chosen),
+                    nearest,
+                    np.median(others),
+                    (others >= nearest).mean(),
+                )
+            )
         return pd.DataFrame(rows, columns=["measures", "effects", "nearest", "typical", "share"])
 
     def within_reach(self, share: float = 0.05) -> "Calibration":
         """
-        Return the calibration given as many measures as simulated studies reach at once, of equally many the best reached.
+        Return the calibration given as many measures as simulated studies reach at once, of equally
+        many the best reached.
 
         Parameters
         ----------
@@ -154,14 +190,22 @@ class Calibration:
         share = between("share", share, 0.0, 1.0)
         for size in range(len(self.measures), 0, -1):
             found = [self.given(*measures) for measures in combinations(self.measures, size)]
-            shares = [-1.0 if one.extrapolated else float(one.reach()["share"].iloc[-1]) for one in found]
+            shares = [
+                -1.0 if one.extrapolated else float(one.reach()["share"].iloc[-1]) for one in found
+            ]
             if max(shares) >= share:
                 return found[int(np.argmax(shares))]
-        raise ValueError(f"no measure of {self.study} is within reach of simulated studies, at a share of {share:g}")
+        raise ValueError(
+            f"no measure of {self.study} is within reach of simulated studies, at a share of "
+            f"{share:g}"
+        )
 
-    def checks(self, studies: int = 40, seed: int = 1, *, n_jobs: int | None = None) -> pd.DataFrame:
+    def checks(
+        self, studies: int = 40, seed: int = 1, *, n_jobs: int | None = None
+    ) -> pd.DataFrame:
         """
-        Return every effect beside what simulated studies give, under the prior and under the posterior.
+        Return every effect beside what simulated studies give, under the prior and under the
+        posterior.
 
         Parameters
         ----------
@@ -175,15 +219,20 @@ class Calibration:
         Returns
         -------
         pandas.DataFrame
-            id, printed; prior_low, prior_high: the range of all simulated studies; reached: whether any of them goes as far as the
-            printed effect. Where none does, it is out of reach whatever people are like, within these priors and this model of
-            operators. low, high: the central 95 % under the posterior; predicted: whether what is printed lies within. Effects that
-            no simulated study has are left out.
+            id, printed; prior_low, prior_high: the range of all simulated studies; reached: whether
+            any of them goes as far as the printed effect. Where none does, it is out of reach
+            whatever people are like, within these priors and this model of operators. low, high:
+            the central 95 % under the posterior; predicted: whether what is printed lies within.
+            Effects that no simulated study has are left out.
         """
         seed = whole_number("seed", seed, least=0)
-        drawn = self.posterior.sample(whole_number("studies", studies), random_state=seed).to_dict("records")
+        drawn = self.posterior.sample(whole_number("studies", studies), random_state=seed).to_dict(
+            "records"
+        )
         runs = [{"study": self.study, "n": self.settings["n"]} | row for row in drawn]
-        done = run_campaign(simulated_study, runs, seed=seed, progress=False, **where_to_run(n_jobs, None, None))
+        done = run_campaign(
+            simulated_study, runs, seed=seed, progress=False, **where_to_run(n_jobs, None, None)
+        )
         rows = []
         for effect in self.observed:
             prior = self.simulations[effect.id].min(), self.simulations[effect.id].max()
@@ -203,9 +252,13 @@ class Calibration:
         numpy.ndarray of matplotlib.axes.Axes
         """
         size = (min(2.2 * len(self.priors), 10.0), 2.6)
-        axes = axes_or_new(columns=len(self.priors), title="simulated; dashed: prior", squeeze=False, figsize=size)
+        axes = axes_or_new(
+            columns=len(self.priors), title="simulated; dashed: prior", squeeze=False, figsize=size
+        )
         for axis, (name, (low, high)) in zip(axes[0], self.priors.items(), strict=True):
-            axis.hist(self.posterior[name], bins=20, range=(low, high), density=True, color="#0072b2")
+            axis.hist(
+                self.posterior[name], bins=20, range=(low, high), density=True, color="#0072b2"
+            )
             axis.axhline(1.0 / (high - low), color="black", ls="--", lw=1.0)
             axis.set(xlabel=name.replace("_", " "), yticks=[])
             if name in self.extrapolated:
@@ -236,7 +289,10 @@ class Calibration:
         """
         known = {found.id: found for found in self.observed}
         measured = known[one_of("effect", effect, known)]
-        u, v = (self.simulations[one_of("an assumption", name, self.priors)].to_numpy() for name in (x, y))
+        u, v = (
+            self.simulations[one_of("an assumption", name, self.priors)].to_numpy()
+            for name in (x, y)
+        )
         size = self.simulations[effect].to_numpy()
         axis = axes_or_new(axes)
         most = np.abs(size).max()
@@ -248,17 +304,29 @@ class Calibration:
         height = (_quadratic(across.ravel(), up.ravel()) @ surface).reshape(across.shape)
         for level, style in ((0.0, "-"), (measured.printed, "--")):
             axis.contour(across, up, height, [level], colors="black", linestyles=style)
-        axis.set(xlabel=x.replace("_", " "), ylabel=y.replace("_", " "), title="simulated; —: 0; - -: as printed")
+        axis.set(
+            xlabel=x.replace("_", " "),
+            ylabel=y.replace("_", " "),
+            title="simulated; —: 0; - -: as printed",
+        )
         return axis
 
     @property
     def words(self) -> str:
         """What this is, in a line."""
-        studies, given = self.settings["simulations"], ", ".join(UNITS.get(name, name) for name in self.measures)
-        return f"{self.study}: {studies} simulated studies of {self.settings['n']} operators, given {given}"
+        studies, given = (
+            self.settings["simulations"],
+            ", ".join(UNITS.get(name, name) for name in self.measures),
+        )
+        return (
+            f"{self.study}: {studies} simulated studies of {self.settings['n']} operators, "
+            f"given {given}"
+        )
 
     def _repr_html_(self) -> str:
-        return as_html(f"{self.words} (simulated operators)", self.table(), self.reach(), title="Calibration")
+        return as_html(
+            f"{self.words} (simulated operators)", self.table(), self.reach(), title="Calibration"
+        )
 
 
 def _quadratic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -290,16 +358,18 @@ def calibrate(
     simulations : int
         How many studies to simulate, each under assumptions drawn from the priors.
     n : int
-        Operators of each, as many as people took part in the printed study, in multiples of five: the scatter of small studies is part
-        of what the printed effects are compared with.
+        Operators of each, as many as people took part in the printed study, in multiples of five:
+        the scatter of small studies is part of what the printed effects are compared with.
     seed : int
         Of all draws; simulation i is the same in a larger table.
     priors : mapping of str to (float, float), optional
         Ranges of uniform priors by assumption (`trustlab.operators.ASSUMPTIONS`).
     accepted : float
-        Share of the simulated studies, nearest to the printed one, from which the posterior is made.
+        Share of the simulated studies, nearest to the printed one, from which the posterior is
+        made.
     out : path-like, optional
-        A folder for the finished simulations; a call with the same arguments goes on where a killed one stopped.
+        A folder for the finished simulations; a call with the same arguments goes on where a killed
+        one stopped.
     n_jobs, cluster, executor, progress : int, object, Executor, bool, optional
         As for `run_campaign`; no effect on results.
 
@@ -310,12 +380,14 @@ def calibrate(
     Raises
     ------
     ValueError
-        If an assumption is unknown or out of range, a prior has no mass, or the simulations are too few for `accepted`.
+        If an assumption is unknown or out of range, a prior has no mass, or the simulations are too
+        few for `accepted`.
 
     References
     ----------
-    P. Fearnhead and D. Prangle, J. R. Stat. Soc. B 74 (2012) 419-474. M. A. Beaumont, W. Zhang and D. J. Balding, Genetics 162
-    (2002) 2025-2035. D. T. Frazier, C. P. Robert and J. Rousseau, J. R. Stat. Soc. B 82 (2020) 421-444.
+    P. Fearnhead and D. Prangle, J. R. Stat. Soc. B 74 (2012) 419-474. M. A. Beaumont, W. Zhang and
+    D. J. Balding, Genetics 162 (2002) 2025-2035. D. T. Frazier, C. P. Robert and J. Rousseau, J. R.
+    Stat. Soc. B 82 (2020) 421-444.
 
     Examples
     --------
@@ -327,23 +399,33 @@ def calibrate(
     """
     one_of("study", study, [*dict.fromkeys([*ALLOCATION.values(), *ALLOCATION])])
     ranges = checked_priors(PRIORS if priors is None else priors)
-    simulations, seed = whole_number("simulations", simulations), whole_number("seed", seed, least=0)
+    simulations, seed = (
+        whole_number("simulations", simulations),
+        whole_number("seed", seed, least=0),
+    )
     accepted = between("accepted", accepted, 0.0, 1.0)
     needed = LEAST_PER_SUMMARY * (len(ranges) + 1)
     if accepted * simulations < needed:
         raise ValueError(
-            f"{simulations} simulations are too few for accepted = {accepted:g}: {len(ranges)} assumptions need {needed} simulations to "
-            f"be kept, so {int(np.ceil(needed / max(accepted, 1e-9)))} in all; finished ones in out= are kept for such a call"
+            f"{simulations} simulations are too few for accepted = {accepted:g}: {len(ranges)} "
+            f"assumptions need {needed} simulations to be kept, so "
+            f"{int(np.ceil(needed / max(accepted, 1e-9)))} in all; finished ones in out= are kept "
+            "for such a call"
         )
     ids = [effect.id for effect in observed_effects(study)]
     runs = [{"study": study, "n": n} | draw for draw in prior_draws(ranges, simulations, seed)]
     where = where_to_run(n_jobs, cluster, executor)
     done = run_campaign(simulated_study, runs, seed=seed, out=out, progress=progress, **where)
     whole = done[~done["failed"].to_numpy(bool)]
-    ids = [id for id in ids if whole[id].notna().any()]  # questionnaires are not answered under all assumptions
+    ids = [
+        id for id in ids if whole[id].notna().any()
+    ]  # questionnaires are not answered under all assumptions
     whole = whole.dropna(subset=ids).reset_index(drop=True)
     if len(whole) < needed:
-        raise ValueError(f"{len(whole)} of {simulations} simulated studies have every effect; {needed} are needed")
+        raise ValueError(
+            f"{len(whole)} of {simulations} simulated studies have every effect; {needed} are "
+            "needed"
+        )
     settings = {"n": n, "seed": seed, "simulations": simulations, "accepted": accepted}
     settings |= {"left_out": simulations - len(whole)}
     return calibrated(study, ranges, whole[[*ranges, *ids]].astype(float), settings)
@@ -356,10 +438,15 @@ def calibrated(
     settings: dict,
     measures: tuple[str, ...] | None = None,
 ) -> Calibration:
-    """Return the calibration that a table of simulated studies makes, given the effects of some measures or all."""
+    """
+    Return the calibration that a table of simulated studies makes, given the effects of some
+    measures or all.
+    """
     observed = [effect for effect in observed_effects(study) if effect.id in simulations]
     known = tuple(dict.fromkeys(effect.measure for effect in observed))
-    measures = known if measures is None else tuple(one_of("a measure", name, known) for name in measures)
+    measures = (
+        known if measures is None else tuple(one_of("a measure", name, known) for name in measures)
+    )
     if not measures:
         raise ValueError(f"name at least one measure, any of {', '.join(known)}")
     chosen = [effect for effect in observed if effect.measure in measures]
@@ -377,7 +464,8 @@ def calibrated(
 
 def write_calibration(calibration: Calibration, folder: str | os.PathLike) -> None:
     """
-    Write a calibration's simulated studies to a folder: <study>.csv, and <study>.json with priors, settings and source digest.
+    Write a calibration's simulated studies to a folder: <study>.csv, and <study>.json with priors,
+    settings and source digest.
 
     Parameters
     ----------
@@ -388,15 +476,22 @@ def write_calibration(calibration: Calibration, folder: str | os.PathLike) -> No
     """
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
-    about = {"study": calibration.study, "priors": calibration.priors, "settings": calibration.settings}
+    about = {
+        "study": calibration.study,
+        "priors": calibration.priors,
+        "settings": calibration.settings,
+    }
     about |= {"origin": "simulated operators", "source_digest": source_digest()}
-    (place / f"{calibration.study}.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    (place / f"{calibration.study}.json").write_text(
+        json.dumps(about, indent=1) + "\n", encoding="utf-8"
+    )
     calibration.simulations.to_csv(place / f"{calibration.study}.csv", index=False)
 
 
 def read_calibration(study: str, folder: str | os.PathLike) -> Calibration:
     """
-    Return a calibration that `write_calibration` wrote; the posterior is made anew from the simulated studies.
+    Return a calibration that `write_calibration` wrote; the posterior is made anew from the
+    simulated studies.
 
     Parameters
     ----------
@@ -412,41 +507,61 @@ def read_calibration(study: str, folder: str | os.PathLike) -> Calibration:
     """
     table, about = (Path(folder) / f"{study}.{ending}" for ending in ("csv", "json"))
     if not (table.is_file() and about.is_file()):
-        raise ValueError(f"{folder} holds no calibration of {study!r}: `make calibration` writes data/calibration")
+        raise ValueError(
+            f"{folder} holds no calibration of {study!r}: `make calibration` writes "
+            "data/calibration"
+        )
     facts = json.loads(about.read_text(encoding="utf-8"))
     priors = {name: tuple(pair) for name, pair in facts["priors"].items()}
     return calibrated(study, priors, pd.read_csv(table), facts["settings"])
 
 
 def source_digest() -> str:
-    """Return a digest of all source that simulated effects come from: that of a written calibration differs after a change."""
+    """
+    Return a digest of all source that simulated effects come from: that of a written calibration
+    differs after a change.
+    """
     return _digest(Path(effects_simulated.__file__).resolve())
 
 
 def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
     """Return ranges of priors, each with mass and within what an operator allows."""
     if not isinstance(priors, Mapping) or not priors:
-        raise ValueError(f"priors must map at least one assumption to (low, high), got {priors!r:.60}")
+        raise ValueError(
+            f"priors must map at least one assumption to (low, high), got {priors!r:.60}"
+        )
     found = {}
     for name, pair in priors.items():
         try:
             low, high = pair
         except (TypeError, ValueError):
-            raise ValueError(f"the prior of {name} must be two numbers, low and high, got {pair!r:.60}") from None
+            raise ValueError(
+                f"the prior of {name} must be two numbers, low and high, got {pair!r:.60}"
+            ) from None
         found[name] = in_order(f"the prior's low end of {name}", low, "its high end", high)
     for end in (0, 1):
         checked_assumptions({name: pair[end] for name, pair in found.items()})
     return found
 
 
-def prior_draws(ranges: dict[str, tuple[float, float]], count: int, seed: int) -> list[dict[str, float]]:
-    """Return draws from uniform priors, a dictionary each; the first of a longer list are those of a shorter one."""
+def prior_draws(
+    ranges: dict[str, tuple[float, float]], count: int, seed: int
+) -> list[dict[str, float]]:
+    """
+    Return draws from uniform priors, a dictionary each; the first of a longer list are those of a
+    shorter one.
+    """
     low, high = np.transpose(list(ranges.values()))
     rng = np.random.default_rng([seed, 0x7072696F])
-    return [dict(zip(ranges, row, strict=True)) for row in rng.uniform(low, high, (count, len(ranges))).tolist()]
+    return [
+        dict(zip(ranges, row, strict=True))
+        for row in rng.uniform(low, high, (count, len(ranges))).tolist()
+    ]
 
 
-def simulated_study(study: str, n: int, seed: np.random.SeedSequence, **assumptions: float) -> dict[str, float]:
+def simulated_study(
+    study: str, n: int, seed: np.random.SeedSequence, **assumptions: float
+) -> dict[str, float]:
     """Simulate one study and return its effects by id: a task of `run_campaign`."""
     frame = simulated_effects(assumptions, n, int(seed.generate_state(1)[0]), only=study)
     return {row.id: row.simulated for row in frame.itertuples() if not np.isnan(row.printed)}
@@ -461,7 +576,8 @@ def posterior_sample(
     seed: int,
 ) -> tuple[pd.DataFrame, np.ndarray]:
     """
-    Return a sample of the posterior, and for which assumptions the observed summary lies beyond all simulated ones.
+    Return a sample of the posterior, and for which assumptions the observed summary lies beyond all
+    simulated ones.
 
     Parameters
     ----------
@@ -484,10 +600,14 @@ def posterior_sample(
     scale = np.maximum(simulated.std(axis=0), 1e-12)
     centred = np.column_stack([np.ones(len(theta)), (simulated - observed) / scale])
     coefficients = np.linalg.lstsq(centred, theta, rcond=None)[0]
-    summaries = centred @ coefficients  # of the observed effects, which are zero here: the first row of coefficients
+    summaries = (
+        centred @ coefficients
+    )  # of the observed effects, which are zero here: the first row of coefficients
     away = (summaries - coefficients[0]) / np.maximum(summaries.std(axis=0), 1e-12)
     distance = np.sqrt((away**2).sum(axis=1))
-    kept = np.argsort(distance, kind="stable")[: max(round(accepted * len(theta)), LEAST_PER_SUMMARY * (len(low) + 1))]
+    kept = np.argsort(distance, kind="stable")[
+        : max(round(accepted * len(theta)), LEAST_PER_SUMMARY * (len(low) + 1))
+    ]
     weight = 1.0 - (distance[kept] / (distance[kept].max() * (1.0 + 1e-9))) ** 2
     design = np.column_stack([np.ones(kept.size), away[kept]])
     root = np.sqrt(weight)[:, None]
@@ -496,7 +616,9 @@ def posterior_sample(
     rng = np.random.default_rng([seed, 0x706F7374])
     chosen = rng.choice(kept.size, size=4 * kept.size, p=weight / weight.sum())
     beyond = (away.min(axis=0) > 0.0) | (away.max(axis=0) < 0.0)
-    return pd.DataFrame(low + (high - low) * special.ndtr(moved[chosen]), columns=drawn.columns), beyond
+    return pd.DataFrame(
+        low + (high - low) * special.ndtr(moved[chosen]), columns=drawn.columns
+    ), beyond
 
 
 def observed_effects(study: str) -> list[Effect]:

@@ -1,4 +1,7 @@
-"""Computed numbers beside printed ones: matching digits, ranges within rounding, and the least change that explains."""
+"""
+Computed numbers beside printed ones: matching digits, ranges within rounding, and the least change
+that explains.
+"""
 
 import contextlib
 from collections.abc import Callable, Mapping
@@ -28,7 +31,8 @@ def matching_digits(ours: float, printed: str) -> int:
     Returns
     -------
     int
-        The largest d up to the number of printed digits for which both round to the same d significant digits.
+        The largest d up to the number of printed digits for which both round to the same d
+        significant digits.
     """
     target = printed_decimal(printed)
     if not np.isfinite(ours):
@@ -61,9 +65,9 @@ def compare(
     Returns
     -------
     pandas.DataFrame
-        Index `quantity`; columns ours, stderr, printed, matching_digits, printed_digits, verdict: "reproduced"
-        when ours rounds to the printed number, "within 2 s.e." when half a unit of its last digit and twice the
-        standard error cover the difference, else "differs".
+        Index `quantity`; columns ours, stderr, printed, matching_digits, printed_digits, verdict:
+        "reproduced" when ours rounds to the printed number, "within 2 s.e." when half a unit of its
+        last digit and twice the standard error cover the difference, else "differs".
 
     Raises
     ------
@@ -84,7 +88,10 @@ def compare(
     """
     if set(ours) != set(printed):
         only = sorted(set(ours) ^ set(printed))
-        raise ValueError(f"both sides must have the same quantities; only on one side: {', '.join(map(str, only))}")
+        raise ValueError(
+            "both sides must have the same quantities; only on one side: "
+            f"{', '.join(map(str, only))}"
+        )
     rows = []
     for name, value in ours.items():
         target = printed_decimal(printed[name])
@@ -93,18 +100,33 @@ def compare(
         verdict = "differs"
         if np.isfinite(value) and rounds_to(value, target):
             verdict = "reproduced"
-        elif np.isfinite(error) and abs(float(value) - float(target)) <= half_unit(text) + 2.0 * error:
+        elif (
+            np.isfinite(error)
+            and abs(float(value) - float(target)) <= half_unit(text) + 2.0 * error
+        ):
             verdict = "within 2 s.e."
         digits = len(target.as_tuple().digits)
-        rows.append((name, float(value), error, text, matching_digits(value, text), digits, verdict))
-    columns = ["quantity", "ours", "stderr", "printed", "matching_digits", "printed_digits", "verdict"]
+        rows.append(
+            (name, float(value), error, text, matching_digits(value, text), digits, verdict)
+        )
+    columns = [
+        "quantity",
+        "ours",
+        "stderr",
+        "printed",
+        "matching_digits",
+        "printed_digits",
+        "verdict",
+    ]
     return pd.DataFrame(rows, columns=columns).set_index("quantity")
 
 
 def _printed_values(name: str, values: Mapping[str, str]) -> dict[str, str]:
     """Return a mapping of names to printed numbers as a dictionary, every text checked."""
     if not isinstance(values, Mapping) and not hasattr(values, "items"):
-        raise ValueError(f"{name} must map names to numbers as printed, got {type(values).__name__}")
+        raise ValueError(
+            f"{name} must map names to numbers as printed, got {type(values).__name__}"
+        )
     found = dict(values.items())
     if not found:
         raise ValueError(f"{name} must hold at least one number as printed, got none")
@@ -116,7 +138,9 @@ def _printed_values(name: str, values: Mapping[str, str]) -> dict[str, str]:
 def _outputs(compute: Compute, inputs: Mapping[str, float], wanted: list) -> Mapping[str, float]:
     """Return what `compute` gives, or say which of the wanted outputs it does not give."""
     if not callable(compute):
-        raise ValueError(f"compute must be a function of a dictionary of inputs, got {type(compute).__name__}")
+        raise ValueError(
+            f"compute must be a function of a dictionary of inputs, got {type(compute).__name__}"
+        )
     found = compute(dict(inputs))
     for name in wanted:
         if name not in found:
@@ -125,16 +149,21 @@ def _outputs(compute: Compute, inputs: Mapping[str, float], wanted: list) -> Map
 
 
 def recompute(
-    compute: Compute, inputs: Mapping[str, str], outputs: Mapping[str, str], draws: int = 500, seed: int = 0
+    compute: Compute,
+    inputs: Mapping[str, str],
+    outputs: Mapping[str, str],
+    draws: int = 500,
+    seed: int = 0,
 ) -> pd.DataFrame:
     """
-    Recompute printed outputs from printed inputs, and their ranges when every input varies within its rounding.
+    Recompute printed outputs from printed inputs, and their ranges when every input varies within
+    its rounding.
 
     Parameters
     ----------
     compute : callable
-        Takes inputs as a dictionary of floats and returns outputs by name; may raise ValueError where inputs are
-        impossible, which is left out of the ranges.
+        Takes inputs as a dictionary of floats and returns outputs by name; may raise ValueError
+        where inputs are impossible, which is left out of the ranges.
     inputs, outputs : mapping of str to str
         Numbers as printed.
     draws : int
@@ -145,16 +174,20 @@ def recompute(
     Returns
     -------
     pandas.DataFrame
-        Index `quantity`; columns recomputed, printed, low, high, verdict: "reproduced" (rounds to the printed number),
-        "within rounding" (the range meets what rounds to it), else "differs".
+        Index `quantity`; columns recomputed, printed, low, high, verdict: "reproduced" (rounds to
+        the printed number), "within rounding" (the range meets what rounds to it), else "differs".
 
     Raises
     ------
     ValueError
-        If nothing can be computed from the printed inputs, an output is not computed, or an argument is not understood.
+        If nothing can be computed from the printed inputs, an output is not computed, or an
+        argument is not understood.
     """
     inputs, outputs = _printed_values("inputs", inputs), _printed_values("outputs", outputs)
-    draws, seed = whole_number("draws", draws, least=0, most=10**6), whole_number("seed", seed, least=0)
+    draws, seed = (
+        whole_number("draws", draws, least=0, most=10**6),
+        whole_number("seed", seed, least=0),
+    )
     centre = np.array([float(text) for text in inputs.values()])
     half = np.array([half_unit(text) for text in inputs.values()])
     points = np.random.default_rng(seed).uniform(-1.0, 1.0, (draws, len(inputs)))
@@ -165,8 +198,12 @@ def recompute(
     for point in points:
         with contextlib.suppress(ValueError):
             found.append(compute(dict(zip(inputs, centre + half * point, strict=True))))
-    span = pd.DataFrame([{name: own[name] for name in outputs} for own in found]).agg(["min", "max"]).T
-    table = compare({name: exact[name] for name in outputs}, outputs).assign(low=span["min"], high=span["max"])
+    span = (
+        pd.DataFrame([{name: own[name] for name in outputs} for own in found]).agg(["min", "max"]).T
+    )
+    table = compare({name: exact[name] for name in outputs}, outputs).assign(
+        low=span["min"], high=span["max"]
+    )
     for name, text in outputs.items():
         value, reach = float(text), half_unit(text)
         if (
@@ -175,7 +212,9 @@ def recompute(
             and span["max"][name] >= value - reach
         ):
             table.loc[name, "verdict"] = "within rounding"
-    return table.rename(columns={"ours": "recomputed"})[["recomputed", "printed", "low", "high", "verdict"]]
+    return table.rename(columns={"ours": "recomputed"})[
+        ["recomputed", "printed", "low", "high", "verdict"]
+    ]
 
 
 def smallest_change(
@@ -200,7 +239,8 @@ def smallest_change(
     Returns
     -------
     pandas.DataFrame
-        One row per input that can explain it, least change first: input, printed, needed, units (of its last digit).
+        One row per input that can explain it, least change first: input, printed, needed, units (of
+        its last digit).
 
     Raises
     ------

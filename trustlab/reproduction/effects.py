@@ -1,4 +1,7 @@
-"""Every effect that the dissertation prints or claims of people and robots, and what the printed models alone predict."""
+"""
+Every effect that the dissertation prints or claims of people and robots, and what the printed
+models alone predict.
+"""
 
 import math
 import tomllib
@@ -20,7 +23,10 @@ COLUMNS = ["id", "where", "measure", "contrast", "printed", "low", "high", "p"]
 
 
 class Effect(NamedTuple):
-    """One effect: a difference of two conditions' means in one study, printed in the unit of the measure."""
+    """
+    One effect: a difference of two conditions' means in one study, printed in the unit of the
+    measure.
+    """
 
     id: str
     where: str
@@ -43,11 +49,18 @@ class Effect(NamedTuple):
 def effects() -> tuple[Effect, ...]:
     """Return all effects that data/published/effects.toml lists."""
     listed = tomllib.loads((published_folder() / "effects.toml").read_text(encoding="utf-8"))
-    return (*_of_tables(listed["tables"]), *_of_studies(listed["studies"]), *_of_claims(listed["claims"]))
+    return (
+        *_of_tables(listed["tables"]),
+        *_of_studies(listed["studies"]),
+        *_of_claims(listed["claims"]),
+    )
 
 
 def _difference(after: str, before: str) -> tuple[float, float, float]:
-    """Return the difference of two printed numbers, and the least and greatest that rounding leaves room for."""
+    """
+    Return the difference of two printed numbers, and the least and greatest that rounding leaves
+    room for.
+    """
     (low, high), (lowest, highest) = printed_interval(after), printed_interval(before)
     exact: Decimal = printed_decimal(after) - printed_decimal(before)
     return float(exact), low - highest, high - lowest
@@ -55,30 +68,52 @@ def _difference(after: str, before: str) -> tuple[float, float, float]:
 
 def _of_tables(tables: list[dict]) -> Iterator[Effect]:
     for table in tables:
-        means, where, study = published_table(table["table"]), f"Table {table['table']}", table["study"]
+        means = published_table(table["table"])
+        where = f"Table {table['table']}"
+        study = table["study"]
         for measure, column in table["measures"].items():
             for contrast in table["contrasts"]:
                 after, before = contrast.split("-")
                 size = _difference(means.loc[after, column], means.loc[before, column])
-                yield Effect(f"{study}/{measure}/{contrast}", where, measure, contrast, *size, math.nan, study)
+                yield Effect(
+                    f"{study}/{measure}/{contrast}",
+                    where,
+                    measure,
+                    contrast,
+                    *size,
+                    math.nan,
+                    study,
+                )
 
 
 def _of_studies(studies: list[dict]) -> Iterator[Effect]:
     for named in studies:
-        study, printed, measure = named["name"].partition(".")[0], published_studies()[named["name"]], named["measure"]
+        study = named["name"].partition(".")[0]
+        printed = published_studies()[named["name"]]
+        measure = named["measure"]
         for contrast in named["contrasts"]:
             after, before = contrast.split("-")
             text = printed.pairs.get(f"{before}-{after}") or printed.pairs.get(f"{after}-{before}")
             text = text or (printed.t_test or {}).get("p")
-            p = printed_interval(text)[1] if text and text.startswith("<") else float(text) if text else math.nan
+            p = (
+                printed_interval(text)[1]
+                if text and text.startswith("<")
+                else float(text)
+                if text
+                else math.nan
+            )
             size = _difference(printed.mean[after], printed.mean[before])
-            yield Effect(f"{study}/{measure}/{contrast}", printed.where, measure, contrast, *size, p, study)
+            yield Effect(
+                f"{study}/{measure}/{contrast}", printed.where, measure, contrast, *size, p, study
+            )
 
 
 def _of_claims(claims: list[dict]) -> Iterator[Effect]:
     for claim in claims:
         low, high = (0.0, math.inf) if claim["sign"] > 0 else (-math.inf, 0.0)
-        where, measure, contrast = claim["where"], claim["measure"], claim["contrast"]
+        where = claim["where"]
+        measure = claim["measure"]
+        contrast = claim["contrast"]
         id = f"{claim['id']}/{measure}/{contrast}"
         yield Effect(id, where, measure, contrast, math.nan, low, high, math.nan, claim["study"])
 
@@ -90,9 +125,11 @@ def printed_effects() -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        Columns id; where; measure (p_r, p_h, r, tlx, satisfaction, trust, followed_percent or error [m]); contrast, "C3-C1" for C3 minus
-        C1; printed, the difference of the printed means in the unit of the measure, NaN where only a sign is claimed; low, high, what
-        rounding leaves room for, or the half-line that is claimed; p, as printed (an inequality's bound), NaN where none is.
+        Columns id; where; measure (p_r, p_h, r, tlx, satisfaction, trust, followed_percent or error
+        [m]); contrast, "C3-C1" for C3 minus C1; printed, the difference of the printed means in the
+        unit of the measure, NaN where only a sign is claimed; low, high, what rounding leaves room
+        for, or the half-line that is claimed; p, as printed (an inequality's bound), NaN where none
+        is.
 
     Examples
     --------
@@ -112,17 +149,20 @@ STEPS = 200_000
 
 def model_effects() -> pd.DataFrame:
     """
-    Return what the printed models alone predict of every effect: steady motions under (2.8) and Algorithm 2.
+    Return what the printed models alone predict of every effect: steady motions under (2.8) and
+    Algorithm 2.
 
-    For the five participants of Section 2.4.1, (2.1)-(2.6) with the numbers of Table 2.1 are run under the thresholds captured in C1
-    (Table 2.3), under those suggested in C3 (Table 2.2), and under Algorithm 2 (C5), and means of the second half of 200,000
-    samples are compared. Model performance is momentary, where the measured one is a mean over 100 s; nobody reacts late.
+    For the five participants of Section 2.4.1, (2.1)-(2.6) with the numbers of Table 2.1 are run
+    under the thresholds captured in C1 (Table 2.3), under those suggested in C3 (Table 2.2), and
+    under Algorithm 2 (C5), and means of the second half of 200,000 samples are compared. Model
+    performance is momentary, where the measured one is a mean over 100 s; nobody reacts late.
 
     Returns
     -------
     pandas.DataFrame
-        Columns id, where, measure, contrast, printed, low, high, p as `printed_effects`; model, the mean over the five; model_low,
-        model_high, the least and greatest of them; reason, why there is none where they are NaN.
+        Columns id, where, measure, contrast, printed, low, high, p as `printed_effects`; model, the
+        mean over the five; model_low, model_high, the least and greatest of them; reason, why there
+        is none where they are NaN.
 
     Examples
     --------
@@ -139,7 +179,9 @@ def model_effects() -> pd.DataFrame:
         elif set(effect.conditions) & {"C2", "C4"}:
             reason = FREE
         else:
-            after, before = (model_means(condition)[effect.measure] for condition in effect.conditions)
+            after, before = (
+                model_means(condition)[effect.measure] for condition in effect.conditions
+            )
             difference = after - before
             found = float(difference.mean()), float(difference.min()), float(difference.max())
         rows.append((*effect[: len(COLUMNS)], *found, reason))
@@ -148,13 +190,17 @@ def model_effects() -> pd.DataFrame:
 
 @cache
 def model_means(condition: str) -> pd.DataFrame:
-    """Return mean p_r, p_h and r of the five participants' models under C1, C3 or C5: a row each."""
+    """
+    Return mean p_r, p_h and r of the five participants' models under C1, C3 or C5: a row each.
+    """
     own, chosen = published_table("2.3"), published_table("2.2")
     rows = []
     for label in "12345":
         model = published_models()[label]
         if condition == "C5":
-            motion = simulate_allocation(model, rule=PerformanceRule(model.robot.p_min, model.robot.p_max), steps=STEPS)
+            motion = simulate_allocation(
+                model, rule=PerformanceRule(model.robot.p_min, model.robot.p_max), steps=STEPS
+            )
         else:
             lower, upper = (
                 (own.loc[(name, "mean"), label] if condition == "C1" else chosen.loc[name, label])

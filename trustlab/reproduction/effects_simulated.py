@@ -1,4 +1,7 @@
-"""Every printed effect in simulated people, under named assumptions about them; and all three kinds in one figure."""
+"""
+Every printed effect in simulated people, under named assumptions about them; and all three kinds in
+one figure.
+"""
 
 import math
 import warnings
@@ -22,7 +25,12 @@ from trustlab.testbeds.deciding import CONDITIONS
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
 # Testbeds of the studies under C1–C5.
-ALLOCATION = {"table_2.4": "ground_robot", "table_2.5": "ground_robot", "table_2.6": "ground_robot", "uav": "uav"}
+ALLOCATION = {
+    "table_2.4": "ground_robot",
+    "table_2.5": "ground_robot",
+    "table_2.6": "ground_robot",
+    "uav": "uav",
+}
 
 # Settings, schemes and points of the scale of satisfaction of the studies of Chapter 3.
 TELEOPERATION = {
@@ -31,10 +39,18 @@ TELEOPERATION = {
 }
 
 SIMULATED = ["simulated", "se", "operators", "p_simulated", "agrees", "reason"]
-SILENT = "simulated operators answer no questionnaire unless load_utilization or load_switching is assumed"
+SILENT = (
+    "simulated operators answer no questionnaire unless load_utilization or load_switching "
+    "is assumed"
+)
 # Satisfaction was answered from 1 to 5 in Section 2.4.1, and is simulated from 1 to 7.
 FIVE_POINTS = 4.0 / 6.0
-UNITS = {"p_r": "robot performance", "p_h": "human performance", "r": "utilization", "tlx": "task load"}
+UNITS = {
+    "p_r": "robot performance",
+    "p_h": "human performance",
+    "r": "utilization",
+    "tlx": "task load",
+}
 UNITS |= {"error": "tracking error [m]", "followed_percent": "suggestions followed [%]"}
 
 
@@ -49,30 +65,33 @@ def simulated_effects(
     """
     Return every printed effect beside what simulated people do under named assumptions.
 
-    Studies under C1–C5 are virtual studies on the two testbeds; those of Chapter 3 are runs of `simulate_teleoperation` with
-    `simulated_answers`, which no assumption enters. All conditions are within subjects.
+    Studies under C1–C5 are virtual studies on the two testbeds; those of Chapter 3 are runs of
+    `simulate_teleoperation` with `simulated_answers`, which no assumption enters. All conditions
+    are within subjects.
 
     Parameters
     ----------
     assumptions : mapping of str to float, optional
         Any of `trustlab.operators.ASSUMPTIONS`; none, everything off, by default.
     n : int
-        Operators of every study; under C1–C5 the next multiple of five, so that every condition comes equally often first, second …
+        Operators of every study; under C1–C5 the next multiple of five, so that every condition
+        comes equally often first, second …
     seed : int
         Of all operators and runs.
     only : {"ground_robot", "uav", "table_2.4", "table_2.5", "table_2.6", "table_3.1", "teleop"}, optional
-        The study to simulate, "ground_robot" for that of Tables 2.4 to 2.6; all of them when not given. Rows of other studies are then
-        left out.
+        The study to simulate, "ground_robot" for that of Tables 2.4 to 2.6; all of them when not
+        given. Rows of other studies are then left out.
     n_jobs : int, optional
         Processes, as for `run_campaign`; no effect on results.
 
     Returns
     -------
     pandas.DataFrame
-        Columns id, where, measure, contrast, printed, low, high, p as `printed_effects`; simulated, the mean difference; se, its
-        standard error over operators; operators, how many have the measure in both conditions; p_simulated, of the paired t-test, not
-        adjusted for the number of pairs; agrees, whether simulated ± 2 se meets what is printed, from low to high (missing where
-        nothing is simulated); reason, why not. `attrs["origin"]` says that it is simulated.
+        Columns id, where, measure, contrast, printed, low, high, p as `printed_effects`; simulated,
+        the mean difference; se, its standard error over operators; operators, how many have the
+        measure in both conditions; p_simulated, of the paired t-test, not adjusted for the number
+        of pairs; agrees, whether simulated ± 2 se meets what is printed, from low to high (missing
+        where nothing is simulated); reason, why not. `attrs["origin"]` says that it is simulated.
 
     Raises
     ------
@@ -102,21 +121,33 @@ def simulated_effects(
 
 
 def effects_of(study: str | None) -> list[Effect]:
-    """Return the effects of a study, of all that were printed of the people on the ground robot, or all."""
+    """
+    Return the effects of a study, of all that were printed of the people on the ground robot, or
+    all.
+    """
     if study is None:
         return list(effects())
     one_of("only", study, [*dict.fromkeys([*ALLOCATION.values(), *ALLOCATION, *TELEOPERATION])])
     return [effect for effect in effects() if study in (effect.study, ALLOCATION.get(effect.study))]
 
 
-def _measured(place: str, assumed: dict[str, float], n: int, seed: int, n_jobs: int | None) -> pd.DataFrame:
-    """Return the measures of a study: participant (the operator's number), condition and a column per measure."""
+def _measured(
+    place: str, assumed: dict[str, float], n: int, seed: int, n_jobs: int | None
+) -> pd.DataFrame:
+    """
+    Return the measures of a study: participant (the operator's number), condition and a column per
+    measure.
+    """
     if place in TELEOPERATION:
         return _teleoperated(place, n, seed, n_jobs)
     n = len(CONDITIONS) * math.ceil(n / len(CONDITIONS))
-    with warnings.catch_warnings():  # carry-over, which half squares leave unbalanced, is not estimated
+    with (
+        warnings.catch_warnings()
+    ):  # carry-over, which half squares leave unbalanced, is not estimated
         warnings.filterwarnings("ignore", f"{n} participants fill half")
-        study = virtual_study(n=n, seed=seed, testbed=place, assumptions=assumed, n_jobs=n_jobs, progress=False)
+        study = virtual_study(
+            n=n, seed=seed, testbed=place, assumptions=assumed, n_jobs=n_jobs, progress=False
+        )
     frame = study.measures.astype({"condition": str})
     if place == "ground_robot" and "satisfaction" in frame:
         frame["satisfaction"] = 1.0 + FIVE_POINTS * (frame["satisfaction"] - 1.0)
@@ -124,19 +155,27 @@ def _measured(place: str, assumed: dict[str, float], n: int, seed: int, n_jobs: 
 
 
 def _teleoperated(place: str, n: int, seed: int, n_jobs: int | None) -> pd.DataFrame:
-    """Return error and answers of so many teleoperators under all schemes of a study of Chapter 3."""
+    """
+    Return error and answers of so many teleoperators under all schemes of a study of Chapter 3.
+    """
     study, schemes, points = TELEOPERATION[place]
     people = TeleoperatorPopulation(study).draw(n, seed).to_dict("records")
     fixed = {"study": study, "schemes": " ".join(schemes), "points": points, "answers": seed}
     where = where_to_run(n_jobs, None, None)
-    done = run_campaign(teleoperate, [fixed | row for row in people], seed=seed, progress=False, **where)
+    done = run_campaign(
+        teleoperate, [fixed | row for row in people], seed=seed, progress=False, **where
+    )
     done = done[~done["failed"].to_numpy(bool)]
     names = ("error", "tlx", "satisfaction", "trust")
     parts = [
-        done[["participant", *(f"{scheme}/{name}" for name in names)]].set_axis(["participant", *names], axis=1)
+        done[["participant", *(f"{scheme}/{name}" for name in names)]].set_axis(
+            ["participant", *names], axis=1
+        )
         for scheme in schemes
     ]
-    return pd.concat([part.assign(condition=scheme) for part, scheme in zip(parts, schemes, strict=True)])
+    return pd.concat(
+        [part.assign(condition=scheme) for part, scheme in zip(parts, schemes, strict=True)]
+    )
 
 
 def teleoperate(
@@ -150,14 +189,21 @@ def teleoperate(
         found |= {
             f"{scheme}/error": float(session["path_error"].mean()),
             f"{scheme}/tlx": float(np.mean([given[scale] for scale in TLX_SCALES])),
-            f"{scheme}/satisfaction": float(np.mean([given[item] for item in ("satisfaction", "comfort", "control")])),
+            f"{scheme}/satisfaction": float(
+                np.mean([given[item] for item in ("satisfaction", "comfort", "control")])
+            ),
             f"{scheme}/trust": given["trust"],
         }
     return found
 
 
-def _compared(effect: Effect, measures: pd.DataFrame) -> tuple[float, float, int, float, object, str]:
-    """Return the mean difference, its standard error, over how many, p, whether it agrees, and why there is none."""
+def _compared(
+    effect: Effect, measures: pd.DataFrame
+) -> tuple[float, float, int, float, object, str]:
+    """
+    Return the mean difference, its standard error, over how many, p, whether it agrees, and why
+    there is none.
+    """
     if effect.measure not in measures:
         return math.nan, math.nan, 0, math.nan, pd.NA, SILENT
     wide = measures.pivot(index="participant", columns="condition", values=effect.measure)  # noqa: PD010, a repeat is an error
@@ -165,7 +211,14 @@ def _compared(effect: Effect, measures: pd.DataFrame) -> tuple[float, float, int
     difference = pd.Series(after - before).dropna()
     count = len(difference)
     if count < 3:
-        return math.nan, math.nan, count, math.nan, pd.NA, f"only {count} operators have the measure in both conditions"
+        return (
+            math.nan,
+            math.nan,
+            count,
+            math.nan,
+            pd.NA,
+            f"only {count} operators have the measure in both conditions",
+        )
     mean, se = float(difference.mean()), float(difference.sem())
     p = float(2.0 * special.stdtr(count - 1, -abs(mean) / se)) if se > 0.0 else math.nan
     agrees = effect.low <= mean + 2.0 * se and mean - 2.0 * se <= effect.high
@@ -174,7 +227,8 @@ def _compared(effect: Effect, measures: pd.DataFrame) -> tuple[float, float, int
 
 def plot_effects(study: str, simulated: Mapping[str, pd.DataFrame]) -> np.ndarray:
     """
-    Plot the effects of a study, a panel per measure: as printed, as the models predict, and as simulated.
+    Plot the effects of a study, a panel per measure: as printed, as the models predict, and as
+    simulated.
 
     Parameters
     ----------
@@ -195,14 +249,25 @@ def plot_effects(study: str, simulated: Mapping[str, pd.DataFrame]) -> np.ndarra
         own = [effect for effect in wanted if effect.measure == measure]
         ids, x = [effect.id for effect in own], np.arange(len(own), dtype=float)
         axis.axhline(0.0, color="black", lw=0.6)
-        axis.plot(x, [effect.printed for effect in own], "_", color="black", ms=16, mew=2, label="printed")
+        axis.plot(
+            x, [effect.printed for effect in own], "_", color="black", ms=16, mew=2, label="printed"
+        )
         axis.plot(x, predicted.loc[ids, "model"], "x", color="#444444", label="model")
         for i, (label, frame) in enumerate(simulated.items()):
             found = frame.set_index("id").loc[ids]
             place = x + 0.15 * (i + 1)
-            axis.errorbar(place, found["simulated"], 2.0 * found["se"], fmt="o", ms=3, label=f"simulated: {label}")
+            axis.errorbar(
+                place,
+                found["simulated"],
+                2.0 * found["se"],
+                fmt="o",
+                ms=3,
+                label=f"simulated: {label}",
+            )
         axis.set_xlim(-0.4, x[-1] + 0.2 + 0.15 * len(simulated))
         axis.set_xticks(x, [effect.contrast for effect in own], rotation=45)
         axis.set_title(UNITS.get(measure, measure), fontsize="medium")
-    axes[0].figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=2 + len(simulated))
+    axes[0].figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=2 + len(simulated)
+    )
     return axes

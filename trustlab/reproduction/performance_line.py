@@ -1,4 +1,7 @@
-"""Mean robot performance against mean utilization times human performance, to which (2.3) and (2.5) tie it."""
+"""
+Mean robot performance against mean utilization times human performance, to which (2.3) and (2.5)
+tie it.
+"""
 
 from dataclasses import dataclass
 
@@ -18,10 +21,11 @@ UAV = {"p_r": "uav.robot_performance", "p_h": "uav.human_performance", "r": "uav
 @dataclass(frozen=True, eq=False)
 class PerformanceLine:
     """
-    The line P_r = intercept + slope · r P_h through the means of C2 to C5, and how far from it C1 lies.
+    The line P_r = intercept + slope · r P_h through the means of C2 to C5, and how far from it C1
+    lies.
 
-    In the steady cycle of (2.3) and (2.5) mean P_r = P_r,min + (P_r,max − P_r,min)/P_h,max · mean of M P_h with mean M = mean r, so that
-    no pair of thresholds can raise mean P_r at equal r P_h.
+    In the steady cycle of (2.3) and (2.5) mean P_r = P_r,min + (P_r,max − P_r,min)/P_h,max · mean
+    of M P_h with mean M = mean r, so that no pair of thresholds can raise mean P_r at equal r P_h.
 
     Parameters
     ----------
@@ -40,7 +44,9 @@ class PerformanceLine:
 
     def table(self) -> pd.DataFrame:
         """Return condition, r_p_h, p_r, and distance, P_r minus the line."""
-        found = self.means.set_axis(self.means.index.astype(str)).rename_axis("condition").reset_index()
+        found = (
+            self.means.set_axis(self.means.index.astype(str)).rename_axis("condition").reset_index()
+        )
         found["r_p_h"] = found["r"] * found["p_h"]
         found["distance"] = found["p_r"] - self.intercept - self.slope * found["r_p_h"]
         return found[["condition", "r_p_h", "p_r", "distance"]]
@@ -64,9 +70,15 @@ class PerformanceLine:
         axis.plot(ends, self.intercept + self.slope * ends, color="black", lw=1.0)
         axis.plot(table["r_p_h"], table["p_r"], "o")
         for row in table.itertuples():
-            aside = (-6, 5) if row.distance > 0 else (6, -6)  # away from the line, as neighbours may nearly coincide
-            axis.annotate(row.condition, (row.r_p_h, row.p_r), xytext=aside, textcoords="offset points")
-        axis.set(xlabel="utilization × human performance", ylabel="robot performance", title=self.title)
+            aside = (
+                (-6, 5) if row.distance > 0 else (6, -6)
+            )  # away from the line, as neighbours may nearly coincide
+            axis.annotate(
+                row.condition, (row.r_p_h, row.p_r), xytext=aside, textcoords="offset points"
+            )
+        axis.set(
+            xlabel="utilization × human performance", ylabel="robot performance", title=self.title
+        )
         return axis
 
     def _repr_html_(self) -> str:
@@ -81,7 +93,8 @@ def performance_line(means: str | pd.DataFrame, title: str | None = None) -> Per
     Parameters
     ----------
     means : {"ground_robot", "uav"} or pandas.DataFrame
-        The printed means of Table 2.5 or of Section 2.4.2.4; or the measures of a virtual study, columns condition, p_r, p_h, r.
+        The printed means of Table 2.5 or of Section 2.4.2.4; or the measures of a virtual study,
+        columns condition, p_r, p_h, r.
     title : str, optional
         Whose means; "printed" or "simulated" by default.
 
@@ -98,10 +111,14 @@ def performance_line(means: str | pd.DataFrame, title: str | None = None) -> Per
         title = "simulated operators" if title is None else title
         absent = [name for name in ("condition", *UAV) if name not in means]
         if absent:
-            raise ValueError(f"means must have the columns condition, {', '.join(UAV)}; there is no {absent[0]}")
+            raise ValueError(
+                f"means must have the columns condition, {', '.join(UAV)}; there is no {absent[0]}"
+            )
         found = means.groupby(means["condition"].astype(str))[list(UAV)].mean()
     elif one_of("means", means, ["ground_robot", "uav"], "a DataFrame of measures") == "uav":
-        found = pd.DataFrame({name: dict(published_studies()[study].mean) for name, study in UAV.items()}).astype(float)
+        found = pd.DataFrame(
+            {name: dict(published_studies()[study].mean) for name, study in UAV.items()}
+        ).astype(float)
     else:
         table = published_table("2.5").astype(float)
         found = table[["P_r_mean", "P_h_mean", "r_mean"]].set_axis(list(UAV), axis=1)
@@ -111,4 +128,6 @@ def performance_line(means: str | pd.DataFrame, title: str | None = None) -> Per
     found = found.loc[["C1", *SUGGESTED]]
     through = found.loc[SUGGESTED]
     slope, intercept = np.polyfit(through["r"] * through["p_h"], through["p_r"], 1)
-    return PerformanceLine(f"{means}, printed" if title is None else title, found, float(slope), float(intercept))
+    return PerformanceLine(
+        f"{means}, printed" if title is None else title, found, float(slope), float(intercept)
+    )

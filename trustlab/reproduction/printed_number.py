@@ -24,8 +24,15 @@ def _parsed(text: str, name: str) -> tuple[str, Decimal]:
     except InvalidOperation:
         value = None
     if value is None or not value.is_finite():
-        lost = "" if isinstance(text, str) else f" ({type(text).__name__}): it has lost its trailing zeros"
-        raise ValueError(f"{name} must be a number as printed, in quotes, for example '0.390', got {shown(text)}{lost}")
+        lost = (
+            ""
+            if isinstance(text, str)
+            else f" ({type(text).__name__}): it has lost its trailing zeros"
+        )
+        raise ValueError(
+            f"{name} must be a number as printed, in quotes, for example '0.390', got "
+            f"{shown(text)}{lost}"
+        )
     return match[1], value
 
 
@@ -43,12 +50,16 @@ def last_unit(value: Decimal) -> Decimal:
 
 
 def half_unit(printed: str) -> float:
-    """Return half a unit of a printed number's last digit: 0.0005 for "0.320", 5e-8 for "5.44e-5"."""
+    """
+    Return half a unit of a printed number's last digit: 0.0005 for "0.320", 5e-8 for "5.44e-5".
+    """
     return 0.5 * float(last_unit(printed_decimal(printed)))
 
 
 def printed_interval(text: str, name: str = "a printed value") -> tuple[float, float]:
-    """Return what rounds to a printed number, or what a printed inequality such as "<.0005" allows."""
+    """
+    Return what rounds to a printed number, or what a printed inequality such as "<.0005" allows.
+    """
     sign, value = _parsed(text, name)
     if sign == "<":
         return -math.inf, float(value)
@@ -70,8 +81,9 @@ class PrintedNumber:
     """
     One number of the dissertation, or a word that stands where a number could.
 
-    `id` is for example "table_2.1/delta_TSC/2", `where` the table, section, remark or caption, `quantity` what it is,
-    `printed` its text with all trailing zeros; `exact` marks a count, which has no rounding.
+    `id` is for example "table_2.1/delta_TSC/2", `where` the table, section, remark or caption,
+    `quantity` what it is, `printed` its text with all trailing zeros; `exact` marks a count, which
+    has no rounding.
     """
 
     id: str
@@ -103,7 +115,10 @@ class PrintedNumber:
 
     @property
     def half(self) -> float:
-        """Half a unit of the last printed digit; 0 for counts and words that stand for a number, NaN for other words."""
+        """
+        Half a unit of the last printed digit; 0 for counts and words that stand for a number, NaN
+        for other words.
+        """
         value = self._decimal()
         if self.exact or self.is_word:
             return 0.0

@@ -1,4 +1,6 @@
-"""A within-subject study as printed: every number a string, so that "0.50" keeps its two decimals."""
+"""
+A within-subject study as printed: every number a string, so that "0.50" keeps its two decimals.
+"""
 
 import math
 import tomllib
@@ -15,7 +17,11 @@ from trustlab.reproduction.printed_number import printed_decimal, printed_interv
 from trustlab.reproduction.published import ByName, published_folder
 
 # What a study may print of each test.
-STATISTICS = {"mauchly": ("chi2", "df", "p"), "anova": ("F", "df1", "df2", "p", "eta2"), "t_test": ("t", "df", "p")}
+STATISTICS = {
+    "mauchly": ("chi2", "df", "p"),
+    "anova": ("F", "df1", "df2", "p", "eta2"),
+    "t_test": ("t", "df", "p"),
+}
 
 
 class PublishedStudyError(ValueError):
@@ -36,8 +42,8 @@ class PublishedStudy:
     mean, sd : mapping of str to str
         Printed means and standard deviations by condition.
     conditions : tuple of str
-        All conditions in order; those without a printed mean or standard deviation are inferred. Those of `mean`, then
-        those of `sd`, unless given.
+        All conditions in order; those without a printed mean or standard deviation are inferred.
+        Those of `mean`, then those of `sd`, unless given.
     anova : mapping of str to str
         Any of F, df1, df2, p, eta2 (partial).
     mauchly : mapping of str to str
@@ -51,8 +57,8 @@ class PublishedStudy:
     significant_without_p : tuple of str
         Pairs reported as significant (p < 0.05) without a p-value.
     listed_only : bool
-        Whether pairs that are not listed were not reported at all. Otherwise they were reported as not significant
-        (p > 0.05).
+        Whether pairs that are not listed were not reported at all. Otherwise they were reported as
+        not significant (p > 0.05).
     scale : tuple of float
         Lowest and highest value the measure can take; infinite where there is no limit.
     title, where : str
@@ -88,7 +94,9 @@ class PublishedStudy:
     title: str = ""
     where: str = ""
 
-    how_to_get = "PublishedStudy.from_dict builds one, published_studies() has those of the dissertation"
+    how_to_get = (
+        "PublishedStudy.from_dict builds one, published_studies() has those of the dissertation"
+    )
 
     def __post_init__(self) -> None:
         try:
@@ -105,7 +113,9 @@ class PublishedStudy:
         for key in ("mean", "sd", *STATISTICS, "pairs"):
             value = getattr(self, key)
             if not isinstance(value, Mapping):
-                raise ValueError(f"{key} must be a table of names and printed numbers, got {shown(value)}")
+                raise ValueError(
+                    f"{key} must be a table of names and printed numbers, got {shown(value)}"
+                )
             object.__setattr__(self, key, MappingProxyType(dict(value)))
         for key in ("conditions", "significant_without_p"):
             value = getattr(self, key)
@@ -116,11 +126,22 @@ class PublishedStudy:
             object.__setattr__(self, "conditions", tuple(dict.fromkeys([*self.mean, *self.sd])))
 
     def __hash__(self) -> int:
-        return hash((self.name, self.n, self.conditions, tuple(self.mean.items()), tuple(self.anova.items())))
+        return hash(
+            (
+                self.name,
+                self.n,
+                self.conditions,
+                tuple(self.mean.items()),
+                tuple(self.anova.items()),
+            )
+        )
 
     def __reduce__(self) -> tuple:
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        plain = {key: dict(value) if isinstance(value, Mapping) else value for key, value in values.items()}
+        plain = {
+            key: dict(value) if isinstance(value, Mapping) else value
+            for key, value in values.items()
+        }
         return type(self).from_dict, (plain,)
 
     @property
@@ -156,19 +177,23 @@ class PublishedStudy:
             if name == f"{a}-{b}":
                 return min(i, j), max(i, j)
         raise PublishedStudyError(
-            f"{self.name}: pairs: {name!r} does not name two of the conditions {', '.join(self.conditions)}, as in"
-            f" {self.conditions[0]}-{self.conditions[1]!s}"
+            f"{self.name}: pairs: {name!r} does not name two of the conditions "
+            f"{', '.join(self.conditions)}, as in {self.conditions[0]}-{self.conditions[1]!s}"
         )
 
     def table(self) -> pd.DataFrame:
-        """Return what is printed, one row per number: index statistic; columns printed, low, high."""
+        """
+        Return what is printed, one row per number: index statistic; columns printed, low, high.
+        """
         rows = [
             (f"{key}.{name}", text, *printed_interval(text))
             for key in ("mean", "sd", "mauchly", "anova", "t_test", "pairs")
             for name, text in getattr(self, key).items()
         ]
         rows += [("epsilon", self.epsilon, *printed_interval(self.epsilon))] if self.epsilon else []
-        return pd.DataFrame(rows, columns=["statistic", "printed", "low", "high"]).set_index("statistic")
+        return pd.DataFrame(rows, columns=["statistic", "printed", "low", "high"]).set_index(
+            "statistic"
+        )
 
     @classmethod
     def from_dict(cls, values: Mapping, name: str = "study") -> "PublishedStudy":
@@ -188,11 +213,15 @@ class PublishedStudy:
             If a field is unknown, missing or impossible.
         """
         if not isinstance(values, Mapping):
-            raise PublishedStudyError(f"{name}: a published study must be a table of fields, got {values!r}")
+            raise PublishedStudyError(
+                f"{name}: a published study must be a table of fields, got {values!r}"
+            )
         known = [f.name for f in fields(cls)]
         unknown = [str(key) for key in values if key not in known]
         if unknown:
-            raise PublishedStudyError(f"{name}: unknown field {unknown[0]!r}; there are {', '.join(known)}")
+            raise PublishedStudyError(
+                f"{name}: unknown field {unknown[0]!r}; there are {', '.join(known)}"
+            )
         for key in ("n", "mean", "sd"):
             if key not in values:
                 raise PublishedStudyError(f"{name}: {key} is missing")
@@ -231,7 +260,9 @@ def _require(holds: object, message: str) -> None:
 
 def _check_design(study: PublishedStudy) -> None:
     """Check the name, the number of subjects and the conditions."""
-    _require(isinstance(study.name, str) and study.name, f"name must be a text, got {shown(study.name)}")
+    _require(
+        isinstance(study.name, str) and study.name, f"name must be a text, got {shown(study.name)}"
+    )
     object.__setattr__(study, "n", whole_number("n", study.n, least=3))
     of_class("listed_only", study.listed_only, bool, "it must be true or false")
     k, names = study.k, ", ".join(study.conditions)
@@ -268,20 +299,23 @@ def _check_cells(study: PublishedStudy) -> None:
         printed_decimal(text, f"mean.{condition}")
         first, last = printed_interval(text)
         outside = last < low or first > high
-        _require(not outside, f"mean.{condition} = {text} lies outside the scale {low:g} to {high:g}")
+        _require(
+            not outside, f"mean.{condition} = {text} lies outside the scale {low:g} to {high:g}"
+        )
     for condition, text in study.sd.items():
         spread = printed_decimal(text, f"sd.{condition}")
         _require(spread > 0, f"sd.{condition} = {text} must be positive")
         if condition not in study.mean or math.isinf(high - low):
             continue
         first, last = printed_interval(study.mean[condition])
-        # The variance is greatest with all values at the ends of the scale, and with the mean as near its middle as can be.
+        # The variance is greatest with all values at the ends of the scale, and with the mean as
+        # near its middle as can be.
         mean = min(max(0.5 * (low + high), first), last)
         largest = math.sqrt(max((mean - low) * (high - mean), 0.0) * study.n / (study.n - 1))
         _require(
             printed_interval(text)[0] <= largest,
-            f"sd.{condition} = {text} exceeds what {study.n} values from {low:g} to {high:g} with mean"
-            f" {study.mean[condition]} can have ({largest:.4g})",
+            f"sd.{condition} = {text} exceeds what {study.n} values from {low:g} to {high:g} with "
+            f"mean {study.mean[condition]} can have ({largest:.4g})",
         )
 
 
@@ -306,7 +340,9 @@ def _check_tests(study: PublishedStudy) -> None:
             _require(value >= 0 or name == "t", f"{key}.{name} = {text} must not be negative")
     eta2 = study.anova.get("eta2", "0")
     _require(printed_interval(eta2)[0] < 1.0, f"anova.eta2 = {eta2} must lie between 0 and 1")
-    _require(not study.mauchly or study.k > 2, "mauchly: sphericity always holds for two conditions")
+    _require(
+        not study.mauchly or study.k > 2, "mauchly: sphericity always holds for two conditions"
+    )
     few = f"mauchly: n = {study.n} subjects are too few for {study.k} conditions; leave it out"
     _require(not study.mauchly or study.n >= study.k, few)
     _require(not study.t_test or study.k == 2, f"t_test needs two conditions, got {study.k}")
@@ -320,10 +356,14 @@ def _check_epsilon_and_degrees(study: PublishedStudy) -> None:
         printed_decimal(study.epsilon, "epsilon")
         low, high = printed_interval(study.epsilon)
         between = f"between 1/(k − 1) = {1.0 / (k - 1):.4g} and 1 for {k} conditions"
-        _require(high >= 1.0 / (k - 1) and low <= 1.0, f"epsilon = {study.epsilon} must lie {between}")
+        _require(
+            high >= 1.0 / (k - 1) and low <= 1.0, f"epsilon = {study.epsilon} must lie {between}"
+        )
     df, printed = k * (k - 1) // 2 - 1, study.mauchly.get("df")
     if printed:
-        _require(float(printed) == df, f"mauchly.df = {printed} does not belong to {k} conditions ({df})")
+        _require(
+            float(printed) == df, f"mauchly.df = {printed} does not belong to {k} conditions ({df})"
+        )
     if "df1" in study.anova:
         low, high = printed_interval(study.anova["df1"])
         least, wanted = (1, f"between 1 and {k - 1}") if study.corrected else (k - 1, f"{k - 1}")
@@ -349,7 +389,8 @@ def published_studies() -> "dict[str, PublishedStudy]":
     Returns
     -------
     dict of str to PublishedStudy
-        By chapter and measure, for example "uav.tlx" and "teleop.trust". The scales are those of the instruments.
+        By chapter and measure, for example "uav.tlx" and "teleop.trust". The scales are those of
+        the instruments.
 
     Examples
     --------

@@ -11,8 +11,8 @@ def external_data(name: str) -> Path | None:
     Parameters
     ----------
     name : str
-        The data set's folder, for example "autonomy_cl_trust"; looked for in the folder that the environment
-        variable TRUSTLAB_DATA names, or else in data/external of the repository.
+        The data set's folder, for example "autonomy_cl_trust"; looked for in the folder that the
+        environment variable TRUSTLAB_DATA names, or else in data/external of the repository.
     """
     given = os.environ.get("TRUSTLAB_DATA")
     root = Path(given) if given else Path(__file__).resolve().parents[2] / "data" / "external"

@@ -1,4 +1,6 @@
-"""What a session says about itself, and its form as JSON in the files that `write_session` writes."""
+"""
+What a session says about itself, and its form as JSON in the files that `write_session` writes.
+"""
 
 import hashlib
 import json
@@ -14,7 +16,8 @@ from trustlab.sessions.errors import SessionError
 
 _FIELDS = ("participant", "condition", "source", "synthetic")
 
-# The fields with a name of their own, and the types that a file may give them; everything else goes to `more`.
+# The fields with a name of their own, and the types that a file may give them; everything else goes
+# to `more`.
 _TYPES = {
     "participant": (str, int, type(None)),
     "condition": (str, int, float, type(None)),
@@ -60,7 +63,10 @@ class Metadata:
 
     def __reduce__(self):
         # A MappingProxyType cannot be pickled; the constructor makes it again from a dictionary.
-        return (Metadata, (self.participant, self.condition, self.source, self.synthetic, dict(self.more)))
+        return (
+            Metadata,
+            (self.participant, self.condition, self.source, self.synthetic, dict(self.more)),
+        )
 
     def changed(self, **changes: Any) -> "Metadata":
         """
@@ -86,21 +92,30 @@ def _plain(value: object) -> object:
 
 
 def digest(values: bytes | np.ndarray) -> str:
-    """Return a text of 16 digits that changes with every bit of a column, as floats, or of a text."""
+    """
+    Return a text of 16 digits that changes with every bit of a column, as floats, or of a text.
+    """
     data: Any = values if isinstance(values, bytes) else np.ascontiguousarray(values, dtype=float)
     return hashlib.blake2b(data, digest_size=8).hexdigest()
 
 
 def metadata_to_json(metadata: Metadata, columns: Any, **extra: object) -> str:
-    """Return metadata, digests of the columns and what else is given as a line of JSON, but for the source, the new file."""
+    """
+    Return metadata, digests of the columns and what else is given as a line of JSON, but for the
+    source, the new file.
+    """
     content = {name: getattr(metadata, name) for name in _FIELDS if name != "source"}
     for name, value in [*content.items(), *metadata.more.items()]:
         if not _survives_json(value):
             what = f"metadata {name!r} would not read back the same: {shown(value)}"
-            raise SessionError(f"{what}; use plain numbers, texts, lists or dictionaries with text keys")
+            raise SessionError(
+                f"{what}; use plain numbers, texts, lists or dictionaries with text keys"
+            )
     text = json.dumps(content | {"more": dict(metadata.more)} | extra, default=_plain)
     digests = {name: digest(columns[name]) for name in columns}
-    return json.dumps(json.loads(text) | {"digests": digests | {"metadata": _digest_of_json(json.loads(text))}})
+    return json.dumps(
+        json.loads(text) | {"digests": digests | {"metadata": _digest_of_json(json.loads(text))}}
+    )
 
 
 def _digest_of_json(content: dict) -> str:
@@ -119,18 +134,29 @@ def metadata_from_json(text: str) -> tuple[Metadata, dict]:
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise SessionError(f"the trustlab metadata are damaged ({error}); write the file again") from error
+        raise SessionError(
+            f"the trustlab metadata are damaged ({error}); write the file again"
+        ) from error
     if not isinstance(content, dict):
-        raise SessionError(f"the trustlab metadata must be an object, found {shown(content)}; write it again")
+        raise SessionError(
+            f"the trustlab metadata must be an object, found {shown(content)}; write it again"
+        )
     digests = content.pop("digests", None)  # which files of earlier versions lack
-    if digests is not None and (not isinstance(digests, dict) or digests.get("metadata") != _digest_of_json(content)):
-        raise SessionError("the trustlab metadata are not as they were written; the file is damaged: write it again")
+    if digests is not None and (
+        not isinstance(digests, dict) or digests.get("metadata") != _digest_of_json(content)
+    ):
+        raise SessionError(
+            "the trustlab metadata are not as they were written; the file is damaged: write it "
+            "again"
+        )
     content["digests"] = digests or {}
     given: dict[str, Any] = {}
     for name, types in _TYPES.items():
         value = content.pop(name, {"synthetic": False, "more": {}}.get(name))
         if not isinstance(value, types):
             allowed = " or ".join("null" if kind is type(None) else kind.__name__ for kind in types)
-            raise SessionError(f"the trustlab metadata give {name} as {shown(value)}; it must be {allowed}")
+            raise SessionError(
+                f"the trustlab metadata give {name} as {shown(value)}; it must be {allowed}"
+            )
         given[name] = value
     return Metadata(**given), content

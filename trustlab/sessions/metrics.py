@@ -1,4 +1,7 @@
-"""Performance measured from logs: (2.4), (2.7), their UAV variants, (3.26)-(3.27), and the tracking error of trials."""
+"""
+Performance measured from logs: (2.4), (2.7), their UAV variants, (3.26)-(3.27), and the tracking
+error of trials.
+"""
 
 from collections.abc import Iterable
 
@@ -39,7 +42,8 @@ def window_mean(values: np.ndarray, sample_time: float, window: float) -> np.nda
 
 def nearness(distance: np.ndarray, largest: float) -> np.ndarray:
     """
-    Return N(y) = (y_max − y)/y_max: 1 without deviation, 0 at y_max, negative beyond it (never clipped).
+    Return N(y) = (y_max − y)/y_max: 1 without deviation, 0 at y_max, negative beyond it (never
+    clipped).
 
     Parameters
     ----------
@@ -57,9 +61,12 @@ def nearness(distance: np.ndarray, largest: float) -> np.ndarray:
     return 1.0 - distance / positive("largest", largest)
 
 
-def goal_speed(step_distance: np.ndarray, path_error: np.ndarray, sample_time: float, e_max: float = 2.0) -> np.ndarray:
+def goal_speed(
+    step_distance: np.ndarray, path_error: np.ndarray, sample_time: float, e_max: float = 2.0
+) -> np.ndarray:
     """
-    Return (Δd/Δt)(e_max − e)/e_max, what (2.4) averages: speed, discounted with the distance from the path.
+    Return (Δd/Δt)(e_max − e)/e_max, what (2.4) averages: speed, discounted with the distance from
+    the path.
 
     Parameters
     ----------
@@ -82,15 +89,18 @@ def goal_speed(step_distance: np.ndarray, path_error: np.ndarray, sample_time: f
     return step_distance / positive("sample_time", sample_time) * near
 
 
-def manoeuvring(v_command: np.ndarray, w_command: np.ndarray, path_error: np.ndarray, e_max: float = 2.0) -> np.ndarray:
+def manoeuvring(
+    v_command: np.ndarray, w_command: np.ndarray, path_error: np.ndarray, e_max: float = 2.0
+) -> np.ndarray:
     """
-    Return ``v (e_max − e)/e_max + |ω| e/e_max``, what (2.7) averages: forward motion counts near the path, turning away from it.
+    Return ``v (e_max − e)/e_max + |ω| e/e_max``, what (2.7) averages: forward motion counts near
+    the path, turning away from it.
 
     Parameters
     ----------
     v_command, w_command : array_like, shape (N,)
-        Linear [m/s] and angular [rad/s] velocity commands; the absolute value of ω counts, so that left and right turns
-        do not cancel.
+        Linear [m/s] and angular [rad/s] velocity commands; the absolute value of ω counts, so that
+        left and right turns do not cancel.
     path_error : array_like, shape (N,)
         e, deviation from the path [m].
     e_max : float
@@ -106,7 +116,8 @@ def command_quality(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndarra
     """
     Return 1 − ‖u_i − u_h‖₁/Δu_max, the quality of the operator's commands in Section 2.4.2.
 
-    The text prints the deviation itself (`command_deviation`), which grows as the operator gets worse.
+    The text prints the deviation itself (`command_deviation`), which grows as the operator gets
+    worse.
 
     Parameters
     ----------
@@ -120,7 +131,8 @@ def command_quality(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndarra
 
 def command_deviation(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndarray:
     """
-    Return Σ (u_i − u_h)/Δu_max as printed in Section 2.4.2: signed, and larger for a worse operator.
+    Return Σ (u_i − u_h)/Δu_max as printed in Section 2.4.2: signed, and larger for a worse
+    operator.
 
     Parameters
     ----------
@@ -133,12 +145,19 @@ def command_deviation(u_h: np.ndarray, u_i: np.ndarray, u_max: float) -> np.ndar
 
 
 def mixed_initiative(
-    u_h: np.ndarray, u_a: np.ndarray, u_i: np.ndarray, error: np.ndarray, alpha: np.ndarray, u_max: float, e_max: float
+    u_h: np.ndarray,
+    u_a: np.ndarray,
+    u_i: np.ndarray,
+    error: np.ndarray,
+    alpha: np.ndarray,
+    u_max: float,
+    e_max: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return p'_r and p'_h of (3.27), what (3.26) averages.
 
-    p'_r = N(‖u_a − u_i‖₁) N((1 − α)‖e‖₁) and p'_h = N(‖u_h − u_i‖₁) N(α‖e‖₁), N(y) = (y_max − y)/y_max.
+    p'_r = N(‖u_a − u_i‖₁) N((1 − α)‖e‖₁) and p'_h = N(‖u_h − u_i‖₁) N(α‖e‖₁), N(y) = (y_max −
+    y)/y_max.
 
     Parameters
     ----------
@@ -165,7 +184,9 @@ def _norm1(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 def _difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     one, other = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
     if one.ndim != 2 or one.shape != other.shape:
-        raise ValueError(f"commands must both have shape (N, axes), got {one.shape} and {other.shape}")
+        raise ValueError(
+            f"commands must both have shape (N, axes), got {one.shape} and {other.shape}"
+        )
     return one - other
 
 
@@ -183,8 +204,9 @@ def with_performance(
     Parameters
     ----------
     session : Session
-        Needs step_distance, path_error, v_command and w_command ("ground_robot"); path_error, u_h and u_i
-        ("uav_tracking"); u_h, u_a, u_i, reference, robot and mode as α ("mixed_initiative").
+        Needs step_distance, path_error, v_command and w_command ("ground_robot"); path_error, u_h
+        and u_i ("uav_tracking"); u_h, u_a, u_i, reference, robot and mode as α
+        ("mixed_initiative").
     window : float
         Length W [s]; 100 s in Chapter 2, 10 s in Chapter 3.
     measure : {"ground_robot", "uav_tracking", "mixed_initiative"}
@@ -192,7 +214,8 @@ def with_performance(
     e_max : float, optional
         Greatest acceptable deviation [m]; 2 m for "ground_robot", required for the others.
     u_max : float, optional
-        Greatest deviation of a command, in the unit of the commands; required for all but "ground_robot".
+        Greatest deviation of a command, in the unit of the commands; required for all but
+        "ground_robot".
     axes : str
         Axes of the commands and positions that count, for example "yz".
 
@@ -215,7 +238,9 @@ def with_performance(
             raise ValueError("u_max is not used by (2.4) and (2.7); leave it out")
         e_max = 2.0 if e_max is None else e_max
         session.require("step_distance", "path_error", "v_command", "w_command")
-        p_r = goal_speed(session["step_distance"], session["path_error"], session.sample_time, e_max)
+        p_r = goal_speed(
+            session["step_distance"], session["path_error"], session.sample_time, e_max
+        )
         p_h = manoeuvring(session["v_command"], session["w_command"], session["path_error"], e_max)
         equations = "(2.4), (2.7)"
     elif e_max is None or u_max is None:
@@ -225,30 +250,37 @@ def with_performance(
         p_r = nearness(session["path_error"], e_max)
         equations = "Section 2.4.2.4"
     else:
-        u_h, u_i, u_a = vector("u_h"), vector("u_i"), vector("u_a")
+        u_h = vector("u_h")
+        u_i = vector("u_i")
+        u_a = vector("u_a")
         apart = vector("reference") - vector("robot")
         share = session["alpha" if "alpha" in session else "mode"]
         p_r, p_h = mixed_initiative(u_h, u_a, u_i, apart, share, u_max, e_max)
         equations = "(3.26), (3.27)"
     p_r, p_h = (window_mean(values, session.sample_time, window) for values in (p_r, p_h))
     if window > session.duration:
-        short = f"{session.label} lasts {session.duration:g} s, less than the window of {window:g} s"
+        short = (
+            f"{session.label} lasts {session.duration:g} s, less than the window of {window:g} s"
+        )
         warn(f"{short}: every value is the mean of what there was so far")
     note = f"{equations}, window {window:g} s"
-    return session.with_columns(p_r=p_r, p_h=p_h).with_metadata(performance=note, performance_window=float(window))
+    return session.with_columns(p_r=p_r, p_h=p_h).with_metadata(
+        performance=note, performance_window=float(window)
+    )
 
 
 def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
     """
     Return the mean tracking error of every participant at every level of autonomy.
 
-    It is the mean over a block's trials of the trial's mean `path_error`, without training and without the first
-    `drop_first` trials of each block.
+    It is the mean over a block's trials of the trial's mean `path_error`, without training and
+    without the first `drop_first` trials of each block.
 
     Parameters
     ----------
     sessions : iterable of Session
-        Trials with column path_error [m] and metadata participant, autonomy, block, trial and training.
+        Trials with column path_error [m] and metadata participant, autonomy, block, trial and
+        training.
     drop_first : int
         How many trials at the beginning of each block do not count.
 
@@ -262,7 +294,8 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
     SessionError
         If a trial lacks path_error or one of the metadata, or a block has no trial left.
     """
-    # One session alone is known by its metadata: its class uses this file, so that this file cannot import it.
+    # One session alone is known by its metadata: its class uses this file, so that this file cannot
+    # import it.
     alone = isinstance(getattr(sessions, "metadata", None), Metadata)
     trials = pd.DataFrame([_trial(session) for session in ([sessions] if alone else sessions)])
     if trials.empty or trials["training"].all():
@@ -270,7 +303,9 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
     trials = trials[~trials["training"].astype(bool)].copy()
     twice = trials[trials.duplicated(["participant", "trial"])]
     if len(twice):
-        raise SessionError("trial {trial} of participant {participant} occurs twice".format(**twice.iloc[0]))
+        raise SessionError(
+            "trial {trial} of participant {participant} occurs twice".format(**twice.iloc[0])
+        )
     order = trials.sort_values("trial").groupby(["participant", "block"]).cumcount()
     trials["traj_err"] = trials["traj_err"].where(order.reindex(trials.index) >= drop_first)
     table = trials.groupby(["participant", "autonomy"], as_index=False)[["traj_err"]].mean()
@@ -289,4 +324,6 @@ def _trial(session) -> dict[str, object]:
     for name in names:
         if facts.get(name) is None:
             raise SessionError(f"metadata {name!r} is missing", session.metadata.source)
-    return {name: facts[name] for name in names} | {"traj_err": 100.0 * session["path_error"].mean()}
+    return {name: facts[name] for name in names} | {
+        "traj_err": 100.0 * session["path_error"].mean()
+    }

@@ -1,4 +1,7 @@
-"""Patterns for paths of files, which say something about a session, and paths to a field inside a message."""
+"""
+Patterns for paths of files, which say something about a session, and paths to a field inside a
+message.
+"""
 
 import os
 import re
@@ -10,7 +13,11 @@ from trustlab.models.checks import one_of, shown
 
 _MOST_STARS = 3
 # The lengths are bounded, so that no digits of a path overflow and no match takes long.
-_TYPES = {"int": (r"\d{1,15}", int), "float": (r"-?\d{1,15}(?:\.\d{1,15})?", float), "str": (r"[^/]+?", str)}
+_TYPES = {
+    "int": (r"\d{1,15}", int),
+    "float": (r"-?\d{1,15}(?:\.\d{1,15})?", float),
+    "str": (r"[^/]+?", str),
+}
 
 
 def natural_key(value: object) -> tuple:
@@ -25,7 +32,10 @@ def natural_key(value: object) -> tuple:
 
 @dataclass(frozen=True)
 class PathMatch:
-    """A path that fits a pattern: the folder where the pattern starts, and its fields, typed and as written."""
+    """
+    A path that fits a pattern: the folder where the pattern starts, and its fields, typed and as
+    written.
+    """
 
     base: str
     fields: Mapping[str, object]
@@ -37,8 +47,9 @@ class PathPattern:
     """
     A pattern such as ``part{folder:int}/trial{trial:int}.csv`` for the end of a path.
 
-    Folders and file are separated by ``/``; a field is ``{name}``, ``{name:int}`` or ``{name:float}`` (a name that
-    occurs twice must have the same text twice); ``*`` stands for anything within one folder or file name.
+    Folders and file are separated by ``/``; a field is ``{name}``, ``{name:int}`` or
+    ``{name:float}`` (a name that occurs twice must have the same text twice); ``*`` stands for
+    anything within one folder or file name.
     """
 
     text: str
@@ -48,15 +59,20 @@ class PathPattern:
 
     def __post_init__(self):
         if not isinstance(self.text, str) or not self.text.strip("/ "):
-            raise ValueError(f"a pattern must be like 'trial{{trial:int}}.csv', got {shown(self.text)}")
+            raise ValueError(
+                f"a pattern must be like 'trial{{trial:int}}.csv', got {shown(self.text)}"
+            )
         if {".", ".."} & set(self.text.split("/")):
-            raise ValueError(f"pattern {self.text!r}: leads from a folder down, so that it has no . or .. in it")
+            raise ValueError(
+                f"pattern {self.text!r}: leads from a folder down, so that it has no . or .. in it"
+            )
         if max(part.count("*") for part in self.text.split("/")) > _MOST_STARS:
             what = f"has more than {_MOST_STARS} * in one name; name what they stand for"
             raise ValueError(f"pattern {self.text!r}: {what}")
         types: dict[str, type] = {}
         parts: list[str] = []
-        text_field = None  # where the last field of any length stands in `parts`, if fixed text alone has followed
+        # Where the last field of any length stands in `parts`, if fixed text alone has followed
+        text_field = None
         for literal, name, kind, _ in self._parts():
             parts.append("[^/]*".join(map(re.escape, literal.replace(os.sep, "/").split("*"))))
             text_field = None if "*" in literal else text_field
@@ -64,10 +80,13 @@ class PathPattern:
                 continue
             if not name.isidentifier():
                 raise ValueError(f"pattern {self.text!r}: a field needs a name, got {name!r}")
-            kind = one_of(f"pattern {self.text!r}: the type of field {name!r}", kind or "str", _TYPES)
+            kind = one_of(
+                f"pattern {self.text!r}: the type of field {name!r}", kind or "str", _TYPES
+            )
             if kind == "str" and name not in types and text_field is not None:
-                # The field before ends where its text first stands: a later place would only leave less for this one. So
-                # no other place is tried, and the time to match stays in proportion to the path.
+                # The field before ends where its text first stands: a later place would only leave
+                # less for this one. So no other place is tried, and the time to match stays in
+                # proportion to the path.
                 parts[text_field:] = [f"(?>{''.join(parts[text_field:])})"]
             text_field = len(parts) if kind == "str" and name not in types else None
             parts.append(f"(?P={name})" if name in types else f"(?P<{name}>{_TYPES[kind][0]})")
@@ -77,14 +96,21 @@ class PathPattern:
         object.__setattr__(self, "depth", self.text.strip("/").count("/") + 1)
 
     def _parts(self) -> list[tuple]:
-        """Return the texts between the fields, each with the name and the type of the field after it."""
+        """
+        Return the texts between the fields, each with the name and the type of the field after it.
+        """
         try:
             return list(Formatter().parse(self.text))
         except ValueError as error:
-            raise ValueError(f"pattern {self.text!r}: a brace is not closed, or not opened ({error})") from None
+            raise ValueError(
+                f"pattern {self.text!r}: a brace is not closed, or not opened ({error})"
+            ) from None
 
     def match(self, path: str | os.PathLike) -> PathMatch | None:
-        """Return the fields of a path whose end fits the pattern, or None; a relative path is made absolute."""
+        """
+        Return the fields of a path whose end fits the pattern, or None; a relative path is made
+        absolute.
+        """
         parts = os.path.abspath(path).replace(os.sep, "/").split("/")
         found = self._regex.fullmatch("/".join(parts[-self.depth :]))
         if found is None:
@@ -100,7 +126,10 @@ class PathPattern:
 
 @dataclass(frozen=True)
 class Selector:
-    """The entry of a list of messages whose field `key` is `value`; or of a list beside a list of names called `key`."""
+    """
+    The entry of a list of messages whose field `key` is `value`; or of a list beside a list of
+    names called `key`.
+    """
 
     key: str
     value: str
@@ -118,7 +147,8 @@ class FieldPath:
     Where a number stands in a message.
 
     ``twist.twist.linear.x``, ``axes[1]``, ``yaw(pose.pose.orientation)``,
-    ``transforms[child_frame_id="turtle1"].transform.translation.x`` or ``position[name="wheel_left"]``.
+    ``transforms[child_frame_id="turtle1"].transform.translation.x`` or
+    ``position[name="wheel_left"]``.
     """
 
     text: str
@@ -131,8 +161,13 @@ class FieldPath:
             path, yaw = path[4:-1], True
         found = list(_STEP.finditer(path)) if isinstance(path, str) else []
         if not found or not found[0].group(1) or "".join(each.group() for each in found) != path:
-            example = "'twist.twist.linear.x', 'axes[1]', 'position[name=\"left\"]' or 'yaw(pose.pose.orientation)'"
-            raise ValueError(f"cannot read the field path {shown(self.text)}; write it like {example}")
+            example = (
+                "'twist.twist.linear.x', 'axes[1]', 'position[name=\"left\"]' or "
+                "'yaw(pose.pose.orientation)'"
+            )
+            raise ValueError(
+                f"cannot read the field path {shown(self.text)}; write it like {example}"
+            )
         steps: list[str | int | Selector] = []
         for each in found:
             name, index, key, _, value = each.groups()
@@ -142,5 +177,7 @@ class FieldPath:
 
     @property
     def selectors(self) -> str:
-        """The selectors as written: a message that has no such entry is not a sample of this field."""
+        """
+        The selectors as written: a message that has no such entry is not a sample of this field.
+        """
         return "".join(str(step) for step in self.steps if isinstance(step, Selector))

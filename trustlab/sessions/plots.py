@@ -8,15 +8,30 @@ from trustlab.models.axes import axes_or_new
 from trustlab.sessions.vocabulary import VOCABULARY
 
 # Columns in words, for axes.
-LABELS = {"p_r": "robot\nperformance", "p_h": "human\nperformance", "r": "utilization", "tsc": "TSC"}
+LABELS = {
+    "p_r": "robot\nperformance",
+    "p_h": "human\nperformance",
+    "r": "utilization",
+    "tsc": "TSC",
+}
 
 
 def shade_manual(axes, t: np.ndarray, mode: np.ndarray) -> None:
-    """Shade the manual phases of one panel: in proportion to the manual share, above one half where it varies much."""
+    """
+    Shade the manual phases of one panel: in proportion to the manual share, above one half where it
+    varies much.
+    """
     edges = np.flatnonzero(np.diff(mode)) + 1
     if edges.size > 200:
         axes.fill_between(
-            t, 0, 1, where=mode >= 0.5, transform=axes.get_xaxis_transform(), color="0.5", alpha=0.15, lw=0
+            t,
+            0,
+            1,
+            where=mode >= 0.5,
+            transform=axes.get_xaxis_transform(),
+            color="0.5",
+            alpha=0.15,
+            lw=0,
         )
         return
     for start, stop in zip(np.r_[0, edges], np.r_[edges, mode.size - 1], strict=True):
@@ -25,7 +40,10 @@ def shade_manual(axes, t: np.ndarray, mode: np.ndarray) -> None:
 
 
 def plot_session(session, columns: str | list[str] | None = None):
-    """Plot columns of a session against time, one panel each; p_r, p_h and r (or all) when none are named."""
+    """
+    Plot columns of a session against time, one panel each; p_r, p_h and r (or all) when none are
+    named.
+    """
     if isinstance(columns, str):
         columns = [columns]
     if columns is None:
@@ -47,7 +65,8 @@ def plot_session(session, columns: str | list[str] | None = None):
 
 def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | None = None):
     """
-    Plot where the operator led, where the robot went and where it should have gone, one panel per session.
+    Plot where the operator led, where the robot went and where it should have gone, one panel per
+    session.
 
     Parameters
     ----------
@@ -56,7 +75,8 @@ def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | No
     plane : str
         The two axes to plot, for example "yz".
     titles : sequence of str, optional
-        The panels' titles; the sessions' labels when not given. That data are synthetic is said in any case.
+        The panels' titles; the sessions' labels when not given. That data are synthetic is said in
+        any case.
 
     Returns
     -------
@@ -104,6 +124,13 @@ def plot_by_participant(table, value: str, by: str = "autonomy", axis=None):
     wide = table.pivot_table(index="participant", columns=by, values=value)
     axis = axes_or_new(axis, figsize=(6, 3.4))
     axis.plot(wide.columns, wide.T, "o-", lw=0.8, ms=3, color="0.7")
-    axis.plot(wide.columns, wide.mean(), "o-", lw=2.2, color="C0", label=f"mean of {len(wide)} participants")
+    axis.plot(
+        wide.columns,
+        wide.mean(),
+        "o-",
+        lw=2.2,
+        color="C0",
+        label=f"mean of {len(wide)} participants",
+    )
     axis.set(xlabel=by, ylabel=value)
     return axis

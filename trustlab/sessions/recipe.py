@@ -1,19 +1,20 @@
 """
 Recipes: how a lab's logs become sessions, written down in a TOML file.
 
-A recipe says for one kind of log where each column, the time and the metadata come from. Every key is listed here; any
-other key is an error. Nothing is guessed: time and columns with a dimension name their unit, and resampling is asked
-for by name.
+A recipe says for one kind of log where each column, the time and the metadata come from. Every key
+is listed here; any other key is an error. Nothing is guessed: time and columns with a dimension
+name their unit, and resampling is asked for by name.
 
 ::
 
-    name = "my_lab"                 # the recipe's own name
-    description = "..."             # one line, free
-    performance_window = 100        # where columns p_r and p_h are moving means: over how many seconds
-    kind = "table"                  # "table": CSV or Parquet; "bag": ROS 1 or ROS 2
+    name = "my_lab"                 # the recipe's own name description = "..."             # one
+    line, free performance_window = 100        # where columns p_r and p_h are moving means: over
+    how many seconds kind = "table"                  # "table": CSV or Parquet; "bag": ROS 1 or ROS
+    2
 
     [files]                         # needed by read_sessions and by metadata that come from paths
-    pattern = "part{folder:int}/trial{trial:int}.csv"   # fields {name}, {name:int}, {name:float}; * for anything
+    pattern = "part{folder:int}/trial{trial:int}.csv"   # fields {name}, {name:int}, {name:float}; *
+    for anything
 
     [table]                         # kind = "table" only; these are the defaults
     header = true                   # false: no line of names, columns are numbered from 0
@@ -21,62 +22,63 @@ for by name.
     decimal = "."
     skip_lines = 0                  # lines before the table
 
-    [time]                          # kind = "table"
-    column = "t"                    # name or index
-    unit = "s"
-    from_zero = false               # true: count from the first sample; its time becomes metadata start_time
+    [time]                          # kind = "table" column = "t"                    # name or index
+    unit = "s" from_zero = false               # true: count from the first sample; its time becomes
+    metadata start_time
 
-    # unit "iso": 2026-03-01T12:00:00.5, "clock": 12:00:00.5, also past midnight; repeated = "first", "last" or "mean" for
-    # times that repeat
+    # unit "iso": 2026-03-01T12:00:00.5, "clock": 12:00:00.5, also past midnight; repeated =
+    "first", "last" or "mean" for # times that repeat
 
-    [time]                          # kind = "bag"; t counts from the first sample, metadata start_time says when
-    stamp = "receive"               # or "header": the message's own stamp
+    [time]                          # kind = "bag"; t counts from the first sample, metadata
+    start_time says when stamp = "receive"               # or "header": the message's own stamp
     topics = { "/cmd_vel" = "receive" }   # topics that use the other one; also repeated
 
-    [splitting]
-    gap = 2.0                       # [s]: read_sessions makes a session of each part between longer gaps
+    [splitting] gap = 2.0                       # [s]: read_sessions makes a session of each part
+    between longer gaps
 
-    [messages]                      # kind = "bag", for those without definitions
-    folder = "my_robot_msgs"        # package/msg/Name.msg at any depth, from the folder of the recipe
+    [messages]                      # kind = "bag", for those without definitions folder =
+    "my_robot_msgs"        # package/msg/Name.msg at any depth, from the folder of the recipe
 
-    [resampling]                    # needed for topics with stamps of their own; a caller's resample= overrides it
-    method = "previous"             # or "linear", "nearest"
-    sample_time = 0.1               # [s]
+    [resampling]                    # needed for topics with stamps of their own; a caller's
+    resample= overrides it method = "previous"             # or "linear", "nearest" sample_time =
+    0.1               # [s]
 
-    [columns]                       # name of the vocabulary = exactly one of
-    path_error = { column = "err", unit = "mm", absolute = true }  # a column; also scale, offset, map, resample
-    robot_y = { column = "pos", unit = "m", item = 1 }             # of cells such as "(x, y, z)" or "1,5; 2,5", from 0
-    p_r = { column = "speed", blank = "hold" }                     # or "linear": fills cells that are blank, NaN, NA or "-"
-    mode = { column = "pedal", above = 0.5 }                       # 1 above this value, else 0; also for topics
-    robot_x = { topic = "/odom", field = "pose.pose.position.x", unit = "m" }   # the same, and hold
-    mode = { topic = "/mode", field = "data", map = { MANUAL = 1, AUTO = 0 }, hold = true }
-    beta = { value = 0.5 }                                         # a constant
-    r = { from = "header.share", unit = "%" }                      # one value from the metadata for all samples
-    path_error = { distance = ["robot", "reference"], axes = ["y", "z"] }
-    step_distance = { travelled = "robot", axes = ["x", "y"] }     # since the sample before; the first takes the second's
+    [columns]                       # name of the vocabulary = exactly one of path_error = { column
+    = "err", unit = "mm", absolute = true }  # a column; also scale, offset, map, resample robot_y =
+    { column = "pos", unit = "m", item = 1 }             # of cells such as "(x, y, z)" or "1,5;
+    2,5", from 0 p_r = { column = "speed", blank = "hold" }                     # or "linear": fills
+    cells that are blank, NaN, NA or "-" mode = { column = "pedal", above = 0.5 }
+    # 1 above this value, else 0; also for topics robot_x = { topic = "/odom", field =
+    "pose.pose.position.x", unit = "m" }   # the same, and hold mode = { topic = "/mode", field =
+    "data", map = { MANUAL = 1, AUTO = 0 }, hold = true } beta = { value = 0.5 }
+    # a constant r = { from = "header.share", unit = "%" }                      # one value from the
+    metadata for all samples path_error = { distance = ["robot", "reference"], axes = ["y", "z"] }
+    step_distance = { travelled = "robot", axes = ["x", "y"] }     # since the sample before; the
+    first takes the second's
 
-    [metadata]                      # participant, condition, synthetic or any other name = from or value
-    participant = { from = "folder", map = { 25 = 8 }, keep = true }    # keep: values not in the map stay as they are
-    training = { from = "block", map = { 0 = true }, default = false }  # default: for values not in the map
-    block = { from = "trial", bins = [5, 10, 15] }                 # how many of these limits lie below the value
-    site = { value = "north wing" }
+    [metadata]                      # participant, condition, synthetic or any other name = from or
+    value participant = { from = "folder", map = { 25 = 8 }, keep = true }    # keep: values not in
+    the map stay as they are training = { from = "block", map = { 0 = true }, default = false }  #
+    default: for values not in the map block = { from = "trial", bins = [5, 10, 15] }
+    # how many of these limits lie below the value site = { value = "north wing" }
 
-    [header]                        # a table beside the sessions with one row for each
-    file = "part{folder}/part{folder}_header.csv"       # from the folder that files.pattern starts in
-    keys = { trial = "trial_number" }                   # path field = the column that names it
+    [header]                        # a table beside the sessions with one row for each file =
+    "part{folder}/part{folder}_header.csv"       # from the folder that files.pattern starts in keys
+    = { trial = "trial_number" }                   # path field = the column that names it
 
-    [supersedes]                    # for read_sessions: sessions replaced by others, left out with a warning
-    field = "folder"
-    pairs = { 8 = 25 }              # those of folder 8 are left out where there are any of folder 25
+    [supersedes]                    # for read_sessions: sessions replaced by others, left out with
+    a warning field = "folder" pairs = { 8 = 25 }              # those of folder 8 are left out
+    where there are any of folder 25
 
-A column's value is (scale · raw + offset) in its unit; `absolute` takes its absolute value before any resampling, so
-that a signed deviation becomes a distance. `map` turns texts or codes into numbers. `hold` keeps each message of a
-topic until the next one, and the last until the log ends (for topics published on change). `from` names a field of the
-path pattern, ``header.<column>``, or a metadata entry above it. A field path leads to one number of a message
-(``twist.twist.linear.x``, ``axes[1]``, ``buttons[4]``); ``yaw(pose.pose.orientation)`` is a quaternion's heading.
-``transforms[child_frame_id="turtle1"].transform.translation.x`` selects an entry of a list of messages by one of its
-fields, ``position[name="wheel_left"]`` by the list of names beside it; messages without that entry are passed over, and
-the session's notes say how many have it.
+A column's value is (scale · raw + offset) in its unit; `absolute` takes its absolute value before
+any resampling, so that a signed deviation becomes a distance. `map` turns texts or codes into
+numbers. `hold` keeps each message of a topic until the next one, and the last until the log ends
+(for topics published on change). `from` names a field of the path pattern, ``header.<column>``, or
+a metadata entry above it. A field path leads to one number of a message (``twist.twist.linear.x``,
+``axes[1]``, ``buttons[4]``); ``yaw(pose.pose.orientation)`` is a quaternion's heading.
+``transforms[child_frame_id="turtle1"].transform.translation.x`` selects an entry of a list of
+messages by one of its fields, ``position[name="wheel_left"]`` by the list of names beside it;
+messages without that entry are passed over, and the session's notes say how many have it.
 """
 
 # ruff: noqa: RUF009 - key() makes a dataclass field
@@ -93,8 +95,22 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trustlab.models.checks import did_you_mean, finite_number, not_negative, one_of, positive, shown, whole_number
-from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
+from trustlab.models.checks import (
+    did_you_mean,
+    finite_number,
+    not_negative,
+    one_of,
+    positive,
+    shown,
+    whole_number,
+)
+from trustlab.sessions.errors import (
+    RecipeError,
+    SessionError,
+    alternatives,
+    nearest_file,
+    source_named,
+)
 from trustlab.sessions.patterns import FieldPath, PathPattern
 from trustlab.sessions.resampling import METHODS, STATES
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY, to_si
@@ -107,25 +123,35 @@ _SHIPPED = Path(__file__).parent / "recipes"
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
-# The schema: every table of the file is a dataclass whose fields are the table's keys, each with the check that its
-# value must pass. A validation library would take over `parse` only: pydantic takes as long to import as a file to read,
-# and msgspec's errors have neither the entry's name nor the value found nor the values allowed.
+# The schema: every table of the file is a dataclass whose fields are the table's keys, each with
+# the check that its value must pass. A validation library would take over `parse` only: pydantic
+# takes as long to import as a file to read, and msgspec's errors have neither the entry's name nor
+# the value found nor the values allowed.
 
 
 def key(check: Callable, default: Any = MISSING, spelt: str = "", hint: str = "") -> Any:
-    """Declare a key: `check(name, value)` returns the value to keep or raises ValueError; `hint` completes the error when it is missing."""
+    """
+    Declare a key: `check(name, value)` returns the value to keep or raises ValueError; `hint`
+    completes the error when it is missing.
+    """
     return field(default=default, metadata={"check": check, "spelt": spelt, "hint": hint})
 
 
 def parse(rule: type[Rule], table: object, where: str, **given: object) -> Rule:
-    """Return the rule that one table of the recipe states; refuse by name a key that is unknown, missing or wrong."""
+    """
+    Return the rule that one table of the recipe states; refuse by name a key that is unknown,
+    missing or wrong.
+    """
     keys = _keys(rule)
     table = _known_keys(table, keys, where)
     for name, each in keys.items():
         if name not in table and each.default is MISSING:
             raise RecipeError(f"{where}: needs {name}, {each.metadata['hint']}")
     try:
-        values = {keys[name].name: keys[name].metadata["check"](name, value) for name, value in table.items()}
+        values = {
+            keys[name].name: keys[name].metadata["check"](name, value)
+            for name, value in table.items()
+        }
         return rule(**values, **given)
     except RecipeError:  # of a table inside this one, which names itself
         raise
@@ -183,7 +209,10 @@ def column_key(name: str, value: object) -> str | int:
 
 
 def plain_key(value: object) -> str:
-    """Return what a value is looked up by in a map: "1", 1 and 1.0 are the same, "MANUAL" stays a text."""
+    """
+    Return what a value is looked up by in a map: "1", 1 and 1.0 are the same, "MANUAL" stays a
+    text.
+    """
     if isinstance(value, bool | np.bool_):
         return "true" if value else "false"
     written = str(value).strip()
@@ -197,7 +226,10 @@ def looked_up(entries: Mapping[str, Any], value: object) -> Any:
     """Return what a map of the recipe makes of a value."""
     own = plain_key(value)
     if own not in entries:
-        raise ValueError(f"{str(value)[:60]!r} is not in the recipe's map{alternatives(str(value).strip(), entries)}")
+        raise ValueError(
+            f"{str(value)[:60]!r} is not in the recipe's "
+            f"map{alternatives(str(value).strip(), entries)}"
+        )
     return entries[own]
 
 
@@ -212,7 +244,9 @@ def mapped(entries: Mapping[str, Any], value: object, where: str) -> Any:
 def value_map(name: str, value: object, check: Callable = plain) -> dict[str, object]:
     """Return a map with its keys made plain."""
     if not isinstance(value, Mapping) or not value:
-        raise ValueError(f"{name} must be a table such as {{ MANUAL = 1, AUTO = 0 }}, got {shown(value)}")
+        raise ValueError(
+            f"{name} must be a table such as {{ MANUAL = 1, AUTO = 0 }}, got {shown(value)}"
+        )
     entries = {plain_key(own): check(f"{name} entry {own!r}", each) for own, each in value.items()}
     if len(entries) < len(value):
         raise ValueError(f"two keys of the {name} mean the same value")
@@ -229,7 +263,9 @@ def _list_of(check: Callable, words: str) -> Callable:
 
 
 # "robot" is the stem of robot_x, robot_y and robot_z.
-_STEMS = [name[:-2] for name, column in VOCABULARY.items() if name.endswith("_x") and column.unit == "m"]
+_STEMS = [
+    name[:-2] for name, column in VOCABULARY.items() if name.endswith("_x") and column.unit == "m"
+]
 position = partial(one_of, allowed=_STEMS)
 
 
@@ -243,7 +279,10 @@ def axis_names(name: str, value: object) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnRule:
-    """Where one column of the session, called `name`, comes from; `without` are keys of the base class that it lacks."""
+    """
+    Where one column of the session, called `name`, comes from; `without` are keys of the base class
+    that it lacks.
+    """
 
     name: str
     without: ClassVar[tuple[str, ...]] = ()
@@ -256,7 +295,10 @@ class ColumnRule:
 
 @dataclass(frozen=True, kw_only=True)
 class _Measured(ColumnRule):
-    """A column of raw numbers: in its unit the value is (scale · raw + offset), or the absolute value of this."""
+    """
+    A column of raw numbers: in its unit the value is (scale · raw + offset), or the absolute value
+    of this.
+    """
 
     unit: str | None = key(text, None)
     scale: float = key(finite_number, 1.0)
@@ -281,7 +323,11 @@ class _Measured(ColumnRule):
                 values = self.scale * values + self.offset
             values = np.abs(values) if self.absolute else values
             values = values if factor == 1.0 else values * factor
-            return values if self.above is None else np.where(np.isnan(values), values, values > self.above)
+            return (
+                values
+                if self.above is None
+                else np.where(np.isnan(values), values, values > self.above)
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -312,16 +358,22 @@ class TableColumn(_Measured):
         if self.item is not None and self.map is not None:
             raise ValueError('item takes a number from a cell like "(x, y, z)", which has no map')
         if self.blank == "linear" and self.above is None and self.name in (*STATES, "yaw"):
-            raise ValueError(f'{self.name} has no value between two others; fill it with blank = "hold"')
+            raise ValueError(
+                f'{self.name} has no value between two others; fill it with blank = "hold"'
+            )
         super().__post_init__()
 
 
 @dataclass(frozen=True, kw_only=True)
 class TopicField(_Measured):
-    """One number in every message of a topic; `hold` where the last message holds until the log ends."""
+    """
+    One number in every message of a topic; `hold` where the last message holds until the log ends.
+    """
 
     topic: str = key(text)
-    path: FieldPath = key(field_path, spelt="field", hint="the place in the message, such as 'axes[1]'")
+    path: FieldPath = key(
+        field_path, spelt="field", hint="the place in the message, such as 'axes[1]'"
+    )
     hold: bool = key(switch, False)
 
     def __post_init__(self):
@@ -339,7 +391,10 @@ class _FromPositions(ColumnRule):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """The session columns that this one is computed from: all axes of the first position, then of the second."""
+        """
+        The session columns that this one is computed from: all axes of the first position, then of
+        the second.
+        """
         return tuple(f"{stem}_{axis}" for stem in self.stems for axis in self.axes)
 
 
@@ -389,7 +444,11 @@ def _column_rule(name: str, table: object) -> ColumnRule:
         remedy = 'write ours = { column = "theirs" } (ours: trustlab.sessions.vocabulary())'
         hint = f"{did_you_mean(name, VOCABULARY)}; {remedy}"
         if name == "t" or name in Recipe.__dataclass_fields__:
-            hint = "; time goes under [time]" if name == "t" else f"; {name} goes above the first [table]"
+            hint = (
+                "; time goes under [time]"
+                if name == "t"
+                else f"; {name} goes above the first [table]"
+            )
         raise RecipeError(f"{where}: not in the vocabulary{hint}")
     found = [own for own in _COLUMN_RULES if isinstance(table, Mapping) and own in table]
     if len(found) == 1:
@@ -401,7 +460,9 @@ def _column_rule(name: str, table: object) -> ColumnRule:
 
 @dataclass(frozen=True, kw_only=True)
 class MetadataRule:
-    """Where one entry of the metadata comes from; a tuple of `bins` counts the limits below the value."""
+    """
+    Where one entry of the metadata comes from; a tuple of `bins` counts the limits below the value.
+    """
 
     origin: str | None = key(text, None, spelt="from")
     value: object = key(plain, None)
@@ -415,7 +476,9 @@ class MetadataRule:
             raise ValueError("needs either from or value")
         if self.map is None and (self.default is not None or self.keep):
             raise ValueError("default and keep go with a map")
-        if self.bins is not None and (self.map is not None or list(self.bins) != sorted(set(self.bins))):
+        if self.bins is not None and (
+            self.map is not None or list(self.bins) != sorted(set(self.bins))
+        ):
             raise ValueError("bins must be rising numbers, and go without a map")
         if self.value is not None and (self.map is not None or self.bins is not None):
             raise ValueError("value is a constant, which takes no map and no bins")
@@ -454,12 +517,19 @@ class TableTime:
         if self.unit in UNITS:
             to_si(self.unit, "s")
         else:
-            one_of("unit", self.unit, ("iso", "clock", *(name for name, (si, _) in UNITS.items() if si == "s")))
+            one_of(
+                "unit",
+                self.unit,
+                ("iso", "clock", *(name for name, (si, _) in UNITS.items() if si == "s")),
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
 class BagTime:
-    """Whether messages are timed by their receipt or by the stamp in their header; `topics` may differ."""
+    """
+    Whether messages are timed by their receipt or by the stamp in their header; `topics` may
+    differ.
+    """
 
     stamp: str = key(stamp_kind, "receive")
     topics: Mapping[str, str] = key(partial(value_map, check=stamp_kind), None)
@@ -474,13 +544,19 @@ class BagTime:
 class HeaderRule:
     """The table beside the sessions: its path, and path fields to the columns that name them."""
 
-    file: PathPattern = key(path_pattern, hint="its path, from the folder that files.pattern starts in")
-    keys: Mapping[str, str] = key(partial(value_map, check=text), hint="the path fields that find a row")
+    file: PathPattern = key(
+        path_pattern, hint="its path, from the folder that files.pattern starts in"
+    )
+    keys: Mapping[str, str] = key(
+        partial(value_map, check=text), hint="the path fields that find a row"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Files:
-    pattern: PathPattern = key(path_pattern, hint='for example "part{folder:int}/trial{trial:int}.csv"')
+    pattern: PathPattern = key(
+        path_pattern, hint='for example "part{folder:int}/trial{trial:int}.csv"'
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -495,7 +571,10 @@ def asked_resampling(resample: str | None, sample_time: float | None) -> Resampl
     """Return the resampling that a user's arguments ask for; either needs the other."""
     if resample is None and sample_time is None:
         return None
-    return Resampling(method=resampling_method("resample", resample), sample_time=positive("sample_time", sample_time))
+    return Resampling(
+        method=resampling_method("resample", resample),
+        sample_time=positive("sample_time", sample_time),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -507,7 +586,10 @@ class Splitting:
 
 @dataclass(frozen=True, kw_only=True)
 class Messages:
-    """The folder of .msg files that define the messages of bags without definitions, from the recipe's own folder."""
+    """
+    The folder of .msg files that define the messages of bags without definitions, from the recipe's
+    own folder.
+    """
 
     folder: str = key(text, hint="the folder of the .msg files")
 
@@ -571,14 +653,20 @@ class Recipe:
         The file it was read from.
     """
 
-    kind: str = key(partial(one_of, allowed=("table", "bag")), hint='which must be "table" or "bag"')
+    kind: str = key(
+        partial(one_of, allowed=("table", "bag")), hint='which must be "table" or "bag"'
+    )
     name: str | None = key(text, None)
     description: str = key(text, "")
-    pattern: PathPattern | None = key(lambda name, value: _nested(_Files)(name, value).pattern, None, spelt="files")
+    pattern: PathPattern | None = key(
+        lambda name, value: _nested(_Files)(name, value).pattern, None, spelt="files"
+    )
     table: TableRule | None = key(_nested(TableRule), None)
     time: Any = key(any_table, None)
     resampling: Resampling | None = key(_nested(Resampling), None)
-    columns: Mapping[str, ColumnRule] = key(partial(_each, rule=_column_rule), hint="at least one column")
+    columns: Mapping[str, ColumnRule] = key(
+        partial(_each, rule=_column_rule), hint="at least one column"
+    )
     metadata: Mapping[str, MetadataRule] | None = key(partial(_each, rule=_metadata_rule), None)
     performance_window: float | None = key(not_negative, None)
     header: HeaderRule | None = key(_nested(HeaderRule), None)
@@ -591,7 +679,11 @@ class Recipe:
         if self.kind == "bag" and self.table is not None:
             raise ValueError('[table] is for kind = "table"')
         time = parse(TableTime if self.kind == "table" else BagTime, self.time or {}, "[time]")
-        filled = {"name": self.name or self.source, "table": self.table or TableRule(), "time": time}
+        filled = {
+            "name": self.name or self.source,
+            "table": self.table or TableRule(),
+            "time": time,
+        }
         metadata = dict(self.metadata or {})
         if self.performance_window is not None:
             metadata["performance_window"] = MetadataRule(value=self.performance_window)
@@ -637,27 +729,41 @@ class Recipe:
                     raise RecipeError(f"[columns] {name}: needs column {need!r}, which {fault}")
         if not any(isinstance(rule, TableColumn | TopicField) for rule in self.columns.values()):
             raise RecipeError("[columns]: at least one column must come from the log")
-        by_key = {name: rule.column for name, rule in self.columns.items() if isinstance(rule, TableColumn)}
+        by_key = {
+            name: rule.column
+            for name, rule in self.columns.items()
+            if isinstance(rule, TableColumn)
+        }
         if self.kind == "table":
             by_key = {"time": self.time.column, **by_key}
         for name, own in by_key.items():
             if isinstance(own, int) == self.table.header:
                 how = "name (without a line of names: header = false under [table])"
-                how = how if self.table.header else "index (a number), as the table has no header line"
+                how = (
+                    how
+                    if self.table.header
+                    else "index (a number), as the table has no header line"
+                )
                 raise RecipeError(f"{name}: columns of this table are given by {how}, got {own!r}")
 
     def _check_origins(self) -> None:
         known = list(self.pattern.fields) if self.pattern else []
         # Metadata may refer to metadata above them; columns to all of them.
-        origins = [(f"[metadata] {name}", rule.origin, [name]) for name, rule in self.metadata.items()]
-        given = {name: rule for name, rule in self.columns.items() if isinstance(rule, MetadataColumn)}
+        origins = [
+            (f"[metadata] {name}", rule.origin, [name]) for name, rule in self.metadata.items()
+        ]
+        given = {
+            name: rule for name, rule in self.columns.items() if isinstance(rule, MetadataColumn)
+        }
         origins += [(f"[columns] {name}", rule.origin, []) for name, rule in given.items()]
         for where, origin, defines in origins:
             in_header = str(origin).startswith("header.")
             if origin is not None and origin not in known and not (in_header and self.header):
                 hint = "; add a [header] table" if in_header else did_you_mean(origin, known)
                 there = ", ".join(known) or "nothing; fields of the path come from [files] pattern"
-                raise RecipeError(f"{where}: nothing is called {origin!r}{hint} (there is: {there})")
+                raise RecipeError(
+                    f"{where}: nothing is called {origin!r}{hint} (there is: {there})"
+                )
             known += defines
 
     def _check_path_fields(self) -> None:
@@ -694,8 +800,8 @@ def load_recipe(recipe: str | os.PathLike | Recipe) -> Recipe:
     Parameters
     ----------
     recipe : str, path-like or Recipe
-        The name of a recipe that comes with the package (see `list_recipes`), the path of a TOML file, or a recipe,
-        which is returned as it is.
+        The name of a recipe that comes with the package (see `list_recipes`), the path of a TOML
+        file, or a recipe, which is returned as it is.
 
     Raises
     ------

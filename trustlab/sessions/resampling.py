@@ -1,4 +1,6 @@
-"""Raw logs, as readers take them from files, and how their streams come to one uniform time axis."""
+"""
+Raw logs, as readers take them from files, and how their streams come to one uniform time axis.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ MAX_SAMPLES = 20_000_000
 # Ways to resample, by name.
 METHODS = ("previous", "linear", "nearest")
 
-# Columns that name a state; "linear" holds their previous value, as the log never was in half a state.
+# Columns that name a state; "linear" holds their previous value, as the log never was in half a
+# state.
 STATES = ("mode", "suggested_mode")
 
 
@@ -30,9 +33,9 @@ class Stream:
     """
     Samples that share their times: the columns of a table, or what is read from one topic of a bag.
 
-    `t` [s] and every array of `columns` have shape (N,), in SI units; `place(k)` says where sample k stands in the
-    file. `held` is True where the last sample holds until the log ends; `remedy` is what to do about times that do
-    not rise, beside sorting and splitting the log.
+    `t` [s] and every array of `columns` have shape (N,), in SI units; `place(k)` says where sample
+    k stands in the file. `held` is True where the last sample holds until the log ends; `remedy` is
+    what to do about times that do not rise, beside sorting and splitting the log.
     """
 
     t: np.ndarray
@@ -48,8 +51,9 @@ class RawLog:
     """
     The streams of one file, not yet checked.
 
-    `metadata` is what the file says about itself, `fault` why reading stopped after the samples there are, and
-    `notes` are metadata that reading adds (start_time, resampled). `digests` are those of the columns as they were written.
+    `metadata` is what the file says about itself, `fault` why reading stopped after the samples
+    there are, and `notes` are metadata that reading adds (start_time, resampled). `digests` are
+    those of the columns as they were written.
     """
 
     source: str
@@ -61,25 +65,35 @@ class RawLog:
 
 
 def require_common_times(log: RawLog) -> None:
-    """Raise where the streams of a log differ in their times, so that only resampling can join them."""
+    """
+    Raise where the streams of a log differ in their times, so that only resampling can join them.
+    """
     first = log.streams[0]
     for stream in log.streams[1:]:
         if not np.array_equal(stream.t, first.t):
             what = f"topics {first.topic!r} and {stream.topic!r} have stamps of their own"
-            how = '[resampling] in the recipe, or read_session(..., resample="previous", sample_time=0.1)'
+            how = (
+                '[resampling] in the recipe, or read_session(..., resample="previous", '
+                "sample_time=0.1)"
+            )
             raise RecipeError(f"{what}; name how to bring them together: {how}")
 
 
 def resample(
     log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return a uniform time axis and the columns of a checked log on it; say so in the log's notes."""
-    # Where every stream has samples: from the last first sample to the first last one. A stream that is held has a
-    # value beyond its last sample, so that it does not end this interval unless all are held.
+    """
+    Return a uniform time axis and the columns of a checked log on it; say so in the log's notes.
+    """
+    # Where every stream has samples: from the last first sample to the first last one. A stream
+    # that is held has a value beyond its last sample, so that it does not end this interval unless
+    # all are held.
     bounding = [stream for stream in log.streams if not stream.held]
     method, sample_time = resampling.method, resampling.sample_time
     start = max(stream.t[0] for stream in log.streams)
-    stop = min(stream.t[-1] for stream in bounding) if bounding else max(s.t[-1] for s in log.streams)
+    stop = (
+        min(stream.t[-1] for stream in bounding) if bounding else max(s.t[-1] for s in log.streams)
+    )
     if len(log.streams) > 1 and stop <= start:
         last = max(log.streams, key=lambda stream: stream.t[0])
         early = min(bounding or log.streams, key=lambda stream: stream.t[-1])
@@ -87,14 +101,21 @@ def resample(
         hint = "set hold = true for a topic whose last message holds to the end"
         raise SessionError(f"topics do not overlap: {what} ({hint})")
     grid = _time_grid(start, stop, sample_time)
-    # A grid time that rounding put just before a sample belongs to that sample; dates in seconds are rounded to 0.24 µs.
-    slack = np.clip(2.0 * np.spacing(log.notes.get("start_time", 0.0) + stop), 1e-6 * sample_time, 0.5 * sample_time)
+    # A grid time that rounding put just before a sample belongs to that sample; dates in seconds
+    # are rounded to 0.24 µs.
+    slack = np.clip(
+        2.0 * np.spacing(log.notes.get("start_time", 0.0) + stop),
+        1e-6 * sample_time,
+        0.5 * sample_time,
+    )
     columns = {
         name: _interpolate(stream, name, grid, slack, _method(name, method, rules.get(name)))
         for stream in log.streams
         for name in stream.columns
     }
-    gap = max((float(np.diff(stream.t).max()) for stream in bounding if stream.t.size > 1), default=0.0)
+    gap = max(
+        (float(np.diff(stream.t).max()) for stream in bounding if stream.t.size > 1), default=0.0
+    )
     log.notes["resampled"] = f"{method} at {sample_time:g} s; longest gap in the log {gap:.6g} s"
     if len(log.streams) == 1:
         _warn_of_gap(log.streams[0].t, sample_time, log.source)
@@ -106,11 +127,17 @@ def _time_grid(start: float, stop: float, sample_time: float) -> np.ndarray:
     start, stop = float(start), float(stop)
     steps = (stop - start) / float(sample_time)
     if not steps < MAX_SAMPLES:
-        what = f"resampling {stop - start:.6g} s to {sample_time:g} s would make {steps:.3g} samples"
-        raise SessionError(f"{what}; at most {MAX_SAMPLES} are made; check the times and their unit")
+        what = (
+            f"resampling {stop - start:.6g} s to {sample_time:g} s would make {steps:.3g} samples"
+        )
+        raise SessionError(
+            f"{what}; at most {MAX_SAMPLES} are made; check the times and their unit"
+        )
     count = int(steps + 1e-9) + 1  # rounding must not cost the last sample
     if count < 2:
-        raise SessionError(f"at {sample_time:g} s fewer than two samples are left of {stop - start:.6g} s")
+        raise SessionError(
+            f"at {sample_time:g} s fewer than two samples are left of {stop - start:.6g} s"
+        )
     return np.minimum(start + sample_time * np.arange(count), stop)
 
 
@@ -122,15 +149,22 @@ def _method(name: str, method: str, rule: ColumnRule | None) -> str:
     return own or ("previous" if name in STATES and method == "linear" else method)
 
 
-def _interpolate(stream: Stream, name: str, grid: np.ndarray, slack: float, method: str) -> np.ndarray:
-    """Return a column at the times of the grid, none of which is before the first sample; `slack` [s] is rounding."""
+def _interpolate(
+    stream: Stream, name: str, grid: np.ndarray, slack: float, method: str
+) -> np.ndarray:
+    """
+    Return a column at the times of the grid, none of which is before the first sample; `slack` [s]
+    is rounding.
+    """
     times, values = stream.t, stream.columns[name]
     if method == "linear":
         if name != "yaw":
             return np.interp(grid, times, values)
         # An angle turns the short way, and stays in [−π, π] if the samples are.
         turned = np.interp(grid, times, np.unwrap(values))
-        return turned if np.abs(values).max() > np.pi else np.arctan2(np.sin(turned), np.cos(turned))
+        return (
+            turned if np.abs(values).max() > np.pi else np.arctan2(np.sin(turned), np.cos(turned))
+        )
     if method == "nearest":
         right = np.clip(np.searchsorted(times, grid), 1, len(times) - 1) if len(times) > 1 else 0
         left = np.maximum(right - 1, 0)

@@ -15,14 +15,17 @@ from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.metadata import Metadata
 from trustlab.sessions.vocabulary import VOCABULARY
 
-# How far a time step may differ from the median step, as a share of it, before sampling counts as irregular.
+# How far a time step may differ from the median step, as a share of it, before sampling counts as
+# irregular.
 STEP_TOLERANCE = 0.01
 
 # What to do about a missing column, by the beginning of its name.
 REMEDIES = {
     "p_": "; session.with_performance(…) computes p_r and p_h",
-    "step_": '; other measures: "uav_tracking", "mixed_initiative"; add one of your own by with_columns',
-    "u_": "; where positions are commanded, they are the commands: session.with_columns(u_h_x=session['human_x'], …)",
+    "step_": '; other measures: "uav_tracking", "mixed_initiative"; add one of your own by '
+    "with_columns",
+    "u_": "; where positions are commanded, they are the commands: "
+    "session.with_columns(u_h_x=session['human_x'], …)",
 }
 
 
@@ -34,15 +37,16 @@ class Session:
     Parameters
     ----------
     data : pandas.DataFrame
-        One row per sample, indexed by time t [s]; columns from `trustlab.sessions.vocabulary()`, in SI units.
+        One row per sample, indexed by time t [s]; columns from `trustlab.sessions.vocabulary()`, in
+        SI units.
     metadata : Metadata, optional
         Participant, condition, source, synthetic or not, and whatever else is known.
 
     Raises
     ------
     SessionError
-        If time is not uniform, a column is unknown, or a value is missing or out of range; the error names
-        column, row and time.
+        If time is not uniform, a column is unknown, or a value is missing or out of range; the
+        error names column, row and time.
 
     Examples
     --------
@@ -52,7 +56,9 @@ class Session:
     0.1
     """
 
-    how_to_get = "read one with trustlab.read_session(path) or make one with trustlab.Session(frame)"
+    how_to_get = (
+        "read one with trustlab.read_session(path) or make one with trustlab.Session(frame)"
+    )
 
     data: pd.DataFrame
     metadata: Metadata = field(default_factory=Metadata)
@@ -64,7 +70,9 @@ class Session:
             raise SessionError(f"metadata must be a Metadata, for example {example}, got {found}")
         with source_named(self.metadata.source):
             t, columns = _checked(self.data)
-        object.__setattr__(self, "data", pd.DataFrame(columns, index=pd.Index(t, name="t"), copy=True))
+        object.__setattr__(
+            self, "data", pd.DataFrame(columns, index=pd.Index(t, name="t"), copy=True)
+        )
 
     def __eq__(self, other):
         if not isinstance(other, Session):
@@ -75,7 +83,8 @@ class Session:
 
     __hash__ = None
 
-    # As for a DataFrame, `in`, iteration and keys() are about the names of the columns, and len() about the samples.
+    # As for a DataFrame, `in`, iteration and keys() are about the names of the columns, and len()
+    # about the samples.
 
     def __len__(self) -> int:
         return len(self.data)
@@ -93,7 +102,9 @@ class Session:
     def __getitem__(self, name: str) -> np.ndarray:
         """Return one column, or "t", as an array of shape (N,)."""
         if not isinstance(name, str):
-            raise SessionError(f"a session is indexed by a column's name, got {name!r}; its table is .data")
+            raise SessionError(
+                f"a session is indexed by a column's name, got {name!r}; its table is .data"
+            )
         if name == "t":
             return self.t
         if name == "mode" and "mode" not in self.data and "alpha" in self.data:
@@ -124,7 +135,9 @@ class Session:
 
     @property
     def label(self) -> str:
-        """Participant, or operator where the data are synthetic, condition and trial, for captions."""
+        """
+        Participant, or operator where the data are synthetic, condition and trial, for captions.
+        """
         meta = self.metadata
         who = "operator" if meta.synthetic else "participant"
         parts = [f"{who} {meta.participant}" if meta.participant is not None else ""]
@@ -152,8 +165,12 @@ class Session:
         if missing:
             own = self.label if self.label != self.metadata.source else "the session"
             hint = alternatives(missing[0], self.columns, f"needed: {', '.join(names)}; it has")
-            remedy = next((words for start, words in REMEDIES.items() if missing[0].startswith(start)), "")
-            raise SessionError(f"{own} has no column {missing[0]!r}{hint}{remedy}", self.metadata.source)
+            remedy = next(
+                (words for start, words in REMEDIES.items() if missing[0].startswith(start)), ""
+            )
+            raise SessionError(
+                f"{own} has no column {missing[0]!r}{hint}{remedy}", self.metadata.source
+            )
 
     def with_columns(self, **columns: np.ndarray) -> Session:
         """
@@ -182,7 +199,8 @@ class Session:
         Parameters
         ----------
         **changes : object
-            participant, condition, source, synthetic, or any other name, which goes to `metadata.more`.
+            participant, condition, source, synthetic, or any other name, which goes to
+            `metadata.more`.
         """
         return Session(self.data, self.metadata.changed(**changes))
 
@@ -208,23 +226,29 @@ class Session:
             extent = f"the session runs from {self.t[0]:g} s to {self.t[-1]:g} s"
             raise SessionError(f"{what}; {extent}", self.metadata.source)
         cut = Session(part, self.metadata)
-        # A window mean needs what lies before it: fits must know that these do not begin where the averaging did.
+        # A window mean needs what lies before it: fits must know that these do not begin where the
+        # averaging did.
         averaged = "performance_window" in self.metadata.more and part.index[0] > self.data.index[0]
         return cut.with_metadata(performance_cut=True) if averaged else cut
 
-    def with_performance(self, window: float = 100.0, measure: str = "ground_robot", **scales: Any) -> Session:
+    def with_performance(
+        self, window: float = 100.0, measure: str = "ground_robot", **scales: Any
+    ) -> Session:
         """
-        Return the session with measured performance, columns p_r and p_h, as means over a moving window.
+        Return the session with measured performance, columns p_r and p_h, as means over a moving
+        window.
 
         Parameters
         ----------
         window : float
-            Length W of the window [s]; at the beginning, and in a shorter session, the mean is over the samples so far.
+            Length W of the window [s]; at the beginning, and in a shorter session, the mean is over
+            the samples so far.
         measure : {"ground_robot", "uav_tracking", "mixed_initiative"}
             (2.4) and (2.7); the UAV variants of Section 2.4.2; or (3.26)-(3.27).
         **scales : float or str
-            e_max, the deviation from the path that counts as 0 [m] (2 m for "ground_robot"), u_max, that of a command, and
-            axes, for example "yz"; see `trustlab.sessions.metrics` for these and for the columns that each measure needs.
+            e_max, the deviation from the path that counts as 0 [m] (2 m for "ground_robot"), u_max,
+            that of a command, and axes, for example "yz"; see `trustlab.sessions.metrics` for these
+            and for the columns that each measure needs.
 
         Raises
         ------
@@ -246,7 +270,8 @@ class Session:
         Parameters
         ----------
         columns : str or list of str, optional
-            What to plot, one panel each; by default p_r, p_h and r, or all columns if there is none of these.
+            What to plot, one panel each; by default p_r, p_h and r, or all columns if there is none
+            of these.
 
         Returns
         -------
@@ -261,13 +286,20 @@ class Session:
         return as_html(words, self.data.describe().T, title="Session")
 
     def __repr__(self) -> str:
-        more = f"; metadata.more: {', '.join(map(str, self.metadata.more))}" if self.metadata.more else ""
+        more = (
+            f"; metadata.more: {', '.join(map(str, self.metadata.more))}"
+            if self.metadata.more
+            else ""
+        )
         samples = f"{len(self)} samples at {self.sample_time:g} s"
         return f"Session({self.label}: {samples}, columns {', '.join(self.columns)}{more})"
 
 
 def keep_table(data: pd.DataFrame, metadata: Metadata) -> Session:
-    """Return the session of a table of floats that nobody else holds: every value is checked, none is copied."""
+    """
+    Return the session of a table of floats that nobody else holds: every value is checked, none is
+    copied.
+    """
     _checked(data)
     session = object.__new__(Session)
     vars(session).update(data=data, metadata=metadata)
@@ -277,7 +309,9 @@ def keep_table(data: pd.DataFrame, metadata: Metadata) -> Session:
 def _checked(data: pd.DataFrame) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the times and the columns of a session's table, every value checked."""
     if not isinstance(data, pd.DataFrame):
-        raise SessionError(f"data must be a pandas DataFrame indexed by time, got {type(data).__name__}")
+        raise SessionError(
+            f"data must be a pandas DataFrame indexed by time, got {type(data).__name__}"
+        )
     if data.index.name != "t" and "t" in data.columns:
         data = data.set_index("t")
     if isinstance(data.index, pd.RangeIndex) and data.index.name != "t":
@@ -295,8 +329,13 @@ def _checked(data: pd.DataFrame) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     return t, {name: check_column(name, data[name].to_numpy(), t) for name in data.columns}
 
 
-def check_rising(t: np.ndarray, place: Callable[[int], str] = "row {}".format, remedy: str = "") -> np.ndarray:
-    """Return the steps of a time axis [s]; raise at the first time that is not finite, repeats or runs backwards."""
+def check_rising(
+    t: np.ndarray, place: Callable[[int], str] = "row {}".format, remedy: str = ""
+) -> np.ndarray:
+    """
+    Return the steps of a time axis [s]; raise at the first time that is not finite, repeats or runs
+    backwards.
+    """
     if not np.isfinite(t).all():
         k = int(np.argmax(~np.isfinite(t)))
         raise SessionError(f"{place(k)}, column t: time is {t[k]}; every row needs a time", row=k)
@@ -310,14 +349,17 @@ def check_rising(t: np.ndarray, place: Callable[[int], str] = "row {}".format, r
     return steps
 
 
-def check_time(t: np.ndarray, place: Callable[[int], str] = "row {}".format, remedy: str = "") -> None:
+def check_time(
+    t: np.ndarray, place: Callable[[int], str] = "row {}".format, remedy: str = ""
+) -> None:
     """Raise where a time axis does not rise uniformly, within STEP_TOLERANCE."""
     t = np.asarray(t, dtype=float)
     if t.ndim != 1 or t.size < 2:
         raise SessionError(f"a session needs at least two samples, found {t.size}")
     steps = check_rising(t, place, remedy)
     with np.errstate(over="ignore", invalid="ignore"):
-        # Where the longest and the shortest step are as near as that, no step is off, and a long log needs no median.
+        # Where the longest and the shortest step are as near as that, no step is off, and a long
+        # log needs no median.
         if steps.max() - steps.min() <= STEP_TOLERANCE * steps.min():
             return
         step = float(np.median(steps))
@@ -336,7 +378,10 @@ def check_time(t: np.ndarray, place: Callable[[int], str] = "row {}".format, rem
 def check_column(
     name: str, values: np.ndarray, t: np.ndarray, place: Callable[[int], str] = "row {}".format
 ) -> np.ndarray:
-    """Return a column as floats; raise if its name is unknown, or at its first value that is missing or out of range."""
+    """
+    Return a column as floats; raise if its name is unknown, or at its first value that is missing
+    or out of range.
+    """
     if name not in VOCABULARY:
         remedy = "map it with a recipe, leave it out, or see trustlab.sessions.vocabulary()"
         hint = did_you_mean(name, VOCABULARY)
@@ -348,7 +393,9 @@ def check_column(
     column = VOCABULARY[name]
     low = -np.inf if column.low is None else column.low
     high = np.inf if column.high is None else column.high
-    least, most = (values.min(), values.max()) if values.size else (0.0, 0.0)  # both NaN where any value is
+    least, most = (
+        (values.min(), values.max()) if values.size else (0.0, 0.0)
+    )  # both NaN where any value is
     if np.isfinite([least, most]).all() and low <= least and most <= high:
         return values
     bad = ~np.isfinite(values)
@@ -356,8 +403,14 @@ def check_column(
     why = f"is missing or not finite; fill it, cut it out, or {rule}"
     if not bad.any():
         bad = (values < low) | (values > high)
-        why = f"lies outside [{low:g}, {high:g}] ({column.meaning}); correct it, or let a recipe scale it or divide it in two (scale, above)"
+        why = (
+            f"lies outside [{low:g}, {high:g}] ({column.meaning}); correct it, or let a recipe "
+            "scale it or divide it in two (scale, above)"
+        )
         if column.unit == "m" and low == 0.0:
-            why += "; a signed deviation becomes a distance with absolute = true in the recipe's column"
+            why += (
+                "; a signed deviation becomes a distance with absolute = true in the recipe's "
+                "column"
+            )
     k = int(np.argmax(bad))
     raise SessionError(f"{place(k)}, column {name!r}, t = {t[k]:.6g} s: {values[k]} {why}", row=k)

@@ -27,8 +27,9 @@ def write_session(session: Session, path: str | os.PathLike, format: str | None 
     Write a session so that `read_session` returns an equal one, every number bit for bit.
 
     The metadata go along, but for the source, which will be the new file: in a CSV as a first line
-    ``# trustlab {…}``, in Parquet as schema metadata, in bags as a std_msgs/String on /trustlab/metadata beside one
-    std_msgs/Float64 topic per column and one for t. What is there already is replaced at once, at the end.
+    ``# trustlab {…}``, in Parquet as schema metadata, in bags as a std_msgs/String on
+    /trustlab/metadata beside one std_msgs/Float64 topic per column and one for t. What is there
+    already is replaced at once, at the end.
 
     Parameters
     ----------
@@ -37,8 +38,8 @@ def write_session(session: Session, path: str | os.PathLike, format: str | None 
     path : path-like
         Where; its folder must exist.
     format : {"csv", "parquet", "bag", "mcap", "rosbag2"}, optional
-        By the path's suffix when not given: ``.csv``, ``.parquet``, ``.bag`` (ROS 1), ``.mcap`` (ROS 2), and none for
-        a rosbag2 folder with sqlite3 storage.
+        By the path's suffix when not given: ``.csv``, ``.parquet``, ``.bag`` (ROS 1), ``.mcap``
+        (ROS 2), and none for a rosbag2 folder with sqlite3 storage.
 
     Returns
     -------
@@ -48,7 +49,8 @@ def write_session(session: Session, path: str | os.PathLike, format: str | None 
     Raises
     ------
     SessionError
-        If the format is unknown, the place cannot be written to, or metadata would not read back the same.
+        If the format is unknown, the place cannot be written to, or metadata would not read back
+        the same.
 
     Examples
     --------
@@ -68,22 +70,30 @@ def write_session(session: Session, path: str | os.PathLike, format: str | None 
             format = by_suffix.get(path.suffix.lower())
             if format is None:
                 hint = alternatives(path.suffix, filter(None, by_suffix))
-                raise SessionError(f"cannot tell the format from {path.suffix!r}{hint}; name it with format=")
+                raise SessionError(
+                    f"cannot tell the format from {path.suffix!r}{hint}; name it with format="
+                )
         one_of("format", format, FORMATS)
         _check_target(path, format)
         write = {"csv": _write_csv, "parquet": _write_parquet}.get(format, _write_bag)
         try:
-            # Written beside its place and moved there at the end, so that neither a failure nor the end of this process
-            # leaves anything half made.
+            # Written beside its place and moved there at the end, so that neither a failure nor the
+            # end of this process leaves anything half made.
             _sweep(path.parent)
             own = f"{TEMPORARY}{platform.node()}-{os.getpid()}-"
-            with tempfile.TemporaryDirectory(prefix=own, dir=path.parent, ignore_cleanup_errors=True) as folder:
+            with tempfile.TemporaryDirectory(
+                prefix=own, dir=path.parent, ignore_cleanup_errors=True
+            ) as folder:
                 if path.is_dir():
-                    _replace(path, write(session, Path(folder) / f"{path.name}-{folder[-8:]}", format))
+                    _replace(
+                        path, write(session, Path(folder) / f"{path.name}-{folder[-8:]}", format)
+                    )
                 else:
                     os.replace(write(session, Path(folder) / path.name, format), path)
         except (OSError, sqlite3.Error) as error:
-            raise SessionError(f"cannot be written ({getattr(error, 'strerror', None) or error})") from error
+            raise SessionError(
+                f"cannot be written ({getattr(error, 'strerror', None) or error})"
+            ) from error
     return path
 
 
@@ -100,7 +110,10 @@ def _sweep(folder: Path) -> None:
 
 
 def _replace(path: Path, made: Path) -> None:
-    """Put a rosbag2 recording in the place of another: until metadata.yaml is replaced, it names the old database."""
+    """
+    Put a rosbag2 recording in the place of another: until metadata.yaml is replaced, it names the
+    old database.
+    """
     new = sorted(made.iterdir(), key=lambda file: file.name == "metadata.yaml")
     for file in new:
         os.replace(file, path / file.name)
@@ -120,11 +133,15 @@ def _check_target(path: Path, format: str) -> None:
     if format == "rosbag2":
         check_sqlite_path(path)
     elif path.suffix.lower() != FORMATS[format]:  # read_session chooses the reader by the suffix
-        raise SessionError(f"a {format} file is read by its suffix; call it {path.stem}{FORMATS[format]}")
+        raise SessionError(
+            f"a {format} file is read by its suffix; call it {path.stem}{FORMATS[format]}"
+        )
 
 
 def _write_csv(session: Session, place: Path, format: str) -> Path:
-    table = session.table().to_csv(index=False, lineterminator="\n")  # written by repr, which reads back bit for bit
+    table = session.table().to_csv(
+        index=False, lineterminator="\n"
+    )  # written by repr, which reads back bit for bit
     place.write_bytes(f"{COMMENT}{metadata_to_json(session.metadata, session)}\n{table}".encode())
     return place
 
@@ -148,25 +165,39 @@ def _write_bag(session: Session, place: Path, format: str) -> Path:
     typestore = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     serialize = typestore.serialize_ros1 if ros1 else typestore.serialize_cdr
     plugin = rosbag2.StoragePlugin.MCAP if format == "mcap" else rosbag2.StoragePlugin.SQLITE3
-    writer = rosbag1.Writer(place) if ros1 else rosbag2.Writer(place, version=8, storage_plugin=plugin)
+    writer = (
+        rosbag1.Writer(place) if ros1 else rosbag2.Writer(place, version=8, storage_plugin=plugin)
+    )
     text, number = "std_msgs/msg/String", "std_msgs/msg/Float64"
     as_text, as_number = typestore.types[text], typestore.types[number]
     with writer:
         topic = writer.add_connection(f"{PREFIX}metadata", text, typestore=typestore)
         metadata = metadata_to_json(session.metadata, session, samples=len(session))
         writer.write(topic, 0, serialize(as_text(metadata), text))
-        topics = [writer.add_connection(PREFIX + name, number, typestore=typestore) for name in session]
-        for stamp, *row in zip(_stamps(session.t), *(session[name].tolist() for name in session), strict=True):
+        topics = [
+            writer.add_connection(PREFIX + name, number, typestore=typestore) for name in session
+        ]
+        for stamp, *row in zip(
+            _stamps(session.t), *(session[name].tolist() for name in session), strict=True
+        ):
             for topic, value in zip(topics, row, strict=True):
                 writer.write(topic, stamp, serialize(as_number(value), number))
     return next(place.glob("*.mcap")) if format == "mcap" else place
 
 
 def _stamps(t: np.ndarray) -> list[int]:
-    """Return rising stamps [ns] from 0; the exact times stand on /trustlab/t, so that made-up stamps do no harm."""
+    """
+    Return rising stamps [ns] from 0; the exact times stand on /trustlab/t, so that made-up stamps
+    do no harm.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         nanoseconds = np.round((t - t[0]) * 1e9)
-    # 4e18 ns fit both kinds of bag: ROS 1 has 32 bits for the seconds, ROS 2 has 63 for the nanoseconds.
-    if np.isfinite(nanoseconds).all() and nanoseconds[-1] < 4e18 and (np.diff(nanoseconds) >= 1.0).all():
+    # 4e18 ns fit both kinds of bag: ROS 1 has 32 bits for the seconds, ROS 2 has 63 for the
+    # nanoseconds.
+    if (
+        np.isfinite(nanoseconds).all()
+        and nanoseconds[-1] < 4e18
+        and (np.diff(nanoseconds) >= 1.0).all()
+    ):
         return nanoseconds.astype(np.int64).tolist()
     return [k * 1_000_000 for k in range(t.size)]

@@ -9,7 +9,10 @@ from .analysis.batch import (
 )
 from .analysis.mixed_model import MixedModel as MixedModel, mixed_model as mixed_model
 from .analysis.paired_t_test import PairedTTest as PairedTTest, paired_t_test as paired_t_test
-from .analysis.repeated_measures import RepeatedMeasures as RepeatedMeasures, repeated_measures as repeated_measures
+from .analysis.repeated_measures import (
+    RepeatedMeasures as RepeatedMeasures,
+    repeated_measures as repeated_measures,
+)
 from .analysis.report import StudyReport as StudyReport, report as report
 from .analysis.winsorize import Winsorized as Winsorized, winsorize as winsorize
 from .designs import (

@@ -11,41 +11,64 @@ from trustlab.models.checks import did_you_mean, shown
 
 
 def column_of(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = "") -> pd.Series:
-    """Return the one column that an argument names; `remedy` is appended to the error if no name is similar."""
+    """
+    Return the one column that an argument names; `remedy` is appended to the error if no name is
+    similar.
+    """
     if not isinstance(name, Hashable):
-        raise ValueError(f"{argument} must be the name of one column, got {name!r}; one factor at a time")
+        raise ValueError(
+            f"{argument} must be the name of one column, got {name!r}; one factor at a time"
+        )
     if name not in frame.columns:
         if name is not None and name in frame.index.names:
-            raise ValueError(f"{argument}: {name!r} is in the index, not a column; give frame.reset_index()")
+            raise ValueError(
+                f"{argument}: {name!r} is in the index, not a column; give frame.reset_index()"
+            )
         there = ", ".join(map(str, frame.columns))
         hint = did_you_mean(name, frame.columns)
-        raise ValueError(f"{argument}: no column {name!r}{hint} (there are {there}){'' if hint else remedy}")
+        raise ValueError(
+            f"{argument}: no column {name!r}{hint} (there are {there}){'' if hint else remedy}"
+        )
     found = frame[name]
     if isinstance(found, pd.Series):
         return found
     if isinstance(frame.columns, pd.MultiIndex):
         inside = ", ".join(repr(label) for label in frame.columns if label[0] == name)
-        raise ValueError(f"{argument}: {name!r} has columns below it; give one of them in full, {inside}")
-    raise ValueError(f"{argument}: column {name!r} occurs {found.shape[1]} times; keep or rename all but one")
+        raise ValueError(
+            f"{argument}: {name!r} has columns below it; give one of them in full, {inside}"
+        )
+    raise ValueError(
+        f"{argument}: column {name!r} occurs {found.shape[1]} times; keep or rename all but one"
+    )
 
 
 def refuse_missing_labels(column: pd.Series, argument: str) -> None:
-    """Refuse a column of labels in which one is missing or cannot be compared, and name the first such row."""
+    """
+    Refuse a column of labels in which one is missing or cannot be compared, and name the first such
+    row.
+    """
     rows = column.index.astype(object)  # plain Python labels, for the errors
     for row, label in zip(rows, column.tolist(), strict=True):
         try:
             hash(label)
         except TypeError:  # a list, a dictionary, a signalling NaN
             found = f"{shown(label)} in row {row!r}"
-            raise ValueError(f"{argument}: column {column.name!r} holds {found}, which is no label") from None
+            raise ValueError(
+                f"{argument}: column {column.name!r} holds {found}, which is no label"
+            ) from None
     missing = column.isna().to_numpy()
     if missing.any():
         row = rows[int(np.argmax(missing))]
-        raise ValueError(f"{argument}: column {column.name!r} has no label in row {row!r}; each row needs one")
+        raise ValueError(
+            f"{argument}: column {column.name!r} has no label in row {row!r}; each row needs one"
+        )
 
 
 def number_or_nan(value: object) -> float:
-    """Return a real number as a float and any mark of a missing value as NaN; a TypeError for all else."""
+    """
+    Return a real number as a float and any mark of a missing value as NaN; a TypeError for all
+    else.
+    """
     if value is None or value is pd.NA or value is pd.NaT:
         return np.nan
     if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real | decimal.Decimal):
@@ -58,13 +81,22 @@ def number_or_nan(value: object) -> float:
 
 def labels_of(name: str, values: object, least: int) -> tuple[Hashable, ...]:
     """Return labels that are all there, all different, and at least so many."""
-    if isinstance(values, str | bytes) or not isinstance(values, Sequence | np.ndarray | pd.Series | pd.Index):
+    if isinstance(values, str | bytes) or not isinstance(
+        values, Sequence | np.ndarray | pd.Series | pd.Index
+    ):
         raise ValueError(f"{name} must be a list of labels, got {values!r}")
     labels = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
     for k, label in enumerate(labels):
         blank = isinstance(label, str) and not label.strip()
-        if not isinstance(label, Hashable) or isinstance(label, bool) or pd.isna([label]).any() or blank:
-            raise ValueError(f"{name}[{k}] is {label!r}; a label must be a number or a text that is not empty")
+        if (
+            not isinstance(label, Hashable)
+            or isinstance(label, bool)
+            or pd.isna([label]).any()
+            or blank
+        ):
+            raise ValueError(
+                f"{name}[{k}] is {label!r}; a label must be a number or a text that is not empty"
+            )
     if len(labels) < least:
         raise ValueError(f"{name} must have at least {least} labels, got {len(labels)}")
     twice = [label for k, label in enumerate(labels) if label in labels[:k]]

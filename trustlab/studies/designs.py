@@ -1,4 +1,7 @@
-"""Orders of conditions: complete balanced Latin squares (Williams 1949), and the balance of any set of orders."""
+"""
+Orders of conditions: complete balanced Latin squares (Williams 1949), and the balance of any set of
+orders.
+"""
 
 import numbers
 from collections.abc import Hashable, Sequence
@@ -14,10 +17,12 @@ from trustlab.studies.columns import column_of, labels_of, refuse_missing_labels
 
 def williams_square(n: int) -> np.ndarray:
     """
-    Return a Williams design: every condition as often at every position, and after every other condition.
+    Return a Williams design: every condition as often at every position, and after every other
+    condition.
 
-    The first row zigzags, 0, 1, n − 1, 2, n − 2 …, so that its steps (modulo n) are all different; the others
-    are that row plus 1, 2 … (modulo n). For odd n the same rows read backwards are added.
+    The first row zigzags, 0, 1, n − 1, 2, n − 2 …, so that its steps (modulo n) are all different;
+    the others are that row plus 1, 2 … (modulo n). For odd n the same rows read backwards are
+    added.
 
     Parameters
     ----------
@@ -36,8 +41,8 @@ def williams_square(n: int) -> np.ndarray:
 
     References
     ----------
-    E. J. Williams, Experimental designs balanced for the estimation of residual effects of treatments, Australian
-    Journal of Scientific Research A 2 (1949) 149-168.
+    E. J. Williams, Experimental designs balanced for the estimation of residual effects of
+    treatments, Australian Journal of Scientific Research A 2 (1949) 149-168.
     """
     n = whole_number("n", n, least=2)
     steps = np.arange(n)
@@ -107,10 +112,15 @@ class DesignBalance:
         return self.balanced_positions and self.balanced_carry_over
 
     def table(self) -> pd.DataFrame:
-        """Return all counts in one tidy table: kind, condition, position, after, count, balanced_count."""
+        """
+        Return all counts in one tidy table: kind, condition, position, after, count,
+        balanced_count.
+        """
         places = self.positions.T.melt(ignore_index=False, value_name="count").reset_index()
         follows = self.carry_over.melt(ignore_index=False, var_name="condition", value_name="count")
-        follows = follows.rename_axis("after").reset_index().dropna(subset="count")  # nothing follows itself
+        follows = (
+            follows.rename_axis("after").reset_index().dropna(subset="count")
+        )  # nothing follows itself
         table = pd.concat([places.assign(kind="position"), follows.assign(kind="carry_over")])
         table["balanced_count"] = places["count"].mean()
         columns = ["kind", "condition", "position", "after", "count", "balanced_count"]
@@ -125,10 +135,14 @@ class DesignBalance:
 
 
 def design_balance(
-    orders: pd.DataFrame, participant: str = "participant", position: str = "position", condition: str = "condition"
+    orders: pd.DataFrame,
+    participant: str = "participant",
+    position: str = "position",
+    condition: str = "condition",
 ) -> DesignBalance:
     """
-    Count positions and first-order carry-over in any set of orders, for example those of the participants who were kept.
+    Count positions and first-order carry-over in any set of orders, for example those of the
+    participants who were kept.
 
     Parameters
     ----------
@@ -140,7 +154,8 @@ def design_balance(
     Raises
     ------
     ValueError
-        If a column or a value is missing, or a participant has not had each condition once, at positions 1, 2 ….
+        If a column or a value is missing, or a participant has not had each condition once, at
+        positions 1, 2 ….
 
     Examples
     --------
@@ -150,17 +165,25 @@ def design_balance(
     True
     """
     of_class("orders", orders, pd.DataFrame)
-    for argument, name in {"participant": participant, "position": position, "condition": condition}.items():
+    for argument, name in {
+        "participant": participant,
+        "position": position,
+        "condition": condition,
+    }.items():
         refuse_missing_labels(column_of(orders, argument, name), argument)
     conditions = list(pd.unique(orders[condition]))
     k = len(conditions)
     if k < 2:
-        raise ValueError(f"condition: column {condition!r} must hold at least two conditions, found {k}")
+        raise ValueError(
+            f"condition: column {condition!r} must hold at least two conditions, found {k}"
+        )
     wide = []
     for who, own in orders.groupby(participant, sort=False):
         found = own[position].tolist()
         if any(isinstance(p, bool | str) for p in found) or sorted(found) != list(range(1, k + 1)):
-            raise ValueError(f"participant {who!r} has positions {found}; {k} conditions need 1 to {k} once")
+            raise ValueError(
+                f"participant {who!r} has positions {found}; {k} conditions need 1 to {k} once"
+            )
         row = own.sort_values(position)[condition].tolist()
         if len(set(row)) != k:
             raise ValueError(f"participant {who!r} had {row}; each of {conditions} is needed once")
@@ -171,7 +194,9 @@ def design_balance(
     np.add.at(follows, (square[:, :-1], square[:, 1:]), 1)
     carry = pd.DataFrame(np.where(np.eye(k, dtype=bool), np.nan, follows), conditions, conditions)
     return DesignBalance(
-        pd.DataFrame(places, conditions, range(1, k + 1)).rename_axis(index="condition", columns="position"),
+        pd.DataFrame(places, conditions, range(1, k + 1)).rename_axis(
+            index="condition", columns="position"
+        ),
         carry.rename_axis(index="before", columns="after"),
     )
 
@@ -220,13 +245,18 @@ class LatinSquareDesign:
 
 
 def latin_square_design(
-    conditions: Sequence[Hashable], participants: int | Sequence[Hashable], seed: int = 0, *, whole_squares: bool = True
+    conditions: Sequence[Hashable],
+    participants: int | Sequence[Hashable],
+    seed: int = 0,
+    *,
+    whole_squares: bool = True,
 ) -> LatinSquareDesign:
     """
     Assign participants to the orders of a complete balanced Latin square, in whole squares.
 
-    Which condition gets which label of the square, and the order of its rows for each batch of participants, are drawn
-    from the seed; participants added later do not change the orders of those before them.
+    Which condition gets which label of the square, and the order of its rows for each batch of
+    participants, are drawn from the seed; participants added later do not change the orders of
+    those before them.
 
     Parameters
     ----------
@@ -237,8 +267,8 @@ def latin_square_design(
     seed : int
         Seed of the draws; report it with the design.
     whole_squares : bool
-        Whether to refuse a number of participants that leaves a square incomplete; False only warns, and the
-        design is then not balanced.
+        Whether to refuse a number of participants that leaves a square incomplete; False only
+        warns, and the design is then not balanced.
 
     Returns
     -------
@@ -247,8 +277,8 @@ def latin_square_design(
     Raises
     ------
     ValueError
-        If conditions or participants are missing or repeat, the seed is not a whole number ≥ 0, or the participants do not
-        fill whole squares; the error says how many would.
+        If conditions or participants are missing or repeat, the seed is not a whole number ≥ 0, or
+        the participants do not fill whole squares; the error says how many would.
 
     Examples
     --------
@@ -268,7 +298,9 @@ def latin_square_design(
         participants = labels_of("participants", participants, 1)
     seed = whole_number("seed", seed, least=0)
     whole_squares = flag("whole_squares", whole_squares)
-    k, n, size = len(conditions), len(participants), _rows(len(conditions))
+    k = len(conditions)
+    n = len(participants)
+    size = _rows(len(conditions))
     if n % size:
         below, above = n // size * size, participants_needed(k, n)
         remedy = f"{above} would do" if below == 0 else f"{above} would do, or {below}"
@@ -284,5 +316,10 @@ def latin_square_design(
     names[:] = [conditions[i] for i in drawn]
     square = pd.DataFrame(names[williams_square(k)], range(1, size + 1), range(1, k + 1))
     square = square.rename_axis(index="order", columns="position")
-    rows = np.concatenate([np.random.default_rng(child).permutation(size) for child in batches])[:n] + 1
-    return LatinSquareDesign(conditions, participants, seed, square, tuple(int(row) for row in rows))
+    rows = (
+        np.concatenate([np.random.default_rng(child).permutation(size) for child in batches])[:n]
+        + 1
+    )
+    return LatinSquareDesign(
+        conditions, participants, seed, square, tuple(int(row) for row in rows)
+    )

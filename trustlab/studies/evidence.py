@@ -1,4 +1,7 @@
-"""Evidence beyond a significant difference: equivalence, Bayes factors, simultaneous intervals, agreement."""
+"""
+Evidence beyond a significant difference: equivalence, Bayes factors, simultaneous intervals,
+agreement.
+"""
 
 from collections.abc import Hashable, Sequence
 
@@ -27,7 +30,8 @@ def equivalence(
     alpha: float = 0.05,
 ) -> pd.DataFrame:
     """
-    Test every pair of conditions for equivalence: two one-sided paired t-tests against ± the smallest effect of interest.
+    Test every pair of conditions for equivalence: two one-sided paired t-tests against ± the
+    smallest effect of interest.
 
     Parameters
     ----------
@@ -38,30 +42,34 @@ def equivalence(
     bound : float
         Smallest difference that would matter; positive.
     units : {"raw", "d_z"}
-        Whether `bound` is in units of the score, or in standard deviations of the differences as estimated from these data.
+        Whether `bound` is in units of the score, or in standard deviations of the differences as
+        estimated from these data.
     order : sequence, optional
         Conditions in the order wanted.
     missing : {"raise", "listwise"}
-        Whether a missing cell is an error, or its subject is left out; `.attrs["excluded"]` names them.
+        Whether a missing cell is an error, or its subject is left out; `.attrs["excluded"]` names
+        them.
     alpha : float
         Level of both tests.
 
     Returns
     -------
     pandas.DataFrame
-        A row per pair: a, b, n, mean_difference (a − b), low, high (the bounds in units of the score), t_low, p_low (against
-        differences at or below `low`), t_high, p_high, df, p (the greater of the two), p_holm, ci_low, ci_high (level 1 − 2 alpha;
-        inside the bounds where p < alpha), equivalent (p < alpha, unadjusted).
+        A row per pair: a, b, n, mean_difference (a − b), low, high (the bounds in units of the
+        score), t_low, p_low (against differences at or below `low`), t_high, p_high, df, p (the
+        greater of the two), p_holm, ci_low, ci_high (level 1 − 2 alpha; inside the bounds where p <
+        alpha), equivalent (p < alpha, unadjusted).
 
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.analysis.score_table`), every subject has the same difference, or an
-        argument is out of range.
+        If the table is refused (see `trustlab.studies.analysis.score_table`), every subject has the
+        same difference, or an argument is out of range.
 
     References
     ----------
-    D. Lakens, Equivalence tests: a practical primer, Social Psychological and Personality Science 8 (2017) 355-362.
+    D. Lakens, Equivalence tests: a practical primer, Social Psychological and Personality Science 8
+    (2017) 355-362.
 
     Examples
     --------
@@ -78,30 +86,70 @@ def equivalence(
 
     bound, alpha = positive("bound", bound), open_unit("alpha", alpha)
     if alpha >= 0.5:
-        raise ValueError(f"alpha must be below 0.5 for an interval of level 1 − 2 alpha, got {alpha}")
+        raise ValueError(
+            f"alpha must be below 0.5 for an interval of level 1 − 2 alpha, got {alpha}"
+        )
     one_of("units", units, UNITS)
-    scores, excluded = complete_scores(read_scores(frame, dv, within, subject, order=order), missing)
+    scores, excluded = complete_scores(
+        read_scores(frame, dv, within, subject, order=order), missing
+    )
     pairs, n = analyse_table(scores).pairwise, len(scores.subjects)
     rows = []
     for q, (i, j) in enumerate(zip(pairs.a, pairs.b, strict=True)):
-        a, b, sd = scores.conditions[i], scores.conditions[j], float(pairs.sd_difference[0, q])
+        a = scores.conditions[i]
+        b = scores.conditions[j]
+        sd = float(pairs.sd_difference[0, q])
         if sd == 0.0:
-            raise ValueError(f"dv: every subject has the same difference between {a!r} and {b!r}: no error to test")
+            raise ValueError(
+                f"dv: every subject has the same difference between {a!r} and {b!r}: no error to "
+                "test"
+            )
         reach = bound if units == "raw" else bound * sd
         x, y = scores.values[:, [i, j]].T
         p, (t_low, p_low, df), (t_high, p_high, _) = ttost_paired(x, y, -reach, reach)
         mean = float(pairs.mean_difference[0, q])
         half = special.stdtrit(df, 1.0 - alpha) * sd / np.sqrt(n)
         tests = (t_low, p_low, t_high, p_high, df, p)
-        rows.append((a, b, n, mean, -reach, reach, *map(float, tests), mean - half, mean + half, bool(p < alpha)))
-    names = ["a", "b", "n", "mean_difference", "low", "high", "t_low", "p_low", "t_high", "p_high", "df", "p"]
+        rows.append(
+            (
+                a,
+                b,
+                n,
+                mean,
+                -reach,
+                reach,
+                *map(float, tests),
+                mean - half,
+                mean + half,
+                bool(p < alpha),
+            )
+        )
+    names = [
+        "a",
+        "b",
+        "n",
+        "mean_difference",
+        "low",
+        "high",
+        "t_low",
+        "p_low",
+        "t_high",
+        "p_high",
+        "df",
+        "p",
+    ]
     table = pd.DataFrame(rows, columns=[*names, "ci_low", "ci_high", "equivalent"])
     table.insert(len(names), "p_holm", holm(table["p"].to_numpy()))
     return labelled(table, scores.origin, excluded=excluded)
 
 
 def simultaneous_intervals(
-    result: RepeatedMeasures, method: str = "max_t", level: float = 0.95, *, draws: int = 20_000, seed: int = 0
+    result: RepeatedMeasures,
+    method: str = "max_t",
+    level: float = 0.95,
+    *,
+    draws: int = 20_000,
+    seed: int = 0,
 ) -> pd.DataFrame:
     """
     Return intervals of all pairwise differences that hold together with a given probability.
@@ -111,8 +159,9 @@ def simultaneous_intervals(
     result : RepeatedMeasures
         The analysis, of one factor.
     method : {"max_t", "bonferroni"}
-        "max_t" takes the quantile of the greatest ``|t|`` of all pairs over simulated normal studies without effects, with the
-        covariance of these data (Tukey's idea without sphericity).
+        "max_t" takes the quantile of the greatest ``|t|`` of all pairs over simulated normal
+        studies without effects, with the covariance of these data (Tukey's idea without
+        sphericity).
     level : float
         Probability that all intervals hold.
     draws : int
@@ -123,8 +172,8 @@ def simultaneous_intervals(
     Returns
     -------
     pandas.DataFrame
-        Columns a, b, mean_difference, ci_low, ci_high, critical_t, and for "max_t" p_simultaneous (share of simulated studies
-        with a greater ``|t|`` anywhere).
+        Columns a, b, mean_difference, ci_low, ci_high, critical_t, and for "max_t" p_simultaneous
+        (share of simulated studies with a greater ``|t|`` anywhere).
 
     Raises
     ------
@@ -139,14 +188,18 @@ def simultaneous_intervals(
     if method == "max_t":
         greatest = _greatest_t(np.cov(result.scores.values.T), result.n, draws, seed)
         critical = float(np.quantile(greatest, level))
-        table["p_simultaneous"] = [(greatest >= abs(t)).mean() if np.isfinite(t) else np.nan for t in table["t"]]
+        table["p_simultaneous"] = [
+            (greatest >= abs(t)).mean() if np.isfinite(t) else np.nan for t in table["t"]
+        ]
     table.insert(3, "ci_low", table["mean_difference"] - critical * errors)
     table.insert(4, "ci_high", table["mean_difference"] + critical * errors)
     return table.drop(columns="t").assign(critical_t=critical)
 
 
 def _greatest_t(covariance: np.ndarray, n: int, draws: int, seed: int) -> np.ndarray:
-    """Return the greatest |t| over all pairs of conditions in each of many studies without effects."""
+    """
+    Return the greatest |t| over all pairs of conditions in each of many studies without effects.
+    """
     rng, k = np.random.default_rng(spawned(seed, 1)[0]), len(covariance)
     values, vectors = np.linalg.eigh(covariance)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).T  # the covariance may be singular
@@ -180,8 +233,9 @@ def bayes_factor(
     dv, within, subject : hashable
         Columns with the score, the condition and the subject.
     method : {"jzs", "bic"}, optional
-        "jzs": every pair by the t-test of Rouder and others, a Cauchy prior on d_z (by pingouin). "bic": all conditions against
-        their common mean, exp(−ΔBIC/2) with n (k − 1) independent observations. By default "jzs" for two conditions, else "bic".
+        "jzs": every pair by the t-test of Rouder and others, a Cauchy prior on d_z (by pingouin).
+        "bic": all conditions against their common mean, exp(−ΔBIC/2) with n (k − 1) independent
+        observations. By default "jzs" for two conditions, else "bic".
     scale : float
         Scale of the Cauchy prior; 1/√2 as in R's BayesFactor ("medium").
     order : sequence, optional
@@ -192,18 +246,21 @@ def bayes_factor(
     Returns
     -------
     pandas.DataFrame
-        Columns comparison, method, statistic (t or F), df1, df2, bf10, bf01, n; a row per pair for "jzs", one for "bic".
+        Columns comparison, method, statistic (t or F), df1, df2, bf10, bf01, n; a row per pair for
+        "jzs", one for "bic".
 
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.analysis.score_table`) or an argument is out of range.
+        If the table is refused (see `trustlab.studies.analysis.score_table`) or an argument is out
+        of range.
 
     References
     ----------
-    J. N. Rouder and others, Bayesian t tests for accepting and rejecting the null hypothesis, Psychonomic Bulletin & Review 16
-    (2009) 225-237. M. E. J. Masson, A tutorial on a practical Bayesian alternative to null-hypothesis significance testing,
-    Behavior Research Methods 43 (2011) 679-690.
+    J. N. Rouder and others, Bayesian t tests for accepting and rejecting the null hypothesis,
+    Psychonomic Bulletin & Review 16 (2009) 225-237. M. E. J. Masson, A tutorial on a practical
+    Bayesian alternative to null-hypothesis significance testing, Behavior Research Methods 43
+    (2011) 679-690.
 
     Examples
     --------
@@ -217,19 +274,33 @@ def bayes_factor(
     from pingouin import bayesfactor_ttest
 
     scale = positive("scale", scale)
-    scores, excluded = complete_scores(read_scores(frame, dv, within, subject, order=order), missing)
-    batch, n, names = analyse_table(scores), len(scores.subjects), scores.conditions
-    method = ("jzs" if batch.k == 2 else "bic") if method is None else one_of("method", method, ("jzs", "bic"))
+    scores, excluded = complete_scores(
+        read_scores(frame, dv, within, subject, order=order), missing
+    )
+    batch = analyse_table(scores)
+    n = len(scores.subjects)
+    names = scores.conditions
+    method = (
+        ("jzs" if batch.k == 2 else "bic")
+        if method is None
+        else one_of("method", method, ("jzs", "bic"))
+    )
     if method == "bic":
         ss, total = batch.ss_error[0], batch.ss_effect[0] + batch.ss_error[0]
         size = n * (batch.k - 1)
         log_bf10 = -0.5 * (size * np.log(ss / total) + batch.df1 * np.log(size))
-        rows = [(str(within), method, float(batch.F[0]), batch.df1, batch.df2, float(np.exp(log_bf10)))]
+        rows = [
+            (str(within), method, float(batch.F[0]), batch.df1, batch.df2, float(np.exp(log_bf10)))
+        ]
     else:
         pairs = batch.pairwise
         rows = []
         for i, j, t in zip(pairs.a, pairs.b, pairs.t[0], strict=True):
-            bf = float(bayesfactor_ttest(float(t), n, paired=True, r=scale)) if np.isfinite(t) else np.nan
+            bf = (
+                float(bayesfactor_ttest(float(t), n, paired=True, r=scale))
+                if np.isfinite(t)
+                else np.nan
+            )
             rows.append((f"{names[i]} − {names[j]}", method, float(t), 1, n - 1, bf))
     table = pd.DataFrame(rows, columns=["comparison", "method", "statistic", "df1", "df2", "bf10"])
     table = table.assign(bf01=1.0 / table["bf10"], n=n)
@@ -254,7 +325,8 @@ def intraclass_correlation(
     Returns
     -------
     pandas.DataFrame
-        Columns type ("ICC(1,1)", "ICC(A,1)", "ICC(C,1)", and the same with k), icc, F, df1, df2, p, ci_low, ci_high (95 %), n, raters.
+        Columns type ("ICC(1,1)", "ICC(A,1)", "ICC(C,1)", and the same with k), icc, F, df1, df2, p,
+        ci_low, ci_high (95 %), n, raters.
 
     Raises
     ------
@@ -263,15 +335,19 @@ def intraclass_correlation(
 
     References
     ----------
-    P. E. Shrout, J. L. Fleiss, Intraclass correlations: uses in assessing rater reliability, Psychological Bulletin 86 (1979)
-    420-428.
+    P. E. Shrout, J. L. Fleiss, Intraclass correlations: uses in assessing rater reliability,
+    Psychological Bulletin 86 (1979) 420-428.
     """
     import pingouin
 
     scores, excluded = complete_scores(read_scores(frame, dv, rater, subject), missing)
     analyse_table(scores)  # refuses ratings without error variance
     n, k = scores.values.shape
-    cells = {"target": np.repeat(range(n), k), "rater": np.tile(range(k), n), "rating": scores.values.ravel()}
+    cells = {
+        "target": np.repeat(range(n), k),
+        "rater": np.tile(range(k), n),
+        "rating": scores.values.ravel(),
+    }
     long = pd.DataFrame(cells)
     digits = pingouin.options["round.column.CI95"]
     try:
@@ -280,6 +356,8 @@ def intraclass_correlation(
     finally:
         pingouin.options["round.column.CI95"] = digits
     low, high = np.array(found["CI95"].tolist()).T
-    table = found[["Type", "ICC", "F", "df1", "df2", "pval"]].set_axis(["type", "icc", "F", "df1", "df2", "p"], axis=1)
+    table = found[["Type", "ICC", "F", "df1", "df2", "pval"]].set_axis(
+        ["type", "icc", "F", "df1", "df2", "p"], axis=1
+    )
     table = table.assign(ci_low=low, ci_high=high, n=n, raters=k).reset_index(drop=True)
     return labelled(table, scores.origin, excluded=excluded)

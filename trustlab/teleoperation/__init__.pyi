@@ -1,4 +1,8 @@
-from .channel import ChannelRun as ChannelRun, channel_run as channel_run, switched_channel_run as switched_channel_run
+from .channel import (
+    ChannelRun as ChannelRun,
+    channel_run as channel_run,
+    switched_channel_run as switched_channel_run,
+)
 from .delays import (
     Delay as Delay,
     constant_delay as constant_delay,

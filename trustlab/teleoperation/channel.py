@@ -1,4 +1,7 @@
-"""The communication channel by itself, any signals at its ports: with scales (Theorem 3), and switched between leaders (4.7)."""
+"""
+The communication channel by itself, any signals at its ports: with scales (Theorem 3), and switched
+between leaders (4.7).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -47,19 +50,26 @@ class ChannelRun:
 
     @cached_property
     def energy(self) -> np.ndarray:
-        """∫ r_mᵀf_m − r_sᵀf_s dτ up to and with each sample [J], shape (N,): energy in the channel."""
+        """
+        ∫ r_mᵀf_m − r_sᵀf_s dτ up to and with each sample [J], shape (N,): energy in the channel.
+        """
         power = (self.r_m * self.f_m).sum(axis=1) - (self.r_s * self.f_s).sum(axis=1)
         return self.sample_time * np.cumsum(power)
 
     @cached_property
     def exchanged(self) -> np.ndarray:
         """``∫ |r_mᵀf_m| + |r_sᵀf_s| dτ`` up to and with each sample [J], shape (N,)."""
-        power = np.abs((self.r_m * self.f_m).sum(axis=1)) + np.abs((self.r_s * self.f_s).sum(axis=1))
+        power = np.abs((self.r_m * self.f_m).sum(axis=1)) + np.abs(
+            (self.r_s * self.f_s).sum(axis=1)
+        )
         return self.sample_time * np.cumsum(power)
 
     @cached_property
     def wave_energy(self) -> np.ndarray:
-        """½ ∫ ‖u_l‖² − ‖v_l‖² + ‖u_r‖² − ‖v_r‖² dτ [J], shape (N,): the lower bound of the proof of Theorem 3."""
+        """
+        ½ ∫ ‖u_l‖² − ‖v_l‖² + ‖u_r‖² − ‖v_r‖² dτ [J], shape (N,): the lower bound of the proof of
+        Theorem 3.
+        """
         power = sum(
             sign * (wave**2).sum(axis=1)
             for sign, wave in ((1, self.u_l), (-1, self.v_l), (1, self.u_r), (-1, self.v_r))
@@ -90,7 +100,10 @@ class ChannelRun:
 
 
 class Waves(NamedTuple):
-    """The waves of a channel, shape (N, n) each: sent and arriving at the operator's end (l) and at the robot's (r)."""
+    """
+    The waves of a channel, shape (N, n) each: sent and arriving at the operator's end (l) and at
+    the robot's (r).
+    """
 
     u_l: np.ndarray
     v_l: np.ndarray
@@ -99,17 +112,38 @@ class Waves(NamedTuple):
 
 
 @njit
-def _send(r_m, f_s, near, far, alpha, beta, bounds, delays, arrives, gain, read_out, period, books, waves, f_m, r_s):
+def _send(
+    r_m,
+    f_s,
+    near,
+    far,
+    alpha,
+    beta,
+    bounds,
+    delays,
+    arrives,
+    gain,
+    read_out,
+    period,
+    books,
+    waves,
+    f_m,
+    r_s,
+):
     """
     Fill `waves`, f_m and r_s, sample by sample.
 
-    near, far, shape (N,): which row of `bounds` holds for the operator's end and for the robot's. bounds, shape (robots,
-    5): b, α_min, α_max, β_min, β_max, a record each.
+    near, far, shape (N,): which row of `bounds` holds for the operator's end and for the robot's.
+    bounds, shape (robots, 5): b, α_min, α_max, β_min, β_max, a record each.
     """
     count, n = r_m.shape
     for k in range(count):
-        read_wave(waves.u_l, arrives[0], k, delays[0, k], gain, read_out, period, books[0], waves.v_r[k])
-        read_wave(waves.u_r, arrives[1], k, delays[1, k], gain, read_out, period, books[1], waves.v_l[k])
+        read_wave(
+            waves.u_l, arrives[0], k, delays[0, k], gain, read_out, period, books[0], waves.v_r[k]
+        )
+        read_wave(
+            waves.u_r, arrives[1], k, delays[1, k], gain, read_out, period, books[1], waves.v_l[k]
+        )
         here, there = bounds[near[k]], bounds[far[k]]
         operator = equations.operator_end(here.b, here.beta_min, here.beta_max)
         robot = equations.robot_end(there.b, there.alpha_min, there.alpha_max)
@@ -120,11 +154,18 @@ def _send(r_m, f_s, near, far, alpha, beta, bounds, delays, arrives, gain, read_
             r_s[k, i] = alpha[k] * equations.robot_velocity(robot, f_s[k, i], waves.v_r[k, i])
 
 
-BOUNDS = np.dtype([(name, float) for name in ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")])
+BOUNDS = np.dtype(
+    [(name, float) for name in ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")]
+)
 
 
-def _run(r_m, f_s, ends, near, far, alpha, beta, delays, read_out, sample_time, lost=None) -> ChannelRun:
-    """Send signals through a channel whose ends are set for given robots in every sample; delays are by argument name."""
+def _run(
+    r_m, f_s, ends, near, far, alpha, beta, delays, read_out, sample_time, lost=None
+) -> ChannelRun:
+    """
+    Send signals through a channel whose ends are set for given robots in every sample; delays are
+    by argument name.
+    """
     count, period = len(r_m), positive("sample_time", sample_time)
     one_of("read_out", read_out, READ_OUTS)
     rate = max(end.max_delay_rate for end in ends)
@@ -134,19 +175,38 @@ def _run(r_m, f_s, ends, near, far, alpha, beta, delays, read_out, sample_time, 
     f_m, r_s = np.empty_like(r_m), np.empty_like(r_m)
     waves = Waves(*np.zeros((4, *r_m.shape)))
     _send(
-        r_m, f_s, near, far, alpha, beta, bounds, late, lost_waves(lost, count), gain, READ_OUTS[read_out], period,
-        accounts(), waves, f_m, r_s,
-    )  # fmt: skip
+        r_m,
+        f_s,
+        near,
+        far,
+        alpha,
+        beta,
+        bounds,
+        late,
+        lost_waves(lost, count),
+        gain,
+        READ_OUTS[read_out],
+        period,
+        accounts(),
+        waves,
+        f_m,
+        r_s,
+    )
     return ChannelRun(period * np.arange(count), r_m, f_m, r_s, f_s, *waves, period)
 
 
 def lost_waves(lost, count: int) -> np.ndarray:
-    """Return which waves arrive, shape (2, count), from those that a user says are lost; all when none are named."""
+    """
+    Return which waves arrive, shape (2, count), from those that a user says are lost; all when none
+    are named.
+    """
     if lost is None:
         return np.ones((2, count), bool)
     missing = np.asarray(lost)
     if missing.shape != (2, count) or missing.dtype != bool:
-        raise ValueError(f"lost must be True or False, shape (2, {count}), got {missing.dtype} {missing.shape}")
+        raise ValueError(
+            f"lost must be True or False, shape (2, {count}), got {missing.dtype} {missing.shape}"
+        )
     return ~missing
 
 
@@ -180,10 +240,11 @@ def channel_run(
     alpha, beta : float or array_like, shape (N,), optional
         Scales; their upper bounds when not given.
     read_out : {"ledger", "interpolated", "hold"}
-        How delayed waves are read. "ledger" holds the newest wave, at the gain √(1 − dT/dt) of the moment, and
-        never gives out more energy than arrived, for any delay, loss and order.
-        "interpolated" reads between samples with the gain f_i; passive for delays that grow at most at Ṫ_max, up to about
-        1 % of one sample's energy. "hold" reads the last sample with f_i, and is not passive for growing delays.
+        How delayed waves are read. "ledger" holds the newest wave, at the gain √(1 − dT/dt) of the
+        moment, and never gives out more energy than arrived, for any delay, loss and order.
+        "interpolated" reads between samples with the gain f_i; passive for delays that grow at most
+        at Ṫ_max, up to about 1 % of one sample's energy. "hold" reads the last sample with f_i, and
+        is not passive for growing delays.
     lost : array_like of bool, shape (2, N), optional
         Waves that never arrive, to the robot and back.
 
@@ -195,7 +256,8 @@ def channel_run(
     Raises
     ------
     ValueError
-        If shapes differ, a value is not finite, a scale is out of its bounds, or a delay is not allowed.
+        If shapes differ, a value is not finite, a scale is out of its bounds, or a delay is not
+        allowed.
 
     Examples
     --------
@@ -210,15 +272,22 @@ def channel_run(
     r_m, f_s = signals(2, r_m=r_m, f_s=f_s)
     of_class("scattering", scattering, Scattering)
     count, scales = len(r_m), []
-    for name, given, default in (("alpha", alpha, scattering.alpha_max), ("beta", beta, scattering.beta_max)):
+    for name, given, default in (
+        ("alpha", alpha, scattering.alpha_max),
+        ("beta", beta, scattering.beta_max),
+    ):
         values = np.asarray(default if given is None else given, dtype=float)
         if values.ndim and values.shape != (count,):
-            raise ValueError(f"{name} must be a number or have shape ({count},), got {values.shape}")
+            raise ValueError(
+                f"{name} must be a number or have shape ({count},), got {values.shape}"
+            )
         scales.append(np.ascontiguousarray(np.broadcast_to(values, (count,))))
     scattering.check_scales(*scales)
     (alphas, betas), always = scales, np.zeros(count, np.int64)
     delays = {"delay_1": delay_1, "delay_2": delay_2}
-    return _run(r_m, f_s, (scattering,), always, always, alphas, betas, delays, read_out, sample_time, lost)
+    return _run(
+        r_m, f_s, (scattering,), always, always, alphas, betas, delays, read_out, sample_time, lost
+    )
 
 
 def switched_channel_run(
@@ -234,12 +303,13 @@ def switched_channel_run(
     operator_leaders: np.ndarray | None = None,
 ) -> ChannelRun:
     """
-    Send given signals through the channel while the leader, and with it b and the bounds of β, is switched.
+    Send given signals through the channel while the leader, and with it b and the bounds of β, is
+    switched.
 
-    Waves carry their energy in watts, whatever b they were made with. The energy of each sample therefore balances at
-    either end separately, and (4.13)-(4.15) hold for any switching times, also with waves under way at a switch and
-    τ_min < T. The two ends need not switch at the same time as long as β stays within the bounds for which the operator's
-    end is set.
+    Waves carry their energy in watts, whatever b they were made with. The energy of each sample
+    therefore balances at either end separately, and (4.13)-(4.15) hold for any switching times,
+    also with waves under way at a switch and τ_min < T. The two ends need not switch at the same
+    time as long as β stays within the bounds for which the operator's end is set.
 
     Parameters
     ----------
@@ -280,7 +350,11 @@ def switched_channel_run(
     r_m, f_s = signals(2, r_m=r_m, f_s=f_s)
     count, robots = len(r_m), len(ends)
     far = robot_numbers("leaders", leaders, count, robots)
-    near = far if operator_leaders is None else robot_numbers("operator_leaders", operator_leaders, count, robots)
+    near = (
+        far
+        if operator_leaders is None
+        else robot_numbers("operator_leaders", operator_leaders, count, robots)
+    )
     beta = finite_array("beta", beta, length=count)
     delays = {"delay": delay, "delay_back": delay if delay_back is None else delay_back}
     return _run(r_m, f_s, ends, near, far, np.ones(count), beta, delays, read_out, sample_time)

@@ -52,13 +52,15 @@ class Delay:
         Raises
         ------
         ValueError
-            If a delay is negative, not finite, between zero and one sample, longer than the run, or grows faster than
-            `max_rate`; the time is named.
+            If a delay is negative, not finite, between zero and one sample, longer than the run, or
+            grows faster than `max_rate`; the time is named.
         """
         t = sample_time * np.arange(count)
         values = np.asarray(self.function(t), dtype=float)
         if values.shape != t.shape:
-            raise ValueError(f"{self.title}: {count} delays were asked for, got shape {values.shape}")
+            raise ValueError(
+                f"{self.title}: {count} delays were asked for, got shape {values.shape}"
+            )
         length, short = count * sample_time, (values < sample_time * (1.0 - SLACK)) & values.any()
         for bad, why in (
             (~np.isfinite(values), "it must be finite"),
@@ -75,8 +77,8 @@ class Delay:
         if growth.size and growth.max() > self.max_rate + 1e-6:
             k = int(np.argmax(growth))
             raise ValueError(
-                f"{self.title} grows by {growth[k]:.3g} s/s at t = {t[k]:g} s, faster than max_rate = {self.max_rate:g}, "
-                "for which f_i = √(1 − max_rate) is set (3.13)"
+                f"{self.title} grows by {growth[k]:.3g} s/s at t = {t[k]:g} s, faster than "
+                f"max_rate = {self.max_rate:g}, for which f_i = √(1 − max_rate) is set (3.13)"
             )
         return np.maximum(values, sample_time)
 
@@ -100,12 +102,17 @@ def constant_delay(seconds: float) -> Delay:
 
 
 def random_walk_delay(
-    low: float, high: float, max_rate: float, seed: int | np.random.SeedSequence = 0, hold: float = 0.5
+    low: float,
+    high: float,
+    max_rate: float,
+    seed: int | np.random.SeedSequence = 0,
+    hold: float = 0.5,
 ) -> Delay:
     """
     Return a delay that wanders between bounds, its rate drawn anew every `hold` seconds.
 
-    Rates are uniform in [−max_rate, max_rate]; at a bound the delay stays until the rate leads away from it.
+    Rates are uniform in [−max_rate, max_rate]; at a bound the delay stays until the rate leads away
+    from it.
 
     Parameters
     ----------
@@ -123,10 +130,14 @@ def random_walk_delay(
     ValueError
         If bounds, rate or hold are out of range.
     """
-    low, high, hold = finite_number("low", low), finite_number("high", high), finite_number("hold", hold)
+    low = finite_number("low", low)
+    high = finite_number("high", high)
+    hold = finite_number("hold", hold)
     rate = delay_rate("max_rate", max_rate)
     if not 0.0 < low < high or not hold > 0.0:
-        raise ValueError(f"0 < low < high and hold > 0 are needed, got low = {low}, high = {high}, hold = {hold}")
+        raise ValueError(
+            f"0 < low < high and hold > 0 are needed, got low = {low}, high = {high}, hold = {hold}"
+        )
     own = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
 
     def walk(t: np.ndarray) -> np.ndarray:
@@ -161,22 +172,27 @@ def recorded_delay(t: np.ndarray, delay: np.ndarray, max_rate: float | None = No
     """
     t, delay = finite_array("t", t), finite_array("delay", delay)
     if t.size != delay.size or t.size < 2:
-        raise ValueError(f"t and delay need the same number of samples, two or more, got {t.size} and {delay.size}")
+        raise ValueError(
+            f"t and delay need the same number of samples, two or more, got {t.size} and "
+            f"{delay.size}"
+        )
     if (np.diff(t) <= 0.0).any():
         k = int(np.argmax(np.diff(t) <= 0.0))
         raise ValueError(f"t must increase, but sample {k + 1} is {t[k + 1]:g} s after {t[k]:g} s")
     growth = max(float((np.diff(delay) / np.diff(t)).max()), 0.0)
     if max_rate is None and growth > 1.0:
         raise ValueError(
-            f"the trace grows by {growth:.3g} s/s: packets were lost or reordered; give max_rate ≤ 1 after resampling the "
-            "trace, or use the energy ledger with the loss of packets given"
+            f"the trace grows by {growth:.3g} s/s: packets were lost or reordered; give max_rate "
+            "≤ 1 after resampling the trace, or use the energy ledger with the loss of packets "
+            "given"
         )
     rate = growth if max_rate is None else delay_rate("max_rate", max_rate)
 
     def trace(times: np.ndarray) -> np.ndarray:
         if times[0] < t[0] or times[-1] > t[-1]:
             raise ValueError(
-                f"the recorded delay covers {t[0]:g} to {t[-1]:g} s, the run {times[0]:g} to {times[-1]:g} s"
+                f"the recorded delay covers {t[0]:g} to {t[-1]:g} s, the run {times[0]:g} to "
+                f"{times[-1]:g} s"
             )
         return np.interp(times, t, delay)
 
@@ -185,10 +201,12 @@ def recorded_delay(t: np.ndarray, delay: np.ndarray, max_rate: float | None = No
 
 def packet_delay(sent: np.ndarray, received: np.ndarray) -> Delay:
     """
-    Return the delay of a real network from a trace of packets, jitter, loss and overtaking included.
+    Return the delay of a real network from a trace of packets, jitter, loss and overtaking
+    included.
 
-    At any time the newest packet that has arrived is read. Between arrivals the delay grows as fast as time, so that the trace
-    needs read_out="ledger", the default, which is passive under any delay.
+    At any time the newest packet that has arrived is read. Between arrivals the delay grows as fast
+    as time, so that the trace needs read_out="ledger", the default, which is passive under any
+    delay.
 
     Parameters
     ----------
@@ -200,19 +218,25 @@ def packet_delay(sent: np.ndarray, received: np.ndarray) -> Delay:
     Raises
     ------
     ValueError
-        If the trace runs backwards: a packet sent before the one before it, or received before it was sent.
+        If the trace runs backwards: a packet sent before the one before it, or received before it
+        was sent.
     """
     sent = finite_array("sent", sent)
     received = np.asarray(received, dtype=float)
     if received.shape != sent.shape:
-        raise ValueError(f"sent and received need the same number of packets, got {sent.shape} and {received.shape}")
+        raise ValueError(
+            f"sent and received need the same number of packets, got {sent.shape} and "
+            f"{received.shape}"
+        )
     for bad, what in (
         (np.diff(sent, prepend=sent[0]) < 0.0, "sent before the packet before it"),
         (received < sent, "received before it was sent"),
     ):
         if bad.any():
             k = int(np.argmax(bad))
-            raise ValueError(f"the trace runs backwards: packet {k}, sent at t = {sent[k]:g} s, was {what}")
+            raise ValueError(
+                f"the trace runs backwards: packet {k}, sent at t = {sent[k]:g} s, was {what}"
+            )
     arrived = np.flatnonzero(np.isfinite(received))
     if not arrived.size:
         raise ValueError("no packet of the trace ever arrived")
@@ -223,44 +247,66 @@ def packet_delay(sent: np.ndarray, received: np.ndarray) -> Delay:
 
     def trace(times: np.ndarray) -> np.ndarray:
         if times[-1] > end:
-            raise ValueError(f"the last packet of the trace arrived at {end:g} s, the run lasts until {times[-1]:g} s")
+            raise ValueError(
+                f"the last packet of the trace arrived at {end:g} s, the run lasts until "
+                f"{times[-1]:g} s"
+            )
         step = times[1] - times[0]
         last = np.searchsorted(received[order], times + SLACK, side="right") - 1
-        # nothing has been sent that could be read before the first packet; none is read in the sample that it was sent in
+        # nothing has been sent that could be read before the first packet; none is read in the
+        # sample that it was sent in
         return np.maximum(times - np.where(last >= 0, newest[last], -step), step)
 
     return Delay(trace, np.inf, "a delay from a trace of packets", end)
 
 
 def delay_from(name: str, delay, max_rate: float | None = None) -> Delay:
-    """Return what a user gave as a delay: a number, a function of time, a trace (sent, received), or a `Delay`."""
+    """
+    Return what a user gave as a delay: a number, a function of time, a trace (sent, received), or a
+    `Delay`.
+    """
     if isinstance(delay, Delay):
         return delay
     if callable(delay):
         if max_rate is None:
-            raise ValueError(f"{name} is a function: say how fast it grows at most with max_rate (3.13)")
-        return Delay(lambda t: np.vectorize(delay, otypes=[float])(t), delay_rate("max_rate", max_rate), name)
+            raise ValueError(
+                f"{name} is a function: say how fast it grows at most with max_rate (3.13)"
+            )
+        return Delay(
+            lambda t: np.vectorize(delay, otypes=[float])(t), delay_rate("max_rate", max_rate), name
+        )
     try:
-        return packet_delay(*delay) if isinstance(delay, tuple) and len(delay) == 2 else constant_delay(delay)
+        return (
+            packet_delay(*delay)
+            if isinstance(delay, tuple) and len(delay) == 2
+            else constant_delay(delay)
+        )
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
 
 
 def delays_in_samples(
-    given: Mapping[str, object], max_rate: float, read_out: str, count: int, sample_time: float, zero: bool = False
+    given: Mapping[str, object],
+    max_rate: float,
+    read_out: str,
+    count: int,
+    sample_time: float,
+    zero: bool = False,
 ) -> np.ndarray:
     """
-    Return the delays both ways in samples, shape (2, count), from arguments by name; `zero` allows both to be zero.
+    Return the delays both ways in samples, shape (2, count), from arguments by name; `zero` allows
+    both to be zero.
 
-    Delays within 1e-6 of a whole number of samples are made whole, so that rounding does not mix two samples.
+    Delays within 1e-6 of a whole number of samples are made whole, so that rounding does not mix
+    two samples.
     """
     delays = np.empty((2, count))
     for i, (name, value) in enumerate(given.items()):
         delay = delay_from(name, value, max_rate)
         if read_out != "ledger" and delay.max_rate > max_rate + SLACK:
             raise ValueError(
-                f"{name} grows at up to {delay.max_rate:g} s/s, but f_i is set for max_delay_rate = {max_rate:g}; raise "
-                "max_delay_rate of the scattering, or use read_out='ledger'"
+                f"{name} grows at up to {delay.max_rate:g} s/s, but f_i is set for max_delay_rate "
+                f"= {max_rate:g}; raise max_delay_rate of the scattering, or use read_out='ledger'"
             )
         try:
             delays[i] = delay.samples(count, sample_time) / sample_time
@@ -269,6 +315,9 @@ def delays_in_samples(
         if not zero and not delays[i].all():
             raise ValueError(f"{name} must be at least one sample, {sample_time:g} s, got 0")
     if delays.any() and not delays.all():
-        raise ValueError(f"{' and '.join(given)} must both be zero (no channel in between) or both at least one sample")
+        raise ValueError(
+            f"{' and '.join(given)} must both be zero (no channel in between) or both at least "
+            "one sample"
+        )
     whole = np.round(delays)
     return np.where(np.abs(delays - whole) < 1e-6, whole, delays)

@@ -1,10 +1,20 @@
-"""Filters at a port: the two-port of Proposition 3 as printed, its passivity margin, the corrected two-port, and filtered waves."""
+"""
+Filters at a port: the two-port of Proposition 3 as printed, its passivity margin, the corrected
+two-port, and filtered waves.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, not_negative, of_class, positive, set_checked
+from trustlab.models.checks import (
+    finite_array,
+    finite_number,
+    not_negative,
+    of_class,
+    positive,
+    set_checked,
+)
 from trustlab.models.compiled import njit
 from trustlab.teleoperation.ports.device import PassivityError
 from trustlab.teleoperation.records import signal, signals
@@ -31,7 +41,8 @@ class PassivityMargin:
     Parameters
     ----------
     least_product : float
-        max (Im H)² over all frequencies: the two-port is passive exactly when k_12 k_21 is at least this.
+        max (Im H)² over all frequencies: the two-port is passive exactly when k_12 k_21 is at least
+        this.
     frequency : float
         Where the maximum is [rad/s].
     product : float
@@ -57,8 +68,9 @@ def passivity_margin(numerator, denominator, k12: float = 0.0, k21: float = 0.0)
     """
     Return what the two-port [[k_21, H], [−H, k_12]] of (4.16)-(4.17) needs to be passive.
 
-    Its Hermitian part [[k_21, i Im H], [−i Im H, k_12]] is positive semidefinite exactly when k_12, k_21 ≥ 0 and
-    k_12 k_21 ≥ (Im H)², at every frequency. The maximum is found among the real roots of a polynomial, not on a grid.
+    Its Hermitian part [[k_21, i Im H], [−i Im H, k_12]] is positive semidefinite exactly when k_12,
+    k_21 ≥ 0 and k_12 k_21 ≥ (Im H)², at every frequency. The maximum is found among the real roots
+    of a polynomial, not on a grid.
 
     Parameters
     ----------
@@ -92,7 +104,9 @@ def passivity_margin(numerator, denominator, k12: float = 0.0, k21: float = 0.0)
         raise ValueError("H must be proper: its numerator has a higher degree than its denominator")
     poles = np.roots(bottom)
     if poles.size and poles.real.max() >= 0.0:
-        raise ValueError(f"H must be stable, but it has a pole at {poles[np.argmax(poles.real)]:.4g}")
+        raise ValueError(
+            f"H must be stable, but it has a pole at {poles[np.argmax(poles.real)]:.4g}"
+        )
     # with the poles' size as unit of frequency: Im H = Im(N(iω) D(−iω))/|D(iω)|²
     unit = float(np.exp(np.mean(np.log(np.abs(poles))))) if poles.size else 1.0
     top = top * unit ** np.arange(top.size - 1, -1, -1.0)
@@ -103,7 +117,9 @@ def passivity_margin(numerator, denominator, k12: float = 0.0, k21: float = 0.0)
     imaginary, size = np.poly1d((near * conjugate).c.imag), np.poly1d((far * conjugate).c.real)
     flat = (imaginary.deriv() * size - imaginary * size.deriv()).c
     roots = np.roots(flat) if np.any(flat) else np.zeros(0)
-    places = np.concatenate([np.zeros(1), np.abs(roots.real), np.abs(roots)])  # one place too many does no harm
+    places = np.concatenate(
+        [np.zeros(1), np.abs(roots.real), np.abs(roots)]
+    )  # one place too many does no harm
     heights = (imaginary(places) / size(places)) ** 2
     best = int(np.argmax(heights))
     return PassivityMargin(float(heights[best]), float(unit * places[best]), k12 * k21)
@@ -134,7 +150,10 @@ class FilterRun:
 
     @property
     def generated(self) -> np.ndarray:
-        """Energy given out beyond what was taken in and is no longer held [J], shape (N,); at most zero in a passive filter."""
+        """
+        Energy given out beyond what was taken in and is no longer held [J], shape (N,); at most
+        zero in a passive filter.
+        """
         return self.storage - self.supply
 
 
@@ -143,8 +162,9 @@ class TwoPortFilter:
     """
     The two-port of Fig. 4.5 with one pole, equation (4.16), in discrete time by the midpoint rule.
 
-    y_1 = LP[u_1] − k_12 u_2, y_2 = k_21 u_1 + LP[u_2], LP = ω_c/(s + ω_c). With k_12 k_21 ≥ ¼ it is passive with the storage
-    (k_21 ‖a‖² + k_12 ‖c‖²)/ω_c, a = LP[u_1], c = LP[u_2]; the ledger balances at every sample, not only in the limit.
+    y_1 = LP[u_1] − k_12 u_2, y_2 = k_21 u_1 + LP[u_2], LP = ω_c/(s + ω_c). With k_12 k_21 ≥ ¼ it is
+    passive with the storage (k_21 ‖a‖² + k_12 ‖c‖²)/ω_c, a = LP[u_1], c = LP[u_2]; the ledger
+    balances at every sample, not only in the limit.
 
     Parameters
     ----------
@@ -176,8 +196,9 @@ class TwoPortFilter:
         margin = passivity_margin([self.cutoff], [1.0, self.cutoff], self.k12, self.k21)
         if self.require_passive and not margin.is_passive:
             raise PassivityError(
-                f"the two-port filter is not passive: k_12 k_21 = {margin.product:.4g}, and max (Im H)² = "
-                f"{margin.least_product:.4g}; raise the gains, or pass require_passive=False to see it fail"
+                f"the two-port filter is not passive: k_12 k_21 = {margin.product:.4g}, and max "
+                f"(Im H)² = {margin.least_product:.4g}; raise the gains, or pass "
+                "require_passive=False to see it fail"
             )
 
     def storage(self, a: np.ndarray, c: np.ndarray) -> float:
@@ -213,13 +234,16 @@ class TwoPortFilter:
         low = (_low_pass(first, self.cutoff, step), _low_pass(second, self.cutoff, step))
         y_1, y_2 = low[0][0] - self.k12 * second, self.k21 * first + low[1][0]
         supply = step * np.cumsum((first * y_2 - second * y_1).sum(axis=1))
-        held = (self.k21 * (low[0][1] ** 2).sum(axis=1) + self.k12 * (low[1][1] ** 2).sum(axis=1)) / self.cutoff
+        held = (
+            self.k21 * (low[0][1] ** 2).sum(axis=1) + self.k12 * (low[1][1] ** 2).sum(axis=1)
+        ) / self.cutoff
         return FilterRun(step * np.arange(1, len(first) + 1), y_1, y_2, supply, held)
 
 
 def printed_filter(cutoff: float) -> TwoPortFilter:
     """
-    Return the filter of Proposition 3 with k_12 = k_21 = 0, which the text calls lossless (4.18); it generates energy.
+    Return the filter of Proposition 3 with k_12 = k_21 = 0, which the text calls lossless (4.18);
+    it generates energy.
 
     Parameters
     ----------
@@ -249,10 +273,11 @@ def corrected_filter(cutoff: float, impedance: float, product: float = 0.25) -> 
 @dataclass(frozen=True)
 class WaveFilter:
     """
-    A low-pass filter on a wave variable: ``|H| ≤ 1``, so that it is passive without gains of its own.
+    A low-pass filter on a wave variable: ``|H| ≤ 1``, so that it is passive without gains of its
+    own.
 
-    da/dt = ω_c (v − a) gives out a; ½‖v‖² − ½‖a‖² is the change of ‖a‖²/(2ω_c) plus ½‖v − a‖², also sample by sample under the
-    midpoint rule, whatever b and the scales on either side of it do.
+    da/dt = ω_c (v − a) gives out a; ½‖v‖² − ½‖a‖² is the change of ‖a‖²/(2ω_c) plus ½‖v − a‖², also
+    sample by sample under the midpoint rule, whatever b and the scales on either side of it do.
 
     Parameters
     ----------
@@ -288,13 +313,18 @@ class WaveFilter:
         storage : numpy.ndarray, shape (N,)
             ‖a‖²/(2ω_c) after each sample [J].
         """
-        out, state = _low_pass(signal("wave", wave), self.cutoff, positive("sample_time", sample_time))
+        out, state = _low_pass(
+            signal("wave", wave), self.cutoff, positive("sample_time", sample_time)
+        )
         return out, (state**2).sum(axis=1) / (2.0 * self.cutoff)
 
 
-def sinusoid_energy(two_port: TwoPortFilter, duration: float, sample_time: float = 1e-3) -> FilterRun:
+def sinusoid_energy(
+    two_port: TwoPortFilter, duration: float, sample_time: float = 1e-3
+) -> FilterRun:
     """
-    Run a two-port on u_1 = cos ω_c t, u_2 = sin ω_c t, which the printed filter turns into ½ unit of energy per second for ever.
+    Run a two-port on u_1 = cos ω_c t, u_2 = sin ω_c t, which the printed filter turns into ½ unit
+    of energy per second for ever.
 
     Parameters
     ----------

@@ -4,7 +4,10 @@ import numpy as np
 
 
 def record(vectors: str = "", numbers: str = "", counts: str = "", flags: str = "") -> np.dtype:
-    """Return a record of three-vectors, numbers, whole numbers and flags, each named in a text of words."""
+    """
+    Return a record of three-vectors, numbers, whole numbers and flags, each named in a text of
+    words.
+    """
     fields: list[tuple] = [(name, float, 3) for name in vectors.split()]
     for names, kind in ((numbers, float), (counts, np.int64), (flags, np.bool_)):
         fields += [(name, kind) for name in names.split()]
@@ -28,12 +31,17 @@ def columns_of(log: np.dtype) -> tuple[str, ...]:
 
 
 def log_of(log: np.dtype, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return an empty log twice, over the same memory: as a table, shape (count, columns), and as records, shape (count,)."""
+    """
+    Return an empty log twice, over the same memory: as a table, shape (count, columns), and as
+    records, shape (count,).
+    """
     table = np.empty((count, len(columns_of(log))))
     return table, table.view(log)[:, 0]
 
 
-def signal(name: str, values, rows: int | None = None, columns: int | None = None, least: int = 1) -> np.ndarray:
+def signal(
+    name: str, values, rows: int | None = None, columns: int | None = None, least: int = 1
+) -> np.ndarray:
     """Return a signal as a finite array of shape (N, n); one number per sample counts as (N, 1)."""
     wanted = f"({'N' if rows is None else rows}, {'n' if columns is None else columns})"
     try:
@@ -42,7 +50,9 @@ def signal(name: str, values, rows: int | None = None, columns: int | None = Non
             raise TypeError
         array = np.ascontiguousarray(given, dtype=float)
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be an array of numbers, got {type(values).__name__}") from None
+        raise ValueError(
+            f"{name} must be an array of numbers, got {type(values).__name__}"
+        ) from None
     array = array[:, None] if array.ndim == 1 and columns is None else array
     if array.ndim != 2 or array.shape != (rows or array.shape[0], columns or array.shape[1]):
         raise ValueError(f"{name} must have shape {wanted}, got {given.shape}")
@@ -56,9 +66,14 @@ def signal(name: str, values, rows: int | None = None, columns: int | None = Non
 
 def signals(least: int = 1, **given) -> list[np.ndarray]:
     """Return two signals by name as finite arrays of the same shape (N, n)."""
-    (one, first), (other, second) = ((name, signal(name, values, least=least)) for name, values in given.items())
+    (one, first), (other, second) = (
+        (name, signal(name, values, least=least)) for name, values in given.items()
+    )
     if first.shape != second.shape:
-        raise ValueError(f"{one} and {other} must have the same shape (N, n), got {first.shape} and {second.shape}")
+        raise ValueError(
+            f"{one} and {other} must have the same shape (N, n), got {first.shape} and "
+            f"{second.shape}"
+        )
     return [first, second]
 
 
@@ -69,5 +84,8 @@ def robot_numbers(name: str, values, count: int, robots: int) -> np.ndarray:
         raise ValueError(f"{name} must be {count} whole numbers, got {array.dtype} {array.shape}")
     absent = (array < 0) | (array >= robots)
     if absent.any():
-        raise ValueError(f"{name} names robot {array[absent][0]}, which does not exist; there are {robots} robots")
+        raise ValueError(
+            f"{name} names robot {array[absent][0]}, which does not exist; there are {robots} "
+            "robots"
+        )
     return array.astype(np.int64)

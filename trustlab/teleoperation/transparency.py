@@ -1,4 +1,7 @@
-"""How near the channel comes to passing forces and velocities on unchanged (Section 3.7), a tuner for it, and their figures."""
+"""
+How near the channel comes to passing forces and velocities on unchanged (Section 3.7), a tuner for
+it, and their figures.
+"""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -7,7 +10,15 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.axes import axes_or_new
-from trustlab.models.checks import between, finite_array, finite_number, not_negative, of_class, one_of, positive
+from trustlab.models.checks import (
+    between,
+    finite_array,
+    finite_number,
+    not_negative,
+    of_class,
+    one_of,
+    positive,
+)
 from trustlab.models.trust import LogisticScaling, StepScaling
 from trustlab.teleoperation.loop.settings import STUDIES, LoopSettings
 from trustlab.teleoperation.ports.waves import Scattering
@@ -26,8 +37,9 @@ def ideal_distances(scattering: Scattering):
     """
     Return by how much the four relations of (3.22) miss the ideal ones of (3.23).
 
-    Each relation mixes the wanted signal with another one: f'_m = b r_m + √(2b/β_max) v_l should be v_l, u_r = √(2α_min/b)
-    f_s − √(α_min/α_max) v_r should be f_s, and so on. All four cannot be met at once.
+    Each relation mixes the wanted signal with another one: f'_m = b r_m + √(2b/β_max) v_l should be
+    v_l, u_r = √(2α_min/b) f_s − √(α_min/α_max) v_r should be f_s, and so on. All four cannot be met
+    at once.
 
     Parameters
     ----------
@@ -37,17 +49,30 @@ def ideal_distances(scattering: Scattering):
     Returns
     -------
     pandas.DataFrame
-        Index `relation`; columns wanted, weight (of the wanted signal; ideal 1), other, leak (weight of the other signal;
-        ideal 0), distance = √((weight − 1)² + leak²), ratio = weight/leak.
+        Index `relation`; columns wanted, weight (of the wanted signal; ideal 1), other, leak
+        (weight of the other signal; ideal 0), distance = √((weight − 1)² + leak²), ratio =
+        weight/leak.
     """
     s = of_class("scattering", scattering, Scattering)
     rows = {
         "f'_m = v_l": ("v_l", np.sqrt(2.0 * s.b / s.beta_max), "r_m", s.b),
-        "u_r = f_s": ("f_s", np.sqrt(2.0 * s.alpha_min / s.b), "v_r", np.sqrt(s.alpha_min / s.alpha_max)),
+        "u_r = f_s": (
+            "f_s",
+            np.sqrt(2.0 * s.alpha_min / s.b),
+            "v_r",
+            np.sqrt(s.alpha_min / s.alpha_max),
+        ),
         "r'_s = v_r": ("v_r", np.sqrt(2.0 / (s.b * s.alpha_max)), "f_s", 1.0 / s.b),
-        "u_l = r_m": ("r_m", np.sqrt(2.0 * s.b * s.beta_min), "v_l", np.sqrt(s.beta_min / s.beta_max)),
+        "u_l = r_m": (
+            "r_m",
+            np.sqrt(2.0 * s.b * s.beta_min),
+            "v_l",
+            np.sqrt(s.beta_min / s.beta_max),
+        ),
     }
-    frame = pd.DataFrame.from_dict(rows, orient="index", columns=["wanted", "weight", "other", "leak"])
+    frame = pd.DataFrame.from_dict(
+        rows, orient="index", columns=["wanted", "weight", "other", "leak"]
+    )
     frame["distance"] = np.hypot(frame["weight"] - 1.0, frame["leak"])
     frame["ratio"] = frame["weight"] / frame["leak"]
     return frame.rename_axis("relation")
@@ -57,10 +82,11 @@ def dominance(scattering: Scattering) -> dict[str, float]:
     """
     Return how far the wanted signal outweighs the other one, for force and for velocity.
 
-    In u_r and f'_m the force dominates by √(2α_max/b) and √(2/(bβ_max)): it gains from smaller b and β_max and larger α_max. In
-    r'_s and u_l the velocity dominates by √(2b/α_max) and √(2bβ_max): it gains from larger b, from smaller α_max in the first
-    and larger β_max in the second. Section 3.7.1 says that a smaller β helps velocity; it does not, whichever bar the
-    text has lost.
+    In u_r and f'_m the force dominates by √(2α_max/b) and √(2/(bβ_max)): it gains from smaller b
+    and β_max and larger α_max. In r'_s and u_l the velocity dominates by √(2b/α_max) and
+    √(2bβ_max): it gains from larger b, from smaller α_max in the first and larger β_max in the
+    second. Section 3.7.1 says that a smaller β helps velocity; it does not, whichever bar the text
+    has lost.
 
     Parameters
     ----------
@@ -70,7 +96,8 @@ def dominance(scattering: Scattering) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        force_robot (f_s in u_r), force_operator (v_l in f'_m), velocity_robot (v_r in r'_s), velocity_operator (r_m in u_l).
+        force_robot (f_s in u_r), force_operator (v_l in f'_m), velocity_robot (v_r in r'_s),
+        velocity_operator (r_m in u_l).
     """
     s = of_class("scattering", scattering, Scattering)
     return {
@@ -81,14 +108,17 @@ def dominance(scattering: Scattering) -> dict[str, float]:
     }
 
 
-def gains(scattering: Scattering, alpha: float | None = None, beta: float | None = None) -> dict[str, float]:
+def gains(
+    scattering: Scattering, alpha: float | None = None, beta: float | None = None
+) -> dict[str, float]:
     """
     Return what a slow signal becomes on its way, all delays having passed.
 
-    force = f_m/f_s with the hand held still, 2β√(α_min/β_max)/(1 + κ); velocity = r_s/r_m with no force at the robot,
-    2α√(β_min/α_max)/(1 + κ), κ = √(α_minβ_min/(α_maxβ_max)). Neither depends on b, which sets what leaks across: drag = f_m/r_m
-    felt without a force at the robot, βb(1 − κ)/(1 + κ), and drift = −r_s/f_s, how the robot moves under its own force while
-    the hand is still, (α/b)(1 − κ)/(1 + κ). The ideal is force = β, velocity = α, drag = drift = 0.
+    force = f_m/f_s with the hand held still, 2β√(α_min/β_max)/(1 + κ); velocity = r_s/r_m with no
+    force at the robot, 2α√(β_min/α_max)/(1 + κ), κ = √(α_minβ_min/(α_maxβ_max)). Neither depends on
+    b, which sets what leaks across: drag = f_m/r_m felt without a force at the robot, βb(1 − κ)/(1
+    + κ), and drift = −r_s/f_s, how the robot moves under its own force while the hand is still,
+    (α/b)(1 − κ)/(1 + κ). The ideal is force = β, velocity = α, drag = drift = 0.
 
     Parameters
     ----------
@@ -123,7 +153,8 @@ def rendered_impedance(
     beta: float | None = None,
 ) -> np.ndarray:
     """
-    Return the impedance f_m/r_m that the operator feels through the channel, for constant delays and scales.
+    Return the impedance f_m/r_m that the operator feels through the channel, for constant delays
+    and scales.
 
     Parameters
     ----------
@@ -153,7 +184,9 @@ def rendered_impedance(
     there, back = not_negative("delay_1", delay_1), not_negative("delay_2", delay_2)
     load = np.asarray(environment, dtype=complex)
     if (load.ndim and load.shape != omega.shape) or not np.isfinite(load).all():
-        raise ValueError(f"environment must be a finite number or one per frequency, got shape {load.shape}")
+        raise ValueError(
+            f"environment must be a finite number or one per frequency, got shape {load.shape}"
+        )
     loop = s.gain**2 * np.exp(-1j * omega * (there + back))
     into = alpha * load * np.sqrt(2.0 * s.b / s.alpha_max) / (s.b + alpha * load)
     reflected = np.sqrt(2.0 * s.alpha_min / s.b) * into - np.sqrt(s.alpha_min / s.alpha_max)
@@ -189,11 +222,18 @@ class Tuning:
 
 
 def _distances(scattering: Scattering, impedance: float) -> tuple[float, float]:
-    """Return how far force and velocity are from ideal: gains on a logarithmic scale, leaks against `impedance`."""
+    """
+    Return how far force and velocity are from ideal: gains on a logarithmic scale, leaks against
+    `impedance`.
+    """
     found = gains(scattering)
-    force = np.hypot(np.log(found["force"] / scattering.beta_max), found["drag"] / (scattering.beta_max * impedance))
+    force = np.hypot(
+        np.log(found["force"] / scattering.beta_max),
+        found["drag"] / (scattering.beta_max * impedance),
+    )
     velocity = np.hypot(
-        np.log(found["velocity"] / scattering.alpha_max), found["drift"] * impedance / scattering.alpha_max
+        np.log(found["velocity"] / scattering.alpha_max),
+        found["drift"] * impedance / scattering.alpha_max,
     )
     return float(force), float(velocity)
 
@@ -206,10 +246,12 @@ def tune_transparency(
     impedance: float = 1.0,
 ) -> Tuning:
     """
-    Choose parameters of the channel between force and velocity transparency; it stays passive by Theorem 3.
+    Choose parameters of the channel between force and velocity transparency; it stays passive by
+    Theorem 3.
 
-    Force: f_m should be β f_s and free of drag. Velocity: r_s should be α r_m and free of drift. Gains count by the logarithm
-    of what they miss, leaks against a typical impedance. The search is deterministic.
+    Force: f_m should be β f_s and free of drag. Velocity: r_s should be α r_m and free of drift.
+    Gains count by the logarithm of what they miss, leaks against a typical impedance. The search is
+    deterministic.
 
     Parameters
     ----------
@@ -220,8 +262,8 @@ def tune_transparency(
     free : tuple of str
         Which of b, alpha_min, alpha_max, beta_min, beta_max may change.
     ranges : dict of str to (float, float), optional
-        Allowed ranges; b in [0.1, 10] and the bounds within a factor of ten below and up to three above, never past (3.1),
-        when not given.
+        Allowed ranges; b in [0.1, 10] and the bounds within a factor of ten below and up to three
+        above, never past (3.1), when not given.
     impedance : float
         Typical impedance of the robot's port [N s/m], positive.
 
@@ -233,7 +275,8 @@ def tune_transparency(
     Raises
     ------
     ValueError
-        If a name is unknown, a range is empty or breaks (3.1), or weight or impedance is out of range.
+        If a name is unknown, a range is empty or breaks (3.1), or weight or impedance is out of
+        range.
 
     Examples
     --------
@@ -256,10 +299,17 @@ def tune_transparency(
     box = []
     for name in free:
         value = getattr(start, name)
-        usual = (0.1, 10.0) if name == "b" else (value / 10.0, min(3.0 * value, 1.0 if "alpha" in name else np.inf))
+        usual = (
+            (0.1, 10.0)
+            if name == "b"
+            else (value / 10.0, min(3.0 * value, 1.0 if "alpha" in name else np.inf))
+        )
         low, high = (finite_number(name, x) for x in (ranges or {}).get(name, usual))
         if not 0.0 < low < high or ("alpha" in name and high > 1.0):
-            raise ValueError(f"range of {name} must be positive, increasing, and within (3.1), got ({low}, {high})")
+            raise ValueError(
+                f"range of {name} must be positive, increasing, and within (3.1), got ({low}, "
+                f"{high})"
+            )
         box.append((np.log(low), np.log(high)))
 
     def at(logarithms) -> Scattering | None:
@@ -276,8 +326,12 @@ def tune_transparency(
         force, velocity = _distances(candidate, impedance)
         return weight * force**2 + (1.0 - weight) * velocity**2
 
-    coarse = differential_evolution(cost, box, seed=0, popsize=20, tol=1e-10, polish=False, maxiter=400)
-    fine = minimize(cost, coarse.x, method="Nelder-Mead", bounds=box, options={"xatol": 1e-9, "fatol": 1e-13})
+    coarse = differential_evolution(
+        cost, box, seed=0, popsize=20, tol=1e-10, polish=False, maxiter=400
+    )
+    fine = minimize(
+        cost, coarse.x, method="Nelder-Mead", bounds=box, options={"xatol": 1e-9, "fatol": 1e-13}
+    )
     best = at(fine.x if fine.fun <= coarse.fun else coarse.x)
     return Tuning(best, *_distances(best, impedance), weight)
 
@@ -308,10 +362,21 @@ def plot_scales(settings: LoopSettings, ax=None):
     trust, ends = np.linspace(0.0, 1.0, 401), settings.scattering
     scales = {"α": (ends.alpha_min, ends.alpha_max), "β": (ends.beta_min, ends.beta_max)}
     for (symbol, bounds), color in zip(scales.items(), ("C0", "C1"), strict=True):
-        ax.plot(trust, LogisticScaling(*bounds).value(trust), color=color, label=f"{symbol}, logistic (3.5)")
+        ax.plot(
+            trust,
+            LogisticScaling(*bounds).value(trust),
+            color=color,
+            label=f"{symbol}, logistic (3.5)",
+        )
         steep = LogisticScaling(*bounds, steepness=40.0).value(trust)
         ax.plot(trust, steep, color=color, lw=0.8, label=f"{symbol}, four times as steep")
-        ax.plot(trust, StepScaling(*bounds).value(trust), ":", color=color, label=f"{symbol}, step (3.6)")
+        ax.plot(
+            trust,
+            StepScaling(*bounds).value(trust),
+            ":",
+            color=color,
+            label=f"{symbol}, step (3.6)",
+        )
     ax.set(xlabel="trust, share of its range", ylabel="scale", title=f"{settings.study} study")
     return ax
 
@@ -336,12 +401,20 @@ def plot_transparency(settings: Mapping[str, LoopSettings] = STUDIES, points: in
     for ax, (title, (key, over)) in zip(axes.flat, MAPS.items(), strict=True):
         across = low if over == "ranges" else impedance
         ends = [[(1.0, y, x) if over == "ranges" else (x, y, y) for x in across] for y in low]
-        grid = np.array([[gains(Scattering(b, one, 1.0, two, 1.0))[key] for b, one, two in row] for row in ends])
+        grid = np.array(
+            [[gains(Scattering(b, one, 1.0, two, 1.0))[key] for b, one, two in row] for row in ends]
+        )
         shown = grid if over == "ranges" else np.log10(grid + 1e-12).clip(-2)
         bar = ax.figure.colorbar(ax.contourf(across, low, shown, 12), ax=ax)
         ax.set(xscale="log", yscale="log", title=title)
-        ax.set_xlabel("bounds of β, $\\underline{β}/\\overline{β}$" if over == "ranges" else "b [N s/m]")
-        ax.set_ylabel("bounds of α, $\\underline{α}/\\overline{α}$" if over == "ranges" else "both ratios of bounds")
+        ax.set_xlabel(
+            "bounds of β, $\\underline{β}/\\overline{β}$" if over == "ranges" else "b [N s/m]"
+        )
+        ax.set_ylabel(
+            "bounds of α, $\\underline{α}/\\overline{α}$"
+            if over == "ranges"
+            else "both ratios of bounds"
+        )
         bar.set_label("gain, ideally 1" if over == "ranges" else "log$_{10}$, ideally −∞")
         for (name, one), mark in zip(settings.items(), "os^v", strict=False):
             own = one.scattering
@@ -352,9 +425,12 @@ def plot_transparency(settings: Mapping[str, LoopSettings] = STUDIES, points: in
     return axes
 
 
-def plot_rendered_spring(settings: Mapping[str, LoopSettings] = STUDIES, delay: float = 0.05, ax=None):
+def plot_rendered_spring(
+    settings: Mapping[str, LoopSettings] = STUDIES, delay: float = 0.05, ax=None
+):
     """
-    Plot the impedance that the operator feels of the guiding spring at the robot, with and without delay.
+    Plot the impedance that the operator feels of the guiding spring at the robot, with and without
+    delay.
 
     Parameters
     ----------
@@ -373,17 +449,24 @@ def plot_rendered_spring(settings: Mapping[str, LoopSettings] = STUDIES, delay: 
     for number, (name, one) in enumerate(settings.items()):
         spring = one.k_ffa / (1j * omega)
         late = rendered_impedance(one.scattering, omega, spring, delay, delay)
-        ax.semilogx(omega, np.abs(late), f"C{number}-", label=f"{name}, delays of {1000 * delay:g} ms")
+        ax.semilogx(
+            omega, np.abs(late), f"C{number}-", label=f"{name}, delays of {1000 * delay:g} ms"
+        )
         at_once = rendered_impedance(one.scattering, omega, spring)
         ax.semilogx(omega, np.abs(at_once), f"C{number}:", label=f"{name}, no delay")
-    ax.set(xlabel="frequency ω [rad/s]", ylabel="felt impedance [N s/m]", title="rendered impedance of a spring")
+    ax.set(
+        xlabel="frequency ω [rad/s]",
+        ylabel="felt impedance [N s/m]",
+        title="rendered impedance of a spring",
+    )
     ax.legend(fontsize="small", loc="lower left")
     return ax
 
 
 def plot_tunings(tunings: Iterable[Tuning], ax=None):
     """
-    Plot the trade-off between tunings with several weights: how far velocity and force are from ideal.
+    Plot the trade-off between tunings with several weights: how far velocity and force are from
+    ideal.
 
     Parameters
     ----------
@@ -399,6 +482,16 @@ def plot_tunings(tunings: Iterable[Tuning], ax=None):
     ax, rows = axes_or_new(ax), [next(tuning.table().itertuples()) for tuning in tunings]
     ax.plot([row.velocity for row in rows], [row.force for row in rows], "o-")
     for row in rows:
-        ax.annotate(f"{row.weight:g}", (row.velocity, row.force), xytext=(5, 4), textcoords="offset points", fontsize=8)
-    ax.set(xlabel="distance of velocity from ideal", ylabel="distance of force", title="what the tuner trades")
+        ax.annotate(
+            f"{row.weight:g}",
+            (row.velocity, row.force),
+            xytext=(5, 4),
+            textcoords="offset points",
+            fontsize=8,
+        )
+    ax.set(
+        xlabel="distance of velocity from ideal",
+        ylabel="distance of force",
+        title="what the tuner trades",
+    )
     return ax

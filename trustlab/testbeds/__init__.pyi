@@ -11,7 +11,10 @@ from .ground_robot.conditions import (
 from .ground_robot.correction_run import run_correction as run_correction
 from .ground_robot.course import Course as Course
 from .ground_robot.pioneer import Pioneer as Pioneer
-from .guidance_comparison import GuidanceComparison as GuidanceComparison, compare_guidance as compare_guidance
+from .guidance_comparison import (
+    GuidanceComparison as GuidanceComparison,
+    compare_guidance as compare_guidance,
+)
 from .robot_team import simulate_team as simulate_team
 from .team_run import TeamRun as TeamRun
 from .teleoperation_measures import (
@@ -23,7 +26,10 @@ from .teleoperation_measures import (
     teleoperation_measures as teleoperation_measures,
 )
 from .tracking_task import TrackingTask as TrackingTask, tracking_vehicle as tracking_vehicle
-from .uav_following.people import FollowingPopulation as FollowingPopulation, following_operator as following_operator
+from .uav_following.people import (
+    FollowingPopulation as FollowingPopulation,
+    following_operator as following_operator,
+)
 from .uav_tracking import (
     TeleoperationLoop as TeleoperationLoop,
     simulate_teleoperation as simulate_teleoperation,

@@ -1,4 +1,7 @@
-"""What a run under one of the conditions C1–C5 hands back, on whichever testbed: session, measures, suggestions, answers."""
+"""
+What a run under one of the conditions C1–C5 hands back, on whichever testbed: session, measures,
+suggestions, answers.
+"""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -6,7 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.suggestions import FOLLOWED, NOT_FOLLOWED, followed_suggestions, suggestion_episodes
+from trustlab.allocation.suggestions import (
+    FOLLOWED,
+    NOT_FOLLOWED,
+    followed_suggestions,
+    suggestion_episodes,
+)
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import finite_array, one_of, warn_renamed
 from trustlab.models.html import as_html
@@ -44,24 +52,37 @@ def condition_measures(
     model: TscModel | None = None,
     lap_times: np.ndarray | None = None,
 ) -> Measures:
-    """Return the outcome measures of a run from its log, anything with columns by name, as `ConditionRun.measures`.
+    """
+    Return the outcome measures of a run from its log, anything with columns by name, as
+    `ConditionRun.measures`.
 
     Without an operator nobody's answers are simulated: people give their own.
     """
     found = {name: float(log[name].mean()) for name in MEANS}
     if lap_times is not None:
         found["speed"] = float(log["step_distance"].mean()) / SAMPLE_TIME
-    found |= {"manual_share": float(log["mode"].mean()), "switches": int(np.count_nonzero(np.diff(log["mode"])))}
+    found |= {
+        "manual_share": float(log["mode"].mean()),
+        "switches": int(np.count_nonzero(np.diff(log["mode"]))),
+    }
     if lap_times is not None:
         found["laps"] = int(lap_times.size)
     found["duration"] = float(t[-1] - t[0])
     if lap_times is not None:
         found["lap_time"] = float(lap_times[-1] / lap_times.size)
-    states = [state for _, _, _, state in suggestion_episodes(t, log["mode"], log["suggested_mode"], DEADLINE)]
+    states = [
+        state
+        for _, _, _, state in suggestion_episodes(t, log["mode"], log["suggested_mode"], DEADLINE)
+    ]
     followed, decided = states.count(FOLLOWED), states.count(FOLLOWED) + states.count(NOT_FOLLOWED)
-    found |= {"suggestions": decided, "followed_percent": 100.0 * followed / decided if decided else np.nan}
+    found |= {
+        "suggestions": decided,
+        "followed_percent": 100.0 * followed / decided if decided else np.nan,
+    }
     if operator is not None and (operator.load_utilization or operator.load_switching):
-        scheme, forced = KNOWN.get(condition, (SCHEDULE, True))  # a rule of one's own is judged by nobody
+        scheme, forced = KNOWN.get(
+            condition, (SCHEDULE, True)
+        )  # a rule of one's own is judged by nobody
         judged = 0 if forced else found["switches"] if scheme == OWN else decided
         found |= allocation_answers(log["mode"], log["tsc"], found, judged, operator, model)
     return Measures(found)
@@ -92,7 +113,10 @@ class ConditionRun:
     thresholds: tuple[float, float] | None
 
     def suggestions(self) -> pd.DataFrame:
-        """Return the suggestions shown: columns start [s], suggested_mode, delay [s], followed, state (`followed_suggestions`)."""
+        """
+        Return the suggestions shown: columns start [s], suggested_mode, delay [s], followed, state
+        (`followed_suggestions`).
+        """
         return followed_suggestions(self.session, DEADLINE)
 
     @property
@@ -100,18 +124,28 @@ class ConditionRun:
         """
         The outcome measures of the run, by name.
 
-        p_r, p_h, r, tsc: means; path_error [m], speed [m/s] (ground robot), manual_share: means; switches, laps (ground robot):
-        numbers; duration, lap_time [s] (ground robot): of the run, and the mean of its laps; suggestions: how many were to be
-        followed or not; followed_percent: share of them followed within 15 s, NaN without any; tlx, satisfaction, trust where the
-        operator answers (`allocation_answers`).
+        p_r, p_h, r, tsc: means; path_error [m], speed [m/s] (ground robot), manual_share: means;
+        switches, laps (ground robot): numbers; duration, lap_time [s] (ground robot): of the run,
+        and the mean of its laps; suggestions: how many were to be followed or not;
+        followed_percent: share of them followed within 15 s, NaN without any; tlx, satisfaction,
+        trust where the operator answers (`allocation_answers`).
         """
-        condition, lap_times = str(self.session.metadata.condition), getattr(self, "lap_times", None)
-        return condition_measures(self.session, self.session.t, condition, self.operator, self.model, lap_times)
+        condition, lap_times = (
+            str(self.session.metadata.condition),
+            getattr(self, "lap_times", None),
+        )
+        return condition_measures(
+            self.session, self.session.t, condition, self.operator, self.model, lap_times
+        )
 
     def table(self) -> pd.DataFrame:
         """Return participant, condition, synthetic and the measures in one row."""
         meta = self.session.metadata
-        who = {"participant": meta.participant, "condition": meta.condition, "synthetic": meta.synthetic}
+        who = {
+            "participant": meta.participant,
+            "condition": meta.condition,
+            "synthetic": meta.synthetic,
+        }
         return pd.DataFrame([who | self.measures])
 
     def plot(self, bounds: dict[str, tuple[float, float]] | None = None):
@@ -121,7 +155,8 @@ class ConditionRun:
         Parameters
         ----------
         bounds : dict of str to (float, float), optional
-            Lower and upper bounds to draw, by column: p_r, r, p_h or tsc; for tsc the thresholds when not given.
+            Lower and upper bounds to draw, by column: p_r, r, p_h or tsc; for tsc the thresholds
+            when not given.
 
         Returns
         -------
@@ -136,14 +171,18 @@ class ConditionRun:
         try:
             bounds = dict(bounds if bounds is not None else {})
         except (TypeError, ValueError):
-            raise ValueError(f"bounds must map columns to (low, high), got {bounds!r:.60}") from None
+            raise ValueError(
+                f"bounds must map columns to (low, high), got {bounds!r:.60}"
+            ) from None
         for name, pair in bounds.items():
             one_of("a column of bounds", name, PANELS)
             bounds[name] = tuple(finite_array(f"bounds[{name!r}]", pair, length=2))
         if self.thresholds is not None:
             bounds.setdefault("tsc", self.thresholds)
         axes = axes_or_new(None, len(PANELS), sharex=True, figsize=(8.0, 7.6))
-        unit = " [m/s]" if "v_command" in session else ""  # on the UAV testbed performance is a share
+        unit = (
+            " [m/s]" if "v_command" in session else ""
+        )  # on the UAV testbed performance is a share
         for panel, (name, label) in zip(axes, PANELS.items(), strict=True):
             panel.plot(session.t, session[name], lw=1.2, color="#0072b2")
             values = np.r_[session[name], bounds.get(name, ())]
@@ -154,7 +193,9 @@ class ConditionRun:
             panel.set_ylabel(label + unit * (name in ("p_r", "p_h")))
             shade_manual(panel, session.t, session["mode"])
         axes[-1].set(xlabel="time [s]", xlim=(session.t[0], session.t[-1]))
-        lines = "; dashed: " + ("thresholds" if set(bounds) == {"tsc"} else "bounds") if bounds else ""
+        lines = (
+            "; dashed: " + ("thresholds" if set(bounds) == {"tsc"} else "bounds") if bounds else ""
+        )
         axes[0].figure.suptitle(f"{session.label} (manual phases shaded{lines})", fontsize="medium")
         return axes
 

@@ -1,4 +1,7 @@
-"""Who decides when in conditions C1–C5 (Section 2.4.1.2): one step of own thresholds and of suggestions, for all testbeds."""
+"""
+Who decides when in conditions C1–C5 (Section 2.4.1.2): one step of own thresholds and of
+suggestions, for all testbeds.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -15,8 +18,13 @@ from trustlab.models.human import performance_at
 from trustlab.models.tsc import TscModel, threshold_mode
 from trustlab.operators.ground_robot import Operator
 
-# Who allocates: a given sequence of modes, the operator, suggestions by (2.8), by Algorithm 2, at random.
-SCHEDULE, OWN, TSC, PERFORMANCE, RANDOM = 0, 1, 2, 3, 4
+# Who allocates: a given sequence of modes, the operator, suggestions by (2.8), by Algorithm 2, at
+# random.
+SCHEDULE = 0
+OWN = 1
+TSC = 2
+PERFORMANCE = 3
+RANDOM = 4
 
 # Who allocates in each condition of Section 2.4.1.2, and whether suggestions must be followed.
 CONDITIONS = {
@@ -27,8 +35,8 @@ CONDITIONS = {
     "C5": (PERFORMANCE, True),
 }
 
-# Conditions that tell better thresholds from having no need to decide, suggestions forced: "own", by the thresholds that the
-# operator's switches in C1 show; "random", at random times.
+# Conditions that tell better thresholds from having no need to decide, suggestions forced: "own",
+# by the thresholds that the operator's switches in C1 show; "random", at random times.
 CONTROLS = {"own": (TSC, True), "random": (RANDOM, True)}
 
 KNOWN = CONDITIONS | CONTROLS
@@ -42,24 +50,32 @@ SAMPLE_TIME, WINDOW = 0.1, 100.0
 # A suggestion counts as followed when the operator complies within this time [s].
 DEADLINE = 15.0
 
-# Nobody switches before this time [s], when the window of (2.4) and (2.7) is full for the first time: means of the first
-# few samples, of a robot that has just been put on the path, are far above what they become.
+# Nobody switches before this time [s], when the window of (2.4) and (2.7) is full for the first
+# time: means of the first few samples, of a robot that has just been put on the path, are far above
+# what they become.
 SETTLING = 100.0
 
 
 def measured(how: str) -> dict[str, object]:
-    """Return what a session's metadata say of its performance, measured by `how` over the window; fits look there."""
+    """
+    Return what a session's metadata say of its performance, measured by `how` over the window; fits
+    look there.
+    """
     return {"performance": f"{how}, window {WINDOW:g} s", "performance_window": WINDOW}
 
 
-# Performance summed over the window, utilization, own or suggested thresholds, how far a correction has moved own ones, and
-# when a decision takes effect. −1 stands for no suggestion, no decision under way and no suggestion being considered.
+# Performance summed over the window, utilization, own or suggested thresholds, how far a correction
+# has moved own ones, and when a decision takes effect. −1 stands for no suggestion, no decision
+# under way and no suggestion being considered.
 NUMBERS = "sum_r sum_h p_r p_h tsc r lower upper shift_l shift_u due episode_seen"
 COUNTS, FLAGS = "mode suggested decided episode", "willing"
 
 
 class Task(NamedTuple):
-    """What is to be done, for the compiled loops; scheme is one of SCHEDULE, OWN, TSC, PERFORMANCE and RANDOM."""
+    """
+    What is to be done, for the compiled loops; scheme is one of SCHEDULE, OWN, TSC, PERFORMANCE and
+    RANDOM.
+    """
 
     scheme: int
     forced: bool
@@ -94,7 +110,9 @@ def task_of(
     if model:
         numbers = (model.a_T, model.b_T, model.robot.p_min, model.robot.p_max)
     window = round(WINDOW / SAMPLE_TIME)
-    return Task(scheme, forced, laps, lower, upper, *numbers, e_max, window, SAMPLE_TIME, first_mode, r0)
+    return Task(
+        scheme, forced, laps, lower, upper, *numbers, e_max, window, SAMPLE_TIME, first_mode, r0
+    )
 
 
 def suggested_by_tsc(condition: str) -> bool:
@@ -115,44 +133,67 @@ def task_for(
     r0: float | None,
 ) -> tuple[Any, Task, tuple[float, float] | None, str]:
     """
-    Return a rule of one's own or None, the task, the thresholds of suggestions, and what to call the condition, all checked.
+    Return a rule of one's own or None, the task, the thresholds of suggestions, and what to call
+    the condition, all checked.
 
-    Thresholds, those given or a default, belong to C2 and C3; `mode` to a rule, beside which there is no condition.
+    Thresholds, those given or a default, belong to C2 and C3; `mode` to a rule, beside which there
+    is no condition.
     """
     r0 = operator.r0 if r0 is None else r0
     if rule is not None:
         if condition is not None or thresholds is not None:
-            raise ValueError("condition and thresholds have no effect beside rule=, which decides; leave them out")
+            raise ValueError(
+                "condition and thresholds have no effect beside rule=, which decides; leave them "
+                "out"
+            )
         rule, mode = begun(rule, mode)
         task = task_of(SCHEDULE, e_max, laps=laps, model=model, first_mode=mode, r0=r0)
         return rule, task, None, f"rule {type(rule).__name__}"
     if mode is not None:
-        raise ValueError("mode has no effect without rule=: the conditions begin in the manual mode; leave it out")
+        raise ValueError(
+            "mode has no effect without rule=: the conditions begin in the manual mode; leave it "
+            "out"
+        )
     condition = one_of("condition", condition, KNOWN, "rule=")
     scheme, forced = KNOWN[condition]
     if thresholds is not None and not suggested_by_tsc(condition):
         own = "the operator's own thresholds, Operator(lower=, upper=), decide"
-        decides = {"C1": own, "own": own, "random": "chance decides"}.get(condition, "Algorithm 2 decides")
-        raise ValueError(f"thresholds have no effect in {condition}, where {decides}; leave them out")
+        decides = {"C1": own, "own": own, "random": "chance decides"}.get(
+            condition, "Algorithm 2 decides"
+        )
+        raise ValueError(
+            f"thresholds have no effect in {condition}, where {decides}; leave them out"
+        )
     if suggested_by_tsc(condition):
         thresholds = default if thresholds is None else thresholds
         if thresholds is None:
             raise ValueError(
-                f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and .upper of "
-                "trustlab.choose_thresholds(model), or those of Table 2.2"
+                f"{condition} needs thresholds=(TSC_l, TSC_u) for an Operator: take .lower and "
+                ".upper of trustlab.choose_thresholds(model), or those of Table 2.2"
             )
-        thresholds = check_thresholds(model, *threshold_pair("threshold", thresholds), threshold_limits(model, 0.0))
+        thresholds = check_thresholds(
+            model, *threshold_pair("threshold", thresholds), threshold_limits(model, 0.0)
+        )
     lower, upper = (operator.lower, operator.upper) if scheme == OWN else thresholds or (0.0, 0.0)
     if condition == "own":  # switches in C1 come at these values of measured TSC
         lower, upper = operator.lower - operator.trust_bias, operator.upper - operator.trust_bias
-    return None, task_of(scheme, e_max, forced, laps, lower, upper, model, r0=r0), thresholds, condition
+    return (
+        None,
+        task_of(scheme, e_max, forced, laps, lower, upper, model, r0=r0),
+        thresholds,
+        condition,
+    )
 
 
-def decided_by(rule: Any, task: Task, most: int, run: Callable[[np.ndarray | None], tuple]) -> tuple:
+def decided_by(
+    rule: Any, task: Task, most: int, run: Callable[[np.ndarray | None], tuple]
+) -> tuple:
     """
-    Return what `run(modes)` returns, its log first, where a rule gives the modes of at most `most` samples; None gives none.
+    Return what `run(modes)` returns, its log first, where a rule gives the modes of at most `most`
+    samples; None gives none.
 
-    The run is made again after each switch: with the same streams of noise, nothing before it changes.
+    The run is made again after each switch: with the same streams of noise, nothing before it
+    changes.
     """
     if rule is None:
         return run(None)
@@ -162,7 +203,9 @@ def decided_by(rule: Any, task: Task, most: int, run: Callable[[np.ndarray | Non
         log, *rest = run(schedule)
         switched = False
         while k < log.size and not switched:
-            wanted = decision(rule, f"t = {k * SAMPLE_TIME:.1f} s", float(log["tsc"][k]), float(log["p_r"][k]))
+            wanted = decision(
+                rule, f"t = {k * SAMPLE_TIME:.1f} s", float(log["tsc"][k]), float(log["p_r"][k])
+            )
             if wanted is not None:
                 said[k], switched = wanted, wanted != schedule[k]
                 schedule[k:] = wanted
@@ -175,8 +218,9 @@ def warn_if_too_short(longest: float) -> None:
     """Warn where runs of at most `longest` seconds end before anybody may switch."""
     if longest <= SETTLING:
         warn(
-            f"nobody may switch in the first {SETTLING:g} s, when the window of measured performance fills, and no run lasts longer "
-            f"than {longest:.0f} s: all conditions are the same but for noise; take more laps"
+            f"nobody may switch in the first {SETTLING:g} s, when the window of measured "
+            f"performance fills, and no run lasts longer than {longest:.0f} s: all conditions are "
+            "the same but for noise; take more laps"
         )
 
 
@@ -188,13 +232,17 @@ def sample_times(count: int) -> np.ndarray:
 def framed(log: np.ndarray) -> pd.DataFrame:
     """Return a log, all numbers, as a table over time."""
     table = log.view(float).reshape(log.size, -1)
-    return pd.DataFrame(table, index=pd.Index(sample_times(log.size), name="t"), columns=log.dtype.names)
+    return pd.DataFrame(
+        table, index=pd.Index(sample_times(log.size), name="t"), columns=log.dtype.names
+    )
 
 
 def someone(participant: Any, operator: Operator | None, remedy: str) -> Any:
     """Return whichever of the two is given; `remedy` says what to give where neither is."""
     if (participant is None) == (operator is None):
-        raise ValueError(remedy if operator is None else "give either participant= or operator=, not both")
+        raise ValueError(
+            remedy if operator is None else "give either participant= or operator=, not both"
+        )
     return operator if participant is None else participant
 
 
@@ -213,8 +261,12 @@ def seed_facts(seed: int | np.random.SeedSequence) -> dict[str, Any]:
 @njit
 def begin(task, person, state, mind):
     """Set utilization and mode at the beginning, and draw the operator's first thresholds."""
-    state.r, state.mode, state.episode_seen = task.r0, task.first_mode, -1e9
-    state.suggested, state.decided, state.episode = -1, -1, -1
+    state.r = task.r0
+    state.mode = task.first_mode
+    state.episode_seen = -1e9
+    state.suggested = -1
+    state.decided = -1
+    state.episode = -1
     state.lower, state.upper = task.lower, task.upper
     if task.scheme == OWN:
         state.lower += person.lower_spread * mind.standard_normal()
@@ -223,7 +275,9 @@ def begin(task, person, state, mind):
 
 @njit
 def skill_now(task, person, state):
-    """Return human performance (2.6), as experience and the attention that deciding takes leave of it."""
+    """
+    Return human performance (2.6), as experience and the attention that deciding takes leave of it.
+    """
     skill = person.skill * performance_at(state.r, person.beta, person.p_min, person.p_max)
     free_to_decline = not task.forced and state.suggested >= 0 and state.suggested != state.mode
     if task.scheme == OWN or free_to_decline:
@@ -233,10 +287,16 @@ def skill_now(task, person, state):
 
 @njit(_nrt=False)
 def measure(task, k, z_r, z_h, state):
-    """Move performance as measured, (2.4) and (2.7), to the window that ends at sample k, and TSC (2.1) with it."""
+    """
+    Move performance as measured, (2.4) and (2.7), to the window that ends at sample k, and TSC
+    (2.1) with it.
+    """
     state.sum_r, state.sum_h = state.sum_r + z_r[k], state.sum_h + z_h[k]
     if k >= task.window:
-        state.sum_r, state.sum_h = state.sum_r - z_r[k - task.window], state.sum_h - z_h[k - task.window]
+        state.sum_r, state.sum_h = (
+            state.sum_r - z_r[k - task.window],
+            state.sum_h - z_h[k - task.window],
+        )
     used = min(k + 1, task.window)
     state.p_r, state.p_h = state.sum_r / used, state.sum_h / used
     state.tsc = task.a_T * state.p_r - task.b_T * state.p_h
@@ -244,16 +304,24 @@ def measure(task, k, z_r, z_h, state):
 
 @njit
 def reaction(person, wanted, mind):
-    """Return the time between a decision and the hand's doing it [s]; its logarithm is normal, and taking over adds to it."""
+    """
+    Return the time between a decision and the hand's doing it [s]; its logarithm is normal, and
+    taking over adds to it.
+    """
     late = person.reaction_lag * np.exp(person.reaction_spread * mind.standard_normal())
     return late + person.take_over_lag if wanted == 1 else late
 
 
 @njit(inline="always")
 def own_decision(person, t, state, mind):
-    """Let the operator decide by thresholds of TSC of their own, and TSC as they perceive it (C1)."""
+    """
+    Let the operator decide by thresholds of TSC of their own, and TSC as they perceive it (C1).
+    """
     perceived = state.tsc + person.trust_bias
-    if state.decided < 0 and threshold_mode(perceived, state.lower, state.upper, state.mode) != state.mode:
+    if (
+        state.decided < 0
+        and threshold_mode(perceived, state.lower, state.upper, state.mode) != state.mode
+    ):
         state.decided, state.willing = 1 - state.mode, True
         state.due = t + reaction(person, state.decided, mind)
 
@@ -270,7 +338,10 @@ def suggest(task, state):
 
 @njit(inline="always")
 def consider(task, person, t, state, mind):
-    """Make the suggestion of the scheme, and let the operator decide once per suggestion whether to follow."""
+    """
+    Make the suggestion of the scheme, and let the operator decide once per suggestion whether to
+    follow.
+    """
     if task.scheme == RANDOM:
         standing = state.mode if state.suggested < 0 else state.suggested
         ends = mind.random() < task.sample_time / RANDOM_PHASE
@@ -286,7 +357,9 @@ def consider(task, person, t, state, mind):
             late = reaction(person, state.suggested, mind)
             if not state.willing:
                 late += DEADLINE + person.ignoring_time * mind.standard_exponential()
-            state.episode, state.decided, state.due = state.suggested, state.suggested, t + late
+            state.episode = state.suggested
+            state.decided = state.suggested
+            state.due = t + late
         state.episode_seen = t
 
 

@@ -1,4 +1,7 @@
-"""How guidance changes a comparison of schemes: simulated operators fly every scheme under every guidance."""
+"""
+How guidance changes a comparison of schemes: simulated operators fly every scheme under every
+guidance.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -50,20 +53,36 @@ class GuidanceComparison:
         Returns
         -------
         pandas.DataFrame
-            guidance, scheme, n; tracking_error, its sd, guidance_felt, energy_target (means over operators);
-            energy_port_min (the least of all runs: what the operator's port gave out at most [J]); better_than_m (share of
-            operators who track better than in scheme M under the same guidance; NaN without M).
+            guidance, scheme, n; tracking_error, its sd, guidance_felt, energy_target (means over
+            operators); energy_port_min (the least of all runs: what the operator's port gave out at
+            most [J]); better_than_m (share of operators who track better than in scheme M under the
+            same guidance; NaN without M).
         """
-        wide = self.runs.set_index(["guidance", "participant", "scheme"])["tracking_error"].unstack()  # noqa: PD010
+        wide = self.runs.set_index(["guidance", "participant", "scheme"])[  # noqa: PD010
+            "tracking_error"
+        ].unstack()
         rows = []
         for (guidance, scheme), group in self.runs.groupby(["guidance", "scheme"], sort=False):
             here = wide.loc[guidance]
             better = float((here[scheme] < here["M"]).mean()) if "M" in here else np.nan
             row = {"guidance": guidance, "scheme": scheme, "n": len(group)}
-            row |= {name: group[name].mean() for name in ("tracking_error", "guidance_felt", "energy_target")}
-            row |= {"sd": group["tracking_error"].std(), "energy_port_min": group["energy_port_min"].min()}
+            row |= {
+                name: group[name].mean()
+                for name in ("tracking_error", "guidance_felt", "energy_target")
+            }
+            row |= {
+                "sd": group["tracking_error"].std(),
+                "energy_port_min": group["energy_port_min"].min(),
+            }
             rows.append(row | {"better_than_m": better})
-        names = ("tracking_error", "sd", "guidance_felt", "energy_target", "energy_port_min", "better_than_m")
+        names = (
+            "tracking_error",
+            "sd",
+            "guidance_felt",
+            "energy_target",
+            "energy_port_min",
+            "better_than_m",
+        )
         frame = pd.DataFrame(rows)[["guidance", "scheme", "n", *names]]
         frame.attrs["origin"] = "simulated operators"
         return frame
@@ -85,7 +104,9 @@ class GuidanceComparison:
         matplotlib.axes.Axes
         """
         ax = axes_or_new(ax, figsize=(7.6, 3.6))
-        for mark, (guidance, group) in zip("osD^vPX*", self.table().groupby("guidance", sort=False), strict=False):
+        for mark, (guidance, group) in zip(
+            "osD^vPX*", self.table().groupby("guidance", sort=False), strict=False
+        ):
             ax.plot(group["scheme"], group["tracking_error"], f"{mark}-", lw=1.0, label=guidance)
         ax.set(ylabel="mean tracking error [m]", title="Synthetic data: simulated operators")
         ax.set_ylim(bottom=0.0)
@@ -105,7 +126,8 @@ def compare_guidance(
     """
     Let simulated operators fly every scheme under every guidance.
 
-    Every operator has one path, one series of losses of the target, delays and noise, the same in all runs.
+    Every operator has one path, one series of losses of the target, delays and noise, the same in
+    all runs.
 
     Parameters
     ----------
@@ -120,7 +142,8 @@ def compare_guidance(
     duration : float
         Of a run [s].
     variants : mapping of str to mapping
-        Keywords of `simulate_teleoperation` by the name to show; the guidances of this package when not given.
+        Keywords of `simulate_teleoperation` by the name to show; the guidances of this package when
+        not given.
     n_jobs : int
         Processes, as of `run_campaign`.
 
@@ -154,8 +177,13 @@ def compare_guidance(
 _people = lru_cache(graded_teleoperators)
 
 
-def _flown(guidance, scheme, participant, operators, study, start, duration, variant, seed) -> dict[str, float]:
-    """Return the measures of one run; its seed is the operator's, not the campaign's, so that all runs are paired."""
+def _flown(
+    guidance, scheme, participant, operators, study, start, duration, variant, seed
+) -> dict[str, float]:
+    """
+    Return the measures of one run; its seed is the operator's, not the campaign's, so that all runs
+    are paired.
+    """
     person = _people(operators, start, study)[participant - 1]
     own = np.random.SeedSequence([start, participant])
     run = simulate_teleoperation(scheme, person, study, seed=own, duration=duration, **variant)

@@ -1,4 +1,7 @@
-"""A simulated team in motion: an HTML page with its data and script inside, and for reports an SVG that needs no script."""
+"""
+A simulated team in motion: an HTML page with its data and script inside, and for reports an SVG
+that needs no script.
+"""
 
 import html
 import json
@@ -15,14 +18,22 @@ from trustlab.models.html import policy
 # Frames at most, and coordinates in a page at most.
 FRAMES, NUMBERS = 1500, 150_000
 
-PAGE, SCRIPT = Path(__file__).with_name("team_animation.html"), Path(__file__).with_name("team_animation.js")
+PAGE, SCRIPT = (
+    Path(__file__).with_name("team_animation.html"),
+    Path(__file__).with_name("team_animation.js"),
+)
 
-# What does not move in the SVG, with places for what does; the frame and the dial there are those of the next lines.
+# What does not move in the SVG, with places for what does; the frame and the dial there are those
+# of the next lines.
 PICTURE = Path(__file__).with_name("team_picture.svg")
 PICTURE_FRAMES = 160
 
-SIDE, TOP, LEFT = 340, 40, 30
-DIAL_X, DIAL_Y, DIAL = 505, 170, 90
+SIDE = 340
+TOP = 40
+LEFT = 30
+DIAL_X = 505
+DIAL_Y = 170
+DIAL = 90
 LEADER, FOLLOWER = "#d55e00", "#0072b2"
 DISCRETE = 'calcMode="discrete"'  # from colour to colour, nothing between
 
@@ -34,7 +45,10 @@ class AnimationPage(str):
 
     def _repr_html_(self) -> str:
         framed = html.escape(self, quote=True)
-        return f'<iframe sandbox="allow-scripts" srcdoc="{framed}" width="100%" height="900" style="border:0"></iframe>'
+        return (
+            f'<iframe sandbox="allow-scripts" srcdoc="{framed}" width="100%" height="900" '
+            'style="border:0"></iframe>'
+        )
 
     def __repr__(self) -> str:
         return f"AnimationPage({len(self)} characters of HTML; write it with run.animate(path))"
@@ -63,7 +77,9 @@ def animation_page(run, rate: float = 5.0) -> str:
     frames = min(FRAMES, max(NUMBERS // (3 * len(run.robots)), 50))
     part = slice(0, end, max(-(-end // frames), 1))
     t, q = run.t[part], run.positions[part]
-    force = -run.data[["f_m_x", "f_m_y", "f_m_z"]].to_numpy()[part]  # what the device does to the hand
+    force = -run.data[["f_m_x", "f_m_y", "f_m_z"]].to_numpy()[
+        part
+    ]  # what the device does to the hand
     middle, span = view(q, run.goal)
     data = {
         "t": _short(t, 3),
@@ -83,7 +99,9 @@ def animation_page(run, rate: float = 5.0) -> str:
         "tolerance": run.tolerance,
     }
     arrived = (
-        f"all within {run.tolerance:g} m after {run.time_to_goal:.1f} s" if run.converged else "not all at the goal"
+        f"all within {run.tolerance:g} m after {run.time_to_goal:.1f} s"
+        if run.converged
+        else "not all at the goal"
     )
     note = f"Synthetic: simulated robots, channel and operator; {arrived}."
     script = SCRIPT.read_text(encoding="utf-8")
@@ -92,7 +110,9 @@ def animation_page(run, rate: float = 5.0) -> str:
         NOTE=html.escape(note),
         RATE=f"{rate:g}",
         POLICY=policy(script),
-        DATA=json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"),  # no tag, no comment begins there
+        DATA=json.dumps(data, separators=(",", ":")).replace(
+            "<", "\\u003c"
+        ),  # no tag, no comment begins there
         SCRIPT=script,
     )
 
@@ -102,22 +122,33 @@ def _short(values: np.ndarray, digits: int) -> list:
 
 
 def view(positions: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the middle of a square or cube that shows robots and goal at all times, and how wide it is."""
+    """
+    Return the middle of a square or cube that shows robots and goal at all times, and how wide it
+    is.
+    """
     seen = np.concatenate([positions.reshape(-1, goal.size), goal[None]])
     low, high = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
     return 0.5 * (low + high), 1.1 * max(float((high - low).max()), 0.1)
 
 
 def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
-    """Return the team from above, and the horizontal force that the operator feels, as an SVG that repeats."""
+    """
+    Return the team from above, and the horizontal force that the operator feels, as an SVG that
+    repeats.
+    """
     lasting = positive("lasting", lasting)
     until = float(run.t[-1]) if until is None else finite_number("until", until)
     if not run.t[0] < until <= run.t[-1]:
-        raise ValueError(f"until must be after {run.t[0]:g} s and at most {run.t[-1]:g} s, got {until:g}")
+        raise ValueError(
+            f"until must be after {run.t[0]:g} s and at most {run.t[-1]:g} s, got {until:g}"
+        )
     at = np.searchsorted(run.t, np.linspace(run.t[0], until, PICTURE_FRAMES) - 1e-9)
     number = run.data["number"].to_numpy()[at].astype(int)
     # a robot that joins or leaves waits out of sight where it is first or last seen
-    points = np.stack([pd.DataFrame(axis).ffill().bfill() for axis in run.positions[at].transpose(2, 0, 1)], axis=-1)
+    points = np.stack(
+        [pd.DataFrame(axis).ffill().bfill() for axis in run.positions[at].transpose(2, 0, 1)],
+        axis=-1,
+    )
     seen = np.isfinite(run.positions[at, :, 0])
     since = [since for since, _ in run.links]
     graph = np.searchsorted(since, run.t[at], side="right") - 1
@@ -155,7 +186,9 @@ def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
     )
 
 
-def _on_picture(points: np.ndarray, middle: np.ndarray, span: float) -> tuple[np.ndarray, np.ndarray]:
+def _on_picture(
+    points: np.ndarray, middle: np.ndarray, span: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return where points, seen from above, are on the picture; its y grows downwards."""
     x = LEFT + SIDE * (0.5 + (points[..., 0] - middle[0]) / span)
     y = TOP + SIDE * (0.5 - (points[..., 1] - middle[1]) / span)
@@ -164,15 +197,23 @@ def _on_picture(points: np.ndarray, middle: np.ndarray, span: float) -> tuple[np
 
 def _moving(lasting: float, **attributes: np.ndarray) -> str:
     """Return animations of attributes that run through their values."""
-    return "".join(_animation(name, [f"{v:.1f}" for v in values], lasting) for name, values in attributes.items())
+    return "".join(
+        _animation(name, [f"{v:.1f}" for v in values], lasting)
+        for name, values in attributes.items()
+    )
 
 
 def _shown(when: np.ndarray, lasting: float) -> str:
     """Return an animation that hides what is not there all the time."""
-    return "" if when.all() else _animation("opacity", when.astype(int).astype(str), lasting, DISCRETE)
+    return (
+        "" if when.all() else _animation("opacity", when.astype(int).astype(str), lasting, DISCRETE)
+    )
 
 
 def _animation(name: str, values: Iterable[str], lasting: float, more: str = "") -> str:
     """Return an animation of one attribute, without end."""
     told = ";".join(values)
-    return f'<animate attributeName="{name}" values="{told}" dur="{lasting:g}s" repeatCount="indefinite" {more}/>'
+    return (
+        f'<animate attributeName="{name}" values="{told}" dur="{lasting:g}s" '
+        f'repeatCount="indefinite" {more}/>'
+    )

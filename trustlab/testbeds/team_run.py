@@ -54,7 +54,8 @@ class TeamRun:
     facts : dict
         How the run was made.
     changes : tuple
-        Later graphs: when each began [s], and its a_ij. Robots that are not in the team have positions of NaN.
+        Later graphs: when each began [s], and its a_ij. Robots that are not in the team have
+        positions of NaN.
     """
 
     robots: tuple
@@ -126,20 +127,28 @@ class TeamRun:
     @property
     def label(self) -> str:
         """One line for titles."""
-        return f"{len(self.robots)} robots, leader: {self.facts['policy']}, filter: {self.facts['filter']} (synthetic)"
+        return (
+            f"{len(self.robots)} robots, leader: {self.facts['policy']}, filter: "
+            f"{self.facts['filter']} (synthetic)"
+        )
 
     def table(self) -> pd.DataFrame:
         """
         Return signals and energies, one row per recorded time.
 
-        leader_x … are the leader's position at the midpoint of the sample; number is its place in `robots`; push the share σ of
-        the operator; ``v_…`` the storages of (4.32), v_t their sum; ``supply_…`` energy taken in by team, error system, hand, device and
-        filters since the start, supply_links what V_fs gained by changes of the graph, ``lost_…`` what was dissipated.
+        leader_x … are the leader's position at the midpoint of the sample; number is its place in
+        `robots`; push the share σ of the operator; ``v_…`` the storages of (4.32), v_t their sum;
+        ``supply_…`` energy taken in by team, error system, hand, device and filters since the
+        start, supply_links what V_fs gained by changes of the graph, ``lost_…`` what was
+        dissipated.
         """
         return self.data.copy()
 
     def session(self) -> Session:
-        """Return what the operator and the leader of the moment did, as a session: robot_x … is the leader, reference_x … the goal."""
+        """
+        Return what the operator and the leader of the moment did, as a session: robot_x … is the
+        leader, reference_x … the goal.
+        """
         data, number = self.data, self.data["number"].to_numpy().astype(int)
         columns = {}
         for axis, at in zip("xyz", self.goal, strict=True):
@@ -157,7 +166,9 @@ class TeamRun:
             "energy_channel": data["v_ch"],
             "energy_robot": data["supply_team"],
         }
-        about = Metadata("simulated", self.facts["policy"], "trustlab.testbeds.robot_team", True, self.facts)
+        about = Metadata(
+            "simulated", self.facts["policy"], "trustlab.testbeds.robot_team", True, self.facts
+        )
         return Session(pd.DataFrame(columns, index=data.index), about)
 
     def summary(self) -> pd.DataFrame:
@@ -181,15 +192,22 @@ class TeamRun:
         return pd.DataFrame([row])
 
     def __repr__(self) -> str:
-        state = f"all at the goal after {self.time_to_goal:.1f} s" if self.converged else "not all at the goal"
-        return f"TeamRun({self.label}: {state}, {len(self.switches)} switches in {self.t[-1]:.0f} s)"
+        state = (
+            f"all at the goal after {self.time_to_goal:.1f} s"
+            if self.converged
+            else "not all at the goal"
+        )
+        return (
+            f"TeamRun({self.label}: {state}, {len(self.switches)} switches in {self.t[-1]:.0f} s)"
+        )
 
     def _repr_html_(self) -> str:
         return as_html("", self.summary().T.set_axis([""], axis=1), title=self.label)
 
     def plot(self, axes=None):
         """
-        Plot distances to the goal, who leads, the force that the operator feels, and the storage functions.
+        Plot distances to the goal, who leads, the force that the operator feels, and the storage
+        functions.
 
         Parameters
         ----------
@@ -206,10 +224,14 @@ class TeamRun:
             If there are not four axes.
         """
         heights = (3, 1.6, 2, 3)
-        axes = axes_or_new(axes, 4, title=self.label, sharex=True, figsize=(8.0, 8.4), height_ratios=heights)
+        axes = axes_or_new(
+            axes, 4, title=self.label, sharex=True, figsize=(8.0, 8.4), height_ratios=heights
+        )
         axes = np.asarray(axes, dtype=object).ravel()
         if axes.size != 4 or not all(hasattr(axis, "plot") for axis in axes):
-            raise ValueError("axes must be four Matplotlib axes: distances, leader, force, energies")
+            raise ValueError(
+                "axes must be four Matplotlib axes: distances, leader, force, energies"
+            )
         t, data = self.t, self.data
         axes[0].semilogy(t, np.maximum(self.distances, 1e-9), lw=0.8, color="#0072b2", alpha=0.6)
         axes[0].axhline(self.tolerance, color="0.4", ls="--", lw=0.8)
@@ -217,7 +239,9 @@ class TeamRun:
         axes[1].step(t, data["number"], where="post", color="#444444", lw=1.0)
         axes[1].set(ylabel="leader", ylim=(-0.5, len(self.robots) - 0.5))
         if len(self.robots) <= 12:
-            axes[1].set_yticks(range(len(self.robots)), [str(name) for name in self.robots], fontsize="small")
+            axes[1].set_yticks(
+                range(len(self.robots)), [str(name) for name in self.robots], fontsize="small"
+            )
         for name, colour in zip("xyz", ("#0072b2", "#d55e00", "#009e73"), strict=True):
             axes[2].plot(t, data[f"f_m_{name}"], lw=0.9, color=colour, label=f"$f_m$, {name}")
         axes[2].set_ylabel("force\nfeedback [N]")
@@ -225,7 +249,9 @@ class TeamRun:
         for name, label in ENERGIES.items():
             if name != "v_filter" or data[name].any():
                 axes[3].plot(t, data[name], lw=0.9, label=label)
-        axes[3].plot(t, data["v_t"] - self.budget, lw=1.6, color="black", label=r"$V_T - \beta_h$ (4.32)")
+        axes[3].plot(
+            t, data["v_t"] - self.budget, lw=1.6, color="black", label=r"$V_T - \beta_h$ (4.32)"
+        )
         axes[3].set(ylabel="energy [J]", xlabel="time [s]", xlim=(t[0], t[-1]))
         axes[3].legend(fontsize="small", ncols=4)
         for axis in axes:
@@ -259,7 +285,8 @@ class TeamRun:
         """
         Return an animation as one HTML page without anything from outside, or write it to a file.
 
-        Robots and their links, the leader, the goal, and the force that the operator feels, seen from above and from the side.
+        Robots and their links, the leader, the goal, and the force that the operator feels, seen
+        from above and from the side.
 
         Parameters
         ----------
@@ -291,7 +318,8 @@ class TeamRun:
 
     def picture(self, until: float | None = None, lasting: float = 20.0) -> str:
         """
-        Return a moving picture as one SVG without a script, for reports: the team from above, and the force felt.
+        Return a moving picture as one SVG without a script, for reports: the team from above, and
+        the force felt.
 
         Parameters
         ----------

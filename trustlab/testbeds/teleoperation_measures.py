@@ -1,4 +1,7 @@
-"""What a study takes from teleoperation runs: measures of error, effort, allocation and energy, and figures (Figs. 3.13, 3.14, 3.22)."""
+"""
+What a study takes from teleoperation runs: measures of error, effort, allocation and energy, and
+figures (Figs. 3.13, 3.14, 3.22).
+"""
 
 from collections.abc import Iterable, Mapping
 
@@ -10,7 +13,14 @@ from trustlab.models.checks import of_class
 from trustlab.sessions.session import Session
 
 SIGNALS = ("path_error", "p_r", "p_h", "alpha", "beta", "port_share")
-ENERGIES = ("energy_operator", "energy_dissipated", "energy_channel", "energy_robot", "energy_port", "energy_target")
+ENERGIES = (
+    "energy_operator",
+    "energy_dissipated",
+    "energy_channel",
+    "energy_robot",
+    "energy_port",
+    "energy_target",
+)
 
 # What the figures show, each with its label.
 PANELS = (
@@ -42,11 +52,13 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
     Returns
     -------
     pandas.DataFrame
-        participant, scheme; tracking_error, worst_error (mean and greatest distance to the target [m]); p_r, p_h, alpha, beta
-        (means); alpha_rate (mean ``|dα/dt|`` [1/s]); hand_force (mean ‖f_h‖ [N]); guidance_felt (mean ‖f_m − β b r_m‖, what the device renders beyond the
-        channel's own damping [N]); energy_operator, energy_dissipated, energy_target (at the end [J]); energy_channel_min,
-        energy_robot_min, energy_port_min (least values [J]); guarded (share of samples in which the passivity controller
-        acted); port_share (mean share that it let pass, 1 where it rests: of the port's velocity, or of the force with a tank).
+        participant, scheme; tracking_error, worst_error (mean and greatest distance to the target
+        [m]); p_r, p_h, alpha, beta (means); alpha_rate (mean ``|dα/dt|`` [1/s]); hand_force (mean
+        ‖f_h‖ [N]); guidance_felt (mean ‖f_m − β b r_m‖, what the device renders beyond the
+        channel's own damping [N]); energy_operator, energy_dissipated, energy_target (at the end
+        [J]); energy_channel_min, energy_robot_min, energy_port_min (least values [J]); guarded
+        (share of samples in which the passivity controller acted); port_share (mean share that it
+        let pass, 1 where it rests: of the port's velocity, or of the force with a tank).
 
     Raises
     ------
@@ -93,8 +105,14 @@ def _measures(run: Session) -> dict[str, object]:
         "beta": run["beta"].mean(),
         "hand_force": np.sqrt(sum(run[f"f_h_{axis}"] ** 2 for axis in "xyz")).mean(),
         "guidance_felt": np.sqrt(sum(run[f"guide_{axis}"] ** 2 for axis in "xyz")).mean(),
-        **{f"energy_{name}": run[f"energy_{name}"][-1] for name in ("operator", "dissipated", "target")},
-        **{f"energy_{name}_min": run[f"energy_{name}"].min() for name in ("channel", "robot", "port")},
+        **{
+            f"energy_{name}": run[f"energy_{name}"][-1]
+            for name in ("operator", "dissipated", "target")
+        },
+        **{
+            f"energy_{name}_min": run[f"energy_{name}"].min()
+            for name in ("channel", "robot", "port")
+        },
         "guarded": (run["port_share"] < 1.0).mean(),
         "port_share": run["port_share"].mean(),
     }
@@ -132,7 +150,9 @@ def plot_trajectory(session: Session, axes=None):
     axes.set_zlim(min(low, wanted - 0.5), max(high, wanted + 0.5))
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     axes.set_title(session.label, fontsize="medium")
-    axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=2, frameon=False)
+    axes.legend(
+        fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=2, frameon=False
+    )
     return axes
 
 
@@ -156,10 +176,14 @@ def plot_signals(session: Session, axes=None):
     ValueError
         If `session` is not a Session, or lacks a column.
     """
-    of_class("session", session, Session).require(*(name for _, columns in PANELS for name in columns))
+    of_class("session", session, Session).require(
+        *(name for _, columns in PANELS for name in columns)
+    )
     axes = axes_or_new(axes, len(PANELS), title=session.label, sharex=True, figsize=(7.2, 5.6))
     for panel, (title, columns) in zip(axes, PANELS, strict=True):
-        for (name, label), color, style in zip(columns.items(), (BLUE, RED), ("-", "--"), strict=True):
+        for (name, label), color, style in zip(
+            columns.items(), (BLUE, RED), ("-", "--"), strict=True
+        ):
             panel.plot(session.t, session[name], style, color=color, lw=1.2, label=label)
         panel.set(ylabel=title, ylim=(-0.05, 1.05))
         panel.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
@@ -176,7 +200,8 @@ def plot_energies(session: Session, axes=None):
     session : Session
         A run of `simulate_teleoperation`.
     axes : sequence of two matplotlib.axes.Axes, optional
-        Operator and device in the first, channel, both ports and target in the second; a new figure when not given.
+        Operator and device in the first, channel, both ports and target in the second; a new figure
+        when not given.
 
     Returns
     -------
@@ -220,7 +245,9 @@ def plot_alpha(sessions: Iterable[Session], axes=None):
         If there is no run, an item is not a Session, or the number of axes differs.
     """
     runs = runs_with(sessions, "alpha")
-    axes = np.atleast_1d(axes_or_new(axes, len(runs), sharex=True, figsize=(7.2, 1.2 + 1.5 * len(runs))))
+    axes = np.atleast_1d(
+        axes_or_new(axes, len(runs), sharex=True, figsize=(7.2, 1.2 + 1.5 * len(runs)))
+    )
     if axes.size != len(runs):
         raise ValueError(f"there are {len(runs)} runs and {axes.size} axes; give one per run")
     for panel, run in zip(axes, runs, strict=True):
@@ -251,6 +278,8 @@ def plot_beside(series: Mapping[str, pd.DataFrame], ax=None):
         place = np.arange(len(frame)) + 0.24 * (number - 0.5 * (len(series) - 1))
         half = [frame["mean"] - frame["ci_low"], frame["ci_high"] - frame["mean"]]
         face = "white" if number else None
-        ax.errorbar(place, frame["mean"], half, fmt="os^v"[number % 4], mfc=face, capsize=4, label=name)
+        ax.errorbar(
+            place, frame["mean"], half, fmt="os^v"[number % 4], mfc=face, capsize=4, label=name
+        )
         ax.set_xticks(np.arange(len(frame)), frame.index)
     return ax

@@ -1,4 +1,7 @@
-"""The task of the UAV testbeds: a target on a closed path, an autonomous controller that loses it, and the vehicle flown."""
+"""
+The task of the UAV testbeds: a target on a closed path, an autonomous controller that loses it, and
+the vehicle flown.
+"""
 
 from dataclasses import dataclass
 
@@ -14,8 +17,9 @@ def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
     """
     Return the UAV of (A.1) under a low-level velocity controller, as Section 3.6 assumes one.
 
-    State feedback u = (ω² r − (ω² − d_0) v − (2ω − d_1) dv/dt)/gain puts both poles at −ω, and at −ω for order one. The
-    printed PD controller of Appendix A does not stabilise (A.1) by itself on x and y.
+    State feedback u = (ω² r − (ω² − d_0) v − (2ω − d_1) dv/dt)/gain puts both poles at −ω, and at
+    −ω for order one. The printed PD controller of Appendix A does not stabilise (A.1) by itself on
+    x and y.
 
     Parameters
     ----------
@@ -29,7 +33,9 @@ def tracking_vehicle(bandwidth: float = 4.0) -> tuple[TransferFunction, ...]:
     """
     omega = between("bandwidth", positive("bandwidth", bandwidth), 0.0, 1e3)
     return tuple(
-        TransferFunction(omega, (omega,)) if model.order == 1 else TransferFunction(omega**2, (2.0 * omega, omega**2))
+        TransferFunction(omega, (omega,))
+        if model.order == 1
+        else TransferFunction(omega**2, (2.0 * omega, omega**2))
         for model in PRINTED_UAV.values()
     )
 
@@ -46,7 +52,8 @@ class TrackingTask:
     speed : float
         Mean speed of the target [m/s].
     failure_every, failure_length : float
-        Mean time between losses of the target by the autonomous controller, and how long one lasts [s]; exponential.
+        Mean time between losses of the target by the autonomous controller, and how long one lasts
+        [s]; exponential.
     camera_delay : float
         How late pictures arrive at the operator and the controller [s].
     proportional, integral, derivative : float
@@ -54,9 +61,9 @@ class TrackingTask:
     reach : float
         Its largest command [m/s].
     view : float
-        Half the width of the camera's picture [m], which shows operator and controller the target from above; without bound
-        when not given (10⁶ m). A target that leaves it is lost until it is back: the operator looks where it was last seen, the controller
-        hovers.
+        Half the width of the camera's picture [m], which shows operator and controller the target
+        from above; without bound when not given (10⁶ m). A target that leaves it is lost until it
+        is back: the operator looks where it was last seen, the controller hovers.
 
     Raises
     ------
@@ -101,12 +108,16 @@ class TrackingTask:
             T [s].
         """
         late = max(round(self.camera_delay / sample_time), 1)
-        gains = {name: getattr(self, name) for name in ("proportional", "integral", "derivative", "reach")}
+        gains = {
+            name: getattr(self, name)
+            for name in ("proportional", "integral", "derivative", "reach")
+        }
         return filled(AUTONOMY, **gains, picture=self.view, delay=late)
 
     def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return where the UAV should be and how fast that moves: a figure of eight at a height above the floor.
+        Return where the UAV should be and how fast that moves: a figure of eight at a height above
+        the floor.
 
         Parameters
         ----------
@@ -122,13 +133,19 @@ class TrackingTask:
         position, velocity : numpy.ndarray, shape (N, 3)
             In m and m/s.
         """
-        rate = self.speed / np.sqrt(0.5 * self.size_x**2 + 2.0 * self.size_y**2)  # root mean square speed
+        rate = self.speed / np.sqrt(
+            0.5 * self.size_x**2 + 2.0 * self.size_y**2
+        )  # root mean square speed
         turn = rate * t + phase
         position = np.column_stack(
             [self.size_x * np.sin(turn), self.size_y * np.sin(2 * turn), np.full(t.size, height)]
         )
         velocity = np.column_stack(
-            [self.size_x * rate * np.cos(turn), 2 * self.size_y * rate * np.cos(2 * turn), np.zeros(t.size)]
+            [
+                self.size_x * rate * np.cos(turn),
+                2 * self.size_y * rate * np.cos(2 * turn),
+                np.zeros(t.size),
+            ]
         )
         return position, velocity
 

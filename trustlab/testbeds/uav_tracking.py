@@ -1,4 +1,7 @@
-"""A UAV that follows a ground robot through a teleoperation loop: a simulated stand-in for Figs. 3.12 and 3.15."""
+"""
+A UAV that follows a ground robot through a teleoperation loop: a simulated stand-in for Figs. 3.12
+and 3.15.
+"""
 
 import sys
 from collections.abc import Callable
@@ -8,7 +11,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import between, finite_array, finite_number, not_negative, of_class, one_of, spawned
+from trustlab.models.checks import (
+    between,
+    finite_array,
+    finite_number,
+    not_negative,
+    of_class,
+    one_of,
+    spawned,
+)
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
 from trustlab.teleoperation.channel import lost_waves
@@ -18,7 +29,12 @@ from trustlab.teleoperation.loop import guidance as ways, kernel, setup
 from trustlab.teleoperation.loop.defaults import DEFAULTS, LAWS
 from trustlab.teleoperation.loop.parts import View, part_of
 from trustlab.teleoperation.loop.schemes import Scheme, optimal, scheme_named
-from trustlab.teleoperation.loop.settings import DivergenceError, LoopSettings, PartError, study_named
+from trustlab.teleoperation.loop.settings import (
+    DivergenceError,
+    LoopSettings,
+    PartError,
+    study_named,
+)
 from trustlab.teleoperation.loop.state import COLUMNS, HISTORY, INPUT, LOG, PORTS
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.ports.passivity import METHODS
@@ -26,7 +42,8 @@ from trustlab.teleoperation.records import log_of, signal
 from trustlab.testbeds.tracking_task import DELAYS, TASKS, TrackingTask, tracking_vehicle
 
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
-# How far ahead a loop that is stepped draws what comes from outside [s]; twice as far each time that it runs out.
+# How far ahead a loop that is stepped draws what comes from outside [s]; twice as far each time
+# that it runs out.
 BLOCK = 60.0
 
 
@@ -40,13 +57,14 @@ class TeleoperationLoop:
     scheme : {"M", "MI", "MMI", "TMIG", "TMIS", "OMI"} or Scheme
         Who sets the scales.
     operator : Teleoperator or callable, optional
-        Who holds the device; an average one when not given. A function is the law of an average one: see
-        `Teleoperator.law`.
+        Who holds the device; an average one when not given. A function is the law of an average
+        one: see `Teleoperator.law`.
     study : {"preliminary", "main"} or LoopSettings
-        Printed settings, or own ones. Task, delays and reach of the operator are those of the study that
-        `LoopSettings.study` names, where they are not given.
+        Printed settings, or own ones. Task, delays and reach of the operator are those of the study
+        that `LoopSettings.study` names, where they are not given.
     seed : int or numpy.random.SeedSequence
-        Streams for the path's start, losses of the target, motor noise and delays are spawned from it.
+        Streams for the path's start, losses of the target, motor noise and delays are spawned from
+        it.
     sample_time : float
         T [s]; 0.01 as printed.
     task : TrackingTask, optional
@@ -54,35 +72,42 @@ class TeleoperationLoop:
     delay : float, callable or Delay, optional
         Delay both ways [s], in place of `delay_1` and `delay_2`.
     delay_1, delay_2 : float, callable or Delay, optional
-        Delay to the robot and back [s]; random walks of the study when not given. Both zero: no channel in between.
-        A pair (sent, received) of times is a trace of packets, see `packet_delay`.
+        Delay to the robot and back [s]; random walks of the study when not given. Both zero: no
+        channel in between. A pair (sent, received) of times is a trace of packets, see
+        `packet_delay`.
     read_out : {"ledger", "interpolated", "hold"}
         How delayed waves are read, see `channel_run`.
     guidance : {"at_operator", "through_channel", "tank", "two_port"}
-        How the guiding force reaches the operator. "at_operator": β times the force is rendered at the haptic device, from
-        the camera's picture; it spends energy that the operator's port has earned, and the robot does what the operator
-        commands. "through_channel": as printed, the force is at the robot's port, (3.17)-(3.22). "tank": likewise, as far as a
-        tank of energy at the robot's port pays for it (Franken et al.). "two_port": no waves; velocity and force are
-        sent as they are, both ports are kept passive in the time domain, and drift is made up for (Artigas et al.).
+        How the guiding force reaches the operator. "at_operator": β times the force is rendered at
+        the haptic device, from the camera's picture; it spends energy that the operator's port has
+        earned, and the robot does what the operator commands. "through_channel": as printed, the
+        force is at the robot's port, (3.17)-(3.22). "tank": likewise, as far as a tank of energy at
+        the robot's port pays for it (Franken et al.). "two_port": no waves; velocity and force are
+        sent as they are, both ports are kept passive in the time domain, and drift is made up for
+        (Artigas et al.).
     guard : {"repay", "cancel", "off"}
-        The passivity controllers of the guidance: "repay" lets no port end a sample below zero; "cancel", as printed, undershoots
-        by at most one sample's power at a time; "off" shows what they are for.
+        The passivity controllers of the guidance: "repay" lets no port end a sample below zero;
+        "cancel", as printed, undershoots by at most one sample's power at a time; "off" shows what
+        they are for.
     tank : float
         Energy in the tank at the start [J]; for `guidance="tank"`.
     trust : callable, optional
-        f(state) → (T_hr, T_rh) a sample later; (3.2) and (3.3) when not given. Like every function here, it may take 16
-        numbers of its own as a second argument, and is compiled where numba can, else called in Python.
+        f(state) → (T_hr, T_rh) a sample later; (3.2) and (3.3) when not given. Like every function
+        here, it may take 16 numbers of its own as a second argument, and is compiled where numba
+        can, else called in Python.
     feedback : callable, optional
         f(state) → guiding force [N], shape (3,); −k_ffa e when not given, e being `state.stretch`.
     autonomy : callable, optional
-        f(state) → u_a [m/s], shape (3,); the task's PID controller on `state.picture` when not given.
+        f(state) → u_a [m/s], shape (3,); the task's PID controller on `state.picture` when not
+        given.
     vehicle : three TransferFunction, callable or (A, B, C), optional
-        Command to velocity per axis; `tracking_vehicle()` when not given. Or f(state) → position [m] and velocity [m/s] a sample
-        later, shape (3,) each, under `state.command`. Or the matrices of a discrete state space, x' = A x + B u and (position,
-        velocity) = C x', with x = 0 where it starts.
+        Command to velocity per axis; `tracking_vehicle()` when not given. Or f(state) → position
+        [m] and velocity [m/s] a sample later, shape (3,) each, under `state.command`. Or the
+        matrices of a discrete state space, x' = A x + B u and (position, velocity) = C x', with x =
+        0 where it starts.
     alpha : array_like, shape (N,), optional
-        α given from outside; NaN where the scheme sets it. Scheme OMI sets it by `OptimalBlending` for the vehicle in use
-        and the PD part of its controller.
+        α given from outside; NaN where the scheme sets it. Scheme OMI sets it by `OptimalBlending`
+        for the vehicle in use and the PD part of its controller.
     push : array_like, shape (N, 3), optional
         Force [N] added to the hand's.
     lost : array_like of bool, shape (2, N), optional
@@ -102,9 +127,10 @@ class TeleoperationLoop:
 
     Notes
     -----
-    H. Saeidi, Chapter 3. M. Franken, S. Stramigioli, S. Misra, C. Secchi, A. Macchelli, Bilateral telemanipulation with time
-    delays: a two-layer approach combining passivity and transparency, IEEE Trans. Robotics 27(4), 2011. J. Artigas, J.-H. Ryu,
-    C. Preusche, Position drift compensation in time domain passivity based teleoperation, IROS 2010.
+    H. Saeidi, Chapter 3. M. Franken, S. Stramigioli, S. Misra, C. Secchi, A. Macchelli, Bilateral
+    telemanipulation with time delays: a two-layer approach combining passivity and transparency,
+    IEEE Trans. Robotics 27(4), 2011. J. Artigas, J.-H. Ryu, C. Preusche, Position drift
+    compensation in time domain passivity based teleoperation, IROS 2010.
 
     Examples
     --------
@@ -145,7 +171,9 @@ class TeleoperationLoop:
         if callable(person):
             person = Teleoperator(reach=REACH[study], law=person)
         self._person = of_class("operator", person, Teleoperator)
-        self._task = of_class("task", TASKS[study] if self.task is None else self.task, TrackingTask)
+        self._task = of_class(
+            "task", TASKS[study] if self.task is None else self.task, TrackingTask
+        )
         one_of("read_out", self.read_out, READ_OUTS)
         one_of("guard", self.guard, METHODS)
         one_of("guidance", self.guidance, ways.GUIDANCE)
@@ -155,7 +183,10 @@ class TeleoperationLoop:
             raise ValueError("delay is the delay both ways: give it, or delay_1 and delay_2")
         self._seeds = spawned(self.seed, 5)
         self._failure: PartError | DivergenceError | None = None
-        self._states, self._accounts = setup.state_of(settings, T), np.concatenate([accounts(), accounts()])
+        self._states, self._accounts = (
+            setup.state_of(settings, T),
+            np.concatenate([accounts(), accounts()]),
+        )
         self.state = View(self._states)
         self._row = self._states.view(np.uint8)[: LOG.itemsize].view(float)
         hand = self._person.numbers(T, self._task.camera_delay)
@@ -173,14 +204,22 @@ class TeleoperationLoop:
             one["vehicle"] = setup.vehicle_matrices(axes, self.sample_time)[0]
         if self._scheme.shares is optimal:
             if not axes:
-                raise ValueError("scheme OMI predicts with three TransferFunction: give the vehicle as these")
+                raise ValueError(
+                    "scheme OMI predicts with three TransferFunction: give the vehicle as these"
+                )
             ends, task = self._settings.scattering, self._task
             gains = (task.proportional, task.derivative)
             one["blend"] = setup.blending_cost(axes, gains, ends.alpha_min, ends.alpha_max)
-        one["guard"], one["read_out"], one["tank"] = METHODS[self.guard], READ_OUTS[self.read_out], self.tank
+        one["guard"] = METHODS[self.guard]
+        one["read_out"] = READ_OUTS[self.read_out]
+        one["tank"] = self.tank
         own = {"trust": self.trust, "feedback": self.feedback, "autonomy": self.autonomy}
         law = self._person.law
-        wanted = {"scheme": self._scheme.shares, "vehicle": vehicle, "operator": law if callable(law) else LAWS[law]}
+        wanted = {
+            "scheme": self._scheme.shares,
+            "vehicle": vehicle,
+            "operator": law if callable(law) else LAWS[law],
+        }
         wanted |= {port: DEFAULTS[port] if part is None else part for port, part in own.items()}
         self._parts = {port: part_of(port, wanted[port], self.state) for port in PORTS}
         self.ways = {port: part.way for port, part in self._parts.items()}
@@ -200,13 +239,14 @@ class TeleoperationLoop:
         Parameters
         ----------
         hand : array_like, shape (3,), optional
-            Where a recorded or live hand wants the device to be [m]; the operator's law decides when not given.
+            Where a recorded or live hand wants the device to be [m]; the operator's law decides
+            when not given.
 
         Returns
         -------
         View
-            `state`, the same object in every step: everything that a run logs, by name, and what its parts keep.
-            `state.copy()` stays as it is.
+            `state`, the same object in every step: everything that a run logs, by name, and what
+            its parts keep. `state.copy()` stays as it is.
 
         Raises
         ------
@@ -247,7 +287,9 @@ class TeleoperationLoop:
         """
         count = samples(duration, self.sample_time)
         if count < self._done:
-            raise ValueError(f"the loop is at t = {self.t:g} s already, beyond {duration:g} s; make a new one")
+            raise ValueError(
+                f"the loop is at t = {self.t:g} s already, beyond {duration:g} s; make a new one"
+            )
         if count > len(self._log):
             self._reserve(count)
         self._advance(count)
@@ -258,22 +300,48 @@ class TeleoperationLoop:
         """The run so far: every signal and every port's energy, labelled synthetic."""
         t = np.round(self.sample_time * np.arange(self._done), 9)
         log, table = self._table[: self._done], np.empty((self._done, len(COLUMNS)), order="F")
-        for first in range(0, self._done, 512):  # rows become columns a stretch at a time, which the cache holds
+        for first in range(
+            0, self._done, 512
+        ):  # rows become columns a stretch at a time, which the cache holds
             table[first : first + 512] = log[first : first + 512]
         data = pd.DataFrame(table, index=pd.Index(t, name="t"), columns=COLUMNS, copy=False)
-        facts: dict[str, object] = {"study": self._settings.title, "scheme": self._scheme.title, "seed": str(self.seed)}
-        facts |= {"read_out": self.read_out, "guard": self.guard, "guidance": self.guidance, "tank": self.tank}
-        own = [f"{port} {way.split(':')[0]}" for port, way in self.ways.items() if way != "built-in"]
+        facts: dict[str, object] = {
+            "study": self._settings.title,
+            "scheme": self._scheme.title,
+            "seed": str(self.seed),
+        }
+        facts |= {
+            "read_out": self.read_out,
+            "guard": self.guard,
+            "guidance": self.guidance,
+            "tank": self.tank,
+        }
+        own = [
+            f"{port} {way.split(':')[0]}" for port, way in self.ways.items() if way != "built-in"
+        ]
         facts |= {"parts": ", ".join(own) or "built-in", "note": NOTE}
-        return keep_table(data, Metadata(self._person.participant, self._scheme.name, __name__, True, facts))
+        return keep_table(
+            data, Metadata(self._person.participant, self._scheme.name, __name__, True, facts)
+        )
 
     def _advance(self, stop: int) -> None:
         """Do the samples before `stop`."""
         if self._failure is None:
             self._done, end = kernel.advance(
-                self._done, stop, self._setups, self._states, self._row, self._inputs, self._delays, self._arrives,
-                self._accounts, self._history, self._sent, self._log, self._table,
-            )  # fmt: skip
+                self._done,
+                stop,
+                self._setups,
+                self._states,
+                self._row,
+                self._inputs,
+                self._delays,
+                self._arrives,
+                self._accounts,
+                self._history,
+                self._sent,
+                self._log,
+                self._table,
+            )
             if end == kernel.DONE:
                 return
             self._failure = self._failed(end)
@@ -282,13 +350,15 @@ class TeleoperationLoop:
 
     def _failed(self, end: int) -> PartError | DivergenceError:
         """Return the error of a run that ended before its time."""
-        block, t, state = kernel.BLOCKS[end], self.state.t, self.state
+        block = kernel.BLOCKS[end]
+        t = self.state.t
+        state = self.state
         if block not in self._parts:
             energies = {"haptic device": "device", "channel": "channel", "robot": "robot"}
             return DivergenceError(
                 f"scheme {self._scheme.name} diverged at t = {t:g} s in the {block} (its energy: "
-                f"{state[f'energy_{energies[block]}']:.3g} J); lower k_ffa, the hand's gains or the sample time, or see which "
-                "guard is off"
+                f"{state[f'energy_{energies[block]}']:.3g} J); lower k_ffa, the hand's gains or "
+                "the sample time, or see which guard is off"
             )
         cause = self._parts[block].raised() if state.raised else None
         if cause is not None and not isinstance(cause, Exception):
@@ -298,38 +368,57 @@ class TeleoperationLoop:
             found = " and ".join(f"{name} = {np.round(state[name], 6)}" for name in PORTS[block])
             what = f"returned {found}; finite numbers are wanted"
         if block == "scheme":
-            bounds = (f"{n} in [{state[f'{n}_min']:g}, {state[f'{n}_max']:g}]" for n in PORTS[block])
+            bounds = (
+                f"{n} in [{state[f'{n}_min']:g}, {state[f'{n}_max']:g}]" for n in PORTS[block]
+            )
             what += f"; {' and '.join(bounds)}, for which the channel's ends are set (3.1)"
         error = PartError(
-            f"the {block} of this loop {what}, at t = {t:g} s; the run so far is in .session of this error"
+            f"the {block} of this loop {what}, at t = {t:g} s; the run so far is in .session of "
+            "this error"
         )
         error.__cause__ = cause
         return error
 
     def _reserve(self, count: int, stepped: bool = False) -> None:
-        """Draw what comes from outside for `count` samples, and make room for the log; a stepped loop takes fewer where it must."""
+        """
+        Draw what comes from outside for `count` samples, and make room for the log; a stepped loop
+        takes fewer where it must.
+        """
         if stepped:
             arrays = any(one is not None for one in (self.alpha, self.push, self.lost))
             # arrays are as long as the run that they are meant for
             count = self._most() if arrays else min(count, self._most())
             if count <= self._done:
                 raise ValueError(
-                    f"alpha, push, lost or a recorded delay ends at t = {self.t:g} s: the loop cannot go beyond"
+                    f"alpha, push, lost or a recorded delay ends at t = {self.t:g} s: the loop "
+                    "cannot go beyond"
                 )
-        inputs = _inputs(self._settings, self._task, self._person, count, self.sample_time, self._seeds)
+        inputs = _inputs(
+            self._settings, self._task, self._person, count, self.sample_time, self._seeds
+        )
         inputs["alpha"] = shares = _shares(self.alpha, count)
         ends = self._settings.scattering
         ends.check_scales(shares[np.isfinite(shares)], np.array(ends.beta_max))
-        inputs["pushed"] = signal("push", np.zeros((count, 3)) if self.push is None else self.push, count, 3)
+        inputs["pushed"] = signal(
+            "push", np.zeros((count, 3)) if self.push is None else self.push, count, 3
+        )
         both = (self.delay_1, self.delay_2) if self.delay is None else (self.delay, self.delay)
-        delays = _delays(self._settings, both, self.read_out, count, self.sample_time, self._seeds[3:])
+        delays = _delays(
+            self._settings, both, self.read_out, count, self.sample_time, self._seeds[3:]
+        )
         self._arrives = lost_waves(self.lost, count)
         self._inputs, self._delays = inputs, delays
         table, log = log_of(LOG, count)
         table[: self._done] = self._table[: self._done]
         history, sent = np.zeros(count, HISTORY), np.zeros((2, count, 3))
-        history[: self._done], sent[:, : self._done] = self._history[: self._done], self._sent[:, : self._done]
-        self._table, self._log, self._history, self._sent = table, log, history, sent
+        history[: self._done], sent[:, : self._done] = (
+            self._history[: self._done],
+            self._sent[:, : self._done],
+        )
+        self._table = table
+        self._log = log
+        self._history = history
+        self._sent = sent
         carried = ways.PACKETS if self.guidance == "two_port" else ways.WAVES
         if not self._scheme.bilateral:
             carried = ways.SIGNALS
@@ -340,8 +429,16 @@ class TeleoperationLoop:
     def _most(self) -> int:
         """Return how many samples the arguments that are arrays or traces allow."""
         lengths = [*np.shape(self.alpha)[:1], *np.shape(self.push)[:1], *np.shape(self.lost)[1:2]]
-        traces = [one.end for one in (self.delay, self.delay_1, self.delay_2) if isinstance(one, Delay)]
-        return min([*lengths, *(int(end / self.sample_time) + 1 for end in traces if np.isfinite(end)), sys.maxsize])
+        traces = [
+            one.end for one in (self.delay, self.delay_1, self.delay_2) if isinstance(one, Delay)
+        ]
+        return min(
+            [
+                *lengths,
+                *(int(end / self.sample_time) + 1 for end in traces if np.isfinite(end)),
+                sys.maxsize,
+            ]
+        )
 
 
 def simulate_teleoperation(
@@ -362,32 +459,36 @@ def simulate_teleoperation(
     duration : float
         Length [s].
     **others : as of `TeleoperationLoop`
-        sample_time, task, delay, delay_1, delay_2, read_out, guidance, guard and tank; alpha, push and lost, signals that are
-        given; vehicle, trust, feedback and autonomy, parts of the loop that replace its own.
+        sample_time, task, delay, delay_1, delay_2, read_out, guidance, guard and tank; alpha, push
+        and lost, signals that are given; vehicle, trust, feedback and autonomy, parts of the loop
+        that replace its own.
 
     Returns
     -------
     Session
-        Every signal and every port's energy; column `alpha` is α, `trust_hr` and `trust_rh` are in units of their trust
-        models, `guide` is the guiding force at the haptic device where it is rendered there. Labelled synthetic.
+        Every signal and every port's energy; column `alpha` is α, `trust_hr` and `trust_rh` are in
+        units of their trust models, `guide` is the guiding force at the haptic device where it is
+        rendered there. Labelled synthetic.
 
     Raises
     ------
     ValueError
         If an argument is not understood, before anything runs.
     PartError
-        If a part of one's own raises an error or returns what cannot be: part and time are named, and `.session` of the
-        error is the run so far.
+        If a part of one's own raises an error or returns what cannot be: part and time are named,
+        and `.session` of the error is the run so far.
     DivergenceError
         If the run grows without bound: the time, the block and its energy are named; likewise.
 
     Notes
     -----
-    Printed is guidance="through_channel" with guard="cancel". There the guiding force −k_ffa e stands at the robot's port, whose
-    velocity yields to any force by 1/b: the force drives the robot to its target, with nobody at the device as well
-    (guard="off"). Its energy comes from the moving target (`energy_target`), a port that the passivity controller does not
-    observe; what the controller books as given away by the robot's port, and stops, is mostly this hidden autopilot. So with
-    the guard off a comparison of M and TMIG compares autopilots, and with it the operator feels almost nothing.
+    Printed is guidance="through_channel" with guard="cancel". There the guiding force −k_ffa e
+    stands at the robot's port, whose velocity yields to any force by 1/b: the force drives the
+    robot to its target, with nobody at the device as well (guard="off"). Its energy comes from the
+    moving target (`energy_target`), a port that the passivity controller does not observe; what the
+    controller books as given away by the robot's port, and stops, is mostly this hidden autopilot.
+    So with the guard off a comparison of M and TMIG compares autopilots, and with it the operator
+    feels almost nothing.
 
     Examples
     --------
@@ -404,19 +505,25 @@ def samples(duration: float, sample_time: float) -> int:
     duration = finite_number("duration", duration)
     if not 10.0 * sample_time <= duration <= min(1e5, 5e6 * sample_time):
         raise ValueError(
-            f"duration must be ten to five million samples of {sample_time:g} s and at most 1e5 s, got {duration}"
+            f"duration must be ten to five million samples of {sample_time:g} s and at most 1e5 "
+            f"s, got {duration}"
         )
     return round(duration / sample_time)
 
 
 def _inputs(settings, task, operator, count, sample_time, seeds) -> np.ndarray:
-    """Return what is drawn from the seeds, records of INPUT; a longer draw begins with the shorter one."""
+    """
+    Return what is drawn from the seeds, records of INPUT; a longer draw begins with the shorter
+    one.
+    """
     start, losses, noise = (np.random.default_rng(child) for child in seeds[:3])
     t, inputs = sample_time * np.arange(count), np.empty(count, INPUT)
     phase = start.uniform(0.0, 2.0 * np.pi)
     position, velocity = task.path(t, settings.height, phase)
     inputs["reference"], inputs["reference_velocity"] = position, velocity
-    ahead = task.path(t + operator.preview, settings.height, phase)[0] if operator.preview else position
+    ahead = (
+        task.path(t + operator.preview, settings.height, phase)[0] if operator.preview else position
+    )
     inputs["ahead"] = ahead - position
     inputs["detected"] = _losses(task, count, sample_time, losses)
     inputs["motor"] = _coloured(count, operator.noise_time, sample_time, noise)
@@ -426,7 +533,9 @@ def _inputs(settings, task, operator, count, sample_time, seeds) -> np.ndarray:
 
 def _losses(task: TrackingTask, count: int, sample_time: float, rng) -> np.ndarray:
     """Return whether the autonomous controller sees its target, per sample."""
-    detected, k, sees = np.ones(count, bool), 0, True
+    detected = np.ones(count, bool)
+    k = 0
+    sees = True
     while k < count:
         length = rng.exponential(task.failure_every if sees else task.failure_length)
         until = k + max(round(length / sample_time), 1)
@@ -464,5 +573,7 @@ def _shares(alpha, count: int) -> np.ndarray:
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"alpha must be an array of numbers, got {type(alpha).__name__}") from None
     if array.shape != (count,):
-        raise ValueError(f"alpha must have shape ({count},), one number per sample, got {array.shape}")
+        raise ValueError(
+            f"alpha must have shape ({count},), one number per sample, got {array.shape}"
+        )
     return array

@@ -15,7 +15,10 @@ SHORT = {"laps": 1, "training": 10.0, "identification": [(1, 20.0), (0, 20.0)]}
 
 
 def ask(url, body=None, *, method=None, host=None, path=None, **headers):
-    """One request, as a page of the study would send it but for what is given; returns status, headers and JSON or bytes."""
+    """
+    One request, as a page of the study would send it but for what is given; returns status, headers
+    and JSON or bytes.
+    """
     place = urlsplit(url)
     link = http.client.HTTPConnection(place.hostname, place.port, timeout=60)
     own = {"Host": host or place.netloc}
@@ -24,7 +27,9 @@ def ask(url, body=None, *, method=None, host=None, path=None, **headers):
         data = body if isinstance(body, bytes) else json.dumps(body).encode()
         own |= {"Content-Type": "application/json", "Origin": f"http://{place.netloc}"}
     own |= {name.replace("_", "-"): value for name, value in headers.items()}
-    link.putrequest(method or ("GET" if body is None else "POST"), path or place.path, skip_host=True)
+    link.putrequest(
+        method or ("GET" if body is None else "POST"), path or place.path, skip_host=True
+    )
     for name, value in own.items():
         if value is not None:
             link.putheader(name, value)
@@ -40,7 +45,9 @@ def ask(url, body=None, *, method=None, host=None, path=None, **headers):
         link.close()
     kind = answer.headers.get("Content-Type", "")
     found = json.loads(content) if "json" in kind and content else {}
-    return SimpleNamespace(status=answer.status, headers=answer.headers, content=content, json=found)
+    return SimpleNamespace(
+        status=answer.status, headers=answer.headers, content=content, json=found
+    )
 
 
 @pytest.fixture(scope="session")
@@ -56,7 +63,10 @@ def make_plan(tmp_path):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             return tl.LiveStudy(
-                tmp_path / name, list(conditions), participants, **{"whole_squares": False, **SHORT, **options}
+                tmp_path / name,
+                list(conditions),
+                participants,
+                **{"whole_squares": False, **SHORT, **options},
             )
 
     return make

@@ -1,6 +1,9 @@
-"""A whole study in Chromium, and what people and machines do to it: tabs close, networks and servers go away, browsers die.
+"""
+A whole study in Chromium, and what people and machines do to it: tabs close, networks and servers
+go away, browsers die.
 
-Oracle: the rows that the page says it has made, against the files on the disk. Scripted hands drive; nobody takes part.
+Oracle: the rows that the page says it has made, against the files on the disk. Scripted hands
+drive; nobody takes part.
 """
 
 import json
@@ -37,7 +40,10 @@ def opened(context, url):
     page = context.new_page()
     page.faults = []
     page.on("pageerror", lambda error: page.faults.append(str(error)))
-    page.on("console", lambda said: page.faults.append(said.text) if "Content Security" in said.text else None)
+    page.on(
+        "console",
+        lambda said: page.faults.append(said.text) if "Content Security" in said.text else None,
+    )
     page.goto(url)
     return page
 
@@ -56,7 +62,9 @@ def until(page, script, seconds=60):
 def next_page(page, after=-1):
     """Wait for a page of the study after that one; return its number and kind."""
     until(
-        page, f"self.study && self.study.page !== null && self.study.page > {after} && !!document.querySelector('h2')"
+        page,
+        f"self.study && self.study.page !== null && self.study.page > {after} && "
+        "!!document.querySelector('h2')",
     )
     return page.evaluate("[self.study.page, self.study.kind]")
 
@@ -96,7 +104,8 @@ def wait_for_rows(folder, at_least, seconds=20):
     return on_disk(folder)
 
 
-# the whole study -----------------------------------------------------------------------------------------------------------
+# the whole study
+# --------------------------------------------------------------------------------------------------
 
 
 def test_three_people_at_once_from_consent_to_report(make_plan, browser):
@@ -131,9 +140,15 @@ def test_three_people_at_once_from_consent_to_report(make_plan, browser):
     assert measures["verified"].all()
     assert measures["synthetic"].all()
     assert study.exclusions().empty
-    orders = measures.sort_values(["participant", "position"]).groupby("participant")["condition"].agg(list)
+    orders = (
+        measures.sort_values(["participant", "position"])
+        .groupby("participant")["condition"]
+        .agg(list)
+    )
     assert orders.to_dict() == plan.orders
-    assert measures[["tlx_raw", "trust_mean", "satisfaction_mean", "p_r", "p_h"]].notna().all().all()
+    assert (
+        measures[["tlx_raw", "trust_mean", "satisfaction_mean", "p_r", "p_h"]].notna().all().all()
+    )
     answers = study.answers()
     assert len(answers) == 3 * (1 + 2 * (6 + 12 + 4))
     assert answers["text"].str.contains("<script>").sum() == 6
@@ -153,7 +168,13 @@ def check_report(study, browser):
     assert [url for url in fetched if not url.startswith(("data:", path.as_uri()))] == []
     assert "scripted hands, no person took part" in words
     assert "0 deleted" in words
-    for heading in ("Who took part", "Measures by condition", "Questionnaires", "Order effects", "What people wrote"):
+    for heading in (
+        "Who took part",
+        "Measures by condition",
+        "Questionnaires",
+        "Order effects",
+        "What people wrote",
+    ):
         assert heading in words
     assert re.search(r"p_r by condition.*3 subjects × 2 conditions", words), words[1000:2500]
     assert str(study.plan.folder.parent) not in path.read_text()
@@ -171,10 +192,13 @@ def test_a_drive_of_sixty_seconds_in_real_time_is_verified(make_plan, browser):
     assert [event["verified"] for event in events if event.get("name") == "training"] == [True]
     commands = tl.read_session(plan.folder / "P01" / "01-training.0.csv")["v_command"]
     assert commands.max() > 0.0
-    assert (commands == commands.max()).sum() > 500  # the key was down, but for the ramp and where the page slept
+    assert (
+        commands == commands.max()
+    ).sum() > 500  # the key was down, but for the ramp and where the page slept
 
 
-# what goes wrong -----------------------------------------------------------------------------------------------------------
+# what goes wrong
+# --------------------------------------------------------------------------------------------------
 
 
 def test_a_closed_tab_loses_nothing_and_another_browser_goes_on(served, browser):
@@ -193,7 +217,9 @@ def test_a_closed_tab_loses_nothing_and_another_browser_goes_on(served, browser)
     already = on_disk(folder)
     until(other, f"self.study.rows > {already + 5}")
     assert wait_for_rows(folder, already + 5) > already
-    starts = [e["rows"] for e in served.server.course("P01").participant.events if e["kind"] == "begin"]
+    starts = [
+        e["rows"] for e in served.server.course("P01").participant.events if e["kind"] == "begin"
+    ]
     assert starts[0] == 0
     assert starts[1] >= made
 
@@ -226,7 +252,9 @@ def server_killed(make_plan, browser, seconds):
     plan = make_plan(training=60.0)
     server = Server(plan.folder)
     server.start()
-    page = driving(browser.new_context(), f"http://127.0.0.1:{server.port}/p/{read_tokens(plan.folder)['P01']}")
+    page = driving(
+        browser.new_context(), f"http://127.0.0.1:{server.port}/p/{read_tokens(plan.folder)['P01']}"
+    )
     server.kill()
     plant_torn_line(plan.folder / "P01" / "01-training.0.jsonl", random.Random(1))
     time.sleep(seconds)
@@ -249,7 +277,10 @@ def test_a_server_killed_for_fifteen_seconds_loses_nothing(make_plan, browser):
 
 
 def browser_killed(make_plan, chromium, tmp_path, seconds):
-    """The server is away, and then the browser is killed with −9: return how many rows are gone for good."""
+    """
+    The server is away, and then the browser is killed with −9: return how many rows are gone for
+    good.
+    """
     plan = make_plan(training=60.0)
     server, profile = Server(plan.folder), tmp_path / "profile"
     url = f"http://127.0.0.1:{server.port}/p/{read_tokens(plan.folder)['P01']}"
@@ -259,7 +290,9 @@ def browser_killed(make_plan, chromium, tmp_path, seconds):
     server.kill()
     time.sleep(seconds)
     made = page.evaluate("self.study.rows")
-    mine = subprocess.run(["pgrep", "-f", f"user-data-dir={profile}"], capture_output=True, text=True).stdout.split()
+    mine = subprocess.run(
+        ["pgrep", "-f", f"user-data-dir={profile}"], capture_output=True, text=True
+    ).stdout.split()
     assert mine
     subprocess.run(["kill", f"-{signal.SIGKILL.value}", *mine])
     with suppress(Error):  # closing may find that the browser is gone
@@ -282,7 +315,9 @@ def test_a_browser_killed_after_an_outage_loses_at_most_ten_rows(make_plan, chro
 
 
 @pytest.mark.long
-def test_a_browser_killed_after_eight_seconds_of_outage_loses_at_most_ten_rows(make_plan, chromium, tmp_path):
+def test_a_browser_killed_after_eight_seconds_of_outage_loses_at_most_ten_rows(
+    make_plan, chromium, tmp_path
+):
     assert browser_killed(make_plan, chromium, tmp_path, 8.0) <= 10
 
 
@@ -316,5 +351,9 @@ def test_the_pages_can_be_used_by_keyboard_and_screen_reader(served, browser):
         page.reload()
         next_page(page)
         found = axe.run(page, options={"rules": {"landmark-one-main": {"enabled": True}}})
-        serious = [one["id"] for one in found.response["violations"] if one["impact"] in ("serious", "critical")]
+        serious = [
+            one["id"]
+            for one in found.response["violations"]
+            if one["impact"] in ("serious", "critical")
+        ]
         assert serious == [], (name, serious)

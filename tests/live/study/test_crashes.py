@@ -1,4 +1,6 @@
-"""The server is killed with −9 at random moments and torn lines are planted: what was acknowledged is there, once and in order.
+"""
+The server is killed with −9 at random moments and torn lines are planted: what was acknowledged is
+there, once and in order.
 
 Oracle: the client's own list of the rows it sent and of the acknowledgements it got.
 """
@@ -31,7 +33,14 @@ class Server:
         self.folder, self.port = folder, free_port()
 
     def start(self):
-        command = [sys.executable, "-m", "trustlab.live.study", str(self.folder), "--port", str(self.port)]
+        command = [
+            sys.executable,
+            "-m",
+            "trustlab.live.study",
+            str(self.folder),
+            "--port",
+            str(self.port),
+        ]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert "experimenter's page" in self.process.stdout.readline()
 
@@ -42,19 +51,26 @@ class Server:
 
 
 def plant_torn_line(path, rng):
-    """Add the beginning of another line, as a machine that loses power in mid-write would leave it."""
+    """
+    Add the beginning of another line, as a machine that loses power in mid-write would leave it.
+    """
     line = json.dumps([999, *[rng.random()] * (WIDTH + 1)])
     with path.open("a") as file:
         file.write(line[: rng.randrange(1, len(line))])
 
 
 def kills(plan, client, count, seed):
-    """Send rows as a browser does while the server is killed and started again; return rows made and acknowledged."""
+    """
+    Send rows as a browser does while the server is killed and started again; return rows made and
+    acknowledged.
+    """
     rng, server = random.Random(seed), Server(plan.folder)
     url = f"http://127.0.0.1:{server.port}/p/{read_tokens(plan.folder)['P01']}"
     about = {"page": 1, "attempt": 0, "tab": "a"}
     path = plan.folder / "P01" / "01-training.0.jsonl"
-    made, acknowledged, killed = [], 0, 0
+    made = []
+    acknowledged = 0
+    killed = 0
     server.start()
     client(f"{url}/answers", {"page": 0, "answers": {"consent": True}})
     assert client(f"{url}/begin", {"page": 1, "tab": "a"}).status == 200
@@ -62,7 +78,9 @@ def kills(plan, client, count, seed):
     while killed < count or acknowledged < len(made):
         if killed < count:
             k = len(made)
-            made += [[j, 100.0 * j, *[rng.random()] * WIDTH] for j in range(k, k + rng.randrange(1, 8))]
+            made += [
+                [j, 100.0 * j, *[rng.random()] * WIDTH] for j in range(k, k + rng.randrange(1, 8))
+            ]
         if killed < count and time.monotonic() > until:
             server.process.send_signal(signal.SIGKILL)  # not waited for: a request may be under way
             answer = client(f"{url}/rows", about | {"rows": made[acknowledged:]})
@@ -88,7 +106,9 @@ def check(plan, client, count, seed):
     assert [json.loads(line) for line in lines] == made
     assert acknowledged == len(made)
     assert set(json.loads(header)) == {"condition", "source", "why", "config"}
-    events = [json.loads(line) for line in (plan.folder / "P01" / "events.jsonl").read_text().splitlines()]
+    events = [
+        json.loads(line) for line in (plan.folder / "P01" / "events.jsonl").read_text().splitlines()
+    ]
     torn = [event["file"] for event in events if event["kind"] == "torn"]
     assert torn.count("01-training.0.jsonl") >= count
     assert torn.count("events.jsonl") == count

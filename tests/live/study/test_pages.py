@@ -1,4 +1,7 @@
-"""Pages from TOML: their order, their words, and which answers are taken. Oracles: the printed scales, and lists written out."""
+"""
+Pages from TOML: their order, their words, and which answers are taken. Oracles: the printed scales,
+and lists written out.
+"""
 
 import re
 
@@ -58,27 +61,65 @@ def names(pages, order=("C2", "C1")):
 
 def test_the_course_of_a_participant():
     drive = ["drive", "nasa_tlx", "trust", "satisfaction"]
-    assert names(read_pages()) == ["consent", "training", "identification", *drive, "pause", *drive, "debriefing"]
+    assert names(read_pages()) == [
+        "consent",
+        "training",
+        "identification",
+        *drive,
+        "pause",
+        *drive,
+        "debriefing",
+    ]
     steps = steps_of(read_pages(), ["C2", "C1"])
-    assert [(s.condition, s.position) for s in steps if s.page.name == "drive"] == [("C2", 1), ("C1", 2)]
-    assert [s.page.title for s in steps if s.page.name == "drive"] == ["Drive 1 of 2", "Drive 2 of 2"]
-    assert [s.name for s in steps[:4]] == ["00-consent", "01-training", "02-identification", "03-drive"]
+    assert [(s.condition, s.position) for s in steps if s.page.name == "drive"] == [
+        ("C2", 1),
+        ("C1", 2),
+    ]
+    assert [s.page.title for s in steps if s.page.name == "drive"] == [
+        "Drive 1 of 2",
+        "Drive 2 of 2",
+    ]
+    assert [s.name for s in steps[:4]] == [
+        "00-consent",
+        "01-training",
+        "02-identification",
+        "03-drive",
+    ]
 
 
 def test_items_are_those_that_the_questionnaires_score():
     pages = {page.name: page for page in read_pages()}
-    scale = {name: [item.name for item in page.items if item.kind == "scale"] for name, page in pages.items()}
+    scale = {
+        name: [item.name for item in page.items if item.kind == "scale"]
+        for name, page in pages.items()
+    }
     assert scale["nasa_tlx"] == list(TLX_SCALES)
     assert scale["trust"] == list(TRUST_CHECKLIST.items)
     assert scale["satisfaction"] == list(SATISFACTION_ITEMS)
-    ends = {name: {(i.low, i.high, i.step) for i in page.items if i.kind == "scale"} for name, page in pages.items()}
-    assert (ends["nasa_tlx"], ends["trust"], ends["satisfaction"]) == ({(0, 100, 5)}, {(1, 7, 1)}, {(1, 7, 1)})
+    ends = {
+        name: {(i.low, i.high, i.step) for i in page.items if i.kind == "scale"}
+        for name, page in pages.items()
+    }
+    assert (ends["nasa_tlx"], ends["trust"], ends["satisfaction"]) == (
+        {(0, 100, 5)},
+        {(1, 7, 1)},
+        {(1, 7, 1)},
+    )
 
 
 def test_own_pages_stand_where_they_say(toml):
     pages = read_pages(toml(OWN))
     drive = ["drive", "ease", "nasa_tlx", "trust", "satisfaction"]
-    course = ["consent", "hours", "training", "identification", *drive, *drive, "last", "debriefing"]
+    course = [
+        "consent",
+        "hours",
+        "training",
+        "identification",
+        *drive,
+        *drive,
+        "last",
+        "debriefing",
+    ]
     assert names(pages) == course
     by_name = {page.name: page for page in pages}
     assert by_name["consent"].title == "Einverständnis"
@@ -103,9 +144,17 @@ def test_answers_that_a_page_takes(toml):
     assert pages["last"].check({"words": ""}) == {"words": ""}
     assert pages["last"].check({"words": "x" * 1000})
     refused = [
-        {"games": 0}, {"games": 6}, {"games": 2.5}, {"games": True}, {"games": "3"}, {"games": None}, {"hand": "both"}, {"more": 1},
-        {"games": [3]}, {"hand": {}},
-    ]  # fmt: skip
+        {"games": 0},
+        {"games": 6},
+        {"games": 2.5},
+        {"games": True},
+        {"games": "3"},
+        {"games": None},
+        {"hand": "both"},
+        {"more": 1},
+        {"games": [3]},
+        {"hand": {}},
+    ]
     for change in refused:
         with pytest.raises(AnswerError):
             pages["hours"].check(hours | change)
@@ -125,25 +174,55 @@ def test_answers_that_a_page_takes(toml):
         ("[a", "is no TOML file"),
         ("a = 1", "'a' must be a table"),
         ("[Big]\ntitle='x'", "must be a table, .*small letters"),
-        ("[mine]\ntitle='x'\ntext='y'", "must say before or after which page it stands: one of consent, training"),
+        (
+            "[mine]\ntitle='x'\ntext='y'",
+            "must say before or after which page it stands: one of consent, training",
+        ),
         ("[mine]\nafter='nowhere'\ntitle='x'\ntext='y'", "must say before or after"),
         ("[mine]\nafter='debriefing'\ntitle='x'\ntext='y'", "must say before or after"),
         ("[mine]\nafter='drive'\ntext='y'", "needs a title"),
-        ("[mine]\nafter='drive'\ntitle='x'\ntext='y'\nkind='drive'", "a page of your own is a form"),
+        (
+            "[mine]\nafter='drive'\ntitle='x'\ntext='y'\nkind='drive'",
+            "a page of your own is a form",
+        ),
         ("[mine]\nafter='drive'\ntitle='x'\ntext='y'\nscored='tlx'", "scored must be one of"),
         ("[mine]\nafter='drive'\ntitle='x'\ntext='y'\nscored='likert'", "on one scale, got none"),
         ("[mine]\nafter='drive'\ntitel='x'", "has no 'titel'; did you mean 'title'"),
         ("[trust]\nafter='drive'", "is there already, and keeps its place"),
         ("[drive]\nskip=true", "cannot be left out"),
-        ("[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a'}]", "an item needs a name and a text"),
-        ("[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='A b', text='t'}]", "a name has small letters"),
-        ("[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t', step=4}]", "step 4 does not lead"),
-        ("[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t', low=0.5}]", "low must be a whole number"),
-        ("[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t', kind='slider'}]", "kind must be one of"),
-        ("[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t', kind='choice'}]", "two different choices"),
-        ("[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t'}, {name='a', text='u'}]", "the same name"),
+        (
+            "[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a'}]",
+            "an item needs a name and a text",
+        ),
+        (
+            "[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='A b', text='t'}]",
+            "a name has small letters",
+        ),
+        (
+            "[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t', step=4}]",
+            "step 4 does not lead",
+        ),
+        (
+            "[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t', low=0.5}]",
+            "low must be a whole number",
+        ),
+        (
+            "[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t', "
+            "kind='slider'}]",
+            "kind must be one of",
+        ),
+        (
+            "[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t', "
+            "kind='choice'}]",
+            "two different choices",
+        ),
+        (
+            "[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t'}, "
+            "{name='a', text='u'}]",
+            "the same name",
+        ),
     ],
-)  # fmt: skip
+)
 def test_faults_of_a_file_are_named(toml, text, said):
     with pytest.raises(ValueError, match=said):
         read_pages(toml(text))

@@ -1,4 +1,7 @@
-"""The plan: frozen once, the same at every opening, refused where it would change. Oracle: the Latin square of the design."""
+"""
+The plan: frozen once, the same at every opening, refused where it would change. Oracle: the Latin
+square of the design.
+"""
 
 import json
 
@@ -15,10 +18,17 @@ def test_the_plan_is_frozen_and_opens_again(make_plan, tmp_path):
     before = (plan.folder / "study.json").read_bytes()
     design = tl.latin_square_design(["C1", "C3"], ["P01", "P02", "P03"], 0, whole_squares=False)
     assert plan.table().equals(design.table())
-    assert sorted(path.name for path in plan.folder.iterdir()) == ["P01", "P02", "P03", "study.json"]
+    assert sorted(path.name for path in plan.folder.iterdir()) == [
+        "P01",
+        "P02",
+        "P03",
+        "study.json",
+    ]
     assert make_plan().content == tl.LiveStudy.open(plan.folder).content == json.loads(before)
     assert (plan.folder / "study.json").read_bytes() == before
-    with pytest.raises(ValueError, match="holds a frozen plan with other conditions, orders; open it with"):
+    with pytest.raises(
+        ValueError, match="holds a frozen plan with other conditions, orders; open it with"
+    ):
         make_plan(["C1", "C2"])
     with pytest.raises(ValueError, match="holds a frozen plan with other laps"):
         make_plan(laps=2)
@@ -30,7 +40,9 @@ def test_tokens_are_nowhere_in_the_study(make_plan):
     plan = make_plan()
     words = "".join(path.read_text() for path in plan.folder.rglob("*") if path.is_file())
     assert not any(token in words for token in read_tokens(plan.folder).values())
-    assert not any(token in plan._repr_html_() + repr(plan) for token in read_tokens(plan.folder).values())
+    assert not any(
+        token in plan._repr_html_() + repr(plan) for token in read_tokens(plan.folder).values()
+    )
 
 
 @pytest.mark.filterwarnings("ignore:.*do not fill whole squares")
@@ -38,7 +50,10 @@ def test_faults_of_a_plan(tmp_path):
     cases = [
         ({"conditions": ["C1", "C9"]}, "condition must be one of"),
         ({"conditions": ["C1"]}, "at least 2"),
-        ({"participants": 3, "conditions": ["C1", "C2"]}, "3 participants do not fill whole squares"),
+        (
+            {"participants": 3, "conditions": ["C1", "C2"]},
+            "3 participants do not fill whole squares",
+        ),
         (
             {"participants": ["P01", "Jane Doe"], "conditions": ["C1", "C2"]},
             "code has letters, digits, - and _ only, got 'Jane Doe'",
@@ -47,7 +62,10 @@ def test_faults_of_a_plan(tmp_path):
         ({"participants": ["../x", "b"], "conditions": ["C1", "C2"]}, "code has letters"),
         ({"thresholds": (0.0, 0.3)}, "belong together"),
         ({"identification": [(1, 100.0)]}, "phases of both modes"),
-        ({"identification": [(2, 100.0)]}, "a mode of identification must be a whole number, from 0 to 1"),
+        (
+            {"identification": [(2, 100.0)]},
+            "a mode of identification must be a whole number, from 0 to 1",
+        ),
         ({"laps": 0}, "laps must be a whole number"),
         ({"training": -1.0}, "training must be positive"),
     ]
@@ -66,22 +84,32 @@ def test_faults_of_a_plan(tmp_path):
 def test_the_physics_must_be_the_one_of_the_plan(make_plan, monkeypatch):
     plan = make_plan()
     monkeypatch.setattr("trustlab.live.study.server.kernel_digest", lambda: "another")
-    with pytest.raises(ValueError, match=r"was frozen with physics .* this version of trustlab has another"):
+    with pytest.raises(
+        ValueError, match=r"was frozen with physics .* this version of trustlab has another"
+    ):
         StudyServer(plan)
 
 
 def test_other_addresses_need_a_certificate_and_one_server_serves(make_plan):
     plan = make_plan()
-    with pytest.raises(ValueError, match=r"'0\.0\.0\.0' can be reached from other machines.*give certificate="):
+    with pytest.raises(
+        ValueError, match=r"'0\.0\.0\.0' can be reached from other machines.*give certificate="
+    ):
         plan.serve("0.0.0.0")
-    with StudyServer(plan), pytest.raises(ValueError, match="is being served already"), StudyServer(plan):
+    with (
+        StudyServer(plan),
+        pytest.raises(ValueError, match="is being served already"),
+        StudyServer(plan),
+    ):
         pass
 
 
 def test_the_command_line_plans_deletes_and_complains(tmp_path, monkeypatch, capsys):
     served = []
     monkeypatch.setattr(
-        planning.LiveStudy, "serve", lambda plan, *where, **options: served.append((plan.folder.name, *where))
+        planning.LiveStudy,
+        "serve",
+        lambda plan, *where, **options: served.append((plan.folder.name, *where)),
     )
     folder = tmp_path / "mystudy"
     assert main([str(folder), "--delete", "P01"]) == 2

@@ -1,4 +1,7 @@
-"""The page is a fold over the events. Oracle: what happened, written out, and the order in which it may not matter."""
+"""
+The page is a fold over the events. Oracle: what happened, written out, and the order in which it
+may not matter.
+"""
 
 from hypothesis import given, strategies as st
 
@@ -26,13 +29,21 @@ def test_a_restarted_drive_comes_back_and_what_follows_stays_done():
 
 
 def test_the_last_window_that_began_drives():
-    begun = [{"kind": "begin", "page": 1, "attempt": a, "tab": tab} for a, tab in ((0, "a"), (0, "b"), (1, "c"))]
+    begun = [
+        {"kind": "begin", "page": 1, "attempt": a, "tab": tab}
+        for a, tab in ((0, "a"), (0, "b"), (1, "c"))
+    ]
     assert progress_of(begun).tabs == {(1, 0): "b", (1, 1): "c"}
 
 
 def test_the_end_is_the_last_page_wherever_one_is():
     assert progress_of([done(0), {"kind": "end"}]).page(PAGES) == PAGES - 1
-    assert progress_of([{"kind": "model", "source": "a"}, {"kind": "model", "source": "b"}]).model["source"] == "b"
+    assert (
+        progress_of([{"kind": "model", "source": "a"}, {"kind": "model", "source": "b"}]).model[
+            "source"
+        ]
+        == "b"
+    )
 
 
 @given(st.lists(st.integers(0, PAGES - 2), max_size=12), st.randoms())

@@ -1,4 +1,7 @@
-"""What comes out of a study. Oracles: the files themselves, summed by hand; a bit that is changed on its way must be found."""
+"""
+What comes out of a study. Oracles: the files themselves, summed by hand; a bit that is changed on
+its way must be found.
+"""
 
 import json
 
@@ -28,17 +31,27 @@ items = [
 
 @pytest.fixture(scope="module")
 def rehearsed(tmp_path_factory):
-    """A rehearsed study of two conditions; the first participant's second drive has a bit changed on its way."""
+    """
+    A rehearsed study of two conditions; the first participant's second drive has a bit changed on
+    its way.
+    """
     folder = tmp_path_factory.mktemp("studies")
     (folder / "pages.toml").write_text(OWN_PAGE)
-    short = {"laps": 1, "training": 5.0, "identification": [(1, 10.0), (0, 10.0)], "pages": folder / "pages.toml"}
+    short = {
+        "laps": 1,
+        "training": 5.0,
+        "identification": [(1, 10.0), (0, 10.0)],
+        "pages": folder / "pages.toml",
+    }
     plan = tl.LiveStudy(folder / "mystudy", ["C1", "C3"], 4, rehearsal=True, **short)
     take = courses.Course.rows
 
     def changed(course, body):
         position = course.steps[body["page"]].position
         if course.code == "P01" and position == 2 and body["rows"][0][0] == 0:
-            body["rows"][7][-3] = float(np.nextafter(body["rows"][7][-3], 1.0))  # the last bit of one P_r
+            body["rows"][7][-3] = float(
+                np.nextafter(body["rows"][7][-3], 1.0)
+            )  # the last bit of one P_r
         return take(course, body)
 
     with pytest.MonkeyPatch.context() as patched:
@@ -61,7 +74,10 @@ def test_measures_are_those_of_the_files(rehearsed):
         assert row["duration"] == pytest.approx((len(table) - 1) * 0.1, abs=1e-9)
         assert row["position"] == rehearsed.plan.orders[code].index(condition) + 1
         assert row["synthetic"]
-        events = [json.loads(line) for line in (rehearsed.plan.folder / code / "events.jsonl").read_text().splitlines()]
+        events = [
+            json.loads(line)
+            for line in (rehearsed.plan.folder / code / "events.jsonl").read_text().splitlines()
+        ]
         own = {
             event["name"]: event["answers"]
             for event in events
@@ -82,7 +98,10 @@ def test_answers_are_all_there_and_own_questionnaires_scored(rehearsed):
     games = answers[answers["page"] == "hours"].set_index(["participant", "item"])
     scores = rehearsed.scores()["hours"].scores.set_index("participant")["hours_mean"]
     for code, score in scores.items():
-        assert score == (games.loc[(code, "games"), "answer"] + 6 - games.loc[(code, "late"), "answer"]) / 2
+        assert (
+            score
+            == (games.loc[(code, "games"), "answer"] + 6 - games.loc[(code, "late"), "answer"]) / 2
+        )
         assert games.loc[(code, "hand"), "text"] in ("left", "right")
     assert answers.attrs["origin"] == "scripted hands, no person took part"
 
@@ -96,7 +115,9 @@ def test_a_changed_bit_is_found_and_its_participant_left_out(rehearsed):
     result = rehearsed.analysis("p_r")
     wide = rehearsed.complete().set_index(["participant", "condition"])["p_r"].unstack()  # noqa: PD010
     difference = wide["C1"] - wide["C3"]
-    assert pytest.approx(3 * difference.mean() ** 2 / difference.var(), rel=1e-9) == result.F  # t² of three pairs
+    assert (
+        pytest.approx(3 * difference.mean() ** 2 / difference.var(), rel=1e-9) == result.F
+    )  # t² of three pairs
 
 
 def test_sessions_are_like_any_other_and_the_folder_is_as_it_was(rehearsed):
@@ -110,7 +131,9 @@ def test_sessions_are_like_any_other_and_the_folder_is_as_it_was(rehearsed):
         assert again.participants().equals(rehearsed.participants)
     session = again.sessions()[0]
     assert session.metadata.synthetic
-    assert {"verified", "thresholds_from", "performance_window", "lap_times"} <= set(session.metadata.more)
+    assert {"verified", "thresholds_from", "performance_window", "lap_times"} <= set(
+        session.metadata.more
+    )
     assert {path: path.stat().st_mtime_ns for path in rehearsed.plan.folder.rglob("*")} == before
     with pytest.raises(ValueError, match="dv must be one of"):
         again.analysis("p_rr")
@@ -120,7 +143,15 @@ def test_a_study_that_has_hardly_begun_can_be_read(make_plan):
     plan = make_plan()
     study = tl.read_live_study(plan.folder)
     assert study.measures.empty
-    assert list(study.answers()) == ["participant", "position", "condition", "page", "item", "answer", "text"]
+    assert list(study.answers()) == [
+        "participant",
+        "position",
+        "condition",
+        "page",
+        "item",
+        "answer",
+        "text",
+    ]
     assert len(study.exclusions()) == 6
     assert "3 participants planned, 0 begun, 0 complete" in study.summary()
     assert study.participants["pages_done"].tolist() == [0, 0, 0]
@@ -128,7 +159,8 @@ def test_a_study_that_has_hardly_begun_can_be_read(make_plan):
         plan.rehearse()
 
 
-# the identification drive -------------------------------------------------------------------------------------------------------
+# the identification drive
+# --------------------------------------------------------------------------------------------------
 
 
 def drive(participant, *phases):
@@ -148,8 +180,12 @@ def test_a_drive_too_short_falls_back_to_the_plan_and_says_so(make_plan):
 
 @pytest.mark.long
 def test_what_a_drive_leaves_undetermined_is_held_and_the_rest_is_the_participants_own(make_plan):
-    """Levels of a simulated operator within 0.1 of those it was made with; Table 2.1 is the oracle."""
-    plan = make_plan(identification=[(1, 200.0), (0, 200.0), (1, 150.0), (0, 150.0), (1, 150.0), (0, 150.0)])
+    """
+    Levels of a simulated operator within 0.1 of those it was made with; Table 2.1 is the oracle.
+    """
+    plan = make_plan(
+        identification=[(1, 200.0), (0, 200.0), (1, 150.0), (0, 150.0), (1, 150.0), (0, 150.0)]
+    )
     phases = [tuple(phase) for phase in plan.content["identification"]]
     for participant in (2, 4):
         found = identified(plan, drive(participant, *phases))

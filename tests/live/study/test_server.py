@@ -1,4 +1,7 @@
-"""What a server must refuse, and what it must not lose; asked over sockets, without a browser. Oracle: the files on the disk."""
+"""
+What a server must refuse, and what it must not lose; asked over sockets, without a browser. Oracle:
+the files on the disk.
+"""
 
 import json
 import os
@@ -30,7 +33,9 @@ def begun(client, url, tab="a"):
 
 def on_disk(plan, code="P01", name="01-training.0"):
     path = plan.folder / code / f"{name}.jsonl"
-    return [json.loads(line) for line in path.read_text().splitlines()[1:]] if path.exists() else None
+    return (
+        [json.loads(line) for line in path.read_text().splitlines()[1:]] if path.exists() else None
+    )
 
 
 def events(plan, code="P01"):
@@ -38,7 +43,8 @@ def events(plan, code="P01"):
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-# who may ask ---------------------------------------------------------------------------------------------------------------
+# who may ask
+# --------------------------------------------------------------------------------------------------
 
 
 def test_foreign_hosts_are_misdirected(served, client):
@@ -70,14 +76,28 @@ def test_foreign_hosts_are_misdirected(served, client):
 def test_forged_origins_change_nothing(served, client, origin):
     origin = origin and origin.format(port=served.server.port)
     for link in (served.links["P01"] + "/answers", served.server.experimenter + "/act"):
-        assert client(link, {**CONSENT, "participant": "P01", "action": "end"}, Origin=origin).status == 403
+        assert (
+            client(link, {**CONSENT, "participant": "P01", "action": "end"}, Origin=origin).status
+            == 403
+        )
     assert events(served.plan) == []
 
 
 def test_only_json_is_taken(served, client):
     for kind in ("text/plain", "application/x-www-form-urlencoded", "multipart/form-data", None):
-        assert client(served.links["P01"] + "/answers", CONSENT, Content_Type=kind).status in (400, 415)
-    for body in (b"", b"{", b"[]", b"3", b'{"page": NaN}', b"[" * 5000, b'{"page": 0, "answers": {"consent": true}'):
+        assert client(served.links["P01"] + "/answers", CONSENT, Content_Type=kind).status in (
+            400,
+            415,
+        )
+    for body in (
+        b"",
+        b"{",
+        b"[]",
+        b"3",
+        b'{"page": NaN}',
+        b"[" * 5000,
+        b'{"page": 0, "answers": {"consent": true}',
+    ):
         assert client(served.links["P01"] + "/answers", body).status == 400
     assert events(served.plan) == []
 
@@ -86,19 +106,36 @@ def test_wrong_tokens_lead_nowhere(served, client):
     base, token = served.base, read_tokens(served.plan.folder)["P01"]
     experimenter = read_tokens(served.plan.folder)["experimenter"]
     last = "A" if token[-1] != "A" else "B"
-    for wrong in ("x" * 22, token[:-1] + last, token.swapcase(), token[:-1], token + "x", experimenter, "P01", ""):
+    for wrong in (
+        "x" * 22,
+        token[:-1] + last,
+        token.swapcase(),
+        token[:-1],
+        token + "x",
+        experimenter,
+        "P01",
+        "",
+    ):
         assert client(f"{base}/p/{wrong}").status == 404
         assert client(f"{base}/p/{wrong}/state").status == 404
         assert client(f"{base}/p/{wrong}/answers", CONSENT).status == 404
     for wrong in (token, "x" * 22):
         assert client(f"{base}/experimenter/{wrong}").status == 404
         assert client(f"{base}/experimenter/{wrong}/state").status == 404
-        assert client(f"{base}/experimenter/{wrong}/act", {"participant": "P01", "action": "end"}).status == 404
+        assert (
+            client(
+                f"{base}/experimenter/{wrong}/act", {"participant": "P01", "action": "end"}
+            ).status
+            == 404
+        )
     assert events(served.plan) == []
 
 
 def test_who_opens_a_wrong_link_is_told_in_words_what_to_do(served, client):
-    """A page for browsers, the same for every wrong link, with the headers of all; scripts get the number."""
+    """
+    A page for browsers, the same for every wrong link, with the headers of all; scripts get the
+    number.
+    """
     opened = {"Accept": "text/html,application/xhtml+xml,*/*;q=0.8"}
     token = read_tokens(served.plan.folder)["P01"]
     wrong = [f"/p/{token[:-1]}", f"/p/{'x' * 22}", f"/experimenter/{token}", "/p/", "/"]
@@ -126,11 +163,27 @@ def test_paths_lead_to_no_other_file(served, client):
     token = read_tokens(served.plan.folder)["P01"]
     assert client(f"{served.base}/static/rows.js").status == 200
     tricks = [
-        "/static/../study/plan.py", "/static/..%2fstudy%2fplan.py", "/static/%2e%2e/study/plan.py", "/static//etc/passwd",
-        "/static/....//study.json", "/../../etc/passwd", "/mystudy/study.json", "/study.json", "/static/study.json", "//etc/passwd",
-        f"/p/{token}/../../static/study.js", f"/p/{token}/events.jsonl", f"/p/{token}/rows/..", f"/p/{token}/__class__",
-        f"/p/{token}/experimenter_end", "/static/", "/static/rows.js%00.html", "/", "/p/", "/static/rows.js/..",
-    ]  # fmt: skip
+        "/static/../study/plan.py",
+        "/static/..%2fstudy%2fplan.py",
+        "/static/%2e%2e/study/plan.py",
+        "/static//etc/passwd",
+        "/static/....//study.json",
+        "/../../etc/passwd",
+        "/mystudy/study.json",
+        "/study.json",
+        "/static/study.json",
+        "//etc/passwd",
+        f"/p/{token}/../../static/study.js",
+        f"/p/{token}/events.jsonl",
+        f"/p/{token}/rows/..",
+        f"/p/{token}/__class__",
+        f"/p/{token}/experimenter_end",
+        "/static/",
+        "/static/rows.js%00.html",
+        "/",
+        "/p/",
+        "/static/rows.js/..",
+    ]
     for path in tricks:
         for body in (None, {}):
             answer = client(served.base, body, path=path)
@@ -155,15 +208,22 @@ def test_answers_tell_browsers_to_run_and_fetch_nothing_else(served, client):
     ):
         headers = client(path).headers
         policy = headers["Content-Security-Policy"]
-        assert policy.startswith("default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self';")
+        assert policy.startswith(
+            "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self';"
+        )
         assert "unsafe-inline" not in policy
         assert headers["X-Content-Type-Options"] == "nosniff"
         assert headers["Referrer-Policy"] == "no-referrer"
         assert headers["Cache-Control"] == "no-store"
         assert "ornado" not in headers["Server"]
-    static = [content.decode() for name, content in served.server.files.items() if not name.endswith(".wasm")]
+    static = [
+        content.decode()
+        for name, content in served.server.files.items()
+        if not name.endswith(".wasm")
+    ]
     assert not any(
-        re.search(r"https?://|innerHTML|eval\(|document\.write|insertAdjacentHTML", words) for words in static
+        re.search(r"https?://|innerHTML|eval\(|document\.write|insertAdjacentHTML", words)
+        for words in static
     )
     assert stat.S_IMODE(tokens_path(served.plan.folder).stat().st_mode) == 0o600
 
@@ -186,14 +246,19 @@ def test_the_participant_is_told_no_condition(served, client):
     assert json.loads(header)["condition"] == order[0]  # the lab knows
 
 
-# how much ------------------------------------------------------------------------------------------------------------------
+# how much
+# --------------------------------------------------------------------------------------------------
 
 
 def test_an_answer_of_a_megabyte_is_refused(served, client):
-    answer = client(served.links["P01"] + "/answers", {"page": 0, "answers": {"consent": "x" * 1_000_000}})
+    answer = client(
+        served.links["P01"] + "/answers", {"page": 0, "answers": {"consent": "x" * 1_000_000}}
+    )
     assert answer.status in (0, 400, 413)
     long = json.dumps(CONSENT | {"more": "x" * 100_000}).encode()
-    assert client(served.links["P01"] + "/answers", long).status == 200  # what is not asked for is not kept
+    assert (
+        client(served.links["P01"] + "/answers", long).status == 200
+    )  # what is not asked for is not kept
     assert len(json.dumps(events(served.plan))) < 300
 
 
@@ -207,7 +272,10 @@ def test_long_words_are_refused_with_the_item(served, client):
     refused = client(served.links["P01"] + "/answers", {"page": page.index, "answers": answers})
     assert (refused.status, refused.json["error"]) == (400, "remark: this answer cannot be taken")
     fits = answers | {"remark": "<script>alert(1)</script>" * 40}
-    assert client(served.links["P01"] + "/answers", {"page": page.index, "answers": fits}).status == 200
+    assert (
+        client(served.links["P01"] + "/answers", {"page": page.index, "answers": fits}).status
+        == 200
+    )
 
 
 def test_one_link_cannot_flood_the_server(served, client):
@@ -223,18 +291,33 @@ def test_rows_that_are_none(served, client):
     own = begun(client, url)
     good = rows(0, 1)[0]
     bad = [
-        good[:-1], [*good, 0.0], ["0", *good[1:]], [0.0, *good[1:]], [True, *good[1:]], [*good[:-1], None], [*good[:-1], "1"], {}, 3,
-        [*good[:-1], [1.0]], [*good[:-1], 10**400],
-    ]  # fmt: skip
+        good[:-1],
+        [*good, 0.0],
+        ["0", *good[1:]],
+        [0.0, *good[1:]],
+        [True, *good[1:]],
+        [*good[:-1], None],
+        [*good[:-1], "1"],
+        {},
+        3,
+        [*good[:-1], [1.0]],
+        [*good[:-1], 10**400],
+    ]
     for row in bad:
         assert client(f"{url}/rows", own | {"rows": [row]}).status == 400, row
     for given in (None, {}, "rows", 3):
         assert client(f"{url}/rows", own | {"rows": given}).status == 400
-    assert client(f"{url}/rows", json.dumps(own | {"rows": [good]}).replace("0.0", "Infinity").encode()).status == 400
+    assert (
+        client(
+            f"{url}/rows", json.dumps(own | {"rows": [good]}).replace("0.0", "Infinity").encode()
+        ).status
+        == 400
+    )
     assert on_disk(served.plan) == []
 
 
-# what is kept --------------------------------------------------------------------------------------------------------------
+# what is kept
+# --------------------------------------------------------------------------------------------------
 
 
 def test_rows_are_on_the_disk_when_they_are_acknowledged(served, client, monkeypatch):
@@ -252,7 +335,9 @@ def test_rows_are_on_the_disk_when_they_are_acknowledged(served, client, monkeyp
         assert answer.json == {"have": first + 5, "current": True}
         path = served.plan.folder / "P01" / "01-training.0.jsonl"
         assert synced[-1] == path.stat().st_size
-    assert client(f"{url}/rows", own | {"rows": rows(3, 20)}).json["have"] == 23  # sent again with more
+    assert (
+        client(f"{url}/rows", own | {"rows": rows(3, 20)}).json["have"] == 23
+    )  # sent again with more
     assert client(f"{url}/rows", own | {"rows": rows(40, 5)}).json["have"] == 23
     assert on_disk(served.plan) == rows(0, 23)
 
@@ -268,7 +353,9 @@ def test_a_disk_that_is_full_acknowledges_nothing(served, client, monkeypatch, c
         patched.setattr(os, "fsync", full)
         assert client(f"{url}/rows", own | {"rows": rows(0, 5)}).status == 500
     assert "No space left" in caplog.text
-    assert read_tokens(served.plan.folder)["P01"] not in caplog.text  # the log is no place for links
+    assert (
+        read_tokens(served.plan.folder)["P01"] not in caplog.text
+    )  # the log is no place for links
     assert client(f"{url}/rows", own | {"rows": rows(0, 5)}).json["have"] == 5
     assert on_disk(served.plan) == rows(0, 5)
 
@@ -278,7 +365,9 @@ def test_the_window_that_began_last_drives(served, client):
     first = begun(client, url, "first")
     assert client(f"{url}/rows", first | {"rows": rows(0, 5)}).status == 200
     again = client(f"{url}/begin", {"page": 1, "tab": "second"})
-    assert again.json["rows"] == [row[2:] for row in rows(0, 5)]  # it goes on where the first one was
+    assert again.json["rows"] == [
+        row[2:] for row in rows(0, 5)
+    ]  # it goes on where the first one was
     refused = client(f"{url}/rows", first | {"rows": rows(5, 5)})
     assert (refused.status, refused.json["error"]) == (409, "another window drives")
     assert client(f"{url}/done", first | {"rows": 5}).status == 409
@@ -289,7 +378,10 @@ def test_the_window_that_began_last_drives(served, client):
 def test_a_second_click_and_a_second_window_find_the_page_done(served, client):
     url = served.links["P01"]
     with ThreadPoolExecutor(8) as pool:
-        found = [answer.status for answer in pool.map(lambda _: client(f"{url}/answers", CONSENT), range(8))]
+        found = [
+            answer.status
+            for answer in pool.map(lambda _: client(f"{url}/answers", CONSENT), range(8))
+        ]
     assert sorted(found) == [200, *[409] * 7]
     assert [event["kind"] for event in events(served.plan)] == ["page"]
     assert client(f"{url}/answers", CONSENT).json["page"] == 1
@@ -306,15 +398,20 @@ def test_a_drive_is_done_when_its_rows_are_here(served, client):
     assert [event["kind"] for event in events(served.plan)] == ["page", "begin"]
 
 
-# the experimenter ----------------------------------------------------------------------------------------------------------
+# the experimenter
+# --------------------------------------------------------------------------------------------------
 
 
 def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, client):
     url, act = served.links["P01"], served.server.experimenter + "/act"
     own = begun(client, url)
     client(f"{url}/rows", own | {"rows": rows(0, 5)})
-    assert client(act, {"participant": "P01", "action": "restart", "page": 0}).status == 400  # no drive
-    assert client(act, {"participant": "P01", "action": "restart", "page": 2}).status == 400  # not begun
+    assert (
+        client(act, {"participant": "P01", "action": "restart", "page": 0}).status == 400
+    )  # no drive
+    assert (
+        client(act, {"participant": "P01", "action": "restart", "page": 2}).status == 400
+    )  # not begun
     assert client(act, {"participant": "P01", "action": "restart", "page": 1}).status == 200
     late = client(f"{url}/rows", own | {"rows": rows(5, 5)})
     assert late.json == {"have": 10, "current": False}  # kept, and told to stop
@@ -322,14 +419,19 @@ def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, clien
     assert (again.json["attempt"], again.json["rows"]) == (1, [])
     assert on_disk(served.plan) == rows(0, 10)
     assert on_disk(served.plan, name="01-training.1") == []
-    first, second = (served.server.course("P01").participant.header(f"01-training.{k}")["config"] for k in (0, 1))
+    first, second = (
+        served.server.course("P01").participant.header(f"01-training.{k}")["config"] for k in (0, 1)
+    )
     assert first != second  # another seed
 
 
 def test_the_experimenter_sees_adds_and_ends(served, client):
     experimenter = served.server.experimenter
     own = begun(client, served.links["P01"])
-    client(served.links["P01"] + "/rows", own | {"rows": rows(0, 5), "telemetry": {"fps": 60, "x": "no", "y": None}})
+    client(
+        served.links["P01"] + "/rows",
+        own | {"rows": rows(0, 5), "telemetry": {"fps": 60, "x": "no", "y": None}},
+    )
     note = {"participant": "P01", "action": "note", "text": "<script>alert(1)</script> spoke"}
     seen = {person["code"]: person for person in client(f"{experimenter}/act", note).json["people"]}
     assert seen["P01"]["rows"] == 5
@@ -343,7 +445,12 @@ def test_the_experimenter_sees_adds_and_ends(served, client):
         {"participant": [], "action": "end"},
     ):
         assert client(f"{experimenter}/act", body).status == 400
-    assert client(f"{experimenter}/act", {"participant": "P01", "action": "note", "text": "x" * 1001}).status == 400
+    assert (
+        client(
+            f"{experimenter}/act", {"participant": "P01", "action": "note", "text": "x" * 1001}
+        ).status
+        == 400
+    )
     assert client(f"{experimenter}/act", {"participant": "P01", "action": "end"}).status == 200
     assert client(served.links["P01"] + "/state").json["kind"] == "end"
     table = tl.read_live_study(served.plan.folder).participants.set_index("participant")
@@ -372,7 +479,10 @@ def test_who_is_deleted_while_the_study_is_served_is_gone(served, client):
 
 
 def test_nothing_about_a_person_is_kept_but_what_the_documentation_lists(served, client):
-    """Names of everything that an event or a row's file may hold; a new one belongs into the documentation first."""
+    """
+    Names of everything that an event or a row's file may hold; a new one belongs into the
+    documentation first.
+    """
     url = served.links["P01"]
     own = begun(client, url)
     client(

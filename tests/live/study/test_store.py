@@ -1,4 +1,7 @@
-"""Files that only grow: whatever moment a writer dies at, what was acknowledged is there and nothing else is. Oracle: the list of lines written."""
+"""
+Files that only grow: whatever moment a writer dies at, what was acknowledged is there and nothing
+else is. Oracle: the list of lines written.
+"""
 
 import json
 import os
@@ -24,7 +27,8 @@ from trustlab.live.study.store import (
 )
 
 VALUES = st.lists(
-    st.one_of(st.integers(), st.text(), st.lists(st.floats(allow_nan=False, allow_infinity=False))), max_size=6
+    st.one_of(st.integers(), st.text(), st.lists(st.floats(allow_nan=False, allow_infinity=False))),
+    max_size=6,
 )
 
 
@@ -50,7 +54,9 @@ def test_without_the_cut_the_next_line_would_be_lost(tmp_path):
     path = tmp_path / "rows.jsonl"
     path.write_bytes(b"[0]\n[1")
     append(path, ["[1]"])
-    with pytest.raises(ValueError, match=r"rows\.jsonl, line 2: .* is no JSON; this line was changed"):
+    with pytest.raises(
+        ValueError, match=r"rows\.jsonl, line 2: .* is no JSON; this line was changed"
+    ):
         read_lines(path)
 
 
@@ -111,7 +117,10 @@ def test_torn_lines_are_cut_and_noted_when_a_folder_is_opened(tmp_path):
             file.write(torn)
     again = Participant(own.folder)
     assert [event["kind"] for event in again.events] == ["page", "torn", "torn"]
-    assert {event["file"]: event["bytes"] for event in again.events[1:]} == {EVENTS: 8, "01-training.0.jsonl": 6}
+    assert {event["file"]: event["bytes"] for event in again.events[1:]} == {
+        EVENTS: 8,
+        "01-training.0.jsonl": 6,
+    }
     assert again.count("01-training.0") == 2
     assert again.rows("01-training.0") == [[0, 0.5], [1, 0.5]]
     assert Participant(own.folder).events == again.events  # nothing is cut twice

@@ -1,4 +1,6 @@
-"""A study on another address than this machine's own: by TLS alone, with a certificate that the test signs itself.
+"""
+A study on another address than this machine's own: by TLS alone, with a certificate that the test
+signs itself.
 
 Oracle: Python's own TLS client, which checks certificate and name.
 """
@@ -25,17 +27,34 @@ def signed(tmp_path_factory):
     certificate, key = folder / "cert.pem", folder / "key.pem"
     curve = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2"]
     who = ["-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost"]
-    command = ["openssl", "req", "-x509", *curve, *who, "-keyout", str(key), "-out", str(certificate)]
+    command = [
+        "openssl",
+        "req",
+        "-x509",
+        *curve,
+        *who,
+        "-keyout",
+        str(key),
+        "-out",
+        str(certificate),
+    ]
     subprocess.run(command, check=True, capture_output=True)
     return certificate, key
 
 
 def asked(server, certificate, path, body=None, **headers):
-    """Return status and answer of a request by a client that trusts this certificate and no other."""
+    """
+    Return status and answer of a request by a client that trusts this certificate and no other.
+    """
     context = ssl.create_default_context(cafile=certificate)
     link = http.client.HTTPSConnection("localhost", server.port, context=context, timeout=30)
     try:
-        link.request("GET" if body is None else "POST", path, None if body is None else json.dumps(body), headers)
+        link.request(
+            "GET" if body is None else "POST",
+            path,
+            None if body is None else json.dumps(body),
+            headers,
+        )
         answer = link.getresponse()
         return answer.status, answer.read()
     finally:
@@ -44,7 +63,9 @@ def asked(server, certificate, path, body=None, **headers):
 
 def test_a_study_is_served_by_tls_on_every_address(make_plan, signed):
     certificate, key = signed
-    with StudyServer(make_plan(), "0.0.0.0", certificate=certificate, key=key, names=["localhost"]) as server:
+    with StudyServer(
+        make_plan(), "0.0.0.0", certificate=certificate, key=key, names=["localhost"]
+    ) as server:
         link = server.links()["P01"]
         origin, _, path = link.partition("/p/")
         assert origin == f"https://localhost:{server.port}"
@@ -53,14 +74,22 @@ def test_a_study_is_served_by_tls_on_every_address(make_plan, signed):
         assert b"study.js" in page
         kind = {"Content-Type": "application/json"}
         answers = {"page": 0, "answers": {"consent": True}}
-        assert asked(server, certificate, f"/p/{path}/answers", answers, **kind, Origin=origin)[0] == 200
+        assert (
+            asked(server, certificate, f"/p/{path}/answers", answers, **kind, Origin=origin)[0]
+            == 200
+        )
         plain = origin.replace("https", "http")
-        assert asked(server, certificate, f"/p/{path}/answers", answers, **kind, Origin=plain)[0] == 403
+        assert (
+            asked(server, certificate, f"/p/{path}/answers", answers, **kind, Origin=plain)[0]
+            == 403
+        )
         assert asked(server, certificate, f"/p/{path}", Host="evil.example")[0] == 421
         with pytest.raises(ssl.SSLCertVerificationError):
             asked(server, None, f"/p/{path}")  # a client that does not know who signed it
         with socket.create_connection(("127.0.0.1", server.port), timeout=30) as unencrypted:
-            unencrypted.sendall(f"GET /p/{path} HTTP/1.1\r\nHost: localhost:{server.port}\r\n\r\n".encode())
+            unencrypted.sendall(
+                f"GET /p/{path} HTTP/1.1\r\nHost: localhost:{server.port}\r\n\r\n".encode()
+            )
             with suppress(ConnectionResetError):
                 assert unencrypted.recv(1000) == b"", "what is not encrypted gets no answer"
 

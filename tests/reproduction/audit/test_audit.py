@@ -1,8 +1,9 @@
 """
-The audit's verdicts: against arithmetic by hand, with printed numbers spoiled and slips corrected, and complete.
+The audit's verdicts: against arithmetic by hand, with printed numbers spoiled and slips corrected,
+and complete.
 
-Oracles: exact fractions of the printed decimals; closed forms of the F distribution with 4 degrees of freedom; the
-printed files themselves, read here without the audit's own reader.
+Oracles: exact fractions of the printed decimals; closed forms of the F distribution with 4 degrees
+of freedom; the printed files themselves, read here without the audit's own reader.
 """
 
 import csv
@@ -21,7 +22,19 @@ from trustlab.reproduction.audit.verdict import VERDICTS, Check, rows_of
 
 PUBLISHED = Path(__file__).parents[3] / "data" / "published"
 QUICK = [maker for maker in MAKERS if maker is not joint_rows]
-COLUMNS = ["id", "where", "quantity", "printed", "recomputed", "low", "high", "verdict", "reason", "formula", "inputs"]
+COLUMNS = [
+    "id",
+    "where",
+    "quantity",
+    "printed",
+    "recomputed",
+    "low",
+    "high",
+    "verdict",
+    "reason",
+    "formula",
+    "inputs",
+]
 
 
 @pytest.fixture(scope="module")
@@ -64,25 +77,35 @@ def test_the_slips_are_these(verdicts):
 
 
 def test_settings_by_hand(verdicts):
-    """The handle of (3.10), the mean of a task load index of five people, Routh's margin, and what rests on a slip."""
+    """
+    The handle of (3.10), the mean of a task load index of five people, Routh's margin, and what
+    rests on a slip.
+    """
     assert "9.17 g" in verdicts.loc["section_3_8_1/B", "reason"]
     assert verdicts.loc["section_3_8_1/B", "reason"].startswith("Suspicious")
     assert not verdicts.loc["section_3_9/B", "reason"].startswith("Suspicious")
-    possible = {round(k * step / 5, 2) for step in (5 / 6, 1 / 3, 1 / 6, 1 / 15) for k in range(5 * 1501)}
+    possible = {
+        round(k * step / 5, 2) for step in (5 / 6, 1 / 3, 1 / 6, 1 / 15) for k in range(5 * 1501)
+    }
     assert 49.06 not in possible
     assert "GRIM" in verdicts.loc["table_2.4/C4/tlx_mean", "reason"]
     assert 41.6 in possible
     assert "GRIM" not in verdicts.loc["table_2.4/C5/tlx_mean", "reason"]
     poles = np.roots([1.0, 1.475, 0.2214 + 9.22 * 0.02, 9.22 * 0.5])
     assert max(poles.real) > 0.0
-    assert verdicts.loc["section_2_4_1_2/limits/5", "reason"].endswith("Rests on table_2.1/TSC_ub/5, judged “differs”.")
+    assert verdicts.loc["section_2_4_1_2/limits/5", "reason"].endswith(
+        "Rests on table_2.1/TSC_ub/5, judged “differs”."
+    )
     assert "uav.tlx/n, judged" in verdicts.loc["uav.tlx/anova.df2", "reason"]
     assert "judged" not in verdicts.loc["teleop.tlx/anova.df2", "reason"]
     assert verdicts.loc["section_2_4_2_3/study", "recomputed"] == pytest.approx((15 + 10 + 60) / 60)
 
 
 def test_a_scale_that_is_long_enough_holds():
-    """Negative control: on a scale from 1 to 7 no mean is too large; a heavier damping carries a handle."""
+    """
+    Negative control: on a scale from 1 to 7 no mean is too large; a heavier damping carries a
+    handle.
+    """
     found = quick({"section_2_4_1_3/scale": "7", "section_3_8_1/B": "60"})
     assert found["section_2_4_1_3/scale/uav.satisfaction"].verdict == "reproduced"
     assert not found["section_3_8_1/B"].reason.startswith("Suspicious")
@@ -113,7 +136,9 @@ def test_every_printed_number_is_there(verdicts):
         for name, study in studies.items():
             for field, entry in study.items():
                 if isinstance(entry, dict):
-                    printed += [(f"{chapter}.{name}/{field}.{key}", text) for key, text in entry.items()]
+                    printed += [
+                        (f"{chapter}.{name}/{field}.{key}", text) for key, text in entry.items()
+                    ]
                 elif field in ("epsilon", "n"):
                     printed.append((f"{chapter}.{name}/{field}", str(entry)))
     assert len(printed) > 430
@@ -141,18 +166,30 @@ def gain_and_bias(p):
 
 
 @pytest.mark.parametrize(
-    ("p", "verdict"), [("1", "reproduced"), ("2", "differs"), ("3", "reproduced"), ("4", "differs"), ("5", "differs")]
+    ("p", "verdict"),
+    [
+        ("1", "reproduced"),
+        ("2", "differs"),
+        ("3", "reproduced"),
+        ("4", "differs"),
+        ("5", "differs"),
+    ],
 )
 def test_delta_tsc_by_hand(verdicts, p, verdict):
     a_t, b_t, t = gain_and_bias(p)
     robot, human = a_t * Fraction(t["delta_P_r"]), b_t * Fraction(t["delta_P_h"])
     assert hand(verdicts, f"table_2.1/delta_TSC/{p}", robot + human) == verdict
-    # The explanation: what is printed is the difference, to its last digit, for those three and only those.
+    # The explanation: what is printed is the difference, to its last digit, for those three and
+    # only those.
     assert (f"{float(robot - human):.4f}" == t["delta_TSC"]) == (verdict == "differs")
-    assert ("|a_T δ_Pr − b_T δ_Ph|" in verdicts.loc[f"table_2.1/delta_TSC/{p}", "reason"]) == (verdict == "differs")
+    assert ("|a_T δ_Pr − b_T δ_Ph|" in verdicts.loc[f"table_2.1/delta_TSC/{p}", "reason"]) == (
+        verdict == "differs"
+    )
 
 
-@pytest.mark.parametrize(("p", "verdict"), [("2", "reproduced"), ("4", "reproduced"), ("5", "differs")])
+@pytest.mark.parametrize(
+    ("p", "verdict"), [("2", "reproduced"), ("4", "reproduced"), ("5", "differs")]
+)
 def test_upper_limit_by_hand(verdicts, p, verdict):
     a_t, b_t, t = gain_and_bias(p)
     keep = 1 - Fraction(t["a_pr"])
@@ -173,20 +210,37 @@ def test_percentages_by_hand(verdicts):
     def of(id, value):
         return hand(verdicts, f"claim/{id}", value)
 
-    assert of("section_2_1/c3_raises_uav_robot_performance_over_c1_by", 100 * (0.551 / 0.493 - 1)) == "reproduced"
-    assert of("section_2_1/c3_lowers_perceived_workload_against_c1_by", 54.296 - 44.213) == "differs"
-    assert of("remark_7/c5_robot_performance_over_c3_by_2_39", 100 * 0.019 / 0.16) == "within rounding"
-    assert of("section_2_4_2_4/uav_robot_performance_c5_over_c1", 100 * 0.087 / 0.493) == "within rounding"
+    assert (
+        of("section_2_1/c3_raises_uav_robot_performance_over_c1_by", 100 * (0.551 / 0.493 - 1))
+        == "reproduced"
+    )
+    assert (
+        of("section_2_1/c3_lowers_perceived_workload_against_c1_by", 54.296 - 44.213) == "differs"
+    )
+    assert (
+        of("remark_7/c5_robot_performance_over_c3_by_2_39", 100 * 0.019 / 0.16) == "within rounding"
+    )
+    assert (
+        of("section_2_4_2_4/uav_robot_performance_c5_over_c1", 100 * 0.087 / 0.493)
+        == "within rounding"
+    )
     assert of("section_3_8_3/tmig_lowers_error_against_m_by", 100 * 1.16 / 3.79) == "reproduced"
     assert of("section_3_8_3/tmig_lowers_workload_against_m_by", 54.12 - 30.21) == "reproduced"
-    assert of("section_2_4_1_3/c2_suggestions_followed_more_than_c4_by", 78.57 - 63.89) == "reproduced"
-    assert "23.0 %" in verdicts.loc["claim/section_2_4_1_3/c2_suggestions_followed_more_than_c4_by", "reason"]
+    assert (
+        of("section_2_4_1_3/c2_suggestions_followed_more_than_c4_by", 78.57 - 63.89) == "reproduced"
+    )
+    assert (
+        "23.0 %"
+        in verdicts.loc["claim/section_2_4_1_3/c2_suggestions_followed_more_than_c4_by", "reason"]
+    )
 
 
 def test_statistics_by_hand(verdicts):
     # P(F(4, m) > f) = x^(m/2) (1 + (m/2)(1 − x)), x = m/(m + 4 f).
     x = 140 / (140 + 4 * 18.714)
-    assert hand(verdicts, "uav.robot_performance/anova.p", x**70 * (1 + 70 * (1 - x))) == "reproduced"
+    assert (
+        hand(verdicts, "uav.robot_performance/anova.p", x**70 * (1 + 70 * (1 - x))) == "reproduced"
+    )
     assert hand(verdicts, "uav.trust/anova.eta2", 6.13 / 41.13) == "reproduced"
     assert hand(verdicts, "teleop.tracking_error/anova.df1", 70.628 / 29) == "differs"
     assert hand(verdicts, "uav.tlx/epsilon", 114.63 / 140) == "reproduced"
@@ -251,17 +305,35 @@ def test_a_spoiled_number_differs(id, text, verdicts):
 
 
 def test_a_spoiled_input_shows_where_it_is_used():
-    rows = quick({"table_2.1/b_pr/5": "0.0012", "uav.tlx/mean.C3": "44.226", "table_3.1/MI/tlx_mean": "62.42"})
+    rows = quick(
+        {
+            "table_2.1/b_pr/5": "0.0012",
+            "uav.tlx/mean.C3": "44.226",
+            "table_3.1/MI/tlx_mean": "62.42",
+        }
+    )
     assert rows["table_2.1/TSC_ub/5"].verdict == "reproduced"
     assert rows["table_2.1/b_pr/5"].verdict == "differs"
-    assert rows["claim/section_2_1/c3_lowers_perceived_workload_against_c1_by"].verdict == "reproduced"
+    assert (
+        rows["claim/section_2_1/c3_lowers_perceived_workload_against_c1_by"].verdict == "reproduced"
+    )
     assert rows["section_3_8_3/MI_tlx"].verdict == "reproduced"
 
 
 def test_a_gain_that_breaks_its_equation_is_no_excuse_but_is_named(verdicts):
-    """Parameters that round as printed and give both limits of participant 5, by hand; (2.3) would print their b_pr as 0.0010."""
-    p_r_min, p_r_max, p_h_min, p_h_max, a_pr, b_pr = 0.244, 0.3616, 0.374, 0.4094, 0.99644, 0.00114
-    a_t, b_t = np.array([p_h_max + p_h_min, p_r_max + p_r_min]) / (p_r_max * p_h_max - p_r_min * p_h_min)
+    """
+    Parameters that round as printed and give both limits of participant 5, by hand; (2.3) would
+    print their b_pr as 0.0010.
+    """
+    p_r_min = 0.244
+    p_r_max = 0.3616
+    p_h_min = 0.374
+    p_h_max = 0.4094
+    a_pr = 0.99644
+    b_pr = 0.00114
+    a_t, b_t = np.array([p_h_max + p_h_min, p_r_max + p_r_min]) / (
+        p_r_max * p_h_max - p_r_min * p_h_min
+    )
     gap = b_t * 1.01e-4 / (1.0 - a_pr)
     assert a_t * p_r_min + gap - b_t * p_h_min == pytest.approx(-0.319, abs=0.002)
     upper = (a_t * b_pr / (1.0 - a_pr) - b_t) * p_h_max + a_t * p_r_min - gap
@@ -269,7 +341,9 @@ def test_a_gain_that_breaks_its_equation_is_no_excuse_but_is_named(verdicts):
     assert f"{(1.0 - a_pr) * (p_r_max - p_r_min) / p_h_max:.4f}" == "0.0010"
     named = verdicts["reason"].str.contains("does not obey (2.3)", regex=False)
     assert list(verdicts.index[named]) == ["table_2.1/TSC_ub/5"]
-    assert "from 0.00105 to 0.00115, could reach 0.507" in verdicts.loc["table_2.1/TSC_ub/5", "reason"]
+    assert (
+        "from 0.00105 to 0.00115, could reach 0.507" in verdicts.loc["table_2.1/TSC_ub/5", "reason"]
+    )
 
 
 def test_impossible_numbers_differ():
@@ -278,7 +352,8 @@ def test_impossible_numbers_differ():
         "uav.satisfaction/mauchly.chi2": "20.1",  # ε = 0.693 leaves 22.9 and more
         "uav.utilization/sd.C5": "0.250",  # a share of mean 0.95 has at most 0.231
         "uav.followed/t_test.t": "1.9",
-        "table_2.1/delta_P_r/3": "4.9e-4",  # (2.3) moves P_r by (1 − a_pr)(P_r_max − P_r_min) at most, 0.0035 × 0.12
+        # (2.3) moves P_r by (1 − a_pr)(P_r_max − P_r_min) at most, 0.0035 × 0.12
+        "table_2.1/delta_P_r/3": "4.9e-4",
         "teleop.tlx/pairs.M-TMIG": "0.045",  # 6 p at a correlation of −1 is 0.015
     }
     before = quick()
@@ -302,7 +377,8 @@ def test_a_spoiled_column_does_not_fit(verdicts):
 
 
 def test_no_certain_slip_within_rounding():
-    # Brute force: 20,000 draws of inputs that round as printed never give the printed number, by any convention.
+    # Brute force: 20,000 draws of inputs that round as printed never give the printed number, by
+    # any convention.
     numbers = printed_numbers()
     checks = [check for maker in QUICK for check in maker(numbers) if isinstance(check, Check)]
     checks = [check for check in checks if check.row(numbers).verdict == "differs"]
@@ -322,7 +398,9 @@ def test_no_certain_slip_within_rounding():
 def test_duplicates_are_named():
     id = "teleop.satisfaction/mauchly.chi2/duplicate"
     row = quick()[id]
-    assert row.reason.startswith("Suspicious: χ² = 5.14 and p = 0.399 are printed for teleop.tlx as well")
+    assert row.reason.startswith(
+        "Suspicious: χ² = 5.14 and p = 0.399 are printed for teleop.tlx as well"
+    )
     assert id not in quick({"teleop.tlx/mauchly.chi2": "5.41"})
 
 
@@ -362,4 +440,6 @@ def test_every_reason_for_an_unchecked_number_is_used(verdicts):
     with (PUBLISHED / "unchecked.csv").open() as file:
         reasons = {row["reason"] for row in csv.DictReader(file)}
     said = verdicts.loc[verdicts["verdict"] == "not checkable", "reason"]
-    assert {reason for reason in reasons if not said.str.contains(reason, regex=False).any()} == set()
+    assert {
+        reason for reason in reasons if not said.str.contains(reason, regex=False).any()
+    } == set()

@@ -5,7 +5,15 @@ import pytest
 
 from trustlab.reproduction.audit.verdict import Formula
 
-IDS = {"F": "s/F", "df1": "s/df1", "df2": "s/df2", "n": "s/n", "ε": "s/epsilon", "after": "a", "before": "b"}
+IDS = {
+    "F": "s/F",
+    "df1": "s/df1",
+    "df2": "s/df2",
+    "n": "s/n",
+    "ε": "s/epsilon",
+    "after": "a",
+    "before": "b",
+}
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,7 @@
-"""A printed number has one verdict, wherever it is shown: reports take verdicts from the audit, and from nothing else."""
+"""
+A printed number has one verdict, wherever it is shown: reports take verdicts from the audit, and
+from nothing else.
+"""
 
 import json
 from pathlib import Path
@@ -12,7 +15,10 @@ NOTEBOOKS = sorted((Path(__file__).parents[3] / "notebooks").glob("*.ipynb"))
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_reports_take_verdicts_from_the_audit(path):
-    """`recompute` varies every input by itself, b_pr too, which gave TSC_ub of participant 5 another verdict in report 03."""
+    """
+    `recompute` varies every input by itself, b_pr too, which gave TSC_ub of participant 5 another
+    verdict in report 03.
+    """
     code = "".join("".join(cell["source"]) for cell in json.loads(path.read_text())["cells"])
     assert "recompute(" not in code
 

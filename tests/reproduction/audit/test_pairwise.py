@@ -1,5 +1,6 @@
 """
-Pairwise p-values against F: printed statistics of simulated data must fit under the adjustment they were made with.
+Pairwise p-values against F: printed statistics of simulated data must fit under the adjustment they
+were made with.
 
 Oracles: scipy.stats.ttest_rel on the data; the F ratio from sums of squares of the data.
 """
@@ -21,13 +22,20 @@ NAMES = conditions_of("uav.made")
 def printed_study(seed, times, n=36):
     """A study of simulated data as a paper would print it, p-values multiplied by `times`."""
     rng = np.random.default_rng(seed)
-    data = rng.normal(size=(n, 1)) + rng.normal(size=(n, 5)) * rng.uniform(0.6, 1.4, 5) + rng.normal(0.0, 0.4, 5)
+    data = (
+        rng.normal(size=(n, 1))
+        + rng.normal(size=(n, 5)) * rng.uniform(0.6, 1.4, 5)
+        + rng.normal(0.0, 0.4, 5)
+    )
     centred = data - data.mean(axis=1, keepdims=True)
     between = n * data.mean(axis=0).var(ddof=1)
     error = ((centred - centred.mean(axis=0)) ** 2).sum() / (4 * (n - 1))
     printed = {"n": str(n), "anova.F": f"{between / error:.3f}"}
     for i, c in enumerate(NAMES):
-        printed |= {f"mean.{c}": f"{data[:, i].mean():.3f}", f"sd.{c}": f"{data[:, i].std(ddof=1):.3f}"}
+        printed |= {
+            f"mean.{c}": f"{data[:, i].mean():.3f}",
+            f"sd.{c}": f"{data[:, i].std(ddof=1):.3f}",
+        }
     for i, j in combinations(range(5), 2):
         p = min(times * stats.ttest_rel(data[:, i], data[:, j]).pvalue, 1.0)
         if p < 0.0495:
@@ -53,7 +61,9 @@ def fits(numbers):
 def test_data_fit_under_their_own_adjustment(way, times):
     found = [fits(printed_study(seed, times)) for seed in range(25)]
     assert all(way in each for each in found)
-    if way == "Bonferroni":  # the other one is ruled out now and then, else the check would show nothing
+    if (
+        way == "Bonferroni"
+    ):  # the other one is ruled out now and then, else the check would show nothing
         assert any(len(each) == 1 for each in found)
 
 
@@ -74,7 +84,10 @@ def test_each_printed_pair_is_possible():
 def test_the_printed_studies_are_bonferronis():
     numbers = printed_numbers()
     reasons = {
-        name: pair_checks(name, numbers)[-1].reason for name in ("uav.tlx", "teleop.trust", "teleop.satisfaction")
+        name: pair_checks(name, numbers)[-1].reason
+        for name in ("uav.tlx", "teleop.trust", "teleop.satisfaction")
     }
     assert "leave it open" in reasons["uav.tlx"]
-    assert all("only Bonferroni is possible" in reasons[f"teleop.{x}"] for x in ("trust", "satisfaction"))
+    assert all(
+        "only Bonferroni is possible" in reasons[f"teleop.{x}"] for x in ("trust", "satisfaction")
+    )

@@ -1,4 +1,7 @@
-"""How verdicts are made: ranges against closed forms and brute force, rounding of printed text, and the bounds used."""
+"""
+How verdicts are made: ranges against closed forms and brute force, rounding of printed text, and
+the bounds used.
+"""
 
 import math
 from fractions import Fraction
@@ -142,7 +145,8 @@ def test_items_that_fit():
 
 
 def test_extreme_chi2_of_epsilon_by_brute_force():
-    # Random eigenvalues of p = 4 contrasts: no χ² below the least at its ε, and the least is reached.
+    # Random eigenvalues of p = 4 contrasts: no χ² below the least at its ε, and the least is
+    # reached.
     rng = np.random.default_rng(2)
     values = rng.dirichlet(np.ones(4) * 2.0, 20000)
     epsilon = 1.0 / (4.0 * (values**2).sum(axis=1))

@@ -1,4 +1,7 @@
-"""Infeasible is proved, feasible is shown; the proof never refutes what real data say; conflicts can be named."""
+"""
+Infeasible is proved, feasible is shown; the proof never refutes what real data say; conflicts can
+be named.
+"""
 
 import numpy as np
 import pytest
@@ -7,7 +10,12 @@ from scipy import stats
 
 import trustlab as tl
 from trustlab.reproduction import compare_adjustments
-from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, arithmetic_conflicts, constraints, select
+from trustlab.reproduction.reconstruction.constraints import (
+    ADJUSTMENTS,
+    arithmetic_conflicts,
+    constraints,
+    select,
+)
 from trustlab.reproduction.reconstruction.feasibility import moment_problem
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem
 from trustlab.reproduction.reconstruction.reconstruction import reanalyse
@@ -66,7 +74,9 @@ def study_of(values, p_adjust, decimals):
     """A study that prints what these data have, under an adjustment."""
     n, k = values.shape
     names = tuple("ABCDE"[:k])
-    blank = tl.PublishedStudy("s", n, dict.fromkeys(names, "0"), dict.fromkeys(names, "1"), epsilon="1.0")
+    blank = tl.PublishedStudy(
+        "s", n, dict.fromkeys(names, "0"), dict.fromkeys(names, "1"), epsilon="1.0"
+    )
     got = reanalyse(values, blank, p_adjust)
 
     def text(name, places):
@@ -90,10 +100,17 @@ def study_of(values, p_adjust, decimals):
 
 
 @settings(max_examples=40)
-@given(st.integers(0, 2**32 - 1), st.sampled_from([3, 4, 5]), st.sampled_from(ADJUSTMENTS), st.integers(2, 4))
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([3, 4, 5]),
+    st.sampled_from(ADJUSTMENTS),
+    st.integers(2, 4),
+)
 def test_what_data_say_is_never_refuted(seed, k, p_adjust, decimals):
     rng = np.random.default_rng(seed)
-    values = rng.normal(size=(k + 3 + seed % 30, k)) @ (np.eye(k) + rng.normal(size=(k, k))) + 1.5 * rng.normal(size=k)
+    values = rng.normal(size=(k + 3 + seed % 30, k)) @ (
+        np.eye(k) + rng.normal(size=(k, k))
+    ) + 1.5 * rng.normal(size=k)
     study = study_of(values, p_adjust, decimals)
     assert arithmetic_conflicts(study) == {}
     found = constraints(study, p_adjust)
@@ -103,7 +120,12 @@ def test_what_data_say_is_never_refuted(seed, k, p_adjust, decimals):
 
 
 def test_two_constraints_on_sphericity_alone_are_not_refuted():
-    values = {"n": 12, "mean": {"A": "5", "B": "4", "C": "3"}, "sd": {"C": "0.90"}, "mauchly": {"p": "0.95"}}
+    values = {
+        "n": 12,
+        "mean": {"A": "5", "B": "4", "C": "3"},
+        "sd": {"C": "0.90"},
+        "mauchly": {"p": "0.95"},
+    }
     study = tl.PublishedStudy.from_dict({**values, "scale": (0, 9)})
     found = [s for s in constraints(study) if s.name in ("sd.C", "mauchly.p")]
     assert not proves_infeasible(MomentProblem(found, 12, 3, "none"))
@@ -176,10 +198,17 @@ def test_the_printed_studies_have_one_arithmetic_conflict():
 
 
 def test_mauchlys_p_is_that_of_packages():
-    """Oracle: p of χ² = 7 at n = 9, k = 4 by the k form, written out, and the plain χ² tail, which packages do not print."""
-    n, k, d = 9, 4, 3
+    """
+    Oracle: p of χ² = 7 at n = 9, k = 4 by the k form, written out, and the plain χ² tail, which
+    packages do not print.
+    """
+    n = 9
+    k = 4
+    d = 3
     factor = n - 1 - (2 * d * d + d + 2) / (6 * d)
-    weight = (d + 2) * (d - 1) * (d - 2) * (2 * d**3 + 6 * d * d + 3 * k + 2) / (288 * (d * factor) ** 2)
+    weight = (
+        (d + 2) * (d - 1) * (d - 2) * (2 * d**3 + 6 * d * d + 3 * k + 2) / (288 * (d * factor) ** 2)
+    )
     plain, shifted = stats.chi2.sf(7.0, 5), stats.chi2.sf(7.0, 9)
     values = {"n": n, "mean": dict.fromkeys("ABCD", "5.0"), "sd": dict.fromkeys("ABCD", "1.0")}
     for p, conflicts in ((plain, ["mauchly.p"]), (plain + weight * (shifted - plain), [])):

@@ -26,7 +26,9 @@ def test_statistics_are_those_of_pingouin(k):
 
     x = data(k, 25)
     long = pd.DataFrame(x).melt(ignore_index=False, var_name="c", value_name="v").reset_index()
-    table = pingouin.rm_anova(long, dv="v", within="c", subject="index", correction=True, effsize="np2").iloc[0]
+    table = pingouin.rm_anova(
+        long, dv="v", within="c", subject="index", correction=True, effsize="np2"
+    ).iloc[0]
     sphericity = pingouin.sphericity(pd.DataFrame(x))
     ours = moments(x)
     assert ours.f_ratio[0] == pytest.approx(table["F"], rel=1e-10)
@@ -39,9 +41,13 @@ def test_statistics_are_those_of_pingouin(k):
     assert np.exp(ours.log_p[0, 1]) == pytest.approx(t["p_val"], rel=1e-10)
 
 
-@pytest.mark.parametrize("kind", ["mean", "sd", "f_ratio", "epsilon", "chi2", "log_p", "log_anova_p", "correlation"])
+@pytest.mark.parametrize(
+    "kind", ["mean", "sd", "f_ratio", "epsilon", "chi2", "log_p", "log_anova_p", "correlation"]
+)
 def test_gradients_are_those_of_central_differences(kind):
-    k, n, h = 4, 20, 1e-6
+    k = 4
+    n = 20
+    h = 1e-6
     x = data(k, n, 1)
     mean, covariance = x.mean(axis=0), np.cov(x.T)
 
@@ -56,7 +62,9 @@ def test_gradients_are_those_of_central_differences(kind):
         for j in range(i, k):
             change = np.zeros((k, k))
             change[i, j] = change[j, i] = h
-            numeric = (value(mean, covariance + change) - value(mean, covariance - change)) / (2 * h)
+            numeric = (value(mean, covariance + change) - value(mean, covariance - change)) / (
+                2 * h
+            )
             ours = by_covariance[0, :, i, j] * (1 if i == j else 2)
             np.testing.assert_allclose(ours, numeric, rtol=1e-5, atol=1e-6)
 
@@ -70,4 +78,6 @@ def test_holm_in_the_search_is_holm_by_definition():
     np.testing.assert_allclose(np.minimum(ours, 1.0), adjusted(p, "holm"), rtol=1e-12)
     statsmodels = pytest.importorskip("statsmodels.stats.multitest")
     for ours_name, theirs in (("holm", "holm"), ("bonferroni", "bonferroni"), ("sidak", "sidak")):
-        np.testing.assert_allclose(adjusted(p, ours_name), statsmodels.multipletests(p, method=theirs)[1], rtol=1e-10)
+        np.testing.assert_allclose(
+            adjusted(p, ours_name), statsmodels.multipletests(p, method=theirs)[1], rtol=1e-10
+        )

@@ -1,8 +1,9 @@
 """
 Reconstructed data have every printed statistic.
 
-The oracle is an analysis written here from the textbook definitions (sums of squares, contrast covariance, paired t by
-SciPy), and `tl.repeated_measures`; printed numbers are compared as strings, after rounding.
+The oracle is an analysis written here from the textbook definitions (sums of squares, contrast
+covariance, paired t by SciPy), and `tl.repeated_measures`; printed numbers are compared as strings,
+after rounding.
 """
 
 import json
@@ -29,7 +30,9 @@ def rounds_to(value, text):
 
 
 def textbook(frame, conditions, corrected):
-    x = frame.pivot_table(index="subject", columns="condition", values="value")[list(conditions)].to_numpy()
+    x = frame.pivot_table(index="subject", columns="condition", values="value")[
+        list(conditions)
+    ].to_numpy()
     n, k = x.shape
     contrasts = np.linalg.qr(np.column_stack([np.ones(k), np.eye(k)[:, 1:]]))[0][:, 1:]
     a = contrasts.T @ np.cov(x.T).reshape(k, k) @ contrasts
@@ -39,7 +42,10 @@ def textbook(frame, conditions, corrected):
     error = total - between - effect
     epsilon = np.trace(a) ** 2 / ((k - 1) * np.trace(a @ a))
     factor = epsilon if corrected else 1.0
-    out = {"F": (effect / (k - 1)) / (error / ((k - 1) * (n - 1))), "eta2": effect / (effect + error)}
+    out = {
+        "F": (effect / (k - 1)) / (error / ((k - 1) * (n - 1))),
+        "eta2": effect / (effect + error),
+    }
     out |= {"df1": factor * (k - 1), "df2": factor * (k - 1) * (n - 1), "epsilon": epsilon}
     out["p"] = stats.f.sf(out["F"], out["df1"], out["df2"])
     if k > 2:
@@ -47,12 +53,20 @@ def textbook(frame, conditions, corrected):
         d = 1 - (2 * (k - 1) ** 2 + (k - 1) + 2) / (6 * (k - 1) * (n - 1))
         out["chi2"] = -(n - 1) * d * np.log(w)
         q, f = k - 1, k * (k - 1) / 2 - 1
-        weight = (q + 2) * (q - 1) * (q - 2) * (2 * q**3 + 6 * q**2 + 3 * k + 2) / (288 * ((n - 1) * q * d) ** 2)
+        weight = (
+            (q + 2)
+            * (q - 1)
+            * (q - 2)
+            * (2 * q**3 + 6 * q**2 + 3 * k + 2)
+            / (288 * ((n - 1) * q * d) ** 2)
+        )
         first, second = stats.chi2.sf(out["chi2"], f), stats.chi2.sf(out["chi2"], f + 4)
         out["mauchly_p"] = first + weight * (second - first)
     m = k * (k - 1) // 2
     out["pairs"] = {
-        frozenset((conditions[i], conditions[j])): min(m * stats.ttest_rel(x[:, i], x[:, j]).pvalue, 1.0)
+        frozenset((conditions[i], conditions[j])): min(
+            m * stats.ttest_rel(x[:, i], x[:, j]).pvalue, 1.0
+        )
         for i in range(k)
         for j in range(i)
     }
@@ -63,8 +77,16 @@ def textbook(frame, conditions, corrected):
 def differences(study, frame):
     """Names of printed statistics that the data do not have, pairs not listed included."""
     x, found = textbook(frame, study.conditions, study.corrected)
-    bad = [f"mean.{c}" for c, t in study.mean.items() if not rounds_to(x[:, study.conditions.index(c)].mean(), t)]
-    bad += [f"sd.{c}" for c, t in study.sd.items() if not rounds_to(x[:, study.conditions.index(c)].std(ddof=1), t)]
+    bad = [
+        f"mean.{c}"
+        for c, t in study.mean.items()
+        if not rounds_to(x[:, study.conditions.index(c)].mean(), t)
+    ]
+    bad += [
+        f"sd.{c}"
+        for c, t in study.sd.items()
+        if not rounds_to(x[:, study.conditions.index(c)].std(ddof=1), t)
+    ]
     bad += [f"anova.{q}" for q, t in study.anova.items() if not rounds_to(found[q], t)]
     bad += ["epsilon"] if study.epsilon and not rounds_to(found["epsilon"], study.epsilon) else []
     for q, value in (("chi2", "chi2"), ("p", "mauchly_p")):
@@ -105,7 +127,9 @@ def test_every_seed_has_all_printed_statistics(name, seeds):
 @pytest.mark.parametrize("name", [name for name in STUDIES if name != "uav.followed"])
 def test_repeated_measures_finds_the_printed_statistics(name):
     study = STUDIES[name]
-    result = tl.repeated_measures(tl.reconstruct(study, 3), dv="value", within="condition", subject="subject")
+    result = tl.repeated_measures(
+        tl.reconstruct(study, 3), dv="value", within="condition", subject="subject"
+    )
     assert rounds_to(result.F, study.anova["F"])
     assert rounds_to(result.eta2_partial, study.anova["eta2"])
     assert rounds_to(result.p_gg if study.corrected else result.p, study.anova["p"])
@@ -178,13 +202,18 @@ def test_missing_cells_are_inferred_with_their_range():
     result = reconstruct_study(tl.PublishedStudy.from_dict(values, "small"), 0)
     ranges = result.ranges()
     assert list(ranges.columns) == ["low", "high", "proved_low", "proved_high", "reconstructed"]
-    assert list(ranges.index) == ["mean.C", "sd.C", *(f"correlation.{p}" for p in ("A-B", "A-C", "B-C"))]
+    assert list(ranges.index) == [
+        "mean.C",
+        "sd.C",
+        *(f"correlation.{p}" for p in ("A-B", "A-C", "B-C")),
+    ]
     assert ranges["reconstructed"].between(ranges["low"] - 1e-9, ranges["high"] + 1e-9).all()
     c = ranges.loc["mean.C"]
     assert 1.0 <= c["proved_low"] <= c["low"] <= c["high"] <= c["proved_high"] <= 7.0
     assert ranges["proved_low"].isna().sum() == 4
     assert 1.0 < ranges.loc["mean.C", "low"] < 4.2 < 5.0 < ranges.loc["mean.C", "high"] < 7.0
-    # Means, SDs and p of A and B are printed: the correlation is pinned down by var(a − b) = n (m_a − m_b)²/t².
+    # Means, SDs and p of A and B are printed: the correlation is pinned down by var(a − b) = n (m_a
+    # − m_b)²/t².
     t = stats.t.ppf(0.020 / 3 / 2, 23)
     variance = 24 * 0.8**2 / t**2
     exact = (1.0**2 + 1.1**2 - variance) / (2 * 1.0 * 1.1)
@@ -202,13 +231,19 @@ def test_samples_have_exact_moments_within_the_scale():
     assert x.max() <= 1.0
     np.testing.assert_allclose(x.mean(axis=0), mean, rtol=1e-12)
     np.testing.assert_allclose(np.cov(x.T), covariance, rtol=1e-11)
-    assert sample_with_moments(mean, 10 * np.linalg.cholesky(covariance), 20, (0.0, 1.0), rng, 50) is None
+    assert (
+        sample_with_moments(mean, 10 * np.linalg.cholesky(covariance), 20, (0.0, 1.0), rng, 50)
+        is None
+    )
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("uav.tlx",), r"study must be of class PublishedStudy, got str.*published_studies\(\)\['uav.tlx'\]"),
+        (
+            ("uav.tlx",),
+            r"study must be of class PublishedStudy, got str.*published_studies\(\)\['uav.tlx'\]",
+        ),
         (("teleop.trusts",), r"published_studies\(\)\['teleop.trust'\]"),
         (({"n": 3},), "from_dict"),
         ((STUDIES["uav.tlx"], -1), "seed"),
@@ -217,7 +252,10 @@ def test_samples_have_exact_moments_within_the_scale():
         ((STUDIES["uav.tlx"], 0, "tukey"), "p_adjust must be one of"),
         ((STUDIES["uav.tlx"], 0, None, ("mauchley",)), "'mauchley' is not among"),
         ((STUDIES["uav.tlx"], 0, None, "pairs"), "without must be a list"),
-        ((STUDIES["uav.tlx"], 0, None, ("mean", "sd", "anova", "epsilon", "mauchly", "pairs")), "is left"),
+        (
+            (STUDIES["uav.tlx"], 0, None, ("mean", "sd", "anova", "epsilon", "mauchly", "pairs")),
+            "is left",
+        ),
     ],
 )
 def test_bad_input_is_refused(arguments, message):
@@ -240,11 +278,13 @@ def test_what_contradicts_is_left_out_of_a_small_study():
     assert set(result.table().query("not agrees").index) <= set(result.left_out)
 
 
-# --- edges -----------------------------------------------------------------------------------------------------------
+# --- edges ----------------------------------------------------------------------------------------
 
 
 def printed(values, digits):
-    """A study as it would print the statistics of data; F and p by the textbook's sums of squares."""
+    """
+    A study as it would print the statistics of data; F and p by the textbook's sums of squares.
+    """
     n, k = values.shape
     mean, sd = values.mean(axis=0), values.std(axis=0, ddof=1)
     effect = n * ((mean - mean.mean()) ** 2).sum() / (k - 1)
@@ -267,13 +307,17 @@ def edge(name):
         values = rng.normal(size=(20, 4)) * 0.2 + rng.normal(size=(20, 1)) * 0.2
         return printed(values - values.mean(axis=0) + 5.0 + np.array([-0.04, 0.03, 0.01, 0.0]), 1)
     if name == "F of 100,000":
-        values = rng.normal(size=(20, 1)) + rng.normal(size=(20, 3)) * 0.014 + np.array([0.0, 0.6, 1.2])
+        values = (
+            rng.normal(size=(20, 1)) + rng.normal(size=(20, 3)) * 0.014 + np.array([0.0, 0.6, 1.2])
+        )
         return printed(values, 2)
     n, k = map(int, name.split(" in "))
     return printed(rng.normal(size=(n, k)) + 0.5 * np.arange(k), 2)
 
 
-@pytest.mark.parametrize("name", ["means printed equal", "F of 100,000", "3 in 3", "4 in 4", "3 in 5", "4 in 6"])
+@pytest.mark.parametrize(
+    "name", ["means printed equal", "F of 100,000", "3 in 3", "4 in 4", "3 in 5", "4 in 6"]
+)
 def test_true_studies_at_the_edge_are_found(name):
     study = edge(name)
     found = reconstruct_study(study)
@@ -285,7 +329,12 @@ def test_true_studies_at_the_edge_are_found(name):
 @pytest.mark.parametrize("p", ["1.000", ".999", "1", ">.999"])
 def test_no_difference_at_all_is_no_contradiction(p):
     study = tl.PublishedStudy.from_dict(
-        {"n": 10, "mean": {"A": "5.0", "B": "5.0"}, "sd": {"A": "1.0", "B": "1.1"}, "t_test": {"t": "0.00", "p": p}}
+        {
+            "n": 10,
+            "mean": {"A": "5.0", "B": "5.0"},
+            "sd": {"A": "1.0", "B": "1.1"},
+            "t_test": {"t": "0.00", "p": p},
+        }
     )
     found = reconstruct_study(study)
     assert found.left_out == {}

@@ -1,4 +1,7 @@
-"""Oracle: R (afex, car, stats, nlme), values in reference/reference.json made by reference/make_reference.R."""
+"""
+Oracle: R (afex, car, stats, nlme), values in reference/reference.json made by
+reference/make_reference.R.
+"""
 
 import json
 from pathlib import Path
@@ -10,10 +13,13 @@ import pytest
 import trustlab as tl
 from trustlab.studies import mixed_model
 
-STUDIES = json.loads((Path(__file__).parents[1] / "reference" / "reference.json").read_text())["studies"]
+STUDIES = json.loads((Path(__file__).parents[1] / "reference" / "reference.json").read_text())[
+    "studies"
+]
 TOLERANCE = 1e-9  # of the unit, or relative for what is not of order 1; the issue asks for 1e-6
 LOOSER = {
-    "large_offset": 3e-7,  # R's own sums lose these digits: scores of order 1 on an offset of a million
+    # R's own sums lose these digits: scores of order 1 on an offset of a million
+    "large_offset": 3e-7,
     "small_unit": 1e-7,  # R's own, a spread of a millionth on an offset of 2
     "very_large_effect": 1e-8,
 }
@@ -110,7 +116,12 @@ def test_pairs_and_normality(name):
 @pytest.mark.parametrize("name", STUDIES)
 def test_friedman(name):
     study, found = STUDIES[name], analysed(STUDIES[name]).friedman()
-    agree([found.chi2, found.df, found.p], [study[f"friedman_{x}"] for x in ("chi2", "df", "p")], 1e-11, name)
+    agree(
+        [found.chi2, found.df, found.p],
+        [study[f"friedman_{x}"] for x in ("chi2", "df", "p")],
+        1e-11,
+        name,
+    )
     n, k = study["complete"], found.df + 1
     assert found.kendall_w == pytest.approx(study["friedman_chi2"] / (n * (k - 1)), abs=1e-12)
 
@@ -120,7 +131,9 @@ def test_mixed_model_against_nlme(name):
     study = STUDIES[name]
     found = mixed_model(long_table(study), "the score", "autonomy level", "pid")
     assert found.df2 == study["mixed_df2"]
-    assert study["mixed_F"] == pytest.approx(found.F, rel=2e-6)  # nlme stops there: test_mixed_model.py is tighter
+    assert study["mixed_F"] == pytest.approx(
+        found.F, rel=2e-6
+    )  # nlme stops there: test_mixed_model.py is tighter
     assert found.missing_cells == np.isnan(np.array(study["data"], dtype=float)).sum()
 
 

@@ -37,13 +37,21 @@ def test_no_leading_zero_below_one():
 
 @pytest.mark.parametrize(
     ("p", "text"),
-    [(0.0009999, "p < .001"), (0.001, "p = .001"), (0.0495, "p = .050"), (0.9996, "p > .999"), (1.0, "p > .999")],
+    [
+        (0.0009999, "p < .001"),
+        (0.001, "p = .001"),
+        (0.0495, "p = .050"),
+        (0.9996, "p > .999"),
+        (1.0, "p > .999"),
+    ],
 )
 def test_p_values(p, text):
     assert apa_p(p) == text
 
 
-@pytest.mark.parametrize(("sd", "digits"), [(31.0, 1), (1.7, 2), (0.09, 4), (2e-5, 7), (450.0, 0), (0.0, 2)])
+@pytest.mark.parametrize(
+    ("sd", "digits"), [(31.0, 1), (1.7, 2), (0.09, 4), (2e-5, 7), (450.0, 0), (0.0, 2)]
+)
 def test_decimals_follow_the_standard_deviation(sd, digits):
     assert apa_decimals(np.array([sd, sd])) == digits
 
@@ -52,10 +60,16 @@ def test_decimals_follow_the_standard_deviation(sd, digits):
 def test_a_mean_of_whole_points_is_exact(seed):
     answers = np.random.default_rng(seed).integers(1, 11, (24, 4)).astype(float)
     frame = pd.DataFrame(
-        {"pid": np.repeat(np.arange(24), 4), "scheme": ["A", "B", "C", "D"] * 24, "trust": answers.ravel()}
+        {
+            "pid": np.repeat(np.arange(24), 4),
+            "scheme": ["A", "B", "C", "D"] * 24,
+            "trust": answers.ravel(),
+        }
     )
     result = tl.repeated_measures(frame, dv="trust", within="scheme", subject="pid")
-    assert result.descriptives()["mean"].tolist() == [sum(column) / 24 for column in answers.T.tolist()]
+    assert result.descriptives()["mean"].tolist() == [
+        sum(column) / 24 for column in answers.T.tolist()
+    ]
     for scheme, mean in zip("ABCD", answers.sum(axis=0), strict=True):
         on_paper = int((100 * mean + 12) // 24)  # hundredths, halves up
         assert f"{scheme} (M = {on_paper // 100}.{on_paper % 100:02d}, SD = " in result.apa()

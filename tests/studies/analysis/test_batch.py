@@ -1,4 +1,7 @@
-"""The batch engine. Oracles: pingouin, SciPy and statsmodels study by study; sums of squares by brute force; theorems."""
+"""
+The batch engine. Oracles: pingouin, SciPy and statsmodels study by study; sums of squares by brute
+force; theorems.
+"""
 
 import warnings
 
@@ -14,7 +17,12 @@ from statsmodels.stats.multitest import multipletests
 import trustlab as tl
 from trustlab.studies.analysis import batch as engine
 from trustlab.studies.analysis.batch import bonferroni, holm
-from trustlab.studies.analysis.sphericity import greenhouse_geisser, mauchly, mauchly_p_value, orthonormal_contrasts
+from trustlab.studies.analysis.sphericity import (
+    greenhouse_geisser,
+    mauchly,
+    mauchly_p_value,
+    orthonormal_contrasts,
+)
 
 OMNIBUS = [
     "F",
@@ -38,7 +46,9 @@ def draw(studies, n, k, seed=0, effect=0.3, subjects=1.0):
 
 def long_table(scores):
     n, k = scores.shape
-    return pd.DataFrame({"s": np.repeat(np.arange(n), k), "c": np.tile(np.arange(k), n), "y": scores.ravel()})
+    return pd.DataFrame(
+        {"s": np.repeat(np.arange(n), k), "c": np.tile(np.arange(k), n), "y": scores.ravel()}
+    )
 
 
 @pytest.mark.parametrize(("n", "k"), [(36, 5), (12, 3), (24, 4), (15, 10)])
@@ -55,7 +65,9 @@ def test_equals_a_pingouin_loop(n, k):
             epsilon = pingouin.epsilon(frame, correction="hf", **columns)
             sphericity = pingouin.sphericity(frame, **columns)
             pairs = pingouin.pairwise_tests(frame, padjust="holm", **columns)
-        ours = [getattr(batch, name)[s] for name in ["F", "p", "p_gg", "epsilon_gg", "eta2_generalized"]]
+        ours = [
+            getattr(batch, name)[s] for name in ["F", "p", "p_gg", "epsilon_gg", "eta2_generalized"]
+        ]
         theirs = row[["F", "p_unc", "p_GG_corr", "eps", "ng2"]].to_numpy(dtype=float)
         np.testing.assert_allclose(ours, theirs, rtol=1e-10)
         ours = [
@@ -65,7 +77,9 @@ def test_equals_a_pingouin_loop(n, k):
             batch.mauchly_chi2[s],
             batch.mauchly_p[s],
         ]
-        np.testing.assert_allclose(ours, [partial, epsilon, sphericity.W, sphericity.chi2, sphericity.pval], rtol=1e-10)
+        np.testing.assert_allclose(
+            ours, [partial, epsilon, sphericity.W, sphericity.chi2, sphericity.pval], rtol=1e-10
+        )
         assert batch.mauchly_df == sphericity.dof
         np.testing.assert_allclose(batch.pairwise.t[s], pairs["T"], rtol=1e-10)
         np.testing.assert_allclose(batch.pairwise.p[s], pairs["p_unc"], rtol=1e-10)
@@ -98,12 +112,18 @@ def test_sums_of_squares_by_brute_force():
     effect = sum(n * (scores[:, j].mean() - grand) ** 2 for j in range(k))
     subjects = sum(k * (scores[i].mean() - grand) ** 2 for i in range(n))
     error = sum(
-        (scores[i, j] - scores[i].mean() - scores[:, j].mean() + grand) ** 2 for i in range(n) for j in range(k)
+        (scores[i, j] - scores[i].mean() - scores[:, j].mean() + grand) ** 2
+        for i in range(n)
+        for j in range(k)
     )
     np.testing.assert_allclose(
-        [batch.ss_effect[0], batch.ss_subjects[0], batch.ss_error[0]], [effect, subjects, error], rtol=1e-12
+        [batch.ss_effect[0], batch.ss_subjects[0], batch.ss_error[0]],
+        [effect, subjects, error],
+        rtol=1e-12,
     )
-    assert batch.eta2_generalized[0] == pytest.approx(effect / ((scores - grand) ** 2).sum(), rel=1e-12)
+    assert batch.eta2_generalized[0] == pytest.approx(
+        effect / ((scores - grand) ** 2).sum(), rel=1e-12
+    )
 
 
 def test_mauchly_second_order_term_by_hand():
@@ -133,7 +153,10 @@ def test_mauchly_second_order_term_by_hand():
     ],
 )
 def test_printed_p_of_mauchly(chi2, n, k, printed):
-    """Oracle: the dissertation's Sections 2.4.2.4 and 3.9.4, χ² and p as its statistics program printed them."""
+    """
+    Oracle: the dissertation's Sections 2.4.2.4 and 3.9.4, χ² and p as its statistics program
+    printed them.
+    """
     assert mauchly_p_value(chi2, n, k) == pytest.approx(printed, abs=6e-4)
 
 
@@ -156,7 +179,8 @@ def test_two_conditions_are_a_paired_t_test():
 
 
 @pytest.mark.parametrize(
-    ("n", "k", "defined"), [(3, 3, True), (3, 4, False), (5, 5, True), (5, 6, False), (4, 10, False)]
+    ("n", "k", "defined"),
+    [(3, 3, True), (3, 4, False), (5, 5, True), (5, 6, False), (4, 10, False)],
 )
 def test_mauchly_needs_n_above_k_less_one(n, k, defined):
     batch = tl.repeated_measures_batch(draw(20, n, k))
@@ -167,14 +191,18 @@ def test_mauchly_needs_n_above_k_less_one(n, k, defined):
 
 
 def test_mauchly_counts_subjects_itself():
-    """A full-rank covariance cannot come from so few subjects: rounding does not make it testable."""
+    """
+    A full-rank covariance cannot come from so few subjects: rounding does not make it testable.
+    """
     assert np.isnan(mauchly(np.diag([1.0, 2.0, 3.0, 4.0]), n=4).p)
     assert np.isfinite(mauchly(np.diag([1.0, 2.0, 3.0, 4.0]), n=5).p)
 
 
 def test_mauchly_is_refused_where_a_condition_is_the_mean_of_two_others():
     array = draw(300, 12, 4)
-    array[::2, :, 3] = 0.5 * (array[::2, :, 0] + array[::2, :, 1])  # eigenvalues of ± 1e-17: both signs occur
+    array[::2, :, 3] = 0.5 * (
+        array[::2, :, 0] + array[::2, :, 1]
+    )  # eigenvalues of ± 1e-17: both signs occur
     batch = tl.repeated_measures_batch(array)
     assert np.isnan(batch.mauchly_w).tolist() == [True, False] * 150
     assert np.isfinite(batch.p_gg).all()
@@ -212,13 +240,17 @@ def test_unit_and_subjects_levels_do_not_matter(shape, offset, unit):
     n, k, seed = shape
     array = draw(2, n, k, seed=seed)
     level = np.random.default_rng(seed).standard_normal((1, n, 1)) * 10.0
-    first, second = (tl.repeated_measures_batch(x) for x in (array, offset + unit * (array + level)))
+    first, second = (
+        tl.repeated_measures_batch(x) for x in (array, offset + unit * (array + level))
+    )
     for name in OMNIBUS:
         if name not in (
             "eta2_generalized",
             "epsilon_hf_untruncated",
         ):  # the one has the subjects' variance, the other a pole
-            np.testing.assert_allclose(getattr(second, name), getattr(first, name), rtol=1e-5, atol=1e-8, err_msg=name)
+            np.testing.assert_allclose(
+                getattr(second, name), getattr(first, name), rtol=1e-5, atol=1e-8, err_msg=name
+            )
     np.testing.assert_allclose(second.pairwise.t, first.pairwise.t, rtol=1e-6, atol=1e-7)
     np.testing.assert_allclose(second.pairwise.d_z, first.pairwise.d_z, rtol=1e-6, atol=1e-7)
 
@@ -233,7 +265,9 @@ def test_order_of_subjects_and_conditions_does_not_matter(shape, random):
     random.shuffle(columns)
     first, second = (tl.repeated_measures_batch(x) for x in (array, array[:, rows][:, :, columns]))
     for name in OMNIBUS:
-        np.testing.assert_allclose(getattr(second, name), getattr(first, name), rtol=1e-6, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(second, name), getattr(first, name), rtol=1e-6, atol=1e-9, err_msg=name
+        )
 
 
 def test_a_large_offset_costs_only_the_scores_own_digits():
@@ -348,7 +382,9 @@ def test_a_score_that_is_no_number_is_named(value):
 def test_studies_without_error_variance_are_named():
     array = draw(3, 5, 4)
     array[1] = 0.1 + 0.2 * np.arange(5)[:, None] + 0.7 * np.arange(4)
-    with pytest.raises(ValueError, match=r"study 1: the error variance is zero \(all subjects differ"):
+    with pytest.raises(
+        ValueError, match=r"study 1: the error variance is zero \(all subjects differ"
+    ):
         tl.repeated_measures_batch(array)
     array[1] = 0.1 * np.arange(5)[:, None] * np.ones(4)
     with pytest.raises(ValueError, match=r"study 1: the error variance is zero \(no subject"):
@@ -365,4 +401,6 @@ def test_units_beyond_double_precision_are_refused():
     for unit in (1e-95, 1e-20, 1e130):
         found = tl.repeated_measures_batch(array * unit)
         for name in OMNIBUS:
-            np.testing.assert_allclose(getattr(found, name), getattr(usual, name), rtol=1e-9, err_msg=name)
+            np.testing.assert_allclose(
+                getattr(found, name), getattr(usual, name), rtol=1e-9, err_msg=name
+            )

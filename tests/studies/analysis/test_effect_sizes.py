@@ -1,4 +1,7 @@
-"""The interval of partial η². Oracles: SciPy's noncentral F, tests by simulation; R in test_against_r.py."""
+"""
+The interval of partial η². Oracles: SciPy's noncentral F, tests by simulation; R in
+test_against_r.py.
+"""
 
 import numpy as np
 import pandas as pd
@@ -16,15 +19,23 @@ dfs = st.tuples(st.integers(1, 12), st.integers(2, 300))
 @settings(max_examples=80, deadline=None, derandomize=True)
 @given(fs, dfs)
 def test_limits_invert_the_noncentral_f(f, df):
-    """Theorem: the data are 5 % unlikely at either limit, or the limit is 0 where even no effect makes them likelier."""
+    """
+    Theorem: the data are 5 % unlikely at either limit, or the limit is 0 where even no effect makes
+    them likelier.
+    """
     found = partial_eta_interval(f, *df)
-    for limit, tail in ((found.noncentrality_low, stats.ncf.sf), (found.noncentrality_high, stats.ncf.cdf)):
+    for limit, tail in (
+        (found.noncentrality_low, stats.ncf.sf),
+        (found.noncentrality_high, stats.ncf.cdf),
+    ):
         if limit > 0.0:
             assert tail(f, *df, limit) == pytest.approx(0.05, abs=1e-8)
     assert (found.noncentrality_low > 0.0) == (stats.f.sf(f, *df) < 0.05)
     assert (found.noncentrality_high > 0.0) == (stats.f.cdf(f, *df) > 0.05)
     assert 0.0 <= found.low <= found.high < 1.0
-    assert found.high == pytest.approx(found.noncentrality_high / (found.noncentrality_high + sum(df)))
+    assert found.high == pytest.approx(
+        found.noncentrality_high / (found.noncentrality_high + sum(df))
+    )
 
 
 def test_a_wider_level_gives_a_wider_interval():
@@ -65,7 +76,10 @@ def test_bad_arguments(arguments, message):
 
 @pytest.mark.parametrize("eta2", [0.1, 0.5])
 def test_coverage_of_eta2_in_small_studies(eta2):
-    """Theorem: with two conditions F is noncentral with λ = n η²/(1 − η²), so that the interval covers η² in 90 %."""
+    """
+    Theorem: with two conditions F is noncentral with λ = n η²/(1 − η²), so that the interval covers
+    η² in 90 %.
+    """
     n, count = 5, 4000
     rng = np.random.default_rng(8)
     t = stats.nct.rvs(n - 1, np.sqrt(n * eta2 / (1.0 - eta2)), size=count, random_state=rng)
@@ -75,13 +89,18 @@ def test_coverage_of_eta2_in_small_studies(eta2):
 
 
 def test_the_interval_is_that_of_the_test_with_its_correction():
-    """Under H0 without sphericity the 90 % interval excludes 0 where the corrected p is below .05, and only there."""
+    """
+    Under H0 without sphericity the 90 % interval excludes 0 where the corrected p is below .05, and
+    only there.
+    """
     rng = np.random.default_rng(5)
     frame = pd.DataFrame({"s": np.repeat(range(8), 5), "c": np.tile(range(5), 8)})
     excluded = 0
     for _ in range(300):
         scores = rng.standard_normal((8, 5)) * [1.0, 1.0, 2.0, 4.0, 8.0]
-        result = tl.repeated_measures(frame.assign(v=scores.ravel()), dv="v", within="c", subject="s")
+        result = tl.repeated_measures(
+            frame.assign(v=scores.ravel()), dv="v", within="c", subject="s"
+        )
         assert (result.eta2_partial_low > 0.0) == (result.p_corrected < 0.05)
         excluded += result.eta2_partial_low > 0.0
     assert excluded / 300 < 0.08
@@ -89,7 +108,10 @@ def test_the_interval_is_that_of_the_test_with_its_correction():
 
 @pytest.mark.parametrize("df", [(3, 60), (1, 4), (4.2, 77.7)])
 def test_large_f(df):
-    """1 − η² is inversely proportional to a large F; oracle, the noncentral F of SciPy where it is still good."""
+    """
+    1 − η² is inversely proportional to a large F; oracle, the noncentral F of SciPy where it is
+    still good.
+    """
     low = [1.0 - partial_eta_interval(f, *df).low for f in (1e7, 1e9, 1e12)]
     np.testing.assert_allclose([low[0] / 1e2, low[1]], [low[1], low[1]], rtol=1e-5)
     assert low[2] == pytest.approx(low[1] / 1e3, rel=1e-2)  # the digits that 1 − η² has left

@@ -1,4 +1,7 @@
-"""The mixed model. Oracles: closed form (complete data), statsmodels' own search, brute force; nlme in test_against_r.py."""
+"""
+The mixed model. Oracles: closed form (complete data), statsmodels' own search, brute force; nlme in
+test_against_r.py.
+"""
 
 import warnings
 
@@ -25,10 +28,13 @@ def draw(n, k, subjects=1.0, seed=0):
 
 
 @pytest.mark.parametrize(
-    ("n", "k", "subjects"), [(24, 4, 1.0), (36, 5, 3.0), (12, 10, 1.0), (24, 4, 20.0), (24, 4, 300.0), (8, 2, 2.0)]
+    ("n", "k", "subjects"),
+    [(24, 4, 1.0), (36, 5, 3.0), (12, 10, 1.0), (24, 4, 20.0), (24, 4, 300.0), (8, 2, 2.0)],
 )
 def test_complete_data_give_the_anova(n, k, subjects):
-    """Closed form: with complete data and MS_subjects > MS_error, F, variances and df are the ANOVA's."""
+    """
+    Closed form: with complete data and MS_subjects > MS_error, F, variances and df are the ANOVA's.
+    """
     values = draw(n, k, subjects)
     found, batch = fit_mixed_model(laid_out(values)), tl.repeated_measures_batch(values[None])
     error, between = batch.ss_error[0] / batch.df2, batch.ss_subjects[0] / (n - 1)
@@ -36,18 +42,27 @@ def test_complete_data_give_the_anova(n, k, subjects):
     np.testing.assert_allclose([found.F, found.residual_variance], [batch.F[0], error], rtol=1e-6)
     np.testing.assert_allclose(found.subject_variance, (between - error) / k, rtol=2e-5)
     np.testing.assert_allclose(found.p, batch.p[0], rtol=1e-5)
-    assert (found.df1, found.df2, found.singular, found.missing_cells) == (batch.df1, batch.df2, False, 0)
+    assert (found.df1, found.df2, found.singular, found.missing_cells) == (
+        batch.df1,
+        batch.df2,
+        False,
+        0,
+    )
     np.testing.assert_allclose(found.means["mean"], values.mean(axis=0), rtol=1e-9, atol=1e-9)
 
 
 def test_a_variance_of_zero_is_said():
     values = draw(12, 4, 0.0)
-    values += 2.0 * (values.mean() - values.mean(axis=1, keepdims=True)) * 0.5  # subjects' means nearly equal
+    values += (
+        2.0 * (values.mean() - values.mean(axis=1, keepdims=True)) * 0.5
+    )  # subjects' means nearly equal
     found, batch = fit_mixed_model(laid_out(values)), tl.repeated_measures_batch(values[None])
     assert batch.ss_subjects[0] / 11 < batch.ss_error[0] / batch.df2
     assert found.singular
     assert found.subject_variance == found.icc == 0.0
-    pooled = (batch.ss_subjects[0] + batch.ss_error[0]) / (11 + batch.df2)  # closed form: a one-way ANOVA
+    pooled = (batch.ss_subjects[0] + batch.ss_error[0]) / (
+        11 + batch.df2
+    )  # closed form: a one-way ANOVA
     np.testing.assert_allclose(found.F, batch.ss_effect[0] / 3 / pooled, rtol=1e-10)
 
 
@@ -67,7 +82,10 @@ def test_statsmodels_own_search_finds_the_same():
 
 
 def test_missing_cells_by_brute_force():
-    """Oracle: the restricted likelihood with dense matrices, minimized over both variances; generalized least squares."""
+    """
+    Oracle: the restricted likelihood with dense matrices, minimized over both variances;
+    generalized least squares.
+    """
     values = draw(10, 3, seed=3)
     values[[0, 0, 4, 7], [0, 1, 2, 1]] = np.nan
     found = fit_mixed_model(laid_out(values))
@@ -83,9 +101,14 @@ def test_missing_cells_by_brute_force():
         return np.linalg.slogdet(v)[1] + np.linalg.slogdet(information)[1] + error @ inverse @ error
 
     best = optimize.minimize(
-        restricted, [0.0, 0.0], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-13, "maxiter": 4000}
+        restricted,
+        [0.0, 0.0],
+        method="Nelder-Mead",
+        options={"xatol": 1e-9, "fatol": 1e-13, "maxiter": 4000},
     )
-    np.testing.assert_allclose([found.subject_variance, found.residual_variance], np.exp(best.x), rtol=1e-5)
+    np.testing.assert_allclose(
+        [found.subject_variance, found.residual_variance], np.exp(best.x), rtol=1e-5
+    )
     v = found.subject_variance * same + found.residual_variance * np.eye(y.size)
     covariance = np.linalg.inv(x.T @ np.linalg.solve(v, x))
     beta = covariance @ x.T @ np.linalg.solve(v, y)
@@ -116,7 +139,12 @@ def test_a_subject_without_any_score_does_not_count():
 
 def test_from_a_long_table():
     values = draw(6, 3)
-    frame = pd.DataFrame(values).rename_axis("subject").reset_index().melt("subject", var_name="condition")
+    frame = (
+        pd.DataFrame(values)
+        .rename_axis("subject")
+        .reset_index()
+        .melt("subject", var_name="condition")
+    )
     frame = frame.drop(index=[4])
     found = mixed_model(frame, dv="value", within="condition", subject="subject")
     assert found.missing_cells == 1

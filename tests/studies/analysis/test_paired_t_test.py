@@ -1,4 +1,7 @@
-"""The paired t-test and what stands beside it: against R (reference/paired_t_test.R), pingouin and brute force."""
+"""
+The paired t-test and what stands beside it: against R (reference/paired_t_test.R), pingouin and
+brute force.
+"""
 
 import itertools
 import json
@@ -14,7 +17,9 @@ import trustlab as tl
 from trustlab.studies.analysis.paired_t_test import paired_t_test
 
 mpl.use("Agg")
-REFERENCE = json.loads((Path(__file__).parents[1] / "reference" / "paired_t_test.json").read_text())["sets"]
+REFERENCE = json.loads(
+    (Path(__file__).parents[1] / "reference" / "paired_t_test.json").read_text()
+)["sets"]
 SAME = [
     "mean_difference",
     "sd_difference",
@@ -35,7 +40,9 @@ SAME = [
 
 def frame_of(a, b, names=("A", "B")):
     n = len(a)
-    return pd.DataFrame({"who": list(range(n)) * 2, "which": [names[0]] * n + [names[1]] * n, "score": [*a, *b]})
+    return pd.DataFrame(
+        {"who": list(range(n)) * 2, "which": [names[0]] * n + [names[1]] * n, "score": [*a, *b]}
+    )
 
 
 def run(frame, **more):
@@ -83,7 +90,10 @@ def test_agrees_with_pingouin():
     assert found.t == pytest.approx(wanted["T"], rel=1e-12)
 
 
-@given(st.lists(st.tuples(st.integers(-50, 50), st.integers(-50, 50)), min_size=3, max_size=20), st.integers(1, 9))
+@given(
+    st.lists(st.tuples(st.integers(-50, 50), st.integers(-50, 50)), min_size=3, max_size=20),
+    st.integers(1, 9),
+)
 @settings(max_examples=60)
 def test_turning_and_scaling(pairs, factor):
     a, b = np.array(pairs, dtype=float).T
@@ -123,7 +133,9 @@ def test_tables_sentence_and_plot():
     assert rows["sd"].tolist() == pytest.approx([np.std(x["a"], ddof=1), np.std(x["b"], ddof=1)])
     text = found.apa()
     assert f"t(35) = {found.t:.2f}" in text
-    assert f"C2 (M = {np.mean(x['a']):.1f}" in text  # as many decimals as a standard deviation of some tens needs
+    assert (
+        f"C2 (M = {np.mean(x['a']):.1f}" in text
+    )  # as many decimals as a standard deviation of some tens needs
     assert "t(35)" in found._repr_html_()
     axes = found.plot()
     assert axes.shape == (2,)
@@ -172,7 +184,10 @@ GOOD = frame_of([1.0, 2, 4, 9], [2.0, 2, 3, 5])
         (GOOD.assign(score=np.inf), "finite"),
         (GOOD.assign(score=GOOD["score"] * 1e300), "use another unit"),
         (GOOD.rename(columns={"score": "scores"}), "did you mean 'scores'"),
-        (pd.concat([GOOD, frame_of([1.0, 2, 3, 4], [1.0, 3, 2, 5], ("C", "D"))]), "has 4 conditions"),
+        (
+            pd.concat([GOOD, frame_of([1.0, 2, 3, 4], [1.0, 3, 2, 5], ("C", "D"))]),
+            "has 4 conditions",
+        ),
         (GOOD.iloc[:0], "no rows"),
         (None, "frame must be of class DataFrame, got NoneType"),
     ],
@@ -198,12 +213,17 @@ def test_it_is_repeated_measures_of_two_conditions(seed):
     (pair,) = anova.pairs().to_dict("records")
     for name in ("a", "b", "mean_difference", "t", "df", "p", "d_z", "d_av"):
         assert pair[name] == getattr(ours, name)
-    assert [pair["ci_low"], pair["ci_high"]] == pytest.approx([ours.ci_low, ours.ci_high], rel=1e-14)
+    assert [pair["ci_low"], pair["ci_high"]] == pytest.approx(
+        [ours.ci_low, ours.ci_high], rel=1e-14
+    )
     pd.testing.assert_frame_equal(anova.descriptives(), ours.descriptives())
 
 
 def test_ties_do_not_depend_on_the_unit():
-    """0.3 − 0.2 and 0.2 − 0.1 differ in floating point, and are a tie; so are their tenfolds. Oracle: whole numbers."""
+    """
+    0.3 − 0.2 and 0.2 − 0.1 differ in floating point, and are a tie; so are their tenfolds. Oracle:
+    whole numbers.
+    """
     a, b = np.array([3, 2, 4, 7, 9, 11, 20]), np.array([2, 1, 1, 3, 8, 7, 14])
     whole = run(frame_of(a, b))
     for unit in (0.1, 0.01, 1e-20, 0.7e5):

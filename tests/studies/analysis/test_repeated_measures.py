@@ -1,4 +1,7 @@
-"""The front: what it accepts, what it decides, what it says. Oracles: R (test_against_r.py), closed forms, theorems."""
+"""
+The front: what it accepts, what it decides, what it says. Oracles: R (test_against_r.py), closed
+forms, theorems.
+"""
 
 import re
 import warnings
@@ -16,7 +19,10 @@ from trustlab.sessions import external_data
 
 mpl.use("Agg")
 
-FIXED = "F df1 df2 p mauchly_w mauchly_chi2 mauchly_df mauchly_p epsilon_gg epsilon_hf epsilon_hf_untruncated p_gg p_hf"
+FIXED = (
+    "F df1 df2 p mauchly_w mauchly_chi2 mauchly_df mauchly_p epsilon_gg epsilon_hf "
+    "epsilon_hf_untruncated p_gg p_hf"
+)
 FIXED += " eta2_partial eta2_generalized"
 
 
@@ -25,7 +31,12 @@ def table(n=12, k=4, seed=0, labels=None, effect=0.5):
     scores = rng.standard_normal((n, k)) + rng.standard_normal((n, 1)) + effect * np.arange(k)
     labels = [f"C{j + 1}" for j in range(k)] if labels is None else labels
     return pd.DataFrame(
-        {"pid": np.repeat(np.arange(1, n + 1), k), "condition": labels * n, "score": scores.ravel(), "note": "extra"}
+        {
+            "pid": np.repeat(np.arange(1, n + 1), k),
+            "condition": labels * n,
+            "score": scores.ravel(),
+            "note": "extra",
+        }
     )
 
 
@@ -35,7 +46,9 @@ def analysed(frame, **options):
 
 def same(a, b):
     pd.testing.assert_frame_equal(
-        a.table().drop(columns=["dv", "within"]), b.table().drop(columns=["dv", "within"]), rtol=1e-12
+        a.table().drop(columns=["dv", "within"]),
+        b.table().drop(columns=["dv", "within"]),
+        rtol=1e-12,
     )
     pd.testing.assert_frame_equal(a.pairs().iloc[:, 2:], b.pairs().iloc[:, 2:], rtol=1e-10)
 
@@ -56,7 +69,10 @@ def test_columns_do_not_come_and_go():
     for view in ("table", "pairs", "descriptives", "corrections", "normality"):
         columns = [getattr(result, view)().columns.tolist() for result in results]
         assert all(names == columns[0] for names in columns), view
-        types = [getattr(result, view)().dtypes.drop(["a", "b"], errors="ignore").tolist() for result in results]
+        types = [
+            getattr(result, view)().dtypes.drop(["a", "b"], errors="ignore").tolist()
+            for result in results
+        ]
         assert all(kinds == types[0] for kinds in types), view
 
 
@@ -66,8 +82,13 @@ def test_columns_do_not_come_and_go():
 def test_any_column_names_and_extra_columns():
     frame = table()
     usual = analysed(frame)
-    odd = frame.rename(columns={"pid": "level", "condition": "autonomy level (%)", "score": "score [cm]"})
-    same(usual, tl.repeated_measures(odd, dv="score [cm]", within="autonomy level (%)", subject="level"))
+    odd = frame.rename(
+        columns={"pid": "level", "condition": "autonomy level (%)", "score": "score [cm]"}
+    )
+    same(
+        usual,
+        tl.repeated_measures(odd, dv="score [cm]", within="autonomy level (%)", subject="level"),
+    )
     numbered = frame.rename(columns={"pid": 0, "condition": 1, "score": 2})
     same(usual, tl.repeated_measures(numbered, dv=2, within=1, subject=0))
     named = frame.rename(columns={"pid": "subject", "condition": "value", "score": "condition"})
@@ -96,12 +117,17 @@ def test_types_of_scores(convert):
     same(analysed(frame), analysed(frame.assign(score=convert(frame["score"]))))
 
 
-@pytest.mark.parametrize("kind", ["int8", "uint8", "int64", "Int64", "float32", "int16[pyarrow]", object])
+@pytest.mark.parametrize(
+    "kind", ["int8", "uint8", "int64", "Int64", "float32", "int16[pyarrow]", object]
+)
 def test_whole_scores(kind):
     frame = table()
     whole = np.round(frame["score"] * 2 + 10).to_numpy()
     assert np.unique(whole).size > 4
-    same(analysed(frame.assign(score=whole)), analysed(frame.assign(score=pd.Series(whole.astype(int)).astype(kind))))
+    same(
+        analysed(frame.assign(score=whole)),
+        analysed(frame.assign(score=pd.Series(whole.astype(int)).astype(kind))),
+    )
 
 
 def test_decimals_are_numbers():
@@ -133,7 +159,9 @@ def test_order_of_conditions():
     assert analysed(frame).conditions == ("a", "b", "c", "d")
     numbers = table(labels=[10, 2, 1, 0.5])
     assert analysed(numbers).conditions == (0.5, 1.0, 2.0, 10.0)
-    category = frame.assign(condition=pd.Categorical(frame["condition"], categories=["d", "never", "c", "b", "a"]))
+    category = frame.assign(
+        condition=pd.Categorical(frame["condition"], categories=["d", "never", "c", "b", "a"])
+    )
     result = analysed(category)
     assert result.conditions == ("d", "c", "b", "a")
     assert result.pairs()[["a", "b"]].to_numpy().tolist()[0] == ["d", "c"]
@@ -155,7 +183,10 @@ def test_a_table_from_a_file(tmp_path):
     frame.to_parquet(tmp_path / "scores.parquet")
     frame.to_csv(tmp_path / "scores.csv", index=False)
     same(analysed(frame), analysed(pd.read_parquet(tmp_path / "scores.parquet")))
-    same(analysed(frame), analysed(pd.read_parquet(tmp_path / "scores.parquet", dtype_backend="pyarrow")))
+    same(
+        analysed(frame),
+        analysed(pd.read_parquet(tmp_path / "scores.parquet", dtype_backend="pyarrow")),
+    )
     same(analysed(frame), analysed(pd.read_csv(tmp_path / "scores.csv")))
 
 
@@ -172,7 +203,14 @@ def test_no_warning_leaves_it():
         warnings.simplefilter("error")
         for frame in (table(), table(k=2), table(n=4, k=6)):
             result = analysed(frame)
-            (result.table(), result.pairs(), result.friedman(), result.normality(), result.mixed_model(), result.apa())
+            (
+                result.table(),
+                result.pairs(),
+                result.friedman(),
+                result.normality(),
+                result.mixed_model(),
+                result.apa(),
+            )
 
 
 # ---- missing cells
@@ -183,7 +221,10 @@ def test_missing_cells_as_rows_not_there_or_as_nan():
     absent = frame.drop(index=[5, 18])
     empty = frame.assign(score=frame["score"].mask(frame.index.isin([5, 18])))
     for gaps in (absent, empty, empty.assign(score=empty["score"].astype("Float64"))):
-        with pytest.raises(ValueError, match=r"subject 2 has no score in condition 'C2'; subject 5 .* 'C3'.*listwise"):
+        with pytest.raises(
+            ValueError,
+            match=r"subject 2 has no score in condition 'C2'; subject 5 .* 'C3'.*listwise",
+        ):
             analysed(gaps)
         result = analysed(gaps, missing="listwise")
         assert result.excluded == (2, 5)
@@ -254,7 +295,9 @@ def test_mauchly_is_refused_for_too_few_subjects(n, k):
     assert f"{n} subjects are too few for {k} conditions" in result.mauchly_reason
     assert result.correction == "greenhouse-geisser"
     assert "cannot be tested" in result.reason
-    assert np.isfinite([result.F, result.p, result.p_gg, result.p_hf, result.epsilon_gg, result.epsilon_hf]).all()
+    assert np.isfinite(
+        [result.F, result.p, result.p_gg, result.p_hf, result.epsilon_gg, result.epsilon_hf]
+    ).all()
     assert f"{n} subjects are too few" in result.apa()
     assert np.isfinite(analysed(table(k, k)).mauchly_p)  # one more subject is enough
 
@@ -303,7 +346,9 @@ def test_anova_table(k):
     assert found["source"].tolist() == ["condition", "error", "subjects"]
     assert found["df"].tolist() == [k - 1, 11 * (k - 1), 11]
     np.testing.assert_allclose(
-        found["ss"], [12 * (by_condition**2).sum(), (rest**2).sum(), k * (by_subject**2).sum()], rtol=1e-10
+        found["ss"],
+        [12 * (by_condition**2).sum(), (rest**2).sum(), k * (by_subject**2).sum()],
+        rtol=1e-10,
     )
     np.testing.assert_allclose(found["ms"], found["ss"] / found["df"], rtol=1e-15)
     ratio = found["ms"][0] / found["ms"][1]
@@ -319,11 +364,15 @@ def test_anova_table(k):
 
 
 def test_within_interval_is_the_paired_one_for_two_conditions():
-    """Closed form: for k = 2 the Cousineau–Morey half-width is that of the paired difference over √2."""
+    """
+    Closed form: for k = 2 the Cousineau–Morey half-width is that of the paired difference over √2.
+    """
     result = analysed(table(k=2))
     stat, pair = result.descriptives(), result.pairs()
     half = (stat["ci_high_within"] - stat["mean"]).to_numpy()
-    np.testing.assert_allclose(half, (pair["ci_high"] - pair["mean_difference"])[0] / np.sqrt(2.0), rtol=1e-11)
+    np.testing.assert_allclose(
+        half, (pair["ci_high"] - pair["mean_difference"])[0] / np.sqrt(2.0), rtol=1e-11
+    )
 
 
 def test_within_interval_does_not_see_the_subjects():
@@ -331,7 +380,9 @@ def test_within_interval_does_not_see_the_subjects():
     shifted = frame.assign(score=frame["score"] + 100.0 * frame["pid"])
     one, two = analysed(frame).descriptives(), analysed(shifted).descriptives()
     np.testing.assert_allclose(
-        two["ci_high_within"] - two["ci_low_within"], one["ci_high_within"] - one["ci_low_within"], rtol=1e-9
+        two["ci_high_within"] - two["ci_low_within"],
+        one["ci_high_within"] - one["ci_low_within"],
+        rtol=1e-9,
     )
     assert (two["ci_high"] - two["ci_low"] > 10.0 * (one["ci_high"] - one["ci_low"])).all()
 
@@ -341,7 +392,10 @@ def test_within_interval_does_not_see_the_subjects():
 
 def test_apa_sentence():
     text = analysed(table(24, effect=0.6), correction="none").apa()
-    assert re.search(r"F\(3, 69\) = \d+\.\d\d, p < \.001, ηp² = \.\d\d, 90% CI \[\.\d\d, \.\d\d\], ηG² = \.\d\d", text)
+    assert re.search(
+        r"F\(3, 69\) = \d+\.\d\d, p < \.001, ηp² = \.\d\d, 90% CI \[\.\d\d, \.\d\d\], ηG² = \.\d\d",
+        text,
+    )
     assert re.search(r"Mauchly's W = \.\d\d, χ²\(5\) = \d+\.\d\d, p = \.\d{3}", text)
     assert "Holm-adjusted" in text
     assert "C1 < C4" in text
@@ -355,7 +409,11 @@ def test_apa_sentence():
 
 @pytest.mark.parametrize(
     ("within", "words"),
-    [("condition", "4 conditions, F"), ("Conditions", "4 conditions, F"), ("scheme", "4 conditions of scheme, F")],
+    [
+        ("condition", "4 conditions, F"),
+        ("Conditions", "4 conditions, F"),
+        ("scheme", "4 conditions of scheme, F"),
+    ],
 )
 def test_apa_does_not_say_conditions_of_condition(within, words):
     frame = table().rename(columns={"condition": within})
@@ -441,7 +499,12 @@ def test_data_that_were_not_measured_say_so_everywhere(attrs, said):
     assert result.table()["origin"].tolist() == [said]
     for view in (result.pairs(), result.descriptives(), result.corrections(), result.normality()):
         assert view.attrs["origin"] == said
-    for text in (result.apa(), repr(result), result._repr_html_(), result.mixed_model()._repr_html_()):
+    for text in (
+        result.apa(),
+        repr(result),
+        result._repr_html_(),
+        result.mixed_model()._repr_html_(),
+    ):
         assert said in text
     assert said in result.plot().get_title()
     plt.close("all")
@@ -457,25 +520,82 @@ def test_html_is_escaped():
 
 
 REAL = {  # file, column: F, W, p of W, Greenhouse–Geisser ε, generalized η² by R 4.2.2, afex 1.2-1
-    ("traj_err", "traj_err"): (123.665488185, 0.179747962818, 5.49266853186e-07, 0.563853200965, 0.73678136574),
-    ("tlx", "tlx_ave"): (35.2180725249, 0.306632530858, 0.000105225304857, 0.564771171622, 0.324236420429),
-    ("p_trust", "p_trust"): (29.1782829794, 0.359531665113, 0.000483040901719, 0.58735260211, 0.248899583309),
-    ("mdmt", "mdmt_ave"): (33.564337297, 0.260416935581, 2.1501531877e-05, 0.607009432645, 0.276134177462),
-    ("p_auto", "p_auto"): (38.4605017624, 0.626256441415, 0.0709346418865, 0.801945250816, 0.340587564577),
-    ("pupil", "pupil_diameter"): (5.11895681872, 0.280350476403, 4.41527811108e-05, 0.561420620466, 0.00601321075954),
-    ("tapping_err", "tapping_err_ave"): (1.17992422606, 0.530668885921, 0.0172966159188, 0.744347680945, 0.0219796535225),
-    ("traj_err_all_levels", "traj_err"): (43.2695299103, 0.0332710490509, 5.08290901773e-12, 0.431669954944, 0.516324105137),
-}  # fmt: skip
+    ("traj_err", "traj_err"): (
+        123.665488185,
+        0.179747962818,
+        5.49266853186e-07,
+        0.563853200965,
+        0.73678136574,
+    ),
+    ("tlx", "tlx_ave"): (
+        35.2180725249,
+        0.306632530858,
+        0.000105225304857,
+        0.564771171622,
+        0.324236420429,
+    ),
+    ("p_trust", "p_trust"): (
+        29.1782829794,
+        0.359531665113,
+        0.000483040901719,
+        0.58735260211,
+        0.248899583309,
+    ),
+    ("mdmt", "mdmt_ave"): (
+        33.564337297,
+        0.260416935581,
+        2.1501531877e-05,
+        0.607009432645,
+        0.276134177462,
+    ),
+    ("p_auto", "p_auto"): (
+        38.4605017624,
+        0.626256441415,
+        0.0709346418865,
+        0.801945250816,
+        0.340587564577,
+    ),
+    ("pupil", "pupil_diameter"): (
+        5.11895681872,
+        0.280350476403,
+        4.41527811108e-05,
+        0.561420620466,
+        0.00601321075954,
+    ),
+    ("tapping_err", "tapping_err_ave"): (
+        1.17992422606,
+        0.530668885921,
+        0.0172966159188,
+        0.744347680945,
+        0.0219796535225,
+    ),
+    ("traj_err_all_levels", "traj_err"): (
+        43.2695299103,
+        0.0332710490509,
+        5.08290901773e-12,
+        0.431669954944,
+        0.516324105137,
+    ),
+}
 
 
-@pytest.mark.skipif(external_data("autonomy_cl_trust") is None, reason="the real measures are not here (TRUSTLAB_DATA)")
+@pytest.mark.skipif(
+    external_data("autonomy_cl_trust") is None,
+    reason="the real measures are not here (TRUSTLAB_DATA)",
+)
 @pytest.mark.parametrize("measure", REAL, ids=lambda measure: measure[0])
 def test_real_measures(measure):
     """Pan et al. (2024), 24 participants."""
     file, column = measure
     frame = pd.read_csv(external_data("autonomy_cl_trust") / "measures" / f"{file}.csv")
     result = tl.repeated_measures(frame, dv=column, within="autonomy", subject="pid")
-    ours = [result.F, result.mauchly_w, result.mauchly_p, result.epsilon_gg, result.eta2_generalized]
+    ours = [
+        result.F,
+        result.mauchly_w,
+        result.mauchly_p,
+        result.epsilon_gg,
+        result.eta2_generalized,
+    ]
     np.testing.assert_allclose(ours, REAL[measure], rtol=1e-9)
     assert (result.n, result.k) == (24, 5 if "all" in file else 4)
     np.testing.assert_allclose(result.mixed_model().F, result.F, rtol=1e-6)
@@ -502,7 +622,15 @@ def test_assumptions_are_those_of_the_single_tests():
 @pytest.mark.parametrize("unit", [1e-20, 1e-80])
 def test_tiny_numbers_are_analysed_as_others(unit):
     usual, tiny = analysed(table(8)), analysed(table(8).assign(score=lambda f: f["score"] * unit))
-    for name in ("F", "p", "mauchly_w", "epsilon_gg", "p_corrected", "eta2_partial", "eta2_generalized"):
+    for name in (
+        "F",
+        "p",
+        "mauchly_w",
+        "epsilon_gg",
+        "p_corrected",
+        "eta2_partial",
+        "eta2_generalized",
+    ):
         assert getattr(tiny, name) == pytest.approx(getattr(usual, name), rel=1e-9), name
     for own, name in ((tiny.normality(), "p"), (tiny.pairs(), "p_holm"), (tiny.pairs(), "d_z")):
         theirs = usual.normality() if name == "p" else usual.pairs()
@@ -526,7 +654,9 @@ def test_wilcoxon_pairs_are_those_of_scipy():
 
 
 def test_conover_is_the_anova_of_ranks():
-    """Oracle: paired comparisons with the error of a two-way analysis of the ranks, by statsmodels."""
+    """
+    Oracle: paired comparisons with the error of a two-way analysis of the ranks, by statsmodels.
+    """
     frame = table(10, 4, seed=4).assign(score=lambda f: f["score"].round(0))
     ranks = frame.groupby("pid")["score"].rank()
     fit = smf.ols("rank ~ C(pid) + C(condition)", frame.assign(rank=ranks)).fit()
@@ -541,7 +671,9 @@ def test_conover_is_the_anova_of_ranks():
 
 def test_equal_scores_have_no_wilcoxon_test():
     frame = table(8, 3)
-    same = frame.assign(score=np.where(frame["condition"] == "C2", frame["score"].shift(1), frame["score"]))
+    same = frame.assign(
+        score=np.where(frame["condition"] == "C2", frame["score"].shift(1), frame["score"])
+    )
     found = analysed(same).pairs(method="wilcoxon").set_index(["a", "b"]).loc[("C1", "C2")]
     assert np.isnan(found["p"])
     assert found["method"] == "not defined"

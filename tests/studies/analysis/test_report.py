@@ -1,4 +1,7 @@
-"""The Results section: oracle, the numbers of the analysis; files are read again by independent readers."""
+"""
+The Results section: oracle, the numbers of the analysis; files are read again by independent
+readers.
+"""
 
 import io
 
@@ -14,7 +17,9 @@ mpl.use("Agg")
 
 
 def frame_of(synthetic=False):
-    cells = pd.MultiIndex.from_product([range(10), ["M", "TMIG"], ["easy", "hard_#1"]], names=["who", "scheme", "task"])
+    cells = pd.MultiIndex.from_product(
+        [range(10), ["M", "TMIG"], ["easy", "hard_#1"]], names=["who", "scheme", "task"]
+    )
     frame = cells.to_frame(index=False)
     rng = np.random.default_rng(0)
     frame = frame.assign(error=rng.standard_normal(40) + (frame["scheme"] == "M"))
@@ -73,5 +78,12 @@ def test_another_ending_is_refused(tmp_path):
 
 def test_levels_that_are_numbers_stay_as_they_are(tmp_path):
     frame = frame_of().replace({"M": 0.0, "TMIG": 0.125}).infer_objects()
-    found = tl.report(frame, dv="error", within=["scheme", "task"], subject="who").write(tmp_path / "results.html")
-    assert pd.read_html(io.StringIO(found.read_text()))[0]["scheme"].tolist() == [0.0, 0.0, 0.125, 0.125]
+    found = tl.report(frame, dv="error", within=["scheme", "task"], subject="who").write(
+        tmp_path / "results.html"
+    )
+    assert pd.read_html(io.StringIO(found.read_text()))[0]["scheme"].tolist() == [
+        0.0,
+        0.0,
+        0.125,
+        0.125,
+    ]

@@ -1,4 +1,7 @@
-"""Bad input: every fault is refused, and the error names the subject, the condition, the column or the row."""
+"""
+Bad input: every fault is refused, and the error names the subject, the condition, the column or the
+row.
+"""
 
 from decimal import Decimal
 
@@ -48,7 +51,10 @@ TABLES = {
         "subject 'P2', condition 'C2' has 2 rows",
     ),
     "missing row": (table().drop(index=7), "subject 'P3' has no score in condition 'C2'"),
-    "NaN": (changed(7, "score", np.nan).astype({"score": float}), "subject 'P3' has no score in condition 'C2'"),
+    "NaN": (
+        changed(7, "score", np.nan).astype({"score": float}),
+        "subject 'P3' has no score in condition 'C2'",
+    ),
     "None": (changed(7, "score", None), "subject 'P3' has no score in condition 'C2'"),
     "pandas.NA": (changed(7, "score", pd.NA), "subject 'P3' has no score in condition 'C2'"),
     "NaT": (changed(7, "score", pd.NaT), "subject 'P3' has no score in condition 'C2'"),
@@ -60,36 +66,69 @@ TABLES = {
         table().assign(score=lambda f: f["score"].where(f["pid"] != "P4")),
         "subject 'P4' has no score at all",
     ),
-    "spaces in a label": (changed(7, "condition", "C2 "), "'C2' and 'C2 ' differ by spaces, case or type"),
-    "case of a label": (changed(7, "condition", "c2"), "'C2' and 'c2' differ by spaces, case or type"),
-    "text": (changed(7, "score", "n/a"), r"'score' holds 'n/a' for subject 'P3', condition 'C2' \(row 7\)"),
-    "number as text": (table().assign(score=lambda f: f["score"].astype(str)), "'P1', condition 'C1'.*pandas.to_numeric"),
+    "spaces in a label": (
+        changed(7, "condition", "C2 "),
+        "'C2' and 'C2 ' differ by spaces, case or type",
+    ),
+    "case of a label": (
+        changed(7, "condition", "c2"),
+        "'C2' and 'c2' differ by spaces, case or type",
+    ),
+    "text": (
+        changed(7, "score", "n/a"),
+        r"'score' holds 'n/a' for subject 'P3', condition 'C2' \(row 7\)",
+    ),
+    "number as text": (
+        table().assign(score=lambda f: f["score"].astype(str)),
+        "'P1', condition 'C1'.*pandas.to_numeric",
+    ),
     "a boolean": (changed(7, "score", True), "holds True for subject 'P3', condition 'C2'"),
     "booleans": (table().assign(score=True), "'score' holds True for"),
     "a complex number": (changed(7, "score", 1j), "holds 1j for subject 'P3'"),
     "complex numbers": (table().assign(score=1j), "holds 1j for"),
-    "a list": (changed(7, "score", "x").assign(score=lambda f: f["score"].map(lambda v: [v])), "for subject 'P1'"),
+    "a list": (
+        changed(7, "score", "x").assign(score=lambda f: f["score"].map(lambda v: [v])),
+        "for subject 'P1'",
+    ),
     "dates": (table().assign(score=pd.Timestamp("2020-01-01")), "holds Timestamp"),
     "durations": (table().assign(score=pd.Timedelta("1s")), "holds Timedelta"),
-    "categorical": (table().assign(score=lambda f: f["score"].round().astype("category")), "categorical"),
-    "inf": (changed(7, "score", np.inf).astype({"score": float}), "is inf for subject 'P3', condition 'C2'"),
+    "categorical": (
+        table().assign(score=lambda f: f["score"].round().astype("category")),
+        "categorical",
+    ),
+    "inf": (
+        changed(7, "score", np.inf).astype({"score": float}),
+        "is inf for subject 'P3', condition 'C2'",
+    ),
     "-inf as an object": (changed(7, "score", -np.inf), "is -inf for subject 'P3', condition 'C2'"),
-    "no condition": (changed(7, "condition", None), "within: column 'condition' has no label in row 7"),
+    "no condition": (
+        changed(7, "condition", None),
+        "within: column 'condition' has no label in row 7",
+    ),
     "no subject": (changed(7, "pid", np.nan), "subject: column 'pid' has no label in row 7"),
-    "one condition": (table().query("condition == 'C2'"), "'condition' has one condition only, 'C2'"),
-    "two subjects": (table(n=2), r"2 complete subject\(s\) \('P1', 'P2'\) in column 'pid'; at least three"),
+    "one condition": (
+        table().query("condition == 'C2'"),
+        "'condition' has one condition only, 'C2'",
+    ),
+    "two subjects": (
+        table(n=2),
+        r"2 complete subject\(s\) \('P1', 'P2'\) in column 'pid'; at least three",
+    ),
     "one subject": (table(n=1), r"1 complete subject"),
     "constant": (table().assign(score=4.5), "'score' by 'condition': every score is 4.5"),
     "no error variance": (
         table().assign(score=np.tile([0.1, 0.4, 0.7], 5) + np.repeat(0.3 * np.arange(5), 3)),
         "'score' by 'condition': the error variance is zero",
     ),
-    "subjects constant": (table().assign(score=np.repeat([0.1, 0.2, 0.3, 0.4, 0.5], 3)), "no subject's scores differ"),
+    "subjects constant": (
+        table().assign(score=np.repeat([0.1, 0.2, 0.3, 0.4, 0.5], 3)),
+        "no subject's scores differ",
+    ),
     "no rows": (table().iloc[:0], "no rows"),
     "mixed labels": (changed(7, "condition", 3), "mixes int and str"),
     "labels that are lists": (table().assign(condition=[["a"]] * 15), "which is no label"),
     "huge": (table().assign(score=lambda f: f["score"] * 1e200), "another unit"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", TABLES)
@@ -102,7 +141,10 @@ def test_tables_that_are_refused(name):
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        ({"dv": "scores"}, r"dv: no column 'scores'; did you mean 'score'\? \(there are pid, condition, score\)"),
+        (
+            {"dv": "scores"},
+            r"dv: no column 'scores'; did you mean 'score'\? \(there are pid, condition, score\)",
+        ),
         ({"within": "conditon"}, "within: no column 'conditon'; did you mean 'condition'"),
         ({"subject": "PID"}, "subject: no column 'PID'; did you mean 'pid'"),
         ({"dv": None}, "dv: no column None"),
@@ -151,15 +193,19 @@ def test_a_group_of_columns_is_no_column():
     names = {"dv": ("run", "score"), "within": ("who", "condition"), "subject": ("who", "pid")}
     assert analysed(frame, **names).F == analysed(table()).F
     with pytest.raises(
-        ValueError, match=r"dv: 'run' has columns below it; give one of them in full, \('run', 'score'\)"
+        ValueError,
+        match=r"dv: 'run' has columns below it; give one of them in full, \('run', 'score'\)",
     ):
         analysed(frame, **(names | {"dv": "run"}))
 
 
-@pytest.mark.parametrize("frame", [None, [1, 2], {"pid": [1]}, np.zeros((3, 3)), "scores.csv", table()["score"]])
+@pytest.mark.parametrize(
+    "frame", [None, [1, 2], {"pid": [1]}, np.zeros((3, 3)), "scores.csv", table()["score"]]
+)
 def test_what_is_no_table(frame):
     with pytest.raises(
-        ValueError, match=r"frame must be of class DataFrame, got .*; with a row per subject and condition"
+        ValueError,
+        match=r"frame must be of class DataFrame, got .*; with a row per subject and condition",
     ):
         analysed(frame)
 
@@ -172,7 +218,10 @@ def test_what_is_no_table(frame):
         ({"correction": "gg"}, "correction must be one of 'auto'.*got 'gg'"),
         ({"alpha": 0.0}, "alpha must lie strictly between 0 and 1"),
         ({"alpha": "5 %"}, "alpha must be a number"),
-        ({"order": ["C1", "C2"]}, r"order must list every condition in column 'condition' once, \['C1', 'C2', 'C3'\]"),
+        (
+            {"order": ["C1", "C2"]},
+            r"order must list every condition in column 'condition' once, \['C1', 'C2', 'C3'\]",
+        ),
         ({"order": ["C1", "C2", "C2", "C3"]}, "order must list"),
         ({"order": "C1"}, "order must list"),
         ({"order": 3}, "order must list"),
@@ -194,7 +243,9 @@ def test_many_faults_are_counted_not_listed():
             table(20)
             .query("condition != 'C2' or pid == 'P1'")
             .assign(score=lambda f: f["score"].where(f.index > 2))
-            .pipe(lambda f: pd.concat([f, table(20).iloc[[1]]]).drop_duplicates(["pid", "condition"]))
+            .pipe(
+                lambda f: pd.concat([f, table(20).iloc[[1]]]).drop_duplicates(["pid", "condition"])
+            )
         )
     assert len(str(error.value)) < 900
 
@@ -202,7 +253,8 @@ def test_many_faults_are_counted_not_listed():
 def test_listwise_refuses_too_few_that_are_left():
     frame = table().drop(index=[0, 4, 8])
     with pytest.raises(
-        ValueError, match=r"2 complete subject\(s\).*left out: subject 'P1' has no score in condition 'C1'"
+        ValueError,
+        match=r"2 complete subject\(s\).*left out: subject 'P1' has no score in condition 'C1'",
     ):
         analysed(frame, missing="listwise")
 
@@ -216,18 +268,28 @@ def test_layout_of_scores():
     frame = table().sample(frac=1.0, random_state=1)
     read = read_scores(frame, "score", "condition", "pid")
     for row in frame.itertuples():
-        assert read.values[read.subjects.index(row.pid), read.conditions.index(row.condition)] == row.score
+        assert (
+            read.values[read.subjects.index(row.pid), read.conditions.index(row.condition)]
+            == row.score
+        )
     assert read.subjects == ("P1", "P2", "P3", "P4", "P5")
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.integers(3, 8), st.integers(2, 5), st.data())
 def test_whatever_is_missing_is_named_or_left_out(n, k, data):
-    """Property: no analysis ever has a NaN in it, and excluded and kept subjects together are all subjects."""
+    """
+    Property: no analysis ever has a NaN in it, and excluded and kept subjects together are all
+    subjects.
+    """
     rng = np.random.default_rng(n * 10 + k)
     gone = np.array(data.draw(st.lists(st.booleans(), min_size=n * k, max_size=n * k)))
     frame = pd.DataFrame(
-        {"s": np.repeat(np.arange(n), k), "c": np.tile(np.arange(k), n), "y": np.where(gone, np.nan, rng.random(n * k))}
+        {
+            "s": np.repeat(np.arange(n), k),
+            "c": np.tile(np.arange(k), n),
+            "y": np.where(gone, np.nan, rng.random(n * k)),
+        }
     )
     read = read_scores(frame, "y", "c", "s")
     complete = ~gone.reshape(n, k).any(axis=1)
@@ -244,7 +306,9 @@ def test_whatever_is_missing_is_named_or_left_out(n, k, data):
     assert sorted(kept.subjects + excluded) == list(range(n))
 
 
-@pytest.mark.parametrize("value", [10**400, 10**5000, Decimal("sNaN")], ids=["10**400", "10**5000", "sNaN"])
+@pytest.mark.parametrize(
+    "value", [10**400, 10**5000, Decimal("sNaN")], ids=["10**400", "10**5000", "sNaN"]
+)
 def test_numbers_that_are_no_floats_are_refused_by_name(value):
     frame = table()
     frame["score"] = frame["score"].astype(object)

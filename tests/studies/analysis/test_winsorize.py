@@ -15,9 +15,16 @@ PLAIN = np.array([1.0, 2, 3, 4, 5, 6, 7, 8, 9, 100])
 def frame():
     rng = np.random.default_rng(8)
     scores = rng.normal(0.5, 0.06, (30, 2))
-    scores[4, 1], scores[20, 1], scores[3, 0] = 0.95, 0.88, 1.2
+    scores[4, 1] = 0.95
+    scores[20, 1] = 0.88
+    scores[3, 0] = 1.2
     return pd.DataFrame(
-        {"pid": np.repeat(np.arange(1, 31), 2), "scheme": ["M", "TMIG"] * 30, "error": scores.ravel(), "note": "kept"}
+        {
+            "pid": np.repeat(np.arange(1, 31), 2),
+            "scheme": ["M", "TMIG"] * 30,
+            "error": scores.ravel(),
+            "note": "kept",
+        }
     )
 
 
@@ -32,7 +39,14 @@ def frame():
     ids=["tuples", "dates", "categories", "strings"],
 )
 def test_labels_of_any_kind_give_the_same_changes(frame, relabel):
-    rule = {"dv": "error", "within": "scheme", "subject": "pid", "outside": "iqr", "k": 1.5, "to": "next"}
+    rule = {
+        "dv": "error",
+        "within": "scheme",
+        "subject": "pid",
+        "outside": "iqr",
+        "k": 1.5,
+        "to": "next",
+    }
     plain, other = winsorize(frame, **rule), winsorize(frame.assign(scheme=relabel(frame)), **rule)
     order = ["subject", "old"]
     pd.testing.assert_frame_equal(
@@ -43,7 +57,9 @@ def test_labels_of_any_kind_give_the_same_changes(frame, relabel):
 
 
 def test_two_outliers_of_one_condition(frame):
-    found = winsorize(frame, "error", "scheme", "pid", outside="iqr", k=1.5, to="next", conditions=["TMIG"])
+    found = winsorize(
+        frame, "error", "scheme", "pid", outside="iqr", k=1.5, to="next", conditions=["TMIG"]
+    )
     own = frame.loc[frame["scheme"] == "TMIG", "error"]
     next_most = own[own < 0.8].max()
     assert found.changes["subject"].tolist() == [5, 21]
@@ -67,7 +83,9 @@ def test_rules_by_hand():
     q1, q3 = 3.25, 7.75  # linear interpolation, R's type 7
     fence = winsorize(PLAIN, outside="iqr", k=1.5, to="limit")
     assert fence.data[-1] == pytest.approx(q3 + 1.5 * (q3 - q1), rel=1e-14)
-    assert fence.limits.loc[0, ["low", "high", "changed"]].tolist() == pytest.approx([-3.5, 14.5, 1])
+    assert fence.limits.loc[0, ["low", "high", "changed"]].tolist() == pytest.approx(
+        [-3.5, 14.5, 1]
+    )
     mad = winsorize(PLAIN, outside="mad", k=3, to="limit")
     assert mad.data[-1] == pytest.approx(5.5 + 3 * 1.4826022185 * 2.5, rel=1e-9)
     sd = winsorize(PLAIN, outside="sd", k=2, to="limit")
@@ -161,7 +179,14 @@ def test_missing_cells_stay_missing(frame):
     ],
 )
 def test_bad_rules_are_refused(frame, arguments, words):
-    given_ = {"dv": "error", "within": "scheme", "subject": "pid", "outside": "iqr", "k": 1.5, "to": "limit"}
+    given_ = {
+        "dv": "error",
+        "within": "scheme",
+        "subject": "pid",
+        "outside": "iqr",
+        "k": 1.5,
+        "to": "limit",
+    }
     with pytest.raises(ValueError, match=words):
         winsorize(frame, **(given_ | arguments))
 

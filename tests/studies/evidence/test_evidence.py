@@ -1,6 +1,7 @@
 """
-Equivalence, Bayes factors, simultaneous intervals, agreement. Oracles: R (BayesFactor, t.test; reference/evidence.R), printed
-figures (Rouder and others 2009; Shrout and Fleiss 1979), closed forms, simulation.
+Equivalence, Bayes factors, simultaneous intervals, agreement. Oracles: R (BayesFactor, t.test;
+reference/evidence.R), printed figures (Rouder and others 2009; Shrout and Fleiss 1979), closed
+forms, simulation.
 """
 
 import json
@@ -16,7 +17,10 @@ from trustlab.studies import intraclass_correlation, simultaneous_intervals
 
 SETS = json.loads((Path(__file__).parents[1] / "reference" / "evidence.json").read_text())["sets"]
 # Shrout and Fleiss (1979), Table 2: six targets, four judges.
-RATINGS = np.array([[9, 2, 5, 8], [6, 1, 3, 2], [8, 4, 6, 8], [7, 1, 2, 6], [10, 5, 6, 9], [6, 2, 4, 7]], dtype=float)
+RATINGS = np.array(
+    [[9, 2, 5, 8], [6, 1, 3, 2], [8, 4, 6, 8], [7, 1, 2, 6], [10, 5, 6, 9], [6, 2, 4, 7]],
+    dtype=float,
+)
 COLUMNS = {"dv": "v", "within": "c", "subject": "s"}
 
 
@@ -52,9 +56,9 @@ def test_bounds_in_standard_deviations_and_several_pairs():
 def test_equivalence_is_claimed_in_five_percent_at_the_bound():
     rng = np.random.default_rng(4)
     claims = [
-        tl.equivalence(long(rng.standard_normal((20, 2)) + np.array([0.9, 0.0])), **COLUMNS, bound=0.9)[
-            "equivalent"
-        ].item()
+        tl.equivalence(
+            long(rng.standard_normal((20, 2)) + np.array([0.9, 0.0])), **COLUMNS, bound=0.9
+        )["equivalent"].item()
         for _ in range(300)
     ]
     assert abs(np.mean(claims) - 0.05) < 4.0 * np.sqrt(0.05 * 0.95 / 300)
@@ -70,7 +74,10 @@ def test_bayes_factors_agree_with_r(name):
 
 
 def test_bayes_factor_by_bic_is_the_closed_form():
-    """Masson (2011): ΔBIC = N ln(SSE1/SSE0) + (k1 − k0) ln N with N = n (k − 1); sums of squares written out."""
+    """
+    Masson (2011): ΔBIC = N ln(SSE1/SSE0) + (k1 − k0) ln N with N = n (k − 1); sums of squares
+    written out.
+    """
     x = np.random.default_rng(1).standard_normal((15, 4)) + np.array([0.0, 0.2, 0.4, 0.9])
     rest = x - x.mean(0) - x.mean(1, keepdims=True) + x.mean()
     sse1, sse0 = (rest**2).sum(), ((x - x.mean(1, keepdims=True)) ** 2).sum()
@@ -89,12 +96,17 @@ def test_intraclass_correlations_as_printed():
 
 
 def test_simultaneous_intervals():
-    """Two conditions: the paired interval. With k, max-t lies between one pair's t and Bonferroni's; same seed, same table."""
+    """
+    Two conditions: the paired interval. With k, max-t lies between one pair's t and Bonferroni's;
+    same seed, same table.
+    """
     two = tl.repeated_measures(long(np.random.default_rng(2).standard_normal((12, 2))), **COLUMNS)
     found = simultaneous_intervals(two, draws=20_000)
     assert found["critical_t"].item() == pytest.approx(stats.t.ppf(0.975, 11), rel=0.03)
     exact = simultaneous_intervals(two, "bonferroni")
-    assert exact[["ci_low", "ci_high"]].to_numpy() == pytest.approx(two.pairs()[["ci_low", "ci_high"]].to_numpy())
+    assert exact[["ci_low", "ci_high"]].to_numpy() == pytest.approx(
+        two.pairs()[["ci_low", "ci_high"]].to_numpy()
+    )
     five = tl.repeated_measures(long(np.random.default_rng(3).standard_normal((12, 5))), **COLUMNS)
     greatest, bonferroni = simultaneous_intervals(five), simultaneous_intervals(five, "bonferroni")
     assert stats.t.ppf(0.975, 11) < greatest["critical_t"][0] < bonferroni["critical_t"][0]
@@ -120,14 +132,19 @@ def test_simultaneous_coverage():
         (lambda f: tl.equivalence(f, **COLUMNS, bound=1.0, units="sd"), "units must be one of"),
         (lambda f: tl.equivalence(f, **COLUMNS, bound=1.0, alpha=0.6), "alpha must be below 0.5"),
         (
-            lambda f: tl.equivalence(f.assign(v=f["c"].map({"A": 0, "B": 1}) + f["s"]), **COLUMNS, bound=1.0),
+            lambda f: tl.equivalence(
+                f.assign(v=f["c"].map({"A": 0, "B": 1}) + f["s"]), **COLUMNS, bound=1.0
+            ),
             "error variance",
         ),
         (lambda f: tl.bayes_factor(f, **COLUMNS, scale=-1.0), "scale must be positive"),
         (lambda f: tl.bayes_factor(f, **COLUMNS, method="aic"), "method must be one of"),
         (lambda f: tl.bayes_factor(f.iloc[1:], **COLUMNS), "missing cells in 'v': subject 0"),
         (lambda f: intraclass_correlation(f.iloc[1:], "v", "c", "s"), "missing cells"),
-        (lambda f: simultaneous_intervals(tl.repeated_measures(f, **COLUMNS), "tukey"), "method must be one of"),
+        (
+            lambda f: simultaneous_intervals(tl.repeated_measures(f, **COLUMNS), "tukey"),
+            "method must be one of",
+        ),
         (
             lambda f: simultaneous_intervals(tl.repeated_measures(f, **COLUMNS), draws=10),
             "draws must be a whole number",

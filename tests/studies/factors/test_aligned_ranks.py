@@ -1,6 +1,7 @@
 """
-The aligned rank transform. Oracles: alignment written out in R with afex, lmerTest and emmeans on published data
-(reference/aligned_ranks.R); the figures that ARTool prints for its own data sets, where those are at hand; theorems.
+The aligned rank transform. Oracles: alignment written out in R with afex, lmerTest and emmeans on
+published data (reference/aligned_ranks.R); the figures that ARTool prints for its own data sets,
+where those are at hand; theorems.
 """
 
 import json
@@ -14,20 +15,28 @@ from hypothesis import given, settings, strategies as st
 import trustlab as tl
 from trustlab.studies.factors.factorial import aligned
 
-SETS = json.loads((Path(__file__).parents[1] / "reference" / "aligned_ranks.json").read_text())["sets"]
+SETS = json.loads((Path(__file__).parents[1] / "reference" / "aligned_ranks.json").read_text())[
+    "sets"
+]
 ARTOOL = tl.sessions.external_data("artool")
-printed_by_artool = pytest.mark.skipif(ARTOOL is None, reason="ARTool's data sets are not in data/external/artool")
+printed_by_artool = pytest.mark.skipif(
+    ARTOOL is None, reason="ARTool's data sets are not in data/external/artool"
+)
 
 
 def analysed(name):
     own = SETS[name]
     frame = pd.DataFrame(own["columns"]).sample(frac=1.0, random_state=0)
-    return tl.repeated_measures(frame, own["dv"], own["within"], own["id"], between=own["between"] or None)
+    return tl.repeated_measures(
+        frame, own["dv"], own["within"], own["id"], between=own["between"] or None
+    )
 
 
 def two_way(seed=0, n=10):
     rng = np.random.default_rng(seed)
-    cells = pd.MultiIndex.from_product([range(n), ["low", "high"], ["a", "b", "c"]], names=["who", "x", "y"])
+    cells = pd.MultiIndex.from_product(
+        [range(n), ["low", "high"], ["a", "b", "c"]], names=["who", "x", "y"]
+    )
     frame = cells.to_frame(index=False).assign(group=lambda f: np.where(f["who"] < 4, "g", "h"))
     return frame.assign(v=rng.exponential(size=len(frame)) + rng.standard_normal(n).repeat(6))
 
@@ -36,14 +45,19 @@ def two_way(seed=0, n=10):
 def test_tests_and_contrasts_agree_with_r(name):
     result = analysed(name)
     found = {
-        error: {frozenset(row["effect"].split(" × ")): row for row in result.aligned_ranks(error).to_dict("records")}
+        error: {
+            frozenset(row["effect"].split(" × ")): row
+            for row in result.aligned_ranks(error).to_dict("records")
+        }
         for error in ("own", "pooled")
     }
     for theirs in SETS[name]["effects"]:
         key = frozenset(theirs["effect"].split(":"))
         assert found["own"][key]["F"] == pytest.approx(theirs["F"], rel=1e-9)
         if "F_pooled" in theirs:
-            assert found["pooled"][key]["F"] == pytest.approx(theirs["F_pooled"], rel=1e-5)  # lmer's own search
+            assert found["pooled"][key]["F"] == pytest.approx(
+                theirs["F_pooled"], rel=1e-5
+            )  # lmer's own search
             assert found["pooled"][key]["df2"] == pytest.approx(theirs["df_pooled"], rel=1e-4)
     for theirs in SETS[name]["contrasts"]:
         ours = result.pairs(theirs["factor"], theirs["at"], method="aligned_ranks", error="pooled")
@@ -51,7 +65,9 @@ def test_tests_and_contrasts_agree_with_r(name):
         for level, contrast, estimate, t, df in zip(
             *(theirs[x] for x in ("level", "contrast", "estimate", "t", "df")), strict=True
         ):
-            a, b = (label.removeprefix(theirs["factor"]) for label in contrast.split(" - "))  # as of angle0
+            a, b = (
+                label.removeprefix(theirs["factor"]) for label in contrast.split(" - ")
+            )  # as of angle0
             sign, row = (1, rows[level, a, b]) if (level, a, b) in rows else (-1, rows[level, b, a])
             assert sign * row["mean_difference"] == pytest.approx(estimate, abs=1e-9)
             assert sign * row["t"] == pytest.approx(t, rel=1e-5, abs=1e-9)
@@ -60,7 +76,10 @@ def test_tests_and_contrasts_agree_with_r(name):
 
 @printed_by_artool
 def test_higgins_table_5_as_artool_prints_it():
-    """README of ARTool 0.11.2: F 23.833, 122.402, 5.118; tests/testthat/test.art.con.R: t of ARTool.exe and JMP."""
+    """
+    README of ARTool 0.11.2: F 23.833, 122.402, 5.118; tests/testthat/test.art.con.R: t of
+    ARTool.exe and JMP.
+    """
     frame = pd.read_csv(ARTOOL / "Higgins1990Table5.csv")
     result = tl.repeated_measures(frame, "DryMatter", ["Fertilizer"], "Tray", between="Moisture")
     table = result.aligned_ranks("pooled").set_index("effect")
@@ -85,7 +104,9 @@ def test_three_factors_as_artool_prints_them():
     printed = [120.4706, 120.4706, 14.3217, 81.92, 0.1259, 0.2319, 0.9715]
     assert table[["A", "B", "C", "A × B", "A × C", "B × C", "A × B × C"]].tolist() == printed
     result = tl.repeated_measures(pd.read_csv(ARTOOL / "ElkinABC.csv"), "Y", ["A", "B", "C"], "S")
-    assert result.pairs("A", method="aligned_ranks", error="pooled")["t"].item() == pytest.approx(-16.98, abs=0.005)
+    assert result.pairs("A", method="aligned_ranks", error="pooled")["t"].item() == pytest.approx(
+        -16.98, abs=0.005
+    )
     assert result.pairs("B", "A", method="aligned_ranks", error="pooled")["t"][0] == pytest.approx(
         -0.072115146, rel=1e-7
     )
@@ -106,12 +127,16 @@ def test_unit_and_origin_of_scores_do_not_matter(seed):
 
 
 def test_other_effects_are_gone():
-    """In a balanced design the aligned scores have no other effect: before they are ranked, other F are 0."""
+    """
+    In a balanced design the aligned scores have no other effect: before they are ranked, other F
+    are 0.
+    """
     frame = two_way()
     shifted = frame.assign(v=frame["v"] + 50.0 * (frame["y"] == "b") + 9.0 * (frame["x"] == "low"))
     for own, more in ((frame, shifted),):
         ranks = [
-            aligned(tl.repeated_measures(f, "v", ["x", "y"], "who"), ("x", "y")).scores.values for f in (own, more)
+            aligned(tl.repeated_measures(f, "v", ["x", "y"], "who"), ("x", "y")).scores.values
+            for f in (own, more)
         ]
         np.testing.assert_array_equal(*ranks)
 
@@ -124,7 +149,9 @@ def test_own_error_is_pooled_error_where_all_contrasts_are_one():
     np.testing.assert_allclose(own["F"], pooled["F"], rtol=1e-12)
     for method in ("t", "aligned_ranks"):
         pd.testing.assert_frame_equal(
-            result.pairs("x", method=method), result.pairs("x", method=method, error="pooled"), rtol=1e-10
+            result.pairs("x", method=method),
+            result.pairs("x", method=method, error="pooled"),
+            rtol=1e-10,
         )
 
 

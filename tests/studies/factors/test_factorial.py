@@ -1,6 +1,7 @@
 """
-Several factors. Oracles: R (afex, car, emmeans) on published data sets, values in reference/factorial.json made by factorial.R;
-figures printed in books and manuals; sums of squares by cell means written out, to 1e-9; simulation.
+Several factors. Oracles: R (afex, car, emmeans) on published data sets, values in
+reference/factorial.json made by factorial.R; figures printed in books and manuals; sums of squares
+by cell means written out, to 1e-9; simulation.
 """
 
 import json
@@ -19,7 +20,18 @@ from trustlab.studies import factorial_batch
 
 mpl.use("Agg")
 SETS = json.loads((Path(__file__).parents[1] / "reference" / "factorial.json").read_text())["sets"]
-SAME = ["F", "df1", "df2", "p", "eta2_generalized", "eta2_partial", "ss_effect", "ss_error", "mauchly_w", "mauchly_p"]
+SAME = [
+    "F",
+    "df1",
+    "df2",
+    "p",
+    "eta2_generalized",
+    "eta2_partial",
+    "ss_effect",
+    "ss_error",
+    "mauchly_w",
+    "mauchly_p",
+]
 SAME += ["epsilon_gg", "p_gg", "epsilon_hf_untruncated", "p_hf"]
 
 
@@ -51,8 +63,13 @@ def test_every_effect_agrees_with_r(name):
         for number in SAME:
             if number in ("p_gg", "p_hf") and not theirs["epsilon_gg"]:
                 continue  # one degree of freedom: car has no row, or zeros
-            if theirs[number] is not None and not (number == "p_hf" and theirs["epsilon_hf_untruncated"] > 1.0):
-                assert ours[number] == pytest.approx(theirs[number], rel=1e-8, abs=1e-11), (theirs["effect"], number)
+            if theirs[number] is not None and not (
+                number == "p_hf" and theirs["epsilon_hf_untruncated"] > 1.0
+            ):
+                assert ours[number] == pytest.approx(theirs[number], rel=1e-8, abs=1e-11), (
+                    theirs["effect"],
+                    number,
+                )
 
 
 @pytest.mark.parametrize("name", [name for name in SETS if SETS[name]["pairs"]])
@@ -60,7 +77,9 @@ def test_pairs_agree_with_emmeans(name):
     result = analysed(name)
     for theirs in SETS[name]["pairs"]:
         ours = result.pairs(theirs["factor"], theirs["at"])
-        levels = theirs["level"] if isinstance(theirs["level"], list) else [theirs["level"]] * len(ours)
+        levels = (
+            theirs["level"] if isinstance(theirs["level"], list) else [theirs["level"]] * len(ours)
+        )
         for i, contrast in enumerate(np.atleast_1d(theirs["contrast"])):
             a, b = (label(x.removeprefix(theirs["factor"])) for x in contrast.split(" - "))
             here = (ours["a"].astype(str) == a) & (ours["b"].astype(str) == b)
@@ -69,7 +88,11 @@ def test_pairs_agree_with_emmeans(name):
             row = ours[here].iloc[0]
             for number in ("mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"):
                 wanted = np.atleast_1d(theirs[number])[i]
-                assert row[number] == pytest.approx(wanted, rel=1e-8, abs=1e-10), (theirs["factor"], contrast, number)
+                assert row[number] == pytest.approx(wanted, rel=1e-8, abs=1e-10), (
+                    theirs["factor"],
+                    contrast,
+                    number,
+                )
 
 
 @pytest.mark.parametrize(
@@ -79,14 +102,23 @@ def test_pairs_agree_with_emmeans(name):
         ("Maxwell", "angle", {"F": "40.72", "df1": "2", "df2": "18"}),
         ("Maxwell", "noise", {"F": "33.77", "df1": "1", "df2": "9"}),
         ("Maxwell", "angle × noise", {"F": "45.31", "df1": "2", "df2": "18"}),
-        # afex, manual page of aov_car: treatment * gender between, phase and hour within (Greenhouse–Geisser).
+        # afex, manual page of aov_car: treatment * gender between, phase and hour within
+        # (Greenhouse–Geisser).
         (
             "O'Brien and Kaiser (1985), two",
             "treatment",
             {"F": "3.94", "ss_effect": "179.73", "ss_error": "228.06"},
         ),
-        ("O'Brien and Kaiser (1985), two", "phase", {"F": "16.13", "df1_corrected": "1.60", "df2_corrected": "15.99"}),
-        ("O'Brien and Kaiser (1985), two", "hour", {"F": "16.69", "df1_corrected": "1.84", "df2_corrected": "18.41"}),
+        (
+            "O'Brien and Kaiser (1985), two",
+            "phase",
+            {"F": "16.13", "df1_corrected": "1.60", "df2_corrected": "15.99"},
+        ),
+        (
+            "O'Brien and Kaiser (1985), two",
+            "hour",
+            {"F": "16.69", "df1_corrected": "1.84", "df2_corrected": "18.41"},
+        ),
     ],
 )
 def test_figures_printed_in_books_and_manuals(name, effect, printed):
@@ -97,23 +129,35 @@ def test_figures_printed_in_books_and_manuals(name, effect, printed):
 
 
 def two_way(n=10, a=2, b=3, seed=0):
-    cells = pd.MultiIndex.from_product([range(n), [f"a{i}" for i in range(a)], [f"b{i}" for i in range(b)]])
+    cells = pd.MultiIndex.from_product(
+        [range(n), [f"a{i}" for i in range(a)], [f"b{i}" for i in range(b)]]
+    )
     frame = cells.to_frame(index=False, name=["who", "A", "B"])
     return frame.assign(
-        v=np.random.default_rng(seed).standard_normal(len(frame)), side=np.where(frame["who"] < 5, "l", "r")
+        v=np.random.default_rng(seed).standard_normal(len(frame)),
+        side=np.where(frame["who"] < 5, "l", "r"),
     )
 
 
 def run(frame, **more):
-    return tl.repeated_measures(frame, **({"dv": "v", "within": ["A", "B"], "subject": "who"} | more))
+    return tl.repeated_measures(
+        frame, **({"dv": "v", "within": ["A", "B"], "subject": "who"} | more)
+    )
 
 
 def by_cell_means(x):
-    """Sums of squares of a two-way study, shape (n, a, b), as textbooks write them: sums over means of cells and margins."""
+    """
+    Sums of squares of a two-way study, shape (n, a, b), as textbooks write them: sums over means of
+    cells and margins.
+    """
     n, a, b = x.shape
     m = x.mean()
-    ma, mb, ms = x.mean((0, 2)), x.mean((0, 1)), x.mean((1, 2))
-    mab, msa, msb = x.mean(0), x.mean(2), x.mean(1)
+    ma = x.mean((0, 2))
+    mb = x.mean((0, 1))
+    ms = x.mean((1, 2))
+    mab = x.mean(0)
+    msa = x.mean(2)
+    msb = x.mean(1)
     effect = {
         "A": n * b * ((ma - m) ** 2).sum(),
         "B": n * a * ((mb - m) ** 2).sum(),
@@ -135,8 +179,12 @@ def test_sums_of_squares_written_out(seed):
     found = factorial_batch(np.stack([x, x + 1.0])).loc[1]
     for name, ss in effect.items():
         row = found.loc[name]
-        np.testing.assert_allclose([row["ss_effect"], row["ss_error"]], [ss, error[name]], rtol=1e-9)
-        np.testing.assert_allclose(row["eta2_generalized"], ss / (ss + sum(error.values()) + subjects), rtol=1e-9)
+        np.testing.assert_allclose(
+            [row["ss_effect"], row["ss_error"]], [ss, error[name]], rtol=1e-9
+        )
+        np.testing.assert_allclose(
+            row["eta2_generalized"], ss / (ss + sum(error.values()) + subjects), rtol=1e-9
+        )
 
 
 def test_batch_and_table_agree_and_pieces_do_not_matter(monkeypatch):
@@ -160,7 +208,9 @@ def test_simple_effects_are_analyses_of_one_level():
     for level, own in frame.groupby("A"):
         alone = tl.repeated_measures(own, dv="v", within="B", subject="who")
         row = found.loc[level]
-        np.testing.assert_allclose(row[["F", "p", "p_gg"]].astype(float), [alone.F, alone.p, alone.p_gg], rtol=1e-9)
+        np.testing.assert_allclose(
+            row[["F", "p", "p_gg"]].astype(float), [alone.F, alone.p, alone.p_gg], rtol=1e-9
+        )
     found = run(frame, between="side").simple_effects("side", at="A").set_index("level")
     for level, own in frame.groupby("A"):
         means = own.groupby(["side", "who"])["v"].mean()
@@ -182,9 +232,13 @@ def test_pairs_within_levels_are_paired_t_tests():
 
 @pytest.mark.parametrize("between", [None, "side"])
 def test_type_one_error_and_coverage(between):
-    """Without any effect, F corrected rejects in 5 % of studies; 4,000 studies without sphericity."""
+    """
+    Without any effect, F corrected rejects in 5 % of studies; 4,000 studies without sphericity.
+    """
     rng = np.random.default_rng(1)
-    scores = rng.standard_normal((4000, 12, 2, 4)) * [1.0, 1.0, 1.5, 3.0] + rng.standard_normal((4000, 12, 1, 1))
+    scores = rng.standard_normal((4000, 12, 2, 4)) * [1.0, 1.0, 1.5, 3.0] + rng.standard_normal(
+        (4000, 12, 1, 1)
+    )
     groups = np.arange(12) % 2 if between else None
     found = factorial_batch(scores, groups=groups)
     shares = (found["p_gg"] < 0.05).groupby("effect").mean()
@@ -197,7 +251,11 @@ def test_one_factor_in_a_list_is_one_way():
     frame = two_way()[lambda f: f["A"] == "a0"]
     one, other = run(frame, within=["B"]), run(frame, within="B")
     pd.testing.assert_frame_equal(one.table(), other.table())
-    assert run(frame, within=["B"], order={"B": ["b2", "b0", "b1"]}).conditions == ("b2", "b0", "b1")
+    assert run(frame, within=["B"], order={"B": ["b2", "b0", "b1"]}).conditions == (
+        "b2",
+        "b0",
+        "b1",
+    )
 
 
 def test_what_a_reader_sees():
@@ -206,7 +264,12 @@ def test_what_a_reader_sees():
     result = run(frame, between="side")
     assert "2 × 2 × 3 mixed ANOVA of v (N = 10, correction: greenhouse-geisser)" in result.apa()
     assert result.apa().startswith("[synthetic data]")
-    for view in (result.table(), result.pairs("A"), result.descriptives(), result.simple_effects("A", "B")):
+    for view in (
+        result.table(),
+        result.pairs("A"),
+        result.descriptives(),
+        result.simple_effects("A", "B"),
+    ):
         assert view.attrs["origin"] == "synthetic data"
     assert "synthetic data" in result._repr_html_()
     axes = result.plot()
@@ -226,7 +289,11 @@ def put(frame, row, column, value):
 @pytest.mark.parametrize(
     ("change", "arguments", "message"),
     [
-        (lambda f: f.drop(index=7), {}, r"missing cells in 'v': subject 1 has no score in condition \('a0', 'b1'\)"),
+        (
+            lambda f: f.drop(index=7),
+            {},
+            r"missing cells in 'v': subject 1 has no score in condition \('a0', 'b1'\)",
+        ),
         (
             lambda f: f[(f["A"] != "a1") | (f["B"] != "b2")],
             {},
@@ -238,22 +305,42 @@ def put(frame, row, column, value):
             "subject 1 has two values in column 'side', 'l' and 'r'",
         ),
         (lambda f: f.assign(A="a0"), {}, "within: column 'A' has one level only, 'a0'"),
-        (lambda f: f.assign(side="l"), {"between": "side"}, "between: column 'side' has one group only"),
+        (
+            lambda f: f.assign(side="l"),
+            {"between": "side"},
+            "between: column 'side' has one group only",
+        ),
         (
             lambda f: f.assign(side=np.where(f["who"] == 3, "l", "r")),
             {"between": "side"},
             "group 'l' of 'side' has one participant, 3",
         ),
-        (lambda f: f, {"order": {"A": ["a0", "b0"]}}, "order must list every condition in column 'A'"),
+        (
+            lambda f: f,
+            {"order": {"A": ["a0", "b0"]}},
+            "order must list every condition in column 'A'",
+        ),
         (lambda f: f, {"order": {"C": ["a0"]}}, "order: 'C' is not a factor"),
         (lambda f: f, {"order": ["a0", "a1"]}, "order must be of class dict"),
         (lambda f: f[f["who"] < 2], {}, "at least three are needed"),
         (lambda f: f, {"within": ["A", "A"]}, "'A' is named twice"),
         (lambda f: f, {"within": ["A", "BB"]}, "within: no column 'BB'"),
         (lambda f: f, {"between": "sides"}, "between: no column 'sides'; did you mean 'side'"),
-        (lambda f: f.assign(age=1.0), {"covariate": "age"}, "covariate: column 'age' is 1 for every participant"),
-        (lambda f: f.assign(age=f.index), {"covariate": "age"}, "covariate: subject 0 has two values in column 'age'"),
-        (lambda f: f.assign(age="old"), {"covariate": "age"}, "column 'age' is 'old' for subject 0"),
+        (
+            lambda f: f.assign(age=1.0),
+            {"covariate": "age"},
+            "covariate: column 'age' is 1 for every participant",
+        ),
+        (
+            lambda f: f.assign(age=f.index),
+            {"covariate": "age"},
+            "covariate: subject 0 has two values in column 'age'",
+        ),
+        (
+            lambda f: f.assign(age="old"),
+            {"covariate": "age"},
+            "column 'age' is 'old' for subject 0",
+        ),
         (lambda f: put(f, 7, "v", "x"), {}, "dv: column 'v' holds 'x' for subject 1"),
         (lambda f: pd.concat([f, f.iloc[[3]]]), {}, "more than one row"),
         (lambda f: f.assign(v=0.0), {}, "error variance"),
@@ -265,14 +352,17 @@ def put(frame, row, column, value):
         ),
         (
             lambda f: f[f["who"] < 4].assign(
-                one=lambda g: np.where(g["who"] < 2, "a", "b"), two=lambda g: np.where(g["who"] % 2, "c", "d")
+                one=lambda g: np.where(g["who"] < 2, "a", "b"),
+                two=lambda g: np.where(g["who"] % 2, "c", "d"),
             ),
             {"between": ["one", "two"]},
             r"4 participants \[0, 1, 2, 3\] for 4 parameters leave nothing",
         ),
         (lambda f: f[f["who"] < 2], {}, r"2 complete subject\(s\) \(0, 1\) in column 'who'"),
         (
-            lambda f: f.assign(one=np.where(f["who"] < 5, "a", "b"), two=np.where(f["who"] < 5, "c", "d")),
+            lambda f: f.assign(
+                one=np.where(f["who"] < 5, "a", "b"), two=np.where(f["who"] < 5, "c", "d")
+            ),
             {"between": ["one", "two"]},
             r"some combination of \['one', 'two'\] has no participant",
         ),

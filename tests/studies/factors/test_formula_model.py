@@ -1,4 +1,7 @@
-"""Mixed models by formula. Oracles: lme4 on published data (reference/formula_model.R), the model of one factor, simulation."""
+"""
+Mixed models by formula. Oracles: lme4 on published data (reference/formula_model.R), the model of
+one factor, simulation.
+"""
 
 import json
 from pathlib import Path
@@ -9,15 +12,25 @@ import pytest
 
 import trustlab as tl
 
-SETS = json.loads((Path(__file__).parents[1] / "reference" / "formula_model.json").read_text())["sets"]
+SETS = json.loads((Path(__file__).parents[1] / "reference" / "formula_model.json").read_text())[
+    "sets"
+]
 
 
 def trials(seed=0, n=8, effect=0.0):
     rng = np.random.default_rng(seed)
     frame = pd.DataFrame(
-        {"who": np.repeat(range(n), 6), "mode": ["A", "B", "C"] * (2 * n), "trial": np.tile(range(6), n) * 1.0}
+        {
+            "who": np.repeat(range(n), 6),
+            "mode": ["A", "B", "C"] * (2 * n),
+            "trial": np.tile(range(6), n) * 1.0,
+        }
     )
-    score = rng.standard_normal(len(frame)) + rng.standard_normal(n).repeat(6) + effect * (frame["mode"] == "C")
+    score = (
+        rng.standard_normal(len(frame))
+        + rng.standard_normal(n).repeat(6)
+        + effect * (frame["mode"] == "C")
+    )
     return frame.assign(error=score)
 
 
@@ -25,7 +38,10 @@ def trials(seed=0, n=8, effect=0.0):
 def test_agrees_with_lme4(name):
     wanted = SETS[name]
     found = tl.mixed_model(
-        wanted["formula"], pd.DataFrame(wanted["data"]), groups=wanted["groups"], random=wanted["random"]
+        wanted["formula"],
+        pd.DataFrame(wanted["data"]),
+        groups=wanted["groups"],
+        random=wanted["random"],
     )
     assert found.log_likelihood == pytest.approx(wanted["log_likelihood"], abs=1e-5)
     table = found.table().set_index("term")
@@ -46,13 +62,16 @@ def test_the_unit_of_the_score_does_not_matter():
         for f in (trials(), trials().assign(error=lambda f: 1e6 * f["error"]))
     )
     np.testing.assert_allclose(other.table()["chi2"], one.table()["chi2"], rtol=1e-6)
-    np.testing.assert_allclose(other.coefficients["estimate"], 1e6 * one.coefficients["estimate"], rtol=1e-6)
+    np.testing.assert_allclose(
+        other.coefficients["estimate"], 1e6 * one.coefficients["estimate"], rtol=1e-6
+    )
 
 
 def test_bootstrap():
     """Same seed, same p; an effect is found; the p is a share of draws."""
     first, again = (
-        tl.mixed_model("error ~ mode", trials(effect=1.5), groups="who", bootstrap=19, seed=3) for _ in range(2)
+        tl.mixed_model("error ~ mode", trials(effect=1.5), groups="who", bootstrap=19, seed=3)
+        for _ in range(2)
     )
     pd.testing.assert_frame_equal(first.table(), again.table())
     assert first.table()["p_bootstrap"].item() == pytest.approx(0.05)
@@ -66,7 +85,12 @@ def test_origin_is_said(kind):
     frame = trials()
     frame.attrs[kind] = True
     found = tl.mixed_model("error ~ trial", data=frame, groups="who")
-    assert found.origin == found.table().attrs["origin"] == found.coefficients.attrs["origin"] == f"{kind} data"
+    assert (
+        found.origin
+        == found.table().attrs["origin"]
+        == found.coefficients.attrs["origin"]
+        == f"{kind} data"
+    )
 
 
 @pytest.mark.parametrize(
@@ -76,8 +100,16 @@ def test_origin_is_said(kind):
         (lambda f: f, {"formula": "error"}, "formula must be"),
         (lambda f: f, {"groups": "whom"}, "groups: no column 'whom'; did you mean 'who'"),
         (lambda f: f, {"random": 1}, "random must be of class str"),
-        (lambda f: f.assign(trial=np.nan), {"formula": "error ~ trial"}, "48 rows have a missing or infinite value"),
-        (lambda f: f.assign(twice=f["trial"]), {"formula": "error ~ trial + twice"}, "linearly dependent"),
+        (
+            lambda f: f.assign(trial=np.nan),
+            {"formula": "error ~ trial"},
+            "48 rows have a missing or infinite value",
+        ),
+        (
+            lambda f: f.assign(twice=f["trial"]),
+            {"formula": "error ~ trial + twice"},
+            "linearly dependent",
+        ),
         (lambda f: f.assign(error=1.0), {}, "every score is 1"),
         (lambda f: f[f["who"] < 2], {}, "has 2 groups"),
         (lambda f: None, {}, "data must be of class DataFrame"),

@@ -1,6 +1,7 @@
 """
-Logistic mixed models. Oracles: glmer of lme4 on published data (reference/logistic_model.R) and as its manual prints it, the
-integral of the likelihood by another quadrature, logistic regression without random effects, simulation.
+Logistic mixed models. Oracles: glmer of lme4 on published data (reference/logistic_model.R) and as
+its manual prints it, the integral of the likelihood by another quadrature, logistic regression
+without random effects, simulation.
 """
 
 import json
@@ -14,18 +15,28 @@ from scipy import integrate, special, stats
 import trustlab as tl
 from trustlab.studies.factors.logistic_model import Logistic, _log_likelihood
 
-SETS = json.loads((Path(__file__).parents[1] / "reference" / "logistic_model.json").read_text())["sets"]
+SETS = json.loads((Path(__file__).parents[1] / "reference" / "logistic_model.json").read_text())[
+    "sets"
+]
 
 
 def fitted(name, **more):
     wanted = SETS[name]
-    arguments = {"groups": wanted["groups"], "trials": wanted["trials"] or None, "points": wanted["points"]}
-    return tl.mixed_model(wanted["formula"], pd.DataFrame(wanted["data"]), family="binomial", **arguments | more)
+    arguments = {
+        "groups": wanted["groups"],
+        "trials": wanted["trials"] or None,
+        "points": wanted["points"],
+    }
+    return tl.mixed_model(
+        wanted["formula"], pd.DataFrame(wanted["data"]), family="binomial", **arguments | more
+    )
 
 
 def followed(seed=0, n=20, effect=0.0, sd=1.0):
     rng = np.random.default_rng(seed)
-    frame = pd.DataFrame({"who": np.repeat(range(n), 2), "condition": ["C2", "C4"] * n, "suggestions": 12})
+    frame = pd.DataFrame(
+        {"who": np.repeat(range(n), 2), "condition": ["C2", "C4"] * n, "suggestions": 12}
+    )
     eta = 0.5 + effect * (frame["condition"] == "C4") + sd * rng.standard_normal(n).repeat(2)
     return frame.assign(followed=rng.binomial(12, special.expit(eta)))
 
@@ -41,14 +52,21 @@ def test_agrees_with_lme4(name):
         assert row["p_chi2"] == pytest.approx(test["p"], rel=1e-5)
     coefficients = found.coefficients_table()
     np.testing.assert_allclose(coefficients["estimate"], wanted["estimate"], atol=2e-5)
-    np.testing.assert_allclose(coefficients["se"], wanted["se"], rtol=2e-3)  # glmer's Hessian is by finite differences
+    np.testing.assert_allclose(
+        coefficients["se"], wanted["se"], rtol=2e-3
+    )  # glmer's Hessian is by finite differences
     np.testing.assert_allclose(found.random_effects()["variance"], wanted["variance"], rtol=1e-4)
-    if wanted["points"] == 1 or "VerbAgg" in name:  # with more points glmer leaves out the binomial coefficients
+    if (
+        wanted["points"] == 1 or "VerbAgg" in name
+    ):  # with more points glmer leaves out the binomial coefficients
         assert found.log_likelihood == pytest.approx(wanted["log_likelihood"], abs=1e-6)
 
 
 def test_agrees_with_the_printed_example_of_lme4():
-    """summary(gm1) of help("glmer"): its inner search stops at 1e-7, which leaves 6e-4 in the estimates and 3e-4 in the likelihood."""
+    """
+    summary(gm1) of help("glmer"): its inner search stops at 1e-7, which leaves 6e-4 in the
+    estimates and 3e-4 in the likelihood.
+    """
     found = fitted("Lesnoff and others (2004): lme4::cbpp, Laplace")
     rows = found.coefficients_table()
     np.testing.assert_allclose(rows["estimate"], [-1.3983, -0.9919, -1.1282, -1.5797], atol=6.5e-4)
@@ -60,17 +78,23 @@ def test_agrees_with_the_printed_example_of_lme4():
 
 def test_likelihood_is_the_integral():
     rng = np.random.default_rng(0)
-    eta, trials, sd = rng.standard_normal(5), np.array([3.0, 1.0, 10.0, 4.0, 40.0]), 1.7
+    eta = rng.standard_normal(5)
+    trials = np.array([3.0, 1.0, 10.0, 4.0, 40.0])
+    sd = 1.7
     counts = np.array([0.0, 1.0, 7.0, 4.0, 39.0])
 
     def integrand(v):
         p = special.expit(eta + sd * v)
-        return np.exp((counts * np.log(p) + (trials - counts) * np.log1p(-p)).sum()) * stats.norm.pdf(v)
+        return np.exp(
+            (counts * np.log(p) + (trials - counts) * np.log1p(-p)).sum()
+        ) * stats.norm.pdf(v)
 
     nodes, weights = np.polynomial.hermite.hermgauss(40)
     found = _log_likelihood(eta, counts, trials, np.array([0, 5]), sd, nodes, np.log(weights))
     scale = integrand(1.0)
-    exact = integrate.quad(lambda v: integrand(v) / scale, -9.0, 9.0, points=[0.0, 1.0, 2.0], epsabs=0, epsrel=1e-12)[0]
+    exact = integrate.quad(
+        lambda v: integrand(v) / scale, -9.0, 9.0, points=[0.0, 1.0, 2.0], epsabs=0, epsrel=1e-12
+    )[0]
     assert found == pytest.approx(np.log(exact) + np.log(scale), abs=1e-9)
 
 
@@ -78,7 +102,9 @@ def test_without_random_effects_it_is_logistic_regression():
     import statsmodels.api as sm
 
     frame = followed(1, sd=0.0, effect=-0.8).assign(who=lambda f: np.arange(len(f)) % 4)
-    found = tl.mixed_model("followed ~ condition", frame, groups="who", family="binomial", trials="suggestions")
+    found = tl.mixed_model(
+        "followed ~ condition", frame, groups="who", family="binomial", trials="suggestions"
+    )
     assert found.singular
     rest = frame["suggestions"] - frame["followed"]
     x = np.column_stack([np.ones(len(frame)), frame["condition"] == "C4"])
@@ -90,12 +116,18 @@ def test_without_random_effects_it_is_logistic_regression():
 def test_order_of_rows_and_coding_of_outcomes():
     """Shuffled rows, and failures instead of successes, say the same."""
     frame = followed(1, effect=-1.0)
-    turned = frame.assign(followed=frame["suggestions"] - frame["followed"]).sample(frac=1.0, random_state=0)
+    turned = frame.assign(followed=frame["suggestions"] - frame["followed"]).sample(
+        frac=1.0, random_state=0
+    )
     one, other = (
-        tl.mixed_model("followed ~ condition", f, groups="who", family="binomial", trials="suggestions")
+        tl.mixed_model(
+            "followed ~ condition", f, groups="who", family="binomial", trials="suggestions"
+        )
         for f in (frame, turned)
     )
-    np.testing.assert_allclose(other.coefficients["estimate"], -one.coefficients["estimate"], atol=1e-5)
+    np.testing.assert_allclose(
+        other.coefficients["estimate"], -one.coefficients["estimate"], atol=1e-5
+    )
     np.testing.assert_allclose(other.table()["chi2"], one.table()["chi2"], atol=1e-8)
 
 
@@ -103,7 +135,13 @@ def test_bootstrap_and_draws():
     frame = followed(2, effect=-1.5)
     first, again = (
         tl.mixed_model(
-            "followed ~ condition", frame, groups="who", family="binomial", trials="suggestions", bootstrap=19, seed=1
+            "followed ~ condition",
+            frame,
+            groups="who",
+            family="binomial",
+            trials="suggestions",
+            bootstrap=19,
+            seed=1,
         )
         for _ in range(2)
     )
@@ -112,7 +150,11 @@ def test_bootstrap_and_draws():
     codes = np.repeat(np.arange(4000), 2)
     model = Logistic(codes, np.full(8000, 12.0), 15)
     x = np.ones((8000, 1))
-    drawn = model.draw(model.fit(followed(0, 4000, sd=1.3)["followed"].to_numpy(float), x), x, np.random.default_rng(0))
+    drawn = model.draw(
+        model.fit(followed(0, 4000, sd=1.3)["followed"].to_numpy(float), x),
+        x,
+        np.random.default_rng(0),
+    )
     again = model.fit(drawn, x)
     assert again.sd == pytest.approx(1.3, abs=0.05)
     assert again.beta[0] == pytest.approx(0.5, abs=0.07)
@@ -123,7 +165,9 @@ def test_bad_input_names_what_is_wrong():
     give = {"groups": "who", "family": "binomial", "trials": "suggestions"}
     with pytest.raises(ValueError, match="row 3: 14 of 12 is no number of successes"):
         tl.mixed_model(
-            "followed ~ condition", frame.assign(followed=frame["followed"].where(frame.index != 3, 14)), **give
+            "followed ~ condition",
+            frame.assign(followed=frame["followed"].where(frame.index != 3, 14)),
+            **give,
         )
     with pytest.raises(ValueError, match='trials="…" names the column'):
         tl.mixed_model("followed ~ condition", frame, groups="who", family="binomial")

@@ -1,4 +1,7 @@
-"""Orders of conditions. Oracles: R's lm on full and reduced models (reference/order_effects.R), SciPy, simulation."""
+"""
+Orders of conditions. Oracles: R's lm on full and reduced models (reference/order_effects.R), SciPy,
+simulation.
+"""
 
 import json
 from pathlib import Path
@@ -10,11 +13,18 @@ from scipy import stats
 
 import trustlab as tl
 
-SETS = json.loads((Path(__file__).parents[1] / "reference" / "order_effects.json").read_text())["sets"]
+SETS = json.loads((Path(__file__).parents[1] / "reference" / "order_effects.json").read_text())[
+    "sets"
+]
 
 
 def run(frame, **more):
-    columns = {"dv": "score", "condition": "condition", "position": "position", "subject": "subject"}
+    columns = {
+        "dv": "score",
+        "condition": "condition",
+        "position": "position",
+        "subject": "subject",
+    }
     return tl.order_effects(frame, **(columns | more))
 
 
@@ -25,7 +35,11 @@ def frame_of(name):
 def williams(n=12, seed=0, effect=0.0):
     frame = tl.latin_square_design(["A", "B", "C", "D"], n, seed=seed).orders()
     rng = np.random.default_rng(seed)
-    score = rng.standard_normal(len(frame)) + rng.standard_normal(n).repeat(4) + effect * (frame["condition"] == "D")
+    score = (
+        rng.standard_normal(len(frame))
+        + rng.standard_normal(n).repeat(4)
+        + effect * (frame["condition"] == "D")
+    )
     return frame.rename(columns={"participant": "subject"}).assign(score=score)
 
 
@@ -63,7 +77,10 @@ def test_sequences_are_compared_between_subjects():
 
 
 def test_adjusted_differences_do_not_see_carry_over_and_raw_means_do():
-    """A carry-over of 3 from D: the conditions after D are raised; unbalanced, as one order is left out."""
+    """
+    A carry-over of 3 from D: the conditions after D are raised; unbalanced, as one order is left
+    out.
+    """
     frame = williams(8)
     before = frame.sort_values(["subject", "position"]).groupby("subject")["condition"].shift()
     clean = run(frame).pairs()
@@ -74,7 +91,9 @@ def test_adjusted_differences_do_not_see_carry_over_and_raw_means_do():
 
 @pytest.mark.parametrize("studies", [100, pytest.param(300, marks=pytest.mark.long)])
 def test_type_one_error(studies):
-    rejected = [run(williams(8, seed)).table().set_index("effect")["p"] < 0.05 for seed in range(studies)]
+    rejected = [
+        run(williams(8, seed)).table().set_index("effect")["p"] < 0.05 for seed in range(studies)
+    ]
     share = pd.concat(rejected, axis=1).mean(axis=1)
     assert (share < 0.05 + 4.0 * np.sqrt(0.05 * 0.95 / studies)).all()
     assert run(williams(12, effect=3.0)).table().set_index("effect").loc["condition", "p"] < 0.001
@@ -84,8 +103,16 @@ def test_type_one_error(studies):
     ("change", "more", "message"),
     [
         (lambda f: f.drop(index=2), {}, "dv: subject 1 has no score at position 3"),
-        (lambda f: f.assign(position=f["position"] + 1), {}, "position: column 'position' must hold 1 to 4"),
-        (lambda f: f.assign(g=range(len(f))), {"sequence": "g"}, "sequence: subject 1 has two sequences"),
+        (
+            lambda f: f.assign(position=f["position"] + 1),
+            {},
+            "position: column 'position' must hold 1 to 4",
+        ),
+        (
+            lambda f: f.assign(g=range(len(f))),
+            {"sequence": "g"},
+            "sequence: subject 1 has two sequences",
+        ),
         (lambda f: f, {"condition": "cond"}, "condition: no column 'cond'"),
         (lambda f: f, {"order": ["A"]}, "order must list every condition"),
         (lambda f: f.assign(score=f["position"] * 1.0), {}, "no error variance"),

@@ -1,6 +1,7 @@
 """
-Power of designs with several factors, groups and shares. Oracles: the noncentral F in closed form; a plain loop of tl.repeated_measures
-and tl.mixed_model over data drawn here; theorems (no effect: the level).
+Power of designs with several factors, groups and shares. Oracles: the noncentral F in closed form;
+a plain loop of tl.repeated_measures and tl.mixed_model over data drawn here; theorems (no effect:
+the level).
 """
 
 import matplotlib as mpl
@@ -13,9 +14,15 @@ import trustlab as tl
 from trustlab.studies import graded_covariance
 
 mpl.use("Agg")
-CELLS = pd.MultiIndex.from_product([["low", "high"], ["easy", "medium", "hard"]], names=["autonomy", "difficulty"])
+CELLS = pd.MultiIndex.from_product(
+    [["low", "high"], ["easy", "medium", "hard"]], names=["autonomy", "difficulty"]
+)
 MEANS = pd.Series([0.0, 0.3, 0.1, 0.2, 0.6, 0.7], CELLS)
-TWO_WAY = {"covariance": graded_covariance(6, 0.5), "within": ["autonomy", "difficulty"], "replicates": 4000}
+TWO_WAY = {
+    "covariance": graded_covariance(6, 0.5),
+    "within": ["autonomy", "difficulty"],
+    "replicates": 4000,
+}
 MIXED = pd.Series({("g", 0.0): 0.0, ("g", 1.0): 0.3, ("h", 0.0): 0.0, ("h", 1.0): 0.8})
 
 
@@ -28,7 +35,12 @@ def within_simulation_error(found, exact, replicates, sds=4.0):
     [
         lambda: tl.power_analysis(MEANS, n=[12, 24], **TWO_WAY),
         lambda: tl.power_analysis(
-            MIXED, graded_covariance(2, 0.4), within="test", between="group", n=[10, 20], replicates=4000
+            MIXED,
+            graded_covariance(2, 0.4),
+            within="test",
+            between="group",
+            n=[10, 20],
+            replicates=4000,
         ),
     ],
 )
@@ -41,7 +53,10 @@ def test_simulation_agrees_with_the_closed_form(power):
 
 
 def test_closed_form_is_the_noncentral_f_written_out():
-    """Autonomy has one contrast: d_z of the mean difference; difficulty by sums of squares of the marginal means."""
+    """
+    Autonomy has one contrast: d_z of the mean difference; difficulty by sums of squares of the
+    marginal means.
+    """
     table = tl.power_analysis(MEANS, n=24, **TWO_WAY | {"replicates": 100}).table()
     closed = table[table["test"] == "none"].set_index("effect")["closed_form"]
     wide = MEANS.to_numpy().reshape(2, 3)
@@ -59,14 +74,20 @@ def test_a_plain_loop_finds_the_same_share(studies):
     """A mixed design without sphericity: studies drawn and analysed one by one."""
     covariance = graded_covariance(3, 0.3, 0.7)
     means = pd.Series({(g, c): 0.45 * (c == "c") * (g == "h") for g in "gh" for c in "abc"})
-    table = tl.power_analysis(means, covariance, within="c", between="g", n=12, replicates=4000).table()
+    table = tl.power_analysis(
+        means, covariance, within="c", between="g", n=12, replicates=4000
+    ).table()
     power = table.set_index(["effect", "test"]).loc[("g × c", "greenhouse-geisser"), "power"]
     rng, found = np.random.default_rng(5), 0
     for _ in range(studies):
         scores = rng.multivariate_normal(np.zeros(3), covariance, 24)
         scores[12:, 2] += 0.45
-        frame = pd.DataFrame({"s": np.repeat(range(24), 3), "g": np.repeat(["g", "h"], 36), "c": list("abc") * 24})
-        result = tl.repeated_measures(frame.assign(v=scores.ravel()), "v", "c", "s", between="g").table()
+        frame = pd.DataFrame(
+            {"s": np.repeat(range(24), 3), "g": np.repeat(["g", "h"], 36), "c": list("abc") * 24}
+        )
+        result = tl.repeated_measures(
+            frame.assign(v=scores.ravel()), "v", "c", "s", between="g"
+        ).table()
         found += result.set_index("effect").loc["g × c", "p_corrected"] < 0.05
     assert within_simulation_error(found / studies, power, studies)
 
@@ -95,7 +116,9 @@ def test_a_pilot_study_is_the_population():
         "order": order,
     }
     found = tl.power_analysis(data=frame, n=8, replicates=200, **columns)
-    wide = frame.pivot_table(index=["group", "who"], columns=["autonomy", "difficulty"], values="error")[list(CELLS)]
+    wide = frame.pivot_table(
+        index=["group", "who"], columns=["autonomy", "difficulty"], values="error"
+    )[list(CELLS)]
     residual = wide - wide.groupby("group").transform("mean")
     index = pd.MultiIndex.from_tuples([(g, *cell) for g in "gh" for cell in CELLS])
     given = tl.power_analysis(
@@ -113,7 +136,9 @@ def test_a_pilot_study_is_the_population():
 
 def test_shares_by_a_plain_loop():
     options = {"family": "binomial", "trials": 10, "sd": 0.8, "replicates": 150}
-    power = tl.power_analysis({"C2": 0.64, "C4": 0.5}, n=14, seed=2, **options).table()["power"].item()
+    power = (
+        tl.power_analysis({"C2": 0.64, "C4": 0.5}, n=14, seed=2, **options).table()["power"].item()
+    )
     rng, found = np.random.default_rng(1), 0
     for _ in range(60):
         eta = special.logit([0.64, 0.5]) + 0.8 * rng.standard_normal((14, 1))
@@ -140,7 +165,10 @@ def test_same_seed_same_table_wherever_it_runs():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"mean": MEANS.iloc[:-1]}, r"mean: no number for cell \('high', 'hard'\) of autonomy × difficulty"),
+        (
+            {"mean": MEANS.iloc[:-1]},
+            r"mean: no number for cell \('high', 'hard'\) of autonomy × difficulty",
+        ),
         ({"mean": [1.0, 2.0]}, "indexed by autonomy, difficulty, got 1 level"),
         ({"n": 2}, "at least 3 subjects"),
         ({"effect_size": 0.2}, "effect_size has no effect here"),
@@ -166,6 +194,13 @@ def test_faults_are_named(arguments, message):
     ],
 )
 def test_faults_of_shares_are_named(arguments, message):
-    usual = {"mean": {"C2": 0.6, "C4": 0.4}, "family": "binomial", "trials": 10, "sd": 1.0, "n": 6, "replicates": 100}
+    usual = {
+        "mean": {"C2": 0.6, "C4": 0.4},
+        "family": "binomial",
+        "trials": 10,
+        "sd": 1.0,
+        "n": 6,
+        "replicates": 100,
+    }
     with pytest.raises(ValueError, match=message):
         tl.power_analysis(**usual | arguments)

@@ -1,4 +1,7 @@
-"""Power: closed forms beside scipy and statsmodels, simulation beside closed forms and brute force, refusals."""
+"""
+Power: closed forms beside scipy and statsmodels, simulation beside closed forms and brute force,
+refusals.
+"""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -17,12 +20,14 @@ from trustlab.studies.planning.covariances import Conditions
 MEANS = [0.0, 0.1, 0.4, 0.5, 0.5]
 
 
-# --- closed forms ---------------------------------------------------------------------------------------------------
+# --- closed forms ---------------------------------------------------------------------------------
 
 
 def conditions_from(mean, covariance):
     """The population with these means and covariance, its conditions numbered from 1."""
-    return Conditions(range(1, len(mean) + 1), np.asarray(mean, dtype=float), np.asarray(covariance))
+    return Conditions(
+        range(1, len(mean) + 1), np.asarray(mean, dtype=float), np.asarray(covariance)
+    )
 
 
 @pytest.mark.parametrize("n", [3, 12, 36])
@@ -56,11 +61,13 @@ def test_noncentrality_is_n_s_over_error_variance():
     population = conditions_from(MEANS, graded_covariance(5, 0.3, 0.6, 2.0))
     effect = np.sum((np.array(MEANS) - np.mean(MEANS)) ** 2)
     error = np.trace(population.contrasts) / 4
-    assert noncentrality(population.eta2_partial, 24, 5) == pytest.approx(24 * effect / error, rel=1e-12)
+    assert noncentrality(population.eta2_partial, 24, 5) == pytest.approx(
+        24 * effect / error, rel=1e-12
+    )
     assert error == pytest.approx(4.0 * 0.7, rel=1e-12)
 
 
-# --- covariances ----------------------------------------------------------------------------------------------------
+# --- covariances ----------------------------------------------------------------------------------
 
 
 @given(st.integers(2, 9), st.floats(0.0, 1.0), st.floats(0.02, 1.0), st.floats(0.01, 100.0))
@@ -115,7 +122,7 @@ def test_names_come_from_mappings_and_frames():
     assert set(found.pairs()["b"]) == {"b", "c"}
 
 
-# --- simulation beside closed forms ---------------------------------------------------------------------------------
+# --- simulation beside closed forms ---------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +171,10 @@ def test_pairs_agree_with_the_noncentral_t(grid):
 
 
 def weighted_chi_squares(population, n, draws, seed):
-    """Draw F of Box's representation: eigenvalues of the contrasts' covariance times χ², no analysis of scores."""
+    """
+    Draw F of Box's representation: eigenvalues of the contrasts' covariance times χ², no analysis
+    of scores.
+    """
     rng = np.random.default_rng(seed)
     values, vectors = np.linalg.eigh(population.contrasts)
     c = orthonormal_contrasts(len(population.mean))
@@ -196,15 +206,23 @@ def test_a_cell_does_not_depend_on_its_place_in_the_grid():
     grid = tl.power_analysis(**arguments, n=[8, 12], effect_size=[0.05, 0.1]).table()
     same = grid[(grid["n"] == 12) & np.isclose(grid["effect_size"], 0.1)].reset_index(drop=True)
     pd.testing.assert_frame_equal(same, alone)
-    assert grid.groupby(["n", "effect_size"])["power"].first().nunique() == 4  # no two cells share their draws
+    assert (
+        grid.groupby(["n", "effect_size"])["power"].first().nunique() == 4
+    )  # no two cells share their draws
 
 
 @pytest.mark.parametrize(("n", "k"), [(12, 4), (3, 5)])
 def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
-    replicates, seed, claims = 100, 3, [(k, 1), (2, k)]
+    replicates = 100
+    seed = 3
+    claims = [(k, 1), (2, k)]
     matrix, mean = graded_covariance(k, 0.4, 0.5, 1.0), np.linspace(0.0, 1.5, k)
     found = tl.power_analysis(mean, matrix, n=n, replicates=replicates, seed=seed, claims=claims)
-    cell = np.concatenate([mean, conditions_from(mean, matrix).covariance.ravel()]).view(np.uint32).tolist()
+    cell = (
+        np.concatenate([mean, conditions_from(mean, matrix).covariance.ravel()])
+        .view(np.uint32)
+        .tolist()
+    )
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(n, *cell)))
     scores = rng.standard_normal((replicates, n, k)) @ np.linalg.cholesky(matrix).T + mean
     hits = dict.fromkeys(simulation.TESTS, 0)
@@ -213,7 +231,9 @@ def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
         frame = pd.DataFrame(study, columns=range(1, k + 1)).rename_axis("s").reset_index()
         frame = frame.melt("s", var_name="c", value_name="v").astype({"c": int})
         for test in hits:
-            hits[test] += tl.repeated_measures(frame, "v", "c", "s", correction=test).p_corrected < 0.05
+            hits[test] += (
+                tl.repeated_measures(frame, "v", "c", "s", correction=test).p_corrected < 0.05
+            )
         result = tl.repeated_measures(frame, "v", "c", "s")
         table = result.pairs().set_index(["a", "b"])
         pairs = pairs + (table["p_holm"] < 0.05)
@@ -234,13 +254,19 @@ def test_draws_do_not_depend_on_how_many_are_in_memory(monkeypatch):
     monkeypatch.setattr("trustlab.studies.analysis.batch._CHUNK", 500)
     for name in ("table", "pairs", "claims"):
         pd.testing.assert_frame_equal(
-            getattr(tl.power_analysis([0, 0, 1], graded_covariance(3), **arguments), name)(), getattr(whole, name)()
+            getattr(tl.power_analysis([0, 0, 1], graded_covariance(3), **arguments), name)(),
+            getattr(whole, name)(),
         )
 
 
 def test_a_grid_has_a_row_per_cell_and_test_and_draws_itself():
     found = tl.power_analysis(
-        [0, 1], graded_covariance(2), n=[5, 9], effect_size=[0.1, 0.3], correlation=[0.0, 0.5], replicates=100
+        [0, 1],
+        graded_covariance(2),
+        n=[5, 9],
+        effect_size=[0.1, 0.3],
+        correlation=[0.0, 0.5],
+        replicates=100,
     )
     assert len(found.table()) == 2 * 2 * 2 * len(simulation.TESTS)
     assert set(found.table()["epsilon"]) == {1.0}
@@ -260,14 +286,22 @@ def test_epsilon_of_two_conditions_is_one():
     assert greenhouse_geisser(population.contrasts) == 1.0
 
 
-# --- the smallest n -------------------------------------------------------------------------------------------------
+# --- the smallest n -------------------------------------------------------------------------------
 
 
 def test_the_smallest_n_is_that_of_the_noncentral_f():
-    found = tl.smallest_n(0.8, MEANS, graded_covariance(5), effect_size=0.1, test="none", replicates=4000, seed=2)
-    exact = next(n for n in range(3, 200) if noncentral_f_power(n, 5, noncentrality(0.1, n, 5)) >= 0.8)
+    found = tl.smallest_n(
+        0.8, MEANS, graded_covariance(5), effect_size=0.1, test="none", replicates=4000, seed=2
+    )
+    exact = next(
+        n for n in range(3, 200) if noncentral_f_power(n, 5, noncentrality(0.1, n, 5)) >= 0.8
+    )
     assert abs(found.n - exact) <= 2
-    assert found.ci_low <= noncentral_f_power(found.n, 5, noncentrality(0.1, found.n, 5)) <= found.ci_high
+    assert (
+        found.ci_low
+        <= noncentral_f_power(found.n, 5, noncentrality(0.1, found.n, 5))
+        <= found.ci_high
+    )
     tried = found.evaluations.set_index("n")["power"]
     assert tried[found.n] == found.power >= 0.8 > tried[found.n - 1]
     assert found.whole_squares % 10 == 0
@@ -276,7 +310,9 @@ def test_the_smallest_n_is_that_of_the_noncentral_f():
 
 def test_the_smallest_n_is_the_same_at_every_call_and_what_power_analysis_finds():
     arguments = {"effect_size": 0.2, "replicates": 2000, "seed": 9}
-    first, again = (tl.smallest_n(0.9, MEANS, graded_covariance(5, 0.5, 0.6), **arguments) for _ in range(2))
+    first, again = (
+        tl.smallest_n(0.9, MEANS, graded_covariance(5, 0.5, 0.6), **arguments) for _ in range(2)
+    )
     pd.testing.assert_frame_equal(first.evaluations, again.evaluations)
     rows = tl.power_analysis(
         MEANS, graded_covariance(5, 0.5, 0.6), n=first.n, effect_size=0.2, replicates=10_000
@@ -287,7 +323,9 @@ def test_the_smallest_n_is_the_same_at_every_call_and_what_power_analysis_finds(
 
 
 def test_the_smallest_n_of_a_pair():
-    found = tl.smallest_n(0.8, MEANS, graded_covariance(5), pair=(5, 1), adjust="bonferroni", replicates=2000, seed=2)
+    found = tl.smallest_n(
+        0.8, MEANS, graded_covariance(5), pair=(5, 1), adjust="bonferroni", replicates=2000, seed=2
+    )
     exact = next(n for n in range(3, 400) if noncentral_f_power(n, 2, n * 0.5**2, 0.005) >= 0.8)
     assert abs(found.n - exact) <= 0.05 * exact
     assert found.table()["test"].item() == "5 – 1, bonferroni"
@@ -298,25 +336,36 @@ def test_a_huge_effect_needs_three_subjects():
     assert tl.smallest_n(0.8, [0, 50.0, 100.0], graded_covariance(3), replicates=100).n == 3
 
 
-# --- where studies are simulated ------------------------------------------------------------------------------------
+# --- where studies are simulated ------------------------------------------------------------------
 
 
 def test_results_do_not_depend_on_where_studies_are_simulated():
     """Workers simulate sizes ahead of the search, of which the answer must not show a trace."""
-    grid = {"n": [5, 9], "effect_size": [0.1, 0.3], "replicates": 200, "seed": 3, "claims": [(1, 5)]}
+    grid = {
+        "n": [5, 9],
+        "effect_size": [0.1, 0.3],
+        "replicates": 200,
+        "seed": 3,
+        "claims": [(1, 5)],
+    }
     search = {"effect_size": 0.2, "replicates": 300, "seed": 9}
     matrix = graded_covariance(5, 0.5, 0.4)
-    here, n_here = tl.power_analysis(MEANS, matrix, **grid), tl.smallest_n(0.9, MEANS, matrix, **search)
+    here, n_here = (
+        tl.power_analysis(MEANS, matrix, **grid),
+        tl.smallest_n(0.9, MEANS, matrix, **search),
+    )
     with ThreadPoolExecutor(2) as executor:
         there = tl.power_analysis(MEANS, matrix, **grid, executor=executor)
         n_there = tl.smallest_n(0.9, MEANS, matrix, **search, executor=executor)
     for name in ("table", "pairs", "claims"):
-        pd.testing.assert_frame_equal(getattr(here, name)(), getattr(there, name)(), check_exact=True)
+        pd.testing.assert_frame_equal(
+            getattr(here, name)(), getattr(there, name)(), check_exact=True
+        )
     pd.testing.assert_frame_equal(n_here.evaluations, n_there.evaluations, check_exact=True)
     pd.testing.assert_frame_equal(n_here.table(), n_there.table(), check_exact=True)
 
 
-# --- refusals -------------------------------------------------------------------------------------------------------
+# --- refusals -------------------------------------------------------------------------------------
 
 GOOD = graded_covariance(3)
 
@@ -347,8 +396,14 @@ GOOD = graded_covariance(3)
         ({"mean": [0.0], "covariance": [[1.0]]}, "at least two conditions"),
         ({"mean": None}, "power needs mean= and covariance="),
         ({"covariance": None}, "power needs mean= and covariance="),
-        ({"covariance": [[1, 0.9, 0.0], [0.9, 1, 0.9], [0.0, 0.9, 1]]}, "least eigenvalue is -0.272792"),
-        ({"covariance": np.ones((3, 3))}, "covariance is not positive definite: its least eigenvalue"),
+        (
+            {"covariance": [[1, 0.9, 0.0], [0.9, 1, 0.9], [0.0, 0.9, 1]]},
+            "least eigenvalue is -0.272792",
+        ),
+        (
+            {"covariance": np.ones((3, 3))},
+            "covariance is not positive definite: its least eigenvalue",
+        ),
         ({"covariance": np.zeros((3, 3))}, "covariance is not positive definite"),
         ({"covariance": [[1, 0.2, 0], [0.5, 1, 0], [0, 0, 1]]}, r"symmetric, but \[0, 1\] is 0.2"),
         ({"covariance": [[1, 0, 0], [0, np.inf, 0], [0, 0, 1]]}, "finite, but row 1, column 1"),
@@ -380,7 +435,8 @@ def test_power_analysis_refuses(arguments, message):
 def test_data_too_few_for_a_covariance_are_refused():
     rng = np.random.default_rng(0)
     data = pd.DataFrame(
-        [(s, c, rng.normal()) for s in range(4) for c in range(4)], columns=["subject", "condition", "value"]
+        [(s, c, rng.normal()) for s in range(4) for c in range(4)],
+        columns=["subject", "condition", "value"],
     )
     with pytest.raises(ValueError, match=r"4 subjects in 4 conditions: .* at least 5"):
         tl.power_analysis(data=data)
@@ -410,7 +466,10 @@ def test_smallest_n_refuses(arguments, message):
     ("call", "message"),
     [
         (lambda: noncentral_f_power(36, 5, -1.0), "noncentrality must not be negative"),
-        (lambda: noncentral_f_power(36, 5, 1.0, epsilon=0.2), r"epsilon must lie in \[1/\(k − 1\), 1\]"),
+        (
+            lambda: noncentral_f_power(36, 5, 1.0, epsilon=0.2),
+            r"epsilon must lie in \[1/\(k − 1\), 1\]",
+        ),
         (lambda: noncentral_f_power(1, 5, 1.0), "n must be a whole number, 2 or more"),
         (lambda: noncentrality(1.0, 36, 5), r"eta2_partial must lie in \[0, 1\)"),
         (lambda: clopper_pearson(np.array([5]), 4), "whole numbers from 0 to 4"),

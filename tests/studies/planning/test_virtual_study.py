@@ -1,4 +1,7 @@
-"""Virtual studies: populations beside the printed tables, studies beside their runs one by one, folders read again."""
+"""
+Virtual studies: populations beside the printed tables, studies beside their runs one by one,
+folders read again.
+"""
 
 import pickle
 import tracemalloc
@@ -27,7 +30,7 @@ def kept(tmp_path_factory):
     return tl.virtual_study(n=10, seed=3, laps=2, out=folder)
 
 
-# --- populations ----------------------------------------------------------------------------------------------------
+# --- populations ----------------------------------------------------------------------------------
 
 
 def test_the_published_population_has_the_printed_means_and_spreads():
@@ -58,8 +61,13 @@ def test_thresholds_of_the_second_participant_are_at_their_place():
     z = own.mean.copy()
     printed = tl.published_table("2.1")["2"].astype(float)
     z[:6] = [
-        np.log(1 / (1 - 0.9995)), np.log(0.81 / 0.19), 0.365, np.log(0.407 - 0.365), np.log(1 / (1 - 0.9953)), np.log(0.35 - 0.24),
-    ]  # fmt: skip
+        np.log(1 / (1 - 0.9995)),
+        np.log(0.81 / 0.19),
+        0.365,
+        np.log(0.407 - 0.365),
+        np.log(1 / (1 - 0.9953)),
+        np.log(0.35 - 0.24),
+    ]
     z[10:] = [np.log(place / (1 - place)), np.log(above / (1 - above))]
     values = own._values(z)
     assert values["p_h_max"] == pytest.approx(printed["P_h_max"])
@@ -73,17 +81,25 @@ def test_shrinkage_makes_the_covariance_positive_definite_and_keeps_variances():
     np.testing.assert_allclose(free.covariance, np.diag(np.diag(PUBLISHED.covariance)), atol=1e-15)
     wide = GroundRobotPopulation.published(spread=2.0)
     np.testing.assert_allclose(wide.covariance, 4.0 * PUBLISHED.covariance, rtol=1e-12)
-    with pytest.raises(ValueError, match=r"shrinkage must lie in \(0, 1\], got 0.0: at 0 .* is singular"):
+    with pytest.raises(
+        ValueError, match=r"shrinkage must lie in \(0, 1\], got 0.0: at 0 .* is singular"
+    ):
         GroundRobotPopulation.published(shrinkage=0)
 
 
 def test_draws_have_the_distribution_and_all_are_models():
     drawn = PUBLISHED.draw(2000, seed=1)
     assert (drawn["redrawn"] > 0).mean() < 0.05
-    z = stats.norm.cdf((np.log(1.0 / (1.0 - drawn["a_r"])) - PUBLISHED.mean[0]) / np.sqrt(PUBLISHED.covariance[0, 0]))
+    z = stats.norm.cdf(
+        (np.log(1.0 / (1.0 - drawn["a_r"])) - PUBLISHED.mean[0])
+        / np.sqrt(PUBLISHED.covariance[0, 0])
+    )
     assert stats.kstest(z, "uniform").pvalue > 0.01
     total = 0.7857 * 0.2143 / 0.2945**2 - 1.0
-    assert stats.kstest(drawn["follow_tsc"], stats.beta(0.7857 * total, 0.2143 * total).cdf).pvalue > 0.01
+    assert (
+        stats.kstest(drawn["follow_tsc"], stats.beta(0.7857 * total, 0.2143 * total).cdf).pvalue
+        > 0.01
+    )
     for values in drawn.to_dict("records")[:200]:
         operator, model, (low, high) = PUBLISHED.person(values)
         limits = threshold_limits(model, 0.0)
@@ -117,11 +133,13 @@ def test_teleoperators_lie_in_their_ranges():
     assert set(drawn["reach"]) == {2.5}
     table = TeleoperatorPopulation().table().set_index("quantity")
     for name in ("reaction", "noise", "patience"):
-        assert drawn[name].mean() == pytest.approx(table.loc[name, "mean"], abs=0.15 * table.loc[name, "sd"])
+        assert drawn[name].mean() == pytest.approx(
+            table.loc[name, "mean"], abs=0.15 * table.loc[name, "sd"]
+        )
         assert drawn[name].std() == pytest.approx(table.loc[name, "sd"], rel=0.12)
 
 
-# --- studies --------------------------------------------------------------------------------------------------------
+# --- studies --------------------------------------------------------------------------------------
 
 
 def test_measures_are_those_of_the_runs_one_by_one(kept):
@@ -142,12 +160,20 @@ def test_sessions_are_read_again_and_have_the_measures(kept):
     assert len(sessions) == 50
     read = pd.DataFrame(
         [
-            (s.metadata.participant, s.metadata.more["trial"], s.metadata.condition, s["p_r"].mean(), s["r"].mean())
+            (
+                s.metadata.participant,
+                s.metadata.more["trial"],
+                s.metadata.condition,
+                s["p_r"].mean(),
+                s["r"].mean(),
+            )
             for s in sessions
         ],
         columns=["participant", "position", "condition", "p_r", "r"],
     )
-    both = kept.measures.merge(read, on=["participant", "position", "condition"], suffixes=("", "_read"))
+    both = kept.measures.merge(
+        read, on=["participant", "position", "condition"], suffixes=("", "_read")
+    )
     assert len(both) == 50
     np.testing.assert_array_equal(both["p_r"], both["p_r_read"])
     np.testing.assert_array_equal(both["r"], both["r_read"])
@@ -206,17 +232,26 @@ def test_reports_say_that_they_are_simulated(kept):
 def test_orders_have_no_effect_unless_rest_is_given(tmp_path):
     names = ["C1", "C3"]
     first = tl.studies.latin_square_design(names, 4, seed=0)
-    second = next(d for s in range(1, 20) if (d := tl.studies.latin_square_design(names, 4, seed=s)).rows != first.rows)
+    second = next(
+        d
+        for s in range(1, 20)
+        if (d := tl.studies.latin_square_design(names, 4, seed=s)).rows != first.rows
+    )
     key = ["participant", "condition"]
     plain = [tl.virtual_study(d, seed=1, laps=1).measures.sort_values(key) for d in (first, second)]
-    carried = [tl.virtual_study(d, seed=1, laps=1, rest=60.0).measures.sort_values(key) for d in (first, second)]
+    carried = [
+        tl.virtual_study(d, seed=1, laps=1, rest=60.0).measures.sort_values(key)
+        for d in (first, second)
+    ]
     np.testing.assert_array_equal(plain[0]["p_r"], plain[1]["p_r"])
     assert (plain[0]["position"].to_numpy() != plain[1]["position"].to_numpy()).any()
     assert (carried[0]["r"].to_numpy() != carried[1]["r"].to_numpy()).any()
 
 
 def test_rest_carries_utilization_over_by_2_5(tmp_path):
-    study = tl.virtual_study(n=4, conditions=["C1", "C5"], seed=1, laps=1, rest=120.0, out=tmp_path / "s")
+    study = tl.virtual_study(
+        n=4, conditions=["C1", "C5"], seed=1, laps=1, rest=120.0, out=tmp_path / "s"
+    )
     a = study.participants.set_index("participant")["a_r"]
     sessions = {(s.metadata.participant, s.metadata.more["trial"]): s for s in study.sessions()}
     for who in range(1, 5):
@@ -231,7 +266,9 @@ def test_the_uav_testbed_measures_what_teleoperation_measures_does():
     study = tl.virtual_study(n=4, conditions=["TMIG", "M", "MI", "OMI"], seed=2, duration=12.0)
     assert study.conditions == ("TMIG", "M", "MI", "OMI")
     operator = study.population.person(study.participants.to_dict("records")[2])
-    seeds = dict(zip(["M", "MI", "OMI", "TMIG"], np.random.SeedSequence(2).spawn(4)[2].spawn(4), strict=True))
+    seeds = dict(
+        zip(["M", "MI", "OMI", "TMIG"], np.random.SeedSequence(2).spawn(4)[2].spawn(4), strict=True)
+    )
     for scheme in study.conditions:
         run = tl.simulate_teleoperation(scheme, operator, seed=seeds[scheme], duration=12.0)
         expected = tl.teleoperation_measures(run).iloc[0]
@@ -270,7 +307,9 @@ def test_a_population_is_drawn_beside_the_printed_participants():
     drawn, printed = axes[1].lines
     np.testing.assert_allclose(drawn.get_xdata(), 0.1 / (1.0 - PUBLISHED.draw(30, seed=1)["a_r"]))
     # Table 2.1 prints a_r = 0.999, 0.9995, 0.9995, 0.9995, 0.9994: τ = 0.1 s / (1 − a)
-    np.testing.assert_allclose(printed.get_xdata(), [100.0, 200.0, 200.0, 200.0, 0.1 / 0.0006], rtol=1e-9)
+    np.testing.assert_allclose(
+        printed.get_xdata(), [100.0, 200.0, 200.0, 200.0, 0.1 / 0.0006], rtol=1e-9
+    )
     assert axes[0].get_xlabel() == "β"
     plt.close("all")
 
@@ -285,7 +324,7 @@ def test_participants_run_on_any_executor():
         tl.virtual_study(**arguments, cluster=5)
 
 
-# --- failures and folders -------------------------------------------------------------------------------------------
+# --- failures and folders -------------------------------------------------------------------------
 
 
 def test_a_participant_who_fails_is_listed_and_left_out(monkeypatch):
@@ -341,7 +380,7 @@ def test_folders_of_others_are_refused(tmp_path):
         tl.virtual_study(**arguments).sessions()
 
 
-# --- refusals -------------------------------------------------------------------------------------------------------
+# --- refusals -------------------------------------------------------------------------------------
 
 SQUARE = tl.studies.latin_square_design(["C1", "C2"], 4)
 
@@ -359,12 +398,21 @@ SQUARE = tl.studies.latin_square_design(["C1", "C2"], 4)
         ({"conditions": ["C1", "C1"]}, "two or more, each once"),
         ({"conditions": "C1"}, "conditions must be a list of names"),
         ({"conditions": 5}, "conditions must be a list of names"),
-        ({"n": 4}, "n = 4 is too small for the design: a balanced Latin square of 5 conditions needs 10"),
-        ({"n": 2, "conditions": ["C1", "C2"]}, "n = 2 is too small for the design: .* 2 conditions needs 4"),
+        (
+            {"n": 4},
+            "n = 4 is too small for the design: a balanced Latin square of 5 conditions needs 10",
+        ),
+        (
+            {"n": 2, "conditions": ["C1", "C2"]},
+            "n = 2 is too small for the design: .* 2 conditions needs 4",
+        ),
         ({"n": 13}, "13 participants do not fill whole squares"),
         ({"n": 10.5}, "n must be a whole number"),
         ({"seed": -1}, "seed must be a whole number"),
-        ({"design": "random"}, "design must be one of 'latin_square', or a LatinSquareDesign, got 'random'"),
+        (
+            {"design": "random"},
+            "design must be one of 'latin_square', or a LatinSquareDesign, got 'random'",
+        ),
         ({"design": None}, "design must be one of 'latin_square'"),
         ({"design": SQUARE, "conditions": ["C1", "C3"]}, "design has the conditions"),
         ({"design": SQUARE, "n": 10}, "design is for 4 participants, but n = 10"),
@@ -399,7 +447,10 @@ def test_virtual_study_refuses(arguments, message):
     [
         ({"mean": PUBLISHED.mean[:5]}, "mean must have 12 samples"),
         ({"covariance": np.eye(3)}, "covariance must be 12 × 12"),
-        ({"covariance": np.ones((12, 12))}, "covariance is not positive definite: its least eigenvalue"),
+        (
+            {"covariance": np.ones((12, 12))},
+            "covariance is not positive definite: its least eigenvalue",
+        ),
         ({"follow": ((0.5, 0.6), (0.5, 0.1))}, "have no beta distribution"),
         ({"follow": ((1.0, 0.1), (0.5, 0.1))}, "have no beta distribution"),
         ({"follow": (0.5, 0.1)}, "follow must be two pairs"),
@@ -430,7 +481,10 @@ def test_other_refusals_of_populations(kept):
 
 @pytest.mark.filterwarnings("ignore:nobody")
 def test_a_fresh_study_takes_the_place_of_an_earlier_one(tmp_path):
-    """Without fresh= other arguments are refused; with it sessions of the earlier study are gone, and other files are not touched."""
+    """
+    Without fresh= other arguments are refused; with it sessions of the earlier study are gone, and
+    other files are not touched.
+    """
     arguments = {"n": 4, "conditions": ["C1", "C5"], "laps": 1, "out": tmp_path / "s"}
     tl.virtual_study(**arguments, seed=1)
     before = {path.name for path in (tmp_path / "s" / "sessions").iterdir()}

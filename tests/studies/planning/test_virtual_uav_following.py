@@ -1,6 +1,7 @@
 """Virtual studies of the UAV that follows a leader, and of assumptions about people.
 
-Oracles: runs one by one; the counts of a Latin square; textbook sums of squares; the formula of the answers.
+Oracles: runs one by one; the counts of a Latin square; textbook sums of squares; the formula of the
+answers.
 """
 
 import numpy as np
@@ -30,19 +31,27 @@ def test_measures_are_those_of_the_runs_one_by_one(study):
         given = thresholds if condition in ("C2", "C3") else None
         run = tl.run_condition(condition, people, model, given, testbed="uav", seed=seeds[place])
         row = study.measures.query("participant == 4 and condition == @condition").iloc[0]
-        assert {name: row[name] for name in run.measures} == pytest.approx(run.measures, rel=0, abs=0, nan_ok=True)
+        assert {name: row[name] for name in run.measures} == pytest.approx(
+            run.measures, rel=0, abs=0, nan_ok=True
+        )
 
 
 def test_all_anovas_and_the_t_test_of_the_printed_study(study):
-    wide = study.measures.pivot_table("p_r", "participant", "condition", observed=True).to_numpy(float)
+    wide = study.measures.pivot_table("p_r", "participant", "condition", observed=True).to_numpy(
+        float
+    )
     n, k = wide.shape
     grand = wide.mean()
     between = n * ((wide.mean(axis=0) - grand) ** 2).sum() / (k - 1)
     rest = wide - wide.mean(axis=0) - wide.mean(axis=1, keepdims=True) + grand
-    assert pytest.approx(between / ((rest**2).sum() / ((n - 1) * (k - 1)))) == study.analysis("p_r").F
+    assert (
+        pytest.approx(between / ((rest**2).sum() / ((n - 1) * (k - 1)))) == study.analysis("p_r").F
+    )
     for dv in ("p_r", "r", "p_h", "tlx", "satisfaction", "trust"):
         assert study.analysis(dv).n == 10
-    followed = study.measures.pivot_table("followed_percent", "participant", "condition", observed=True)[["C2", "C4"]]
+    followed = study.measures.pivot_table(
+        "followed_percent", "participant", "condition", observed=True
+    )[["C2", "C4"]]
     assert followed.notna().any().all()
 
 
@@ -52,13 +61,18 @@ def test_answers_follow_their_formula(study):
     assert row["tlx"] == pytest.approx(100.0 * load)
     forced = study.measures.query("participant == 2 and condition == 'C5'").iloc[0]
     assert forced["tlx"] == pytest.approx(50.0 * forced["r"])
-    assert study.measures[["satisfaction", "trust"]].apply(lambda answers: answers.between(1.0, 7.0)).all(axis=None)
+    assert (
+        study.measures[["satisfaction", "trust"]]
+        .apply(lambda answers: answers.between(1.0, 7.0))
+        .all(axis=None)
+    )
     assert "tlx" not in tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav").names
 
 
 def test_half_a_square_is_said_to_be_unbalanced():
     with pytest.warns(
-        UserWarning, match="5 participants fill half of the last square.*10 participants would balance both"
+        UserWarning,
+        match="5 participants fill half of the last square.*10 participants would balance both",
     ):
         half = tl.virtual_study(n=5, conditions=CONDITIONS, testbed="uav", seed=1)
     balance = half.design.balance()
@@ -70,13 +84,17 @@ def test_half_a_square_is_said_to_be_unbalanced():
 
 
 def test_same_seed_same_table_serial_or_parallel(study):
-    again = tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav", seed=0, assumptions=ASSUMED, n_jobs=2)
+    again = tl.virtual_study(
+        n=10, conditions=CONDITIONS, testbed="uav", seed=0, assumptions=ASSUMED, n_jobs=2
+    )
     pd.testing.assert_frame_equal(study.measures, again.measures, check_exact=True)
 
 
 def test_order_matters_where_people_learn_or_tire():
     calm, tired = (
-        tl.virtual_study(n=10, conditions=CONDITIONS, testbed="uav", seed=2, assumptions=assumed).measures
+        tl.virtual_study(
+            n=10, conditions=CONDITIONS, testbed="uav", seed=2, assumptions=assumed
+        ).measures
         for assumed in ({}, {"fatigue": 0.05})
     )
     first = calm["position"] == 1
@@ -97,8 +115,14 @@ def test_sessions_are_written_and_read_again(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"assumptions": {"atention_cost": 0.1}}, "an assumption must be one of .*did you mean 'attention_cost'"),
-        ({"assumptions": {"attention_cost": 2.0}}, r"attention_cost must lie in \[0, 0.5\], got 2.0"),
+        (
+            {"assumptions": {"atention_cost": 0.1}},
+            "an assumption must be one of .*did you mean 'attention_cost'",
+        ),
+        (
+            {"assumptions": {"attention_cost": 2.0}},
+            r"attention_cost must lie in \[0, 0.5\], got 2.0",
+        ),
         ({"assumptions": [0.1]}, "assumptions must map names to numbers"),
         ({"testbed": "sea"}, "testbed must be one of"),
         (
@@ -106,8 +130,14 @@ def test_sessions_are_written_and_read_again(tmp_path):
             "do not run on the testbed 'ground_robot', but on uav",
         ),
         ({"laps": 2}, "laps has no effect on the testbed of the UAV that follows a leader"),
-        ({"population": GroundRobotPopulation.published()}, "population must be of class FollowingPopulation"),
-        ({"conditions": ["M", "MI"], "assumptions": {}}, "assumptions has no effect on the UAV testbed"),
+        (
+            {"population": GroundRobotPopulation.published()},
+            "population must be of class FollowingPopulation",
+        ),
+        (
+            {"conditions": ["M", "MI"], "assumptions": {}},
+            "assumptions has no effect on the UAV testbed",
+        ),
     ],
 )
 def test_bad_input(arguments, says):

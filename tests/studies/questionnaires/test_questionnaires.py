@@ -1,4 +1,6 @@
-"""Scores against sums written out by hand, closed forms, pingouin and R; every bad answer is named."""
+"""
+Scores against sums written out by hand, closed forms, pingouin and R; every bad answer is named.
+"""
 
 import itertools
 import json
@@ -22,8 +24,17 @@ from trustlab.studies.questionnaires.likert import (
 )
 from trustlab.studies.questionnaires.nasa_tlx import TLX_SCALES, score_nasa_tlx, tlx_weights
 
-ALPHAS = json.loads((Path(__file__).parents[1] / "reference" / "cronbach_alpha.json").read_text())["sets"]
-WEIGHTS = {"mental": 5, "physical": 0, "temporal": 4, "performance": 3, "effort": 2, "frustration": 1}
+ALPHAS = json.loads((Path(__file__).parents[1] / "reference" / "cronbach_alpha.json").read_text())[
+    "sets"
+]
+WEIGHTS = {
+    "mental": 5,
+    "physical": 0,
+    "temporal": 4,
+    "performance": 3,
+    "effort": 2,
+    "frustration": 1,
+}
 
 
 @pytest.fixture
@@ -52,12 +63,16 @@ def put(frame, row, column, value):
 
 
 def long(frame, items, keys=("pid", "scheme")):
-    return frame.melt(id_vars=list(keys), value_vars=list(items), var_name="what", value_name="answer")
+    return frame.melt(
+        id_vars=list(keys), value_vars=list(items), var_name="what", value_name="answer"
+    )
 
 
 def answered(columns, low, high, step=1):
     return st.lists(
-        st.lists(st.integers(0, (high - low) // step), min_size=columns, max_size=columns), min_size=1, max_size=6
+        st.lists(st.integers(0, (high - low) // step), min_size=columns, max_size=columns),
+        min_size=1,
+        max_size=6,
     ).map(lambda rows: low + step * np.array(rows))
 
 
@@ -79,7 +94,9 @@ def test_performance_is_not_reversed_unless_asked(tlx):
     poor = tlx.assign(performance=100)
     good = tlx.assign(performance=0)
     kw = {"subject": "pid", "condition": "scheme"}
-    difference = score_nasa_tlx(poor, **kw).scores["tlx_raw"] - score_nasa_tlx(good, **kw).scores["tlx_raw"]
+    difference = (
+        score_nasa_tlx(poor, **kw).scores["tlx_raw"] - score_nasa_tlx(good, **kw).scores["tlx_raw"]
+    )
     assert difference.to_numpy() == pytest.approx(100 / 6)
     turned = score_nasa_tlx(poor, **kw, performance="poor_to_good")
     pd.testing.assert_frame_equal(turned.scores, score_nasa_tlx(good, **kw).scores)
@@ -87,7 +104,9 @@ def test_performance_is_not_reversed_unless_asked(tlx):
 
 
 def test_without_weights_the_weighted_score_is_nan(tlx):
-    assert score_nasa_tlx(tlx, subject="pid", condition="scheme").scores["tlx_weighted"].isna().all()
+    assert (
+        score_nasa_tlx(tlx, subject="pid", condition="scheme").scores["tlx_weighted"].isna().all()
+    )
 
 
 def test_long_and_mapped_tables_give_the_same(tlx):
@@ -108,9 +127,13 @@ def test_long_and_mapped_tables_give_the_same(tlx):
 def test_weights_per_subject_and_per_condition(tlx):
     other = dict(zip(TLX_SCALES, (0, 5, 1, 2, 3, 4), strict=True))
     own = pd.DataFrame([{"pid": "s2"} | other, {"pid": "s1"} | WEIGHTS])
-    scores = score_nasa_tlx(tlx, subject="pid", condition="scheme", weights=own).scores["tlx_weighted"]
+    scores = score_nasa_tlx(tlx, subject="pid", condition="scheme", weights=own).scores[
+        "tlx_weighted"
+    ]
     w = np.array([list(WEIGHTS.values())] * 2 + [list(other.values())] * 2)
-    assert scores.to_numpy() == pytest.approx((w * tlx[list(TLX_SCALES)].to_numpy()).sum(axis=1) / 15, rel=1e-15)
+    assert scores.to_numpy() == pytest.approx(
+        (w * tlx[list(TLX_SCALES)].to_numpy()).sum(axis=1) / 15, rel=1e-15
+    )
     both = pd.DataFrame(
         [
             {"pid": who, "scheme": which} | (WEIGHTS if which == "M" else other)
@@ -118,15 +141,22 @@ def test_weights_per_subject_and_per_condition(tlx):
             for which in ("TMIG", "M")
         ]
     )
-    scores = score_nasa_tlx(tlx, subject="pid", condition="scheme", weights=both).scores["tlx_weighted"]
+    scores = score_nasa_tlx(tlx, subject="pid", condition="scheme", weights=both).scores[
+        "tlx_weighted"
+    ]
     w = np.array([list(WEIGHTS.values()), list(other.values())] * 2)
-    assert scores.to_numpy() == pytest.approx((w * tlx[list(TLX_SCALES)].to_numpy()).sum(axis=1) / 15, rel=1e-15)
+    assert scores.to_numpy() == pytest.approx(
+        (w * tlx[list(TLX_SCALES)].to_numpy()).sum(axis=1) / 15, rel=1e-15
+    )
 
 
 def choices_of(order, subject="s1"):
     """Choices of someone who ranks the scales: the one earlier in `order` is always chosen."""
     return pd.DataFrame(
-        [(subject, a, b, min(a, b, key=order.index)) for a, b in itertools.combinations(TLX_SCALES, 2)],
+        [
+            (subject, a, b, min(a, b, key=order.index))
+            for a, b in itertools.combinations(TLX_SCALES, 2)
+        ],
         columns=["subject", "first", "second", "chosen"],
     )
 
@@ -145,8 +175,12 @@ def test_any_fifteen_choices_are_accepted_and_the_scores_stay_in_range(picks, an
     rows = [("s", a, b, a if pick else b) for (a, b), pick in zip(pairs, picks, strict=True)]
     weights = tlx_weights(pd.DataFrame(rows, columns=["subject", "first", "second", "chosen"]))
     assert weights[list(TLX_SCALES)].to_numpy().sum() == 15
-    frame = pd.DataFrame(answers, columns=TLX_SCALES).assign(subject="s", condition=range(len(answers)))
-    scores = score_nasa_tlx(frame, subject="subject", condition="condition", weights=weights, scale="0-100").scores
+    frame = pd.DataFrame(answers, columns=TLX_SCALES).assign(
+        subject="s", condition=range(len(answers))
+    )
+    scores = score_nasa_tlx(
+        frame, subject="subject", condition="condition", weights=weights, scale="0-100"
+    ).scores
     own = answers * weights[list(TLX_SCALES)].to_numpy()
     assert scores["tlx_weighted"].to_numpy() == pytest.approx(own.sum(axis=1) / 15, abs=1e-12)
     assert scores[["tlx_raw", "tlx_weighted"]].to_numpy().min() >= 0
@@ -167,7 +201,9 @@ def test_landau_condition_equals_brute_force():
     for row in itertools.combinations_with_replacement(range(6), 6):
         if sum(row) == 15:
             try:
-                score_nasa_tlx(answers, subject="subject", weights=dict(zip(TLX_SCALES, row, strict=True)))
+                score_nasa_tlx(
+                    answers, subject="subject", weights=dict(zip(TLX_SCALES, row, strict=True))
+                )
                 accepted.add(row)
             except ValueError as error:
                 assert "no fifteen choices give" in str(error)  # noqa: PT017
@@ -211,16 +247,32 @@ def test_the_former_name_of_scale_still_works(tlx):
 @pytest.mark.parametrize(
     ("change", "arguments", "words"),
     [
-        (lambda f: put(f, 0, "mental", 10**400), {}, "subject 's1', condition 'M', item 'mental': the answer is 1000"),
-        (lambda f: put(f, 0, "mental", Decimal("sNaN")), {}, "item 'mental': the answer is Decimal"),
+        (
+            lambda f: put(f, 0, "mental", 10**400),
+            {},
+            "subject 's1', condition 'M', item 'mental': the answer is 1000",
+        ),
+        (
+            lambda f: put(f, 0, "mental", Decimal("sNaN")),
+            {},
+            "item 'mental': the answer is Decimal",
+        ),
         (
             lambda f: put(f, 1, "temporal", 23),
             {},
             "subject 's1', condition 'TMIG', item 'temporal': 23 is not a step of 5",
         ),
-        (lambda f: put(f, 2, "effort", 105), {}, "'s2', condition 'M', item 'effort': 105 lies outside 0 to 100"),
+        (
+            lambda f: put(f, 2, "effort", 105),
+            {},
+            "'s2', condition 'M', item 'effort': 105 lies outside 0 to 100",
+        ),
         (lambda f: put(f, 2, "effort", -5), {}, "-5 lies outside 0 to 100"),
-        (lambda f: put(f, 0, "mental", "high"), {}, "subject 's1', condition 'M', item 'mental': the answer is 'high'"),
+        (
+            lambda f: put(f, 0, "mental", "high"),
+            {},
+            "subject 's1', condition 'M', item 'mental': the answer is 'high'",
+        ),
         (lambda f: put(f, 0, "mental", "80"), {}, "the answer is '80', not a number"),
         (lambda f: put(f, 0, "mental", True), {}, "the answer is True"),
         (lambda f: put(f, 0, "mental", np.inf), {}, "inf lies outside"),
@@ -229,11 +281,23 @@ def test_the_former_name_of_scale_still_works(tlx):
             {},
             "1 answer is missing: subject 's2', condition 'TMIG', item 'physical'",
         ),
-        (lambda f: put(f, 3, "physical", np.nan), {}, "missing: subject 's2', condition 'TMIG', item 'physical'"),
+        (
+            lambda f: put(f, 3, "physical", np.nan),
+            {},
+            "missing: subject 's2', condition 'TMIG', item 'physical'",
+        ),
         (lambda f: f.drop(columns="effort"), {}, "item 'effort': no column 'effort'"),
         (lambda f: f.rename(columns={"effort": "efort"}), {}, "did you mean 'efort'"),
-        (lambda f: pd.concat([f, f.iloc[:1]]), {}, "subject 's1', condition 'M', item 'mental' occurs twice"),
-        (lambda f: put(f, 1, "scheme", None), {}, "condition: column 'scheme' has no label in row 1"),
+        (
+            lambda f: pd.concat([f, f.iloc[:1]]),
+            {},
+            "subject 's1', condition 'M', item 'mental' occurs twice",
+        ),
+        (
+            lambda f: put(f, 1, "scheme", None),
+            {},
+            "condition: column 'scheme' has no label in row 1",
+        ),
         (lambda f: put(f, 1, "pid", np.nan), {}, "subject: column 'pid' has no label in row 1"),
         (lambda f: f.iloc[:0], {}, "the table of answers is empty"),
         (lambda f: f.to_numpy(), {}, "the answers must be of class DataFrame, got ndarray"),
@@ -255,7 +319,11 @@ def test_the_former_name_of_scale_still_works(tlx):
         (lambda f: f, {"scale": ["0-20"]}, "scale must be one of"),
         (lambda f: f, {"missing": ["refuse"]}, "missing must be one of"),
         (lambda f: f, {"subject": ["pid"]}, "subject must be the name of one column"),
-        (lambda f: f, {"condition": None}, "subject 's1', item 'mental' occurs twice; keep one, or say condition="),
+        (
+            lambda f: f,
+            {"condition": None},
+            "subject 's1', item 'mental' occurs twice; keep one, or say condition=",
+        ),
         (lambda f: f, {"scale": "1-20"}, "scale must be one of '0-100'"),
         (lambda f: f, {"scale": "0-20"}, "80 lies outside 0 to 20"),
         (
@@ -263,9 +331,21 @@ def test_the_former_name_of_scale_still_works(tlx):
             {},
             "18 is not a step of 5 .*if the form had another scale, set scale=",
         ),
-        (lambda f: f.assign(**dict.fromkeys(TLX_SCALES, 20)), {}, "no answer exceeds 20, which fits several forms"),
-        (lambda f: f.assign(**dict.fromkeys(TLX_SCALES, 0)), {}, "no answer exceeds 0, which fits several forms"),
-        (lambda f: f.assign(**dict.fromkeys(TLX_SCALES, 7.5)), {"scale": "0-20"}, "7.5 is not a step of 1"),
+        (
+            lambda f: f.assign(**dict.fromkeys(TLX_SCALES, 20)),
+            {},
+            "no answer exceeds 20, which fits several forms",
+        ),
+        (
+            lambda f: f.assign(**dict.fromkeys(TLX_SCALES, 0)),
+            {},
+            "no answer exceeds 0, which fits several forms",
+        ),
+        (
+            lambda f: f.assign(**dict.fromkeys(TLX_SCALES, 7.5)),
+            {"scale": "0-20"},
+            "7.5 is not a step of 1",
+        ),
     ],
 )
 def test_bad_tlx_is_refused(tlx, change, arguments, words):
@@ -277,14 +357,20 @@ def test_bad_tlx_is_refused(tlx, change, arguments, words):
     ("weights", "words"),
     [
         (WEIGHTS | {"mental": 4}, "weights of subject 's1', condition 'M' sum to 14; .* sum to 15"),
-        (WEIGHTS | {"mental": 6, "temporal": 3}, "'mental' is 6; each must be a whole number from 0 to 5"),
+        (
+            WEIGHTS | {"mental": 6, "temporal": 3},
+            "'mental' is 6; each must be a whole number from 0 to 5",
+        ),
         (WEIGHTS | {"mental": 4.5, "temporal": 4.5}, "'mental' is 4.5"),
         (WEIGHTS | {"physical": -1, "frustration": 2}, "'physical' is -1"),
         (WEIGHTS | {"physical": np.nan}, "'physical' is missing"),
         (WEIGHTS | {"physical": "0"}, "item 'physical': the answer is '0'"),
         ({"mental": 15}, "weights must have the six scales"),
         (WEIGHTS | {"total": 15}, "weights must have the six scales"),
-        (dict(zip(TLX_SCALES, (5, 5, 5, 0, 0, 0), strict=True)), "the 2 scales chosen least meet each other 1 times"),
+        (
+            dict(zip(TLX_SCALES, (5, 5, 5, 0, 0, 0), strict=True)),
+            "the 2 scales chosen least meet each other 1 times",
+        ),
         ([5, 0, 4, 3, 2, 1], "weights must be of class DataFrame, got list; or give a dict"),
         (pd.DataFrame([WEIGHTS]), "weights has no column 'pid'"),
         (pd.DataFrame([{"pid": "s1"} | WEIGHTS]), "subject 's2': there are no weights"),
@@ -306,7 +392,10 @@ def test_bad_weights_are_refused(tlx, weights, words):
         (lambda f: f.iloc[1:], "subject 's1': 1 of 15 pairs are missing: mental and physical"),
         (lambda f: pd.concat([f, f.iloc[:1]]), "'mental' and 'physical' are compared twice"),
         (lambda f: f.assign(second=f["first"]), "'mental' is compared with itself"),
-        (lambda f: put(f, 0, "chosen", "effort"), "'mental' or 'physical': chosen is 'effort', which is neither"),
+        (
+            lambda f: put(f, 0, "chosen", "effort"),
+            "'mental' or 'physical': chosen is 'effort', which is neither",
+        ),
         (lambda f: put(f, 0, "first", "metal"), "'metal' is not a scale; did you mean 'mental'"),
         (lambda f: f.drop(columns="chosen"), "chosen: no column 'chosen'"),
         (lambda f: put(f, 3, "subject", None), "subject: column 'subject' has no label in row 3"),
@@ -320,16 +409,22 @@ def test_bad_choices_are_refused(change, words):
 
 def test_missing_scales_by_the_half_rule(tlx):
     frame = put(put(tlx, 0, "physical", np.nan), 0, "effort", np.nan)
-    found = score_nasa_tlx(frame, subject="pid", condition="scheme", weights=WEIGHTS, missing="half_rule")
+    found = score_nasa_tlx(
+        frame, subject="pid", condition="scheme", weights=WEIGHTS, missing="half_rule"
+    )
     assert found.scores.loc[0, "tlx_raw"] == pytest.approx((80 + 60 + 40 + 50) / 4)
-    assert found.scores.loc[0, "tlx_weighted"] == pytest.approx((5 * 80 + 4 * 60 + 3 * 40 + 1 * 50) / 13)
+    assert found.scores.loc[0, "tlx_weighted"] == pytest.approx(
+        (5 * 80 + 4 * 60 + 3 * 40 + 1 * 50) / 13
+    )
     assert found.missing.to_numpy().tolist() == [
         ["s1", "M", "physical", "half_rule"],
         ["s1", "M", "effort", "half_rule"],
     ]
     for scale in ("mental", "temporal"):
         frame = put(frame, 0, scale, None)
-    with pytest.raises(ValueError, match="subject 's1', condition 'M': fewer than half of the 6 items of 'tlx_raw'"):
+    with pytest.raises(
+        ValueError, match="subject 's1', condition 'M': fewer than half of the 6 items of 'tlx_raw'"
+    ):
         score_nasa_tlx(frame, subject="pid", condition="scheme", missing="half_rule")
 
 
@@ -366,11 +461,14 @@ def test_trust_scores_hold_together(answers):
     found = score_trust_checklist(frame, subject="pid")
     scores = found.scores
     assert scores["trust_mean"].to_numpy() == pytest.approx(
-        (7 * scores["trust_subscale"] + 5 * (8 - scores["distrust_subscale"])).to_numpy() / 12, abs=1e-12
+        (7 * scores["trust_subscale"] + 5 * (8 - scores["distrust_subscale"])).to_numpy() / 12,
+        abs=1e-12,
     )
     mirror = frame.assign(**{name: 8 - frame[name] for name in TRUST_CHECKLIST.items})
     turned = score_trust_checklist(mirror, subject="pid").scores
-    assert turned["trust_sum"].to_numpy() == pytest.approx(96 - scores["trust_sum"].to_numpy(), abs=1e-9)
+    assert turned["trust_sum"].to_numpy() == pytest.approx(
+        96 - scores["trust_sum"].to_numpy(), abs=1e-9
+    )
     for name, (low, high) in found.ranges.items():
         assert scores[name].between(low, high).all()
 
@@ -380,7 +478,9 @@ def test_the_answers_must_not_be_reversed_beforehand(trust):
     first = list(TRUST_CHECKLIST.items[:5])
     kw = {"subject": "pid", "condition": "scheme"}
     assert TRUST_CHECKLIST.reversed == tuple(first)
-    twice = score_trust_checklist(trust.assign(**{name: 8 - trust[name] for name in first}), **kw).scores
+    twice = score_trust_checklist(
+        trust.assign(**{name: 8 - trust[name] for name in first}), **kw
+    ).scores
     naive = trust[list(TRUST_CHECKLIST.items)].mean(axis=1)
     assert twice["trust_mean"].to_numpy() == pytest.approx(naive.to_numpy())
     assert not np.allclose(score_trust_checklist(trust, **kw).scores["trust_mean"], naive)
@@ -390,17 +490,23 @@ def test_trust_long_numbered_and_missing(trust):
     kw = {"subject": "pid", "condition": "scheme"}
     wanted = score_trust_checklist(trust, **kw)
     numbered = trust.rename(columns={name: k for k, name in enumerate(TRUST_CHECKLIST.items, 1)})
-    pd.testing.assert_frame_equal(score_trust_checklist(numbered, **kw, items=list(range(1, 13))).scores, wanted.scores)
+    pd.testing.assert_frame_equal(
+        score_trust_checklist(numbered, **kw, items=list(range(1, 13))).scores, wanted.scores
+    )
     melted = long(trust, TRUST_CHECKLIST.items)
     args = kw | {"item": "what", "response": "answer"}
     pd.testing.assert_frame_equal(score_trust_checklist(melted, **args).scores, wanted.scores)
     gap = melted[~((melted["pid"] == 3) & (melted["scheme"] == "M") & (melted["what"] == "wary"))]
-    with pytest.raises(ValueError, match="1 answer is missing: subject 3, condition 'M', item 'wary'"):
+    with pytest.raises(
+        ValueError, match="1 answer is missing: subject 3, condition 'M', item 'wary'"
+    ):
         score_trust_checklist(gap, **args)
     found = score_trust_checklist(gap, **args, missing="half_rule")
     assert found.missing[["subject", "condition", "item"]].to_numpy().tolist() == [[3, "M", "wary"]]
     row = trust[(trust["pid"] == 3) & (trust["scheme"] == "M")].iloc[0]
-    own = [8 - row[n] for n in TRUST_CHECKLIST.items[:5] if n != "wary"] + [row[n] for n in TRUST_CHECKLIST.items[5:]]
+    own = [8 - row[n] for n in TRUST_CHECKLIST.items[:5] if n != "wary"] + [
+        row[n] for n in TRUST_CHECKLIST.items[5:]
+    ]
     where = (found.scores["pid"] == 3) & (found.scores["scheme"] == "M")
     assert found.scores.loc[where, "trust_sum"].item() == pytest.approx(12 * np.mean(own))
 
@@ -408,7 +514,10 @@ def test_trust_long_numbered_and_missing(trust):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda f: put(f, 4, "wary", 8), "subject 3, condition 'M', item 'wary': 8 lies outside 1 to 7"),
+        (
+            lambda f: put(f, 4, "wary", 8),
+            "subject 3, condition 'M', item 'wary': 8 lies outside 1 to 7",
+        ),
         (lambda f: put(f, 4, "wary", 0), "0 lies outside 1 to 7"),
         (lambda f: put(f, 4, "wary", 3.5), "3.5 is not a step of 1"),
         (lambda f: put(f, 4, "wary", "often"), "'wary': the answer is 'often'"),
@@ -426,7 +535,8 @@ def test_bad_long_tables_are_refused(trust):
     with pytest.raises(ValueError, match="item 'deceptive' occurs twice"):
         score_trust_checklist(pd.concat([melted, melted.iloc[:1]]), **args)
     with pytest.raises(
-        ValueError, match="'warry' in column 'what' is no item of this questionnaire; did you mean 'wary'"
+        ValueError,
+        match="'warry' in column 'what' is no item of this questionnaire; did you mean 'wary'",
     ):
         score_trust_checklist(melted.replace({"what": {"wary": "warry"}}), **args)
     with pytest.raises(ValueError, match="response: no column 'anser'; did you mean 'answer'"):
@@ -445,14 +555,20 @@ def test_fewer_than_half_of_a_subscale_is_refused(trust):
 
 
 def test_satisfaction_by_hand():
-    frame = pd.DataFrame({"pid": [1, 2], "satisfaction": [5, 1], "comfort": [4, 2], "control": [3, 1]})
+    frame = pd.DataFrame(
+        {"pid": [1, 2], "satisfaction": [5, 1], "comfort": [4, 2], "control": [3, 1]}
+    )
     scores = score_satisfaction(frame, points=5, subject="pid").scores
     assert scores["satisfaction_mean"].tolist() == pytest.approx([4.0, 4 / 3])
     assert scores["satisfaction_sum"].tolist() == pytest.approx([12, 4])
     with pytest.raises(ValueError, match="subject 1, item 'comfort': 6 lies outside 1 to 5"):
         score_satisfaction(frame.assign(comfort=6), points=5, subject="pid")
     seven = score_satisfaction(
-        frame.assign(comfort=6), points=7, subject="pid", items=["comfort", "control"], reversed=["control"]
+        frame.assign(comfort=6),
+        points=7,
+        subject="pid",
+        items=["comfort", "control"],
+        reversed=["control"],
     )
     assert seven.scores["satisfaction_mean"].tolist() == pytest.approx([(6 + 5) / 2, (6 + 7) / 2])
     assert seven.ranges == {"satisfaction_mean": (1, 7), "satisfaction_sum": (2, 14)}
@@ -472,7 +588,9 @@ def test_items_of_satisfaction_are_a_list():
 
 
 def test_likert_scale_with_subscales():
-    scale = LikertScale("mood", ("a", "b", "c"), 0, 10, ("c",), (Subscale("ac", ("a", "c")),), step=2.5)
+    scale = LikertScale(
+        "mood", ("a", "b", "c"), 0, 10, ("c",), (Subscale("ac", ("a", "c")),), step=2.5
+    )
     frame = pd.DataFrame({"who": [1], "a": [2.5], "b": [5.0], "c": [10.0]})
     row = score_likert(frame, scale, subject="who").scores.loc[0]
     assert row["mood_mean"] == pytest.approx((2.5 + 5 + 0) / 3)
@@ -480,7 +598,10 @@ def test_likert_scale_with_subscales():
     assert scale.table()["ac"].tolist() == [True, False, True]
     free = LikertScale("free", ("a",), 0, 1, step=None)
     assert (
-        score_likert(pd.DataFrame({"who": [1], "a": [0.123]}), free, subject="who").scores.loc[0, "free_mean"] == 0.123
+        score_likert(pd.DataFrame({"who": [1], "a": [0.123]}), free, subject="who").scores.loc[
+            0, "free_mean"
+        ]
+        == 0.123
     )
 
 
@@ -490,18 +611,33 @@ def test_likert_scale_with_subscales():
         (("x", (), 1, 7), "items must name at least one item"),
         (("x", ("a", "a"), 1, 7), "items: 'a' occurs twice"),
         (("x", ("a", "b"), 1, 7, ("a", "a")), "reversed: 'a' occurs twice"),
-        (("x", ("a",), 1, 7, (), (Subscale("x_mean", ("a",)),)), "subscale 'x_mean': another score has this name"),
-        (("x", ("a",), 1, 7, (), (Subscale("x_sum", ("a",)),)), "subscale 'x_sum': another score has this name"),
-        (("x", ("a",), 1, 7, (), (Subscale("s", ("a",)),) * 2), "subscale 's': another score has this name"),
+        (
+            ("x", ("a",), 1, 7, (), (Subscale("x_mean", ("a",)),)),
+            "subscale 'x_mean': another score has this name",
+        ),
+        (
+            ("x", ("a",), 1, 7, (), (Subscale("x_sum", ("a",)),)),
+            "subscale 'x_sum': another score has this name",
+        ),
+        (
+            ("x", ("a",), 1, 7, (), (Subscale("s", ("a",)),) * 2),
+            "subscale 's': another score has this name",
+        ),
         (("x", ("a",), 1, 7, (), (Subscale("s", ("a", "a")),)), "subscale 's': 'a' occurs twice"),
         (("x", ("a",), 1, 7, (), (Subscale("s", ()),)), "subscale 's' must name at least one item"),
         (("x", ("a",), 1, 7, (), (Subscale("s", "a"),)), "subscale 's' must be a list of names"),
-        (("x", ("a", "b"), 1, 7, (), (Subscale("s", ("a",), ("b",)),)), "reversed items of subscale 's': 'b' is not"),
+        (
+            ("x", ("a", "b"), 1, 7, (), (Subscale("s", ("a",), ("b",)),)),
+            "reversed items of subscale 's': 'b' is not",
+        ),
         (("x", "ab", 1, 7), "items must be a list of names"),
         (("x", ("a",), 7, 1), "low must be below high"),
         (("x", ("a",), 1, np.inf), "high must be finite"),
         (("x", ("a",), 1, 7, ("b",)), "reversed: 'b' is not one of the items"),
-        (("x", ("a",), 1, 7, (), (Subscale("s", ("b",)),)), "subscale 's': 'b' is not one of the items"),
+        (
+            ("x", ("a",), 1, 7, (), (Subscale("s", ("b",)),)),
+            "subscale 's': 'b' is not one of the items",
+        ),
         (("x", ("a",), 1, 7, (), (), 4), "step must divide"),
         (("x", ("a",), 1, 7, (), (), -1), "step must divide"),
         (("", ("a",), 1, 7), "name must be a name"),
@@ -531,8 +667,12 @@ def test_alpha_of_the_textbook_and_of_pingouin():
     assert found.alpha == pytest.approx(alpha, rel=1e-14)
     assert [found.ci_low, found.ci_high] == pytest.approx(interval, abs=5.1e-4)
     v = frame.to_numpy()
-    assert found.alpha == pytest.approx(1.25 * (1 - v.var(axis=0, ddof=1).sum() / v.sum(axis=1).var(ddof=1)), rel=1e-13)
-    assert found.without["c"] == pytest.approx(pg.cronbach_alpha(frame.drop(columns="c"))[0], rel=1e-14)
+    assert found.alpha == pytest.approx(
+        1.25 * (1 - v.var(axis=0, ddof=1).sum() / v.sum(axis=1).var(ddof=1)), rel=1e-13
+    )
+    assert found.without["c"] == pytest.approx(
+        pg.cronbach_alpha(frame.drop(columns="c"))[0], rel=1e-14
+    )
     assert list(found.table().columns) == ["n", "items", "alpha", "ci_low", "ci_high"]
 
 
@@ -569,12 +709,24 @@ def test_reliability_is_per_condition_and_score(trust):
     ("frame", "words"),
     [
         (pd.DataFrame({"a": [1, 2, 3]}), "at least two items, got 1"),
-        (pd.DataFrame({"a": [1, 2], "b": [1, 2]}), "at least three subjects who answered every item, got 2"),
+        (
+            pd.DataFrame({"a": [1, 2], "b": [1, 2]}),
+            "at least three subjects who answered every item, got 2",
+        ),
         (pd.DataFrame({"a": [1, 2, 3], "b": [3, 2, 1]}), "sum is the same for all subjects"),
-        (pd.DataFrame({"a": [1, 2, np.nan], "b": [3, 2, 1]}), "item 'a' must hold only finite numbers"),
-        (pd.DataFrame({"a": [1, 2, 3], "b": ["x", "y", "z"]}), "item 'b' must hold only finite numbers"),
+        (
+            pd.DataFrame({"a": [1, 2, np.nan], "b": [3, 2, 1]}),
+            "item 'a' must hold only finite numbers",
+        ),
+        (
+            pd.DataFrame({"a": [1, 2, 3], "b": ["x", "y", "z"]}),
+            "item 'b' must hold only finite numbers",
+        ),
         (np.ones((3, 3)), "items must be of class DataFrame, got ndarray"),
-        (pd.DataFrame({"a": [1e300, 2, 3], "b": [3, 1e300, 1]}), "so large that their squares overflow"),
+        (
+            pd.DataFrame({"a": [1e300, 2, 3], "b": [3, 1e300, 1]}),
+            "so large that their squares overflow",
+        ),
     ],
 )
 def test_bad_items_are_refused(frame, words):
@@ -597,4 +749,6 @@ def test_items_of_one_name_are_refused():
 @pytest.mark.parametrize("unit", [1e-20, 1e-160, 1e-250])
 def test_alpha_of_tiny_numbers(unit):
     answers = pd.DataFrame([[1, 2, 3], [2, 2, 4], [3, 1, 5], [2, 4, 4]], columns=["a", "b", "c"])
-    assert cronbach_alpha(answers * unit).alpha == pytest.approx(cronbach_alpha(answers).alpha, rel=1e-12)
+    assert cronbach_alpha(answers * unit).alpha == pytest.approx(
+        cronbach_alpha(answers).alpha, rel=1e-12
+    )

@@ -1,20 +1,28 @@
 """
-The general engine of the correction: nonlinear model predictive control by multiple shooting with CasADi.
+The general engine of the correction: nonlinear model predictive control by multiple shooting with
+CasADi.
 
-The hard switch (2.8) makes the program piecewise smooth: it is smooth within one mode sequence. The engine moves from one
-sequence to the next and judges every plan by a run under the hard switch, never by the cost that a solver reports.
+The hard switch (2.8) makes the program piecewise smooth: it is smooth within one mode sequence. The
+engine moves from one sequence to the next and judges every plan by a run under the hard switch,
+never by the cost that a solver reports.
 
-1. The candidates are the last plan shifted by one step, the fastest way to the target, and holding the thresholds.
-2. The program is solved for the mode sequence of the best candidate, its solution is run under (2.8), and so on until the
-   sequence repeats. For (2.43) alone this ends at clipping, from any start: corrections depend on earlier modes only, so
-   that each round gets at least one more switch right.
-3. Where a switch within the horizon happens, or fails to, only because a threshold was moved, holding it back is tried; if
-   that is cheaper, the program is solved with the thresholds confined to where (2.8) produces those modes.
-4. With a positive `switch_width`, a program with a smoothed switch is solved as well; its mode sequence is treated as in 3.
-   Costs of r, P_r or the mode need it: for a given mode sequence these do not depend on the corrections.
+1. The candidates are the last plan shifted by one step, the fastest way to the target, and holding
+the thresholds. 2. The program is solved for the mode sequence of the best candidate, its solution
+is run under (2.8), and so on until the
+   sequence repeats. For (2.43) alone this ends at clipping, from any start: corrections depend on
+   earlier modes only, so that each round gets at least one more switch right.
+3. Where a switch within the horizon happens, or fails to, only because a threshold was moved,
+holding it back is tried; if
+   that is cheaper, the program is solved with the thresholds confined to where (2.8) produces those
+   modes.
+4. With a positive `switch_width`, a program with a smoothed switch is solved as well; its mode
+sequence is treated as in 3.
+   Costs of r, P_r or the mode need it: for a given mode sequence these do not depend on the
+   corrections.
 
-The plan is a local optimum, to the solver's tolerance, among the corrections that produce its mode sequence. That no other
-sequence is cheaper is not proved: `cost_lower_bound` is NaN. engine="exact" proves it for (2.43).
+The plan is a local optimum, to the solver's tolerance, among the corrections that produce its mode
+sequence. That no other sequence is cheaper is not proved: `cost_lower_bound` is NaN. engine="exact"
+proves it for (2.43).
 """
 
 import math
@@ -23,14 +31,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.allocation.correction.casadi_problem import SOLVERS, CorrectionModel, CorrectionProgram, Extras, HardRun
+from trustlab.allocation.correction.casadi_problem import (
+    SOLVERS,
+    CorrectionModel,
+    CorrectionProgram,
+    Extras,
+    HardRun,
+)
 from trustlab.allocation.correction.dynamics import simulate_correction, suggestion_now
 from trustlab.allocation.correction.incentive import incentive_box
 from trustlab.allocation.correction.plan import CorrectionPlan, CorrectionStatus
 from trustlab.models.checks import not_negative, one_of
 from trustlab.models.tsc import TscModel
 
-# Width of the smoothed switch where costs or constraints were added, in units of TSC: below the change of TSC in one step.
+# Width of the smoothed switch where costs or constraints were added, in units of TSC: below the
+# change of TSC in one step.
 DEFAULT_WIDTH = 1e-3
 
 # Most mode sequences followed, and most switches for which the other outcome is tried, per plan.
@@ -39,12 +54,16 @@ ROUNDS, TRIALS = 8, 4
 # How far, in units of c_b, a threshold that is held back for a switch stays away from TSC.
 MARGIN = 1e-6
 
-# By how much an added constraint may be violated, relative to its change per unit of w or of a scaled state.
+# By how much an added constraint may be violated, relative to its change per unit of w or of a
+# scaled state.
 FEASIBLE = 1e-5
 
 
 class Situation(NamedTuple):
-    """Where a plan begins: r, P_r, TSC_u, TSC_l and the mode before; where thresholds may go; why solvers failed."""
+    """
+    Where a plan begins: r, P_r, TSC_u, TSC_l and the mode before; where thresholds may go; why
+    solvers failed.
+    """
 
     state: np.ndarray
     allowed: np.ndarray
@@ -66,18 +85,20 @@ class CasadiEngine:
     horizon : int
         N, steps.
     incentive : callable
-        The bounds of the corrections: `incentive_box`, or a function like it that accepts CasADi symbols.
+        The bounds of the corrections: `incentive_box`, or a function like it that accepts CasADi
+        symbols.
     extra_cost : callable, optional
-        extra_cost(x, u, k), a scalar added to (2.43) for k = 0 … N − 1, with x = [r, P_r, TSC_u, TSC_l] and u = [c_u, c_l] of
-        step k as CasADi symbols; in the unit of (2.43), TSC².
+        extra_cost(x, u, k), a scalar added to (2.43) for k = 0 … N − 1, with x = [r, P_r, TSC_u,
+        TSC_l] and u = [c_u, c_l] of step k as CasADi symbols; in the unit of (2.43), TSC².
     extra_constraints : callable, optional
-        extra_constraints(x, u, k), one or several expressions, each held at or below 0 for k = 0 … N − 1.
+        extra_constraints(x, u, k), one or several expressions, each held at or below 0 for k = 0 …
+        N − 1.
     switch_width : float, optional
-        Width of the smoothed switch in units of TSC; 0 omits it. When not given, 0 for (2.43) alone and DEFAULT_WIDTH with
-        added costs or constraints.
+        Width of the smoothed switch in units of TSC; 0 omits it. When not given, 0 for (2.43) alone
+        and DEFAULT_WIDTH with added costs or constraints.
     solver : str, optional
-        "piqp" (default), "hpipm", "fatrop" or "ipopt". The smoothed program is solved by IPOPT if chosen, else by fatrop.
-        Where a solver fails, fatrop is tried as well.
+        "piqp" (default), "hpipm", "fatrop" or "ipopt". The smoothed program is solved by IPOPT if
+        chosen, else by fatrop. Where a solver fails, fatrop is tried as well.
 
     Raises
     ------
@@ -108,8 +129,11 @@ class CasadiEngine:
         self.horizon = horizon
         self._tsc, self._target = tsc, (target_lower, target_upper)
         self._model = model = CorrectionModel(tsc, self._target, c_b, horizon, extras)
-        # The second now, not when the first fails: setting it up takes longer than a sample of a run that waits for a plan.
-        self._programs = [CorrectionProgram(model, one) for one in dict.fromkeys((solver, "fatrop"))]
+        # The second now, not when the first fails: setting it up takes longer than a sample of a
+        # run that waits for a plan.
+        self._programs = [
+            CorrectionProgram(model, one) for one in dict.fromkeys((solver, "fatrop"))
+        ]
         smooth = "ipopt" if solver == "ipopt" else "fatrop"
         self._smooth = CorrectionProgram(model, smooth, width) if width else None
         self._adds = extra_cost is not None
@@ -126,7 +150,8 @@ class CasadiEngine:
 
     def solve(self, r: float, p_r: float, lower: float, upper: float, mode: int) -> CorrectionPlan:
         """
-        Return the plan from this state; if no solver succeeds, the thresholds are held and the status says so.
+        Return the plan from this state; if no solver succeeds, the thresholds are held and the
+        status says so.
 
         Parameters
         ----------
@@ -147,17 +172,21 @@ class CasadiEngine:
             if self._repeats(plan, found):
                 self._last = np.hstack([found.w[:, 1:], found.w[:, -1:]])
                 return plan
-            message = "the compiled model does not reproduce the run that the corrections were found in"
+            message = (
+                "the compiled model does not reproduce the run that the corrections were found in"
+            )
         self.reset()
-        return self._plan(state, np.zeros((2, self.horizon)), CorrectionStatus.FAILED, message, math.nan)
+        return self._plan(
+            state, np.zeros((2, self.horizon)), CorrectionStatus.FAILED, message, math.nan
+        )
 
     def _search(self, now: Situation) -> HardRun | None:
         """Return the best plan that a solver found, or None."""
         model, guess = self._model, self._first(now)
         if not guess.sound:
             now.reasons.append(
-                "the model or the added functions give values that are not finite, or incentives that exclude 0, at a "
-                "predicted state"
+                "the model or the added functions give values that are not finite, or incentives "
+                "that exclude 0, at a predicted state"
             )
             return None
         free = now.allowed if model.extras.any else None
@@ -198,7 +227,9 @@ class CasadiEngine:
         return min(runs, key=self._rank)
 
     def _straight(self, state) -> np.ndarray:
-        return np.repeat((self._model.zero[2:] > state[2:4]).astype(float)[:, None], self.horizon, axis=1)
+        return np.repeat(
+            (self._model.zero[2:] > state[2:4]).astype(float)[:, None], self.horizon, axis=1
+        )
 
     def _rank(self, run: HardRun) -> tuple[bool, float]:
         return not self._sound(run), run.cost
@@ -206,8 +237,13 @@ class CasadiEngine:
     def _sound(self, run: HardRun) -> bool:
         return run.sound and run.worst <= FEASIBLE
 
-    def _solved(self, guess: HardRun, thresholds: np.ndarray | None, now: Situation) -> HardRun | None:
-        """Solve for the modes of `guess` and return the hard run of the solution, from the first solver that succeeds."""
+    def _solved(
+        self, guess: HardRun, thresholds: np.ndarray | None, now: Situation
+    ) -> HardRun | None:
+        """
+        Solve for the modes of `guess` and return the hard run of the solution, from the first
+        solver that succeeds.
+        """
         for program in self._programs:
             w, reason = program.solve(guess, now.state[-1], thresholds)
             if w is not None:
@@ -232,7 +268,9 @@ class CasadiEngine:
     def _cell(self, run: HardRun, allowed: np.ndarray) -> np.ndarray:
         """Return where thresholds may go so that (2.8) produces the modes of `run`."""
         cell, margin = allowed.copy(), MARGIN * self._model.c_b
-        mode, tsc, row = run.mode[1:], run.tsc[1:], _deciding(run)
+        mode = run.mode[1:]
+        tsc = run.tsc[1:]
+        row = _deciding(run)
         # In the manual mode the deciding threshold is above TSC, in the autonomous mode below it.
         k = np.flatnonzero(mode == 1.0)
         cell[0, row[k], k] = np.maximum(cell[0, row[k], k], tsc[k] + margin)
@@ -241,7 +279,9 @@ class CasadiEngine:
         return cell
 
     def _with_switches_held(self, best: HardRun, now: Situation) -> HardRun:
-        """Return the best plan after trying to hold a threshold back where that changes a switch."""
+        """
+        Return the best plan after trying to hold a threshold back where that changes a switch.
+        """
         model, state = self._model, now.state
         for _ in range(TRIALS):
             trial = best
@@ -261,7 +301,10 @@ class CasadiEngine:
         return best
 
     def _moved_switches(self, run: HardRun) -> list[tuple[int, int]]:
-        """Return the steps at which (2.8) decides differently than under the current thresholds, and which threshold decides."""
+        """
+        Return the steps at which (2.8) decides differently than under the current thresholds, and
+        which threshold decides.
+        """
         row = _deciding(run)
         now = run.states[2 + row, 0]
         then = run.states[2 + row, np.arange(1, self.horizon)]
@@ -272,7 +315,9 @@ class CasadiEngine:
     def _plan(self, state, inputs, status, message, total) -> CorrectionPlan:
         """Return the plan under the hard switch; `total` is its cost with additions."""
         r, p_r, upper, lower, mode = (float(value) for value in state)
-        run = simulate_correction(self._tsc, r, p_r, lower, upper, int(mode), inputs[1], inputs[0], self._target)
+        run = simulate_correction(
+            self._tsc, r, p_r, lower, upper, int(mode), inputs[1], inputs[0], self._target
+        )
         tsc = float(self._tsc.value(p_r, self._tsc.human.performance(r)))
         return CorrectionPlan(
             c_l=float(inputs[1, 0]),
@@ -290,12 +335,18 @@ class CasadiEngine:
         )
 
     def _repeats(self, plan: CorrectionPlan, found: HardRun) -> bool:
-        """Return whether the compiled model repeats the run that was judged, so that (2.41) holds at the plan's own states."""
+        """
+        Return whether the compiled model repeats the run that was judged, so that (2.41) holds at
+        the plan's own states.
+        """
         paths = np.stack([plan.r, plan.p_r, plan.upper, plan.lower])
         same = np.abs(paths - found.states) <= 1e-9 * self._model.units[:, None]
         return bool(same.all()) and np.array_equal(plan.mode, found.mode)
 
 
 def _deciding(run: HardRun) -> np.ndarray:
-    """Return which threshold decides at steps 1 … N − 1: TSC_u (0) after the manual mode, TSC_l (1) after the autonomous one."""
+    """
+    Return which threshold decides at steps 1 … N − 1: TSC_u (0) after the manual mode, TSC_l (1)
+    after the autonomous one.
+    """
     return (run.mode[:-1] == 0.0).astype(int)

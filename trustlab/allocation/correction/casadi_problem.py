@@ -1,4 +1,7 @@
-"""The correction (2.43)-(2.44) in CasADi: one step with the user's additions, the hard rule (2.8), and the nonlinear program."""
+"""
+The correction (2.43)-(2.44) in CasADi: one step with the user's additions, the hard rule (2.8), and
+the nonlinear program.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +17,16 @@ from trustlab.models.tsc import TscModel
 # Utilization below which (2.6) is taken as P_h,min; its second derivative is still finite there.
 TINY = 1e-100
 
-# Solvers by name: sequential quadratic programming on PIQP or HPIPM, or the interior-point methods fatrop and IPOPT.
+# Solvers by name: sequential quadratic programming on PIQP or HPIPM, or the interior-point methods
+# fatrop and IPOPT.
 SOLVERS = ("piqp", "hpipm", "fatrop", "ipopt")
 
 TOLERANCE = 1e-8
 QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False}
 QUIET_SQP = {"print_header": False, "print_iteration": False, "print_status": False}
 
-# How far, in units of c_b, thresholds may leave their intervals in the program; the hard run clips them.
+# How far, in units of c_b, thresholds may leave their intervals in the program; the hard run clips
+# them.
 SLACK = 1e-6
 
 
@@ -33,12 +38,13 @@ class Extras:
     Parameters
     ----------
     cost : callable, optional
-        cost(x, u, k), a scalar that is added to (2.43) for k = 0 … N − 1; x = [r, P_r, TSC_u, TSC_l] at step k, u = [c_u, c_l].
+        cost(x, u, k), a scalar that is added to (2.43) for k = 0 … N − 1; x = [r, P_r, TSC_u,
+        TSC_l] at step k, u = [c_u, c_l].
     constraints : callable, optional
         constraints(x, u, k), one or several expressions, each held at or below 0 for k = 0 … N − 1.
     incentive : callable
-        incentive(r, p_r, c_b, p_min, p_max), the least and the greatest correction, in [−c_b, 0] and [0, c_b]; (2.42) is
-        `incentive_box`.
+        incentive(r, p_r, c_b, p_min, p_max), the least and the greatest correction, in [−c_b, 0]
+        and [0, c_b]; (2.42) is `incentive_box`.
     """
 
     cost: Callable | None = None
@@ -46,7 +52,11 @@ class Extras:
     incentive: Callable = incentive_box
 
     def __post_init__(self):
-        functions = {"extra_cost": self.cost, "extra_constraints": self.constraints, "incentive": self.incentive}
+        functions = {
+            "extra_cost": self.cost,
+            "extra_constraints": self.constraints,
+            "incentive": self.incentive,
+        }
         for name, given in functions.items():
             if not callable(given) and (given is not None or name == "incentive"):
                 raise ValueError(f"{name} must be a function, got {type(given).__name__}")
@@ -61,8 +71,9 @@ class CorrectionModel:
     """
     Expressions of one step, and runs under the hard rule (2.8) over the horizon.
 
-    Inputs are c = c̲ + w (c̄ − c̲) with w in [0, 1], so that (2.41) is a constant box; with (2.42), where c̄ − c̲ = c_b, this is
-    w = c/c_b + s. Thresholds are z = (threshold − target)/c_b, robot performance is (P_r − P_min)/(P_max − P_min), cost is in c_b².
+    Inputs are c = c̲ + w (c̄ − c̲) with w in [0, 1], so that (2.41) is a constant box; with (2.42),
+    where c̄ − c̲ = c_b, this is w = c/c_b + s. Thresholds are z = (threshold − target)/c_b, robot
+    performance is (P_r − P_min)/(P_max − P_min), cost is in c_b².
 
     Parameters
     ----------
@@ -80,13 +91,20 @@ class CorrectionModel:
     Raises
     ------
     ValueError
-        If an added function fails, or returns a wrong number of values, values that are not finite, or bounds that exclude 0.
+        If an added function fails, or returns a wrong number of values, values that are not finite,
+        or bounds that exclude 0.
     """
 
-    def __init__(self, tsc: TscModel, target: tuple[float, float], c_b: float, horizon: int, extras: Extras):
+    def __init__(
+        self, tsc: TscModel, target: tuple[float, float], c_b: float, horizon: int, extras: Extras
+    ):
         import casadi as ca
 
-        self.tsc, self.target, self.c_b, self.horizon, self.extras = tsc, target, c_b, horizon, extras
+        self.tsc = tsc
+        self.target = target
+        self.c_b = c_b
+        self.horizon = horizon
+        self.extras = extras
         robot = tsc.robot
         self.units = np.array([1.0, robot.p_max - robot.p_min, c_b, c_b])
         self.zero = np.array([0.0, robot.p_min, target[1], target[0]])
@@ -104,11 +122,18 @@ class CorrectionModel:
         self._steps = np.arange(horizon, dtype=float)[None, :]
 
     def _added(self):
-        """Return (x, u, k) → (cost over c_b², scaled constraints, c̲, c̄), x and u in the user's units."""
+        """
+        Return (x, u, k) → (cost over c_b², scaled constraints, c̲, c̄), x and u in the user's
+        units.
+        """
         import casadi as ca
 
-        symbol, extras, robot = self.symbol, self.extras, self.tsc.robot
-        x, u, k = symbol.sym("x", 4), symbol.sym("u", 2), symbol.sym("k")
+        symbol = self.symbol
+        extras = self.extras
+        robot = self.tsc.robot
+        x = symbol.sym("x", 4)
+        u = symbol.sym("u", 2)
+        k = symbol.sym("k")
         cost, rows = symbol(0), symbol(0, 1)
         if extras.cost is not None:
             cost = _scalar(symbol, "extra_cost", self._call("extra_cost", extras.cost, x, u, k))
@@ -118,23 +143,31 @@ class CorrectionModel:
             rows = ca.vertcat(*(_column(symbol, "extra_constraints", part) for part in parts))
             if rows.numel() == 0:
                 raise ValueError(
-                    "extra_constraints returned nothing; leave it out, or return expressions to be kept at or below 0"
+                    "extra_constraints returned nothing; leave it out, or return expressions to "
+                    "be kept at or below 0"
                 )
-        bounds = self._call("incentive", extras.incentive, x[0], x[1], self.c_b, robot.p_min, robot.p_max)
+        bounds = self._call(
+            "incentive", extras.incentive, x[0], x[1], self.c_b, robot.p_min, robot.p_max
+        )
         if not isinstance(bounds, list | tuple) or len(bounds) != 2:
-            raise ValueError("incentive must return two values, the least and the greatest correction")
+            raise ValueError(
+                "incentive must return two values, the least and the greatest correction"
+            )
         low, high = (_scalar(symbol, "incentive", bound) for bound in bounds)
         try:
             slopes = ca.Function("slopes", [x, u, k], [ca.jacobian(rows, x), ca.jacobian(rows, u)])
             rows = rows / self._row_sizes(slopes) if rows.numel() else rows
             self._slopes = ca.Function(
-                "cost_slopes", [x, u, k], [ca.gradient(cost, x) / self.c_b, ca.gradient(cost, u) / self.c_b]
+                "cost_slopes",
+                [x, u, k],
+                [ca.gradient(cost, x) / self.c_b, ca.gradient(cost, u) / self.c_b],
             )
             return ca.Function("added", [x, u, k], [cost / self.c_b**2, rows, low, high])
         except RuntimeError as error:
             reason = str(error).strip().splitlines()[-1][-200:]
             raise ValueError(
-                f"extra_cost, extra_constraints and incentive may depend on their arguments alone: {reason}"
+                "extra_cost, extra_constraints and incentive may depend on their arguments "
+                f"alone: {reason}"
             ) from error
 
     def _call(self, name: str, function: Callable, *arguments):
@@ -147,16 +180,21 @@ class CorrectionModel:
                 raise _UntraceableError from error
             reason = f"{type(error).__name__}: {str(error).strip()[-200:]}"
             raise ValueError(
-                f"{name} could not be called with CasADi symbols ({reason}); use arithmetic and casadi functions, "
-                "and casadi.if_else in place of if"
+                f"{name} could not be called with CasADi symbols ({reason}); use arithmetic and "
+                "casadi functions, and casadi.if_else in place of if"
             ) from error
 
     def _row_sizes(self, slopes) -> np.ndarray:
-        """Return the greatest change of each constraint per scaled unknown, so that one tolerance suits them all."""
+        """
+        Return the greatest change of each constraint per scaled unknown, so that one tolerance
+        suits them all.
+        """
         size = 0.0
         for x in self._places():
             by_x, by_u = (np.abs(np.asarray(value)) for value in slopes(x, [0.0, 0.0], 0))
-            size = np.maximum(size, np.maximum((by_x * self.units).max(axis=1), by_u.max(axis=1) * self.c_b))
+            size = np.maximum(
+                size, np.maximum((by_x * self.units).max(axis=1), by_u.max(axis=1) * self.c_b)
+            )
         return np.where(np.isfinite(size) & (size > 0.0), size, 1.0)
 
     def _places(self):
@@ -175,8 +213,8 @@ class CorrectionModel:
             low, high = float(values[2][0, 0]), float(values[3][0, 0])
             if not -self.c_b * (1.0 + 1e-9) <= low <= 0.0 <= high <= self.c_b * (1.0 + 1e-9):
                 raise ValueError(
-                    f"incentive gives [{low:g}, {high:g}] {where}; as in (2.41), it must bound corrections by "
-                    f"c_b = {self.c_b:g} and let thresholds be held"
+                    f"incentive gives [{low:g}, {high:g}] {where}; as in (2.41), it must bound "
+                    f"corrections by c_b = {self.c_b:g} and let thresholds be held"
                 )
 
     def performance(self, r):
@@ -192,22 +230,32 @@ class CorrectionModel:
 
         human = self.tsc.human
         rest, load = ca.fmax(r, TINY), ca.fmax(1.0 - r, TINY)
-        bell = human.beta * ca.log(rest / human.beta) + (1.0 - human.beta) * ca.log(load / (1.0 - human.beta))
+        bell = human.beta * ca.log(rest / human.beta) + (1.0 - human.beta) * ca.log(
+            load / (1.0 - human.beta)
+        )
         bell = ca.if_else(ca.fmin(rest, load) > TINY, ca.exp(bell), 0.0)
         return (human.p_max - human.p_min) * bell + human.p_min
 
     def _rule(self):
-        """Return (state and mode before; w and where thresholds may go; k) → (state and mode after; what was seen)."""
+        """
+        Return (state and mode before; w and where thresholds may go; k) → (state and mode after;
+        what was seen).
+        """
         import casadi as ca
 
-        symbol, robot, human = self.symbol, self.tsc.robot, self.tsc.human
-        state, given, k = symbol.sym("state", 5), symbol.sym("given", 6), symbol.sym("k")
+        symbol = self.symbol
+        robot = self.tsc.robot
+        human = self.tsc.human
+        state = symbol.sym("state", 5)
+        given = symbol.sym("given", 6)
+        k = symbol.sym("k")
         x, before = state[:-1], state[-1]
         p_h = self.performance(x[0])
         tsc = self.tsc.a_T * x[1] - self.tsc.b_T * p_h
         mode = ca.if_else(tsc >= x[2], 0.0, ca.if_else(tsc <= x[3], 1.0, before))
         _, _, low, high = self.added(x, ca.DM.zeros(2), k)
-        # A threshold that is already outside its interval is held there, so that corrections stay within (2.41).
+        # A threshold that is already outside its interval is held there, so that corrections stay
+        # within (2.41).
         least, most = ca.fmin(given[2:4], x[2:]), ca.fmax(given[4:6], x[2:])
         moved = ca.fmin(ca.fmax(x[2:] + low + given[:2] * (high - low), least), most)
         u = moved - x[2:]
@@ -219,11 +267,14 @@ class CorrectionModel:
             moved,
             mode,
         )
-        return ca.Function("rule", [state, given, k], [after, ca.vertcat(u, tsc, cost, worst, low, high)])
+        return ca.Function(
+            "rule", [state, given, k], [after, ca.vertcat(u, tsc, cost, worst, low, high)]
+        )
 
     def steepness(self, run: HardRun) -> float:
         """
-        Return the greatest slope of the cost over c_b² with respect to a correction, at least 1: the scale of the objective.
+        Return the greatest slope of the cost over c_b² with respect to a correction, at least 1:
+        the scale of the objective.
 
         Parameters
         ----------
@@ -241,7 +292,8 @@ class CorrectionModel:
 
     def allowed(self, upper: float, lower: float) -> np.ndarray:
         """
-        Return the intervals of TSC_u and TSC_l, from their values now to their targets: least, then greatest, at each step.
+        Return the intervals of TSC_u and TSC_l, from their values now to their targets: least, then
+        greatest, at each step.
 
         Parameters
         ----------
@@ -249,7 +301,9 @@ class CorrectionModel:
             TSC_u and TSC_l now.
         """
         ends = np.array([[upper, lower], [self.target[1], self.target[0]]])
-        return np.repeat(np.stack([ends.min(axis=0), ends.max(axis=0)])[:, :, None], self.horizon, axis=2)
+        return np.repeat(
+            np.stack([ends.min(axis=0), ends.max(axis=0)])[:, :, None], self.horizon, axis=2
+        )
 
     def run(self, state: np.ndarray, w: np.ndarray, allowed: np.ndarray) -> HardRun:
         """
@@ -265,14 +319,19 @@ class CorrectionModel:
             The intervals of the thresholds, see `allowed`.
         """
         given = np.concatenate([w, allowed[0], allowed[1]])
-        states, seen = (np.asarray(value) for value in self._over_horizon(state, given, self._steps))
+        states, seen = (
+            np.asarray(value) for value in self._over_horizon(state, given, self._steps)
+        )
         error = (states[2:4] - self.zero[2:, None]) / self.c_b
         base = float(np.sum(error * error))
         low, high = seen[5], seen[6]
         width = high - low
         used = np.where(width > 0.0, (seen[:2] - low) / np.where(width > 0.0, width, 1.0), 0.0)
         cost = base + float(seen[3].sum())
-        finite, apart = np.isfinite(states).all() and np.isfinite(cost), (states[3] < states[2]).all()
+        finite, apart = (
+            np.isfinite(states).all() and np.isfinite(cost),
+            (states[3] < states[2]).all(),
+        )
         return HardRun(
             states=np.hstack([state[:4, None], states[:4]]),
             mode=states[4],
@@ -304,7 +363,8 @@ class HardRun:
     worst : float
         Greatest of the added constraints, scaled; −1 without any.
     sound : bool
-        Whether all values are finite, thresholds never cross, and the incentives include 0 throughout.
+        Whether all values are finite, thresholds never cross, and the incentives include 0
+        throughout.
     """
 
     states: np.ndarray
@@ -320,13 +380,15 @@ class HardRun:
 
 class CorrectionProgram:
     """
-    Multiple shooting over the horizon: the states at every step are unknowns, the model (2.44) holds between them.
+    Multiple shooting over the horizon: the states at every step are unknowns, the model (2.44)
+    holds between them.
 
-    With `width` 0 the modes are given, one per step; r and P_r then follow from them whatever the corrections, and the
-    solution is exact for that mode sequence. With a positive width the mode is a fifth state m in [0, 1], the memory
-    of (2.8): m(k) = (1 − σ((TSC − TSC_u)/width)) (d + (1 − d) m(k − 1)) with d = σ((TSC_l − TSC)/width) and
-    σ(y) = 1/(1 + exp(−y)). Several widths inside the thresholds both σ vanish and m keeps its value; four widths beyond one
-    of them, 98 % of the switch happens in one step. Where TSC turns back earlier than that, m stays between 0 and 1: the
+    With `width` 0 the modes are given, one per step; r and P_r then follow from them whatever the
+    corrections, and the solution is exact for that mode sequence. With a positive width the mode is
+    a fifth state m in [0, 1], the memory of (2.8): m(k) = (1 − σ((TSC − TSC_u)/width)) (d + (1 − d)
+    m(k − 1)) with d = σ((TSC_l − TSC)/width) and σ(y) = 1/(1 + exp(−y)). Several widths inside the
+    thresholds both σ vanish and m keeps its value; four widths beyond one of them, 98 % of the
+    switch happens in one step. Where TSC turns back earlier than that, m stays between 0 and 1: the
     smoothed program only suggests a mode sequence; no plan is judged by it.
 
     Parameters
@@ -342,13 +404,22 @@ class CorrectionProgram:
     def __init__(self, model: CorrectionModel, solver: str, width: float = 0.0):
         import casadi as ca
 
-        self.model, self.solver, self.width = model, solver, width
+        self.model = model
+        self.solver = solver
+        self.width = width
         self.plain = not model.extras.any and not width
         self.size = size = 5 if width else 4
-        n, symbol, stage = model.horizon, model.symbol, self._stage()
-        start, modes, rho = symbol.sym("start", size), symbol.sym("modes", n), symbol.sym("rho")
+        n = model.horizon
+        symbol = model.symbol
+        stage = self._stage()
+        start = symbol.sym("start", size)
+        modes = symbol.sym("modes", n)
+        rho = symbol.sym("rho")
         now = symbol.sym("x_0", size)
-        unknowns, rows, equal, cost = [now], [], [], 0
+        unknowns = [now]
+        rows = []
+        equal = []
+        cost = 0
         begins = now - start
         for k in range(n):
             w, after = symbol.sym(f"w_{k}", 2), symbol.sym(f"x_{k + 1}", size)
@@ -375,11 +446,16 @@ class CorrectionProgram:
         self._least[self._at_w], self._most[self._at_w] = 0.0, 1.0
 
     def _stage(self):
-        """Return (scaled state, w, mode, k) → (scaled state after, added cost over c_b², constraints)."""
+        """
+        Return (scaled state, w, mode, k) → (scaled state after, added cost over c_b², constraints).
+        """
         import casadi as ca
 
         model, symbol = self.model, self.model.symbol
-        tsc, robot, human, c_b = model.tsc, model.tsc.robot, model.tsc.human, model.c_b
+        tsc = model.tsc
+        robot = model.tsc.robot
+        human = model.tsc.human
+        c_b = model.c_b
         z, w = symbol.sym("z", self.size), symbol.sym("w", 2)
         mode, k = symbol.sym("mode"), symbol.sym("k")
         x = model.zero + model.units * z[:4]
@@ -397,13 +473,20 @@ class CorrectionProgram:
             apart = (model.target[1] - model.target[0]) / c_b
             rows = ca.vertcat(rows, (thresholds[1] - thresholds[0] - apart + 1e-3) / apart)
         gain = robot.b / (robot.p_max - robot.p_min)
-        after = [human.a * z[0] + human.b * manual, robot.a * z[1] + manual * gain * p_h, thresholds]
+        after = [
+            human.a * z[0] + human.b * manual,
+            robot.a * z[1] + manual * gain * p_h,
+            thresholds,
+        ]
         after = ca.vertcat(*after, manual) if self.width else ca.vertcat(*after)
         return ca.Function("stage", [z, w, mode, k], [after, cost, rows])
 
-    def solve(self, guess: HardRun, mode: float, thresholds: np.ndarray | None = None) -> tuple[np.ndarray | None, str]:
+    def solve(
+        self, guess: HardRun, mode: float, thresholds: np.ndarray | None = None
+    ) -> tuple[np.ndarray | None, str]:
         """
-        Solve from a guess; return the corrections as shares of what (2.41) allows, or None and the reason.
+        Solve from a guess; return the corrections as shares of what (2.41) allows, or None and the
+        reason.
 
         Parameters
         ----------
@@ -430,10 +513,15 @@ class CorrectionProgram:
             least, most = least.copy(), most.copy()
             z = (thresholds - model.zero[None, 2:, None]) / model.c_b
             least[self._at_x[2:4, 1:]], most[self._at_x[2:4, 1:]] = z[0] - SLACK, z[1] + SLACK
-        given = np.concatenate([start[self._at_x[:, 0]], guess.mode, [1.0 / model.steepness(guess)]])
+        given = np.concatenate(
+            [start[self._at_x[:, 0]], guess.mode, [1.0 / model.steepness(guess)]]
+        )
         try:
-            # No initial multipliers: sqpmethod does not check complementarity and would stop at the guess if given old ones.
-            found = self._solver(x0=start, p=given, lbx=least, ubx=most, lbg=self._least_rows, ubg=0.0)
+            # No initial multipliers: sqpmethod does not check complementarity and would stop at the
+            # guess if given old ones.
+            found = self._solver(
+                x0=start, p=given, lbx=least, ubx=most, lbg=self._least_rows, ubg=0.0
+            )
             stats = self._solver.stats()
         except RuntimeError as error:
             reason = str(error).strip().splitlines()[-1][-200:]
@@ -462,11 +550,22 @@ def _options(solver: str, equal: list[bool], plain: bool, most: int) -> dict:
         return QUIET | {"structure_detection": "auto", "equality": equal, "fatrop": options}
     if solver == "ipopt":
         return QUIET | {
-            "ipopt": {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": most, "max_wall_time": 2.0}
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "tol": TOLERANCE,
+                "max_iter": most,
+                "max_wall_time": 2.0,
+            }
         }
-    inner = {"hpipm.mode": "robust", "hpipm.iter_max": 60} if solver == "hpipm" else {"piqp": {"max_iter": 60}}
+    inner = (
+        {"hpipm.mode": "robust", "hpipm.iter_max": 60}
+        if solver == "hpipm"
+        else {"piqp": {"max_iter": 60}}
+    )
     options = QUIET | QUIET_SQP | {"qpsol": solver, "qpsol_options": QUIET | inner, "max_iter": 15}
-    # For given modes (2.43) is one convex quadratic program: full steps, where a line search would stall on rounding.
+    # For given modes (2.43) is one convex quadratic program: full steps, where a line search would
+    # stall on rounding.
     return options | ({"max_iter_ls": 0} if plain else {"convexify_strategy": "eigen-clip"})
 
 
@@ -490,5 +589,11 @@ def _column(symbol, name: str, value):
         if isinstance(value, bool):
             raise TypeError
         return ca.vec(symbol(value))
-    except (NotImplementedError, TypeError, RuntimeError):  # what CasADi raises for a value it cannot convert
-        raise ValueError(f"{name} must return a CasADi expression or a number, got {type(value).__name__}") from None
+    except (
+        NotImplementedError,
+        TypeError,
+        RuntimeError,
+    ):  # what CasADi raises for a value it cannot convert
+        raise ValueError(
+            f"{name} must return a CasADi expression or a number, got {type(value).__name__}"
+        ) from None

@@ -11,23 +11,35 @@ from trustlab.allocation.correction.incentive import incentive_box, within_range
 from trustlab.allocation.correction.plan import CorrectionPlan
 from trustlab.allocation.cycle.limit_cycle import limit_cycle
 from trustlab.allocation.limits import threshold_limits
-from trustlab.models.checks import between, in_order, of_class, one_of, positive, shown, warn, whole_number
+from trustlab.models.checks import (
+    between,
+    in_order,
+    of_class,
+    one_of,
+    positive,
+    shown,
+    warn,
+    whole_number,
+)
 from trustlab.models.tsc import TscModel
 
 ENGINES = {"exact": ExactEngine, "casadi": CasadiEngine}
 
 
 class TargetWarning(UserWarning):
-    """Target thresholds lie outside the limits of Theorem 1, yet simulations under them keep switching."""
+    """
+    Target thresholds lie outside the limits of Theorem 1, yet simulations under them keep
+    switching.
+    """
 
 
 class ThresholdCorrector:
     """
     Model predictive control of both thresholds, (2.40)-(2.44).
 
-    At each step the corrections of the next N steps are chosen that minimize Σ (TSC_u − TSC_ud)² + (TSC_l − TSC_ld)²,
-    within what the operator can be expected to accept (2.42), the thresholds staying between where they are and their
-    targets; the first correction is applied.
+    At each step the corrections of the next N steps are chosen that minimize Σ (TSC_u − TSC_ud)² +
+    (TSC_l − TSC_ld)², within what the operator can be expected to accept (2.42), the thresholds
+    staying between where they are and their targets; the first correction is applied.
 
     Parameters
     ----------
@@ -40,34 +52,39 @@ class ThresholdCorrector:
     horizon : int
         N, how many steps to look ahead; from 1 to a million.
     engine : {"exact", "casadi"}
-        "exact": branch and bound over the mode sequences, with a proved lower bound of the cost. "casadi": multiple
-        shooting, for your own costs and constraints.
+        "exact": branch and bound over the mode sequences, with a proved lower bound of the cost.
+        "casadi": multiple shooting, for your own costs and constraints.
     incentive : callable, optional
-        The bounds of correction in place of (2.42): takes r, p_r, c_b, p_min, p_max and returns the least and the greatest
-        correction, in [−c_b, 0] and [0, c_b]. `incentive_box` when not given. The exact engine compiles your function
-        into its search, which takes some seconds per corrector.
+        The bounds of correction in place of (2.42): takes r, p_r, c_b, p_min, p_max and returns the
+        least and the greatest correction, in [−c_b, 0] and [0, c_b]. `incentive_box` when not
+        given. The exact engine compiles your function into its search, which takes some seconds per
+        corrector.
     **options : object
         Options of the engine, see `ExactEngine` and `CasadiEngine`.
 
     Raises
     ------
     ValueError
-        If an argument is out of range, an option is unknown, or the rule does not keep switching under the target.
+        If an argument is out of range, an option is unknown, or the rule does not keep switching
+        under the target.
 
     Warns
     -----
     TargetWarning
-        If the target lies outside the limits of Theorem 1, but its exact cycle exists from every start: the theorem is
-        sufficient, not necessary, and the thresholds that Section 2.5 prints for the pilot operator are such a case.
+        If the target lies outside the limits of Theorem 1, but its exact cycle exists from every
+        start: the theorem is sufficient, not necessary, and the thresholds that Section 2.5 prints
+        for the pilot operator are such a case.
 
     Notes
     -----
-    That a threshold stays between its value now and its target is a condition beyond (2.42)-(2.44). It keeps corrections from
-    moving an operator's thresholds the wrong way, and plans and lower bounds of the cost are those of the problem with it.
-    Without it a plan can cost less: a threshold that first moves away from its target can bring on a switch which widens the
-    bounds (2.42) of all later corrections. For the pilot operator at r = 0.97 and P_r = 0.389 in the manual mode, thresholds
-    0.2149 and 0.645, target (0.29, 0.72), c_b = 0.01 and N = 100, the optimum with the condition costs 0.8477, while lowering
-    TSC_u for two steps first costs 0.5998 in all.
+    That a threshold stays between its value now and its target is a condition beyond (2.42)-(2.44).
+    It keeps corrections from moving an operator's thresholds the wrong way, and plans and lower
+    bounds of the cost are those of the problem with it. Without it a plan can cost less: a
+    threshold that first moves away from its target can bring on a switch which widens the bounds
+    (2.42) of all later corrections. For the pilot operator at r = 0.97 and P_r = 0.389 in the
+    manual mode, thresholds 0.2149 and 0.645, target (0.29, 0.72), c_b = 0.01 and N = 100, the
+    optimum with the condition costs 0.8477, while lowering TSC_u for two steps first costs 0.5998
+    in all.
 
     Examples
     --------
@@ -90,17 +107,25 @@ class ThresholdCorrector:
     ):
         self.tsc = of_class("tsc", tsc, TscModel)
         self.target = check_target(tsc, target)
-        self.c_b, self.horizon = positive("c_b", c_b), whole_number("horizon", horizon, most=1_000_000)
+        self.c_b, self.horizon = (
+            positive("c_b", c_b),
+            whole_number("horizon", horizon, most=1_000_000),
+        )
         kind = ENGINES[one_of("engine", engine, ENGINES)]
         known = list(inspect.signature(kind).parameters)[6:]
         unknown = sorted(set(options) - set(known))
         if unknown:
-            raise ValueError(f"the engine {engine!r} has no option {unknown[0]!r}; it has {', '.join(known) or 'none'}")
+            raise ValueError(
+                f"the engine {engine!r} has no option {unknown[0]!r}; it has "
+                f"{', '.join(known) or 'none'}"
+            )
         self.incentive = incentive or incentive_box
         self.engine = kind(tsc, *self.target, self.c_b, self.horizon, self.incentive, **options)
         self._range = (tsc.robot.p_min, tsc.robot.p_max)
 
-    def step(self, r: float, p_r: float, lower: float, upper: float, mode: int = 1) -> CorrectionPlan:
+    def step(
+        self, r: float, p_r: float, lower: float, upper: float, mode: int = 1
+    ) -> CorrectionPlan:
         """
         Return the correction now, with the whole plan behind it.
 
@@ -118,7 +143,8 @@ class ThresholdCorrector:
         Returns
         -------
         CorrectionPlan
-            With .c_l, .c_u, .suggestion, .cost, .cost_lower_bound, .gap, .status and the predicted trajectories.
+            With .c_l, .c_u, .suggestion, .cost, .cost_lower_bound, .gap, .status and the predicted
+            trajectories.
 
         Raises
         ------
@@ -146,7 +172,10 @@ def check_mode(mode: int) -> int:
 
 
 def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, float]:
-    """Return target thresholds as floats if the rule keeps switching under them; warn where Theorem 1 does not apply."""
+    """
+    Return target thresholds as floats if the rule keeps switching under them; warn where Theorem 1
+    does not apply.
+    """
     lower, upper = threshold_pair("target", target)
     limits = threshold_limits(tsc)
     if limits.contains(lower, upper):
@@ -157,13 +186,14 @@ def check_target(tsc: TscModel, target: tuple[float, float]) -> tuple[float, flo
     cycle = limit_cycle(tsc, lower, upper)
     if not cycle.always:
         raise ValueError(
-            f"{where}, and the rule does not keep switching under it: {cycle.reason}. Choose a target whose cycle exists "
-            "(trustlab.limit_cycle), for example with trustlab.choose_thresholds(tsc)"
+            f"{where}, and the rule does not keep switching under it: {cycle.reason}. Choose a "
+            "target whose cycle exists (trustlab.limit_cycle), for example with "
+            "trustlab.choose_thresholds(tsc)"
             + (", or between the limits" if limits.feasible else "")
         )
     warn(
-        f"{where}, so the theorem does not promise that the rule keeps switching; its steady cycle does exist, from "
-        "every start that was simulated (trustlab.limit_cycle)",
+        f"{where}, so the theorem does not promise that the rule keeps switching; its steady "
+        "cycle does exist, from every start that was simulated (trustlab.limit_cycle)",
         TargetWarning,
     )
     return lower, upper
@@ -174,7 +204,9 @@ def threshold_pair(name: str, pair: tuple[float, float]) -> tuple[float, float]:
     try:
         lower, upper = pair
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be two numbers, lower and upper, got {shown(pair)}") from None
+        raise ValueError(
+            f"{name} must be two numbers, lower and upper, got {shown(pair)}"
+        ) from None
     low, high = f"the lower {name}", f"the upper {name}"
     in_order(low, lower, high, upper)
     return between(low, lower, -1.0, 1.0), between(high, upper, -1.0, 1.0)

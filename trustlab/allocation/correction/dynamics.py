@@ -9,14 +9,20 @@ from trustlab.models.tsc import TscModel, advance, human_at, threshold_mode, tsc
 
 
 def suggestion_now(tsc: float, lower: float, upper: float) -> int:
-    """Return what Algorithm 3 suggests: 0 autonomous where TSC ≥ TSC_u, 1 manual where TSC ≤ TSC_l, else −1, nothing."""
+    """
+    Return what Algorithm 3 suggests: 0 autonomous where TSC ≥ TSC_u, 1 manual where TSC ≤ TSC_l,
+    else −1, nothing.
+    """
     return threshold_mode.py_func(tsc, lower, upper, -1)
 
 
 @njit
-def follow_actions(c, target_lower, target_upper, actions_l, actions_u, r, p_r, lower, upper, mode, before):
+def follow_actions(
+    c, target_lower, target_upper, actions_l, actions_u, r, p_r, lower, upper, mode, before
+):
     """
-    Fill r, p_r, lower, upper (N + 1) and mode (N) from their first entries and the actions; return the cost (2.43).
+    Fill r, p_r, lower, upper (N + 1) and mode (N) from their first entries and the actions; return
+    the cost (2.43).
 
     `before` is the mode before the first sample.
     """
@@ -68,9 +74,19 @@ def simulate_correction(
     """
     actions_l = np.ascontiguousarray(actions_l, dtype=float)
     actions_u = np.ascontiguousarray(actions_u, dtype=float)
-    out: dict[str, Any] = {name: np.empty(actions_l.size + 1) for name in ("r", "p_r", "lower", "upper")}
+    out: dict[str, Any] = {
+        name: np.empty(actions_l.size + 1) for name in ("r", "p_r", "lower", "upper")
+    }
     for name, start in (("r", r), ("p_r", p_r), ("lower", lower), ("upper", upper)):
         out[name][0] = start
     modes = np.empty(actions_l.size)
-    cost = follow_actions(tsc.constants(), *map(float, target), actions_l, actions_u, *out.values(), modes, float(mode))
+    cost = follow_actions(
+        tsc.constants(),
+        *map(float, target),
+        actions_l,
+        actions_u,
+        *out.values(),
+        modes,
+        float(mode),
+    )
     return out | {"mode": modes, "cost": cost}

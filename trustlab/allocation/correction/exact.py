@@ -1,35 +1,47 @@
 """
 The exact engine of the correction: branch and bound over the mode sequences, (2.43)-(2.44).
 
-Each threshold is kept between its value now and its target. (2.42)-(2.44) do not ask for this: without it a plan can be
-cheaper, by moving a threshold away from its target first so that a switch comes at a better time. Optimum and lower bound
-are those of the problem with this constraint; `ThresholdCorrector` has an example.
+Each threshold is kept between its value now and its target. (2.42)-(2.44) do not ask for this:
+without it a plan can be cheaper, by moving a threshold away from its target first so that a switch
+comes at a better time. Optimum and lower bound are those of the problem with this constraint;
+`ThresholdCorrector` has an example.
 
-Given the modes M(0..N−1), utilization and robot performance follow from (2.44) whatever the corrections are, and so do
-the boxes (2.42). Each threshold is then a path with bounded steps between its value now and its target. Let it rise; a
-falling one is the mirror image. At step k, (2.8) compares TSC with one threshold only: with TSC_u after the manual mode,
-with TSC_l after the autonomous mode. Hence a mode sequence is produced by exactly those paths that stay at or below TSC(k)
-at some steps ("held") and are above it at others ("moved").
+Given the modes M(0..N−1), utilization and robot performance follow from (2.44) whatever the
+corrections are, and so do the boxes (2.42). Each threshold is then a path with bounded steps
+between its value now and its target. Let it rise; a falling one is the mirror image. At step k,
+(2.8) compares TSC with one threshold only: with TSC_u after the manual mode, with TSC_l after the
+autonomous mode. Hence a mode sequence is produced by exactly those paths that stay at or below
+TSC(k) at some steps ("held") and are above it at others ("moved").
 
-1. Paths with bounded steps under bounds x(k) ≤ h(k) are closed under the pointwise maximum. So one path is above all
-   others at every step: tighten h backwards by the greatest step back, then go forward by the greatest step that h
-   allows. It is nearest to the target at every step, so that it minimizes every term of (2.43) at once; and if it violates
-   a bound from below, so does every path. Without bounds h it is clipping: (target − threshold) clipped to the box.
-2. With modes up to k − 1 given, the values that a threshold can have at step k form an interval, computed step by step.
-   Where TSC(k) lies outside it, the mode is certain; where inside, there are two branches. Depth first, the search
-   visits every mode sequence that the corrections can produce, clipping first. If there is no second branch, all
-   admissible corrections have the same mode sequence, clipping is optimal and the gap is 0.
-3. A branch is pruned when its bound is not below the cost of the best plan. The bound is the cost so far and that of paths
-   which from then on move at the rate that the autonomous mode for ever would allow (rising), or the manual mode at the
-   operator's best (falling): the bounds (2.42) fall in utilization and performance, which are extreme there.
-4. That TSC_l stays below TSC_u couples the thresholds only when both rise or both fall, and the pointwise maximum still
+1. Paths with bounded steps under bounds x(k) ≤ h(k) are closed under the pointwise maximum. So one
+path is above all
+   others at every step: tighten h backwards by the greatest step back, then go forward by the
+   greatest step that h allows. It is nearest to the target at every step, so that it minimizes
+   every term of (2.43) at once; and if it violates a bound from below, so does every path. Without
+   bounds h it is clipping: (target − threshold) clipped to the box.
+2. With modes up to k − 1 given, the values that a threshold can have at step k form an interval,
+computed step by step.
+   Where TSC(k) lies outside it, the mode is certain; where inside, there are two branches. Depth
+   first, the search visits every mode sequence that the corrections can produce, clipping first. If
+   there is no second branch, all admissible corrections have the same mode sequence, clipping is
+   optimal and the gap is 0.
+3. A branch is pruned when its bound is not below the cost of the best plan. The bound is the cost
+so far and that of paths
+   which from then on move at the rate that the autonomous mode for ever would allow (rising), or
+   the manual mode at the operator's best (falling): the bounds (2.42) fall in utilization and
+   performance, which are extreme there.
+4. That TSC_l stays below TSC_u couples the thresholds only when both rise or both fall, and the
+pointwise maximum still
    exists: TSC_u is not limited by TSC_l when both rise, nor TSC_l by TSC_u when both fall.
-5. Where a held threshold must stay strictly away from TSC(k), the minimum is not attained: the plan keeps a margin of
+5. Where a held threshold must stay strictly away from TSC(k), the minimum is not attained: the plan
+keeps a margin of
    1e-9 c_b, between 1e-15 and 1e-12, and the lower bound is the cost without the margin.
-6. If the budget of steps runs out, the rest is bounded by boxes: one rectangle per mode encloses all reachable r and P_r,
-   cut by the thresholds' range at each switch; the rates in its best corner bound the cost. Over many switches these boxes
-   grow wide; there whole phases bound how far thresholds can move (`phase_bound`). In both bounds the thresholds that decide
-   the modes may differ from those that are charged for, which accounts for the remaining gap.
+6. If the budget of steps runs out, the rest is bounded by boxes: one rectangle per mode encloses
+all reachable r and P_r,
+   cut by the thresholds' range at each switch; the rates in its best corner bound the cost. Over
+   many switches these boxes grow wide; there whole phases bound how far thresholds can move
+   (`phase_bound`). In both bounds the thresholds that decide the modes may differ from those that
+   are charged for, which accounts for the remaining gap.
 
 The lower bound holds up to rounding, about 1e-12 of the cost.
 """
@@ -63,20 +75,31 @@ class Workspace(NamedTuple):
     waiting: np.ndarray  # steps that could have gone the other way, the last on top
     states: np.ndarray  # r, P_r, TSC_l, TSC_u and mode at steps 0 … N (no mode at N)
     actions: np.ndarray  # c_l and c_u at steps 0 … N − 1
-    long: bool | None  # True where bounds by phases can be worth their time; None leaves them out of what is compiled
+    long: (
+        bool | None
+        # True where bounds by phases can be worth their time; None leaves them out of what is
+        # compiled
+    )
 
     @classmethod
     def of(cls, horizon: int) -> Workspace:
         """Return arrays for N steps."""
         n = horizon + 1
-        arrays = np.empty((8, n)), np.empty((6, 2, n)), np.empty(n, np.int64), np.empty((5, n)), np.empty((2, horizon))
+        arrays = (
+            np.empty((8, n)),
+            np.empty((6, 2, n)),
+            np.empty(n, np.int64),
+            np.empty((5, n)),
+            np.empty((2, horizon)),
+        )
         return cls(*arrays, horizon > LONG or None)
 
 
 @njit
 def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
     """
-    Fill z from z[0] with the path that is greatest at every step, given z(k) ≤ hold(k) and steps in [low, high]; return its cost.
+    Fill z from z[0] with the path that is greatest at every step, given z(k) ≤ hold(k) and steps in
+    [low, high]; return its cost.
 
     The threshold is seen as rising. `hold` is tightened in place.
     """
@@ -112,7 +135,10 @@ def pointwise_best(z, hold, low, high, goal, sign, margin, actions):
 
 @njit
 def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions, strict):
-    """Fill the best paths of both thresholds for one mode sequence; return cost and whether (2.8) brings it about."""
+    """
+    Fill the best paths of both thresholds for one mode sequence; return cost and whether (2.8)
+    brings it about.
+    """
     n = z.shape[1] - 1
     # Copied one by one, here and below: assigning arrays takes seconds to compile.
     for j in (LOWER, UPPER):
@@ -121,11 +147,15 @@ def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions
     # Where both rise, TSC_u comes first and limits TSC_l; where both fall, TSC_l limits TSC_u.
     first = LOWER if sign[LOWER] < 0 or sign[LOWER] != sign[UPPER] else UPPER
     second = 1 - first
-    cost = pointwise_best(z[first], tight[first], low, high, goal[first], sign[first], margin, actions[first])
+    cost = pointwise_best(
+        z[first], tight[first], low, high, goal[first], sign[first], margin, actions[first]
+    )
     if sign[LOWER] == sign[UPPER]:
         for k in range(1, n + 1):
             tight[second, k] = min(tight[second, k], z[first, k])
-    cost += pointwise_best(z[second], tight[second], low, high, goal[second], sign[second], margin, actions[second])
+    cost += pointwise_best(
+        z[second], tight[second], low, high, goal[second], sign[second], margin, actions[second]
+    )
     if not strict:
         return cost, True
     for k in range(1, n + 1):
@@ -143,37 +173,68 @@ def best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, margin, actions
 
 
 @njit(_nrt=True)  # it allocates, also where its caller counts no references
-def search(constants, c_b, target, budget, start, r0, p0, before, standard, steps, thresholds, waiting, states, plan):
+def search(
+    constants,
+    c_b,
+    target,
+    budget,
+    start,
+    r0,
+    p0,
+    before,
+    standard,
+    steps,
+    thresholds,
+    waiting,
+    states,
+    plan,
+):
     """
-    Search the mode sequences from r0, p0, the thresholds `start` and the mode before; fill `states` and the actions `plan`.
+    Search the mode sequences from r0, p0, the thresholds `start` and the mode before; fill `states`
+    and the actions `plan`.
 
-    `standard` says that the incentives are (2.42), which lower bounds of the cost exploit; `budget` is how many times N steps
-    may be searched. The arrays of `Workspace` are passed one by one and the constants as a plain tuple, because
-    passing NamedTuples from Python takes longer than many a search. Returns the cost, a lower bound of the cost of what was
-    searched (for the rest see `unsearched_cost`), the number of mode sequences followed, whether the search was complete, TSC
+    `standard` says that the incentives are (2.42), which lower bounds of the cost exploit; `budget`
+    is how many times N steps may be searched. The arrays of `Workspace` are passed one by one and
+    the constants as a plain tuple, because passing NamedTuples from Python takes longer than many a
+    search. Returns the cost, a lower bound of the cost of what was searched (for the rest see
+    `unsearched_cost`), the number of mode sequences followed, whether the search was complete, TSC
     now, and whether incentives stayed within [−c_b, 0] and [0, c_b].
     """
     c = TscConstants(*constants)
-    # At each step: state, P_h, box (2.42), TSC and mode of the sequence that is followed, and the least cost so far.
+    # At each step: state, P_h, box (2.42), TSC and mode of the sequence that is followed, and the
+    # least cost so far.
     r, p, p_h, low, high, tsc, mode, spent = steps
-    # Both thresholds, seen as rising: the least and the greatest value with the modes so far; the bound that each must not
-    # exceed to produce them, and the same tightened; and the best path, with its actions.
+    # Both thresholds, seen as rising: the least and the greatest value with the modes so far; the
+    # bound that each must not exceed to produce them, and the same tightened; and the best path,
+    # with its actions.
     least, most, hold, tight, z, trial = thresholds
     best_r, best_p, best_lower, best_upper, best_mode = states
     n = r.size - 1
     margin = min(max(1e-9 * c_b, 1e-15), 1e-12)
-    sign, goal, at = np.empty(2), np.empty(2), np.empty(2)
+    sign = np.empty(2)
+    goal = np.empty(2)
+    at = np.empty(2)
     for j in (LOWER, UPPER):
         sign[j] = 1.0 if target[j] >= start[j] else -1.0
         goal[j] = sign[j] * target[j]
         least[j, 0] = most[j, 0] = z[j, 0] = sign[j] * start[j]
         hold[j, :] = goal[j]
-    r[0], p[0], spent[0] = r0, p0, 0.0
-    cost, bound, sequences, searched, height, k = np.inf, np.inf, 0, 0, 0, 0
-    complete, held, fresh = True, False, True
+    r[0] = r0
+    p[0] = p0
+    spent[0] = 0.0
+    cost = np.inf
+    bound = np.inf
+    sequences = 0
+    searched = 0
+    height = 0
+    k = 0
+    complete = True
+    held = False
+    fresh = True
     while True:
-        # Forward from step k to the end: where both modes are possible, the threshold moves and the other mode waits.
-        # After backtracking (not fresh) the state at k is known, and the threshold is held there instead.
+        # Forward from step k to the end: where both modes are possible, the threshold moves and the
+        # other mode waits. After backtracking (not fresh) the state at k is known, and the
+        # threshold is held there instead.
         while k <= n:
             if k > 0 and fresh:
                 r[k], p[k] = advance(r[k - 1], p[k - 1], p_h[k - 1], mode[k - 1], c)
@@ -190,7 +251,9 @@ def search(constants, c_b, target, budget, start, r0, p0, before, standard, step
                     tsc[k] = tsc_at(p[k], p_h[k], c)
                     a, b = box(r[k], p[k], c_b, c.p_r_min, c.p_r_max)
                     slack = 1e-9 * c_b
-                    if not (standard or (-c_b - slack <= a <= slack and -slack <= b <= c_b + slack)):
+                    if not (
+                        standard or (-c_b - slack <= a <= slack and -slack <= b <= c_b + slack)
+                    ):
                         return np.inf, -np.inf, sequences, False, tsc[0], False
                     low[k], high[k] = min(a, 0.0), max(b, 0.0)
                 if k == 0:
@@ -201,8 +264,9 @@ def search(constants, c_b, target, budget, start, r0, p0, before, standard, step
                     else:
                         mode[0] = before
                 else:
-                    # (2.8) compares TSC(k) with threshold j; θ is TSC(k) seen as rising. A rising TSC_u has moved when it is
-                    # above θ (manual stays), a rising TSC_l when it is at or above θ (manual begins); falling, the converse.
+                    # (2.8) compares TSC(k) with threshold j; θ is TSC(k) seen as rising. A rising
+                    # TSC_u has moved when it is above θ (manual stays), a rising TSC_l when it is
+                    # at or above θ (manual begins); falling, the converse.
                     j = UPPER if mode[k - 1] == 1.0 else LOWER
                     rising = sign[j] > 0
                     closed = (j == UPPER) == rising
@@ -237,17 +301,22 @@ def search(constants, c_b, target, budget, start, r0, p0, before, standard, step
                 plain = plain and hold[j, i] == goal[j]
         sequences += 1
         searched += n // 2
-        # Without the margin: the least cost, attained or not. With it: a plan whose modes (2.8) certainly produces.
+        # Without the margin: the least cost, attained or not. With it: a plan whose modes (2.8)
+        # certainly produces.
         now, meets = np.inf, True
         for attempt in range(1 if plain else 2):
             gap = margin if attempt == 1 else 0.0
-            now, meets = best_paths(z, hold, tight, low, high, tsc, mode, goal, sign, gap, trial, attempt == 1)
+            now, meets = best_paths(
+                z, hold, tight, low, high, tsc, mode, goal, sign, gap, trial, attempt == 1
+            )
             if not plain and attempt == 0:
                 bound = min(bound, now)
         if meets and now < cost:
             cost = now
             for i in range(n + 1):
-                best_r[i], best_p[i], best_mode[i] = r[i], p[i], mode[i]
+                best_r[i] = r[i]
+                best_p[i] = p[i]
+                best_mode[i] = mode[i]
                 best_lower[i], best_upper[i] = sign[LOWER] * z[LOWER, i], sign[UPPER] * z[UPPER, i]
             for j in (LOWER, UPPER):
                 for i in range(n):
@@ -266,10 +335,14 @@ def search(constants, c_b, target, budget, start, r0, p0, before, standard, step
                 at[s] = min(most[s, i - 1] + (high[i - 1] if sign[s] > 0 else -low[i - 1]), goal[s])
             at[j] = min(at[j], sign[j] * tsc[i])
             enough = cost - spent[i - 1]
-            ahead = future_cost(i, n, r[i], p[i], low[i], high[i], other, at, goal, sign, c, c_b, standard, enough)
+            ahead = future_cost(
+                i, n, r[i], p[i], low[i], high[i], other, at, goal, sign, c, c_b, standard, enough
+            )
             searched += 1 + (n - i) // 16
             if ahead < enough:
-                k, held, fresh = i, True, False
+                k = i
+                held = True
+                fresh = False
                 break
         if k < 0:
             break
@@ -277,26 +350,34 @@ def search(constants, c_b, target, budget, start, r0, p0, before, standard, step
 
 
 @njit
-def unsearched_cost(constants, c_b, target, start, standard, steps, thresholds, waiting, states, long):
+def unsearched_cost(
+    constants, c_b, target, start, standard, steps, thresholds, waiting, states, long
+):
     """Bound from below the cost of what a search within its budget did not get to."""
     c = TscConstants(*constants)
     r, p, _, low, high, _, mode, spent = steps
     least, most, hold, _, _, _ = thresholds
     _, _, best_lower, best_upper, _ = states
-    goal, sign, guess = hold[:, 0], np.empty(2), np.empty(2)
-    # The first step with an untried mode: up to it all sequences agree; everything after it is bounded as a whole.
+    goal = hold[:, 0]
+    sign = np.empty(2)
+    guess = np.empty(2)
+    # The first step with an untried mode: up to it all sequences agree; everything after it is
+    # bounded as a whole.
     i, n = waiting[0], r.size - 1
     for j in (LOWER, UPPER):
         sign[j] = 1.0 if target[j] >= start[j] else -1.0
         way = sign[j] * (best_lower[n] if j == LOWER else best_upper[n]) - least[j, 0]
         guess[j] = min(least[j, 0] + 1.3 * way + 50.0 * c_b, goal[j])
-    rest = remaining_cost(i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, c_b, standard, long, guess)
+    rest = remaining_cost(
+        i, n, r, p, mode, most, least[:, 0], low, high, goal, sign, c, c_b, standard, long, guess
+    )
     return max(spent[i - 1] + rest, 0.0)
 
 
 class ExactEngine:
     """
-    Branch and bound over the mode sequences; the head of this module says how it works and why it is exact.
+    Branch and bound over the mode sequences; the head of this module says how it works and why it
+    is exact.
 
     Parameters
     ----------
@@ -309,27 +390,39 @@ class ExactEngine:
     horizon : int
         N, steps.
     incentive : callable
-        The bounds of the corrections: `incentive_box`, or a function like it that Numba can compile, with values in
-        [−c_b, 0] and [0, c_b]. Your own is compiled into the search, which takes some seconds; its lower bounds over
-        many switches assume corrections of c_b, so that gaps are large for long horizons.
+        The bounds of the corrections: `incentive_box`, or a function like it that Numba can
+        compile, with values in [−c_b, 0] and [0, c_b]. Your own is compiled into the search, which
+        takes some seconds; its lower bounds over many switches assume corrections of c_b, so that
+        gaps are large for long horizons.
     budget : int
         How many times N steps to search at most; more can close a gap, fewer limit the time.
 
     Raises
     ------
     ValueError
-        If the budget is not a whole number from 1 to a million, or the incentive function is not as described.
+        If the budget is not a whole number from 1 to a million, or the incentive function is not as
+        described.
     """
 
     name = "exact"
 
-    def __init__(self, tsc, target_lower, target_upper, c_b, horizon, incentive=incentive_box, budget=SEARCHED):
+    def __init__(
+        self,
+        tsc,
+        target_lower,
+        target_upper,
+        c_b,
+        horizon,
+        incentive=incentive_box,
+        budget=SEARCHED,
+    ):
         self.horizon, self.budget = horizon, whole_number("budget", budget, most=1_000_000)
         self._problem = tuple(tsc.constants()), float(c_b), np.array([target_lower, target_upper])
         self._start, self._standard = np.empty(2), incentive is incentive_box
         self._search = search if self._standard else _search_with(incentive, tsc, c_b)
         room = Workspace.of(horizon)
-        # One step, after which nothing is left, compiles what a plan can need, so that no plan of a run waits for it.
+        # One step, after which nothing is left, compiles what a plan can need, so that no plan of a
+        # run waits for it.
         self._room = Workspace.of(1)._replace(long=room.long)
         self._room.waiting[0] = 1
         self._searched(0.5, tsc.robot.p_min, target_lower, target_upper, 1)
@@ -342,12 +435,15 @@ class ExactEngine:
         self._start[LOWER], self._start[UPPER] = lower, upper
         steps, thresholds, waiting, states, actions, _ = self._room
         now = self._start, r, p_r, float(mode), self._standard
-        found = self._search(*self._problem, self.budget, *now, steps, thresholds, waiting, states, actions)
+        found = self._search(
+            *self._problem, self.budget, *now, steps, thresholds, waiting, states, actions
+        )
         cost, bound, sequences, complete, tsc, valid = found
         if not valid:
             raise ValueError(
-                "the incentive function left [−c_b, 0] and [0, c_b] or returned NaN at a predicted state; as in (2.41), it "
-                "must bound corrections by c_b and allow thresholds to be held"
+                "the incentive function left [−c_b, 0] and [0, c_b] or returned NaN at a "
+                "predicted state; as in (2.41), it must bound corrections by c_b and allow "
+                "thresholds to be held"
             )
         if complete:
             return cost, bound, sequences, CorrectionStatus.OPTIMAL, tsc
@@ -355,10 +451,15 @@ class ExactEngine:
 
     def _unsearched(self):
         steps, thresholds, waiting, states, _, long = self._room
-        return unsearched_cost(*self._problem, self._start, self._standard, steps, thresholds, waiting, states, long)
+        return unsearched_cost(
+            *self._problem, self._start, self._standard, steps, thresholds, waiting, states, long
+        )
 
     def decide(self, *state):
-        """Return c_l, c_u, cost, its lower bound and status of the plan that `solve` returns, but no plan."""
+        """
+        Return c_l, c_u, cost, its lower bound and status of the plan that `solve` returns, but no
+        plan.
+        """
         cost, bound, _, status, _ = self._searched(*state)
         return *self._room.actions[:, 0].tolist(), cost, bound, status
 
@@ -391,19 +492,26 @@ def _search_with(incentive: Callable, tsc: TscModel, c_b: float) -> Callable:
     """Compile the search for a user's own incentives, after checking their values at one state."""
     robot = tsc.robot
     try:
-        compiled = incentive if isinstance(incentive, numba.core.dispatcher.Dispatcher) else numba.njit(incentive)
+        compiled = (
+            incentive
+            if isinstance(incentive, numba.core.dispatcher.Dispatcher)
+            else numba.njit(incentive)
+        )
         answer = compiled(0.5, 0.5 * (robot.p_min + robot.p_max), c_b, robot.p_min, robot.p_max)
         low, high = map(float, answer)
     except (numba.core.errors.NumbaError, TypeError, ValueError) as error:
         raise ValueError(
-            "incentive must be a function of r, p_r, c_b, p_min, p_max that Numba compiles (arithmetic, if, min, max) and "
-            f"that returns the least and the greatest correction: {str(error).splitlines()[0]}"
+            "incentive must be a function of r, p_r, c_b, p_min, p_max that Numba compiles "
+            "(arithmetic, if, min, max) and that returns the least and the greatest correction: "
+            f"{str(error).splitlines()[0]}"
         ) from None
     if not (-c_b * (1.0 + 1e-9) <= low <= 0.0 <= high <= c_b * (1.0 + 1e-9)):
         raise ValueError(
-            f"incentive must return a least correction in [−c_b, 0] and a greatest in [0, c_b], got {low} and {high} at "
-            f"r = 0.5 for c_b = {c_b}"
+            "incentive must return a least correction in [−c_b, 0] and a greatest in [0, c_b], "
+            f"got {low} and {high} at r = 0.5 for c_b = {c_b}"
         )
     plain = search.py_func
-    own = types.FunctionType(plain.__code__, plain.__globals__ | {"box": compiled}, "search_with_own_incentive")
+    own = types.FunctionType(
+        plain.__code__, plain.__globals__ | {"box": compiled}, "search_with_own_incentive"
+    )
     return numba.njit(own)

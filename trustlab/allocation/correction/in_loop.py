@@ -1,4 +1,6 @@
-"""The correction inside a compiled loop: thresholds that move sample by sample while a testbed runs."""
+"""
+The correction inside a compiled loop: thresholds that move sample by sample while a testbed runs.
+"""
 
 from typing import NamedTuple
 
@@ -16,13 +18,18 @@ CORRECTED = np.dtype(
         ("upper", float),
         ("cost", float),
         ("bound", float),
-        ("clipped", bool),  # performance lay outside the model's range, and its nearest end was used
+        (
+            "clipped",
+            bool,
+        ),  # performance lay outside the model's range, and its nearest end was used
     ]
 )
 
 
 class LoopCorrection(NamedTuple):
-    """What the exact engine needs in a compiled loop; `thresholds` is updated by every correction."""
+    """
+    What the exact engine needs in a compiled loop; `thresholds` is updated by every correction.
+    """
 
     adopted: bool  # whether the operator's own thresholds move along
     constants: tuple  # of TscConstants, in their order
@@ -44,7 +51,10 @@ def loop_correction(
     adopted: bool = False,
     budget: int = SEARCHED,
 ) -> LoopCorrection:
-    """Return what a loop of so many samples needs to correct thresholds from `start` towards `target`, which the caller has checked."""
+    """
+    Return what a loop of so many samples needs to correct thresholds from `start` towards `target`,
+    which the caller has checked.
+    """
     return LoopCorrection(
         adopted=adopted,
         constants=tuple(tsc.constants()),
@@ -60,16 +70,25 @@ def loop_correction(
 @njit(inline="always")
 def correct_thresholds(correction, k, r, p_r, mode):
     """Log sample k, plan, and correct the thresholds by one step; return c_l and c_u."""
-    c, thresholds, work = TscConstants(*correction.constants), correction.thresholds, correction.work
+    c = TscConstants(*correction.constants)
+    thresholds = correction.thresholds
+    work = correction.work
     now = min(max(p_r, c.p_r_min), c.p_r_max)
     problem, standard = (correction.constants, correction.c_b, correction.target), True
-    state, room = (thresholds, r, now, float(mode), standard), (work.steps, work.thresholds, work.waiting, work.states)
-    cost, bound, _, complete, _, _ = search(*problem, correction.budget, *state, *room, work.actions)
+    state, room = (
+        (thresholds, r, now, float(mode), standard),
+        (work.steps, work.thresholds, work.waiting, work.states),
+    )
+    cost, bound, _, complete, _, _ = search(
+        *problem, correction.budget, *state, *room, work.actions
+    )
     if not complete:
         bound = min(bound, unsearched_cost(*problem, thresholds, standard, *room, work.long))
     row = correction.log[k]
     row.lower, row.upper = thresholds[LOWER], thresholds[UPPER]
-    row.cost, row.bound, row.clipped = cost, bound, now != p_r
+    row.cost = cost
+    row.bound = bound
+    row.clipped = now != p_r
     c_l, c_u = work.actions[LOWER, 0], work.actions[UPPER, 0]
     thresholds[LOWER] += c_l
     thresholds[UPPER] += c_u

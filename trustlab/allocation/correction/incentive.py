@@ -8,7 +8,8 @@ from trustlab.models.published import published_models
 from trustlab.models.robot import RobotModel
 from trustlab.models.tsc import TscModel
 
-# By how much, as a share of its range, robot performance may lie outside and still count as the end of the range.
+# By how much, as a share of its range, robot performance may lie outside and still count as the end
+# of the range.
 ROUNDING = 1e-9
 
 
@@ -33,14 +34,17 @@ box = njit(incentive_box)
 
 
 def incentive_bounds(
-    r: float | np.ndarray, p_r: float | np.ndarray, c_b: float, model: TscModel | RobotModel | None = None
+    r: float | np.ndarray,
+    p_r: float | np.ndarray,
+    c_b: float,
+    model: TscModel | RobotModel | None = None,
 ) -> tuple[float | np.ndarray, float | np.ndarray]:
     """
     Return the least and the greatest correction that an operator can be expected to accept, (2.42).
 
-    c_max = ½[(1 − r) + (P_max − P_r)/(P_max − P_min)] c_b and c_min = −½[r + (P_r − P_min)/(P_max − P_min)] c_b: the
-    busier the operator and the better the robot, the less willing the operator is to raise the thresholds. The two are
-    always c_b apart.
+    c_max = ½[(1 − r) + (P_max − P_r)/(P_max − P_min)] c_b and c_min = −½[r + (P_r − P_min)/(P_max −
+    P_min)] c_b: the busier the operator and the better the robot, the less willing the operator is
+    to raise the thresholds. The two are always c_b apart.
 
     Parameters
     ----------
@@ -51,8 +55,8 @@ def incentive_bounds(
     c_b : float
         Largest correction per step; positive.
     model : TscModel or RobotModel, optional
-        The model that gives the range of robot performance. Without one the printed range of the pilot operator of
-        Section 2.5 is used, P_r from 0.24 to 0.39 m/s, and a warning says so.
+        The model that gives the range of robot performance. Without one the printed range of the
+        pilot operator of Section 2.5 is used, P_r from 0.24 to 0.39 m/s, and a warning says so.
 
     Returns
     -------
@@ -62,7 +66,8 @@ def incentive_bounds(
     Raises
     ------
     ValueError
-        If r lies outside [0, 1], P_r outside its range by more than rounding, or c_b is not positive.
+        If r lies outside [0, 1], P_r outside its range by more than rounding, or c_b is not
+        positive.
 
     Warns
     -----
@@ -79,8 +84,9 @@ def incentive_bounds(
     if model is None:
         model = published_models()["pilot"]
         warn(
-            f"incentive_bounds takes the pilot operator's range of robot performance, {model.robot.p_min} to "
-            f"{model.robot.p_max} m/s, as no model= was given; pass the TscModel of your operator and robot"
+            "incentive_bounds takes the pilot operator's range of robot performance, "
+            f"{model.robot.p_min} to {model.robot.p_max} m/s, as no model= was given; pass the "
+            "TscModel of your operator and robot"
         )
     robot = model.robot if isinstance(model, TscModel) else model
     if not isinstance(robot, RobotModel):
@@ -90,7 +96,9 @@ def incentive_bounds(
         r = between("r", r, 0.0, 1.0)
         p_r = within_range("p_r", finite_number("p_r", p_r), robot.p_min, robot.p_max)
     try:
-        load, performance = np.broadcast_arrays(np.asarray(r, dtype=float), np.asarray(p_r, dtype=float))
+        load, performance = np.broadcast_arrays(
+            np.asarray(r, dtype=float), np.asarray(p_r, dtype=float)
+        )
     except (TypeError, ValueError) as error:
         raise ValueError(f"r and p_r must be numbers of shapes that broadcast: {error}") from None
     if load.size == 0:
@@ -103,7 +111,9 @@ def incentive_bounds(
         inside = (values >= least) & (values <= most)
         if not inside.all():
             where = tuple(map(int, np.unravel_index(int(np.argmin(inside)), inside.shape)))
-            raise ValueError(f"{name} must lie in [{least:g}, {most:g}], but sample {where} is {values[where]}")
+            raise ValueError(
+                f"{name} must lie in [{least:g}, {most:g}], but sample {where} is {values[where]}"
+            )
     performance = np.clip(performance, robot.p_min, robot.p_max)
     low, high = incentive_box(load, performance, c_b, robot.p_min, robot.p_max)
     # Thresholds may always be held; rounding must not exclude that.
@@ -112,14 +122,16 @@ def incentive_bounds(
 
 
 def within_range(name: str, value: float, least: float, most: float) -> float:
-    """Return a value within its range; where it lies outside by rounding only, the end of the range."""
+    """
+    Return a value within its range; where it lies outside by rounding only, the end of the range.
+    """
     number = value if type(value) is float else finite_number(name, value)
     if least <= number <= most:
         return number
     slack = ROUNDING * (most - least)
     if not least - slack <= number <= most + slack:
         raise ValueError(
-            f"{name} = {number} lies outside the model's range [{least:g}, {most:g}]; check its unit, or identify the "
-            "model anew from this operator's sessions"
+            f"{name} = {number} lies outside the model's range [{least:g}, {most:g}]; check its "
+            "unit, or identify the model anew from this operator's sessions"
         )
     return min(max(number, least), most)

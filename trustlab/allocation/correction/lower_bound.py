@@ -1,4 +1,6 @@
-"""Lower bounds of the cost (2.43) from some step on, which no plan can beat: for the exact engine."""
+"""
+Lower bounds of the cost (2.43) from some step on, which no plan can beat: for the exact engine.
+"""
 
 import numpy as np
 
@@ -19,19 +21,25 @@ BOX = np.dtype([("r_low", float), ("r_high", float), ("p_low", float), ("p_high"
 @njit
 def future_cost(first, n, r, p, low, high, mode, at, goal, sign, c, c_b, standard, enough):
     """
-    Bound the cost from step `first` to n from below, the thresholds being at most `at` at step `first` (seen as rising).
+    Bound the cost from step `first` to n from below, the thresholds being at most `at` at step
+    `first` (seen as rising).
 
-    r, P_r and the box [low, high] are those of step `first`, where the mode is `mode`. Stops as soon as the bound reaches
-    `enough`.
+    r, P_r and the box [low, high] are those of step `first`, where the mode is `mode`. Stops as
+    soon as the bound reaches `enough`.
     """
-    # A threshold can rise by ½ c_b (2 − r − share) and fall by ½ c_b (r + share), share being that of P_r in its range. So it
-    # rises fastest where r and P_r are least, as in the autonomous mode for ever, and falls fastest where they are greatest, as
-    # in the manual mode with the operator at their best. Other incentives than (2.42) are bounded by c_b alone.
+    # A threshold can rise by ½ c_b (2 − r − share) and fall by ½ c_b (r + share), share being that
+    # of P_r in its range. So it rises fastest where r and P_r are least, as in the autonomous mode
+    # for ever, and falls fastest where they are greatest, as in the manual mode with the operator
+    # at their best. Other incentives than (2.42) are bounded by c_b alone.
     span = c.p_r_max - c.p_r_min
     cost = (goal[LOWER] - at[LOWER]) ** 2 + (goal[UPPER] - at[UPPER]) ** 2
     r, p = advance(r, p, human_at(r, c), mode, c)
-    r_least, r_most, p_least, p_most = r, r, p, p
-    # The P_h that adds least and most to P_r. It adds nothing in the autonomous mode, so that 0 bounds both unless P_h changes sign.
+    r_least = r
+    r_most = r
+    p_least = p
+    p_most = p
+    # The P_h that adds least and most to P_r. It adds nothing in the autonomous mode, so that 0
+    # bounds both unless P_h changes sign.
     worst, finest = min(c.p_h_min, 0.0), max(c.p_h_max, 0.0)
     z_lower, z_upper = at[LOWER], at[UPPER]
     up, down = high, -low
@@ -44,7 +52,10 @@ def future_cost(first, n, r, p, low, high, mode, at, goal, sign, c, c_b, standar
         if standard:
             up = max(0.5 * c_b * (2.0 - r_least - (p_least - c.p_r_min) / span), 0.0)
             down = max(0.5 * c_b * (r_most + (p_most - c.p_r_min) / span), 0.0)
-            r_least, r_most = next_utilization(r_least, 0.0, c.a_r), next_utilization(r_most, 1.0, c.a_r)
+            r_least, r_most = (
+                next_utilization(r_least, 0.0, c.a_r),
+                next_utilization(r_most, 1.0, c.a_r),
+            )
             p_least = next_performance(p_least, worst, 1.0, c.a_pr, c.b_pr, c.p_r_min)
             p_most = next_performance(p_most, finest, 1.0, c.a_pr, c.b_pr, c.p_r_min)
         else:
@@ -55,11 +66,12 @@ def future_cost(first, n, r, p, low, high, mode, at, goal, sign, c, c_b, standar
 @njit
 def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, path):
     """
-    Fill `path` with how far thresholds can have moved from step `first` to n, whatever the modes, from boxes that enclose r and P_r.
+    Fill `path` with how far thresholds can have moved from step `first` to n, whatever the modes,
+    from boxes that enclose r and P_r.
 
-    There is one box for each mode of the step before. At each step (2.8) splits a box into the part that stays in its mode and the
-    part that switches, for thresholds anywhere between their start and the farthest they can have moved; parts with the same
-    mode are enclosed in one box.
+    There is one box for each mode of the step before. At each step (2.8) splits a box into the part
+    that stays in its mode and the part that switches, for thresholds anywhere between their start
+    and the farthest they can have moved; parts with the same mode are enclosed in one box.
     """
     span = c.p_r_max - c.p_r_min
     near = np.empty(2)
@@ -90,35 +102,47 @@ def reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, 
                 down = max(down, 0.5 * c_b * (b.r_high + (b.p_high - c.p_r_min) / span))
             else:
                 up, down = c_b, c_b
-            # The threshold that decides, TSC_l in the autonomous mode and TSC_u in the manual one, lies between these.
+            # The threshold that decides, TSC_l in the autonomous mode and TSC_u in the manual one,
+            # lies between these.
             x_low, x_high = sign[m] * start[m], sign[m] * near[m]
             if x_low > x_high:
                 x_low, x_high = x_high, x_low
             for to in range(2):
                 p_low, p_high = b.p_low, b.p_high
-                # The autonomous mode requires TSC above TSC_l, or at least TSC_u; the manual mode the converse.
+                # The autonomous mode requires TSC above TSC_l, or at least TSC_u; the manual mode
+                # the converse.
                 if to == 0:
                     p_low = max(p_low, (x_low + c.b_T * h_low) / c.a_T)
                 else:
                     p_high = min(p_high, (x_high + c.b_T * h_high) / c.a_T)
                 if p_low > p_high + 1e-12:
                     continue
-                r_low, r_high = next_utilization(b.r_low, to, c.a_r), next_utilization(b.r_high, to, c.a_r)
+                r_low, r_high = (
+                    next_utilization(b.r_low, to, c.a_r),
+                    next_utilization(b.r_high, to, c.a_r),
+                )
                 p_low = next_performance(p_low, h_low, to, c.a_pr, c.b_pr, c.p_r_min)
                 p_high = next_performance(p_high, h_high, to, c.a_pr, c.b_pr, c.p_r_min)
                 own = nexts[to]
                 if lives[to]:
                     r_low, r_high = min(own.r_low, r_low), max(own.r_high, r_high)
                     p_low, p_high = min(own.p_low, p_low), max(own.p_high, p_high)
-                own.r_low, own.r_high, own.p_low, own.p_high = r_low, r_high, p_low, p_high
+                own.r_low = r_low
+                own.r_high = r_high
+                own.p_low = p_low
+                own.p_high = p_high
                 lives[to] = True
         boxes, nexts, alive, lives = nexts, boxes, lives, alive
 
 
-# Inlined, like `remaining_cost`: each has one caller, and compiling it by itself would take half a second more.
+# Inlined, like `remaining_cost`: each has one caller, and compiling it by itself would take half a
+# second more.
 @njit(inline="always")
 def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
-    """Lower `path` to what whole phases allow while thresholds stay within `ends`; return whether they do stay within them."""
+    """
+    Lower `path` to what whole phases allow while thresholds stay within `ends`; return whether they
+    do stay within them.
+    """
     before, limits = first - 1, np.empty((2, 2))
     slopes, offsets = np.zeros(2), np.zeros(2)
     for j in (LOWER, UPPER):
@@ -129,7 +153,9 @@ def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
     for way in (1.0, -1.0):
         if sign[LOWER] != way and sign[UPPER] != way:
             continue
-        mean, extra = least_effort(r[before], p[before], mode[before], n - before, limits, way, way * weight, c)
+        mean, extra = least_effort(
+            r[before], p[before], mode[before], n - before, limits, way, way * weight, c
+        )
         if extra == -np.inf:
             return False
         for j in (LOWER, UPPER):
@@ -148,12 +174,16 @@ def by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b):
 
 
 @njit(inline="always")
-def remaining_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, long, guess):
+def remaining_cost(
+    first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, long, guess
+):
     """
-    Bound the cost from step `first` to n from below, by boxes and, over many steps, by whole phases.
+    Bound the cost from step `first` to n from below, by boxes and, over many steps, by whole
+    phases.
 
-    The bound by phases needs limits of the thresholds. `guess`, taken from a plan, is how far both move at most: if the bound that
-    follows from it stays within it, it is valid, by induction over the steps. If not, the limits are those of the boxes.
+    The bound by phases needs limits of the thresholds. `guess`, taken from a plan, is how far both
+    move at most: if the bound that follows from it stays within it, it is valid, by induction over
+    the steps. If not, the limits are those of the boxes.
     """
     path = np.empty((2, n + 1))
     reachable(first, n, r, p, mode, most, start, low, high, goal, sign, c, c_b, standard, path)
@@ -162,7 +192,9 @@ def remaining_cost(first, n, r, p, mode, most, start, low, high, goal, sign, c, 
         for attempt in range(2):
             for j in (LOWER, UPPER):
                 ends[j] = path[j, n] if attempt == 1 else min(guess[j], path[j, n])
-            proved = proved or by_phases(ends, path, first, n, r, p, mode, most, start, sign, c, c_b)
+            proved = proved or by_phases(
+                ends, path, first, n, r, p, mode, most, start, sign, c, c_b
+            )
     cost = 0.0
     for k in range(first, n + 1):
         cost += (goal[LOWER] - path[LOWER, k]) ** 2 + (goal[UPPER] - path[UPPER, k]) ** 2

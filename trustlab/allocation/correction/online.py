@@ -60,7 +60,8 @@ class OnlineStep:
 
 class OnlineCorrection:
     """
-    Algorithm 3, sample by sample: suggestions from measured performance, while the thresholds are being corrected.
+    Algorithm 3, sample by sample: suggestions from measured performance, while the thresholds are
+    being corrected.
 
     Parameters
     ----------
@@ -73,8 +74,9 @@ class OnlineCorrection:
     r : float
         Initial utilization, in [0, 1]; 0 is a rested operator.
     outside : {"hold", "nearest"}
-        What to do when measured robot performance lies outside the model's range: hold the thresholds, or plan with the
-        nearest value in the range. The status says which. TSC and the suggestion use the measured value.
+        What to do when measured robot performance lies outside the model's range: hold the
+        thresholds, or plan with the nearest value in the range. The status says which. TSC and the
+        suggestion use the measured value.
 
     Raises
     ------
@@ -112,8 +114,8 @@ class OnlineCorrection:
         Parameters
         ----------
         p_r, p_h : float
-            Measured robot and human performance; NaN or None where missing: the thresholds are then held and nothing is
-            suggested.
+            Measured robot and human performance; NaN or None where missing: the thresholds are then
+            held and nothing is suggested.
         mode : int, optional
             Current mode: 1 manual, 0 autonomous; unchanged when not given or NaN.
 
@@ -124,14 +126,24 @@ class OnlineCorrection:
         Raises
         ------
         ValueError
-            If an argument is not a number, or the mode is neither 0 nor 1; the state is left as it was.
+            If an argument is not a number, or the mode is neither 0 nor 1; the state is left as it
+            was.
         """
         began = perf_counter()
         p_r, p_h = measured("p_r", p_r), measured("p_h", p_h)
-        now = self.mode if mode is None or (isinstance(mode, float) and mode != mode) else check_mode(mode)
-        c, lower, upper = self._c, self.lower, self.upper
+        now = (
+            self.mode
+            if mode is None or (isinstance(mode, float) and mode != mode)
+            else check_mode(mode)
+        )
+        c = self._c
+        lower = self.lower
+        upper = self.upper
         suggestion, status = -1, CorrectionStatus.MISSING
-        c_l, c_u, cost, bound = 0.0, 0.0, math.nan, math.nan
+        c_l = 0.0
+        c_u = 0.0
+        cost = math.nan
+        bound = math.nan
         tsc = tsc_at.py_func(p_r, p_h, c)
         if math.isinf(tsc) or (tsc != tsc and p_r == p_r and p_h == p_h):
             raise ValueError(f"TSC overflows for p_r = {p_r} and p_h = {p_h}; check their unit")
@@ -141,16 +153,21 @@ class OnlineCorrection:
             inside = c.p_r_min - slack <= p_r <= c.p_r_max + slack
             status = CorrectionStatus.OUTSIDE
             if inside or self._nearest:
-                # The engine itself, as the state has been checked: a whole plan and its checks take half as long again.
+                # The engine itself, as the state has been checked: a whole plan and its checks take
+                # half as long again.
                 state = self.r, min(max(p_r, c.p_r_min), c.p_r_max), lower, upper, now
                 c_l, c_u, cost, bound, status = self.corrector.engine.decide(*state)
                 if not inside and not status.held:
                     status = CorrectionStatus.NEAREST
         r = self.r
-        self.lower, self.upper, self.mode = lower + c_l, upper + c_u, now
+        self.lower = lower + c_l
+        self.upper = upper + c_u
+        self.mode = now
         self.r = min(max(next_utilization.py_func(r, now, c.a_r), 0.0), 1.0)
         sample, latency = len(self._steps), perf_counter() - began
-        step = OnlineStep(sample, suggestion, tsc, lower, upper, c_l, c_u, r, cost, bound, status, latency)
+        step = OnlineStep(
+            sample, suggestion, tsc, lower, upper, c_l, c_u, r, cost, bound, status, latency
+        )
         self._steps.append(step)
         return step
 
@@ -163,7 +180,9 @@ class OnlineCorrection:
         pandas.DataFrame
             One row per sample; the fields of `OnlineStep`, status by name.
         """
-        columns = {name: [getattr(step, name) for step in self._steps] for name in OnlineStep.__slots__}
+        columns = {
+            name: [getattr(step, name) for step in self._steps] for name in OnlineStep.__slots__
+        }
         return pd.DataFrame(columns | {"status": [step.status.name for step in self._steps]})
 
     def plot(self, axes=None):
@@ -191,7 +210,9 @@ def plot_latency(latency, axes=None):
     """Plot a histogram of latencies [s], with median and 99th percentile, and return its axes."""
     micro = 1e6 * np.asarray(latency, dtype=float)
     if micro.size == 0:
-        raise ValueError("there is no latency to plot yet; feed samples with update(p_r, p_h, mode) first")
+        raise ValueError(
+            "there is no latency to plot yet; feed samples with update(p_r, p_h, mode) first"
+        )
     axes = axes_or_new(axes, figsize=(7, 3))
     axes.hist(micro, bins=np.geomspace(micro.min(), micro.max() * 1.0001, 80))
     for share, style in ((50, "-"), (99, "--")):

@@ -1,4 +1,7 @@
-"""The result of a correction: the actions, their predicted effect, and a bound on how far from optimal they are."""
+"""
+The result of a correction: the actions, their predicted effect, and a bound on how far from optimal
+they are.
+"""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -16,33 +19,40 @@ class CorrectionStatus(Enum):
     """How a plan was obtained, and what to do where it is not optimal."""
 
     OPTIMAL = (
-        "Optimal among plans that keep each threshold between its value now and its target: every mode sequence that they can "
-        "produce was searched or ruled out."
+        "Optimal among plans that keep each threshold between its value now and its target: "
+        "every mode sequence that they can produce was searched or ruled out."
     )
     BOUNDED = (
-        "The search exhausted its budget before it had ruled out all mode sequences; the gap bounds how much cheaper another "
-        "plan can be. Raise budget=, or shorten the horizon, to close it."
+        "The search exhausted its budget before it had ruled out all mode sequences; the gap "
+        "bounds how much cheaper another plan can be. Raise budget=, or shorten the horizon, to "
+        "close it."
     )
     CONVERGED = (
-        "The solver converged, and rule (2.8) produces the mode sequence that it assumed. The plan is a local optimum for "
-        "that sequence and not proved optimal among all: compare with engine='exact' where the cost is (2.43)."
+        "The solver converged, and rule (2.8) produces the mode sequence that it assumed. The "
+        "plan is a local optimum for that sequence and not proved optimal among all: compare "
+        "with engine='exact' where the cost is (2.43)."
     )
     FAILED = (
-        "The solver failed, so the thresholds are held: the actions are 0. See the plan's message, rescale or soften the "
-        "costs and constraints that were added, or use engine='exact'."
+        "The solver failed, so the thresholds are held: the actions are 0. See the plan's "
+        "message, rescale or soften the costs and constraints that were added, or use "
+        "engine='exact'."
     )
     MISSING = (
-        "A measurement is missing (NaN), so the thresholds are held and nothing is suggested. Check the sensor; the "
-        "correction resumes when data return."
+        "A measurement is missing (NaN), so the thresholds are held and nothing is suggested. "
+        "Check the sensor; the correction resumes when data return."
     )
     OUTSIDE = (
-        "A measurement lies outside the model's range by more than rounding, so the thresholds are held. Identify the "
-        "model anew from this operator's sessions, or pass outside='nearest'."
+        "A measurement lies outside the model's range by more than rounding, so the thresholds "
+        "are held. Identify the model anew from this operator's sessions, or pass "
+        "outside='nearest'."
     )
-    SETTLING = "The window of measured performance is not full yet, so the thresholds are held until it is."
+    SETTLING = (
+        "The window of measured performance is not full yet, so the thresholds are held "
+        "until it is."
+    )
     NEAREST = (
-        "A measurement lies outside the model's range; the plan uses the nearest value in the range, as requested. "
-        "Identify the model anew if this happens often."
+        "A measurement lies outside the model's range; the plan uses the nearest value in the "
+        "range, as requested. Identify the model anew if this happens often."
     )
 
     @property
@@ -75,9 +85,9 @@ class CorrectionPlan:
     cost : float
         The cost (2.43) of these actions under the hard switch (2.8).
     cost_lower_bound : float
-        No admissible actions that keep each threshold between its value now and its target cost less than this; NaN where
-        the engine proves nothing. (2.42)-(2.44) do not ask for that, and without it a plan can cost less: see
-        `ThresholdCorrector`.
+        No admissible actions that keep each threshold between its value now and its target cost
+        less than this; NaN where the engine proves nothing. (2.42)-(2.44) do not ask for that, and
+        without it a plan can cost less: see `ThresholdCorrector`.
     status : CorrectionStatus
         How the plan was obtained.
     engine : str
@@ -116,7 +126,10 @@ class CorrectionPlan:
 
     @property
     def gap(self) -> float:
-        """Cost − cost_lower_bound: by how much another plan that keeps to the same intervals can be cheaper, at most."""
+        """
+        Cost − cost_lower_bound: by how much another plan that keeps to the same intervals can be
+        cheaper, at most.
+        """
         return self.cost - self.cost_lower_bound
 
     @property
@@ -131,12 +144,16 @@ class CorrectionPlan:
         Returns
         -------
         pandas.DataFrame
-            Index `step` (0..N); columns r, p_r, lower, upper, mode, c_l, c_u, the last three NaN at step N.
+            Index `step` (0..N); columns r, p_r, lower, upper, mode, c_l, c_u, the last three NaN at
+            step N.
         """
         columns = {"r": self.r, "p_r": self.p_r, "lower": self.lower, "upper": self.upper}
         columns |= {"mode": self.mode, "c_l": self.actions_l, "c_u": self.actions_u}
-        # As series, so that pandas fills step N of the last three, which have one value less, with NaN.
-        return pd.DataFrame({name: pd.Series(values) for name, values in columns.items()}).rename_axis("step")
+        # As series, so that pandas fills step N of the last three, which have one value less, with
+        # NaN.
+        return pd.DataFrame(
+            {name: pd.Series(values) for name, values in columns.items()}
+        ).rename_axis("step")
 
     def plot(self, sample_time: float = 0.1):
         """
@@ -166,5 +183,6 @@ class CorrectionPlan:
     def __repr__(self) -> str:
         return (
             f"CorrectionPlan(c_l={self.c_l:.6g}, c_u={self.c_u:.6g}, cost={self.cost:.9g}, "
-            f"cost_lower_bound={self.cost_lower_bound:.9g}, {self.status.name}, engine={self.engine!r})"
+            f"cost_lower_bound={self.cost_lower_bound:.9g}, {self.status.name}, "
+            f"engine={self.engine!r})"
         )

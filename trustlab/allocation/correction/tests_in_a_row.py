@@ -12,7 +12,14 @@ from trustlab.allocation.correction.corrector import ThresholdCorrector, thresho
 from trustlab.allocation.correction.incentive import within_range
 from trustlab.allocation.correction.online import OnlineCorrection
 from trustlab.models.axes import axes_or_new
-from trustlab.models.checks import between, not_negative, one_of, positive, warn_renamed, whole_number
+from trustlab.models.checks import (
+    between,
+    not_negative,
+    one_of,
+    positive,
+    warn_renamed,
+    whole_number,
+)
 from trustlab.models.html import as_html
 from trustlab.models.human import next_utilization, performance_at
 from trustlab.models.robot import next_performance
@@ -33,8 +40,8 @@ class CorrectionRun:
     Parameters
     ----------
     data : pandas.DataFrame
-        One row per sample: test, t [s] from the start of its test, then r, p_r, p_h, tsc, mode, suggestion, lower,
-        upper, c_l, c_u, cost, cost_lower_bound, status, latency [s].
+        One row per sample: test, t [s] from the start of its test, then r, p_r, p_h, tsc, mode,
+        suggestion, lower, upper, c_l, c_u, cost, cost_lower_bound, status, latency [s].
     start, target : (float, float)
         TSC_l and TSC_u at the beginning, and their targets.
     operator : str
@@ -59,21 +66,29 @@ class CorrectionRun:
         Returns
         -------
         pandas.DataFrame
-            Columns test, lower, upper (thresholds at its end), remaining (share of the distance to the target that is left,
-            summed over both thresholds; NaN where they began there), p_r, r, manual_share (means), switches, held (samples without
-            a plan), largest_gap (of all plans, relative), latency_median, latency_p99 [s].
+            Columns test, lower, upper (thresholds at its end), remaining (share of the distance to
+            the target that is left, summed over both thresholds; NaN where they began there), p_r,
+            r, manual_share (means), switches, held (samples without a plan), largest_gap (of all
+            plans, relative), latency_median, latency_p99 [s].
         """
         data, tests = self.data, self.data.groupby("test", sort=True)
-        table = pd.DataFrame({side: (data[side] + data[c]).groupby(data["test"]).last() for side, c in SIDES})
+        table = pd.DataFrame(
+            {side: (data[side] + data[c]).groupby(data["test"]).last() for side, c in SIDES}
+        )
         way = abs(self.target[0] - self.start[0]) + abs(self.target[1] - self.start[1])
         left = abs(self.target[0] - table["lower"]) + abs(self.target[1] - table["upper"])
         table["remaining"] = left / way if way > 0.0 else np.nan
         table[["p_r", "r", "manual_share"]] = tests[["p_r", "r", "mode"]].mean()
         table["switches"] = tests["mode"].agg(lambda mode: np.count_nonzero(np.diff(mode)))
         table["held"] = tests["cost"].agg(lambda cost: cost.isna().sum())
-        gap = (data["cost"] - data["cost_lower_bound"]) / data["cost"].where(data["cost"] > 0.0, 1.0)
+        gap = (data["cost"] - data["cost_lower_bound"]) / data["cost"].where(
+            data["cost"] > 0.0, 1.0
+        )
         table["largest_gap"] = gap.groupby(data["test"]).max()
-        table["latency_median"], table["latency_p99"] = tests["latency"].median(), tests["latency"].quantile(0.99)
+        table["latency_median"], table["latency_p99"] = (
+            tests["latency"].median(),
+            tests["latency"].quantile(0.99),
+        )
         return table.reset_index()
 
     def plot(self, target: tuple[float, float] | None = None):
@@ -114,11 +129,16 @@ class CorrectionRun:
         return axes[0]
 
     def _repr_html_(self) -> str:
-        return as_html(f"operator {self.operator}; {self.source}", self.table(), title="Correction run")
+        return as_html(
+            f"operator {self.operator}; {self.source}", self.table(), title="Correction run"
+        )
 
     def __repr__(self) -> str:
         tests = self.data["test"].nunique()
-        return f"CorrectionRun({tests} tests, {len(self.data)} samples, operator {self.operator}; {self.source})"
+        return (
+            f"CorrectionRun({tests} tests, {len(self.data)} samples, operator {self.operator}; "
+            f"{self.source})"
+        )
 
 
 def correct_pattern(
@@ -141,10 +161,12 @@ def correct_pattern(
     **options: Any,
 ) -> CorrectionRun:
     """
-    Correct thresholds with a receding horizon over several consecutive tests, on the model, Section 2.5 and Fig. 2.18.
+    Correct thresholds with a receding horizon over several consecutive tests, on the model, Section
+    2.5 and Fig. 2.18.
 
-    Every test begins in the manual mode with a rested operator; thresholds carry over from test to test. Each plan starts from
-    the true utilization and performance, but does not anticipate how the operator will respond to suggestions.
+    Every test begins in the manual mode with a rested operator; thresholds carry over from test to
+    test. Each plan starts from the true utilization and performance, but does not anticipate how
+    the operator will respond to suggestions.
 
     Parameters
     ----------
@@ -165,11 +187,13 @@ def correct_pattern(
     engine : str
         As for `ThresholdCorrector`.
     habit : {"following", "lagging", "ignoring"}
-        Follows suggestions at once; follows those that still stand after a lag; or switches by the thresholds of `start`.
+        Follows suggestions at once; follows those that still stand after a lag; or switches by the
+        thresholds of `start`.
     lag : float
         That lag [s].
     noise : float
-        Standard deviation of a disturbance of robot performance at each step; performance stays within the model's range.
+        Standard deviation of a disturbance of robot performance at each step; performance stays
+        within the model's range.
     seed : int or numpy.random.SeedSequence
         Of the disturbance.
     r0 : float
@@ -213,7 +237,9 @@ def correct_pattern(
         round(min(positive("duration", duration) / step, 1e15)),
         most=10_000_000,
     )
-    lag, noise, r0 = not_negative("lag", lag), not_negative("noise", noise), between("r0", r0, 0.0, 1.0)
+    lag = not_negative("lag", lag)
+    noise = not_negative("noise", noise)
+    r0 = between("r0", r0, 0.0, 1.0)
     robot = tsc.robot
     p_r0 = robot.p_min if p_r0 is None else within_range("p_r0", p_r0, robot.p_min, robot.p_max)
     if not isinstance(seed, np.random.SeedSequence):
@@ -227,17 +253,39 @@ def correct_pattern(
         truth = _one_test(online, person, tsc.constants(), r0, p_r0, disturbance[test])
         thresholds = (online.lower, online.upper)
         parts.append(online.table().assign(test=test + 1, t=np.arange(samples) * step, **truth))
-    columns = ["test", "t", "r", "p_r", "p_h", "tsc", "mode", "suggestion", "lower", "upper", "c_l", "c_u"]
-    data = pd.concat(parts, ignore_index=True)[[*columns, "cost", "cost_lower_bound", "status", "latency"]]
+    columns = [
+        "test",
+        "t",
+        "r",
+        "p_r",
+        "p_h",
+        "tsc",
+        "mode",
+        "suggestion",
+        "lower",
+        "upper",
+        "c_l",
+        "c_u",
+    ]
+    data = pd.concat(parts, ignore_index=True)[
+        [*columns, "cost", "cost_lower_bound", "status", "latency"]
+    ]
     return CorrectionRun(data, start, corrector.target, habit, "simulated, model of (2.1)-(2.6)")
 
 
 class Habit:
-    """An operator's response to suggestions: follow them at once, after a lag of `wait` samples, or not at all."""
+    """
+    An operator's response to suggestions: follow them at once, after a lag of `wait` samples, or
+    not at all.
+    """
 
     def __init__(self, kind: str, own: tuple[float, float], wait: int):
-        self.kind, self.own, self.wait = kind, own, wait
-        self.mode, self._wanted, self._stood = 1, -1, 0
+        self.kind = kind
+        self.own = own
+        self.wait = wait
+        self.mode = 1
+        self._wanted = -1
+        self._stood = 0
 
     def decide(self, tsc: float, online: OnlineCorrection) -> int:
         """Return the operator's mode at this sample."""
@@ -249,7 +297,10 @@ class Habit:
         return self.mode
 
     def hear(self, suggestion: int) -> None:
-        """Count for how long a suggestion has stood; the count restarts when it changes or agrees with the mode."""
+        """
+        Count for how long a suggestion has stood; the count restarts when it changes or agrees with
+        the mode.
+        """
         if suggestion == self.mode:
             self._wanted, self._stood = -1, 0
         elif suggestion < 0 or suggestion == self._wanted:
@@ -259,16 +310,24 @@ class Habit:
 
 
 def _one_test(
-    online: OnlineCorrection, habit: Habit, c: TscConstants, r: float, p_r: float, disturbance: np.ndarray
+    online: OnlineCorrection,
+    habit: Habit,
+    c: TscConstants,
+    r: float,
+    p_r: float,
+    disturbance: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """Simulate one test in closed loop and return p_r, p_h and mode, sample by sample."""
     truth = {name: np.empty(disturbance.size) for name in ("p_r", "p_h", "mode")}
     for k, push in enumerate(disturbance):
-        # Numbers one by one: a NamedTuple takes longer to hand over to compiled code than the equation takes.
+        # Numbers one by one: a NamedTuple takes longer to hand over to compiled code than the
+        # equation takes.
         p_h = performance_at(r, c.beta, c.p_h_min, c.p_h_max)
         mode = habit.decide(tsc_at.py_func(p_r, p_h, c), online)
         habit.hear(online.update(p_r, p_h, mode).suggestion)
-        truth["p_r"][k], truth["p_h"][k], truth["mode"][k] = p_r, p_h, mode
+        truth["p_r"][k] = p_r
+        truth["p_h"][k] = p_h
+        truth["mode"][k] = mode
         r = min(max(next_utilization(r, mode, c.a_r), 0.0), 1.0)
         p_r = next_performance(p_r, p_h, mode, c.a_pr, c.b_pr, c.p_r_min)
         if push:

@@ -1,1 +1,3 @@
-"""The model under rule (2.8) in steady state: its cycle, and bounds that hold for every trajectory."""
+"""
+The model under rule (2.8) in steady state: its cycle, and bounds that hold for every trajectory.
+"""

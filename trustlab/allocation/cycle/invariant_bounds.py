@@ -1,4 +1,7 @@
-"""Bounds on the switched system that hold for every trajectory: sets of states propagated round the cycle."""
+"""
+Bounds on the switched system that hold for every trajectory: sets of states propagated round the
+cycle.
+"""
 
 import math
 from dataclasses import dataclass
@@ -20,12 +23,14 @@ class InvariantBounds:
     """
     Bounds for every trajectory under rule (2.8), whatever its initial state.
 
-    They hold from the `cycles`-th return to manual control on, overshoot of the thresholds included.
+    They hold from the `cycles`-th return to manual control on, overshoot of the thresholds
+    included.
 
     Parameters
     ----------
     guaranteed : bool
-        Whether every trajectory is shown to keep switching within these bounds; where not, they are the trivial ones.
+        Whether every trajectory is shown to keep switching within these bounds; where not, they are
+        the trivial ones.
     reason : str
         What was shown; where the rule stops switching, from which state.
     cycles : int
@@ -60,7 +65,10 @@ class InvariantBounds:
         return as_html(self.reason, self.table())
 
     def __repr__(self) -> str:
-        return f"InvariantBounds(guaranteed={self.guaranteed}, {ranges_text(self)}, cycles={self.cycles})"
+        return (
+            f"InvariantBounds(guaranteed={self.guaranteed}, {ranges_text(self)}, "
+            f"cycles={self.cycles})"
+        )
 
     def table(self):
         """
@@ -75,15 +83,19 @@ class InvariantBounds:
         return ranges_table(self, manual, (self.dwell_autonomous_low, self.dwell_autonomous_high))
 
 
-def invariant_bounds(tsc: TscModel, lower: float, upper: float, cells: int = 32, cycles: int = 200) -> InvariantBounds:
+def invariant_bounds(
+    tsc: TscModel, lower: float, upper: float, cells: int = 32, cycles: int = 200
+) -> InvariantBounds:
     """
     Bound utilization, robot performance and dwell times for every trajectory under rule (2.8).
 
-    At a switch TSC equals its threshold up to the overshoot of one step, so that the state lies in an interval of r with an
-    interval of TSC. Both are propagated through a manual and an autonomous phase in interval arithmetic; starting from
-    r in [0, 1] the intervals nest, and their limit encloses every trajectory after as many cycles. Once they
-    stop shrinking they are cut into polygons of r and P_r, which keep track of how the two move together. Where TSC tends to
-    a limit between the thresholds in one of the modes, trajectories that begin there never switch, and nothing is guaranteed.
+    At a switch TSC equals its threshold up to the overshoot of one step, so that the state lies in
+    an interval of r with an interval of TSC. Both are propagated through a manual and an autonomous
+    phase in interval arithmetic; starting from r in [0, 1] the intervals nest, and their limit
+    encloses every trajectory after as many cycles. Once they stop shrinking they are cut into
+    polygons of r and P_r, which keep track of how the two move together. Where TSC tends to a limit
+    between the thresholds in one of the modes, trajectories that begin there never switch, and
+    nothing is guaranteed.
 
     Parameters
     ----------
@@ -103,8 +115,8 @@ def invariant_bounds(tsc: TscModel, lower: float, upper: float, cells: int = 32,
     Raises
     ------
     ValueError
-        If the thresholds are not finite or in the wrong order, or `cells` or `cycles` is not a whole
-        number ≥ 1, or `tsc` is not a `TscModel`.
+        If the thresholds are not finite or in the wrong order, or `cells` or `cycles` is not a
+        whole number ≥ 1, or `tsc` is not a `TscModel`.
 
     Examples
     --------
@@ -126,9 +138,12 @@ def invariant_bounds(tsc: TscModel, lower: float, upper: float, cells: int = 32,
         return _trivial(tsc, endless)
     c = tsc.constants()
     most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * cells))) + 100
-    # Coarse intervals first: polygons narrow them much faster than further cycles of intervals would.
+    # Coarse intervals first: polygons narrow them much faster than further cycles of intervals
+    # would.
     found, _ = nest(lower, upper, c, cells, (cycles + 1) // 2, most, 0.05)
-    done, more, settled = found.code, 0, True
+    done = found.code
+    more = 0
+    settled = True
     if 0 < done < cycles - 1:
         tighter, more = _narrowed(found, lower, upper, c, cells, cycles - done - 1, most)
         settled = more < cycles - done - 1
@@ -141,18 +156,24 @@ def invariant_bounds(tsc: TscModel, lower: float, upper: float, cells: int = 32,
         phase = "a manual" if done == -1 else "an autonomous"
         return _trivial(
             tsc,
-            f"every phase ends, but {phase} phase from some utilization was not shown to do so within {most} samples; fewer "
-            "cells= allow longer phases",
+            f"every phase ends, but {phase} phase from some utilization was not shown to do so "
+            f"within {most} samples; fewer cells= allow longer phases",
         )
     manual, autonomous = found.manual, found.autonomous
-    # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per sample is far more than that.
+    # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per
+    # sample is far more than that.
     slack = max(manual.dwell_high, autonomous.dwell_high) * ROUNDING
     return InvariantBounds(
         guaranteed=True,
         reason=f"every trajectory keeps switching; sets of states nested over {done} cycles"
-        + ("" if settled else ", the limit, and were still shrinking: more cycles give tighter bounds"),
+        + (
+            ""
+            if settled
+            else ", the limit, and were still shrinking: more cycles give tighter bounds"
+        ),
         cycles=done + 1,
-        # r falls in autonomous phases and rises in manual ones, so that its extremes are where these begin.
+        # r falls in autonomous phases and rises in manual ones, so that its extremes are where
+        # these begin.
         r_low=max(found.low - slack, 0.0),
         r_high=min(found.autonomous_high + slack, 1.0),
         p_r_low=min(manual.p_r_low, autonomous.p_r_low) - slack,
@@ -170,17 +191,25 @@ def _trivial(tsc: TscModel, reason: str) -> InvariantBounds:
     """Return the bounds that hold where phases are not known to end."""
     ceiling = float(tsc.robot.steady_state(1.0, tsc.human.p_max))
     anything, dwell = (-math.inf, math.inf), (1.0, math.inf)
-    return InvariantBounds(False, reason, 0, 0.0, 1.0, tsc.robot.p_min, ceiling, *anything, *dwell, *dwell)
+    return InvariantBounds(
+        False, reason, 0, 0.0, 1.0, tsc.robot.p_min, ceiling, *anything, *dwell, *dwell
+    )
 
 
 def _narrowed(found, lower, upper, c, cells, cycles, most):
-    """Narrow an enclosure with polygons; return it, and by how many cycles (0 where nothing was gained)."""
-    # An autonomous phase follows a manual one of at least one sample, and has at most as many as the intervals leave room for.
+    """
+    Narrow an enclosure with polygons; return it, and by how many cycles (0 where nothing was
+    gained).
+    """
+    # An autonomous phase follows a manual one of at least one sample, and has at most as many as
+    # the intervals leave room for.
     low = max(found.low, (1.0 - c.a_r) * c.a_r**found.autonomous.dwell_high * (1.0 - 1e-9))
     high = min(found.high, c.a_r + ROUNDING)
     if low < REST or high >= 1.0 or high <= low:
         return found, 0
     budget = max(POLYGON_EFFORT, 20 * most)
-    low, high, over, more = narrow(low, high, found.autonomous.overshoot, lower, upper, c, cells, cycles, most, budget)
+    low, high, over, more = narrow(
+        low, high, found.autonomous.overshoot, lower, upper, c, cells, cycles, most, budget
+    )
     tighter = enclose(low, high, over, lower, upper, c, cells, most)
     return (tighter, more) if more and tighter.code > 0 else (found, 0)

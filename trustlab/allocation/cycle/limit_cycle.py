@@ -15,7 +15,8 @@ from trustlab.models.checks import warn, whole_number
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscConstants, TscModel
 
-# Cycles that are recorded of a motion that does not repeat, if they are no more than EFFORT samples.
+# Cycles that are recorded of a motion that does not repeat, if they are no more than EFFORT
+# samples.
 MOST_CYCLES = 2000
 
 # Cycles that are recorded first.
@@ -24,7 +25,8 @@ FEWEST_CYCLES = 24
 # How near, in r and P_r, a trajectory must come to a motion that repeats to count as drawn to it.
 REPEATED = 1e-9
 
-# Multiples of this point, modulo 1, fill the unit square evenly, however many there are (the plastic number's sequence).
+# Multiples of this point, modulo 1, fill the unit square evenly, however many there are (the
+# plastic number's sequence).
 EVEN = (0.7548776662466927, 0.5698402909980532)
 
 
@@ -33,16 +35,18 @@ class LimitCycle:
     """
     The steady motion under rule (2.8).
 
-    With switching at whole samples TSC overshoots a threshold by a part of a step, so that the motion may repeat only
-    after several cycles or never exactly; extremes and dwell times are then those of all the cycles recorded.
+    With switching at whole samples TSC overshoots a threshold by a part of a step, so that the
+    motion may repeat only after several cycles or never exactly; extremes and dwell times are then
+    those of all the cycles recorded.
 
     Parameters
     ----------
     exists : bool
         Whether the rule keeps switching, from some start at least.
     always : bool
-        Whether it keeps switching from every start: false where there are states from which a mode stays for ever, which
-        the limits of TSC in either mode tell exactly, and where a simulated start stopped.
+        Whether it keeps switching from every start: false where there are states from which a mode
+        stays for ever, which the limits of TSC in either mode tell exactly, and where a simulated
+        start stopped.
     reason : str
         What happens where it does not; else how the cycle was found.
     r_low, r_high : float
@@ -54,10 +58,11 @@ class LimitCycle:
     dwell_manual, dwell_autonomous : tuple of int
         Least and greatest number of consecutive samples in each mode.
     period : int or None
-        After how many cycles the motion repeats; None where it does not within the cycles followed, or where motions
-        of different period coexist.
+        After how many cycles the motion repeats; None where it does not within the cycles followed,
+        or where motions of different period coexist.
     motions : int
-        How many motions were found to coexist, told apart by the overshoot they lock to. There can be more, see `limit_cycle`.
+        How many motions were found to coexist, told apart by the overshoot they lock to. There can
+        be more, see `limit_cycle`.
     r_manual : float
         Mean utilization as manual phases begin.
     mean_r, mean_p_r : float
@@ -90,17 +95,23 @@ class LimitCycle:
 
     @property
     def exhaustive(self) -> bool:
-        """False: all motions are no longer searched for, as that changed next to nothing; an old name."""
+        """
+        False: all motions are no longer searched for, as that changed next to nothing; an old name.
+        """
         warn(
-            "LimitCycle.exhaustive is always False and goes with the next version: limit_cycle reports what the simulated "
-            "starts settle to; for bounds on every trajectory use trustlab.invariant_bounds",
+            "LimitCycle.exhaustive is always False and goes with the next version: limit_cycle "
+            "reports what the simulated starts settle to; for bounds on every trajectory use "
+            "trustlab.invariant_bounds",
             DeprecationWarning,
         )
         return False
 
     @functools.cached_property
     def slope(self) -> float:
-        """Slope of the return map of r without overshoot at `r_manual`; below 1 in size the cycle attracts."""
+        """
+        Slope of the return map of r without overshoot at `r_manual`; below 1 in size the cycle
+        attracts.
+        """
         reach = max(1e-4 * min(self.r_manual, 1.0 - self.r_manual), 1e-12)
         around = np.array([max(self.r_manual - reach, 0.0), min(self.r_manual + reach, 1.0)])
         after = self._returned(around)
@@ -108,7 +119,10 @@ class LimitCycle:
 
     @functools.cached_property
     def unique(self) -> bool:
-        """Whether the return map of r without overshoot has exactly one fixed point on a grid of [0, 1]."""
+        """
+        Whether the return map of r without overshoot has exactly one fixed point on a grid of [0,
+        1].
+        """
         ends = np.geomspace(1e-15, 0.015, 16)
         grid = np.r_[ends, np.linspace(0.0, 1.0, 65)[1:-1], 1.0 - ends[::-1]]
         gap = self._returned(grid) - grid
@@ -121,7 +135,9 @@ class LimitCycle:
         if not self.exists:
             return np.full(grid.size, np.nan)
         c = phases.resampled(self.model).constants()
-        return np.array([phases.return_map(r, self.lower, self.upper, c, phases.longest_phase(c)) for r in grid])
+        return np.array(
+            [phases.return_map(r, self.lower, self.upper, c, phases.longest_phase(c)) for r in grid]
+        )
 
     @property
     def stable(self) -> bool:
@@ -145,13 +161,18 @@ class LimitCycle:
         pandas.DataFrame
             Index `quantity`; columns low, high, mean.
         """
-        manual, autonomous = (pair or (math.nan, math.nan) for pair in (self.dwell_manual, self.dwell_autonomous))
+        manual, autonomous = (
+            pair or (math.nan, math.nan) for pair in (self.dwell_manual, self.dwell_autonomous)
+        )
         means = {"r": self.mean_r, "P_r": self.mean_p_r}
-        return ranges_table(self, manual, autonomous).assign(mean=lambda table: table.index.map(means).astype(float))
+        return ranges_table(self, manual, autonomous).assign(
+            mean=lambda table: table.index.map(means).astype(float)
+        )
 
     def plot(self, axes=None):
         """
-        Plot rule (2.8) on the plane of utilization and robot performance, with a run from near rest, as in Fig. 2.4.
+        Plot rule (2.8) on the plane of utilization and robot performance, with a run from near
+        rest, as in Fig. 2.4.
 
         Parameters
         ----------
@@ -167,9 +188,14 @@ class LimitCycle:
         model, robot = self.model, self.model.robot
         axes = axes_or_new(axes, figsize=(7, 4.2))
         margin = 0.2 * (robot.p_max - robot.p_min)
-        r, p_r = np.linspace(0, 1, 300), np.linspace(robot.p_min - margin, robot.p_max + margin, 200)
+        r, p_r = (
+            np.linspace(0, 1, 300),
+            np.linspace(robot.p_min - margin, robot.p_max + margin, 200),
+        )
         p_h = model.human.performance(r)
-        levels = axes.contourf(r, p_r, model.value(p_r[:, None], p_h[None, :]), 12, cmap="Greys", alpha=0.5)
+        levels = axes.contourf(
+            r, p_r, model.value(p_r[:, None], p_h[None, :]), 12, cmap="Greys", alpha=0.5
+        )
         axes.figure.colorbar(levels, ax=axes, label="TSC")
         for value, label in ((self.lower, "$TSC_l$"), (self.upper, "$TSC_u$")):
             line = (value + model.b_T * p_h) / model.a_T
@@ -189,10 +215,10 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
     """
     Find the steady cycle of rule (2.8).
 
-    At a switch TSC equals its threshold up to one step, which fixes P_r, so that one cycle is a map of r alone. The system
-    is simulated from β, from rest, and from further starts until transients have decayed, then over many cycles; what
-    they settle to is told apart by the overshoot it locks to. The return map without overshoot tells whether there is one
-    cycle and whether it attracts.
+    At a switch TSC equals its threshold up to one step, which fixes P_r, so that one cycle is a map
+    of r alone. The system is simulated from β, from rest, and from further starts until transients
+    have decayed, then over many cycles; what they settle to is told apart by the overshoot it locks
+    to. The return map without overshoot tells whether there is one cycle and whether it attracts.
 
     Parameters
     ----------
@@ -201,24 +227,26 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
     lower, upper : float
         Thresholds TSC_l and TSC_u.
     starts : int
-        How many initial states to simulate from, besides rest. 1 is the quick setting: β and rest only.
+        How many initial states to simulate from, besides rest. 1 is the quick setting: β and rest
+        only.
 
     Returns
     -------
     LimitCycle
-        With `exists` False where the rule stops switching from every start, and why; `always` False where it does from
-        some, and `reason` says from which.
+        With `exists` False where the rule stops switching from every start, and why; `always` False
+        where it does from some, and `reason` says from which.
 
     Raises
     ------
     ValueError
-        If `tsc` is not a TscModel, the thresholds are not finite or in the wrong order, `starts` is not a whole
-        number ≥ 1, or a time constant exceeds two million samples.
+        If `tsc` is not a TscModel, the thresholds are not finite or in the wrong order, `starts` is
+        not a whole number ≥ 1, or a time constant exceeds two million samples.
 
     Notes
     -----
-    But for `always`, the result rests on the starts that were simulated, within EFFORT samples. Which of several coexisting motions a trajectory settles to depends on
-    fractions of a step, so that one with a small basin can be missed. For every trajectory, whatever its start, there is
+    But for `always`, the result rests on the starts that were simulated, within EFFORT samples.
+    Which of several coexisting motions a trajectory settles to depends on fractions of a step, so
+    that one with a small basin can be missed. For every trajectory, whatever its start, there is
     `invariant_bounds`, whose ranges hold for motions that are missed here as well.
 
     Examples
@@ -232,7 +260,9 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
     starts = whole_number("starts", starts)
     c = tsc.constants()
     motions, followed = Motions(c, lower, upper), 0
-    for r, p_r in phases.watched(_initial_states(tsc, lower, starts, motions), "limit cycle", starts + 1):
+    for r, p_r in phases.watched(
+        _initial_states(tsc, lower, starts, motions), "limit cycle", starts + 1
+    ):
         if motions.spent > phases.EFFORT:
             break
         motions.follow(r, p_r)
@@ -243,7 +273,9 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
     if stopped:
         code, r, p_r = stopped[0]
         mode, target, side = (
-            ("manual", upper, "rising to TSC_u") if code == -1 else ("autonomous", lower, "falling to TSC_l")
+            ("manual", upper, "rising to TSC_u")
+            if code == -1
+            else ("autonomous", lower, "falling to TSC_l")
         )
         settled = tsc.value(p_r, tsc.human.performance(min(max(r, 0.0), 1.0)))
         stays = f"stays {mode}: TSC settles at {settled:.4f} without {side} = {target:.4f}"
@@ -259,7 +291,10 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
     elif endless:
         how += f"; but {endless}"
     if followed < starts + 1:
-        how += f"; {followed} of {starts + 1} starts were simulated, in about {phases.EFFORT:.0e} samples"
+        how += (
+            f"; {followed} of {starts + 1} starts were simulated, in about {phases.EFFORT:.0e} "
+            "samples"
+        )
     return LimitCycle(
         exists=True,
         reason=how,
@@ -284,7 +319,10 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float, starts: int = 48) -> 
 
 
 def _initial_states(tsc: TscModel, lower: float, starts: int, motions: Motions):
-    """Yield r and P_r as manual phases begin: at β, at rest, spread over [0, 1], and then near the motions found by then."""
+    """
+    Yield r and P_r as manual phases begin: at β, at rest, spread over [0, 1], and then near the
+    motions found by then.
+    """
     human, spread = tsc.human, starts // 8
     step = tsc.a_T * (1.0 - tsc.robot.a) * (tsc.robot.p_max - tsc.robot.p_min)
 
@@ -298,8 +336,9 @@ def _initial_states(tsc: TscModel, lower: float, starts: int, motions: Motions):
         if j <= spread or not motions.found or motions.stopped:
             yield at(along_r, along_tsc * step)
             continue
-        # Coexisting motions differ by a step or less in r and in overshoot, so that starts from all over [0, 1] hardly ever
-        # tell them apart: after a transient these are all at the same few states.
+        # Coexisting motions differ by a step or less in r and in overshoot, so that starts from all
+        # over [0, 1] hardly ever tell them apart: after a transient these are all at the same few
+        # states.
         r = np.concatenate([motion.rows["r"] for motion in motions.found])
         over = max(lower - min(motion.seen.tsc_low for motion in motions.found), 0.2 * step)
         low, high = max(r.min() - human.b, 0.0), min(r.max() + human.b, 1.0)
@@ -308,7 +347,10 @@ def _initial_states(tsc: TscModel, lower: float, starts: int, motions: Motions):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """One steady motion: rows of `CYCLE`, extremes and sums over its samples, and after how many cycles it repeats, if it does."""
+    """
+    One steady motion: rows of `CYCLE`, extremes and sums over its samples, and after how many
+    cycles it repeats, if it does.
+    """
 
     rows: np.ndarray
     seen: phases.Seen
@@ -321,7 +363,10 @@ class Motion:
         return abs(self.rows["r"].min() - other.rows["r"].min()) < 1e-8
 
     def passes(self, r: float, p_r: float) -> bool:
-        """Return whether a motion that does not repeat comes near a state; in 2,000 cycles it does so near all of its own."""
+        """
+        Return whether a motion that does not repeat comes near a state; in 2,000 cycles it does so
+        near all of its own.
+        """
         return bool((np.maximum(abs(self.rows["r"] - r), abs(self.rows["p_r"] - p_r)) < 2e-5).any())
 
 
@@ -337,17 +382,26 @@ class Motions:
 
     def follow(self, r: float, p_r: float) -> None:
         """Simulate until transients have decayed, and keep the motion if it is new."""
-        known = np.ascontiguousarray(self._repeating["r"]), np.ascontiguousarray(self._repeating["p_r"])
-        code, r, p_r, samples = phases.settle(r, p_r, *self._system, self.most, self.most, *known, REPEATED)
+        known = (
+            np.ascontiguousarray(self._repeating["r"]),
+            np.ascontiguousarray(self._repeating["p_r"]),
+        )
+        code, r, p_r, samples = phases.settle(
+            r, p_r, *self._system, self.most, self.most, *known, REPEATED
+        )
         self.spent += samples
         if code < 0:
             self.stopped.append((code, r, p_r))
-        if code != 0 or any(motion.passes(r, p_r) for motion in self.found if motion.period is None):
+        if code != 0 or any(
+            motion.passes(r, p_r) for motion in self.found if motion.period is None
+        ):
             return
         rows, seen = phases.record(r, p_r, *self._system, FEWEST_CYCLES, self.most)
         period = _period(rows)
         if period is None:
-            cycles = min(MOST_CYCLES, max(FEWEST_CYCLES, int(phases.EFFORT / seen.samples * FEWEST_CYCLES)))
+            cycles = min(
+                MOST_CYCLES, max(FEWEST_CYCLES, int(phases.EFFORT / seen.samples * FEWEST_CYCLES))
+            )
             rows, seen = phases.record(r, p_r, *self._system, cycles, self.most)
             period = _period(rows)
             self.spent += seen.samples
@@ -373,6 +427,15 @@ def _period(rows: np.ndarray) -> int | None:
 def _how(found: list[Motion], rows: np.ndarray, period: int | None) -> str:
     """Return a sentence on what the starts settle to."""
     if len(found) > 1:
-        listed = ", ".join("without" if motion.period is None else str(motion.period) for motion in found)
-        return f"{len(found)} motions coexist, one overshoot apart (periods {listed}); ranges enclose all of them"
-    return f"repeats after {period} cycle(s)" if period else f"does not repeat within {len(rows)} cycles"
+        listed = ", ".join(
+            "without" if motion.period is None else str(motion.period) for motion in found
+        )
+        return (
+            f"{len(found)} motions coexist, one overshoot apart (periods {listed}); ranges "
+            "enclose all of them"
+        )
+    return (
+        f"repeats after {period} cycle(s)"
+        if period
+        else f"does not repeat within {len(rows)} cycles"
+    )

@@ -1,4 +1,7 @@
-"""Intervals of states propagated round the cycle in interval arithmetic, for bounds that hold for every trajectory."""
+"""
+Intervals of states propagated round the cycle in interval arithmetic, for bounds that hold for
+every trajectory.
+"""
 
 from typing import NamedTuple
 
@@ -11,12 +14,16 @@ from trustlab.models.tsc import advance, human_at, human_range, tsc_at
 # By how much intervals are widened after each phase: far more than the rounding of the arithmetic.
 ROUNDING = 1e-12
 
-# Nearer than this to rest or full load (2.6) is so steep that its one-step changes are bounded by its range alone.
+# Nearer than this to rest or full load (2.6) is so steep that its one-step changes are bounded by
+# its range alone.
 STEEP = 1e-6
 
 
 class PhaseImage(NamedTuple):
-    """What bounds one phase: states at its end, overshoot of its threshold, dwell time, and all its samples."""
+    """
+    What bounds one phase: states at its end, overshoot of its threshold, dwell time, and all its
+    samples.
+    """
 
     r_low: float
     r_high: float
@@ -30,9 +37,13 @@ class PhaseImage(NamedTuple):
 
 
 class Enclosure(NamedTuple):
-    """Bounds on one cycle: utilization and overshoot as either phase begins, and the images of both phases."""
+    """
+    Bounds on one cycle: utilization and overshoot as either phase begins, and the images of both
+    phases.
+    """
 
-    code: int  # −1 or −2: a manual or an autonomous phase may never end; else how many cycles were followed
+    # −1 or −2: a manual or an autonomous phase may never end; else how many cycles were followed
+    code: int
     low: float
     high: float
     over: float
@@ -63,7 +74,8 @@ def united(a, b):
 @njit
 def overshoot(manual, low, high, threshold, c):
     """
-    Bound by how much TSC can pass a threshold in the step that meets it, from utilizations in [low, high].
+    Bound by how much TSC can pass a threshold in the step that meets it, from utilizations in [low,
+    high].
 
     One step from TSC = threshold changes TSC by this much; from further back it passes by less.
     """
@@ -72,12 +84,14 @@ def overshoot(manual, low, high, threshold, c):
     after_low, after_high = advance(low, 0.0, 0.0, mode, c)[0], advance(high, 0.0, 0.0, mode, c)[0]
     next_low, next_high = human_range(after_low, after_high, c)
     rest, gain = 1.0 - c.a_pr, c.b_pr / (1.0 - c.a_pr)
-    # With P_r = (threshold + b_T P_h)/a_T put into (2.3), and (2.1) taken before and after the step,
-    # ΔTSC = rest (a_T (P_min + M gain P_h) − threshold − b_T P_h) − b_T (P_h(after) − P_h): linear in P_h but for the last term.
+    # With P_r = (threshold + b_T P_h)/a_T put into (2.3), and (2.1) taken before and after the
+    # step, ΔTSC = rest (a_T (P_min + M gain P_h) − threshold − b_T P_h) − b_T (P_h(after) − P_h):
+    # linear in P_h but for the last term.
     slope = rest * (c.a_T * gain * mode - c.b_T)
     base = rest * (c.a_T * c.p_r_min - threshold)
-    # P_h(after) − P_h is at most what any two values of either range differ by. Away from the steep ends it is bounded
-    # better: (2.6) is concave, so every one-step chord has a slope between those of the chords at the ends of the range.
+    # P_h(after) − P_h is at most what any two values of either range differ by. Away from the steep
+    # ends it is bounded better: (2.6) is concave, so every one-step chord has a slope between those
+    # of the chords at the ends of the range.
     least, most = next_low - p_high, next_high - p_low
     if (manual and 1.0 - high > STEEP) or (not manual and low > STEEP):
         step_low, step_high = abs(after_low - low), abs(after_high - high)
@@ -102,31 +116,51 @@ def propagate(manual, low, high, tsc_low, tsc_high, target, c, most):
     """
     Propagate utilizations [low, high] with TSC in [tsc_low, tsc_high] through one phase.
 
-    Returns whether all of them end the phase within `most` samples, and the image. Sample by sample r, P_h and P_r are
-    intervals; the phase can end from the first sample at which some TSC can meet the target until all must have.
+    Returns whether all of them end the phase within `most` samples, and the image. Sample by sample
+    r, P_h and P_r are intervals; the phase can end from the first sample at which some TSC can meet
+    the target until all must have.
     """
     mode = 1.0 if manual else 0.0
     p_low, p_high = human_range(low, high, c)
     p_r_low, p_r_high = (tsc_low + c.b_T * p_low) / c.a_T, (tsc_high + c.b_T * p_high) / c.a_T
-    least_p, most_p, least_tsc, most_tsc = np.inf, -np.inf, np.inf, -np.inf
-    end_low, end_high, first = np.inf, -np.inf, -1
-    before_low, before_high, last_low, last_high = low, high, low, high
+    least_p = np.inf
+    most_p = -np.inf
+    least_tsc = np.inf
+    most_tsc = -np.inf
+    end_low = np.inf
+    end_high = -np.inf
+    first = -1
+    before_low = low
+    before_high = high
+    last_low = low
+    last_high = high
     for n in range(most):
         t_low, t_high = tsc_at(p_r_low, p_high, c), tsc_at(p_r_high, p_low, c)
         least_p, most_p = min(least_p, p_r_low), max(most_p, p_r_high)
-        # At the first sample the interval of TSC given is better than what those of P_r and P_h say about it.
+        # At the first sample the interval of TSC given is better than what those of P_r and P_h say
+        # about it.
         least_tsc = min(least_tsc, max(t_low, tsc_low) if n == 0 else t_low)
         most_tsc = max(most_tsc, min(t_high, tsc_high) if n == 0 else t_high)
         if n > 0:
             if first < 0 and ((manual and t_high >= target) or (not manual and t_low <= target)):
-                first, before_low, before_high = n, last_low, last_high
+                first = n
+                before_low = last_low
+                before_high = last_high
             if first > 0:
                 end_low, end_high = min(end_low, low), max(end_high, high)
                 before_low, before_high = min(before_low, last_low), max(before_high, last_high)
             if (manual and t_low >= target) or (not manual and t_high <= target):
                 over = overshoot(manual, before_low, before_high, target, c)
                 image = PhaseImage(
-                    end_low, end_high, over, float(first), float(n), least_p, most_p, least_tsc, most_tsc
+                    end_low,
+                    end_high,
+                    over,
+                    float(first),
+                    float(n),
+                    least_p,
+                    most_p,
+                    least_tsc,
+                    most_tsc,
                 )
                 return True, image
         last_low, last_high = low, high
@@ -138,7 +172,10 @@ def propagate(manual, low, high, tsc_low, tsc_high, target, c, most):
 
 @njit
 def phase_image(manual, low, high, start, over, target, c, cells, most):
-    """Propagate [low, high] through one phase cell by cell, TSC beginning within `over` beyond `start`; as `propagate`."""
+    """
+    Propagate [low, high] through one phase cell by cell, TSC beginning within `over` beyond
+    `start`; as `propagate`.
+    """
     image = NO_IMAGE
     tsc_low = start - over if manual else start
     tsc_high = start if manual else start + over
@@ -154,25 +191,38 @@ def phase_image(manual, low, high, start, over, target, c, cells, most):
 
 @njit
 def enclose(low, high, over, lower, upper, c, cells, most):
-    """Propagate r in [low, high] with overshoot up to `over` as a manual phase begins through one cycle."""
-    first_phase = cells > 0  # no literals True and False: numba would compile `phase_image` once for each
+    """
+    Propagate r in [low, high] with overshoot up to `over` as a manual phase begins through one
+    cycle.
+    """
+    first_phase = (
+        cells > 0
+    )  # no literals True and False: numba would compile `phase_image` once for each
     ends, manual = phase_image(first_phase, low, high, lower, over, upper, c, cells, most)
     if not ends:
         return Enclosure(-1, low, high, over, NO_IMAGE, 1.0, NO_IMAGE)
     first, last = max(manual.r_low - ROUNDING, 0.0), min(manual.r_high + ROUNDING, 1.0)
-    ends, autonomous = phase_image(not first_phase, first, last, upper, manual.overshoot, lower, c, cells, most)
+    ends, autonomous = phase_image(
+        not first_phase, first, last, upper, manual.overshoot, lower, c, cells, most
+    )
     return Enclosure(1 if ends else -2, low, high, over, manual, last, autonomous)
 
 
 def nest(lower, upper, c, cells, cycles, most, shrink):
     """
-    Shrink the utilizations with which manual phases begin from [0, 1] until a cycle shrinks them by less than `shrink`.
+    Shrink the utilizations with which manual phases begin from [0, 1] until a cycle shrinks them by
+    less than `shrink`.
 
     Returns the enclosure, and whether it was settled so before the cycles or EFFORT ran out.
 
-    What encloses every trajectory after k cycles encloses it after k + 1 as well as its image does: the intersection.
+    What encloses every trajectory after k cycles encloses it after k + 1 as well as its image does:
+    the intersection.
     """
-    low, high, left, settled, j = 0.0, 1.0, EFFORT, False, 0
+    low = 0.0
+    high = 1.0
+    left = EFFORT
+    settled = False
+    j = 0
     over = overshoot(False, 0.0, 1.0, lower, c)
     for j in watched(range(cycles), "invariant bounds"):
         found = enclose(low, high, over, lower, upper, c, cells, most)
@@ -181,7 +231,9 @@ def nest(lower, upper, c, cells, cycles, most, shrink):
         after = found.autonomous
         new_low, new_high = max(low, after.r_low - ROUNDING), min(high, after.r_high + ROUNDING)
         settled = (high - low) - (new_high - new_low) <= shrink * (high - low) and j > 0
-        low, high, over = new_low, new_high, min(over, after.overshoot)
+        low = new_low
+        high = new_high
+        over = min(over, after.overshoot)
         left -= cells * (found.manual.dwell_high + after.dwell_high)
         if settled or left < 0:
             break

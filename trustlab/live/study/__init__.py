@@ -1,1 +1,4 @@
-"""A within-subject study in the browser: the plan, its pages, its server, and what it leaves on the disk."""
+"""
+A within-subject study in the browser: the plan, its pages, its server, and what it leaves on the
+disk.
+"""

@@ -1,4 +1,7 @@
-"""``python -m trustlab.live.study DIR``: serve the study that a folder holds, or one of C1 to C5 where it holds none."""
+"""
+``python -m trustlab.live.study DIR``: serve the study that a folder holds, or one of C1 to C5 where
+it holds none.
+"""
 
 import argparse
 import sys
@@ -17,12 +20,20 @@ def main(words: list[str] | None = None) -> int:
         metavar="DIR",
         help="the study's folder; without a study in it, C1 to C5 with 20 participants are planned",
     )
-    add("--address", default="127.0.0.1", help="where to listen; anything but this machine itself needs --certificate")
+    add(
+        "--address",
+        default="127.0.0.1",
+        help="where to listen; anything but this machine itself needs --certificate",
+    )
     add("--port", type=int, default=8765, help="port (default: 8765)")
     add("--certificate", metavar="FILE", help="certificate for TLS, PEM")
     add("--key", metavar="FILE", help="its key, PEM")
     add("--name", action="append", default=[], help="a name of this machine that links use")
-    add("--delete", metavar="CODE", help="delete a participant: folder, link, and reports made with their data")
+    add(
+        "--delete",
+        metavar="CODE",
+        help="delete a participant: folder, link, and reports made with their data",
+    )
     add("--report", action="store_true", help="write report.html instead of serving")
     options = parser.parse_args(words)
     try:
@@ -32,16 +43,22 @@ def main(words: list[str] | None = None) -> int:
             print(read_live_study(options.folder).report())
             return 0
         new = not (Path(options.folder) / PLAN).exists()
-        plan = LiveStudy(options.folder) if new and not options.delete else LiveStudy.open(options.folder)
+        plan = (
+            LiveStudy(options.folder)
+            if new and not options.delete
+            else LiveStudy.open(options.folder)
+        )
         if options.delete:
             plan.delete(options.delete)
             print(
-                f"{options.delete} is deleted: folder, link, reports in this folder. Copies elsewhere are yours to delete."
+                f"{options.delete} is deleted: folder, link, reports in this folder. Copies "
+                "elsewhere are yours to delete."
             )
             return 0
         if new:
             print(
-                "A new study: C1 to C5, 20 participants, seed 0. For another one, plan it with trustlab.LiveStudy first."
+                "A new study: C1 to C5, 20 participants, seed 0. For another one, plan it with "
+                "trustlab.LiveStudy first."
             )
         where = {"certificate": options.certificate, "key": options.key, "names": options.name}
         plan.serve(options.address, options.port, **where)

@@ -1,4 +1,7 @@
-"""One participant's way through a study: what each request of their page, and of the experimenter's, does to it."""
+"""
+One participant's way through a study: what each request of their page, and of the experimenter's,
+does to it.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,10 @@ LARGEST = 1e15
 
 
 class RefusedError(ValueError):
-    """A request that came too late, or from a window that no longer drives; `facts` tell the page what holds."""
+    """
+    A request that came too late, or from a window that no longer drives; `facts` tell the page what
+    holds.
+    """
 
     def __init__(self, why: str, **facts: Any):
         super().__init__(why)
@@ -39,7 +45,10 @@ class RefusedError(ValueError):
 
 
 def _is_number(x: Any) -> bool:
-    """Whether a value is a finite number of a size that any measure has; a whole number in JSON may have any number of digits."""
+    """
+    Whether a value is a finite number of a size that any measure has; a whole number in JSON may
+    have any number of digits.
+    """
     return type(x) in (int, float) and -LARGEST <= x <= LARGEST
 
 
@@ -78,7 +87,10 @@ class Course:
         self.seen = time.time()
         page = self.progress.page(len(self.steps))
         shown = self.steps[page].page
-        items = [{key: value for key, value in vars(item).items() if key != "reversed"} for item in shown.items]
+        items = [
+            {key: value for key, value in vars(item).items() if key != "reversed"}
+            for item in shown.items
+        ]
         words = {"kind": shown.kind, "title": shown.title, "text": shown.text, "items": items}
         return {
             "code": self.code,
@@ -89,7 +101,10 @@ class Course:
         }
 
     def _current(self, body: dict[str, Any], kind: str) -> tuple[Progress, Step]:
-        """Return the page that a request is about, if it is the one to be shown: else another window, or a second click, was there."""
+        """
+        Return the page that a request is about, if it is the one to be shown: else another window,
+        or a second click, was there.
+        """
         now = self.progress
         page = now.page(len(self.steps))
         if _whole(body, "page") != page or self.steps[page].page.kind != kind:
@@ -162,7 +177,12 @@ class Course:
         if len(self.progress.notes) < MOST_NOTES:
             row = _whole(body, "row", MOST_ROWS)
             self.participant.add(
-                "note", source="page", page=step.index, attempt=attempt, row=row, text=_words(body, "text", 200)
+                "note",
+                source="page",
+                page=step.index,
+                attempt=attempt,
+                row=row,
+                text=_words(body, "text", 200),
             )
         return {}
 
@@ -175,20 +195,29 @@ class Course:
         have = self.participant.count(name)
         if have < 2 or have != _whole(body, "rows"):
             raise RefusedError("rows are missing", have=have)
-        notes = [note for note in now.notes if note.get("page") == step.index and note.get("attempt") == attempt]
+        notes = [
+            note
+            for note in now.notes
+            if note.get("page") == step.index and note.get("attempt") == attempt
+        ]
         session = session_of_attempt(self.plan, self.participant, step, attempt, notes)
         if not at_its_end(self.participant.header(name)["config"], session):
             raise RefusedError("this drive is not at its end", have=have)
         write_session(session, self.participant.folder / f"{name}.csv")
         if step.page.name == "identification":
-            self.participant.add("model", page=step.index, attempt=attempt, **identified(self.plan, session))
+            self.participant.add(
+                "model", page=step.index, attempt=attempt, **identified(self.plan, session)
+            )
         verified = session.metadata.more["verified"]
         facts = {"condition": step.condition, "position": step.position, "verified": verified}
         facts["telemetry"] = _numbers(body.get("telemetry"))
-        self.participant.add("page", page=step.index, name=step.page.name, attempt=attempt, rows=have, **facts)
+        self.participant.add(
+            "page", page=step.index, name=step.page.name, attempt=attempt, rows=have, **facts
+        )
         return self.state()
 
-    # the experimenter's ----------------------------------------------------------------------------------------------------
+    # the experimenter's
+    # ----------------------------------------------------------------------------------------------
 
     def experimenter_restart(self, body: dict[str, Any]) -> None:
         """Let a drive be driven again; what was driven stays where it is."""
@@ -202,7 +231,10 @@ class Course:
     def experimenter_note(self, body: dict[str, Any]) -> None:
         """Add a note of the experimenter's."""
         self.participant.add(
-            "note", source="experimenter", page=self.progress.page(len(self.steps)), text=_words(body, "text")
+            "note",
+            source="experimenter",
+            page=self.progress.page(len(self.steps)),
+            text=_words(body, "text"),
         )
 
     def experimenter_end(self, body: dict[str, Any]) -> None:
@@ -217,7 +249,9 @@ class Course:
         name = attempt_name(step, now.attempt(page))
         driving = step.page.kind == "drive" and (step.index, now.attempt(page)) in now.tabs
         begun = [
-            s for s in self.steps if s.page.kind == "drive" and (s.index in now.done or (driving and s.index == page))
+            s
+            for s in self.steps
+            if s.page.kind == "drive" and (s.index in now.done or (driving and s.index == page))
         ]
         model = now.model or {}
         return {
@@ -233,8 +267,13 @@ class Course:
             "telemetry": self.telemetry if driving else {},
             "model": model.get("source", ""),
             "why": model.get("why", ""),
-            "drives": [{"page": s.index, "title": s.page.title, "attempt": now.attempt(s.index)} for s in begun],
-            "unverified": [s.page.title for s in begun if now.done.get(s.index, {}).get("verified") is False],
+            "drives": [
+                {"page": s.index, "title": s.page.title, "attempt": now.attempt(s.index)}
+                for s in begun
+            ],
+            "unverified": [
+                s.page.title for s in begun if now.done.get(s.index, {}).get("verified") is False
+            ],
             "notes": [note for note in now.notes if note.get("source") != "page"][-5:],
             "pauses": sum(note.get("source") == "page" for note in now.notes),
         }

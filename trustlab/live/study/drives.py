@@ -1,4 +1,7 @@
-"""The drives of a study: what determines one, and what becomes of its rows: a verified session, and after the first a model."""
+"""
+The drives of a study: what determines one, and what becomes of its rows: a verified session, and
+after the first a model.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,9 @@ from trustlab.testbeds.deciding import WINDOW
 if TYPE_CHECKING:
     from trustlab.live.study.plan import LiveStudy
 
-FROM_FIT, FROM_PART, FROM_STAND_IN = "own drive", "own drive in part", "stand-in"
+FROM_FIT = "own drive"
+FROM_PART = "own drive in part"
+FROM_STAND_IN = "stand-in"
 """Where a participant's model and thresholds come from."""
 
 
@@ -46,7 +51,9 @@ def attempt_name(step: Step, attempt: int) -> str:
 
 
 def drive_seed(plan: LiveStudy, code: str, step: Step, attempt: int) -> int:
-    """Return the seed of an attempt: a child of the study's seed by participant, page and attempt."""
+    """
+    Return the seed of an attempt: a child of the study's seed by participant, page and attempt.
+    """
     who = list(plan.orders).index(code)
     child = np.random.SeedSequence(plan.content["seed"], spawn_key=(who, step.index, attempt))
     return int(child.generate_state(1)[0])
@@ -59,11 +66,13 @@ def stand_in(plan: LiveStudy, why: str, detail: str = "") -> dict[str, Any]:
 
 def identified(plan: LiveStudy, session: Session) -> dict[str, Any]:
     """
-    Return a participant's model and thresholds from the identification drive, as far as the drive determines them.
+    Return a participant's model and thresholds from the identification drive, as far as the drive
+    determines them.
 
-    The fit is `fit_holding`, with the stand-in model's values; where it fails, or no thresholds keep switching, model and
-    thresholds are the stand-in's. In a study everybody must go on, so that none of this is an error; it is recorded, shown to the
-    experimenter, and said in the report.
+    The fit is `fit_holding`, with the stand-in model's values; where it fails, or no thresholds
+    keep switching, model and thresholds are the stand-in's. In a study everybody must go on, so
+    that none of this is an error; it is recorded, shown to the experimenter, and said in the
+    report.
     """
     # Only here: a server that comes back after a crash must not compile what it does not need yet.
     from trustlab.allocation.threshold_choice import choose_thresholds
@@ -89,8 +98,12 @@ def identified(plan: LiveStudy, session: Session) -> dict[str, Any]:
     }
 
 
-def drive_of(content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int) -> dict[str, Any]:
-    """Return the settings of a drive of a study with this content, with a known model and thresholds."""
+def drive_of(
+    content: Mapping[str, Any], condition: str, known: Mapping[str, Any], seed: int
+) -> dict[str, Any]:
+    """
+    Return the settings of a drive of a study with this content, with a known model and thresholds.
+    """
     from trustlab.live.runs import drive_config
 
     length: dict[str, Any] = {"laps": content["laps"]}
@@ -109,28 +122,47 @@ def drive_of(content: Mapping[str, Any], condition: str, known: Mapping[str, Any
 def drive_settings(
     plan: LiveStudy, code: str, step: Step, attempt: int, model: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """Return the first line of an attempt's file: what determines the drive but for the commands, and where its model comes from."""
+    """
+    Return the first line of an attempt's file: what determines the drive but for the commands, and
+    where its model comes from.
+    """
     known = stand_in(plan, "no identification drive") if model is None else dict(model)
     condition = step.condition or step.page.name
     config = drive_of(plan.content, condition, known, drive_seed(plan, code, step, attempt))
-    return {"condition": condition, "source": known["source"], "why": known["why"], "config": config}
+    return {
+        "condition": condition,
+        "source": known["source"],
+        "why": known["why"],
+        "config": config,
+    }
 
 
 def shown_config(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a browser needs of a drive's settings: nothing that names the condition."""
-    return {name: value for name, value in config.items() if name not in ("condition", "participant")}
+    return {
+        name: value for name, value in config.items() if name not in ("condition", "participant")
+    }
 
 
 def at_its_end(config: Mapping[str, Any], session: Session) -> bool:
     """Whether a drive is complete: all its laps, or the time it may last."""
     laps = session.metadata.more.get("laps")
-    return len(session) >= config["samples"] or (laps is not None and len(session.metadata.more["lap_times"]) >= laps)
+    return len(session) >= config["samples"] or (
+        laps is not None and len(session.metadata.more["lap_times"]) >= laps
+    )
 
 
 def session_of_attempt(
-    plan: LiveStudy, participant: Participant, step: Step, attempt: int, notes: Iterable[Mapping[str, Any]]
+    plan: LiveStudy,
+    participant: Participant,
+    step: Step,
+    attempt: int,
+    notes: Iterable[Mapping[str, Any]],
 ) -> Session:
-    """Return an attempt's session, replayed from its commands; its metadata hold the verdict, the log period and the pauses."""
+    """
+    Return an attempt's session, replayed from its commands; its metadata hold the verdict, the log
+    period and the pauses.
+    """
     from trustlab.live.runs import replay, session_of
 
     name = attempt_name(step, attempt)
@@ -150,5 +182,9 @@ def session_of_attempt(
         "performance_window": WINDOW,
         "pauses": [f"row {note['row']}: {note['text']}" for note in notes],
     }
-    who = {"participant": participant.code, "condition": header["condition"], "synthetic": plan.rehearsal}
+    who = {
+        "participant": participant.code,
+        "condition": header["condition"],
+        "synthetic": plan.rehearsal,
+    }
     return session_of(header["config"], values, **who, **facts)

@@ -1,4 +1,7 @@
-"""The pages of a study: their words and items from TOML files, their order for a participant, and which answers are accepted."""
+"""
+The pages of a study: their words and items from TOML files, their order for a participant, and
+which answers are accepted.
+"""
 
 import re
 import tomllib
@@ -28,7 +31,10 @@ class AnswerError(ValueError):
 
 @dataclass(frozen=True)
 class Item:
-    """One question: `low` to `high` in steps for a scale, `choices` for a choice, at most 1,000 characters for a text."""
+    """
+    One question: `low` to `high` in steps for a scale, `choices` for a choice, at most 1,000
+    characters for a text.
+    """
 
     name: str
     text: str
@@ -59,7 +65,8 @@ class Page:
     """
     One page: a form with any number of items, a drive, or the end.
 
-    `section` says whether it comes once at the start, after each drive, or once at the end; `scored` how its items are scored.
+    `section` says whether it comes once at the start, after each drive, or once at the end;
+    `scored` how its items are scored.
     """
 
     name: str
@@ -71,7 +78,10 @@ class Page:
     items: tuple[Item, ...] = ()
 
     def check(self, answers: Any) -> dict[str, Any]:
-        """Return the answers, one to each item and none besides, in the items' order; or raise `AnswerError`."""
+        """
+        Return the answers, one to each item and none besides, in the items' order; or raise
+        `AnswerError`.
+        """
         if not isinstance(answers, dict):
             raise AnswerError("the answers must be names with values")
         if unknown := set(answers) - {item.name for item in self.items}:
@@ -83,13 +93,18 @@ class Page:
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> "Page":
         """Return a page from what `asdict` made of it."""
-        items = tuple(Item(**{**item, "choices": tuple(item["choices"])}) for item in content["items"])
+        items = tuple(
+            Item(**{**item, "choices": tuple(item["choices"])}) for item in content["items"]
+        )
         return cls(**{**content, "items": items})
 
 
 @dataclass(frozen=True)
 class Step:
-    """A page at its place in a participant's course: of which condition and at which position, for those of a drive."""
+    """
+    A page at its place in a participant's course: of which condition and at which position, for
+    those of a drive.
+    """
 
     page: Page
     index: int
@@ -105,35 +120,68 @@ class Step:
 def _whole(where: str, table: Mapping[str, Any], allowed: Iterable[str]) -> None:
     for key in table:
         if key not in allowed:
-            raise ValueError(f"{where} has no {key!r}{did_you_mean(key, allowed)}; there are: {', '.join(allowed)}")
+            raise ValueError(
+                f"{where} has no {key!r}{did_you_mean(key, allowed)}; there are: "
+                f"{', '.join(allowed)}"
+            )
 
 
 def _item(where: str, table: Any, page: Mapping[str, Any]) -> Item:
-    """Return an item from its table in a TOML file; what its page gives holds where it gives nothing itself."""
+    """
+    Return an item from its table in a TOML file; what its page gives holds where it gives nothing
+    itself.
+    """
     allowed = [field.name for field in fields(Item)]
     if not isinstance(table, Mapping) or not {"name", "text"} <= set(table):
         raise ValueError(f"{where}: an item needs a name and a text, got {shown(table)}")
     where = f"{where}, item {table['name']!r}"
     _whole(where, table, allowed)
-    given = {key: page[key] for key in ("low", "high", "step", "left", "right") if key in page} | dict(table)
+    given = {
+        key: page[key] for key in ("low", "high", "step", "left", "right") if key in page
+    } | dict(table)
     item = Item(**given | {"choices": tuple(given.get("choices", ()))})
     if not isinstance(item.name, str) or not NAME.fullmatch(item.name):
-        raise ValueError(f"{where}: a name has small letters, digits and _, at most 40, and begins with a letter")
+        raise ValueError(
+            f"{where}: a name has small letters, digits and _, at most 40, and begins with a letter"
+        )
     if item.kind not in ITEMS:
         raise ValueError(f"{where}: kind must be one of {', '.join(ITEMS)}, got {shown(item.kind)}")
-    if not all(isinstance(words, str) for words in (item.text, item.left, item.right, *item.choices)):
+    if not all(
+        isinstance(words, str) for words in (item.text, item.left, item.right, *item.choices)
+    ):
         raise ValueError(f"{where}: text, left, right and choices must be words")
     if item.kind == "choice" and len(set(item.choices)) < max(2, len(item.choices)):
-        raise ValueError(f"{where}: a choice needs two different choices or more, got {list(item.choices)}")
+        raise ValueError(
+            f"{where}: a choice needs two different choices or more, got {list(item.choices)}"
+        )
     if item.kind == "scale":
         for key in ("low", "high", "step"):
-            whole_number(f"{where}: {key}", getattr(item, key), least=1 if key == "step" else -1000, most=1000)
+            whole_number(
+                f"{where}: {key}",
+                getattr(item, key),
+                least=1 if key == "step" else -1000,
+                most=1000,
+            )
         if item.high <= item.low or (item.high - item.low) % item.step:
-            raise ValueError(f"{where}: step {item.step} does not lead from low {item.low} to high {item.high}")
+            raise ValueError(
+                f"{where}: step {item.step} does not lead from low {item.low} to high {item.high}"
+            )
     return item
 
 
-PAGE_KEYS = ("title", "text", "kind", "section", "scored", "items", "low", "high", "step", "left", "right")
+PAGE_KEYS = (
+    "title",
+    "text",
+    "kind",
+    "section",
+    "scored",
+    "items",
+    "low",
+    "high",
+    "step",
+    "left",
+    "right",
+)
 PLACES = ("before", "after", "skip")
 
 
@@ -153,7 +201,9 @@ def _page(where: str, name: str, table: Mapping[str, Any]) -> Page:
         raise ValueError(f"{where}: two items have the same name: {names}")
     scales = {(item.low, item.high, item.step) for item in items if item.kind == "scale"}
     if scored and len(scales) != 1:
-        raise ValueError(f"{where}: a scored page has items on one scale, got {sorted(scales) or 'none'}")
+        raise ValueError(
+            f"{where}: a scored page has items on one scale, got {sorted(scales) or 'none'}"
+        )
     text = re.sub(r"(?<!\n)\n(?!\n)", " ", table["text"].strip())
     return Page(name, table["title"], text, table["section"], kind, scored, items)
 
@@ -168,13 +218,18 @@ def _tables(path: Path) -> dict[str, dict[str, Any]]:
         raise ValueError(f"{path} is no TOML file in UTF-8: {error}") from None
     for name, table in content.items():
         if not isinstance(table, dict) or not NAME.fullmatch(name):
-            raise ValueError(f"{path}: {name!r} must be a table, [name], in small letters, digits and _")
+            raise ValueError(
+                f"{path}: {name!r} must be a table, [name], in small letters, digits and _"
+            )
         _whole(f"{path}, [{name}]", table, (*PAGE_KEYS, *PLACES))
     return content
 
 
 def read_pages(files: Iterable[Path] = ()) -> list[Page]:
-    """Return the pages of a study: the package's own, as the files change them, add to them and leave some out."""
+    """
+    Return the pages of a study: the package's own, as the files change them, add to them and leave
+    some out.
+    """
     tables = _tables(OWN)
     for path in files:
         for name, table in _tables(path).items():
@@ -184,7 +239,9 @@ def read_pages(files: Iterable[Path] = ()) -> list[Page]:
             table.pop("before", None)
             if name in tables:
                 if anchor is not None:
-                    raise ValueError(f"{where} is there already, and keeps its place; leave out before and after")
+                    raise ValueError(
+                        f"{where} is there already, and keeps its place; leave out before and after"
+                    )
                 if table.pop("skip", False):
                     if name in ("drive", "debriefing"):
                         raise ValueError(f"{where} cannot be left out of a study")
@@ -193,7 +250,10 @@ def read_pages(files: Iterable[Path] = ()) -> list[Page]:
                     tables[name] = tables[name] | table
                 continue
             if anchor not in tables or "section" in table or (anchor == "debriefing" and follows):
-                raise ValueError(f"{where} must say before or after which page it stands: one of {', '.join(tables)}")
+                raise ValueError(
+                    f"{where} must say before or after which page it stands: one of "
+                    f"{', '.join(tables)}"
+                )
             order = list(tables)
             order.insert(order.index(anchor) + follows, name)
             tables[name] = {**table, "section": tables[anchor]["section"]}
@@ -202,17 +262,27 @@ def read_pages(files: Iterable[Path] = ()) -> list[Page]:
 
 
 def steps_of(pages: Iterable[Page], order: Iterable[str]) -> list[Step]:
-    """Return a participant's course: the start, what belongs to each condition of their order, and the end."""
+    """
+    Return a participant's course: the start, what belongs to each condition of their order, and the
+    end.
+    """
     pages, order = list(pages), list(order)
     by_section = {name: [page for page in pages if page.section == name] for name in SECTIONS}
-    course: list[tuple[Page, str | None, int | None]] = [(page, None, None) for page in by_section["start"]]
+    course: list[tuple[Page, str | None, int | None]] = [
+        (page, None, None) for page in by_section["start"]
+    ]
     for position, condition in enumerate(order, 1):
         for page in by_section["each"]:
             if page.name != "pause" or position < len(order):
-                title = page.title.replace("{number}", str(position)).replace("{count}", str(len(order)))
+                title = page.title.replace("{number}", str(position)).replace(
+                    "{count}", str(len(order))
+                )
                 course.append((replace(page, title=title), condition, position))
     course += [(page, None, None) for page in by_section["end"]]
-    return [Step(page, index, condition, position) for index, (page, condition, position) in enumerate(course)]
+    return [
+        Step(page, index, condition, position)
+        for index, (page, condition, position) in enumerate(course)
+    ]
 
 
 def as_json(pages: Iterable[Page]) -> list[dict[str, Any]]:

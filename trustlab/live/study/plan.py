@@ -1,4 +1,7 @@
-"""`LiveStudy`: the plan of a within-subject study in the browser, frozen in its folder before the first participant comes."""
+"""
+`LiveStudy`: the plan of a within-subject study in the browser, frozen in its folder before the
+first participant comes.
+"""
 
 import json
 import os
@@ -22,7 +25,16 @@ from trustlab.live.study.store import (
     sync_folder,
     write_whole,
 )
-from trustlab.models.checks import finite_number, flag, of_class, one_of, positive, shown, spawned, whole_number
+from trustlab.models.checks import (
+    finite_number,
+    flag,
+    of_class,
+    one_of,
+    positive,
+    shown,
+    spawned,
+    whole_number,
+)
 from trustlab.models.html import as_html
 from trustlab.models.tsc import TscModel
 from trustlab.studies.designs import latin_square_design
@@ -32,17 +44,28 @@ from trustlab.testbeds.ground_robot.conditions import published_model, published
 FORMAT = 1
 
 IDENTIFICATION = ((1, 200.0), (0, 200.0), (1, 150.0), (0, 150.0), (1, 150.0), (0, 150.0))
-"""Modes of the identification drive and how long each lasts [s]: Section 2.2.2's manual, autonomous and mixed phases, in 17 minutes."""
+"""
+Modes of the identification drive and how long each lasts [s]: Section 2.2.2's manual, autonomous
+and mixed phases, in 17 minutes.
+"""
 
 STAND_IN = "2"
-"""The printed participant whose model and thresholds stand in where an identification drive says too little."""
+"""
+The printed participant whose model and thresholds stand in where an identification drive says too
+little.
+"""
 
 
 def _schedule(phases: Any) -> list[list[float]]:
     """Return the phases of the identification drive, checked: each of the modes must be driven."""
-    if not isinstance(phases, Sequence) or not all(isinstance(p, Sequence) and len(p) == 2 for p in phases):
+    if not isinstance(phases, Sequence) or not all(
+        isinstance(p, Sequence) and len(p) == 2 for p in phases
+    ):
         raise ValueError(f"identification must be a list of (mode, seconds), got {shown(phases)}")
-    checked = [[whole_number("a mode of identification", m, 0, 1), positive("its seconds", s)] for m, s in phases]
+    checked = [
+        [whole_number("a mode of identification", m, 0, 1), positive("its seconds", s)]
+        for m, s in phases
+    ]
     if {mode for mode, _ in checked} != {0, 1}:
         raise ValueError("identification must have phases of both modes, 1 manual and 0 autonomous")
     return checked
@@ -52,18 +75,21 @@ class LiveStudy:
     """
     A within-subject study that people take part in with a browser.
 
-    The plan is frozen at once: the folder gets `study.json` (conditions, everybody's order, pages, the digest of the physics), a
-    folder per participant, and beside it a file with their links, which others on the machine cannot read. The same call later
-    opens the study again; another plan for the same folder is refused.
+    The plan is frozen at once: the folder gets `study.json` (conditions, everybody's order, pages,
+    the digest of the physics), a folder per participant, and beside it a file with their links,
+    which others on the machine cannot read. The same call later opens the study again; another plan
+    for the same folder is refused.
 
     Parameters
     ----------
     folder : path-like
         Where the study is kept; made if it is not there.
     conditions : sequence of str
-        Conditions of Section 2.4.1.2, "C1" to "C5"; at least two. Participants do not see these names.
+        Conditions of Section 2.4.1.2, "C1" to "C5"; at least two. Participants do not see these
+        names.
     participants : int or sequence of str
-        How many, called P01, P02 …, or their codes (letters, digits, - and _). Codes only: never names.
+        How many, called P01, P02 …, or their codes (letters, digits, - and _). Codes only: never
+        names.
     seed : int
         Seed of the orders and of every drive.
     pages : path-like or sequence of path-like
@@ -75,20 +101,21 @@ class LiveStudy:
     identification : sequence of (int, float)
         Mode (1 manual, 0 autonomous) and length [s] of each phase of the identification drive.
     model : TscModel, optional
-        What stands in for a participant's own model where the identification drive does not determine it; that of the printed
-        participant 2 by default.
+        What stands in for a participant's own model where the identification drive does not
+        determine it; that of the printed participant 2 by default.
     thresholds : (float, float), optional
         TSC_l and TSC_u that go with `model`; those of Table 2.2 by default.
     whole_squares : bool
         Whether to refuse a number of participants that does not fill whole Latin squares.
     rehearsal : bool
-        Whether scripted hands drive, on an accelerated clock: for trying the study out. Everything is labelled synthetic.
+        Whether scripted hands drive, on an accelerated clock: for trying the study out. Everything
+        is labelled synthetic.
 
     Raises
     ------
     ValueError
-        If an argument is not understood, the participants do not fill whole squares, or the folder holds another plan or other
-        files.
+        If an argument is not understood, the participants do not fill whole squares, or the folder
+        holds another plan or other files.
 
     Examples
     --------
@@ -123,7 +150,9 @@ class LiveStudy:
         for condition in conditions:
             one_of("condition", condition, CONDITIONS)
         codes = _codes(participants)
-        design = latin_square_design(conditions, codes, seed, whole_squares=flag("whole_squares", whole_squares))
+        design = latin_square_design(
+            conditions, codes, seed, whole_squares=flag("whole_squares", whole_squares)
+        )
         files = [pages] if isinstance(pages, str | os.PathLike) else pages
         self.folder = Path(folder).absolute()
         content: dict[str, Any] = {
@@ -142,7 +171,11 @@ class LiveStudy:
             "orders": {code: list(order) for code, *order in design.table().itertuples()},
             "pages": as_json(read_pages(map(Path, files))),
         }
-        for condition in {"training", "identification", *conditions}:  # what cannot be driven is refused now
+        for condition in {
+            "training",
+            "identification",
+            *conditions,
+        }:  # what cannot be driven is refused now
             drive_of(content, condition, content["stand_in"], seed=0)
         self.content: dict[str, Any] = json.loads(json.dumps(content))  # as it will be read again
         self._freeze()
@@ -167,12 +200,14 @@ class LiveStudy:
         file = plan.folder / PLAN
         if not file.is_file():
             raise ValueError(
-                f"there is no {PLAN} in {folder}: no live study was planned there; make one with trustlab.LiveStudy"
+                f"there is no {PLAN} in {folder}: no live study was planned there; make one with "
+                "trustlab.LiveStudy"
             )
         plan.content = json.loads(file.read_text(encoding="utf-8"))
         if plan.content.get("format") != FORMAT:
             raise ValueError(
-                f"{file} has format {plan.content.get('format')!r}; this version of trustlab reads format {FORMAT}"
+                f"{file} has format {plan.content.get('format')!r}; this version of trustlab "
+                f"reads format {FORMAT}"
             )
         return plan
 
@@ -183,12 +218,17 @@ class LiveStudy:
             other = [key for key in self.content if there.get(key) != self.content[key]]
             if other:
                 raise ValueError(
-                    f"{self.folder} holds a frozen plan with other {', '.join(other)}; open it with trustlab.LiveStudy.open, or "
-                    "choose another folder: a plan does not change once it is made"
+                    f"{self.folder} holds a frozen plan with other {', '.join(other)}; open it "
+                    "with trustlab.LiveStudy.open, or choose another folder: a plan does not "
+                    "change once it is made"
                 )
             return
-        if self.folder.exists() and any(path.name not in self.content["orders"] for path in self.folder.iterdir()):
-            raise ValueError(f"{self.folder} has other files in it; a study needs a folder of its own")
+        if self.folder.exists() and any(
+            path.name not in self.content["orders"] for path in self.folder.iterdir()
+        ):
+            raise ValueError(
+                f"{self.folder} has other files in it; a study needs a folder of its own"
+            )
         for code in self.content["orders"]:
             (self.folder / code).mkdir(parents=True, exist_ok=True)
         make_tokens(self.folder, self.content["orders"])
@@ -242,7 +282,8 @@ class LiveStudy:
 
     def delete(self, code: str) -> None:
         """
-        Delete a participant: folder, link, and reports made with their data. An empty file keeps the count.
+        Delete a participant: folder, link, and reports made with their data. An empty file keeps
+        the count.
 
         Parameters
         ----------
@@ -273,31 +314,37 @@ class LiveStudy:
         Parameters
         ----------
         address : str
-            Where to listen. On 127.0.0.1, browsers of this machine alone reach it; anything else needs a certificate.
+            Where to listen. On 127.0.0.1, browsers of this machine alone reach it; anything else
+            needs a certificate.
         port : int
             Port; 0 for any that is free.
         certificate, key : path-like, optional
             Files in PEM format for TLS.
         names : iterable of str
-            Names of this machine that links may use, besides `address`: a request for any other host is refused.
+            Names of this machine that links may use, besides `address`: a request for any other
+            host is refused.
 
         Raises
         ------
         ValueError
-            If the address needs a certificate, the study is being served already, or the physics is not the one it was frozen with.
+            If the address needs a certificate, the study is being served already, or the physics is
+            not the one it was frozen with.
         """
         from trustlab.live.study.server import StudyServer
 
-        with StudyServer(self, address, port, certificate=certificate, key=key, names=names) as server:
+        with StudyServer(
+            self, address, port, certificate=certificate, key=key, names=names
+        ) as server:
             print(f"The experimenter's page: {server.experimenter}\nEnd with Ctrl-C.", flush=True)
             server.wait()
 
     def rehearse(self, seed: int = 0) -> None:
         """
-        Let scripted hands go through the whole study, without browsers: so that files and report are seen before people come.
+        Let scripted hands go through the whole study, without browsers: so that files and report
+        are seen before people come.
 
-        The hands have a person's limits (`trustlab.live.hand`); answers are drawn at random and mean nothing. Everything is labelled
-        synthetic.
+        The hands have a person's limits (`trustlab.live.hand`); answers are drawn at random and
+        mean nothing. Everything is labelled synthetic.
 
         Parameters
         ----------
@@ -313,7 +360,9 @@ class LiveStudy:
         from trustlab.live.study.rehearsal import rehearse
 
         if not self.rehearsal:
-            raise ValueError("this study is for people; plan another one with rehearsal=True for scripted hands")
+            raise ValueError(
+                "this study is for people; plan another one with rehearsal=True for scripted hands"
+            )
         present = [code for code in self.orders if code not in self.deleted()]
         rehearse([Course(self, code) for code in present], spawned(seed, len(present)))
 
@@ -321,18 +370,22 @@ class LiveStudy:
         """Return everybody's order: a row per participant, a column per position."""
         positions = range(1, len(self.content["conditions"]) + 1)
         index = pd.Index(self.orders, name="participant")
-        return pd.DataFrame(list(self.orders.values()), index, positions).rename_axis(columns="position")
+        return pd.DataFrame(list(self.orders.values()), index, positions).rename_axis(
+            columns="position"
+        )
 
     def _repr_html_(self) -> str:
         kind = " Rehearsal by scripted hands." if self.rehearsal else ""
         words = (
-            f"{len(self.orders)} participants, seed {self.content['seed']}, {self.content['laps']} laps a drive.{kind}"
+            f"{len(self.orders)} participants, seed {self.content['seed']}, "
+            f"{self.content['laps']} laps a drive.{kind}"
         )
         return as_html(words, self.table(), title=f"Live study {self.folder.name}")
 
     def __repr__(self) -> str:
         return (
-            f"LiveStudy({self.folder.name!r}: {len(self.orders)} participants, {', '.join(self.content['conditions'])})"
+            f"LiveStudy({self.folder.name!r}: {len(self.orders)} participants, "
+            f"{', '.join(self.content['conditions'])})"
         )
 
 
@@ -343,8 +396,16 @@ def _codes(participants: int | Sequence[str]) -> list[str]:
         return [f"P{number:02d}" for number in range(1, count + 1)]
     codes = list(participants)
     for code in codes:
-        if not isinstance(code, str) or not code.isascii() or not code.replace("-", "a").replace("_", "a").isalnum():
-            raise ValueError(f"a participant's code has letters, digits, - and _ only, got {shown(code)}")
-    if len({code.lower() for code in codes}) < len(codes):  # one folder each, also where names ignore case
+        if (
+            not isinstance(code, str)
+            or not code.isascii()
+            or not code.replace("-", "a").replace("_", "a").isalnum()
+        ):
+            raise ValueError(
+                f"a participant's code has letters, digits, - and _ only, got {shown(code)}"
+            )
+    if len({code.lower() for code in codes}) < len(
+        codes
+    ):  # one folder each, also where names ignore case
         raise ValueError("participants: two codes are the same")
     return codes

@@ -17,7 +17,8 @@ class Progress:
     attempts : dict of int to int
         Number of the current attempt of each drive, from 0.
     tabs : dict of (int, int) to str
-        The window of a browser that drives, by page and attempt: the last one in which the drive was begun.
+        The window of a browser that drives, by page and attempt: the last one in which the drive
+        was begun.
     model : dict or None
         Model and thresholds from the identification drive, or what stands in for them.
     ended : bool
@@ -34,8 +35,14 @@ class Progress:
     notes: list[dict[str, Any]] = field(default_factory=list)
 
     def page(self, pages: int) -> int:
-        """Return the page to show of so many: the first that is not done, and the last one at the end."""
-        return pages - 1 if self.ended else next(i for i in range(pages) if i not in self.done or i == pages - 1)
+        """
+        Return the page to show of so many: the first that is not done, and the last one at the end.
+        """
+        return (
+            pages - 1
+            if self.ended
+            else next(i for i in range(pages) if i not in self.done or i == pages - 1)
+        )
 
     def attempt(self, page: int) -> int:
         """Return the number of the current attempt of a drive."""

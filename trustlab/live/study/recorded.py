@@ -1,4 +1,7 @@
-"""What a live study has recorded so far: sessions, measures, answers, and a report with the whole analysis."""
+"""
+What a live study has recorded so far: sessions, measures, answers, and a report with the whole
+analysis.
+"""
 
 import os
 from collections.abc import Iterator
@@ -52,7 +55,8 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     Raises
     ------
     ValueError
-        If there is no study in the folder, or a file of it was damaged; the error names file and line.
+        If there is no study in the folder, or a file of it was damaged; the error names file and
+        line.
 
     Examples
     --------
@@ -68,8 +72,12 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     """
     plan = LiveStudy.open(folder)
     deleted = plan.deleted()
-    events = {code: read_lines(plan.folder / code / EVENTS) for code in plan.orders if code not in deleted}
-    return RecordedStudy(plan, {code: progress_of(own) for code, own in events.items()}, tuple(deleted))
+    events = {
+        code: read_lines(plan.folder / code / EVENTS) for code in plan.orders if code not in deleted
+    }
+    return RecordedStudy(
+        plan, {code: progress_of(own) for code, own in events.items()}, tuple(deleted)
+    )
 
 
 class MeasuresTable(pd.DataFrame):
@@ -136,20 +144,32 @@ class RecordedStudy:
         """
         Where everybody is.
 
-        A row per participant who was not deleted: participant, order, pages_done, pages, drives (finished, of those under a condition),
-        complete, ended, model (where model and thresholds come from), why (they stand in), restarts, notes.
+        A row per participant who was not deleted: participant, order, pages_done, pages, drives
+        (finished, of those under a condition), complete, ended, model (where model and thresholds
+        come from), why (they stand in), restarts, notes.
         """
         rows = []
         for code, now in self.progress.items():
             steps, model = self.plan.steps(code), now.model or {}
             drives = [step.index for step in steps if step.page.name == "drive"]
             done = sum(index in now.done for index in drives)
-            rows.append({
-                "participant": code, "order": " ".join(self.plan.orders[code]), "pages_done": len(now.done), "pages": len(steps) - 1,
-                "drives": done, "complete": len(now.done) == len(steps) - 1, "ended": now.ended, "model": model.get("source", ""),
-                "why": model.get("why", ""), "restarts": sum(now.attempts.values()),
-                "notes": "; ".join(note["text"] for note in now.notes if note.get("source") == "experimenter"),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "participant": code,
+                    "order": " ".join(self.plan.orders[code]),
+                    "pages_done": len(now.done),
+                    "pages": len(steps) - 1,
+                    "drives": done,
+                    "complete": len(now.done) == len(steps) - 1,
+                    "ended": now.ended,
+                    "model": model.get("source", ""),
+                    "why": model.get("why", ""),
+                    "restarts": sum(now.attempts.values()),
+                    "notes": "; ".join(
+                        note["text"] for note in now.notes if note.get("source") == "experimenter"
+                    ),
+                }
+            )
         return self._labelled(ParticipantsTable(rows))
 
     def _labelled(self, frame: Table) -> Table:
@@ -165,49 +185,74 @@ class RecordedStudy:
         Returns
         -------
         pandas.DataFrame
-            A row per answer: participant, position and condition (NaN and None for pages that belong to no drive), page, item, answer
-            (NaN where it is words), text.
+            A row per answer: participant, position and condition (NaN and None for pages that
+            belong to no drive), page, item, answer (NaN where it is words), text.
         """
         rows = []
         forms = [page.name for page in self.plan.pages if page.kind == "form"]
         for code, step, event in self._finished(*forms):
-            who = (code, np.nan if step.position is None else step.position, step.condition, step.page.name)
+            who = (
+                code,
+                np.nan if step.position is None else step.position,
+                step.condition,
+                step.page.name,
+            )
             for item, answer in event["answers"].items():
                 words = isinstance(answer, str)
-                rows.append((*who, item, np.nan if words else float(answer), answer if words else ""))
+                rows.append(
+                    (*who, item, np.nan if words else float(answer), answer if words else "")
+                )
         columns = [*KEYS, "page", "item", "answer", "text"]
-        return pd.DataFrame(rows, columns=columns).astype({"position": float, "answer": float}).pipe(self._labelled)
+        return (
+            pd.DataFrame(rows, columns=columns)
+            .astype({"position": float, "answer": float})
+            .pipe(self._labelled)
+        )
 
     def scores(self) -> dict[str, ScaleScores]:
-        """Return the scores of every questionnaire that is scored and answered, by the name of its page."""
+        """
+        Return the scores of every questionnaire that is scored and answered, by the name of its
+        page.
+        """
         answers = self.answers()
         found = {}
         for page in self.plan.pages:
             items = [item.name for item in page.items if item.kind == "scale"]
             own = answers[(answers["page"] == page.name) & answers["item"].isin(items)]
             if page.scored and not own.empty:
-                found[page.name] = _score(page, own.astype({"condition": str}), page.section == "each")
+                found[page.name] = _score(
+                    page, own.astype({"condition": str}), page.section == "each"
+                )
         return found
 
     @property
     def measures(self) -> MeasuresTable:
         """
-        The measures of every finished drive under a condition, and the scores of the questionnaires after it.
+        The measures of every finished drive under a condition, and the scores of the questionnaires
+        after it.
 
-        A row per drive: participant, position, condition, synthetic, attempt, verified (whether the replay of its commands gave
-        the same bits), thresholds_from, period_median and period_max [s] of the log, pauses; the measures of `run_condition`
-        (p_r, p_h, r, tsc, path_error, speed, manual_share, switches, laps, duration, lap_time, suggestions, followed_percent);
-        tlx_raw, trust_mean, satisfaction_mean and whatever other questionnaires score, NaN where they are not answered yet.
+        A row per drive: participant, position, condition, synthetic, attempt, verified (whether the
+        replay of its commands gave the same bits), thresholds_from, period_median and period_max
+        [s] of the log, pauses; the measures of `run_condition` (p_r, p_h, r, tsc, path_error,
+        speed, manual_share, switches, laps, duration, lap_time, suggestions, followed_percent);
+        tlx_raw, trust_mean, satisfaction_mean and whatever other questionnaires score, NaN where
+        they are not answered yet.
         """
         rows = []
         for session in self._sessions:
             meta = session.metadata
             facts = ("attempt", "verified", "thresholds_from", "period_median", "period_max")
-            row = {"participant": meta.participant, "position": meta.more["position"], "condition": meta.condition}
+            row = {
+                "participant": meta.participant,
+                "position": meta.more["position"],
+                "condition": meta.condition,
+            }
             row |= {"synthetic": meta.synthetic} | {name: meta.more[name] for name in facts}
             row["pauses"] = len(meta.more["pauses"])
             laps = np.asarray(meta.more["lap_times"], dtype=float)
-            rows.append(row | condition_measures(session, session.t, str(meta.condition), lap_times=laps))
+            rows.append(
+                row | condition_measures(session, session.t, str(meta.condition), lap_times=laps)
+            )
         if not rows:
             return MeasuresTable(columns=KEYS)
         table = pd.DataFrame(rows)
@@ -218,7 +263,9 @@ class RecordedStudy:
                     for column in score.scores
                     if column in KEYS or column.endswith(("_raw", "_mean", "_subscale"))
                 ]
-                table = table.merge(score.scores[columns], how="left", on=["participant", "condition"])
+                table = table.merge(
+                    score.scores[columns], how="left", on=["participant", "condition"]
+                )
         return self._labelled(MeasuresTable(table))
 
     def _page(self, name: str) -> Page:
@@ -231,11 +278,15 @@ class RecordedStudy:
         Returns
         -------
         pandas.DataFrame
-            Columns participant, condition, reason: drives that are not finished or whose replay differs, and the participants who
-            are left out with them, as every condition is needed of each.
+            Columns participant, condition, reason: drives that are not finished or whose replay
+            differs, and the participants who are left out with them, as every condition is needed
+            of each.
         """
         rows = []
-        there = {(s.metadata.participant, s.metadata.condition): s.metadata.more["verified"] for s in self._sessions}
+        there = {
+            (s.metadata.participant, s.metadata.condition): s.metadata.more["verified"]
+            for s in self._sessions
+        }
         for code in self.progress:
             for condition in self.plan.orders[code]:
                 if (code, condition) not in there:
@@ -251,7 +302,8 @@ class RecordedStudy:
 
     def analysis(self, dv: str) -> RepeatedMeasures:
         """
-        Return the repeated-measures analysis of one measure over the conditions, of complete participants.
+        Return the repeated-measures analysis of one measure over the conditions, of complete
+        participants.
 
         Parameters
         ----------
@@ -261,14 +313,18 @@ class RecordedStudy:
         Raises
         ------
         ValueError
-            If there are too few complete participants, or the measure has missing values or no variance.
+            If there are too few complete participants, or the measure has missing values or no
+            variance.
         """
         frame = self._for_analysis(dv)
-        return repeated_measures(frame, dv, "condition", "participant", order=self.plan.content["conditions"])
+        return repeated_measures(
+            frame, dv, "condition", "participant", order=self.plan.content["conditions"]
+        )
 
     def order_effects(self, dv: str) -> OrderEffects:
         """
-        Return the tests of sequence, position and carry-over of one measure, of complete participants.
+        Return the tests of sequence, position and carry-over of one measure, of complete
+        participants.
 
         Parameters
         ----------
@@ -282,36 +338,48 @@ class RecordedStudy:
         """
         frame = self._for_analysis(dv)
         return order_effects(
-            frame, dv, "condition", "position", subject="participant", order=self.plan.content["conditions"]
+            frame,
+            dv,
+            "condition",
+            "position",
+            subject="participant",
+            order=self.plan.content["conditions"],
         )
 
     def _for_analysis(self, dv: str) -> pd.DataFrame:
         frame = self.complete()
         if frame["participant"].nunique() < 2:
             raise ValueError(
-                f"{frame['participant'].nunique()} participants have all conditions; an analysis needs two or more"
+                f"{frame['participant'].nunique()} participants have all conditions; an analysis "
+                "needs two or more"
             )
         one_of("dv", dv, frame.columns)
         return frame
 
     def summary(self) -> str:
-        """Return in a sentence or two how many took part, are complete, are left out, and were deleted."""
+        """
+        Return in a sentence or two how many took part, are complete, are left out, and were
+        deleted.
+        """
         complete = self.complete()["participant"].nunique() if self._sessions else 0
         begun = sum(bool(now.done) for now in self.progress.values())
         origin = f" Rehearsal: {self.origin}." if self.origin else ""
         return (
-            f"{len(self.plan.orders)} participants planned, {begun} begun, {complete} complete and verified; "
-            f"{len(self.deleted)} deleted at their request or the lab's, of whom nothing is left.{origin}"
+            f"{len(self.plan.orders)} participants planned, {begun} begun, {complete} complete "
+            f"and verified; {len(self.deleted)} deleted at their request or the lab's, of whom "
+            f"nothing is left.{origin}"
         )
 
     def report(self, path: str | os.PathLike | None = None) -> Path:
         """
-        Write the report of the study: a notebook with the whole analysis, run by papermill and laid out like all reports.
+        Write the report of the study: a notebook with the whole analysis, run by papermill and laid
+        out like all reports.
 
         Parameters
         ----------
         path : path-like, optional
-            Where; `report.html` in the study's folder when not given. Deleting a participant removes reports there, and only there.
+            Where; `report.html` in the study's folder when not given. Deleting a participant
+            removes reports there, and only there.
 
         Returns
         -------
@@ -334,7 +402,9 @@ class RecordedStudy:
         return self.measures
 
     def _repr_html_(self) -> str:
-        return as_html(self.summary(), self.participants, title=f"Live study {self.plan.folder.name}")
+        return as_html(
+            self.summary(), self.participants, title=f"Live study {self.plan.folder.name}"
+        )
 
     def __repr__(self) -> str:
         return f"RecordedStudy({self.plan.folder.name!r}: {self.summary()})"
@@ -353,9 +423,15 @@ def _score(page: Page, answers: pd.DataFrame, per_condition: bool) -> ScaleScore
     names, turned = [item.name for item in items], [item.name for item in items if item.reversed]
     if page.scored == "satisfaction":
         return score_satisfaction(
-            answers, points=first.high, items={name: name for name in names}, reversed=turned, **where
+            answers,
+            points=first.high,
+            items={name: name for name in names},
+            reversed=turned,
+            **where,
         )
-    scale = LikertScale(page.name, tuple(names), first.low, first.high, tuple(turned), step=first.step)
+    scale = LikertScale(
+        page.name, tuple(names), first.low, first.high, tuple(turned), step=first.step
+    )
     return score_likert(answers, scale, **where)
 
 

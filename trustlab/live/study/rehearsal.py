@@ -1,4 +1,7 @@
-"""A rehearsal without browsers: scripted hands with a person's limits go through a whole study, page by page."""
+"""
+A rehearsal without browsers: scripted hands with a person's limits go through a whole study, page
+by page.
+"""
 
 from typing import Any
 

@@ -1,4 +1,7 @@
-"""The report of a live study: its notebook, run in the study's folder by the pipeline that makes all reports."""
+"""
+The report of a live study: its notebook, run in the study's folder by the pipeline that makes all
+reports.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +26,14 @@ def write_report(study: RecordedStudy, path: Path) -> Path:
 
     folder, package = study.plan.folder, Path(__file__).parents[2]
     checkout = Checkout(
-        root=package.parent, notebooks=folder, reports=path.parent, package=package, data=package.parent / "data",
-        lock=package.parent / "environment.lock", external=folder / "none",
-    )  # fmt: skip
+        root=package.parent,
+        notebooks=folder,
+        reports=path.parent,
+        package=package,
+        data=package.parent / "data",
+        lock=package.parent / "environment.lock",
+        external=folder / "none",
+    )
     clock, started = time.monotonic(), datetime.now(UTC).isoformat(timespec="seconds")
     origin = provenance(checkout, NOTEBOOK, {}, started)
     origin["inputs"] = {
@@ -44,6 +52,8 @@ def write_report(study: RecordedStudy, path: Path) -> Path:
     origin["seconds"] = time.monotonic() - clock
     page, _ = report_html(run, NOTEBOOK.stem, origin, {}, folder)
     page = anonymous(page, checkout).replace(str(folder), folder.name)
-    alone = page.replace('<a href="index.html">← All reports</a>', "<span></span>", 1)  # there are no others beside it
+    alone = page.replace(
+        '<a href="index.html">← All reports</a>', "<span></span>", 1
+    )  # there are no others beside it
     write_whole(path.absolute(), alone)
     return path

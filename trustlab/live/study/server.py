@@ -1,8 +1,10 @@
 """
-The server of a live study, on tornado: a participant's pages, the rows of their drives, and the experimenter's page.
+The server of a live study, on tornado: a participant's pages, the rows of their drives, and the
+experimenter's page.
 
-A link is a token of 128 bits; who has it is that participant. Pages change by what is appended to the participant's events,
-one request of a participant after another; nothing is acknowledged before it is on the disk.
+A link is a token of 128 bits; who has it is that participant. Pages change by what is appended to
+the participant's events, one request of a participant after another; nothing is acknowledged before
+it is on the disk.
 """
 
 from __future__ import annotations
@@ -37,17 +39,25 @@ if TYPE_CHECKING:
     from trustlab.live.study.plan import LiveStudy
 
 STATIC = Path(__file__).parents[1] / "static"
-TYPES = {".js": "text/javascript", ".css": "text/css", ".wasm": "application/wasm", ".html": "text/html"}
+TYPES = {
+    ".js": "text/javascript",
+    ".css": "text/css",
+    ".wasm": "application/wasm",
+    ".html": "text/html",
+}
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 LARGEST_BODY = 400_000
 """Bytes of a request; 600 rows of a drive, what is sent at once after an outage, have 200,000."""
 
 RATE, BURST = 20.0, 60.0
-"""Requests per second of one link, and how many may come at once; a browser sends two or three a second."""
+"""
+Requests per second of one link, and how many may come at once; a browser sends two or three a
+second.
+"""
 
 POLICY = (
-    "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; connect-src 'self'; img-src 'self'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; connect-src "
+    "'self'; img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 HEADERS = {
     "Content-Security-Policy": POLICY,
@@ -75,7 +85,10 @@ class Bucket:
 
 
 class Base(tornado.web.RequestHandler):
-    """What every request goes through: host, origin, kind and rate are checked before anything is read."""
+    """
+    What every request goes through: host, origin, kind and rate are checked before anything is
+    read.
+    """
 
     def set_default_headers(self) -> None:
         """Set the headers that all answers have, errors too."""
@@ -84,10 +97,15 @@ class Base(tornado.web.RequestHandler):
 
     def prepare(self) -> None:
         """Refuse what does not come from the study's own pages."""
-        if self.request.host not in self.served.hosts:  # another name for this address: DNS rebinding
+        if (
+            self.request.host not in self.served.hosts
+        ):  # another name for this address: DNS rebinding
             raise tornado.web.HTTPError(421)
         if self.request.method == "POST":
-            if self.request.headers.get("Origin") != f"{self.request.protocol}://{self.request.host}":
+            if (
+                self.request.headers.get("Origin")
+                != f"{self.request.protocol}://{self.request.host}"
+            ):
                 raise tornado.web.HTTPError(403)
             if self.request.headers.get("Content-Type", "").partition(";")[0] != "application/json":
                 raise tornado.web.HTTPError(415)
@@ -125,8 +143,13 @@ class Base(tornado.web.RequestHandler):
         self.write(content)
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """Answer with nothing about the server: the number of the error, or a page for who opened a link that leads nowhere."""
-        opened = self.request.method == "GET" and "text/html" in self.request.headers.get("Accept", "")
+        """
+        Answer with nothing about the server: the number of the error, or a page for who opened a
+        link that leads nowhere.
+        """
+        opened = self.request.method == "GET" and "text/html" in self.request.headers.get(
+            "Accept", ""
+        )
         if status_code == 404 and opened:
             self.page("missing.html")
             self.finish()
@@ -136,7 +159,9 @@ class Base(tornado.web.RequestHandler):
     def log_exception(self, kind: Any, value: Any, traceback: Any) -> None:
         """Log a mistake of ours, without the address of the request, which is somebody's link."""
         if not isinstance(value, tornado.web.HTTPError):
-            tornado.log.app_log.error("a request could not be answered", exc_info=(kind, value, traceback))
+            tornado.log.app_log.error(
+                "a request could not be answered", exc_info=(kind, value, traceback)
+            )
 
     def data_received(self, chunk: bytes) -> None:
         """Bodies are read whole."""
@@ -147,7 +172,10 @@ def _refuse(constant: str) -> None:
 
 
 class Static(Base):
-    """The scripts, the style sheet and the physics: files known by name when the server starts, and no others."""
+    """
+    The scripts, the style sheet and the physics: files known by name when the server starts, and no
+    others.
+    """
 
     def get(self, name: str) -> None:
         """Answer with the file."""
@@ -181,7 +209,10 @@ class ParticipantRequest(Base):
         await self.reply(token, lambda course: getattr(course, what)(body))
 
     async def reply(self, token: str, work: Callable[[Course], dict[str, Any]]) -> None:
-        """Do the work in a thread, after what this participant asked before, and answer with what it returns."""
+        """
+        Do the work in a thread, after what this participant asked before, and answer with what it
+        returns.
+        """
         code = self.holder(token)
         if code == EXPERIMENTER:
             raise tornado.web.HTTPError(404)
@@ -225,7 +256,9 @@ class ExperimenterRequest(Base):
             raise tornado.web.HTTPError(400)
         async with self.served.locks.setdefault(code, asyncio.Lock()):
             try:
-                await asyncio.to_thread(lambda: getattr(self.served.course(code), f"experimenter_{action}")(body))
+                await asyncio.to_thread(
+                    lambda: getattr(self.served.course(code), f"experimenter_{action}")(body)
+                )
             except AnswerError as error:
                 self.set_status(400)
                 self.finish({"error": str(error)})
@@ -240,7 +273,8 @@ class ExperimenterRequest(Base):
 
 class StudyServer:
     """
-    A study's server in a thread of its own: a context manager, which serves from its beginning to its end.
+    A study's server in a thread of its own: a context manager, which serves from its beginning to
+    its end.
 
     Parameters
     ----------
@@ -260,17 +294,21 @@ class StudyServer:
     ):
         if certificate is None and address not in LOOPBACK:
             raise ValueError(
-                f"address {address!r} can be reached from other machines, and what people type there would travel unencrypted: "
-                "give certificate= and key= (files in PEM format), or serve on 127.0.0.1 behind a proxy that has them"
+                f"address {address!r} can be reached from other machines, and what people type "
+                "there would travel unencrypted: give certificate= and key= (files in PEM "
+                "format), or serve on 127.0.0.1 behind a proxy that has them"
             )
         if key is not None and certificate is None:
             raise ValueError(f"key {str(key)!r} is of no use without certificate=")
         if plan.content["kernel"] != kernel_digest():
             raise ValueError(
-                f"the study was frozen with physics {plan.content['kernel'][:16]}, this version of trustlab has "
-                f"{kernel_digest()[:16]}: its drives would not compare; go on with the version it was begun with"
+                f"the study was frozen with physics {plan.content['kernel'][:16]}, this version "
+                f"of trustlab has {kernel_digest()[:16]}: its drives would not compare; go on "
+                "with the version it was begun with"
             )
-        self.plan, self.address, self.port = plan, address, whole_number("port", port, 0, 65535)
+        self.plan = plan
+        self.address = address
+        self.port = whole_number("port", port, 0, 65535)
         self.tls = None
         if certificate is not None:
             self.tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
@@ -283,10 +321,13 @@ class StudyServer:
                     else f"certificate {str(certificate)!r}"
                 )
                 raise ValueError(
-                    f"{given} cannot be used for TLS ({error}); give files in PEM format, the key without a password"
+                    f"{given} cannot be used for TLS ({error}); give files in PEM format, the key "
+                    "without a password"
                 ) from error
         self.names = tuple(names)
-        self.files = {path.name: path.read_bytes() for path in STATIC.iterdir() if path.suffix in TYPES}
+        self.files = {
+            path.name: path.read_bytes() for path in STATIC.iterdir() if path.suffix in TYPES
+        }
         self.hosts: set[str] = set()
         self.buckets: dict[str, Bucket] = {}
         self.locks: dict[str, asyncio.Lock] = {}
@@ -299,7 +340,10 @@ class StudyServer:
         self.fault: BaseException | None = None
 
     def holder(self, token: str) -> str | None:
-        """Return whose token this is; the file is read again when it has changed, as when someone was deleted."""
+        """
+        Return whose token this is; the file is read again when it has changed, as when someone was
+        deleted.
+        """
         at = tokens_path(self.plan.folder).stat().st_mtime_ns
         if at != self.tokens_at:
             self.tokens, self.tokens_at = read_tokens(self.plan.folder), at
@@ -327,7 +371,8 @@ class StudyServer:
     def overview(self) -> dict[str, Any]:
         """Return what the experimenter's page shows."""
         rows = [
-            self.course(code).overview() | {"link": f"{self.base}/p/{self.tokens[code]}"} for code in self.present()
+            self.course(code).overview() | {"link": f"{self.base}/p/{self.tokens[code]}"}
+            for code in self.present()
         ]
         return {
             "study": self.plan.folder.name,
@@ -339,7 +384,13 @@ class StudyServer:
     @property
     def base(self) -> str:
         """The beginning of every link."""
-        name = self.names[0] if self.names else f"[{self.address}]" if ":" in self.address else self.address
+        name = (
+            self.names[0]
+            if self.names
+            else f"[{self.address}]"
+            if ":" in self.address
+            else self.address
+        )
         return f"{'https' if self.tls else 'http'}://{name}:{self.port}"
 
     @property
@@ -352,7 +403,10 @@ class StudyServer:
         return {row["code"]: row["link"] for row in self.overview()["people"]}
 
     def application(self) -> tornado.web.Application:
-        """Return the addresses that are answered; requests are not logged, as their addresses hold tokens."""
+        """
+        Return the addresses that are answered; requests are not logged, as their addresses hold
+        tokens.
+        """
         token = r"([A-Za-z0-9_-]{22})"
         asked = "state|answers|begin|rows|note|done"
         return tornado.web.Application(
@@ -370,13 +424,19 @@ class StudyServer:
 
     async def _serve(self) -> None:
         server = tornado.httpserver.HTTPServer(
-            self.application(), ssl_options=self.tls, max_body_size=LARGEST_BODY, max_header_size=16_000,
-            idle_connection_timeout=120.0, body_timeout=30.0,
-        )  # fmt: skip
+            self.application(),
+            ssl_options=self.tls,
+            max_body_size=LARGEST_BODY,
+            max_header_size=16_000,
+            idle_connection_timeout=120.0,
+            body_timeout=30.0,
+        )
         sockets = tornado.netutil.bind_sockets(self.port, self.address)
         self.port = sockets[0].getsockname()[1]
         hosts = (self.address, *self.names, *(LOOPBACK if self.address in LOOPBACK else ()))
-        self.hosts = {f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}" for host in hosts}
+        self.hosts = {
+            f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}" for host in hosts
+        }
         if self.port == (443 if self.tls else 80):  # browsers leave the usual port out
             self.hosts |= {host.rpartition(":")[0] for host in self.hosts}
         server.add_sockets(sockets)
@@ -402,14 +462,18 @@ class StudyServer:
             fcntl.flock(self.hold, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(self.hold)
-            raise ValueError(f"{self.plan.folder} is being served already, by another process or notebook") from None
+            raise ValueError(
+                f"{self.plan.folder} is being served already, by another process or notebook"
+            ) from None
         self.holder("")
         self.thread = threading.Thread(target=self._run, name="live study", daemon=True)
         self.thread.start()
         self.started.wait()
         if self.fault is not None:
             os.close(self.hold)
-            raise ValueError(f"cannot serve on {self.address}, port {self.port}: {self.fault}") from self.fault
+            raise ValueError(
+                f"cannot serve on {self.address}, port {self.port}: {self.fault}"
+            ) from self.fault
         return self
 
     def wait(self) -> None:
@@ -418,7 +482,9 @@ class StudyServer:
             while self.thread is not None and self.thread.is_alive():
                 self.thread.join(1.0)
         except KeyboardInterrupt:
-            print("\nThe study is no longer served; what was acknowledged is on the disk.", flush=True)
+            print(
+                "\nThe study is no longer served; what was acknowledged is on the disk.", flush=True
+            )
 
     def __exit__(self, *_: object) -> None:
         """End the server."""

@@ -1,8 +1,9 @@
 """
-What a live study keeps on the disk: one folder per participant, files that only grow, nothing acknowledged before fsync.
+What a live study keeps on the disk: one folder per participant, files that only grow, nothing
+acknowledged before fsync.
 
-A file ends with a whole line, or its writer died in the middle of one: what follows the last line end is cut off when the
-folder is next opened, and the cut is noted among the participant's events.
+A file ends with a whole line, or its writer died in the middle of one: what follows the last line
+end is cut off when the folder is next opened, and the cut is noted among the participant's events.
 """
 
 import json
@@ -52,7 +53,10 @@ def append(path: Path, lines: Iterable[str]) -> None:
 
 
 def write_whole(path: Path, text: str, mode: int = 0o644) -> None:
-    """Write a file at once, on the disk when this returns: whoever reads it sees the old one or the new one."""
+    """
+    Write a file at once, on the disk when this returns: whoever reads it sees the old one or the
+    new one.
+    """
     written = path.with_name(f".{path.name}.partial")
     written.unlink(missing_ok=True)
     with os.fdopen(os.open(written, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
@@ -75,7 +79,10 @@ def cut_torn_line(path: Path) -> int:
 
 
 def read_lines(path: Path) -> list[Any]:
-    """Return what the whole lines of a file hold; a torn last line is left out, a damaged one in the middle refused."""
+    """
+    Return what the whole lines of a file hold; a torn last line is left out, a damaged one in the
+    middle refused.
+    """
     if not path.exists():
         return []
     *whole, _ = path.read_bytes().split(b"\n")
@@ -85,15 +92,17 @@ def read_lines(path: Path) -> list[Any]:
             found.append(json.loads(line))
         except ValueError:
             raise ValueError(
-                f"{path.name}, line {number}: {line[:40]!r} is no JSON; this line was changed after it was written: "
-                "restore the file from a copy, or take the line out by hand and say so in the report"
+                f"{path.name}, line {number}: {line[:40]!r} is no JSON; this line was changed "
+                "after it was written: restore the file from a copy, or take the line out by "
+                "hand and say so in the report"
             ) from None
     return found
 
 
 class Participant:
     """
-    One participant's folder: the events, which are all there is to know, and a file of rows per attempt of a drive.
+    One participant's folder: the events, which are all there is to know, and a file of rows per
+    attempt of a drive.
 
     Parameters
     ----------
@@ -106,7 +115,11 @@ class Participant:
         self.counts: dict[str, int] = {}
         self.torn = {}
         if folder.is_dir():
-            self.torn = {path.name: cut for path in sorted(folder.glob("*.jsonl")) if (cut := cut_torn_line(path))}
+            self.torn = {
+                path.name: cut
+                for path in sorted(folder.glob("*.jsonl"))
+                if (cut := cut_torn_line(path))
+            }
         self.events = read_lines(folder / EVENTS)
         for name, cut in self.torn.items():
             self.add("torn", file=name, bytes=cut)
@@ -133,7 +146,10 @@ class Participant:
         return read_lines(self.folder / f"{name}.jsonl")[1:]
 
     def header(self, name: str) -> dict[str, Any] | None:
-        """Return the first line of an attempt's file, what determines the drive but for the commands; None before it begins."""
+        """
+        Return the first line of an attempt's file, what determines the drive but for the commands;
+        None before it begins.
+        """
         path = self.folder / f"{name}.jsonl"
         if not path.exists():
             return None
@@ -175,7 +191,8 @@ def read_tokens(folder: Path) -> dict[str, str]:
     path = tokens_path(folder)
     if not path.exists():
         raise ValueError(
-            f"there is no {path}: the links of this study are not on this machine; the plan's owner has them"
+            f"there is no {path}: the links of this study are not on this machine; the plan's "
+            "owner has them"
         )
     if path.stat().st_mode & 0o077:
         raise ValueError(f"{path} can be read by others on this machine; run: chmod 600 {path}")
@@ -183,7 +200,10 @@ def read_tokens(folder: Path) -> dict[str, str]:
 
 
 def make_tokens(folder: Path, codes: Iterable[str]) -> None:
-    """Draw a token of 128 bits for each participant and for the experimenter; those that are there stay."""
+    """
+    Draw a token of 128 bits for each participant and for the experimenter; those that are there
+    stay.
+    """
     path = tokens_path(folder)
     known = read_tokens(folder) if path.exists() else {}
     tokens = {name: known.get(name) or secrets.token_urlsafe(16) for name in (EXPERIMENTER, *codes)}
@@ -191,7 +211,10 @@ def make_tokens(folder: Path, codes: Iterable[str]) -> None:
 
 
 def delete_participant(folder: Path, code: str) -> None:
-    """Delete folder and token of a participant, and what was made from them; an empty file says that there was someone."""
+    """
+    Delete folder and token of a participant, and what was made from them; an empty file says that
+    there was someone.
+    """
     own = folder / code
     # The tombstone first: a server that runs meanwhile turns this participant away from now on.
     own.with_name(f"{code}{TOMBSTONE}").touch()

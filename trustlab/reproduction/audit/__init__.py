@@ -1,1 +1,3 @@
-"""The audit: every printed number that follows from others, recomputed, with a verdict and its reason."""
+"""
+The audit: every printed number that follows from others, recomputed, with a verdict and its reason.
+"""

@@ -1,4 +1,7 @@
-"""All checks together: one table with a row per printed number, in the order in which they are printed."""
+"""
+All checks together: one table with a row per printed number, in the order in which they are
+printed.
+"""
 
 import re
 import tomllib
@@ -19,30 +22,41 @@ from trustlab.reproduction.audit.statistics import study_checks
 from trustlab.reproduction.audit.verdict import VERDICTS, Remark, Row, rows_of
 from trustlab.reproduction.published import published_folder
 
-MAKERS = (model_checks, study_checks, sample_checks, claim_checks, statement_checks, setting_checks, joint_rows)
+MAKERS = (
+    model_checks,
+    study_checks,
+    sample_checks,
+    claim_checks,
+    statement_checks,
+    setting_checks,
+    joint_rows,
+)
 
 
 def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
     """
-    Recompute every printed number that depends on other printed numbers, and say whether it follows from them.
+    Recompute every printed number that depends on other printed numbers, and say whether it follows
+    from them.
 
-    Every input varies within half a unit of its last printed digit; the range of the result decides the verdict.
+    Every input varies within half a unit of its last printed digit; the range of the result decides
+    the verdict.
 
     Parameters
     ----------
     changes : mapping of str to str, optional
-        Other values to put in place of printed ones, by id, for example {"table_2.1/delta_TSC/2": "0.0061"}: the audit
-        of a corrected, or a spoiled, dissertation.
+        Other values to put in place of printed ones, by id, for example {"table_2.1/delta_TSC/2":
+        "0.0061"}: the audit of a corrected, or a spoiled, dissertation.
 
     Returns
     -------
     pandas.DataFrame
-        One row per printed number, and further rows where a number is checked in more than one way. Columns id, where,
-        quantity, printed (text), recomputed, low, high (its range within rounding, or the range that other numbers
-        allow), verdict, reason, formula, inputs. Verdicts: "reproduced", it follows at its printed precision; "within
-        rounding", it follows for inputs that round as printed; "differs", it does not, whatever the rounding and by
-        every convention tried; "not checkable", no printed number determines it. A reason that begins with
-        "Suspicious" names a slip that is likely, not certain.
+        One row per printed number, and further rows where a number is checked in more than one way.
+        Columns id, where, quantity, printed (text), recomputed, low, high (its range within
+        rounding, or the range that other numbers allow), verdict, reason, formula, inputs.
+        Verdicts: "reproduced", it follows at its printed precision; "within rounding", it follows
+        for inputs that round as printed; "differs", it does not, whatever the rounding and by every
+        convention tried; "not checkable", no printed number determines it. A reason that begins
+        with "Suspicious" names a slip that is likely, not certain.
 
     Raises
     ------
@@ -64,9 +78,14 @@ def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
     differ = {row.id for row in rows if row.verdict == "differs"}
     rows = [_resting(row, differ) for row in rows]
     order = {id: i for i, id in enumerate(numbers)}
-    place = {row.id: next((order[x] for x in _ancestors(row.id) if x in order), len(order)) for row in rows}
+    place = {
+        row.id: next((order[x] for x in _ancestors(row.id) if x in order), len(order))
+        for row in rows
+    }
     rows.sort(key=lambda row: (place[row.id], row.id))
-    return pd.DataFrame([astuple(row) for row in rows], columns=[field.name for field in fields(Row)])
+    return pd.DataFrame(
+        [astuple(row) for row in rows], columns=[field.name for field in fields(Row)]
+    )
 
 
 def _resting(row: Row, differ: set[str]) -> Row:
@@ -74,7 +93,11 @@ def _resting(row: Row, differ: set[str]) -> Row:
     used = [id for id in re.findall(r"\(([^()\s]+)\)", row.inputs) if id in differ]
     if row.formula.startswith("number of"):  # which counts its inputs, whatever they are
         return row
-    return replace(row, reason=f"{row.reason} Rests on {', '.join(used)}, judged “differs”.") if used else row
+    return (
+        replace(row, reason=f"{row.reason} Rests on {', '.join(used)}, judged “differs”.")
+        if used
+        else row
+    )
 
 
 def _ancestors(id: str) -> list[str]:
@@ -143,7 +166,9 @@ def plot_verdicts(verdicts: pd.DataFrame, ax=None):
         Where to draw; a new figure when not given.
     """
     ax, counts = axes_or_new(ax, figsize=(7.2, 3.0)), verdict_counts(verdicts)[list(VERDICTS)]
-    counts.plot.barh(stacked=True, color=COLOURS, width=0.8, ax=ax, xlabel="numbers and statements", ylabel="")
+    counts.plot.barh(
+        stacked=True, color=COLOURS, width=0.8, ax=ax, xlabel="numbers and statements", ylabel=""
+    )
     ax.invert_yaxis()
     ax.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.35, 1.0), frameon=False)
     return ax
@@ -173,7 +198,8 @@ def plot_ranges(rows: pd.DataFrame, ax=None):
 
 def plot_slips(rows: pd.DataFrame, ax=None):
     """
-    Draw how far printed numbers lie outside their ranges within rounding, in half-widths of the range.
+    Draw how far printed numbers lie outside their ranges within rounding, in half-widths of the
+    range.
 
     Parameters
     ----------

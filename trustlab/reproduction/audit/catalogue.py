@@ -26,7 +26,9 @@ def study_names(numbers: Mapping[str, PrintedNumber]) -> list[str]:
 
 
 def conditions_of(study: str) -> tuple[str, ...]:
-    """Return all conditions of a study of Section 2.4.2 or 3.9, also where a mean is not printed."""
+    """
+    Return all conditions of a study of Section 2.4.2 or 3.9, also where a mean is not printed.
+    """
     return CONDITIONS[study.split(".")[0]]
 
 
@@ -57,20 +59,28 @@ def _studies() -> Iterator[PrintedNumber]:
         yield PrintedNumber(f"{name}/n", where, "n", str(study.n), exact=True)
         for field in ("mean", "sd", "mauchly", "anova", "pairs", "t_test"):
             for entry, text in getattr(study, field).items():
-                exact = field in ("mauchly", "anova") and text.strip().isdecimal()  # degrees of freedom
-                yield PrintedNumber(f"{name}/{field}.{entry}", where, f"{title}: {field} {entry}", text, exact)
+                exact = (
+                    field in ("mauchly", "anova") and text.strip().isdecimal()
+                )  # degrees of freedom
+                yield PrintedNumber(
+                    f"{name}/{field}.{entry}", where, f"{title}: {field} {entry}", text, exact
+                )
         for pair in study.significant_without_p:
-            yield PrintedNumber(f"{name}/significant.{pair}", where, f"{title}: {pair}", "significantly")
+            yield PrintedNumber(
+                f"{name}/significant.{pair}", where, f"{title}: {pair}", "significantly"
+            )
         if study.epsilon:
             yield PrintedNumber(f"{name}/epsilon", where, f"{title}: epsilon", study.epsilon)
 
 
 def claims() -> Iterator[tuple[PrintedNumber, str, str, str]]:
     """
-    Return the rows of claims.csv: each claim, how it is read, and the ids of the means after and before.
+    Return the rows of claims.csv: each claim, how it is read, and the ids of the means after and
+    before.
 
-    Readings: "relative", a change in % of the mean before; "points", a difference on a scale from 0 to 100; "share", one of
-    shares between 0 and 1; "range", a difference in % of the range of robot performance, (2.39); or none of these.
+    Readings: "relative", a change in % of the mean before; "points", a difference on a scale from 0
+    to 100; "share", one of shares between 0 and 1; "range", a difference in % of the range of robot
+    performance, (2.39); or none of these.
     """
     table = pd.read_csv(published_folder() / "claims.csv", dtype=str, keep_default_na=False)
     for where, claim, printed, reading, after, before in table.itertuples(index=False):
@@ -92,24 +102,38 @@ def _statements() -> Iterator[PrintedNumber]:
 
 @cache
 def _reasons() -> list[tuple[str, str]]:
-    return list(pd.read_csv(published_folder() / "unchecked.csv", dtype=str).itertuples(index=False))
+    return list(
+        pd.read_csv(published_folder() / "unchecked.csv", dtype=str).itertuples(index=False)
+    )
 
 
 def why_unchecked(id: str) -> str:
-    """Return why an isolated number cannot be checked: the reason of the first matching pattern of unchecked.csv."""
+    """
+    Return why an isolated number cannot be checked: the reason of the first matching pattern of
+    unchecked.csv.
+    """
     return next(reason for pattern, reason in _reasons() if fnmatchcase(id, pattern))
 
 
 def printed_numbers(changes: Mapping[str, str] | None = None) -> dict[str, PrintedNumber]:
     """
-    Return every printed number by id: Tables 2.1-2.6 and 3.1, the studies, the claims and the statements.
+    Return every printed number by id: Tables 2.1-2.6 and 3.1, the studies, the claims and the
+    statements.
 
     `changes` puts other values in place of printed ones, by id.
     """
     numbers: dict[str, PrintedNumber] = {}
-    for number in (*_tables(), *_pilot(), *_studies(), *(number for number, *_ in claims()), *_statements()):
+    for number in (
+        *_tables(),
+        *_pilot(),
+        *_studies(),
+        *(number for number, *_ in claims()),
+        *_statements(),
+    ):
         if number.id in numbers:
-            raise ValueError(f"the id {number.id!r} stands for two printed numbers in data/published")
+            raise ValueError(
+                f"the id {number.id!r} stands for two printed numbers in data/published"
+            )
         numbers[number.id] = number
     if changes is not None and not isinstance(changes, Mapping):
         raise ValueError(
@@ -127,7 +151,10 @@ def _changed(numbers: Mapping[str, PrintedNumber], id: str, text: str) -> Printe
         meant = did_you_mean(id, numbers) if isinstance(id, str) else ""
         raise ValueError(f"no printed number has the id {shown(id)}{meant} (audit() lists all ids)")
     if not isinstance(text, str) or not text.strip():
-        raise ValueError(f"the change of {id!r} must be a text as printed, for example '0.390', got {shown(text)}")
+        raise ValueError(
+            f"the change of {id!r} must be a text as printed, for example '0.390', got "
+            f"{shown(text)}"
+        )
     changed = replace(numbers[id], printed=text.strip())
     if math.isfinite(numbers[id].value) and not math.isfinite(changed.value):
         raise ValueError(f"the change of {id!r} must be a number as printed, got {shown(text)}")

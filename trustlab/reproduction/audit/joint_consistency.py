@@ -1,4 +1,7 @@
-"""Whether all limits and bounds of one participant can come from one set of parameters, in Tables 2.1 and 2.2."""
+"""
+Whether all limits and bounds of one participant can come from one set of parameters, in Tables 2.1
+and 2.2.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -20,8 +23,8 @@ class JointCheck:
     """
     Several printed outputs that should come from one set of parameters.
 
-    `inputs` and `outputs` map symbols to ids; each function of `readings` computes all outputs from arrays of inputs, and
-    one of them is enough.
+    `inputs` and `outputs` map symbols to ids; each function of `readings` computes all outputs from
+    arrays of inputs, and one of them is enough.
     """
 
     numbers: Numbers
@@ -34,16 +37,24 @@ class JointCheck:
         return {name: np.asarray(self.numbers[id].value) for name, id in self.inputs.items()}
 
     def misfit(self, found: Mapping[str, np.ndarray], names: tuple[str, ...] = ()) -> np.ndarray:
-        """Return by how many half units the worst output lies beyond its rounding; 0 where all round as printed."""
+        """
+        Return by how many half units the worst output lies beyond its rounding; 0 where all round
+        as printed.
+        """
         worst = np.asarray(0.0)
         for name in names or self.outputs:
             number = self.numbers[self.outputs[name]]
             miss = np.maximum(np.abs(found[name] - number.value) / number.half - 1.0, 0.0)
-            worst = np.maximum(worst, np.where(np.isnan(miss), FARTHEST, np.minimum(miss, FARTHEST)))
+            worst = np.maximum(
+                worst, np.where(np.isnan(miss), FARTHEST, np.minimum(miss, FARTHEST))
+            )
         return worst
 
     def least_misfit(self, **fixed: float) -> float:
-        """Search the box of rounding for the parameters that miss least, by every reading; `fixed` inputs do not vary."""
+        """
+        Search the box of rounding for the parameters that miss least, by every reading; `fixed`
+        inputs do not vary.
+        """
         least = FARTHEST
         for compute in self.readings:
             least = min(least, self._search(compute, fixed))
@@ -65,7 +76,8 @@ class JointCheck:
 
         if miss(np.zeros((len(names), 1))).item() == 0.0:
             return 0.0
-        # A global search: the misfit has steps, as dwell times are whole numbers, and is flat where all outputs fit.
+        # A global search: the misfit has steps, as dwell times are whole numbers, and is flat where
+        # all outputs fit.
         result = differential_evolution(
             miss,
             [(-1.0, 1.0)] * len(names),
@@ -87,8 +99,9 @@ class JointCheck:
         reason = f"{names} can all come from one set of parameters that round as printed."
         if miss > 0.0:
             reason = (
-                f"{'' if verdict == 'differs' else 'Suspicious: '}{names} cannot all come from one set of parameters that round as "
-                f"printed; the nearest found still miss one of them by {miss:.2g} half units beyond its rounding. {explain(self)}"
+                f"{'' if verdict == 'differs' else 'Suspicious: '}{names} cannot all come from "
+                "one set of parameters that round as printed; the nearest found still miss one "
+                f"of them by {miss:.2g} half units beyond its rounding. {explain(self)}"
             )
         return self.described(verdict, reason)
 
@@ -122,14 +135,17 @@ def _finer_rate(check: JointCheck) -> str:
         found = compute(check.at_printed() | {"a_pr": np.asarray(a_pr)})
         if check.misfit(found, ("TSC_lb", "TSC_ub")) == 0.0:
             return (
-                f"Both limits follow from a_pr = {a_pr:.{rate.decimals + 1}f} (printed: {rate.printed}), from which (2.3) gives "
-                f"b_pr = {float(found['b_pr']):.2g}."
+                f"Both limits follow from a_pr = {a_pr:.{rate.decimals + 1}f} (printed: "
+                f"{rate.printed}), from which (2.3) gives b_pr = {float(found['b_pr']):.2g}."
             )
     return ""
 
 
 def _bound_row(numbers: Numbers, p: str, limits_fit: bool) -> Row:
-    """Return the row of Table 2.2, together with the limits of Table 2.1 where these fit by themselves."""
+    """
+    Return the row of Table 2.2, together with the limits of Table 2.1 where these fit by
+    themselves.
+    """
     inputs = {name: f"table_2.1/{name}/{p}" for name in (*PERFORMANCE, "a_pr", "a_r", "delta_TSC")}
     inputs |= {name: f"table_2.2/{name}/{p}" for name in ("TSC_l", "TSC_u")}
     outputs = {name: f"table_2.2/{name}/{p}" for name in BOUNDS}
@@ -164,14 +180,18 @@ def _other_thresholds(check: JointCheck) -> str:
     for lower, upper in sorted(pairs, key=away):
         if first.least_misfit(TSC_l=lower, TSC_u=upper) == 0.0:
             return (
-                f"They follow, within the rounding of the other parameters, from TSC_l = {lower:.2f} and TSC_u = {upper:.2f}: "
-                "probably the thresholds printed are not those the column was computed from."
+                "They follow, within the rounding of the other parameters, from TSC_l = "
+                f"{lower:.2f} and TSC_u = {upper:.2f}: probably the thresholds printed are not "
+                "those the column was computed from."
             )
     return ""
 
 
 def joint_rows(numbers: Numbers) -> list[Row]:
-    """Return, for every participant, whether the limits of Table 2.1 and the bounds of Table 2.2 fit together."""
+    """
+    Return, for every participant, whether the limits of Table 2.1 and the bounds of Table 2.2 fit
+    together.
+    """
     rows = []
     for p in PARTICIPANTS:
         limit_row = _limit_row(numbers, p)

@@ -1,4 +1,7 @@
-"""The audit of Tables 2.1-2.3 and the pilot operator: rates, limits, bounds and thresholds of the TSC model."""
+"""
+The audit of Tables 2.1-2.3 and the pilot operator: rates, limits, bounds and thresholds of the TSC
+model.
+"""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -23,7 +26,10 @@ def robot_gain(v: dict) -> np.ndarray:
 
 
 def constants(v: dict) -> TscConstants:
-    """Return the constants of the model at arrays of printed parameters; b_pr of (2.3) where it is not among them."""
+    """
+    Return the constants of the model at arrays of printed parameters; b_pr of (2.3) where it is not
+    among them.
+    """
     a_T, b_T = performance_weights(*(v[name] for name in PERFORMANCE))
     return TscConstants(
         a_r=v.get("a_r", np.nan),
@@ -55,12 +61,15 @@ def bounds(v: dict) -> dict[str, np.ndarray]:
     """
     Return P_rl, P_ru (2.15) and r_l, r_u (2.33).
 
-    With b_pr among the parameters, c of (2.20) is b_pr P_h/(1 − a_pr); P_rl and P_ru need neither a_pr nor a_r.
+    With b_pr among the parameters, c of (2.20) is b_pr P_h/(1 − a_pr); P_rl and P_ru need neither
+    a_pr nor a_r.
     """
     v = {"a_pr": np.nan, "a_r": np.nan} | v
     rise = v["b_pr"] * v["P_h_max"] / (1.0 - v["a_pr"]) if "b_pr" in v else None
     p = performance_as_printed(constants(v), v["TSC_l"], v["TSC_u"], v["delta_TSC"], rise)
-    r = utilization_as_printed(v["a_r"], p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous)
+    r = utilization_as_printed(
+        v["a_r"], p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous
+    )
     r_low, r_high = (np.where(p.p_r_low < p.p_r_high, x, np.nan) for x in r)
     return {"P_rl": p.p_r_low, "P_ru": p.p_r_high, "r_l": r_low, "r_u": r_high}
 
@@ -85,13 +94,16 @@ def column_formulas(column: str) -> dict[str, Formula]:
         "delta_TSC": Formula("a_T δ_Pr + b_T δ_Ph", steps, largest_step),
         "TSC_lb": Formula("a_T b'_1 − b_T P_h_min (2.9)", used, lambda v: limits(v)["TSC_lb"]),
         "TSC_ub": with_printed_gain(upper, column, "b_pr as printed"),
-        "TSC_ub by (2.3)": replace(upper, label="b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb"),
+        "TSC_ub by (2.3)": replace(
+            upper, label="b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb"
+        ),
     }
 
 
 def with_printed_gain(formula: Formula, column: str, label: str) -> Formula:
     """
-    Return a formula that takes the printed b_pr of a participant or the pilot, and not that of (2.3).
+    Return a formula that takes the printed b_pr of a participant or the pilot, and not that of
+    (2.3).
 
     It is not varied within its rounding on its own: (2.3) ties it to the other parameters.
     """
@@ -121,7 +133,10 @@ def upper_limit_check(p: str) -> Check:
 
 
 def _untied_gain(check: Check, tied: Formula, numbers: Numbers) -> str:
-    """Return a note if the printed limit needs a b_pr that rounds as printed but violates (2.3); else an empty text."""
+    """
+    Return a note if the printed limit needs a b_pr that rounds as printed but violates (2.3); else
+    an empty text.
+    """
     printed, gain = numbers[check.number], numbers[check.formula.inputs["b_pr"]]
     free = replace(check.formula, as_printed=())
     if any(way.meets(printed, numbers) for way in (check.formula, *check.conventions)):
@@ -130,9 +145,9 @@ def _untied_gain(check: Check, tied: Formula, numbers: Numbers) -> str:
         return ""
     by_equation, _, _ = tied.range(numbers)
     return (
-        f"Only a b_pr that does not obey (2.3) and still rounds to {gain.printed}, from {gain.value - gain.half:.5f} to "
-        f"{gain.value + gain.half:.5f}, could reach {printed.printed}; the text chooses b_pr by (2.3), here "
-        f"{by_equation:.5f}."
+        f"Only a b_pr that does not obey (2.3) and still rounds to {gain.printed}, from "
+        f"{gain.value - gain.half:.5f} to {gain.value + gain.half:.5f}, could reach "
+        f"{printed.printed}; the text chooses b_pr by (2.3), here {by_equation:.5f}."
     )
 
 
@@ -142,7 +157,10 @@ def _participant(p: str, numbers: Numbers) -> list[Check]:
     limit, _, _ = one["TSC_ub"].range(numbers)
     chosen, below = numbers[f"table_2.2/TSC_u/{p}"], ""
     if limit < chosen.value:
-        below = f"The chosen TSC_u = {chosen.printed} of Table 2.2 lies above TSC_ub = {limit:.3f} as recomputed."
+        below = (
+            f"The chosen TSC_u = {chosen.printed} of Table 2.2 lies above TSC_ub = "
+            f"{limit:.3f} as recomputed."
+        )
     upper = upper_limit_check(p)
     minus = Formula(
         "a_T δ_Pr − b_T δ_Ph",
@@ -167,7 +185,9 @@ def _participant(p: str, numbers: Numbers) -> list[Check]:
 
 def _encloses_beta(p: str) -> Check:
     ids = {"β": f"table_2.1/beta/{p}", "r_l": f"table_2.2/r_l/{p}", "r_u": f"table_2.2/r_u/{p}"}
-    gap = Formula("min(β − r_l, r_u − β)", ids, lambda v: np.minimum(v["β"] - v["r_l"], v["r_u"] - v["β"]))
+    gap = Formula(
+        "min(β − r_l, r_u − β)", ids, lambda v: np.minimum(v["β"] - v["r_l"], v["r_u"] - v["β"])
+    )
     id, quantity = "section_2_4_1_2/enclose_beta", f"r_l ≤ β ≤ r_u, participant {p}"
     return Check(id, gap, suffix=f"/{p}", quantity=quantity, target=(0.0, np.inf))
 
@@ -185,14 +205,22 @@ def _inside_limits(p: str, note: str) -> Check:
 
 
 def _largest_robot_step(column: str, numbers: Numbers) -> Possible:
-    """Return the check that δ_Pr is at most what (2.3) can move P_r by in one step, at either end of its range."""
+    """
+    Return the check that δ_Pr is at most what (2.3) can move P_r by in one step, at either end of
+    its range.
+    """
     id = _ids(("delta_P_r",), column)["delta_P_r"]
-    most = Formula.of("(1 - a_pr) * (P_r_max - P_r_min)", _ids(("a_pr", "P_r_min", "P_r_max"), column))
+    most = Formula.of(
+        "(1 - a_pr) * (P_r_max - P_r_min)", _ids(("a_pr", "P_r_min", "P_r_max"), column)
+    )
     limit, _, _ = most.range(numbers)
     least, _ = numbers[id].compatible
     note = why_unchecked(id)
     if least > limit:
-        note = f"Suspicious: with the parameters as printed, (2.3) moves P_r by at most {limit:.2e} in one step."
+        note = (
+            "Suspicious: with the parameters as printed, (2.3) moves P_r by at most "
+            f"{limit:.2e} in one step."
+        )
     return Possible(id, Formula.of("0", {}), most, note)
 
 
@@ -216,8 +244,9 @@ def _captured(p: str, numbers: Numbers) -> list[Check | Remark]:
     if upper.value <= limit.value:
         return [check]
     above = (
-        f"{why_unchecked(upper.id)} It lies above TSC_ub = {limit.printed} of Table 2.1, so that Theorem 1 does not cover this participant's "
-        "own switching (its condition is sufficient, not necessary)."
+        f"{why_unchecked(upper.id)} It lies above TSC_ub = {limit.printed} of Table 2.1, so that "
+        "Theorem 1 does not cover this participant's own switching (its condition is sufficient, "
+        "not necessary)."
     )
     return [check, Remark(upper.id, above)]
 
@@ -243,13 +272,16 @@ def _spread_of_captured(numbers: Numbers) -> Check:
 
 
 def _pilot(numbers: Numbers) -> list[Finding]:
-    """Return the checks of the pilot operator, and of the thresholds that Section 2.5 chooses for them."""
+    """
+    Return the checks of the pilot operator, and of the thresholds that Section 2.5 chooses for
+    them.
+    """
     f = column_formulas("pilot")
     lower, _, _ = f["TSC_lb"].range(numbers)
     upper, least, most = f["TSC_ub"].range(numbers)
     found = (
-        f"The pilot's own numbers give TSC_ub = {upper:.3f} by (2.10), from {least:.3f} to {most:.3f} within rounding, "
-        f"and TSC_lb = {lower:.3f}."
+        f"The pilot's own numbers give TSC_ub = {upper:.3f} by (2.10), from {least:.3f} to "
+        f"{most:.3f} within rounding, and TSC_lb = {lower:.3f}."
     )
     over = "Suspicious: above the limit under which Theorem 1 guarantees switching. "
     by_author = "Chosen by the author. "
@@ -267,5 +299,9 @@ def model_checks(numbers: Numbers) -> list[Finding]:
     """Return the checks of Tables 2.1-2.3 and of the pilot operator."""
     checks: list[Finding] = []
     for p in PARTICIPANTS:
-        checks += [*_participant(p, numbers), _largest_robot_step(p, numbers), *_captured(p, numbers)]
+        checks += [
+            *_participant(p, numbers),
+            _largest_robot_step(p, numbers),
+            *_captured(p, numbers),
+        ]
     return [*checks, _spread_of_captured(numbers), *_pilot(numbers)]

@@ -30,7 +30,8 @@ MOST_ITEMS = 40
 
 def attainable(number: PrintedNumber, units: Fraction) -> float:
     """
-    Return the mean nearest to a printed one that whole points can have, NaN if none rounds to it (the GRIM test).
+    Return the mean nearest to a printed one that whole points can have, NaN if none rounds to it
+    (the GRIM test).
 
     `units` are whole points per unit of the scale: respondents × items for ratings in steps of 1.
     """
@@ -42,7 +43,10 @@ def attainable(number: PrintedNumber, units: Fraction) -> float:
 
 
 def simplest_ratio(number: PrintedNumber, most: int = 60) -> Fraction | None:
-    """Return a percentage's simplest ratio of whole numbers with a denominator up to `most`, None if there is none."""
+    """
+    Return a percentage's simplest ratio of whole numbers with a denominator up to `most`, None if
+    there is none.
+    """
     least, top = number.compatible
     for denominator in range(1, most + 1):
         below = math.floor(number.value * denominator / 100)
@@ -86,7 +90,9 @@ def _sd(measure: str, mean: str) -> Possible | Remark:
     inputs = {"M": mean, "n": _size(measure)}
 
     def between_ends(v: dict) -> np.ndarray:
-        return np.sqrt(np.maximum(v["n"] / (v["n"] - 1.0) * (v["M"] - least) * (most - v["M"]), 0.0))
+        return np.sqrt(
+            np.maximum(v["n"] / (v["n"] - 1.0) * (v["M"] - least) * (most - v["M"]), 0.0)
+        )
 
     text = f"√(n/(n − 1) (M − {least:g})({most:g} − M)), all scores at the ends of the scale"
     greatest = Formula(text, inputs, between_ends)
@@ -96,20 +102,27 @@ def _sd(measure: str, mean: str) -> Possible | Remark:
 
 
 def _units(measure: str, condition: str, numbers: Numbers, per_person: Fraction) -> Fraction:
-    """Return whole points per unit of the scale; Table 2.4 may rest on two sets of tests under C1."""
+    """
+    Return whole points per unit of the scale; Table 2.4 may rest on two sets of tests under C1.
+    """
     twice = measure.startswith("table_2.4") and condition == "C1"
     sets = numbers["section_2_4_1_3/sets"].value if twice else 1
     return Fraction(int(numbers[_size(measure)].value * sets)) * per_person
 
 
 def _expected_items(measure: str) -> tuple[str, str] | None:
-    """Return how many items a questionnaire should have, and who says so; None where nothing is known."""
+    """
+    Return how many items a questionnaire should have, and who says so; None where nothing is known.
+    """
     expected = MEASURES["expected_items"]
     return expected.get(measure) or expected.get(_kind(measure))
 
 
 def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Remark | Row]:
-    """Return, for a questionnaire, a remark per mean and one row on the number of items or rule of scoring."""
+    """
+    Return, for a questionnaire, a remark per mean and one row on the number of items or rule of
+    scoring.
+    """
     rules = TLX_RULES
     if _kind(measure) != "tlx":
         rules = {f"{items} items": Fraction(items) for items in range(1, MOST_ITEMS + 1)}
@@ -130,14 +143,21 @@ def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Rem
             reason += f" With {expected[0]} no whole points round to it."
         if rules is TLX_RULES and all(math.isnan(nearest(condition, rule)) for rule in rules):
             n = numbers[_size(measure)].printed
-            reason = f"Suspicious: for n = {n} no whole points give it, raw or weighted (GRIM). {reason}"
+            reason = (
+                f"Suspicious: for n = {n} no whole points give it, raw or weighted (GRIM). {reason}"
+            )
         remarks.append(Remark(id, reason))
     return [*remarks, _items(measure, ids, fitting, numbers)]
 
 
 def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Numbers) -> Row:
-    """Return which numbers of items, or rules of scoring, all means fit; not checkable, as neither is printed."""
-    kind, fewest, first = _kind(measure), math.nan, next(iter(ids.values()))
+    """
+    Return which numbers of items, or rules of scoring, all means fit; not checkable, as neither is
+    printed.
+    """
+    kind = _kind(measure)
+    fewest = math.nan
+    first = next(iter(ids.values()))
     if kind == "tlx":
         word, unknown = "scoring", "The rule of scoring is not printed."
         fit, tried = ": " + "; ".join(fitting[:4]), "any of: " + "; ".join(TLX_RULES)
@@ -146,7 +166,11 @@ def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Nu
         counts = [rule.removesuffix(" items") for rule in fitting]
         fit, tried = f" {', '.join(counts[:4])} items", f"up to {MOST_ITEMS} items"
         fewest = float(counts[0]) if counts else math.nan
-    found = f"All means are whole points for{fit}" if fitting else f"Not all means are whole points for {tried}"
+    found = (
+        f"All means are whole points for{fit}"
+        if fitting
+        else f"Not all means are whole points for {tried}"
+    )
     reason, expected = f"{unknown} {found}.", _expected_items(measure)
     if expected and expected[0] not in fitting:
         reason = f"Suspicious: not {expected[0]} ({expected[1]}). {reason}"
@@ -155,7 +179,9 @@ def _items(measure: str, ids: Mapping[str, str], fitting: list[str], numbers: Nu
     id, quantity = f"{measure}/{word}", f"{kind}: {word} that all means fit"
     printed = ", ".join(numbers[id].printed for id in ids.values())
     span = (fewest, math.nan, math.nan)
-    return row_about(numbers[first], "not checkable", reason, span, formula, inputs, id, quantity, printed)
+    return row_about(
+        numbers[first], "not checkable", reason, span, formula, inputs, id, quantity, printed
+    )
 
 
 def _performance(measure: str, condition: str, id: str, numbers: Numbers) -> Possible | Remark:
@@ -163,8 +189,14 @@ def _performance(measure: str, condition: str, id: str, numbers: Numbers) -> Pos
     name, forced = _kind(measure), ""
     if condition == "C3" and name in ("P_r", "r"):
         symbol = "r_" if name == "r" else "P_r"
-        low, high = (np.mean([numbers[f"table_2.2/{symbol}{end}/{p}"].value for p in PARTICIPANTS]) for end in "lu")
-        forced = f"The bounds of Table 2.2, which hold in steady state, are {low:.4f} and {high:.4f} on average."
+        low, high = (
+            np.mean([numbers[f"table_2.2/{symbol}{end}/{p}"].value for p in PARTICIPANTS])
+            for end in "lu"
+        )
+        forced = (
+            f"The bounds of Table 2.2, which hold in steady state, are {low:.4f} and "
+            f"{high:.4f} on average."
+        )
     if name == "r":
         return Remark(id, f"Measured; a share between 0 and 1. {forced}")
 
@@ -175,8 +207,8 @@ def _performance(measure: str, condition: str, id: str, numbers: Numbers) -> Pos
     top, _, _ = mean_of("max").range(numbers)
     if numbers[id].value >= top:
         forced = (
-            f"Suspicious: it reaches the mean of the greatest values, {top:.4f}, as if every participant had been at their "
-            "best throughout."
+            f"Suspicious: it reaches the mean of the greatest values, {top:.4f}, as if every "
+            "participant had been at their best throughout."
         )
     return Possible(id, mean_of("min"), mean_of("max"), forced)
 
@@ -186,7 +218,9 @@ def _mean(v: dict) -> np.ndarray:
 
 
 def _followed(condition: str, numbers: Numbers) -> list[Check | Remark]:
-    """Return the checks of a row of Table 2.6: mean and SD of the five participants, and their counts."""
+    """
+    Return the checks of a row of Table 2.6: mean and SD of the five participants, and their counts.
+    """
     ids = {f"x_{p}": f"table_2.6/{condition}/{p}" for p in PARTICIPANTS}
 
     def sd_of(v: dict, ddof: int) -> np.ndarray:

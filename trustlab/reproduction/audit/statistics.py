@@ -1,4 +1,7 @@
-"""The audit of the eleven printed studies: degrees of freedom, p-values, effect sizes, sphericity, pairs and duplicates."""
+"""
+The audit of the eleven printed studies: degrees of freedom, p-values, effect sizes, sphericity,
+pairs and duplicates.
+"""
 
 from collections import Counter
 from itertools import combinations
@@ -28,8 +31,8 @@ def chi2_of_epsilon(epsilon: np.ndarray, n: np.ndarray, k: int, greatest: bool) 
     """
     Return the least or greatest χ² of Mauchly that an ε of Greenhouse and Geisser leaves.
 
-    W = ∏λ/(mean λ)^p and ε = (Σλ)²/(p Σλ²) of the same p = k − 1 eigenvalues; at given ε, W is extreme where all but one
-    eigenvalue are equal, or one is 0.
+    W = ∏λ/(mean λ)^p and ε = (Σλ)²/(p Σλ²) of the same p = k − 1 eigenvalues; at given ε, W is
+    extreme where all but one eigenvalue are equal, or one is 0.
     """
     p = k - 1
     # Eigenvalues of mean 1: one is 1 ± spread, the others share the rest, which gives Σλ² = p/ε.
@@ -42,7 +45,14 @@ def chi2_of_epsilon(epsilon: np.ndarray, n: np.ndarray, k: int, greatest: bool) 
 
 
 # What the symbols of formulas stand for within a study.
-SYMBOLS = {"F": "anova.F", "df1": "anova.df1", "df2": "anova.df2", "n": "n", "p": "mauchly.p", "ε": "epsilon"}
+SYMBOLS = {
+    "F": "anova.F",
+    "df1": "anova.df1",
+    "df2": "anova.df2",
+    "n": "n",
+    "p": "mauchly.p",
+    "ε": "epsilon",
+}
 
 
 def _ids(name: str) -> dict[str, str]:
@@ -50,7 +60,10 @@ def _ids(name: str) -> dict[str, str]:
 
 
 def _anova(name: str, numbers: Numbers, k: int) -> list[Check]:
-    """Return the checks of a study's p, partial η², degrees of freedom and ε; each of the last by n and by the other."""
+    """
+    Return the checks of a study's p, partial η², degrees of freedom and ε; each of the last by n
+    and by the other.
+    """
     ids, d = _ids(name), k - 1
 
     def check(symbol: str, first: str, *others: str) -> Check:
@@ -71,7 +84,9 @@ def _anova(name: str, numbers: Numbers, k: int) -> list[Check]:
 
 
 def _f_ratio(name: str, numbers: Numbers) -> Possible | Remark:
-    """Return the range of F that means and SDs leave: correlations from −1/(k − 1) on average to 1."""
+    """
+    Return the range of F that means and SDs leave: correlations from −1/(k − 1) on average to 1.
+    """
     conditions = conditions_of(name)
     k = len(conditions)
     if any(f"{name}/mean.{c}" not in numbers for c in conditions):
@@ -95,22 +110,32 @@ def _f_ratio(name: str, numbers: Numbers) -> Possible | Remark:
 def _mauchly(name: str, numbers: Numbers, k: int) -> list:
     """Return the checks of Mauchly's test, and of what the text concludes from it."""
     at = {key: f"{name}/mauchly.{key}" for key in ("chi2", "df", "p")}
-    n, epsilon, sphericity = {"n": f"{name}/n"}, f"{name}/epsilon", f"{name}/sphericity"
+    n = {"n": f"{name}/n"}
+    epsilon = f"{name}/epsilon"
+    sphericity = f"{name}/sphericity"
     given = {"ε": epsilon} | n
-    least = Formula("least χ² at this ε", given, lambda v: chi2_of_epsilon(v["ε"], v["n"], k, False))
-    most = Formula("greatest χ² at this ε", given, lambda v: chi2_of_epsilon(v["ε"], v["n"], k, True))
+    least = Formula(
+        "least χ² at this ε", given, lambda v: chi2_of_epsilon(v["ε"], v["n"], k, False)
+    )
+    most = Formula(
+        "greatest χ² at this ε", given, lambda v: chi2_of_epsilon(v["ε"], v["n"], k, True)
+    )
     if at["chi2"] not in numbers:
         (_, low, _), (_, _, high) = least.range(numbers), most.range(numbers)
-        p_low, p_high = (float(mauchly_p_value(x, numbers[f"{name}/n"].value, k)) for x in (high, low))
+        p_low, p_high = (
+            float(mauchly_p_value(x, numbers[f"{name}/n"].value, k)) for x in (high, low)
+        )
         reason = (
-            f"χ² is not printed; ε = {numbers[epsilon].printed} leaves χ² from {low:.1f} to {high:.1f}, that is p from "
-            f"{p_low:.2g} to {p_high:.2g}."
+            f"χ² is not printed; ε = {numbers[epsilon].printed} leaves χ² from {low:.1f} to "
+            f"{high:.1f}, that is p from {p_low:.2g} to {p_high:.2g}."
         )
         return [Remark(sphericity, reason)]
     df = Formula.of(f"{k} * ({k} - 1) / 2 - 1", {}, text=f"k(k − 1)/2 − 1, k = {k}")
     inputs = {"χ2": at["chi2"], "df": at["df"]}
     label = "first-order approximation"
-    first_order = Formula("P(χ²(df) > χ²)", inputs, lambda v: stats.chi2.sf(v["χ2"], v["df"]), label)
+    first_order = Formula(
+        "P(χ²(df) > χ²)", inputs, lambda v: stats.chi2.sf(v["χ2"], v["df"]), label
+    )
     second_order = Formula(
         "P(χ²(df) > χ²) + ω [P(χ²(df + 4) > χ²) − P(χ²(df) > χ²)]",
         {"χ2": at["chi2"]} | n,
@@ -135,15 +160,22 @@ def _t_test(name: str, numbers: Numbers) -> list[Check | Possible]:
     least = Formula("t at a correlation of −1", inputs, lambda v: extreme_t(v, a, b, -1))
     most = Formula("t at a correlation of 1", inputs, lambda v: extreme_t(v, a, b, 1))
     t, n = f"{name}/t_test.t", f"{name}/n"
-    tail = Formula("2 P(t(n − 1) > t)", {"t": t, "n": n}, lambda v: 2.0 * stats.t.sf(v["t"], v["n"] - 1.0))
+    tail = Formula(
+        "2 P(t(n − 1) > t)", {"t": t, "n": n}, lambda v: 2.0 * stats.t.sf(v["t"], v["n"] - 1.0)
+    )
     return [Check(f"{name}/t_test.p", tail), Possible(t, least, most)]
 
 
 def _sample_size(name: str) -> Check:
-    """Return the check of n: participants less those dropped; the UAV study counts the trials of one person as people."""
+    """
+    Return the check of n: participants less those dropped; the UAV study counts the trials of one
+    person as people.
+    """
     section = "section_2_4_2_2" if name.startswith("uav.") else "section_3_9_2"
     ids = {symbol: f"{section}/{symbol}" for symbol in ("participants", "dropped", "trials")}
-    trials = Formula.of("trials * (participants - dropped)", ids, "each trial of a person was counted as a person")
+    trials = Formula.of(
+        "trials * (participants - dropped)", ids, "each trial of a person was counted as a person"
+    )
     others = (trials,) if section == "section_2_4_2_2" else ()
     return Check(f"{name}/n", Formula.of("participants - dropped", ids), explanations=others)
 
@@ -152,7 +184,9 @@ def _duplicates(first: str, second: str, numbers: Numbers) -> list[Remark]:
     """Return remarks on statistics that two studies share to the last digit."""
 
     def same(key: str) -> bool:
-        pair = [numbers[id].printed for id in (f"{first}/{key}", f"{second}/{key}") if id in numbers]
+        pair = [
+            numbers[id].printed for id in (f"{first}/{key}", f"{second}/{key}") if id in numbers
+        ]
         return len(pair) == 2 and len(set(pair)) == 1
 
     remarks = []
@@ -160,9 +194,10 @@ def _duplicates(first: str, second: str, numbers: Numbers) -> list[Remark]:
         chi2, df = numbers[f"{second}/mauchly.chi2"], numbers[f"{second}/mauchly.df"]
         chance = float(np.diff(stats.chi2.cdf(chi2.compatible, df.value))[0])
         reason = (
-            f"Suspicious: χ² = {chi2.printed} and p = {numbers[f'{second}/mauchly.p'].printed} are printed for "
-            f"{first} as well; under sphericity two measures agree so closely with a chance of about 1 in "
-            f"{1.0 / chance:.0f}. Probably one was copied from the other."
+            f"Suspicious: χ² = {chi2.printed} and p = {numbers[f'{second}/mauchly.p'].printed} "
+            f"are printed for {first} as well; under sphericity two measures agree so closely "
+            f"with a chance of about 1 in {1.0 / chance:.0f}. Probably one was copied from the "
+            "other."
         )
         quantity = f"{chi2.quantity}, against {first}"
         remarks.append(Remark(chi2.id, reason, suffix="/duplicate", quantity=quantity))
@@ -196,7 +231,10 @@ def means_and_sds(name: str, conditions: tuple[str, ...]) -> dict[str, str]:
 
 
 def extreme_t(v: dict, a: str, b: str, correlation: int) -> np.ndarray:
-    """Return the size of a paired t from means and SDs, at a correlation of 1 (the greatest) or −1 (the least)."""
+    """
+    Return the size of a paired t from means and SDs, at a correlation of 1 (the greatest) or −1
+    (the least).
+    """
     sd = np.abs(v[f"SD_{a}"] - correlation * v[f"SD_{b}"])
     return np.abs(v[f"M_{a}"] - v[f"M_{b}"]) * np.sqrt(v["n"]) / np.maximum(sd, 1e-12)
 
@@ -208,11 +246,17 @@ def _usual_bound(numbers: Numbers) -> str:
 
 
 def _pair(id: str, name: str, numbers: Numbers) -> Possible | Remark:
-    """Return the range of one printed p: from correlation 1, unadjusted, to correlation −1, adjusted by Bonferroni."""
+    """
+    Return the range of one printed p: from correlation 1, unadjusted, to correlation −1, adjusted
+    by Bonferroni.
+    """
     a, b = id.removeprefix(f"{name}/pairs.").split("-")
     usual, odd = _usual_bound(numbers), ""
     if numbers[id].is_bound and numbers[id].printed != usual:
-        odd = f"Suspicious: every other bound of its kind is printed {usual}; probably a zero is missing."
+        odd = (
+            f"Suspicious: every other bound of its kind is printed {usual}; probably a zero is "
+            "missing."
+        )
     if any(f"{name}/mean.{c}" not in numbers for c in (a, b)):
         return Remark(id, odd or "The mean and SD of one of the two conditions are not printed.")
     k = len(conditions_of(name))
@@ -220,10 +264,14 @@ def _pair(id: str, name: str, numbers: Numbers) -> Possible | Remark:
     inputs = means_and_sds(name, (a, b))
 
     def p_value(v: dict, correlation: int, times: float) -> np.ndarray:
-        return np.minimum(times * 2.0 * stats.t.sf(extreme_t(v, a, b, correlation), v["n"] - 1.0), 1.0)
+        return np.minimum(
+            times * 2.0 * stats.t.sf(extreme_t(v, a, b, correlation), v["n"] - 1.0), 1.0
+        )
 
     least = Formula("p unadjusted at a correlation of 1", inputs, lambda v: p_value(v, 1, 1.0))
-    most = Formula(f"{m} p (Bonferroni) at a correlation of −1", inputs, lambda v: p_value(v, -1, m))
+    most = Formula(
+        f"{m} p (Bonferroni) at a correlation of −1", inputs, lambda v: p_value(v, -1, m)
+    )
     return Possible(id, least, most, odd)
 
 
@@ -231,9 +279,10 @@ def _adjustment(name: str, numbers: Numbers) -> Row:
     """
     Return for which adjustment of p the printed pairs can go with the printed F.
 
-    The variances of all k(k − 1)/2 differences add up to k(k − 1) MS_error, and MS_error = MS_conditions/F. A printed p
-    fixes the variance of its difference, p < .0005 bounds it from above, no significance from below. Šidák's and Holm's p
-    lie between the unadjusted and Bonferroni's. Not checkable, as neither the adjustment nor every pair is printed.
+    The variances of all k(k − 1)/2 differences add up to k(k − 1) MS_error, and MS_error =
+    MS_conditions/F. A printed p fixes the variance of its difference, p < .0005 bounds it from
+    above, no significance from below. Šidák's and Holm's p lie between the unadjusted and
+    Bonferroni's. Not checkable, as neither the adjustment nor every pair is printed.
     """
     conditions, number = conditions_of(name), numbers[f"{name}/anova.F"]
     k = len(conditions)
@@ -248,10 +297,13 @@ def _adjustment(name: str, numbers: Numbers) -> Row:
     times = {"unadjusted": 1.0, "Bonferroni": k * (k - 1) / 2}
     spans = {way: _sum_of_variances(name, numbers, m) for way, m in times.items()}
     fits = [way for way, (least, most) in spans.items() if least <= high and most >= low]
-    allowed = "; ".join(f"{way}: from {least:.4g} to {most:.4g}" for way, (least, most) in spans.items())
+    allowed = "; ".join(
+        f"{way}: from {least:.4g} to {most:.4g}" for way, (least, most) in spans.items()
+    )
     reason = (
-        f"The variances of all differences add up to {value:.4g} by F, from {low:.4g} to {high:.4g} within rounding. The "
-        f"printed pairs allow {allowed}, with pairs that are not listed taken as not significant at {ALPHA}. "
+        f"The variances of all differences add up to {value:.4g} by F, from {low:.4g} to "
+        f"{high:.4g} within rounding. The printed pairs allow {allowed}, with pairs that are not "
+        f"listed taken as not significant at {ALPHA}. "
     )
     if len(fits) == 2:
         reason += "The adjustment is not printed; these numbers leave it open."
@@ -281,7 +333,10 @@ def _distance(first: PrintedNumber, second: PrintedNumber) -> tuple[float, float
 
 
 def _sum_of_variances(name: str, numbers: Numbers, times: float) -> tuple[float, float]:
-    """Return least and greatest sum of the variances of all differences, where p-values were multiplied by `times`."""
+    """
+    Return least and greatest sum of the variances of all differences, where p-values were
+    multiplied by `times`.
+    """
     n = numbers[f"{name}/n"].value
     least = most = 0.0
 
@@ -303,8 +358,13 @@ def _sum_of_variances(name: str, numbers: Numbers, times: float) -> tuple[float,
 
 
 def pair_checks(name: str, numbers: Numbers) -> list[Finding]:
-    """Return the checks of a study's pairwise p-values; the last is that of the adjustment, if all means are printed."""
-    checks: list[Finding] = [_pair(id, name, numbers) for id in numbers if id.startswith(f"{name}/pairs.")]
+    """
+    Return the checks of a study's pairwise p-values; the last is that of the adjustment, if all
+    means are printed.
+    """
+    checks: list[Finding] = [
+        _pair(id, name, numbers) for id in numbers if id.startswith(f"{name}/pairs.")
+    ]
     if all(f"{name}/mean.{c}" in numbers for c in conditions_of(name)):
         checks.append(_adjustment(name, numbers))
     return checks

@@ -1,4 +1,7 @@
-"""How a verdict is made: a formula of printed numbers, its range within their rounding, and what is printed."""
+"""
+How a verdict is made: a formula of printed numbers, its range within their rounding, and what is
+printed.
+"""
 
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -24,8 +27,9 @@ class Row:
     """
     One row of the audit; the fields are the columns of its table.
 
-    `recomputed`, `low` and `high` are what follows from other printed numbers and its range within their rounding, NaN
-    where nothing does; `reason` begins with "Suspicious" where a slip is likely but not certain.
+    `recomputed`, `low` and `high` are what follows from other printed numbers and its range within
+    their rounding, NaN where nothing does; `reason` begins with "Suspicious" where a slip is likely
+    but not certain.
     """
 
     id: str
@@ -71,10 +75,11 @@ class Formula:
     """
     A way to compute one printed number from others.
 
-    `text` is the formula as one reads it; `inputs` maps symbols to ids of printed numbers; `compute` takes the symbols as
-    arrays and returns an array; `label` names the convention, or says what an explanation assumes. `changed` has symbols put
-    in place of printed values, without rounding (the change that an explanation tries); `as_printed` names symbols that
-    are used with the printed digits as they stand.
+    `text` is the formula as one reads it; `inputs` maps symbols to ids of printed numbers;
+    `compute` takes the symbols as arrays and returns an array; `label` names the convention, or
+    says what an explanation assumes. `changed` has symbols put in place of printed values, without
+    rounding (the change that an explanation tries); `as_printed` names symbols that are used with
+    the printed digits as they stand.
     """
 
     text: str
@@ -85,27 +90,45 @@ class Formula:
     as_printed: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, expression: str, ids: Mapping[str, str], label: str = "", text: str = "") -> "Formula":
+    def of(
+        cls, expression: str, ids: Mapping[str, str], label: str = "", text: str = ""
+    ) -> "Formula":
         """
         Return the formula of an arithmetic expression, with those of `ids` that it names as inputs.
 
-        The text is the expression set as in print, unless given, so that what is shown is what is computed.
+        The text is the expression set as in print, unless given, so that what is shown is what is
+        computed.
         """
         symbols = dict.fromkeys(re.findall(r"[^\W\d]\w*", expression))
         inputs = {symbol: ids[symbol] for symbol in symbols if symbol in ids}
-        shown = re.sub(r"abs\(([^()]*)\)", r"|\1|", expression).replace(" * ", " ").replace(") (", ")(")
+        shown = (
+            re.sub(r"abs\(([^()]*)\)", r"|\1|", expression).replace(" * ", " ").replace(") (", ")(")
+        )
         shown = shown.replace(" / ", "/").replace("-", "−").replace(" % ", " modulo ")
-        return cls(text or shown, inputs, lambda v: pd.eval(expression, engine="python", local_dict=v), label)
+        return cls(
+            text or shown,
+            inputs,
+            lambda v: pd.eval(expression, engine="python", local_dict=v),
+            label,
+        )
 
     def range(self, numbers: Numbers) -> Span:
-        """Return the value, and its least and greatest when every input varies within its rounding."""
-        middle = {symbol: numbers[id].value for symbol, id in self.inputs.items()} | dict(self.changed)
+        """
+        Return the value, and its least and greatest when every input varies within its rounding.
+        """
+        middle = {symbol: numbers[id].value for symbol, id in self.inputs.items()} | dict(
+            self.changed
+        )
         fixed = {*self.changed, *self.as_printed}
-        half = {symbol: numbers[id].half for symbol, id in self.inputs.items() if symbol not in fixed}
+        half = {
+            symbol: numbers[id].half for symbol, id in self.inputs.items() if symbol not in fixed
+        }
         return reach(self.compute, middle, half)
 
     def meets(self, number: PrintedNumber, numbers: Numbers) -> bool:
-        """Return whether the range of the formula takes in values that round to a printed number."""
+        """
+        Return whether the range of the formula takes in values that round to a printed number.
+        """
         _, low, high = self.range(numbers)
         least, most = number.compatible
         return low <= most and high >= least
@@ -115,12 +138,16 @@ def reach(compute: Compute, middle: Mapping[str, float], half: Mapping[str, floa
     """
     Return a function's value at the middle of a box, and its least and greatest over the box.
 
-    Exact for functions that are monotone in each input, as nearly all here are; NaN (an impossible input) is passed over.
+    Exact for functions that are monotone in each input, as nearly all here are; NaN (an impossible
+    input) is passed over.
     """
     names = [name for name in middle if half.get(name, 0.0) > 0.0]
     if len(names) <= 6:
-        # All corners, and the middles of edges and faces, where a function that is not monotone may turn.
-        points = np.array(list(product((0.0, -1.0, 1.0), repeat=len(names)))).reshape(3 ** len(names), -1)
+        # All corners, and the middles of edges and faces, where a function that is not monotone may
+        # turn.
+        points = np.array(list(product((0.0, -1.0, 1.0), repeat=len(names)))).reshape(
+            3 ** len(names), -1
+        )
     else:
         # Too many middles: random points, the same at every call, take their place.
         corners = np.array(list(product((-1.0, 1.0), repeat=len(names))))
@@ -138,7 +165,10 @@ def reach(compute: Compute, middle: Mapping[str, float], half: Mapping[str, floa
 
 
 def show(value: float, like: PrintedNumber | None = None, more: int = 0) -> str:
-    """Return a number with as many decimals as a printed one, and `more`; with four significant digits without one."""
+    """
+    Return a number with as many decimals as a printed one, and `more`; with four significant digits
+    without one.
+    """
     if not np.isfinite(value):
         return str(value)
     if like is None or np.isnan(like.half) or like.half == 0.0:
@@ -153,10 +183,11 @@ class Check:
     """
     Whether a printed number follows from others.
 
-    `formula` is how `number` is defined; `conventions` are other readings of the definition, tried in turn; `explanations`
-    are mistakes that could have led to the printed number, named only if they give it. `suffix` is appended to the id where
-    a number is checked more than once; `target` is what counts as the printed value where a word is printed. Where
-    `binding` is given, it says why the formula need not hold exactly, and "not checkable" replaces "differs".
+    `formula` is how `number` is defined; `conventions` are other readings of the definition, tried
+    in turn; `explanations` are mistakes that could have led to the printed number, named only if
+    they give it. `suffix` is appended to the id where a number is checked more than once; `target`
+    is what counts as the printed value where a word is printed. Where `binding` is given, it says
+    why the formula need not hold exactly, and "not checkable" replaces "differs".
     """
 
     number: str
@@ -184,8 +215,8 @@ class Check:
         elif near:
             verdict = "within rounding"
             reason = (
-                f"{result}; from {show(low, number, 2)} to {show(high, number, 2)} as the printed inputs "
-                f"vary within their rounding, which takes in the printed {number.printed}."
+                f"{result}; from {show(low, number, 2)} to {show(high, number, 2)} as the printed "
+                f"inputs vary within their rounding, which takes in the printed {number.printed}."
             )
             if found := self._explained(numbers, least, most):
                 reason = f"Suspicious: {reason} {found}"
@@ -231,7 +262,9 @@ def _result(way: Formula, value: float, number: PrintedNumber) -> str:
 
 @dataclass(frozen=True)
 class Possible:
-    """Whether a printed number lies in the range that other numbers allow, from `least` to `most`."""
+    """
+    Whether a printed number lies in the range that other numbers allow, from `least` to `most`.
+    """
 
     number: str
     least: Formula
@@ -247,7 +280,10 @@ class Possible:
         between = f"from {show(low)} to {show(high)}"
         if most < low or least > high:
             verdict = "differs"
-            reason = f"Impossible: other printed numbers allow it {between} only, whatever their rounding."
+            reason = (
+                f"Impossible: other printed numbers allow it {between} only, whatever their "
+                "rounding."
+            )
         elif np.isnan(low) or np.isnan(high):
             reason = "Other printed numbers leave it open."
         else:
@@ -256,12 +292,17 @@ class Possible:
         reason = f"{self.note} {reason}" if first else f"{reason} {self.note}"
         inputs = listing(self.most.inputs or self.least.inputs, numbers)
         span = (np.nan, low, high)
-        return row_about(number, verdict, reason, span, f"{self.least.text} … {self.most.text}", inputs)
+        return row_about(
+            number, verdict, reason, span, f"{self.least.text} … {self.most.text}", inputs
+        )
 
 
 @dataclass(frozen=True)
 class Remark:
-    """A printed number that no other number determines, with the reason it cannot be checked or what is odd about it."""
+    """
+    A printed number that no other number determines, with the reason it cannot be checked or what
+    is odd about it.
+    """
 
     number: str
     reason: str
@@ -271,7 +312,9 @@ class Remark:
     def row(self, numbers: Numbers) -> Row:
         """Return the verdict "not checkable" with the reason."""
         id, quantity = self.number + self.suffix, self.quantity
-        return row_about(numbers[self.number], "not checkable", self.reason, id=id, quantity=quantity)
+        return row_about(
+            numbers[self.number], "not checkable", self.reason, id=id, quantity=quantity
+        )
 
 
 # What a maker of checks returns: a row, or what gives one.

@@ -1,9 +1,11 @@
 """
-What a printed study implies about its data: one interval per printed number, for a statistic of means and covariance.
+What a printed study implies about its data: one interval per printed number, for a statistic of
+means and covariance.
 
-A pair's p may be printed unadjusted or adjusted for the m = k(k − 1)/2 comparisons: Bonferroni m p, Šidák
-1 − (1 − p)^m, Holm the running maximum of (m − l + 1) p_(l). Each printed p is an interval, "<.0005" a half-line.
-Some printed numbers contradict each other by arithmetic alone, whatever the data: `arithmetic_conflicts` names them.
+A pair's p may be printed unadjusted or adjusted for the m = k(k − 1)/2 comparisons: Bonferroni m p,
+Šidák 1 − (1 − p)^m, Holm the running maximum of (m − l + 1) p_(l). Each printed p is an interval,
+"<.0005" a half-line. Some printed numbers contradict each other by arithmetic alone, whatever the
+data: `arithmetic_conflicts` names them.
 """
 
 import math
@@ -26,7 +28,8 @@ ADJUSTMENTS = ("bonferroni", "holm", "sidak", "none")
 ALPHA = 0.05
 Interval = tuple[float, float]
 
-# Printed numbers that fix one statistic: kind to its name and theirs; those first believed come first.
+# Printed numbers that fix one statistic: kind to its name and theirs; those first believed come
+# first.
 COMPARED = {
     "epsilon": ("epsilon", ("epsilon", "anova.df2", "anova.df1")),
     "f_ratio": ("F", ("anova.F", "anova.eta2")),
@@ -37,10 +40,12 @@ COMPARED = {
 @dataclass(frozen=True)
 class Constraint:
     """
-    One printed number as an interval: `low` to `high` of the statistic `kind` of means and covariance.
+    One printed number as an interval: `low` to `high` of the statistic `kind` of means and
+    covariance.
 
-    `kind` is a statistic of `MomentStatistics`, or "log_adjusted_p" or "spread" of `MomentProblem`; `index` says which
-    condition or pair, where there are several; `name` is for example "anova.F" or "pairs.C1-C3", `text` what is printed.
+    `kind` is a statistic of `MomentStatistics`, or "log_adjusted_p" or "spread" of `MomentProblem`;
+    `index` says which condition or pair, where there are several; `name` is for example "anova.F"
+    or "pairs.C1-C3", `text` what is printed.
     """
 
     name: str
@@ -58,13 +63,17 @@ def log_interval(text: str) -> Interval:
 
 
 def _chi2_interval(text: str, n: int, k: int) -> Interval:
-    """Return the chi-squares whose p by Mauchly's test, with its second-order term, rounds to the printed one."""
+    """
+    Return the chi-squares whose p by Mauchly's test, with its second-order term, rounds to the
+    printed one.
+    """
     low, high = printed_interval(text)
 
     def quantile(p: float) -> float:
         if mauchly_p_value(0.0, n, k) <= p:
             return 0.0
-        # The plain chi-square quantile of p/2 lies above, as the second-order term is small beside p.
+        # The plain chi-square quantile of p/2 lies above, as the second-order term is small beside
+        # p.
         above = 2.0 * (special.chdtri(k * (k - 1) // 2 - 1, p * 0.5) + 10.0)
         return optimize.brentq(lambda x: mauchly_p_value(x, n, k) - p, 0.0, above)
 
@@ -73,7 +82,9 @@ def _chi2_interval(text: str, n: int, k: int) -> Interval:
 
 def _omnibus(study: PublishedStudy) -> list[Constraint]:
     """Return the constraints of F and what follows from it, of epsilon and of sphericity."""
-    n, k, found = study.n, study.k, []
+    n = study.n
+    k = study.k
+    found = []
 
     def add(name: str, kind: str, interval: Interval, text: str) -> None:
         found.append(Constraint(name, kind, 0, *interval, text))
@@ -83,7 +94,9 @@ def _omnibus(study: PublishedStudy) -> list[Constraint]:
         if name == "F":
             add("anova.F", "f_ratio", (low, high), text)
         elif name == "eta2":  # η² = F/(F + n − 1)
-            low, high = ((n - 1) * max(e, 0.0) / (1.0 - e) if e < 1.0 else math.inf for e in (low, high))
+            low, high = (
+                (n - 1) * max(e, 0.0) / (1.0 - e) if e < 1.0 else math.inf for e in (low, high)
+            )
             add("anova.eta2", "f_ratio", (low, high), text)
         elif name == "p":
             add("anova.p", "log_anova_p", log_interval(text), text)
@@ -98,7 +111,12 @@ def _omnibus(study: PublishedStudy) -> list[Constraint]:
     if p:
         add("mauchly.p", "chi2", _chi2_interval(p, n, k), p)
     elif study.corrected and not chi2:
-        add("mauchly.violated", "chi2", _chi2_interval(f"<{ALPHA}", n, k), "sphericity violated, p < 0.05")
+        add(
+            "mauchly.violated",
+            "chi2",
+            _chi2_interval(f"<{ALPHA}", n, k),
+            "sphericity violated, p < 0.05",
+        )
     return found
 
 
@@ -107,7 +125,9 @@ def _t_test(study: PublishedStudy) -> list[Constraint]:
     found = []
     for name, text in study.t_test.items():
         if name == "t":
-            high, low = (math.log(2.0 * special.stdtr(study.n - 1, -t)) for t in size_interval(text))
+            high, low = (
+                math.log(2.0 * special.stdtr(study.n - 1, -t)) for t in size_interval(text)
+            )
             found.append(Constraint("t_test.t", "log_p", 0, low, high, text))
         elif name == "p":
             found.append(Constraint("t_test.p", "log_p", 0, *log_interval(text), text))
@@ -115,14 +135,21 @@ def _t_test(study: PublishedStudy) -> list[Constraint]:
 
 
 def size_interval(text: str) -> Interval:
-    """Return the interval of the magnitude of a printed number; which condition comes first is not printed."""
+    """
+    Return the interval of the magnitude of a printed number; which condition comes first is not
+    printed.
+    """
     low, high = printed_interval(text)
     return (0.0 if low < 0.0 < high else min(abs(low), abs(high))), max(abs(low), abs(high))
 
 
 def _pairwise(study: PublishedStudy, p_adjust: str) -> list[Constraint]:
-    """Return the constraints of pairwise comparisons; pairs that are not listed were not significant."""
-    named = {study.pair(name): (name, *log_interval(text), text) for name, text in study.pairs.items()}
+    """
+    Return the constraints of pairwise comparisons; pairs that are not listed were not significant.
+    """
+    named = {
+        study.pair(name): (name, *log_interval(text), text) for name, text in study.pairs.items()
+    }
     for name in study.significant_without_p:
         named[study.pair(name)] = (name, -math.inf, math.log(ALPHA), "significant")
     silent = study.listed_only or not named
@@ -135,7 +162,9 @@ def _pairwise(study: PublishedStudy, p_adjust: str) -> list[Constraint]:
             continue
         else:
             name = f"{study.conditions[i]}-{study.conditions[j]}"
-            low, high, text = math.log(ALPHA), math.inf, "not significant"
+            low = math.log(ALPHA)
+            high = math.inf
+            text = "not significant"
         kind = "log_adjusted_p"
         if p_adjust != "holm":  # the others invert pair by pair
             kind = "log_p"
@@ -162,10 +191,12 @@ def _named_study(name: str) -> str:
 
 def constraints(study: PublishedStudy, p_adjust: str = "bonferroni") -> list[Constraint]:
     """
-    Return one constraint per printed number: means, standard deviations, F and its companions, sphericity, pairs.
+    Return one constraint per printed number: means, standard deviations, F and its companions,
+    sphericity, pairs.
 
-    A pair without a p-value was reported as not significant, p > 0.05, unless the study's `listed_only` is set; a printed
-    epsilon without a test of sphericity implies that the test was significant.
+    A pair without a p-value was reported as not significant, p > 0.05, unless the study's
+    `listed_only` is set; a printed epsilon without a test of sphericity implies that the test was
+    significant.
     """
     of_class("study", study, PublishedStudy, _named_study(study) if isinstance(study, str) else "")
     one_of("p_adjust", p_adjust, ADJUSTMENTS)
@@ -174,24 +205,35 @@ def constraints(study: PublishedStudy, p_adjust: str = "bonferroni") -> list[Con
         for kind, printed in (("mean", study.mean), ("sd", study.sd)):
             if condition in printed:
                 text = printed[condition]
-                found.append(Constraint(f"{kind}.{condition}", kind, q, *printed_interval(text), text))
+                found.append(
+                    Constraint(f"{kind}.{condition}", kind, q, *printed_interval(text), text)
+                )
     return [*found, *_omnibus(study), *_t_test(study), *_pairwise(study, p_adjust)]
 
 
 def select(found: Iterable[Constraint], without: Iterable[str]) -> list[Constraint]:
-    """Return the constraints that are not left out, by name ("anova.F", "mean.C2") or group ("mauchly", "pairs")."""
+    """
+    Return the constraints that are not left out, by name ("anova.F", "mean.C2") or group
+    ("mauchly", "pairs").
+    """
     if isinstance(without, str):
-        raise ValueError(f'without must be a list of names, such as ("mauchly", "pairs"), got {without!r}')
+        raise ValueError(
+            f'without must be a list of names, such as ("mauchly", "pairs"), got {without!r}'
+        )
     found, without = list(found), tuple(without)
     known = {s.name for s in found} | {s.name.split(".")[0] for s in found}
     for name in without:
         if name not in known:
-            raise ValueError(f"without: {name!r} is not among its statistics {', '.join(sorted(known))}")
+            raise ValueError(
+                f"without: {name!r} is not among its statistics {', '.join(sorted(known))}"
+            )
     return [s for s in found if s.name not in without and s.name.split(".")[0] not in without]
 
 
 def _largest_agreement(group: Sequence[Constraint]) -> list[Constraint]:
-    """Return the most constraints whose intervals have a point in common; the first named win a tie."""
+    """
+    Return the most constraints whose intervals have a point in common; the first named win a tie.
+    """
     # If intervals have a common point, the lower end of one of them is one.
     ends = [s.low if math.isfinite(s.low) else s.high for s in group]
     return max(([s for s in group if s.low <= end <= s.high] for end in ends), key=len)
@@ -201,8 +243,9 @@ def arithmetic_conflicts(study: PublishedStudy) -> dict[str, str]:
     """
     Return the printed numbers that contradict others, by name with the reason.
 
-    Partial eta² against F, degrees of freedom against ε and n, p against F and its degrees of freedom, Mauchly's p against
-    its chi-square. Of numbers that disagree, the fewest are named; of two, the one that is computed from the other.
+    Partial eta² against F, degrees of freedom against ε and n, p against F and its degrees of
+    freedom, Mauchly's p against its chi-square. Of numbers that disagree, the fewest are named; of
+    two, the one that is computed from the other.
     """
     found = {s.name: s for s in constraints(study)}
     conflicts, ranges = {}, {}
@@ -217,20 +260,27 @@ def arithmetic_conflicts(study: PublishedStudy) -> dict[str, str]:
         for s in group:
             if s not in agreeing:
                 conflicts[s.name] = (
-                    f"{s.name} = {s.text} needs {label} from {s.low:.6g} to {s.high:.6g}, but {believed}"
-                    f" needs {low:.6g} to {high:.6g}"
+                    f"{s.name} = {s.text} needs {label} from {s.low:.6g} to {s.high:.6g}, but "
+                    f"{believed} needs {low:.6g} to {high:.6g}"
                 )
     if "p" in study.anova and "f_ratio" in ranges:
         p = _p_of_f(study, ranges["f_ratio"], ranges.get("epsilon"))
-        conflicts |= _contradicted("anova.p", study.anova["p"], p, "F and its degrees of freedom give")
+        conflicts |= _contradicted(
+            "anova.p", study.anova["p"], p, "F and its degrees of freedom give"
+        )
     if {"t", "p"} <= set(study.t_test):
         p = 2.0 * special.stdtr(study.n - 1, -np.array(size_interval(study.t_test["t"])))
         conflicts |= _contradicted("t_test.p", study.t_test["p"], p, "t gives")
     return conflicts | _wrong_degrees(study)
 
 
-def _p_of_f(study: PublishedStudy, f_ratio: tuple[float, float], epsilon: tuple | None) -> np.ndarray:
-    """Return p at the ends of the intervals of F and, where degrees of freedom are corrected, of epsilon."""
+def _p_of_f(
+    study: PublishedStudy, f_ratio: tuple[float, float], epsilon: tuple | None
+) -> np.ndarray:
+    """
+    Return p at the ends of the intervals of F and, where degrees of freedom are corrected, of
+    epsilon.
+    """
     d, least = study.k - 1, 1.0 / (study.k - 1)
     factor = np.clip(epsilon or (least, 1.0), least, 1.0) if study.corrected else np.ones(2)
     df = d * factor[:, None]
@@ -238,7 +288,10 @@ def _p_of_f(study: PublishedStudy, f_ratio: tuple[float, float], epsilon: tuple 
 
 
 def _contradicted(name: str, text: str, p: np.ndarray, source: str) -> dict[str, str]:
-    """Return the conflict of a printed p with those computed at the ends of other intervals, if there is one."""
+    """
+    Return the conflict of a printed p with those computed at the ends of other intervals, if there
+    is one.
+    """
     low, high = printed_interval(text)
     if p.min() <= high and p.max() >= low:
         return {}
@@ -247,7 +300,9 @@ def _contradicted(name: str, text: str, p: np.ndarray, source: str) -> dict[str,
 
 def _wrong_degrees(study: PublishedStudy) -> dict[str, str]:
     """Return degrees of freedom that follow from n and k and are printed otherwise."""
-    n, k, conflicts = study.n, study.k, {}
+    n = study.n
+    k = study.k
+    conflicts = {}
     df2, df = study.anova.get("df2"), study.t_test.get("df")
     if df2 and not study.corrected and float(df2) != (k - 1) * (n - 1):
         conflicts["anova.df2"] = f"anova.df2 = {df2}, but (k − 1)(n − 1) = {(k - 1) * (n - 1)}"

@@ -1,4 +1,7 @@
-"""Whether the numbers printed for a study can belong to one data set, and if not, which of them conflict."""
+"""
+Whether the numbers printed for a study can belong to one data set, and if not, which of them
+conflict.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,11 +21,21 @@ from trustlab.reproduction.reconstruction.constraints import (
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
 from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
 
-# How far inside the printed intervals solutions are sought, as shares of their half-widths, one after the other.
+# How far inside the printed intervals solutions are sought, as shares of their half-widths, one
+# after the other.
 MARGINS = (0.3, 0.1, 0.02)
 
 # What the deletion filter leaves out first: numbers that follow from others, or that rarely matter.
-LEAST_MISSED = ("sd", "anova.eta2", "anova.df2", "anova.df1", "anova.p", "epsilon", "mauchly.p", "mauchly")
+LEAST_MISSED = (
+    "sd",
+    "anova.eta2",
+    "anova.df2",
+    "anova.df1",
+    "anova.p",
+    "epsilon",
+    "mauchly.p",
+    "mauchly",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +43,9 @@ class Verdict:
     """
     What is known about a set of constraints.
 
-    `status` is "solved" (a solution was found), "proved" (there is none) or "not found" (neither); `moments` are the
-    solutions, or the candidates that come closest, least violated first; `starts` is how many starts were tried.
+    `status` is "solved" (a solution was found), "proved" (there is none) or "not found" (neither);
+    `moments` are the solutions, or the candidates that come closest, least violated first; `starts`
+    is how many starts were tried.
     """
 
     status: str
@@ -39,28 +53,38 @@ class Verdict:
     starts: int
 
 
-def moment_problem(study: PublishedStudy, found: Sequence[Constraint], p_adjust: str) -> MomentProblem:
+def moment_problem(
+    study: PublishedStudy, found: Sequence[Constraint], p_adjust: str
+) -> MomentProblem:
     """Return constraints of a study as a system of inequalities."""
     return MomentProblem(found, study.n, study.k, p_adjust, study.corrected, study.scale)
 
 
 def decide(
-    problem: MomentProblem, rng: np.random.Generator, starts: int = 512, branches: int = 80, enough: int = 2
+    problem: MomentProblem,
+    rng: np.random.Generator,
+    starts: int = 512,
+    branches: int = 80,
+    enough: int = 2,
 ) -> Verdict:
     """
     Search for `enough` solutions and, if none is found at once, for a proof that there is none.
 
-    A proof may solve up to `branches` relaxations (0: no proof is attempted): one after the first starts, because it is
-    cheap, and all of them after 256 starts.
+    A proof may solve up to `branches` relaxations (0: no proof is attempted): one after the first
+    starts, because it is cheap, and all of them after 256 starts.
     """
-    tried, best, count = 0, None, 32
+    tried = 0
+    best = None
+    count = 32
     efforts = {count: min(1, branches), 8 * count: branches}
     while tried < starts:
         margin = MARGINS[(tried // 64) % len(MARGINS)]
         moments = problem.search(*problem.starts(count, rng), margin, enough=enough)
         tried += count
         if 0.0 < moments.violation[0] < 1.0:  # nearly there: go on from the nearest
-            again = problem.search(moments.mean[:8], moments.factor[:8], margin, (0.0, 0.0, 0.0), enough)
+            again = problem.search(
+                moments.mean[:8], moments.factor[:8], margin, (0.0, 0.0, 0.0), enough
+            )
             moments = again if again.violation[0] < moments.violation[0] else moments
         if moments.solved[0]:
             return Verdict("solved", moments.select(moments.solved), tried)
@@ -87,16 +111,19 @@ class Feasibility:
     status : {"solved", "proved", "not found"}
         A solution was found; it is proved that there is none; or none was found from many starts.
     conflict : tuple of str
-        The smallest set found of statistics that cannot hold together. Without any one of them this is no longer proved (if
-        `conflict_proved`), or a solution was found (otherwise). Empty when feasible.
+        The smallest set found of statistics that cannot hold together. Without any one of them this
+        is no longer proved (if `conflict_proved`), or a solution was found (otherwise). Empty when
+        feasible.
     conflict_proved : bool
         Whether it is proved that the conflict cannot hold together.
     remedies : tuple of str
         Statistics any one of which can be left out so that all others hold.
     left_out : mapping of str to str
-        Reasons for statistics left out beforehand, by name: those asked for, and those that contradict others by arithmetic.
+        Reasons for statistics left out beforehand, by name: those asked for, and those that
+        contradict others by arithmetic.
     violation : float
-        Largest violation of the closest candidate, in half-widths of printed intervals; 0 when feasible.
+        Largest violation of the closest candidate, in half-widths of printed intervals; 0 when
+        feasible.
     verdict : Verdict
         The solutions, or the closest candidates.
     """
@@ -116,7 +143,10 @@ class Feasibility:
         return self.feasible
 
     def table(self) -> pd.DataFrame:
-        """Return what is printed: index statistic; columns printed, low, high (of the statistic itself), in_conflict, remedy."""
+        """
+        Return what is printed: index statistic; columns printed, low, high (of the statistic
+        itself), in_conflict, remedy.
+        """
         rows = []
         for s in constraints(self.study, self.p_adjust):
             if s.name in self.left_out:
@@ -124,7 +154,9 @@ class Feasibility:
             low, high = s.low, s.high
             if s.kind.startswith("log"):
                 low, high = float(np.exp(low)), float(np.exp(min(high, 0.0)))
-            rows.append((s.name, s.text, low, high, s.name in self.conflict, s.name in self.remedies))
+            rows.append(
+                (s.name, s.text, low, high, s.name in self.conflict, s.name in self.remedies)
+            )
         columns = ["statistic", "printed", "low", "high", "in_conflict", "remedy"]
         return pd.DataFrame(rows, columns=columns).set_index("statistic")
 
@@ -137,11 +169,13 @@ def feasibility(
     explain: bool = True,
 ) -> Feasibility:
     """
-    Determine whether the numbers printed for a study can belong to one data set, and if not, which of them conflict.
+    Determine whether the numbers printed for a study can belong to one data set, and if not, which
+    of them conflict.
 
-    Feasibility is shown by means and a covariance matrix that have all statistics within rounding; infeasibility is proved
-    by a linear relaxation wherever that suffices (`status`). The conflict is an irreducible infeasible subset, by a deletion
-    filter (Chinneck & Dravnieks 1991) in several orders, the smallest found.
+    Feasibility is shown by means and a covariance matrix that have all statistics within rounding;
+    infeasibility is proved by a linear relaxation wherever that suffices (`status`). The conflict
+    is an irreducible infeasible subset, by a deletion filter (Chinneck & Dravnieks 1991) in several
+    orders, the smallest found.
 
     Parameters
     ----------
@@ -187,12 +221,19 @@ def feasibility(
     return Feasibility(study, p_adjust, *outcome, left_out, violation, verdict)
 
 
-def prepared(study: PublishedStudy, p_adjust: str, without: Iterable[str]) -> tuple[MomentProblem, dict[str, str]]:
-    """Return the constraints that are to hold as a problem, and the reasons for those that are left out."""
+def prepared(
+    study: PublishedStudy, p_adjust: str, without: Iterable[str]
+) -> tuple[MomentProblem, dict[str, str]]:
+    """
+    Return the constraints that are to hold as a problem, and the reasons for those that are left
+    out.
+    """
     found = constraints(study, p_adjust)
     kept = select(found, without)
     reasons = {s.name: "left out on request" for s in found if s not in kept}
-    reasons |= {name: why for name, why in arithmetic_conflicts(study).items() if name not in reasons}
+    reasons |= {
+        name: why for name, why in arithmetic_conflicts(study).items() if name not in reasons
+    }
     kept = [s for s in kept if s.name not in reasons]
     if not kept:
         raise ValueError(f"without: nothing of {study.name} is left")
@@ -215,16 +256,23 @@ def _holds(problem: MomentProblem, rng: np.random.Generator) -> bool:
     return decide(problem, rng, starts=64, branches=0).status == "solved"
 
 
-def _smallest_conflict(problem: MomentProblem, proved: bool, rng: np.random.Generator) -> tuple[str, ...]:
+def _smallest_conflict(
+    problem: MomentProblem, proved: bool, rng: np.random.Generator
+) -> tuple[str, ...]:
     """
     Delete what is not needed for a conflict, in several orders, and return the smallest conflict.
 
-    Where the conflict is proved, what remains is proved to conflict at every deletion; otherwise no solution is found.
+    Where the conflict is proved, what remains is proved to conflict at every deletion; otherwise no
+    solution is found.
     """
 
     def rank(s: Constraint) -> int:
         hits = [q for q, key in enumerate(LEAST_MISSED) if key in (s.name, s.name.split(".")[0])]
-        return hits[0] if hits else len(LEAST_MISSED) + (s.text != "not significant") + (s.kind == "mean")
+        return (
+            hits[0]
+            if hits
+            else len(LEAST_MISSED) + (s.text != "not significant") + (s.kind == "mean")
+        )
 
     branches = 1 if proves_infeasible(problem, branches=1) else 16
 
@@ -232,7 +280,11 @@ def _smallest_conflict(problem: MomentProblem, proved: bool, rng: np.random.Gene
         return proves_infeasible(fewer, branches) if proved else not _holds(fewer, rng)
 
     order, best = sorted(problem.found, key=rank), problem
-    orders = [order, order[::-1], *([order[q] for q in rng.permutation(len(order))] for _ in range(2))]
+    orders = [
+        order,
+        order[::-1],
+        *([order[q] for q in rng.permutation(len(order))] for _ in range(2)),
+    ]
     quick = proved and branches == 1  # otherwise one order is all there is time for
     for order in orders if quick else orders[:1]:
         kept = problem
@@ -246,7 +298,8 @@ def _smallest_conflict(problem: MomentProblem, proved: bool, rng: np.random.Gene
 
 def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) -> pd.DataFrame:
     """
-    Determine under which adjustments of pairwise p-values each study's printed numbers can belong to one data set.
+    Determine under which adjustments of pairwise p-values each study's printed numbers can belong
+    to one data set.
 
     Parameters
     ----------
@@ -258,14 +311,16 @@ def compare_adjustments(studies: Mapping[str, PublishedStudy], seed: int = 0) ->
     Returns
     -------
     pandas.DataFrame
-        Index study, p_adjust; columns feasible, status (solved, proved, not found), violation (of the closest candidate, in
-        half-widths of printed intervals), left_out.
+        Index study, p_adjust; columns feasible, status (solved, proved, not found), violation (of
+        the closest candidate, in half-widths of printed intervals), left_out.
     """
     rows = []
     for name, study in studies.items():
         for p_adjust in ADJUSTMENTS:
             result = feasibility(study, p_adjust, seed=seed, explain=False)
             left_out = ", ".join(result.left_out)
-            rows.append((name, p_adjust, result.feasible, result.status, result.violation, left_out))
+            rows.append(
+                (name, p_adjust, result.feasible, result.status, result.violation, left_out)
+            )
     columns = ["study", "p_adjust", "feasible", "status", "violation", "left_out"]
     return pd.DataFrame(rows, columns=columns).set_index(["study", "p_adjust"])

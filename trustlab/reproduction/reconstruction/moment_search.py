@@ -1,9 +1,11 @@
 """
-Means and covariance that have all printed statistics: damped least squares on interval violations, from many starts at once.
+Means and covariance that have all printed statistics: damped least squares on interval violations,
+from many starts at once.
 
-The unknowns are the means and a lower triangular G with S = GG', so that every S is a covariance matrix. The violation of a
-constraint is how far its statistic lies outside the printed interval, in half-widths of the interval; a root of all
-violations is a solution (Levenberg 1944, Marquardt 1963; Gill & Murray 1978 for the scaling).
+The unknowns are the means and a lower triangular G with S = GG', so that every S is a covariance
+matrix. The violation of a constraint is how far its statistic lies outside the printed interval, in
+half-widths of the interval; a root of all violations is a solution (Levenberg 1944, Marquardt 1963;
+Gill & Murray 1978 for the scaling).
 """
 
 from collections.abc import Sequence
@@ -15,16 +17,19 @@ import numpy as np
 from trustlab.reproduction.reconstruction.constraints import Constraint
 from trustlab.reproduction.reconstruction.moment_statistics import MomentStatistics, pair_indices
 
-# Unit of violation of a statement that is open to one side: natural logarithm of a p, or a share of chi-square.
+# Unit of violation of a statement that is open to one side: natural logarithm of a p, or a share of
+# chi-square.
 OPEN_UNIT = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
     """
-    Candidate means (B, k) and factors G (B, k, k), lower triangular, of covariances GG', best first.
+    Candidate means (B, k) and factors G (B, k, k), lower triangular, of covariances GG', best
+    first.
 
-    `violation`, shape (B,), is the largest violation of a constraint in half-widths, 0 where all hold.
+    `violation`, shape (B,), is the largest violation of a constraint in half-widths, 0 where all
+    hold.
     """
 
     mean: np.ndarray
@@ -46,8 +51,9 @@ class MomentProblem:
     """
     Constraints on k conditions and n subjects, as a system of inequalities in means and covariance.
 
-    `p_adjust` says how printed pairwise p-values were adjusted (only "holm" matters here), `corrected` whether p of F uses
-    corrected degrees of freedom. Conditions without a printed mean and standard deviation are held to what `scale` allows.
+    `p_adjust` says how printed pairwise p-values were adjusted (only "holm" matters here),
+    `corrected` whether p of F uses corrected degrees of freedom. Conditions without a printed mean
+    and standard deviation are held to what `scale` allows.
     """
 
     found: Sequence[Constraint]
@@ -69,10 +75,15 @@ class MomentProblem:
         rows, (low, high) = list(self.found), self.scale
         bounded = np.isfinite([low, high]).all()
         for i in range(self.k):
-            mean, sd = printed.get(("mean", i), (-np.inf, np.inf)), printed.get(("sd", i), (0.0, np.inf))
+            mean, sd = (
+                printed.get(("mean", i), (-np.inf, np.inf)),
+                printed.get(("sd", i), (0.0, np.inf)),
+            )
             if mean[0] < low or mean[1] > high:
                 rows.append(Constraint(f"scale.{i}", "mean", i, low, high, "scale"))
-            room = -np.inf  # the least that the mean leaves of the variance between the ends of the scale
+            room = (
+                -np.inf
+            )  # the least that the mean leaves of the variance between the ends of the scale
             if bounded and np.isfinite(mean).all():
                 room = min((m - low) * (high - m) for m in mean)
             if bounded and sd[1] ** 2 * (self.n - 1.0) / self.n >= room:
@@ -104,23 +115,35 @@ class MomentProblem:
     @cached_property
     def _ends_at_one(self) -> np.ndarray:
         """Whether a row's interval ends at p = 1, which no p exceeds."""
-        return np.isinf(self.high) & np.array([s.kind in ("log_p", "log_anova_p") for s in self.rows], bool)
+        return np.isinf(self.high) & np.array(
+            [s.kind in ("log_p", "log_anova_p") for s in self.rows], bool
+        )
 
     @cached_property
     def unit(self) -> np.ndarray:
-        """Unit of violation, one per row: half the interval's width, or a share of `size` where it is open."""
+        """
+        Unit of violation, one per row: half the interval's width, or a share of `size` where it is
+        open.
+        """
         with np.errstate(invalid="ignore"):
             half = 0.5 * (self.high - self.low)
-        unit = np.where(np.isfinite(half), np.maximum(half, 1e-12 * self.size), OPEN_UNIT * self.size)
+        unit = np.where(
+            np.isfinite(half), np.maximum(half, 1e-12 * self.size), OPEN_UNIT * self.size
+        )
         # Of an interval that ends at p = 1, half of what is left of it.
-        return np.where(self._ends_at_one, np.minimum(unit, np.maximum(-0.5 * self.low, 1e-12)), unit)
+        return np.where(
+            self._ends_at_one, np.minimum(unit, np.maximum(-0.5 * self.low, 1e-12)), unit
+        )
 
     @cached_property
     def typical(self) -> tuple[float, float]:
         """A typical mean and standard deviation, from what is printed."""
         low, high = self.scale
         width = high - low if np.isfinite(high - low) else 1.0
-        mean, sd = ([0.5 * (s.low + s.high) for s in self._cells if s.kind == kind] for kind in ("mean", "sd"))
+        mean, sd = (
+            [0.5 * (s.low + s.high) for s in self._cells if s.kind == kind]
+            for kind in ("mean", "sd")
+        )
         mean = mean or [low + 0.5 * width if np.isfinite(low) else 0.0]
         return float(np.mean(mean)), float(np.mean(sd or [0.2 * width]))
 
@@ -129,12 +152,19 @@ class MomentProblem:
         return MomentStatistics(mean, factor @ np.swapaxes(factor, -1, -2), self.n, self.corrected)
 
     def values(self, stats: MomentStatistics) -> tuple[np.ndarray, ...]:
-        """Return every row's statistic, (B, rows), and its gradients by means, (B, rows, k), and covariance, (B, rows, k, k)."""
+        """
+        Return every row's statistic, (B, rows), and its gradients by means, (B, rows, k), and
+        covariance, (B, rows, k, k).
+        """
         kinds = list(dict.fromkeys(s.kind for s in self.rows))
         blocks = [self._kind(stats, kind) for kind in kinds]
-        start = dict(zip(kinds, np.cumsum([0, *(value.shape[1] for value, *_ in blocks)]), strict=False))
+        start = dict(
+            zip(kinds, np.cumsum([0, *(value.shape[1] for value, *_ in blocks)]), strict=False)
+        )
         columns = [start[s.kind] + s.index for s in self.rows]
-        return tuple(np.concatenate(parts, axis=1)[:, columns] for parts in zip(*blocks, strict=True))
+        return tuple(
+            np.concatenate(parts, axis=1)[:, columns] for parts in zip(*blocks, strict=True)
+        )
 
     def _kind(self, stats: MomentStatistics, kind: str) -> tuple[np.ndarray, ...]:
         """Return all statistics of a kind, with their gradients."""
@@ -147,7 +177,10 @@ class MomentProblem:
         return value, *getattr(stats, f"gradient_{kind}")
 
     def _spread(self, stats: MomentStatistics) -> tuple[np.ndarray, ...]:
-        """Return S_ii(n − 1)/n − (m − low)(high − m): positive where no values within the scale have these moments."""
+        """
+        Return S_ii(n − 1)/n − (m − low)(high − m): positive where no values within the scale have
+        these moments.
+        """
         (low, high), k, share = self.scale, self.k, (self.n - 1.0) / self.n
         value = share * stats.sd**2 - (stats.mean - low) * (high - stats.mean)
         by_mean = np.zeros((*stats.mean.shape, k))
@@ -157,7 +190,10 @@ class MomentProblem:
         return value, by_mean, by_covariance
 
     def _holm(self, stats: MomentStatistics) -> tuple[np.ndarray, ...]:
-        """Return logarithms of Holm's adjusted p; each has the gradient of the one that sets the running maximum."""
+        """
+        Return logarithms of Holm's adjusted p; each has the gradient of the one that sets the
+        running maximum.
+        """
         log_p = stats.log_p
         m = log_p.shape[1]
         order = np.argsort(log_p, axis=1)
@@ -173,13 +209,18 @@ class MomentProblem:
         return value, by_mean[batch, source], by_covariance[batch, source]
 
     def violation(self, mean: np.ndarray, factor: np.ndarray) -> np.ndarray:
-        """Return each candidate's largest violation in half-widths, 0 where all constraints hold."""
+        """
+        Return each candidate's largest violation in half-widths, 0 where all constraints hold.
+        """
         value = self.values(self.statistics(mean, factor))[0]
         outside = np.maximum(np.maximum(self.low - value, value - self.high), 0.0) / self.unit
         return np.where(np.isfinite(value), outside, np.inf).max(axis=1, initial=0.0)
 
     def starts(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Draw means and factors to start from: printed means and standard deviations, random correlations."""
+        """
+        Draw means and factors to start from: printed means and standard deviations, random
+        correlations.
+        """
         k, (centre, spread) = self.k, self.typical
         mean = centre + spread * rng.standard_normal((count, k))
         sd = spread * np.exp(0.3 * rng.standard_normal((count, k)))
@@ -189,7 +230,9 @@ class MomentProblem:
                 mean[:, s.index] = rng.uniform(s.low, s.high, count)
         mean = np.clip(mean, *self.scale)
         common = rng.uniform(0.0, 3.0, (count, 1, 1))
-        loading = rng.standard_normal((count, k, k)) + common * np.abs(rng.standard_normal((count, 1, k)))
+        loading = rng.standard_normal((count, k, k)) + common * np.abs(
+            rng.standard_normal((count, 1, k))
+        )
         covariance = loading @ np.swapaxes(loading, -1, -2) + 0.05 * np.eye(k)
         root = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
         correlation = covariance / (root[:, :, None] * root[:, None, :])
@@ -202,17 +245,30 @@ class MomentProblem:
 
     @cached_property
     def _level(self) -> set[int]:
-        """Conditions with one printed mean although a test says that they differ: no slope leads out of equal means."""
+        """
+        Conditions with one printed mean although a test says that they differ: no slope leads out
+        of equal means.
+        """
         centre = {s.index: 0.5 * (s.low + s.high) for s in self._cells if s.kind == "mean"}
         if len(centre) == self.k and len(set(centre.values())) == 1:
             return set(centre)
         first, second = pair_indices(self.k)
-        differ = [s.index for s in self.found if s.kind in ("log_p", "log_adjusted_p") and s.high < 0.0]
+        differ = [
+            s.index for s in self.found if s.kind in ("log_p", "log_adjusted_p") and s.high < 0.0
+        ]
         pairs = [{int(first[q]), int(second[q])} for q in differ]
-        return {i for pair in pairs if pair <= set(centre) and len({centre[i] for i in pair}) == 1 for i in pair}
+        return {
+            i
+            for pair in pairs
+            if pair <= set(centre) and len({centre[i] for i in pair}) == 1
+            for i in pair
+        }
 
     def _varying_share(self, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
-        """Return which share of the variances F leaves to vary between conditions, shape (B, 1, 1); 1 unless it is small."""
+        """
+        Return which share of the variances F leaves to vary between conditions, shape (B, 1, 1); 1
+        unless it is small.
+        """
         f_ratio = max((s.low for s in self.found if s.kind == "f_ratio"), default=0.0)
         error = self.n * mean.var(axis=1, ddof=1) / max(f_ratio, 1e-300)
         share = error / (sd**2).mean(axis=1)
@@ -228,15 +284,18 @@ class MomentProblem:
         iterations: int = 80,
     ) -> Moments:
         """
-        Reduce the violations of candidates until all constraints hold or no step helps; return them least violated first.
+        Reduce the violations of candidates until all constraints hold or no step helps; return them
+        least violated first.
 
-        `margin` is how far inside the intervals to go, as a share of their half-widths, in [0, 1); `stages` are relative
-        widths that the intervals have at least, one stage after the other; the last one stops at `enough` solutions
-        (at the end of `iterations` unless given).
+        `margin` is how far inside the intervals to go, as a share of their half-widths, in [0, 1);
+        `stages` are relative widths that the intervals have at least, one stage after the other;
+        the last one stops at `enough` solutions (at the end of `iterations` unless given).
         """
         x = np.concatenate([mean, factor[:, *self._triangle]], axis=1) / self.typical[1]
         for width in stages:
-            x = self._descend(x, margin, width, 40 if width else iterations, None if width else enough)
+            x = self._descend(
+                x, margin, width, 40 if width else iterations, None if width else enough
+            )
         mean, factor = self._unpack(x)
         violation = self.violation(mean, factor)
         order = np.argsort(violation, kind="stable")
@@ -244,7 +303,10 @@ class MomentProblem:
 
     @cached_property
     def _triangle(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns of the elements of G, which has no more columns than n values have degrees of freedom."""
+        """
+        Rows and columns of the elements of G, which has no more columns than n values have degrees
+        of freedom.
+        """
         return np.tril_indices(self.k, 0, min(self.k, self.n - 1))
 
     def _unpack(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -253,12 +315,15 @@ class MomentProblem:
         factor[:, *self._triangle] = x[:, self.k :] * self.typical[1]
         return x[:, : self.k] * self.typical[1], factor
 
-    def _residuals(self, x: np.ndarray, margin: float, width: float) -> tuple[np.ndarray, np.ndarray]:
+    def _residuals(
+        self, x: np.ndarray, margin: float, width: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return how far each row lies outside its interval, in its unit, and the derivatives."""
         mean, factor = self._unpack(x)
         value, by_mean, by_covariance = self.values(self.statistics(mean, factor))
         unit = np.where(self._ends_at_one, self.unit, np.maximum(self.unit, width * self.size))
-        # Intervals are widened about their middles to the width of the stage, then narrowed by the margin.
+        # Intervals are widened about their middles to the width of the stage, then narrowed by the
+        # margin.
         inner = (1.0 - margin) * unit - np.where(np.isfinite(self.high - self.low), self.unit, unit)
         below, above = (self.low - inner) - value, value - (self.high + inner)
         residual = np.where(above > 0.0, above, np.where(below > 0.0, -below, 0.0)) / unit
@@ -268,11 +333,15 @@ class MomentProblem:
         jacobian = np.concatenate([by_mean, by_factor], axis=2) * self.typical[1] / unit[:, None]
         return residual, np.where(residual[..., None] != 0.0, jacobian, 0.0)
 
-    def _descend(self, x: np.ndarray, margin: float, width: float, iterations: int, enough: int | None) -> np.ndarray:
+    def _descend(
+        self, x: np.ndarray, margin: float, width: float, iterations: int, enough: int | None
+    ) -> np.ndarray:
         """
-        Take Levenberg-Marquardt steps on all candidates at once; a candidate stops when nothing is violated.
+        Take Levenberg-Marquardt steps on all candidates at once; a candidate stops when nothing is
+        violated.
 
-        SciPy's `least_squares` takes one candidate at a time, and many starts are what finds a solution.
+        SciPy's `least_squares` takes one candidate at a time, and many starts are what finds a
+        solution.
         """
         x = x.copy()
         damping = np.full(x.shape[0], 1e-2)
@@ -285,17 +354,23 @@ class MomentProblem:
             solved += int((cost == 0.0).sum())
             if not keep.any() or (enough is not None and solved >= enough):
                 break
-            active, residual, jacobian, cost = active[keep], residual[keep], jacobian[keep], cost[keep]
+            active = active[keep]
+            residual = residual[keep]
+            jacobian = jacobian[keep]
+            cost = cost[keep]
             normal = np.swapaxes(jacobian, 1, 2) @ jacobian
             diagonal = np.diagonal(normal, axis1=1, axis2=2)
             floor = 1e-8 * diagonal.max(axis=1, keepdims=True) + 1e-12
             damped = normal + (damping[active, None] * (diagonal + floor))[:, :, None] * identity
-            step = np.linalg.solve(damped, -(np.swapaxes(jacobian, 1, 2) @ residual[..., None]))[..., 0]
+            step = np.linalg.solve(damped, -(np.swapaxes(jacobian, 1, 2) @ residual[..., None]))[
+                ..., 0
+            ]
             trial = x[active] + step
             found, slopes = self._residuals(trial, margin, width)
             better = np.nan_to_num((found**2).sum(axis=1), nan=np.inf) < cost
             x[active[better]] = trial[better]
-            # Less damping after a step that helps, as near a solution the full Gauss-Newton step is best.
+            # Less damping after a step that helps, as near a solution the full Gauss-Newton step is
+            # best.
             damping[active] = np.maximum(damping[active] * np.where(better, 0.2, 5.0), 1e-10)
             residual[better], jacobian[better] = found[better], slopes[better]
         return x

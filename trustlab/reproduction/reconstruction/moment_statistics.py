@@ -1,11 +1,13 @@
 """
-Repeated-measures statistics as functions of means and covariance alone, with their gradients, for many moments at once.
+Repeated-measures statistics as functions of means and covariance alone, with their gradients, for
+many moments at once.
 
-One-way within-subject F, Greenhouse-Geisser epsilon, Mauchly's W and chi-square and paired t all follow from the k means m
-and the k x k covariance S (n − 1 in the denominator). With P = I − 11'/k, T = tr(PS), Q = tr(PSPS) and A the covariance of
-k − 1 orthonormal contrasts: F = n Σ(m − m̄)²/T, ε = T²/((k − 1)Q), W = det A/(T/(k − 1))^(k − 1),
-χ² = −(n − 1) d ln W, d = 1 − (2p² + p + 2)/(6p(n − 1)), p = k − 1, and t_ij = (m_i − m_j)/√(V_ij/n) with V_ij the variance
-of a difference (Mauchly 1940; Greenhouse & Geisser 1959).
+One-way within-subject F, Greenhouse-Geisser epsilon, Mauchly's W and chi-square and paired t all
+follow from the k means m and the k x k covariance S (n − 1 in the denominator). With P = I − 11'/k,
+T = tr(PS), Q = tr(PSPS) and A the covariance of k − 1 orthonormal contrasts: F = n Σ(m − m̄)²/T, ε
+= T²/((k − 1)Q), W = det A/(T/(k − 1))^(k − 1), χ² = −(n − 1) d ln W, d = 1 − (2p² + p + 2)/(6p(n −
+1)), p = k − 1, and t_ij = (m_i − m_j)/√(V_ij/n) with V_ij the variance of a difference (Mauchly
+1940; Greenhouse & Geisser 1959).
 """
 
 from dataclasses import dataclass
@@ -21,22 +23,32 @@ TINY = 1e-300
 
 @cache
 def pair_indices(k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows i and columns j of all k(k − 1)/2 pairs, i < j, in the order of the statistics' last axis."""
+    """
+    Return the rows i and columns j of all k(k − 1)/2 pairs, i < j, in the order of the statistics'
+    last axis.
+    """
     return np.triu_indices(k, 1)
 
 
 def _density_t(t: np.ndarray, df: float) -> np.ndarray:
-    """Return the density of Student's t; scipy.stats would spend most of the search on checking its arguments."""
-    constant = np.exp(special.gammaln((df + 1.0) / 2.0) - special.gammaln(df / 2.0)) / np.sqrt(df * np.pi)
+    """
+    Return the density of Student's t; scipy.stats would spend most of the search on checking its
+    arguments.
+    """
+    constant = np.exp(special.gammaln((df + 1.0) / 2.0) - special.gammaln(df / 2.0)) / np.sqrt(
+        df * np.pi
+    )
     return constant * (1.0 + t * t / df) ** (-(df + 1.0) / 2.0)
 
 
 @dataclass(frozen=True, eq=False)
 class MomentStatistics:
     """
-    The statistics of B sets of means (B, k) and covariances (B, k, k), n − 1 in their denominator, of n subjects.
+    The statistics of B sets of means (B, k) and covariances (B, k, k), n − 1 in their denominator,
+    of n subjects.
 
-    `corrected` says whether the p-value of F uses degrees of freedom multiplied by the Greenhouse-Geisser epsilon.
+    `corrected` says whether the p-value of F uses degrees of freedom multiplied by the
+    Greenhouse-Geisser epsilon.
     """
 
     mean: np.ndarray
@@ -87,7 +99,8 @@ class MomentStatistics:
     def chi2(self) -> np.ndarray:
         """Mauchly's chi-square, shape (B,)."""
         p = self.k - 1
-        # det A of orthonormal contrasts is the product of the p nonzero eigenvalues of PSP: shift the zero one to 1.
+        # det A of orthonormal contrasts is the product of the p nonzero eigenvalues of PSP: shift
+        # the zero one to 1.
         _, logdet = np.linalg.slogdet(self._centred / self._trace[:, None, None] * p + 1.0 / self.k)
         return -mauchly_factor(self.n, self.k) * logdet
 
@@ -95,7 +108,9 @@ class MomentStatistics:
     def difference_variance(self) -> np.ndarray:
         """Variances of the pairwise differences, shape (B, pairs)."""
         i, j = pair_indices(self.k)
-        variance = self.covariance[:, i, i] + self.covariance[:, j, j] - 2.0 * self.covariance[:, i, j]
+        variance = (
+            self.covariance[:, i, i] + self.covariance[:, j, j] - 2.0 * self.covariance[:, i, j]
+        )
         return np.maximum(variance, TINY)
 
     @cached_property
@@ -119,8 +134,9 @@ class MomentStatistics:
         """Natural logarithm of the p of F, shape (B,)."""
         return self._log_anova_p(self.f_ratio, self.epsilon)
 
-    # Gradients of Q statistics: with respect to the means, shape (B, Q, k), and to the covariance, shape (B, Q, k, k),
-    # symmetric: a small symmetric change dS changes the statistic by the sum of gradient * dS.
+    # Gradients of Q statistics: with respect to the means, shape (B, Q, k), and to the covariance,
+    # shape (B, Q, k, k), symmetric: a small symmetric change dS changes the statistic by the sum of
+    # gradient * dS.
 
     @property
     def gradient_mean(self) -> tuple[np.ndarray, np.ndarray]:
@@ -151,15 +167,24 @@ class MomentStatistics:
     def gradient_f_ratio(self) -> tuple[np.ndarray, np.ndarray]:
         """The gradient of F."""
         centring = np.eye(self.k) - 1.0 / self.k
-        by_mean = 2.0 * self.n * (self.mean - self.mean.mean(axis=-1, keepdims=True)) / self._trace[:, None]
+        by_mean = (
+            2.0
+            * self.n
+            * (self.mean - self.mean.mean(axis=-1, keepdims=True))
+            / self._trace[:, None]
+        )
         return by_mean[:, None], -(self.f_ratio / self._trace)[:, None, None, None] * centring
 
     @property
     def gradient_epsilon(self) -> tuple[np.ndarray, np.ndarray]:
         """The gradient of the Greenhouse-Geisser epsilon."""
         centring = np.eye(self.k) - 1.0 / self.k
-        by_covariance = centring / self._trace[:, None, None] - self._centred / self._square[:, None, None]
-        return np.zeros_like(self.mean)[:, None], (2.0 * self.epsilon[:, None, None] * by_covariance)[:, None]
+        by_covariance = (
+            centring / self._trace[:, None, None] - self._centred / self._square[:, None, None]
+        )
+        return np.zeros_like(self.mean)[:, None], (
+            2.0 * self.epsilon[:, None, None] * by_covariance
+        )[:, None]
 
     @property
     def gradient_chi2(self) -> tuple[np.ndarray, np.ndarray]:
@@ -185,12 +210,19 @@ class MomentStatistics:
 
     @property
     def gradient_log_anova_p(self) -> tuple[np.ndarray, np.ndarray]:
-        """The gradient of the logarithm of the p of F (its two partial derivatives by central differences)."""
+        """
+        The gradient of the logarithm of the p of F (its two partial derivatives by central
+        differences).
+        """
         F_mean, F_covariance = self.gradient_f_ratio
         _, e_covariance = self.gradient_epsilon
-        f, e, step = self.f_ratio, self.epsilon, 1e-6 * np.maximum(self.f_ratio, 1e-6)
+        f = self.f_ratio
+        e = self.epsilon
+        step = 1e-6 * np.maximum(self.f_ratio, 1e-6)
         lower = np.maximum(f - step, 0.0)
         by_F = (self._log_anova_p(f + step, e) - self._log_anova_p(lower, e)) / (f + step - lower)
         by_e = (self._log_anova_p(f, e + 1e-6) - self._log_anova_p(f, e - 1e-6)) / 2e-6
-        by_covariance = by_F[:, None, None, None] * F_covariance + by_e[:, None, None, None] * e_covariance
+        by_covariance = (
+            by_F[:, None, None, None] * F_covariance + by_e[:, None, None, None] * e_covariance
+        )
         return by_F[:, None, None] * F_mean, by_covariance

@@ -1,11 +1,12 @@
 """
 Data that have all statistics printed for a study.
 
-All printed statistics of a one-way within-subject study are functions of the means and the covariance matrix. A
-reconstruction therefore finds these moments first (`moment_search`), with every statistic within its rounding, and then draws
-n subjects with exactly these moments inside the scale of the measure (`sample_with_moments`). The values are continuous: they
-do not follow the steps of a questionnaire. They are not measurements, and everything made from them says so. What is not
-printed can have several values: `feasible_ranges` says which.
+All printed statistics of a one-way within-subject study are functions of the means and the
+covariance matrix. A reconstruction therefore finds these moments first (`moment_search`), with
+every statistic within its rounding, and then draws n subjects with exactly these moments inside the
+scale of the measure (`sample_with_moments`). The values are continuous: they do not follow the
+steps of a questionnaire. They are not measurements, and everything made from them says so. What is
+not printed can have several values: `feasible_ranges` says which.
 """
 
 from collections.abc import Iterable, Mapping
@@ -17,8 +18,21 @@ import pandas as pd
 from trustlab.models.html import as_html
 from trustlab.reproduction.printed_number import printed_interval
 from trustlab.reproduction.published_study import PublishedStudy
-from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, ALPHA, Constraint, constraints, size_interval
-from trustlab.reproduction.reconstruction.feasibility import MARGINS, Verdict, decide, feasibility, generator, prepared
+from trustlab.reproduction.reconstruction.constraints import (
+    ADJUSTMENTS,
+    ALPHA,
+    Constraint,
+    constraints,
+    size_interval,
+)
+from trustlab.reproduction.reconstruction.feasibility import (
+    MARGINS,
+    Verdict,
+    decide,
+    feasibility,
+    generator,
+    prepared,
+)
 from trustlab.reproduction.reconstruction.moment_search import MomentProblem, Moments
 from trustlab.reproduction.reconstruction.moment_statistics import pair_indices
 from trustlab.reproduction.reconstruction.relaxation import proves_infeasible
@@ -54,7 +68,8 @@ class Reconstruction:
     left_out : mapping of str to str
         Printed statistics that these data need not have, with the reason.
     verdict : Verdict
-        All solutions found with this seed; the data have the moments of the first that fits the scale.
+        All solutions found with this seed; the data have the moments of the first that fits the
+        scale.
     problem : MomentProblem
         What the moments had to satisfy.
     """
@@ -69,7 +84,10 @@ class Reconstruction:
 
     @property
     def frame(self) -> pd.DataFrame:
-        """The data in long form: columns subject (1 … n), condition, value; `attrs` marks them as reconstructed."""
+        """
+        The data in long form: columns subject (1 … n), condition, value; `attrs` marks them as
+        reconstructed.
+        """
         subjects = pd.RangeIndex(1, len(self.values) + 1, name="subject")
         wide = pd.DataFrame(self.values, subjects, list(self.study.conditions))
         long = wide.melt(var_name="condition", value_name="value", ignore_index=False)
@@ -85,8 +103,9 @@ class Reconstruction:
         Returns
         -------
         pandas.DataFrame
-            Index statistic; columns printed, low, high (what agrees with it), reconstructed (recomputed from the data), agrees,
-            left_out (the reason; empty where the statistic had to hold). Pairwise p-values are adjusted.
+            Index statistic; columns printed, low, high (what agrees with it), reconstructed
+            (recomputed from the data), agrees, left_out (the reason; empty where the statistic had
+            to hold). Pairwise p-values are adjusted.
         """
         ours = reanalyse(self.values, self.study, self.p_adjust)
         rows = []
@@ -105,15 +124,19 @@ class Reconstruction:
         Returns
         -------
         pandas.DataFrame
-            Index quantity: means and standard deviations that are not printed, and all correlations; columns low, high (both
-            attained by solutions; the true range is at least as wide), proved_low, proved_high (of means: beyond these it is
-            proved that no data have what is printed; NaN otherwise), reconstructed.
+            Index quantity: means and standard deviations that are not printed, and all
+            correlations; columns low, high (both attained by solutions; the true range is at least
+            as wide), proved_low, proved_high (of means: beyond these it is proved that no data have
+            what is printed; NaN otherwise), reconstructed.
         """
         names = self.study.conditions
         ranges = feasible_ranges(self.problem, generator(self.seed), names)
         ours: dict[str, float] = {}
         for i, name in enumerate(names):
-            ours |= {f"mean.{name}": self.values[:, i].mean(), f"sd.{name}": self.values[:, i].std(ddof=1)}
+            ours |= {
+                f"mean.{name}": self.values[:, i].mean(),
+                f"sd.{name}": self.values[:, i].std(ddof=1),
+            }
             for j, other in enumerate(names):
                 ours[f"correlation.{name}-{other}"] = np.corrcoef(self.values[:, [i, j]].T)[0, 1]
         ranges["reconstructed"] = [float(ours[name]) for name in ranges.index]
@@ -135,16 +158,20 @@ def reconstruct(
     study : PublishedStudy
         The study, for example `published_studies()["uav.tlx"]`.
     seed : int
-        Seed; each draws its own means and covariance within the printed rounding, and its own subjects.
+        Seed; each draws its own means and covariance within the printed rounding, and its own
+        subjects.
     p_adjust : {"bonferroni", "holm", "sidak", "none"}, optional
-        How the printed pairwise p-values were adjusted; the first of these under which all can hold, unless given.
+        How the printed pairwise p-values were adjusted; the first of these under which all can
+        hold, unless given.
     without : iterable of str
-        Statistics that the data need not have, by name ("anova.F", "pairs.C1-C3") or group ("mauchly", "pairs").
+        Statistics that the data need not have, by name ("anova.F", "pairs.C1-C3") or group
+        ("mauchly", "pairs").
 
     Returns
     -------
     pandas.DataFrame
-        Columns subject, condition, value; `attrs` marks the data as reconstructed and says what was left out and why.
+        Columns subject, condition, value; `attrs` marks the data as reconstructed and says what was
+        left out and why.
 
     Raises
     ------
@@ -169,8 +196,9 @@ def reconstruct_study(
     """
     Return data that have the statistics printed for a study, together with checks of them.
 
-    Statistics that contradict others by arithmetic are left out. Where the rest cannot hold together, the first remedy
-    that `feasibility` finds is left out too. The result lists both in `left_out`.
+    Statistics that contradict others by arithmetic are left out. Where the rest cannot hold
+    together, the first remedy that `feasibility` finds is left out too. The result lists both in
+    `left_out`.
 
     Parameters
     ----------
@@ -219,14 +247,17 @@ def reconstruct_study(
         values = _draw(problem, verdict.moments, draws) if verdict.status == "solved" else None
     if values is None:
         raise ReconstructionError(
-            f"{study.name}: no {study.n} values within the scale {study.scale} were found that have a solution's means and"
-            " covariances; try another seed, or leave out a standard deviation"
+            f"{study.name}: no {study.n} values within the scale {study.scale} were found that "
+            "have a solution's means and covariances; try another seed, or leave out a standard "
+            "deviation"
         )
     result = Reconstruction(study, candidate, int(seed), values, left_out, verdict, problem)
     table = result.table()
     wrong = table.index[~table["agrees"] & (table["left_out"] == "")]
     if len(wrong):
-        raise ReconstructionError(f"{study.name}: the data found do not have {', '.join(wrong)}; try another seed")
+        raise ReconstructionError(
+            f"{study.name}: the data found do not have {', '.join(wrong)}; try another seed"
+        )
     return result
 
 
@@ -261,8 +292,9 @@ def _remedied(
         )
         names.append(name)
     raise ReconstructionError(
-        f"{study.name}: the printed numbers cannot hold together under p_adjust={p_adjust!r}, nor when"
-        f" {', '.join(reasons)} are left out; feasibility() names the conflict, `without` leaves statistics out"
+        f"{study.name}: the printed numbers cannot hold together under p_adjust={p_adjust!r}, nor "
+        f"when {', '.join(reasons)} are left out; feasibility() names the conflict, `without` "
+        "leaves statistics out"
     )
 
 
@@ -278,9 +310,11 @@ def adjusted(p: np.ndarray, p_adjust: str) -> np.ndarray:
 
 def reanalyse(values: np.ndarray, study: PublishedStudy, p_adjust: str) -> dict[str, float]:
     """
-    Return the statistics of data, shape (n, k), under the names of a study's constraints, in the units in which they are printed.
+    Return the statistics of data, shape (n, k), under the names of a study's constraints, in the
+    units in which they are printed.
 
-    The study names the conditions and says whether degrees of freedom are corrected; Mauchly's p has the second-order term.
+    The study names the conditions and says whether degrees of freedom are corrected; Mauchly's p
+    has the second-order term.
     """
     names = study.conditions
     result = repeated_measures_batch(values[None])
@@ -310,7 +344,10 @@ def printed_ends(s: Constraint) -> tuple[float, float]:
 
 
 def agrees(s: Constraint, value: float) -> bool:
-    """Return whether a value rounds to what is printed, or obeys the printed inequality; of a t only the size counts."""
+    """
+    Return whether a value rounds to what is printed, or obeys the printed inequality; of a t only
+    the size counts.
+    """
     low, high = printed_ends(s)
     if s.name == "t_test.t":
         (low, high), value = size_interval(s.text), abs(value)
@@ -330,14 +367,16 @@ def sample_with_moments(
     iterations: int = 2000,
 ) -> np.ndarray | None:
     """
-    Draw values, shape (n, k), with given means and covariance GG' (n − 1 in the denominator) within a scale.
+    Draw values, shape (n, k), with given means and covariance GG' (n − 1 in the denominator) within
+    a scale.
 
-    Normal draws are given the moments exactly, X = 1m' + √(n − 1) U G' with UᵀU = I, Uᵀ1 = 0. While values lie outside the
-    scale they are moved to its ends, and the nearest values with the exact moments are taken: U is the orthogonal polar factor
-    of the centred values times G (orthogonal Procrustes problem, Schönemann 1966; alternating projections).
+    Normal draws are given the moments exactly, X = 1m' + √(n − 1) U G' with UᵀU = I, Uᵀ1 = 0. While
+    values lie outside the scale they are moved to its ends, and the nearest values with the exact
+    moments are taken: U is the orthogonal polar factor of the centred values times G (orthogonal
+    Procrustes problem, Schönemann 1966; alternating projections).
 
-    `factor` is G, of which only the first n − 1 columns may differ from 0; the ends of the scale may be infinite. None where
-    `iterations` projections find none.
+    `factor` is G, of which only the first n − 1 columns may differ from 0; the ends of the scale
+    may be infinite. None where `iterations` projections find none.
     """
     factor = factor[:, : n - 1]
     low, high = scale
@@ -360,14 +399,17 @@ def _with_moments(values: np.ndarray, mean: np.ndarray, factor: np.ndarray) -> n
     return mean + np.sqrt(n - 1.0) * whitened @ factor.T
 
 
-def feasible_ranges(problem: MomentProblem, rng: np.random.Generator, conditions: tuple[str, ...]) -> pd.DataFrame:
+def feasible_ranges(
+    problem: MomentProblem, rng: np.random.Generator, conditions: tuple[str, ...]
+) -> pd.DataFrame:
     """
     Return the lowest and highest value found of every quantity that is not printed.
 
-    Each quantity in turn is pushed outwards from the solutions in which it is most extreme, while all constraints hold; the
-    step grows after success and shrinks after failure. Every solution found also serves the other quantities, and the whole
-    round is made twice. Both ends are attained by solutions, so that the true range is at least as wide. Beyond proved_low
-    and proved_high (for means; NaN otherwise) it is proved that no data have the printed statistics.
+    Each quantity in turn is pushed outwards from the solutions in which it is most extreme, while
+    all constraints hold; the step grows after success and shrinks after failure. Every solution
+    found also serves the other quantities, and the whole round is made twice. Both ends are
+    attained by solutions, so that the true range is at least as wide. Beyond proved_low and
+    proved_high (for means; NaN otherwise) it is proved that no data have the printed statistics.
     """
     printed = {(s.kind, s.index) for s in problem.found}
     wanted = {  # name: kind, index and size of the statistic
@@ -388,12 +430,17 @@ def feasible_ranges(problem: MomentProblem, rng: np.random.Generator, conditions
     for name, (kind, i, _) in wanted.items():
         low, high = rows[name]
         rows[name] += _proved(problem, i, low, high) if kind == "mean" else [np.nan, np.nan]
-    table = pd.DataFrame.from_dict(rows, orient="index", columns=["low", "high", "proved_low", "proved_high"])
+    table = pd.DataFrame.from_dict(
+        rows, orient="index", columns=["low", "high", "proved_low", "proved_high"]
+    )
     return table.rename_axis("quantity")
 
 
 def _proved(problem: MomentProblem, i: int, low: float, high: float, steps: int = 8) -> list[float]:
-    """Return bounds on a mean that is not printed, beyond which it is proved that nothing is feasible; by bisection."""
+    """
+    Return bounds on a mean that is not printed, beyond which it is proved that nothing is feasible;
+    by bisection.
+    """
     bounds = []
     for attained, end in zip((low, high), problem.scale, strict=True):
         outside = end
@@ -412,7 +459,9 @@ class _Pool:
     """The solutions found so far."""
 
     def __init__(self, problem: MomentProblem, moments: Moments) -> None:
-        self.problem, self.mean, self.factor = problem, moments.mean, moments.factor
+        self.problem = problem
+        self.mean = moments.mean
+        self.factor = moments.factor
 
     def solutions(self, moments: Moments) -> Moments:
         """Return the solutions among some candidates."""
@@ -432,7 +481,9 @@ class _Pool:
 
         value = reached(self.mean, self.factor)
         furthest = np.argsort(-value)[:4]
-        mean, factor, best = self.mean[furthest], self.factor[furthest], float(value.max())
+        mean = self.mean[furthest]
+        factor = self.factor[furthest]
+        best = float(value.max())
         for _ in range(rounds):
             target = best + step
             ends = (target, np.inf) if upwards else (-np.inf, -target)

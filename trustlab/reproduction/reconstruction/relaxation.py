@@ -1,10 +1,11 @@
 """
 Proof that no data set has certain printed statistics: a linear relaxation with cutting planes.
 
-The unknowns are the variances q_i and the variances of differences V_ij; the covariance matrix is linear in them. Printed
-standard deviations, means and pairwise p bound them; F bounds their sum, T = Σ V_ij/k. What is left is convex and cut off
-by planes where a solution violates it (Kelley 1960): no combination of conditions has a negative variance; ε ≥ e is the cone
-‖PSP‖ ≤ T/√((k − 1)e); W ≥ w is det(A)^(1/p) ≥ w^(1/p) T/p. The upper ends of ε and W are not convex and are left out, so that
+The unknowns are the variances q_i and the variances of differences V_ij; the covariance matrix is
+linear in them. Printed standard deviations, means and pairwise p bound them; F bounds their sum, T
+= Σ V_ij/k. What is left is convex and cut off by planes where a solution violates it (Kelley 1960):
+no combination of conditions has a negative variance; ε ≥ e is the cone ‖PSP‖ ≤ T/√((k − 1)e); W ≥ w
+is det(A)^(1/p) ≥ w^(1/p) T/p. The upper ends of ε and W are not convex and are left out, so that
 "infeasible" is certain, and "feasible" is inconclusive.
 """
 
@@ -22,7 +23,10 @@ from trustlab.studies.analysis.sphericity import mauchly_factor
 
 
 def _cells(found: Sequence[Constraint], kind: str, k: int, default: Interval) -> np.ndarray:
-    """Return the intervals of a kind of statistic, shape (k, 2); where several bound one, their intersection."""
+    """
+    Return the intervals of a kind of statistic, shape (k, 2); where several bound one, their
+    intersection.
+    """
     bounds = np.tile(np.array(default, dtype=float), (k, 1))
     for s in found:
         if s.kind == kind:
@@ -31,12 +35,16 @@ def _cells(found: Sequence[Constraint], kind: str, k: int, default: Interval) ->
 
 
 def _raw_intervals(found: Sequence[Constraint], pairs: int, p_adjust: str) -> np.ndarray:
-    """Return the least and greatest logarithm of each pair's unadjusted p; for Holm over all orders of ties."""
+    """
+    Return the least and greatest logarithm of each pair's unadjusted p; for Holm over all orders of
+    ties.
+    """
     bounds = _cells(found, "log_p", pairs, (-np.inf, 0.0))
     if p_adjust != "holm":
         return bounds
     low, high = _cells(found, "log_adjusted_p", pairs, (-np.inf, np.inf)).T
-    # A pair's place in the order lies between the number of pairs surely before it and of those surely behind.
+    # A pair's place in the order lies between the number of pairs surely before it and of those
+    # surely behind.
     first = 1 + (high[None, :] < low[:, None]).sum(axis=1)
     last = pairs - (low[None, :] > high[:, None]).sum(axis=1)
     bounds[:, 0] = np.maximum(bounds[:, 0], low - np.log(pairs - first + 1))
@@ -48,7 +56,8 @@ def _spread_of_means(mean: np.ndarray) -> Interval:
     """Return the least and greatest Σ(m − m̄)² over a box of means."""
     k, (low, high) = len(mean), mean.T
     fit = optimize.lsq_linear(np.eye(k) - 1.0 / k, np.zeros(k), (low, high + 1e-300))
-    # The tangent at the fit is a lower bound everywhere, however accurate the fit: the proof must not rest on it.
+    # The tangent at the fit is a lower bound everywhere, however accurate the fit: the proof must
+    # not rest on it.
     slope = 2.0 * (fit.x - fit.x.mean())
     reach = np.where(slope > 0.0, fit.x - low, high - fit.x)
     least = ((fit.x - fit.x.mean()) ** 2).sum() - np.abs(slope) @ reach
@@ -59,7 +68,10 @@ class _Relaxation:
     """The linear programme: maximise the depth behind all planes; columns q, V, depth."""
 
     def __init__(self, problem: MomentProblem) -> None:
-        found, n, k, scale = problem.found, problem.n, problem.k, problem.scale
+        found = problem.found
+        n = problem.n
+        k = problem.k
+        scale = problem.scale
         self.k, self.n = k, n
         self.i, self.j = pair_indices(k)
         mean, sd = _cells(found, "mean", k, scale), _cells(found, "sd", k, (0.0, np.inf))
@@ -85,8 +97,13 @@ class _Relaxation:
         self.empty |= self.epsilon[0] > self.epsilon[1] or chi2[0] > chi2[1]
 
     def _difference_variances(self, mean: np.ndarray, log_p: np.ndarray) -> np.ndarray:
-        """Return the least and greatest variance of each difference, n (m_i − m_j)²/t², from means and p."""
-        n, i, j = self.n, self.i, self.j
+        """
+        Return the least and greatest variance of each difference, n (m_i − m_j)²/t², from means and
+        p.
+        """
+        n = self.n
+        i = self.i
+        j = self.j
         with np.errstate(invalid="ignore"):
             high = np.maximum(mean[i, 1] - mean[j, 0], mean[j, 1] - mean[i, 0])
             low = np.maximum(np.maximum(mean[i, 0] - mean[j, 1], mean[j, 0] - mean[i, 1]), 0.0)
@@ -95,23 +112,31 @@ class _Relaxation:
         with np.errstate(divide="ignore", invalid="ignore"):
             least = np.where(np.isfinite(t_high) & (t_high > 0.0), n * low**2 / t_high**2, 0.0)
             most = np.where(t_low > 1e-12, n * high**2 / t_low**2, np.inf)
-        return np.column_stack([np.nan_to_num(least, nan=0.0), np.where(np.isnan(most), np.inf, most)])
+        return np.column_stack(
+            [np.nan_to_num(least, nan=0.0), np.where(np.isnan(most), np.inf, most)]
+        )
 
     def covariance(self, x: np.ndarray) -> np.ndarray:
         """Return the covariance matrix at a solution."""
         k = self.k
         S = np.diag(x[:k])
-        S[self.i, self.j] = S[self.j, self.i] = 0.5 * (x[self.i] + x[self.j] - x[k : k + len(self.i)])
+        S[self.i, self.j] = S[self.j, self.i] = 0.5 * (
+            x[self.i] + x[self.j] - x[k : k + len(self.i)]
+        )
         return S
 
     def row(self, M: np.ndarray) -> np.ndarray:
-        """Return the coefficients of <M, S> in q and V, for symmetric M; the last column is the depth."""
+        """
+        Return the coefficients of <M, S> in q and V, for symmetric M; the last column is the depth.
+        """
         off = M[self.i, self.j]
         q = np.diag(M) + np.bincount(self.i, off, self.k) + np.bincount(self.j, off, self.k)
         return np.concatenate([q, -off, [0.0]])
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows and right-hand sides of all intervals, each widened by a millionth of itself."""
+        """
+        Return rows and right-hand sides of all intervals, each widened by a millionth of itself.
+        """
         k, pairs = self.k, len(self.i)
         trace = np.concatenate([np.zeros(k), np.full(pairs, 1.0 / k)])
         units = np.column_stack([np.vstack([np.eye(k + pairs), trace]), np.zeros(k + pairs + 1)])
@@ -123,10 +148,16 @@ class _Relaxation:
         return rows[binding], right[binding]
 
     def cuts(self, x: np.ndarray) -> list[np.ndarray]:
-        """Return planes row · x ≤ 0 that all covariance matrices satisfy and this solution does not."""
-        k, S, found = self.k, self.covariance(x), []
+        """
+        Return planes row · x ≤ 0 that all covariance matrices satisfy and this solution does not.
+        """
+        k = self.k
+        S = self.covariance(x)
+        found = []
         value, vector = np.linalg.eigh(S)
-        found += [-self.row(np.outer(v, v)) for e, v in zip(value, vector.T, strict=True) if e < -1e-9]
+        found += [
+            -self.row(np.outer(v, v)) for e, v in zip(value, vector.T, strict=True) if e < -1e-9
+        ]
         P = np.eye(k) - 1.0 / k
         centred = P @ S @ P
         trace, size = np.trace(centred), np.linalg.norm(centred)
@@ -135,7 +166,8 @@ class _Relaxation:
             if size > trace * limit + 1e-9:
                 found.append(self.row(centred / size - limit * P))
         if np.isfinite(self.log_w) and trace > 1e-6 * np.abs(x[:-1]).max():
-            # 11'/k turns the eigenvalue 0 of PSP into 1, so that the determinant is that of the contrasts.
+            # 11'/k turns the eigenvalue 0 of PSP into 1, so that the determinant is that of the
+            # contrasts.
             value, vector = np.linalg.eigh(centred / trace + np.full((k, k), 1.0 / k))
             value = np.maximum(value, 1e-6)
             log_w = np.log(value).sum() + (k - 1) * np.log(k - 1)
@@ -150,8 +182,9 @@ def proves_infeasible(problem: MomentProblem, branches: int = 80) -> bool:
     """
     Return whether it is proved that no means and covariance satisfy the constraints of a problem.
 
-    True when even the relaxation has no solution, with all its intervals widened by a millionth of themselves; False is
-    inconclusive. At most `branches` relaxations are solved: the widest interval of a mean is halved until each part is refuted.
+    True when even the relaxation has no solution, with all its intervals widened by a millionth of
+    themselves; False is inconclusive. At most `branches` relaxations are solved: the widest
+    interval of a mean is halved until each part is refuted.
     """
     found, k = list(problem.found), problem.k
     if np.isfinite(problem.scale).all():
@@ -163,7 +196,11 @@ def proves_infeasible(problem: MomentProblem, branches: int = 80) -> bool:
             return True
         box = open_parts.pop()
         bounded = np.isfinite(box).all(axis=1)
-        means = [Constraint("mean", "mean", i, low, high, "") for i, (low, high) in enumerate(box) if bounded[i]]
+        means = [
+            Constraint("mean", "mean", i, low, high, "")
+            for i, (low, high) in enumerate(box)
+            if bounded[i]
+        ]
         if _refuted(_Relaxation(replace(problem, found=[*others, *means]))):
             continue
         width = np.where(bounded, box[:, 1] - box[:, 0], 0.0)
@@ -178,7 +215,10 @@ def proves_infeasible(problem: MomentProblem, branches: int = 80) -> bool:
 
 
 def _refuted(problem: _Relaxation, rounds: int = 100) -> bool:
-    """Add cutting planes at the deepest point until no point is left (True) or the point violates none (False)."""
+    """
+    Add cutting planes at the deepest point until no point is left (True) or the point violates none
+    (False).
+    """
     if problem.empty:
         return True
     rows, right = problem.bounds()

@@ -14,7 +14,15 @@ from trustlab.models.checks import warn
 from trustlab.sessions.errors import RecipeError, SessionError, source_named
 from trustlab.sessions.metadata import Metadata, digest
 from trustlab.sessions.readers.index import SessionIndex
-from trustlab.sessions.recipe import Constant, MetadataColumn, MetadataRule, Recipe, Resampling, mapped, plain_key
+from trustlab.sessions.recipe import (
+    Constant,
+    MetadataColumn,
+    MetadataRule,
+    Recipe,
+    Resampling,
+    mapped,
+    plain_key,
+)
 from trustlab.sessions.resampling import STATES, RawLog, Stream, require_common_times, resample
 from trustlab.sessions.session import Session, check_column, check_rising, check_time, keep_table
 
@@ -24,10 +32,15 @@ Place = Callable[[int], str]
 def fill_blanks(
     blanks: Sequence[tuple[str, str]], raw: dict[str, np.ndarray], place: Place
 ) -> tuple[dict[str, np.ndarray], Place, dict[str, object]]:
-    """Return columns with their blanks filled, cut to the rows that the rules reach, where these rows stand, and notes."""
+    """
+    Return columns with their blanks filled, cut to the rows that the rules reach, where these rows
+    stand, and notes.
+    """
     size = len(raw["t"])
     notes: dict[str, object] = {}
-    raw, first, stop = dict(raw), 0, size
+    raw = dict(raw)
+    first = 0
+    stop = size
     for name, rule in blanks:
         known = np.flatnonzero(~np.isnan(raw[name]))
         if not known.size:  # the check of the column says so
@@ -41,12 +54,21 @@ def fill_blanks(
         notes[f"blanks of {name}"] = f"{size - known.size} of {size} cells, filled by {rule!r}"
     if first or stop < size:
         last = size - max(stop, first)
-        notes["rows cut"] = f"{first} at the start and {last} at the end, where blanks have no neighbour"
-    return {name: values[first:stop] for name, values in raw.items()}, lambda k: place(first + k), notes
+        notes["rows cut"] = (
+            f"{first} at the start and {last} at the end, where blanks have no neighbour"
+        )
+    return (
+        {name: values[first:stop] for name, values in raw.items()},
+        lambda k: place(first + k),
+        notes,
+    )
 
 
 def merge_repeats(log: RawLog, rule: str) -> None:
-    """Keep one sample of those that share a time: the first, the last, or their mean (of states and angles the last)."""
+    """
+    Keep one sample of those that share a time: the first, the last, or their mean (of states and
+    angles the last).
+    """
     for stream in log.streams:
         new = np.diff(stream.t, prepend=-np.inf) != 0.0
         if new.all():
@@ -67,8 +89,15 @@ def merge_repeats(log: RawLog, rule: str) -> None:
 
 
 def split_at_gaps(log: RawLog, gap: float) -> list[RawLog]:
-    """Return the parts of a log between gaps [s] in which no stream has a sample, but those that are held."""
-    times = np.unique(np.concatenate([stream.t for stream in log.streams if not stream.held] or [log.streams[0].t]))
+    """
+    Return the parts of a log between gaps [s] in which no stream has a sample, but those that are
+    held.
+    """
+    times = np.unique(
+        np.concatenate(
+            [stream.t for stream in log.streams if not stream.held] or [log.streams[0].t]
+        )
+    )
     starts = [-np.inf, *times[1:][np.diff(times) > gap], np.inf]
     parts = []
     for start, stop in pairwise(starts):
@@ -92,14 +121,24 @@ def _between(stream: Stream, start: float, stop: float) -> Stream:
     return replace(stream, t=t[first:end], columns=columns, place=lambda k: stream.place(first + k))
 
 
-def recipe_values(recipe: Recipe, path: Path | None, index: SessionIndex | None) -> dict[str, object]:
-    """Return what is known about one session beside its log: path fields, header cells and the recipe's metadata."""
+def recipe_values(
+    recipe: Recipe, path: Path | None, index: SessionIndex | None
+) -> dict[str, object]:
+    """
+    Return what is known about one session beside its log: path fields, header cells and the
+    recipe's metadata.
+    """
     match = recipe.pattern.match(path) if recipe.pattern and path else None
     origins = [rule.origin for rule in recipe.metadata.values()]
     origins += [rule.origin for rule in recipe.columns.values() if isinstance(rule, MetadataColumn)]
     if recipe.pattern and match is None and any(origins):
-        remedy = "rename the file or its folder, or take nothing from the path in [metadata] and [columns]"
-        raise SessionError(f"the path does not fit the recipe's pattern {recipe.pattern.text!r}; {remedy}")
+        remedy = (
+            "rename the file or its folder, or take nothing from the path in [metadata] and "
+            "[columns]"
+        )
+        raise SessionError(
+            f"the path does not fit the recipe's pattern {recipe.pattern.text!r}; {remedy}"
+        )
     values = dict(match.fields) if match else {}
     if index is not None and any(str(origin).startswith("header.") for origin in origins):
         values |= {f"header.{name}": value for name, value in index.row(match, str(path)).items()}
@@ -134,7 +173,10 @@ def _known(origin: str, values: Mapping[str, object], where: str) -> object:
 
 
 def parts_of(log: RawLog, recipe: Recipe | None) -> list[RawLog]:
-    """Return the parts of a raw log that make a session each: one, or those between gaps if the recipe splits it there."""
+    """
+    Return the parts of a raw log that make a session each: one, or those between gaps if the recipe
+    splits it there.
+    """
     with source_named(log.source):
         if recipe and recipe.time.repeated:
             merge_repeats(log, recipe.time.repeated)
@@ -151,7 +193,10 @@ def assemble_session(
     wanted: Sequence[str] | None,
     resampling: Resampling | None,
 ) -> Session:
-    """Return the session that a raw log makes: `values` come from `recipe_values`, `wanted` are the columns to keep."""
+    """
+    Return the session that a raw log makes: `values` come from `recipe_values`, `wanted` are the
+    columns to keep.
+    """
     rules: Mapping[str, Any] = recipe.columns if recipe else {}
     with source_named(log.source):
         if recipe is None and log.fault is None:
@@ -160,7 +205,9 @@ def assemble_session(
             require_common_times(log)
             _check(log, uniform=True)
             t = log.streams[0].t
-            columns = {name: each for stream in log.streams for name, each in stream.columns.items()}
+            columns = {
+                name: each for stream in log.streams for name, each in stream.columns.items()
+            }
         else:
             _check(log, uniform=False)
             t, columns = resample(log, resampling, rules)
@@ -180,7 +227,8 @@ def assemble_session(
                 with np.errstate(over="ignore"):  # the session refuses what is not finite
                     columns[name] = rule.compute(columns)
         names = wanted or list(rules or columns)
-        # Arrays that belong to others (a frame, a mapped file, another session) are read-only, and those alone are copied.
+        # Arrays that belong to others (a frame, a mapped file, another session) are read-only, and
+        # those alone are copied.
         own = {name: _own(columns[name]) for name in names}
         frame = pd.DataFrame(own, index=pd.Index(_own(t), name="t"), copy=False)
         if t[-1] - t[0] >= 10.0 * (t.size - 1):  # nobody logs control that slowly
@@ -214,29 +262,41 @@ def _check_digests(log: RawLog) -> None:
     for stream in log.streams:
         for name, values in {"t": stream.t, **stream.columns}.items():
             if name in log.digests and log.digests[name] != digest(values):
-                what = f"column {name!r} is not as trustlab wrote it, so the file is damaged or was edited"
+                what = (
+                    f"column {name!r} is not as trustlab wrote it, so the file is damaged or "
+                    "was edited"
+                )
                 remedy = "copy or write it again; of an edited .csv file, remove the first line"
                 raise SessionError(f"{what}; {remedy}")
 
 
 def _check(log: RawLog, uniform: bool) -> None:
-    """Raise the fault that comes first: in the file where there is one stream, in time where there are several."""
+    """
+    Raise the fault that comes first: in the file where there is one stream, in time where there are
+    several.
+    """
     faults: list[tuple[float, SessionError]] = []
     if log.fault is not None:
         row = log.streams[0].t.size if log.fault.row is None else log.fault.row
         faults.append((row, log.fault))
     for stream in log.streams:
-        # A fault that ended reading explains irregular times and a short log, which are then not worth a word.
+        # A fault that ended reading explains irregular times and a short log, which are then not
+        # worth a word.
         too_short = len(log.streams) == 1 and stream.t.size < 2
         check = check_time if log.fault is None and (uniform or too_short) else check_rising
         checks = [partial(check, stream.t, stream.place, stream.remedy)]
-        checks += [partial(check_column, *column, stream.t, stream.place) for column in stream.columns.items()]
+        checks += [
+            partial(check_column, *column, stream.t, stream.place)
+            for column in stream.columns.items()
+        ]
         for check in checks:
             try:
                 check()
             except SessionError as error:
                 row = stream.t.size if error.row is None else error.row
-                position = row if len(log.streams) == 1 else float(stream.t[min(row, stream.t.size - 1)])
+                position = (
+                    row if len(log.streams) == 1 else float(stream.t[min(row, stream.t.size - 1)])
+                )
                 faults.append((position, error))
     if faults:
         raise min(faults, key=lambda fault: fault[0])[1]

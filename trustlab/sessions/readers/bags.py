@@ -1,4 +1,7 @@
-"""Logs by topic: ROS 1 and ROS 2 bags, read without ROS, and those of PX4 (ULog) and of the lab streaming layer (XDF)."""
+"""
+Logs by topic: ROS 1 and ROS 2 bags, read without ROS, and those of PX4 (ULog) and of the lab
+streaming layer (XDF).
+"""
 
 import dataclasses
 import math
@@ -28,11 +31,18 @@ Topics = dict[str, tuple[np.ndarray, dict[str, Any]]]
 PREFIX = "/trustlab/"
 
 _DAMAGED = "not a bag, or a damaged or truncated one"
-_guard = partial(damage_named, _DAMAGED, "try `ros2 bag reindex` or `rosbag reindex`, or record it again")
+_guard = partial(
+    damage_named, _DAMAGED, "try `ros2 bag reindex` or `rosbag reindex`, or record it again"
+)
 
 
-def read_bag(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget) -> RawLog:
-    """Return the log in a bag: a stream per topic of the recipe; without a recipe, what `write_session` wrote."""
+def read_bag(
+    path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget
+) -> RawLog:
+    """
+    Return the log in a bag: a stream per topic of the recipe; without a recipe, what
+    `write_session` wrote.
+    """
     with _open(path, budget) as reader:
         if recipe is not None and recipe.messages is not None:
             _define(reader, Path(recipe.source).parent / recipe.messages.folder)
@@ -43,7 +53,9 @@ def read_bag(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, bu
 
 
 def _define(reader, folder: Path) -> None:
-    """Add the message definitions in the .msg files of a folder to those of a bag, which come first."""
+    """
+    Add the message definitions in the .msg files of a folder to those of a bag, which come first.
+    """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     files = sorted(folder.rglob("*.msg"))
@@ -53,7 +65,9 @@ def _define(reader, folder: Path) -> None:
     for file in files:
         package = file.parent.parent.name if file.parent.name == "msg" else file.parent.name
         with damage_named(f"{file} is not a message definition", "correct it"):
-            types |= get_types_from_msg(file.read_text(encoding="utf-8"), f"{package}/msg/{file.stem}")
+            types |= get_types_from_msg(
+                file.read_text(encoding="utf-8"), f"{package}/msg/{file.stem}"
+            )
     with damage_named(f"the message definitions in {folder} do not go together", "correct them"):
         known = reader.typestore.fielddefs
         reader.typestore.register({name: type for name, type in types.items() if name not in known})
@@ -72,7 +86,9 @@ def _types(reader) -> dict[str, str]:
     types: dict[str, str] = {}
     for connection in reader.connections:
         if not isinstance(connection.topic, str) or not isinstance(connection.msgtype, str):
-            raise SessionError(f"{_DAMAGED} (a topic is called {shown(connection.topic)}); record it again")
+            raise SessionError(
+                f"{_DAMAGED} (a topic is called {shown(connection.topic)}); record it again"
+            )
         known = types.setdefault(connection.topic, connection.msgtype)
         if known != connection.msgtype:
             types[connection.topic] = f"{known} and {connection.msgtype}"
@@ -80,7 +96,9 @@ def _types(reader) -> dict[str, str]:
 
 
 def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
-    """Yield topic, time of receipt [ns] and message, in order of time; check that none is missing."""
+    """
+    Yield topic, time of receipt [ns] and message, in order of time; check that none is missing.
+    """
     chosen = [connection for connection in reader.connections if connection.topic in topics]
     expected: Counter[str] = Counter()
     found: Counter[str] = Counter()
@@ -91,14 +109,18 @@ def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]
         raise SessionError(f"the bag has more than {MAX_SAMPLES} messages on the topics read")
     for topic, stamp, message in _decoded(reader, chosen):
         found[topic] += 1
-        if not isinstance(stamp, int) or not abs(stamp) < 2**62:  # differences of stamps must not overflow
+        if (
+            not isinstance(stamp, int) or not abs(stamp) < 2**62
+        ):  # differences of stamps must not overflow
             raise SessionError(f"topic {topic!r}: a message has the time {stamp} ns")
         yield topic, stamp, message
     for topic in topics:
         if found[topic] == 0:
             raise SessionError(f"topic {topic!r} has no messages; was it being published?")
         if expected[topic] and found[topic] != expected[topic]:
-            what = f"the bag's index counts {expected[topic]} messages, but {found[topic]} are there"
+            what = (
+                f"the bag's index counts {expected[topic]} messages, but {found[topic]} are there"
+            )
             raise SessionError(f"topic {topic!r}: {what}; the bag is damaged or truncated")
 
 
@@ -129,7 +151,10 @@ def _open(path: Path, budget: Budget) -> Iterator[Any]:
 
 
 def _check_sqlite_size(database: Path) -> None:
-    """Raise for a database that is shorter than its header says; its missing pages would read as zeros."""
+    """
+    Raise for a database that is shorter than its header says; its missing pages would read as
+    zeros.
+    """
     with database.open("rb") as file:
         head = file.read(100)
     size = database.stat().st_size
@@ -145,11 +170,15 @@ def _read_own(reader, wanted: Sequence[str] | None, source: str) -> RawLog:
     types = _types(reader)
     names = [topic.removeprefix(PREFIX) for topic in types if topic.startswith(PREFIX)]
     if "t" not in names or "metadata" not in names:
-        raise SessionError(f"not written by trustlab, so it needs a recipe (topics: {listed(types)})")
+        raise SessionError(
+            f"not written by trustlab, so it needs a recipe (topics: {listed(types)})"
+        )
     names = [name for name in names if name not in ("t", "metadata")]
     for name in wanted or ():
         if name not in names:
-            raise SessionError(f"column {name!r} is missing{alternatives(name, names, 'the bag has')}")
+            raise SessionError(
+                f"column {name!r} is missing{alternatives(name, names, 'the bag has')}"
+            )
     topics: dict[str, list] = {PREFIX + name: [] for name in ["metadata", "t", *(wanted or names)]}
     for topic, _, message in _messages(reader, topics):
         value = getattr(message, "data", None)
@@ -159,7 +188,10 @@ def _read_own(reader, wanted: Sequence[str] | None, source: str) -> RawLog:
     metadata, extra = metadata_from_json(topics.pop(f"{PREFIX}metadata")[0])
     for topic, values in topics.items():
         if len(values) != extra.get("samples"):
-            what = f"topic {topic!r} has {len(values)} messages where the metadata say {extra.get('samples')}"
+            what = (
+                f"topic {topic!r} has {len(values)} messages where the metadata say "
+                f"{extra.get('samples')}"
+            )
             raise SessionError(f"{what}; the bag is damaged or truncated")
     columns = {topic.removeprefix(PREFIX): np.array(values) for topic, values in topics.items()}
     stream = Stream(columns.pop("t"), columns, "message {} (from 0)".format)
@@ -169,7 +201,8 @@ def _read_own(reader, wanted: Sequence[str] | None, source: str) -> RawLog:
 def _read_topics(reader, rules: Sequence[TopicField], recipe: Recipe, source: str) -> RawLog:
     """Return a stream per topic, timed from the last of the topics' first stamps."""
     types = _types(reader)
-    # A message that lacks the entry a rule selects is no sample of it, so that each selection is a stream of its own.
+    # A message that lacks the entry a rule selects is no sample of it, so that each selection is a
+    # stream of its own.
     groups: dict[tuple[str, str], list[TopicField]] = {}
     for rule in rules:
         topic = rule.topic
@@ -189,7 +222,9 @@ def _read_topics(reader, rules: Sequence[TopicField], recipe: Recipe, source: st
         kind, row = types[topic], count[topic]
         where = f"topic {topic!r}, message {row} (from 0)"
         count[topic] += 1
-        stamp = _header_stamp(message, kind, where) if recipe.time.of(topic) == "header" else received
+        stamp = (
+            _header_stamp(message, kind, where) if recipe.time.of(topic) == "header" else received
+        )
         for group in (group for group in groups if group[0] == topic):
             found = [_value(message, rule, kind, where, frames) for rule in groups[group]]
             if None not in found:
@@ -199,17 +234,26 @@ def _read_topics(reader, rules: Sequence[TopicField], recipe: Recipe, source: st
                     values[rule.name].append(value)
     for (topic, selectors), each in stamps.items():
         if not each:
-            raise SessionError(f"topic {topic!r}: none of its {count[topic]} messages has an entry {selectors}")
-    series = [Series(group, own, stamps[group], rows[group], values) for group, own in groups.items()]
+            raise SessionError(
+                f"topic {topic!r}: none of its {count[topic]} messages has an entry {selectors}"
+            )
+    series = [
+        Series(group, own, stamps[group], rows[group], values) for group, own in groups.items()
+    ]
     notes: dict[str, object] = {}
     for (topic, selectors), each in rows.items():
         if len(each) < count[topic]:
-            notes[f"selected {topic}{selectors}"] = f"{len(each)} of {count[topic]} messages have the entry"
+            notes[f"selected {topic}{selectors}"] = (
+                f"{len(each)} of {count[topic]} messages have the entry"
+            )
     return series_log(source, series, notes)
 
 
 class Series(NamedTuple):
-    """What was read of one topic: its name and selectors, its rules, times [ns], numbers of messages, columns by name."""
+    """
+    What was read of one topic: its name and selectors, its rules, times [ns], numbers of messages,
+    columns by name.
+    """
 
     group: tuple[str, str]
     rules: Sequence[TopicField]
@@ -225,7 +269,8 @@ def series_log(source: str, series: Sequence[Series], notes: dict[str, object]) 
     start = max(int(each.stamps[0]) for each in series)
     streams = [
         Stream(
-            # Differences of whole nanoseconds are exact; as floats the stamps would be 0.2 µs apart at best.
+            # Differences of whole nanoseconds are exact; as floats the stamps would be 0.2 µs apart
+            # at best.
             t=(np.array(each.stamps, dtype=np.int64) - start) / 1e9,
             columns={rule.name: rule.convert(each.values[rule.name]) for rule in each.rules},
             place=partial(_place, each.group[0], each.rows),
@@ -245,7 +290,10 @@ def _place(topic: str, rows: Sequence[int] | np.ndarray, k: int) -> str:
 def _check_defined(reader, topic: str, kind: str) -> None:
     """Raise where neither the bag nor the recipe says how messages of a type are made up."""
     if kind not in reader.typestore.fielddefs:
-        remedy = 'put its .msg files in a folder package/msg/ and name the folder above: [messages] folder = "…"'
+        remedy = (
+            "put its .msg files in a folder package/msg/ and name the folder above: "
+            '[messages] folder = "…"'
+        )
         raise SessionError(f"topic {topic!r}: the bag has no definition of {kind}; {remedy}")
 
 
@@ -253,12 +301,19 @@ def _header_stamp(message, kind: str, where: str) -> int:
     """Return the time of measurement [ns]."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     if stamp is None:
-        raise RecipeError(f'{where}: {kind} has no header stamp; say "receive" for it under [time] topics')
+        raise RecipeError(
+            f'{where}: {kind} has no header stamp; say "receive" for it under [time] topics'
+        )
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
-def _value(message, rule: TopicField, kind: str, where: str, frames: dict[str, object]) -> float | None:
-    """Return the number that a rule takes from a message of type `kind`; None where the entry it selects is not there."""
+def _value(
+    message, rule: TopicField, kind: str, where: str, frames: dict[str, object]
+) -> float | None:
+    """
+    Return the number that a rule takes from a message of type `kind`; None where the entry it
+    selects is not there.
+    """
     here = f"{where}, field {rule.path.text!r} ({rule.name})"
     value = _walk(message, rule, kind, here, frames)
     if value is None:
@@ -274,7 +329,10 @@ def _value(message, rule: TopicField, kind: str, where: str, frames: dict[str, o
 
 
 def _walk(value, rule: TopicField, kind: str, here: str, frames: dict[str, object]):
-    """Follow a rule's field path into a message; `frames` are the coordinate frames that its lists began with."""
+    """
+    Follow a rule's field path into a message; `frames` are the coordinate frames that its lists
+    began with.
+    """
     parent = None
     for step in rule.path.steps:
         if not isinstance(step, str) and not isinstance(value, list | tuple | np.ndarray):
@@ -285,11 +343,16 @@ def _walk(value, rule: TopicField, kind: str, here: str, frames: dict[str, objec
                 return None
         elif isinstance(step, int):
             if step >= len(value):
-                raise SessionError(f"{here}: the list has {len(value)} entries, [{step}] is not among them")
+                raise SessionError(
+                    f"{here}: the list has {len(value)} entries, [{step}] is not among them"
+                )
             value = value[step]
             frame = getattr(value, "child_frame_id", None)
             if frames.setdefault(rule.name, frame) != frame:
-                what = f"the entry [{step}] is of frame {frame!r} here, and of {frames[rule.name]!r} before"
+                what = (
+                    f"the entry [{step}] is of frame {frame!r} here, and of "
+                    f"{frames[rule.name]!r} before"
+                )
                 raise SessionError(f'{here}: {what}; select one: [child_frame_id="{frame}"]')
         else:
             parent, value = value, _field(value, step, kind, here)
@@ -297,8 +360,12 @@ def _walk(value, rule: TopicField, kind: str, here: str, frames: dict[str, objec
 
 
 def _field(value, name: str, kind: str, here: str):
-    fields = [each.name for each in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
-    fields = [each for each in fields if not each.startswith("__")]  # what rosbags adds to a message
+    fields = (
+        [each.name for each in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
+    )
+    fields = [
+        each for each in fields if not each.startswith("__")
+    ]  # what rosbags adds to a message
     if name not in fields:
         hint = alternatives(name, fields or ["a plain value"], "it has")
         raise RecipeError(f"{here}: {kind} has no field {name!r} there{hint}")
@@ -307,21 +374,30 @@ def _field(value, name: str, kind: str, here: str):
 
 def _selected(entries, parent, selector: Selector, here: str):
     """Return the entry of a list that a selector names; None where there is none."""
-    names = getattr(parent, selector.key, None)  # as in JointState, whose positions stand beside the joints' names
+    names = getattr(
+        parent, selector.key, None
+    )  # as in JointState, whose positions stand beside the joints' names
     if names is None:
         try:
             names = [attrgetter(selector.key)(entry) for entry in entries]
         except AttributeError:
             what = f"neither the list's entries nor a list beside it are called {selector.key!r}"
             raise RecipeError(f"{here}: {what}") from None
-    chosen = [entry for name, entry in zip(names, entries, strict=False) if str(name) == selector.value]
+    chosen = [
+        entry for name, entry in zip(names, entries, strict=False) if str(name) == selector.value
+    ]
     if len(chosen) > 1:
-        raise SessionError(f"{here}: {len(chosen)} entries are {selector}, so that it names none of them")
+        raise SessionError(
+            f"{here}: {len(chosen)} entries are {selector}, so that it names none of them"
+        )
     return chosen[0] if chosen else None
 
 
 def _yaw(value, kind: str, here: str) -> float:
-    """Return the heading [rad] of a quaternion: its rotation about the vertical axis (roll and pitch do not matter)."""
+    """
+    Return the heading [rad] of a quaternion: its rotation about the vertical axis (roll and pitch
+    do not matter).
+    """
     try:
         x, y, z, w = (float(getattr(value, name)) for name in "xyzw")
     except (AttributeError, TypeError, ValueError):
@@ -333,7 +409,10 @@ def _yaw(value, kind: str, here: str) -> float:
 
 
 def read_topics(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None) -> RawLog:
-    """Return a stream per topic of a ULog or XDF file; a field is named as there, or channel[0] and so on in XDF."""
+    """
+    Return a stream per topic of a ULog or XDF file; a field is named as there, or channel[0] and so
+    on in XDF.
+    """
     with extra("formats"):
         import pyulog
         import pyxdf
@@ -343,7 +422,8 @@ def read_topics(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None)
         if ulog:
             topics = _ulog_topics(pyulog.ULog(str(path)).data_list)
         else:
-            # Clocks are brought together by the offsets in the file, as its recorder means it; times are not smoothed.
+            # Clocks are brought together by the offsets in the file, as its recorder means it;
+            # times are not smoothed.
             topics = _xdf_topics(pyxdf.load_xdf(str(path), dejitter_timestamps=False)[0])
     if recipe is None:
         raise SessionError(f"a {path.suffix} file needs a recipe (topics: {listed(topics)})")
@@ -352,7 +432,9 @@ def read_topics(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None)
         if isinstance(rule, TopicField):
             if rule.topic not in topics:
                 hint = alternatives(rule.topic, topics, "it has")
-                raise SessionError(f"topic {rule.topic!r} (for {rule.name}) is not in the file{hint}")
+                raise SessionError(
+                    f"topic {rule.topic!r} (for {rule.name}) is not in the file{hint}"
+                )
             groups.setdefault(rule.topic, []).append(rule)
     series = []
     for topic, rules in groups.items():
@@ -362,16 +444,25 @@ def read_topics(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None)
             raise RecipeError(f"topic {topic!r} {what}")
         values = {rule.name: _column_of(topic, rule, fields) for rule in rules}
         series.append(Series((topic, ""), rules, stamps, np.arange(len(stamps)), values))
-    return series_log(str(path), series, {} if ulog else {"clocks": "brought together by the offsets in the file"})
+    return series_log(
+        str(path), series, {} if ulog else {"clocks": "brought together by the offsets in the file"}
+    )
 
 
 def _column_of(topic: str, rule: TopicField, fields: dict[str, Any]) -> np.ndarray:
     where = f"topic {topic!r}, field {rule.path.text!r} ({rule.name})"
     if rule.path.text not in fields:
-        raise RecipeError(f"{where}: there is no such field{alternatives(rule.path.text, fields, 'it has')}")
+        raise RecipeError(
+            f"{where}: there is no such field{alternatives(rule.path.text, fields, 'it has')}"
+        )
     values = fields[rule.path.text]
     if rule.map:
-        return np.array([mapped(rule.map, value, f"{where}, message {k} (from 0)") for k, value in enumerate(values)])
+        return np.array(
+            [
+                mapped(rule.map, value, f"{where}, message {k} (from 0)")
+                for k, value in enumerate(values)
+            ]
+        )
     if np.asarray(values).dtype.kind not in "biuf":
         raise RecipeError(f"{where}: holds texts, not numbers; give it a map")
     return np.asarray(values, dtype=float)
@@ -394,9 +485,16 @@ def _xdf_topics(streams) -> Topics:
         described = (info.get("desc") or [None])[0] or {}
         channels = (described.get("channels") or [None])[0] or {}
         labels = [(channel.get("label") or [""])[0] for channel in channels.get("channel", [])]
-        fields |= {str(label): column for label, column in zip(labels, columns, strict=False) if label}
+        fields |= {
+            str(label): column for label, column in zip(labels, columns, strict=False) if label
+        }
         name = info["name"][0]
         if name in topics:
-            raise SessionError(f"two streams are called {name!r}, so that neither can be named in a recipe")
-        topics[name] = (np.round(np.asarray(stream["time_stamps"], dtype=float) * 1e9).astype(np.int64), fields)
+            raise SessionError(
+                f"two streams are called {name!r}, so that neither can be named in a recipe"
+            )
+        topics[name] = (
+            np.round(np.asarray(stream["time_stamps"], dtype=float) * 1e9).astype(np.int64),
+            fields,
+        )
     return topics

@@ -18,7 +18,14 @@ import numpy as np
 
 from trustlab.sessions.errors import SessionError, damage_named
 from trustlab.sessions.metadata import metadata_from_json
-from trustlab.sessions.readers.tables import BLANKS, SourceColumn, is_blank, numbers, select_columns, table_stream
+from trustlab.sessions.readers.tables import (
+    BLANKS,
+    SourceColumn,
+    is_blank,
+    numbers,
+    select_columns,
+    table_stream,
+)
 from trustlab.sessions.readers.unpacking import Budget
 from trustlab.sessions.recipe import NUMBER, Recipe, TableRule
 from trustlab.sessions.resampling import RawLog
@@ -33,35 +40,51 @@ _FILL = 'fill it, cut it out, or let a rule of a recipe fill it (blank = "hold" 
 
 
 def read_csv(
-    path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, layout: TableRule, budget: Budget
+    path: Path,
+    recipe: Recipe | None,
+    wanted: Sequence[str] | None,
+    layout: TableRule,
+    budget: Budget,
 ) -> RawLog:
     """
     Return the log in a CSV file.
 
-    Faults of the text and of its columns are raised; a fault in a row is handed on in the log, together with the rows
-    before it, so that the first fault of the file can be reported.
+    Faults of the text and of its columns are raised; a fault in a row is handed on in the log,
+    together with the rows before it, so that the first fault of the file can be reported.
     """
     opened: Callable[[], BinaryIO] = lambda: path.open("rb")  # noqa: E731
     if path.suffix.lower() == ".gz":
-        with damage_named("not a gzip file, or a damaged or truncated one", "copy it again"), gzip.open(path) as file:
+        with (
+            damage_named("not a gzip file, or a damaged or truncated one", "copy it again"),
+            gzip.open(path) as file,
+        ):
             unpacked = file.read(budget.most + 1)
         budget.take(len(unpacked))
         opened = partial(io.BytesIO, unpacked)
-    layout = replace(layout, delimiter=layout.delimiter or ("\t" if ".tsv" in path.name.lower()[-7:] else ","))
+    layout = replace(
+        layout, delimiter=layout.delimiter or ("\t" if ".tsv" in path.name.lower()[-7:] else ",")
+    )
     lines = _lines(opened)
-    first, metadata, extra, before = next(lines, ""), None, {}, layout.skip_lines
+    first = next(lines, "")
+    metadata = None
+    extra = {}
+    before = layout.skip_lines
     if first.startswith(COMMENT) and not before:
         metadata, extra = metadata_from_json(first[len(COMMENT) :])
         before = 1
         with opened() as file:
             file.seek(-1, os.SEEK_END)
             if file.read() not in b"\r\n":
-                raise SessionError("its last line has no end, so the file was cut short; write it again")
+                raise SessionError(
+                    "its last line has no end, so the file was cut short; write it again"
+                )
     for _ in range(before):
         first = next(lines, "")
     where = f"line {before + 1}"
     spaces = layout.delimiter == " "  # a run of which separates once
-    reader = csv.reader(itertools.chain([first], lines), delimiter=layout.delimiter, skipinitialspace=spaces)
+    reader = csv.reader(
+        itertools.chain([first], lines), delimiter=layout.delimiter, skipinitialspace=spaces
+    )
     try:
         names = [name.strip() for name in next(reader)]
     except csv.Error as error:
@@ -86,14 +109,21 @@ def read_csv(
 
 def _lines(opened: Callable[[], BinaryIO]) -> Iterator[str]:
     """Yield the lines of a text, each with its end; raise at the first that is no text."""
-    with opened() as file, io.TextIOWrapper(file, "utf-8-sig", errors="surrogateescape", newline="") as text:
+    with (
+        opened() as file,
+        io.TextIOWrapper(file, "utf-8-sig", errors="surrogateescape", newline="") as text,
+    ):
         for number, line in enumerate(iter(partial(text.readline, LONGEST_LINE), ""), start=1):
             if number == 1 and line.startswith(("\udcff\udcfe", "\udcfe\udcff")):
                 raise SessionError("line 1: the text is UTF-16; save the file as UTF-8")
             if "\0" in line:
-                raise SessionError(f"line {number}: a zero byte; this is binary data, not a CSV file")
+                raise SessionError(
+                    f"line {number}: a zero byte; this is binary data, not a CSV file"
+                )
             if len(line) == LONGEST_LINE:
-                raise SessionError(f"line {number}: is longer than {LONGEST_LINE} characters; this is no table")
+                raise SessionError(
+                    f"line {number}: is longer than {LONGEST_LINE} characters; this is no table"
+                )
             # The decoder hands on a byte that is not UTF-8 as a surrogate, which no text holds.
             foreign = None if line.isascii() else re.search("[\udc80-\udcff]", line)
             if foreign:
@@ -103,17 +133,26 @@ def _lines(opened: Callable[[], BinaryIO]) -> Iterator[str]:
 
 
 def _check_header(
-    names: Sequence[str], layout: TableRule, recipe: Recipe | None, wanted: Sequence[str] | None, where: str
+    names: Sequence[str],
+    layout: TableRule,
+    recipe: Recipe | None,
+    wanted: Sequence[str] | None,
+    where: str,
 ) -> None:
     """Raise where the line of names shows that the table is written in another way."""
     if not recipe and names[0].startswith("#"):
-        raise SessionError(f"{where}: found a comment instead of the names; skip it with [table] skip_lines")
+        raise SessionError(
+            f"{where}: found a comment instead of the names; skip it with [table] skip_lines"
+        )
     other = next((mark for mark in ";\t|, " if mark != layout.delimiter and mark in names[0]), None)
     if len(names) > 1 or other is None or (not recipe and (wanted is not None or other in "|,")):
         return
     written = "\\t" if other == "\t" else other
     comma = "if numbers have a decimal comma"
-    how = f'read it with delimiter="{written}" (and decimal="," {comma}), or set them in a recipe\'s [table]'
+    how = (
+        f'read it with delimiter="{written}" (and decimal="," {comma}), or set them in a '
+        "recipe's [table]"
+    )
     if recipe:
         how = f'set [table] delimiter = "{written}" (and decimal = "," {comma}) in the recipe'
     what = f"one column only, {names[0][:60]!r}; if its names are separated by {other!r}, {how}"
@@ -121,13 +160,22 @@ def _check_header(
 
 
 def _fast(
-    opened: Callable[[], BinaryIO], before: int, selected: Sequence[SourceColumn], layout: TableRule, width: int
+    opened: Callable[[], BinaryIO],
+    before: int,
+    selected: Sequence[SourceColumn],
+    layout: TableRule,
+    width: int,
 ) -> dict[str, np.ndarray] | None:
-    """Return the columns below the first lines, or None where anything is unusual and `_scan` must find out what."""
+    """
+    Return the columns below the first lines, or None where anything is unusual and `_scan` must
+    find out what.
+    """
     import pyarrow as pa
     import pyarrow.csv
 
-    if layout.delimiter == " " and any(each.blank for each in selected):  # between two spaces there is no cell
+    if layout.delimiter == " " and any(
+        each.blank for each in selected
+    ):  # between two spaces there is no cell
         return None
     types = {str(each.position): pa.string() if each.text else pa.float64() for each in selected}
     # Buffers that grow as the blocks come, so that a long column is never in memory twice.
@@ -138,12 +186,16 @@ def _fast(
             opened() as file,
             pyarrow.csv.open_csv(
                 file,
-                pyarrow.csv.ReadOptions(column_names=[*map(str, range(width))], skip_rows=before, block_size=1 << 22),
+                pyarrow.csv.ReadOptions(
+                    column_names=[*map(str, range(width))], skip_rows=before, block_size=1 << 22
+                ),
                 pyarrow.csv.ParseOptions(delimiter=layout.delimiter, ignore_empty_lines=False),
                 pyarrow.csv.ConvertOptions(
                     include_columns=list(types),
                     column_types=types,
-                    null_values=[*BLANKS, *map(str.upper, BLANKS)] if any(each.blank for each in selected) else [],
+                    null_values=[*BLANKS, *map(str.upper, BLANKS)]
+                    if any(each.blank for each in selected)
+                    else [],
                     strings_can_be_null=False,
                     decimal_point=layout.decimal,
                 ),
@@ -168,12 +220,19 @@ def _scan(
     width: int,
     basis: str,
 ) -> tuple[dict[str, np.ndarray], array, SessionError | None]:
-    """Return columns, line numbers and the first fault, reading row by row: the reference that `_fast` must agree with."""
+    """
+    Return columns, line numbers and the first fault, reading row by row: the reference that `_fast`
+    must agree with.
+    """
     values, lines = array("d"), array("q")
-    selected = sorted(selected, key=lambda each: each.position)  # the leftmost fault of a row comes first
+    selected = sorted(
+        selected, key=lambda each: each.position
+    )  # the leftmost fault of a row comes first
     fault = None
     try:
-        for line, row in _rows(itertools.islice(_lines(opened), before, None), layout, width, basis, before + 1):
+        for line, row in _rows(
+            itertools.islice(_lines(opened), before, None), layout, width, basis, before + 1
+        ):
             values.extend([_cell(each, row, layout, line, len(lines)) for each in selected])
             lines.append(line)
     except SessionError as error:
@@ -182,7 +241,9 @@ def _scan(
     return {each.name: data[:, k] for k, each in enumerate(selected)}, lines, fault
 
 
-def _rows(text: Iterable[str], layout: TableRule, width: int, basis: str, line: int) -> Iterator[tuple[int, list[str]]]:
+def _rows(
+    text: Iterable[str], layout: TableRule, width: int, basis: str, line: int
+) -> Iterator[tuple[int, list[str]]]:
     """Yield the line number and the cells of every row; empty lines are allowed at the end only."""
     reader = csv.reader(text, delimiter=layout.delimiter, skipinitialspace=layout.delimiter == " ")
     blank = None
@@ -192,7 +253,9 @@ def _rows(text: Iterable[str], layout: TableRule, width: int, basis: str, line: 
             if len(cells) <= 1 and not "".join(cells).strip():
                 blank = here if blank is None else blank
             elif blank is not None:
-                raise SessionError(f"line {blank}: is empty, with samples after it; remove it or fill it in")
+                raise SessionError(
+                    f"line {blank}: is empty, with samples after it; remove it or fill it in"
+                )
             elif len(cells) != width:
                 last = line + reader.line_num - 1
                 hint = "complete the row, or remove the extra commas (a decimal comma?)"
@@ -234,6 +297,11 @@ def _number(text: str, decimal: str) -> float:
     if is_blank(text) or text.lower().lstrip("+-") in ("inf", "infinity"):
         raise ValueError(f"{shown} is not a finite number; {_FILL}")
     if decimal == "." and re.fullmatch(r"[+-]?\d+,\d+", text):
-        raise ValueError(f'{shown} is not a number; read the file with decimal=",", or set it in a recipe')
+        raise ValueError(
+            f'{shown} is not a number; read the file with decimal=",", or set it in a recipe'
+        )
     dates = '[time] unit = "iso" or "clock" reads dates'
-    raise ValueError(f"{shown} is not a number; correct it, or turn words into numbers with a recipe's map ({dates})")
+    raise ValueError(
+        f"{shown} is not a number; correct it, or turn words into numbers with a recipe's map "
+        f"({dates})"
+    )

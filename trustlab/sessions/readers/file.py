@@ -1,4 +1,7 @@
-"""Read logged sessions: one, all of a folder, or several logs of one run joined; which reader a file needs, with which recipe."""
+"""
+Read logged sessions: one, all of a folder, or several logs of one run joined; which reader a file
+needs, with which recipe.
+"""
 
 import os
 from collections import Counter
@@ -8,7 +11,13 @@ from pathlib import Path
 import pandas as pd
 
 from trustlab.models.checks import of_class, one_of, warn, whole_number
-from trustlab.sessions.errors import RecipeError, SessionError, alternatives, nearest_file, source_named
+from trustlab.sessions.errors import (
+    RecipeError,
+    SessionError,
+    alternatives,
+    nearest_file,
+    source_named,
+)
 from trustlab.sessions.metadata import Metadata
 from trustlab.sessions.patterns import PathMatch, PathPattern, natural_key
 from trustlab.sessions.readers.assembly import assemble_session, parts_of, recipe_values
@@ -17,7 +26,14 @@ from trustlab.sessions.readers.csv_files import read_csv
 from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.readers.tables import frame_log, read_arrays, read_feather, read_parquet
 from trustlab.sessions.readers.unpacking import budget_of
-from trustlab.sessions.recipe import Recipe, TableRule, asked_resampling, load_recipe, parse, plain_key
+from trustlab.sessions.recipe import (
+    Recipe,
+    TableRule,
+    asked_resampling,
+    load_recipe,
+    parse,
+    plain_key,
+)
 from trustlab.sessions.resampling import RawLog, Stream
 from trustlab.sessions.session import Session
 
@@ -48,25 +64,28 @@ def read_session(
     Parameters
     ----------
     path : path-like
-        A ``.csv``, ``.csv.gz``, ``.tsv`` or ``.txt`` table, a ``.parquet``, ``.feather``, ``.bag`` (ROS 1), ``.mcap`` or ``.db3`` file, or a rosbag2 folder; with the
-        extra [formats] also ``.ulg`` (PX4), ``.xdf`` (lab streaming layer), ``.mat``, ``.h5`` and ``.hdf5``.
+        A ``.csv``, ``.csv.gz``, ``.tsv`` or ``.txt`` table, a ``.parquet``, ``.feather``, ``.bag``
+        (ROS 1), ``.mcap`` or ``.db3`` file, or a rosbag2 folder; with the extra [formats] also
+        ``.ulg`` (PX4), ``.xdf`` (lab streaming layer), ``.mat``, ``.h5`` and ``.hdf5``.
     recipe : str, path-like or Recipe, optional
-        How the log's columns become ours: a name from `list_recipes()`, the path of a TOML file, or a Recipe. A table
-        with the vocabulary's names in SI units, and t in seconds, needs none; nor does anything that `write_session`
-        wrote.
+        How the log's columns become ours: a name from `list_recipes()`, the path of a TOML file, or
+        a Recipe. A table with the vocabulary's names in SI units, and t in seconds, needs none; nor
+        does anything that `write_session` wrote.
     columns : sequence of str, optional
         Read only these columns of the session; all when not given.
     resample : {"previous", "linear", "nearest"}, optional
-        Bring the log to a uniform time axis, within the times it covers, and record it in the metadata. "linear" holds
-        the previous value of mode and suggested_mode, and turns yaw the short way.
+        Bring the log to a uniform time axis, within the times it covers, and record it in the
+        metadata. "linear" holds the previous value of mode and suggested_mode, and turns yaw the
+        short way.
     sample_time : float, optional
         Time between samples [s] after resampling.
     delimiter, decimal : str, optional
-        The separator of the cells of a text table read without a recipe ("," ";" "|" tab or space), and the decimal mark
-        of its numbers ("." or ","); a comma (in .tsv files a tab) and a point when not given. A recipe states them in its [table]; other
-        formats have neither.
+        The separator of the cells of a text table read without a recipe ("," ";" "|" tab or space),
+        and the decimal mark of its numbers ("." or ","); a comma (in .tsv files a tab) and a point
+        when not given. A recipe states them in its [table]; other formats have neither.
     max_bytes : int, optional
-        How many bytes a compressed file may unpack to; 256 MiB, or ten times its size if that is more, when not given.
+        How many bytes a compressed file may unpack to; 256 MiB, or ten times its size if that is
+        more, when not given.
 
     Returns
     -------
@@ -75,7 +94,8 @@ def read_session(
     Raises
     ------
     SessionError
-        For the first fault of the file: it names the file, the line, row or message, the column, and the remedy.
+        For the first fault of the file: it names the file, the line, row or message, the column,
+        and the remedy.
     RecipeError
         If the recipe is unknown or cannot be followed.
     ValueError
@@ -108,7 +128,8 @@ def read_frame(
     frame : pandas.DataFrame
         A table as a file would hold it; an index with a name is a column as well.
     recipe : str, path-like or Recipe, optional
-        How its columns become ours, of kind "table"; a frame with the vocabulary's names in SI units, and t, needs none.
+        How its columns become ours, of kind "table"; a frame with the vocabulary's names in SI
+        units, and t, needs none.
     columns : sequence of str, optional
         Only these columns of the session.
     resample : {"previous", "linear", "nearest"}, optional
@@ -162,19 +183,30 @@ class FileReader:
         self.given = {name: value for name, value in layout.items() if value is not None}
         if self.given and self.recipe is not None:
             name = next(iter(self.given))
-            raise RecipeError(f"{name} is given, but the recipe states it, in [table]", self.recipe.source)
+            raise RecipeError(
+                f"{name} is given, but the recipe states it, in [table]", self.recipe.source
+            )
         self.index = SessionIndex(self.recipe) if self.recipe and self.recipe.header else None
 
     def set_layout(self, paths: Sequence[str | os.PathLike]) -> None:
-        """Set how CSV files are written; refuse a delimiter or decimal mark where none of the files is one."""
+        """
+        Set how CSV files are written; refuse a delimiter or decimal mark where none of the files is
+        one.
+        """
         if self.given and not any(str(path).lower().endswith(_TEXTS) for path in paths):
             name = next(iter(self.given))
             kind = suffix_of(Path(str(paths[0]))) or "folders"
-            raise ValueError(f"{name} applies to .csv files, not to {kind}: leave it out (file: {paths[0]})")
-        self.layout = self.recipe.table if self.recipe else parse(TableRule, self.given, "arguments")
+            raise ValueError(
+                f"{name} applies to .csv files, not to {kind}: leave it out (file: {paths[0]})"
+            )
+        self.layout = (
+            self.recipe.table if self.recipe else parse(TableRule, self.given, "arguments")
+        )
 
     def read(self, path: str | os.PathLike) -> list[Session]:
-        """Return the session of one file or rosbag2 folder, or all that the recipe splits it into."""
+        """
+        Return the session of one file or rosbag2 folder, or all that the recipe splits it into.
+        """
         source = os.fspath(path) if isinstance(path, str | os.PathLike) else path
         if not isinstance(source, str):
             raise SessionError(f"a path is needed, got {type(path).__name__}")
@@ -190,7 +222,9 @@ class FileReader:
     def read_frame(self, frame: pd.DataFrame) -> list[Session]:
         """Return the session in a data frame, or all that the recipe splits it into."""
         if self.recipe is not None and self.recipe.kind != "table":
-            raise RecipeError(f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a table")
+            raise RecipeError(
+                f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a table"
+            )
         values = recipe_values(self.recipe, None, self.index) if self.recipe else {}
         log = frame_log(frame, self.recipe, self._needed())
         return self._assembled(log, values)
@@ -198,7 +232,10 @@ class FileReader:
     def _assembled(self, log: RawLog, values: Mapping[str, object]) -> list[Session]:
         """Return the sessions that a raw log makes."""
         parts = parts_of(log, self.recipe)
-        return [assemble_session(part, self.recipe, values, self._wanted(), self.resampling) for part in parts]
+        return [
+            assemble_session(part, self.recipe, values, self._wanted(), self.resampling)
+            for part in parts
+        ]
 
     def _needed(self) -> list[str] | None:
         """Return the columns wanted, and those that they are computed from."""
@@ -212,7 +249,9 @@ class FileReader:
         suffix = suffix_of(path)
         kind = "bag" if path.is_dir() or suffix in _BAGS else "table"
         if self.recipe is not None and self.recipe.kind != kind:
-            raise RecipeError(f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a {kind}")
+            raise RecipeError(
+                f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a {kind}"
+            )
         if path.is_file() and path.stat().st_size == 0:
             raise SessionError("the file is empty")
         budget = budget_of(path, self.max_bytes)
@@ -229,7 +268,9 @@ class FileReader:
         return read(path, self.recipe, needed, budget)
 
     def _wanted(self) -> list[str] | None:
-        """Return the session's columns to read; None for all of a file that is read without a recipe."""
+        """
+        Return the session's columns to read; None for all of a file that is read without a recipe.
+        """
         known = list(self.recipe.columns) if self.recipe else None
         if self.columns is None:
             return known
@@ -237,10 +278,14 @@ class FileReader:
             raise SessionError(f"columns must be a list of names, got {self.columns!r}")
         names = [name for name in dict.fromkeys(self.columns) if name != "t"]
         if not names:
-            raise SessionError("columns names no column besides t; name at least one, or leave it out")
+            raise SessionError(
+                "columns names no column besides t; name at least one, or leave it out"
+            )
         for name in names:
             if known is not None and name not in known:
-                raise SessionError(f"the recipe has no column {name!r}{alternatives(name, known, 'it has')}")
+                raise SessionError(
+                    f"the recipe has no column {name!r}{alternatives(name, known, 'it has')}"
+                )
         return names
 
 
@@ -251,17 +296,24 @@ def _existing(path: Path) -> Path:
         raise SessionError(f"there is no such file{looked}{nearest_file(path)}")
     if path.suffix.lower() in (".xlsx", ".xls", ".ods"):
         way = "frame = pandas.read_excel(path); session = trustlab.read_frame(frame)"
-        raise SessionError(f'a spreadsheet cannot be read; save it as "CSV UTF-8" and read that, or with pandas: {way}')
+        raise SessionError(
+            'a spreadsheet cannot be read; save it as "CSV UTF-8" and read that, or with pandas: '
+            f"{way}"
+        )
     if path.is_dir():
         if not (path / "metadata.yaml").is_file():
             hint = "use read_sessions for a folder of sessions"
             if any(path.glob("*.db3")) or any(path.glob("*.mcap")):
-                hint += ", run `ros2 bag reindex` on a recording, or name the .db3 or .mcap file in it"
+                hint += (
+                    ", run `ros2 bag reindex` on a recording, or name the .db3 or .mcap file in it"
+                )
             raise SessionError(f"a folder without metadata.yaml is not a rosbag2 recording; {hint}")
     elif suffix_of(path) not in SUFFIXES:
         hint = alternatives(path.suffix, [*SUFFIXES, "rosbag2 folders"])
         way = "frame = pandas.read_…(path); session = trustlab.read_frame(frame)"
-        raise SessionError(f"cannot read {path.suffix or 'files without a suffix'}{hint}; with pandas: {way}")
+        raise SessionError(
+            f"cannot read {path.suffix or 'files without a suffix'}{hint}; with pandas: {way}"
+        )
     return path
 
 
@@ -301,12 +353,14 @@ def read_sessions(
     Parameters
     ----------
     folder : path-like
-        With a recipe that has a files pattern: all files at any depth whose paths fit it (the folder may be any folder
-        above them, or the one they are in). Without: all logs in the folder itself.
+        With a recipe that has a files pattern: all files at any depth whose paths fit it (the
+        folder may be any folder above them, or the one they are in). Without: all logs in the
+        folder itself.
     recipe : str, path-like or Recipe, optional
         As for `read_session`.
     on_error : {"raise", "collect"}
-        What to do about a file that has a fault: raise it, or leave the file out and list it in the result's `faults`.
+        What to do about a file that has a fault: raise it, or leave the file out and list it in the
+        result's `faults`.
     progress : callable, optional
         Called after each file with the number of files read and the number of all.
     max_bytes : int, optional
@@ -323,14 +377,14 @@ def read_sessions(
     Returns
     -------
     Sessions
-        A list, ordered by participant, then trial, then path, numbers as numbers; its attribute `faults` is a table of
-        the files left out, with columns file and error.
+        A list, ordered by participant, then trial, then path, numbers as numbers; its attribute
+        `faults` is a table of the files left out, with columns file and error.
 
     Raises
     ------
     SessionError
-        If nothing is found, if the rows of a header file and the files do not correspond one to one, or if a file has
-        a fault.
+        If nothing is found, if the rows of a header file and the files do not correspond one to
+        one, or if a file has a fault.
     RecipeError
         If the recipe is unknown or cannot be followed.
     ValueError
@@ -388,37 +442,56 @@ def _logs_in(folder: str) -> list[str]:
             logs.append(path)
     if not logs:
         what = f"there are no logs in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders)"
-        raise SessionError(f"{what}; for logs further down, give a recipe with a [files] pattern", folder)
+        raise SessionError(
+            f"{what}; for logs further down, give a recipe with a [files] pattern", folder
+        )
     return sorted(logs, key=natural_key)
 
 
 def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[str]:
-    """Return the files that a recipe reads in a folder, checked against each other and against the header files."""
+    """
+    Return the files that a recipe reads in a folder, checked against each other and against the
+    header files.
+    """
     sessions = _find(folder, recipe.pattern)
     headers = _find(folder, index.pattern) if index else {}
     if recipe.supersedes:
         gone = _superseded(folder, recipe, sessions)
         kept = lambda item: plain_key(item[1].fields.get(recipe.supersedes.field)) not in gone  # noqa: E731
-        sessions, headers = dict(filter(kept, sessions.items())), dict(filter(kept, headers.items()))
+        sessions, headers = (
+            dict(filter(kept, sessions.items())),
+            dict(filter(kept, headers.items())),
+        )
     if not sessions and not headers:
-        raise SessionError(f"no file in it fits the recipe's pattern {recipe.pattern.text!r}", folder)
+        raise SessionError(
+            f"no file in it fits the recipe's pattern {recipe.pattern.text!r}", folder
+        )
     same: dict[tuple, str] = {}
     for path, match in sessions.items():
         key = tuple(match.fields.items())
         other = same.setdefault(key, path)
         if key and other != path:
             fields = ", ".join(f"{name} {value}" for name, value in key)
-            raise SessionError(f"this file and {other} are both {fields}; read one of the folders", path)
+            raise SessionError(
+                f"this file and {other} are both {fields}; read one of the folders", path
+            )
     if index:
         index.check(headers, sessions)
     return sorted(sessions, key=natural_key)
 
 
 def _superseded(folder: str, recipe: Recipe, sessions: dict[str, PathMatch]) -> set[str]:
-    """Return the values of the path field whose sessions are left out, as those that replace them are there."""
+    """
+    Return the values of the path field whose sessions are left out, as those that replace them are
+    there.
+    """
     name = recipe.supersedes.field
     present = {plain_key(match.fields[name]) for match in sessions.values()}
-    gone = {old: new for old, new in recipe.supersedes.pairs.items() if old in present and new in present}
+    gone = {
+        old: new
+        for old, new in recipe.supersedes.pairs.items()
+        if old in present and new in present
+    }
     for old, new in gone.items():
         what = f"the sessions of {name} {old} were superseded by those of {name} {new}"
         warn(f"{folder}: {what} (recipe {recipe.name!r}) and are left out")
@@ -430,8 +503,12 @@ def _find(folder: str, pattern: PathPattern) -> dict[str, PathMatch]:
     found: dict[str, PathMatch] = {}
     for here, folders, files in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith(TEMPORARY))
-        bags = [name for name in folders if os.path.isfile(os.path.join(here, name, "metadata.yaml"))]
-        folders[:] = [name for name in folders if name not in bags]  # what is inside a bag is not searched
+        bags = [
+            name for name in folders if os.path.isfile(os.path.join(here, name, "metadata.yaml"))
+        ]
+        folders[:] = [
+            name for name in folders if name not in bags
+        ]  # what is inside a bag is not searched
         for name in sorted([*bags, *files]):
             path = os.path.join(here, name)
             match = pattern.match(path)
@@ -446,8 +523,8 @@ def join_sessions(
     """
     Join sessions that log one run, as one file per sensor, on one time axis.
 
-    Their times must count from the same instant. Where the times differ, resampling is asked for by name, and the result
-    spans the time that all of them cover.
+    Their times must count from the same instant. Where the times differ, resampling is asked for by
+    name, and the result spans the time that all of them cover.
 
     Parameters
     ----------
@@ -482,23 +559,44 @@ def join_sessions(
     counts = Counter(name for session in sessions for name in session.columns)
     twice = [name for name, count in counts.items() if count > 1]
     if twice or not sessions:
-        what = f"column {twice[0]!r} is in two of the sessions" if twice else "there are no sessions to join"
+        what = (
+            f"column {twice[0]!r} is in two of the sessions"
+            if twice
+            else "there are no sessions to join"
+        )
         raise SessionError(what)
     known: dict[str, object] = {}
     for session in sessions:
         for name, value in session.metadata.as_dict().items():
             # What a file says about its own start and mending is not the others' as well.
-            if name not in ("source", "resampled") and value is not None and known.setdefault(name, value) != value:
-                what = f"metadata {name!r} are {known[name]!r} in one session and {value!r} in another"
-                raise SessionError(f"{what}; these are not of one run, or say so with session.with_metadata")
+            if (
+                name not in ("source", "resampled")
+                and value is not None
+                and known.setdefault(name, value) != value
+            ):
+                what = (
+                    f"metadata {name!r} are {known[name]!r} in one session and {value!r} in another"
+                )
+                raise SessionError(
+                    f"{what}; these are not of one run, or say so with session.with_metadata"
+                )
     streams = [
-        Stream(session.t, {name: session[name] for name in session.columns}, "sample {}".format, session.label)
+        Stream(
+            session.t,
+            {name: session[name] for name in session.columns},
+            "sample {}".format,
+            session.label,
+        )
         for session in sessions
     ]
-    metadata = Metadata().changed(**known, joined=[str(session.metadata.source) for session in sessions])
+    metadata = Metadata().changed(
+        **known, joined=[str(session.metadata.source) for session in sessions]
+    )
     try:
         log = RawLog("joined", streams, metadata)
         return assemble_session(log, None, {}, None, asked_resampling(resample, sample_time))
     except RecipeError as error:
         how = 'join_sessions(sessions, resample="linear", sample_time=0.1)'
-        raise RecipeError(f"the sessions have times of their own; name how to bring them together: {how}") from error
+        raise RecipeError(
+            f"the sessions have times of their own; name how to bring them together: {how}"
+        ) from error

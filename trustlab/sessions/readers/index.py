@@ -21,7 +21,10 @@ def _typed(text: str) -> object:
 
 
 class SessionIndex:
-    """The header files of one recipe, each read once; a row is found by the path fields that are its key."""
+    """
+    The header files of one recipe, each read once; a row is found by the path fields that are its
+    key.
+    """
 
     def __init__(self, recipe: Recipe):
         self.pattern, self.keys = recipe.header.file, recipe.header.keys
@@ -32,13 +35,18 @@ class SessionIndex:
         path = self._path(match)
         rows = self._table(path, source)
         if self._key(match) not in rows:
-            named = ", ".join(f"{column} {match.fields[name]}" for name, column in self.keys.items())
+            named = ", ".join(
+                f"{column} {match.fields[name]}" for name, column in self.keys.items()
+            )
             what = f"the header {path} has no row for {named}"
             raise SessionError(f"{what}; add it, or move the file out of the folder", source)
         return rows[self._key(match)][1]
 
     def check(self, headers: Mapping[str, PathMatch], matches: Mapping[str, PathMatch]) -> None:
-        """Check that the rows of the header files found and the session files found correspond one to one."""
+        """
+        Check that the rows of the header files found and the session files found correspond one to
+        one.
+        """
         used: dict[str, set] = {os.path.abspath(path): set() for path in headers}
         for path, match in matches.items():
             self.row(match, path)
@@ -49,7 +57,10 @@ class SessionIndex:
             for key, (line, _) in self._table(header, header).items():
                 if key not in keys:
                     named = ", ".join(map(" ".join, zip(self.keys.values(), key, strict=True)))
-                    what = f"line {line}: names {named}, which has no file; add the file or remove the row"
+                    what = (
+                        f"line {line}: names {named}, which has no file; add the file or "
+                        "remove the row"
+                    )
                     raise SessionError(what, header)
 
     def _path(self, match: PathMatch) -> str:
@@ -59,7 +70,10 @@ class SessionIndex:
         return tuple(plain_key(match.fields[name]) for name in self.keys)
 
     def _table(self, path: str, source: str) -> dict[tuple, tuple[int, dict]]:
-        """Return the rows of a header file: key to line number and cells; `source` is the session that needs it."""
+        """
+        Return the rows of a header file: key to line number and cells; `source` is the session that
+        needs it.
+        """
         if path not in self._tables:
             try:
                 text = Path(path).read_bytes().decode("utf-8-sig")
@@ -76,21 +90,31 @@ class SessionIndex:
         try:
             lines = [(reader.line_num, cells) for cells in reader if cells]
         except csv.Error as error:
-            raise SessionError(f"line {reader.line_num}: not a line of a CSV file ({error})") from error
+            raise SessionError(
+                f"line {reader.line_num}: not a line of a CSV file ({error})"
+            ) from error
         names = [name.strip() for name in lines.pop(0)[1]] if lines else []
         for column in self.keys.values():
             if names.count(column) != 1:
-                what = "occurs twice" if column in names else f"is missing{did_you_mean(column, names)}"
+                what = (
+                    "occurs twice"
+                    if column in names
+                    else f"is missing{did_you_mean(column, names)}"
+                )
                 raise SessionError(f"line 1: column {column!r} {what}")
         rows: dict[tuple, tuple[int, dict]] = {}
         for line, cells in lines:
             if len(cells) != len(names):
-                raise SessionError(f"line {line}: has {len(cells)} cells, but the header names {len(names)}")
+                raise SessionError(
+                    f"line {line}: has {len(cells)} cells, but the header names {len(names)}"
+                )
             row = {name: _typed(cell) for name, cell in zip(names, cells, strict=True)}
             key = tuple(plain_key(row[column]) for column in self.keys.values())
             if "" in key:
                 raise SessionError(f"line {line}: a key is empty ({', '.join(self.keys.values())})")
             if key in rows:
-                raise SessionError(f"line {line}: {' '.join(key)} occurs twice, first in line {rows[key][0]}")
+                raise SessionError(
+                    f"line {line}: {' '.join(key)} occurs twice, first in line {rows[key][0]}"
+                )
             rows[key] = (line, row)
         return rows

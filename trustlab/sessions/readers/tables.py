@@ -1,4 +1,7 @@
-"""Tables of numbers, in Parquet, Feather, MATLAB and HDF5 files and data frames: which columns are read, and the raw log that they make."""
+"""
+Tables of numbers, in Parquet, Feather, MATLAB and HDF5 files and data frames: which columns are
+read, and the raw log that they make.
+"""
 
 import math
 import re
@@ -29,9 +32,11 @@ BLANKS = ("", "nan", "na", "n/a", "null", "none", "-")
 @dataclass(frozen=True)
 class SourceColumn:
     """
-    One column of the file: its name in the session (or "t"), its position from 0, its label in errors, its rule.
+    One column of the file: its name in the session (or "t"), its position from 0, its label in
+    errors, its rule.
 
-    `text` makes a number of a cell that is no number, and raises ValueError; `blank` is how blank cells are filled.
+    `text` makes a number of a cell that is no number, and raises ValueError; `blank` is how blank
+    cells are filled.
     """
 
     name: str
@@ -45,7 +50,10 @@ class SourceColumn:
 def select_columns(
     names: Sequence[str], recipe: Recipe | None, wanted: Sequence[str] | None, where: str
 ) -> list[SourceColumn]:
-    """Return the columns to read from a file whose columns have these names, empty ones if it has no header."""
+    """
+    Return the columns to read from a file whose columns have these names, empty ones if it has no
+    header.
+    """
     rules: dict[str, TableColumn] = {}
     if recipe is not None:
         chosen = {name: recipe.columns[name] for name in wanted}
@@ -57,20 +65,30 @@ def select_columns(
             wanted = [name for name in names if name != "t"]
         keys = {name: name for name in ["t", *wanted]}
     time = recipe.time if recipe else TableTime(unit="s")
-    stamps: dict[str, Callable[[object], float]] = {"iso": _IsoTimes(time.from_zero), "clock": _clock_time}
+    stamps: dict[str, Callable[[object], float]] = {
+        "iso": _IsoTimes(time.from_zero),
+        "clock": _clock_time,
+    }
     texts = {"t": stamps.get(time.unit)}
     for name, rule in rules.items():
-        texts[name] = partial(_item, rule.item, recipe.table.decimal) if rule.item is not None else None
+        texts[name] = (
+            partial(_item, rule.item, recipe.table.decimal) if rule.item is not None else None
+        )
         texts[name] = partial(looked_up, rule.map) if rule.map else texts[name]
     blanks = {name: rule.blank for name, rule in rules.items()}
     return [
-        SourceColumn(own, *_find(own, key, names, where), rules.get(own), texts.get(own), blanks.get(own))
+        SourceColumn(
+            own, *_find(own, key, names, where), rules.get(own), texts.get(own), blanks.get(own)
+        )
         for own, key in keys.items()
     ]
 
 
 class _IsoTimes:
-    """Reads dates and times as seconds since the first of them, or since 1970; without a time zone, as if they were UTC."""
+    """
+    Reads dates and times as seconds since the first of them, or since 1970; without a time zone, as
+    if they were UTC.
+    """
 
     def __init__(self, from_first: bool):
         # Nanoseconds, as integers: in seconds since 1970 a float would lose all but seven decimals.
@@ -80,10 +98,14 @@ class _IsoTimes:
         try:
             time = datetime.fromisoformat(str(text).strip())
         except ValueError:
-            raise ValueError(f"{str(text)[:60]!r} is not a time such as 2026-03-01T12:00:00; or give seconds") from None
+            raise ValueError(
+                f"{str(text)[:60]!r} is not a time such as 2026-03-01T12:00:00; or give seconds"
+            ) from None
         since = (time if time.tzinfo else time.replace(tzinfo=UTC)) - datetime.fromtimestamp(0, UTC)
         finer = re.search(r"[.,]\d{6}(\d{1,3})", str(text))  # digits that datetime drops
-        stamp = since // timedelta(microseconds=1) * 1000 + (int(finer[1].ljust(3, "0")) if finer else 0)
+        stamp = since // timedelta(microseconds=1) * 1000 + (
+            int(finer[1].ljust(3, "0")) if finer else 0
+        )
         self.start = stamp if self.start is None else self.start
         return (stamp - self.start) / 10**9
 
@@ -99,7 +121,9 @@ def _clock_time(text: object) -> float:
 
 
 def _item(index: int, decimal: str, text: object) -> float:
-    """Return one of the numbers in a cell such as "(x, y, z)", or "(x; y; z)" with decimal commas."""
+    """
+    Return one of the numbers in a cell such as "(x, y, z)", or "(x; y; z)" with decimal commas.
+    """
     cell = str(text).strip(" ()[]{}")
     if decimal == "," and "." not in cell:
         cell = re.sub(r"(?<=\d),(?=\d)", ".", cell)
@@ -126,14 +150,23 @@ def _find(name: str, key: str | int, names: Sequence[str], where: str) -> tuple[
 
 
 def _time_hint(key: str, names: Sequence[str]) -> str:
-    likely = [name for name in names if re.match(r"(?i)(t|time|stamp|secs?|clock)([^a-z]|$|stamp)", name)]
+    likely = [
+        name for name in names if re.match(r"(?i)(t|time|stamp|secs?|clock)([^a-z]|$|stamp)", name)
+    ]
     return f"; if {likely[0]!r} is time in seconds, rename it to t" if key == "t" and likely else ""
 
 
 def _check_names(names: Sequence[str], where: str) -> None:
-    """Raise unless all names of a file that is read without a recipe belong to the vocabulary and none occurs twice."""
-    if 2 * sum(bool(NUMBER.fullmatch(name.strip())) for name in names) > len(names):  # dates may stand among them
-        remedy = "add a line of names, or read the file with a recipe that says [table] header = false"
+    """
+    Raise unless all names of a file that is read without a recipe belong to the vocabulary and none
+    occurs twice.
+    """
+    if 2 * sum(bool(NUMBER.fullmatch(name.strip())) for name in names) > len(
+        names
+    ):  # dates may stand among them
+        remedy = (
+            "add a line of names, or read the file with a recipe that says [table] header = false"
+        )
         raise SessionError(f"{where}: found numbers instead of column names; {remedy}")
     counts = Counter(names)
     twice = [name for name in names if counts[name] > 1]
@@ -151,18 +184,28 @@ def _check_names(names: Sequence[str], where: str) -> None:
 
 
 def table_stream(
-    selected: Sequence[SourceColumn], raw: Mapping[str, np.ndarray], recipe: Recipe | None, place: Callable[[int], str]
+    selected: Sequence[SourceColumn],
+    raw: Mapping[str, np.ndarray],
+    recipe: Recipe | None,
+    place: Callable[[int], str],
 ) -> tuple[Stream, dict[str, object]]:
-    """Return the stream that the columns of a table make, and notes; `raw` are their numbers in the file's units."""
+    """
+    Return the stream that the columns of a table make, and notes; `raw` are their numbers in the
+    file's units.
+    """
     notes: dict[str, object] = {}
     if blanks := [(own.name, own.blank) for own in selected if own.blank]:
         raw, place, notes = fill_blanks(blanks, dict(raw), place)
-    columns = {own.name: own.rule.convert(raw[own.name]) if own.rule else raw[own.name] for own in selected}
+    columns = {
+        own.name: own.rule.convert(raw[own.name]) if own.rule else raw[own.name] for own in selected
+    }
     t = columns.pop("t")
     time = recipe.time if recipe else TableTime(unit="s")
     factor = 1.0 if time.unit in ("iso", "clock") else to_si(time.unit, "s")
     with np.errstate(over="ignore", invalid="ignore"):
-        if time.unit == "clock" and (np.diff(t) < -43200.0).any():  # half a day back is the day after
+        if (
+            time.unit == "clock" and (np.diff(t) < -43200.0).any()
+        ):  # half a day back is the day after
             midnights = np.cumsum(np.diff(t, prepend=t[0]) < -43200.0)
             notes["midnights"] = f"{midnights[-1]} passed; times count on"
             t = t + 86400.0 * midnights
@@ -176,7 +219,9 @@ def table_stream(
     return Stream(t, columns, place), notes
 
 
-def read_parquet(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget) -> RawLog:
+def read_parquet(
+    path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget
+) -> RawLog:
     """Return the log in a Parquet file."""
     import pyarrow as pa
     from pyarrow import parquet
@@ -184,7 +229,11 @@ def read_parquet(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None
     with _guard("Parquet"), pa.memory_map(str(path)) as source:
         schema = parquet.read_schema(source)
         # Texts stay a dictionary, as a long one that repeats takes next to nothing in the file.
-        texts = [each.name for each in schema if pa.types.is_string(each.type) or pa.types.is_large_string(each.type)]
+        texts = [
+            each.name
+            for each in schema
+            if pa.types.is_string(each.type) or pa.types.is_large_string(each.type)
+        ]
         file = parquet.ParquetFile(source, read_dictionary=texts)
         rows = file.metadata.num_rows
 
@@ -195,7 +244,9 @@ def read_parquet(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None
         return arrow_log(str(path), schema, rows, load, recipe, wanted)
 
 
-def read_feather(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget) -> RawLog:
+def read_feather(
+    path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget
+) -> RawLog:
     """Return the log in a Feather (Arrow IPC) file."""
     import pyarrow as pa
 
@@ -205,7 +256,9 @@ def read_feather(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None
         batches = file.num_record_batches
 
         def load(names: list[str]) -> Any:
-            fields = pa.ipc.IpcReadOptions(included_fields=[file.schema.get_field_index(name) for name in names])
+            fields = pa.ipc.IpcReadOptions(
+                included_fields=[file.schema.get_field_index(name) for name in names]
+            )
             part = pa.ipc.open_file(source, options=fields)
             return _joined(map(part.get_batch, range(batches)), budget)
 
@@ -217,18 +270,27 @@ def frame_log(frame, recipe: Recipe | None, wanted: Sequence[str] | None) -> Raw
     import pyarrow as pa
 
     frame = frame if frame.index.name is None else frame.reset_index()
-    with damage_named("the columns cannot be taken as numbers or texts", "give each column one type"):
+    with damage_named(
+        "the columns cannot be taken as numbers or texts", "give each column one type"
+    ):
         names = [str(name) for name in frame.columns]
         empty = pa.schema([(name, pa.null()) for name in names])
 
         def load(wanted: list[str]) -> Any:
-            return pa.table({name: pa.array(frame.iloc[:, names.index(name)], from_pandas=True) for name in wanted})
+            return pa.table(
+                {
+                    name: pa.array(frame.iloc[:, names.index(name)], from_pandas=True)
+                    for name in wanted
+                }
+            )
 
         return arrow_log("data frame", empty, len(frame), load, recipe, wanted)
 
 
 def _guard(format: str):
-    return damage_named(f"not a {format} file, or a damaged or truncated one", "write or copy it again")
+    return damage_named(
+        f"not a {format} file, or a damaged or truncated one", "write or copy it again"
+    )
 
 
 def _joined(batches, budget: Budget):
@@ -259,7 +321,9 @@ def arrow_log(
     if rows <= 0:
         raise SessionError("the file has columns but no rows")
     comment = (schema.metadata or {}).get(b"trustlab")
-    metadata, extra = (None, {}) if comment is None else metadata_from_json(comment.decode("utf-8", "replace"))
+    metadata, extra = (
+        (None, {}) if comment is None else metadata_from_json(comment.decode("utf-8", "replace"))
+    )
     own = {each.name: names[each.position] for each in selected}
     table = load(list(dict.fromkeys(own.values())))
     raw = {each.name: numbers(table.column(own[each.name]), each) for each in selected}
@@ -283,9 +347,13 @@ def numbers(values, column: SourceColumn) -> np.ndarray:
             return math.nan if column.blank and is_blank(text) else math.inf
 
     if column.text:
-        coded = pa.chunked_array(values).combine_chunks().dictionary_encode()  # read every text once
+        coded = (
+            pa.chunked_array(values).combine_chunks().dictionary_encode()
+        )  # read every text once
         known = [attempt(text) for text in [*coded.dictionary.to_pylist(), None]]
-        read = np.array(known, dtype=float)[coded.indices.fill_null(len(known) - 1).to_numpy(zero_copy_only=False)]
+        read = np.array(known, dtype=float)[
+            coded.indices.fill_null(len(known) - 1).to_numpy(zero_copy_only=False)
+        ]
         if np.isinf(read).any():
             k = int(np.argmax(np.isinf(read)))
             try:
@@ -296,19 +364,34 @@ def numbers(values, column: SourceColumn) -> np.ndarray:
     kind = values.type.value_type if pa.types.is_dictionary(values.type) else values.type
     if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)):
         words = "write numbers, or turn words into numbers with a recipe's map"
-        hint = 'write seconds, or set [time] unit = "iso" in a recipe' if pa.types.is_temporal(kind) else words
+        hint = (
+            'write seconds, or set [time] unit = "iso" in a recipe'
+            if pa.types.is_temporal(kind)
+            else words
+        )
         raise SessionError(f"column {column.label}: holds {kind}, not numbers; {hint}")
-    if not pa.types.is_signed_integer(values.type):  # large times stay exact until their start is subtracted
+    if not pa.types.is_signed_integer(
+        values.type
+    ):  # large times stay exact until their start is subtracted
         values = values.cast(pa.float64(), safe=False)
     return values.to_numpy(zero_copy_only=False)
 
 
-def read_arrays(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget) -> RawLog:
-    """Return the table that arrays of a MATLAB or HDF5 file make: "name", "group/name", or "name[1]" of a matrix."""
+def read_arrays(
+    path: Path, recipe: Recipe | None, wanted: Sequence[str] | None, budget: Budget
+) -> RawLog:
+    """
+    Return the table that arrays of a MATLAB or HDF5 file make: "name", "group/name", or "name[1]"
+    of a matrix.
+    """
     import pyarrow as pa
 
     with _guard("MATLAB or HDF5"):
-        arrays = dict(_matlab_arrays(path, budget) if path.suffix.lower() == ".mat" else _hdf5_arrays(path, budget))
+        arrays = dict(
+            _matlab_arrays(path, budget)
+            if path.suffix.lower() == ".mat"
+            else _hdf5_arrays(path, budget)
+        )
 
         def load(names: list[str]) -> Any:
             columns = {name: arrays[name]() for name in names}
@@ -318,7 +401,9 @@ def read_arrays(path: Path, recipe: Recipe | None, wanted: Sequence[str] | None,
                 raise SessionError(f"the columns differ in their number of values: {found}")
             return pa.table(columns)
 
-        return arrow_log(str(path), pa.schema([(name, pa.null()) for name in arrays]), 1, load, recipe, wanted)
+        return arrow_log(
+            str(path), pa.schema([(name, pa.null()) for name in arrays]), 1, load, recipe, wanted
+        )
 
 
 Arrays = Iterator[tuple[str, Callable[[], np.ndarray]]]
@@ -338,12 +423,18 @@ def _matlab_arrays(path: Path, budget: Budget) -> Arrays:
 
     try:
         found = io.whosmat(path)
-    except NotImplementedError:  # from version 7.3 on, these are HDF5 files with rows and columns changed over
+    except (
+        NotImplementedError
+    ):  # from version 7.3 on, these are HDF5 files with rows and columns changed over
         yield from _hdf5_arrays(path, budget, transposed=True)
         return
     budget.take(sum(8 * math.prod(shape) for _, shape, _ in found))
     for name, value in io.loadmat(path, simplify_cells=True).items():
-        parts = {f"{name}.{own}": each for own, each in value.items()} if isinstance(value, dict) else {name: value}
+        parts = (
+            {f"{name}.{own}": each for own, each in value.items()}
+            if isinstance(value, dict)
+            else {name: value}
+        )
         for own, each in parts.items():
             if isinstance(each, np.ndarray) and each.dtype.kind in "biuf":
                 yield from _columns(own, each.shape, partial(np.asarray, each))
@@ -362,7 +453,9 @@ def _hdf5_arrays(path: Path, budget: Budget, transposed: bool = False) -> Arrays
     with h5py.File(path, "r") as file:
         shapes: dict[str, tuple[int, ...]] = {}
         file.visititems(
-            lambda name, item: shapes.update({name: item.shape}) if isinstance(item, h5py.Dataset) else None
+            lambda name, item: (
+                shapes.update({name: item.shape}) if isinstance(item, h5py.Dataset) else None
+            )
         )
     for name, shape in shapes.items():
         yield from _columns(name, shape[::-1] if transposed else shape, partial(read, name))

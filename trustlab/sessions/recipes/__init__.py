@@ -1,4 +1,7 @@
-"""The TOML files of the recipes that come with the package; `trustlab.sessions.recipe` says what a recipe may hold."""
+"""
+The TOML files of the recipes that come with the package; `trustlab.sessions.recipe` says what a
+recipe may hold.
+"""
 
 from trustlab.models.checks import warn_renamed
 

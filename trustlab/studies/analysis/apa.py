@@ -21,8 +21,8 @@ def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str
     """
     Return a number as text, halves rounded away from zero, with a true minus sign.
 
-    The number is taken to twelve significant digits first, so that a mean of 6.875 that rounding errors made one ulp too
-    small becomes 6.88.
+    The number is taken to twelve significant digits first, so that a mean of 6.875 that rounding
+    errors made one ulp too small becomes 6.88.
 
     Parameters
     ----------
@@ -36,7 +36,9 @@ def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str
     if not np.isfinite(value):
         return str(value)
     step = Decimal(1).scaleb(-digits)
-    rounded = Decimal(f"{abs(value):.12g}").quantize(step, rounding=ROUND_HALF_UP, context=Context(prec=400))
+    rounded = Decimal(f"{abs(value):.12g}").quantize(
+        step, rounding=ROUND_HALF_UP, context=Context(prec=400)
+    )
     text = f"{rounded:f}"
     if below_one:
         text = text.removeprefix("0")
@@ -69,12 +71,15 @@ def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
     Parameters
     ----------
     frame : pandas.DataFrame
-        Results; columns p, ``p_…`` and ``mauchly_p…`` hold p-values, columns a, b and condition hold labels and stay.
+        Results; columns p, ``p_…`` and ``mauchly_p…`` hold p-values, columns a, b and condition
+        hold labels and stay.
     digits : int
         Decimals of all other numbers.
     """
     frame = frame.copy()
-    for name in frame.select_dtypes("float").columns.difference(["a", "b", "condition"], sort=False):
+    for name in frame.select_dtypes("float").columns.difference(
+        ["a", "b", "condition"], sort=False
+    ):
         p_value = name == "p" or name.startswith(("p_", "mauchly_p"))
         shown = [apa_p(v) if p_value else apa_number(v, digits) for v in frame[name]]
         texts = [text.removeprefix("p ").removeprefix("= ") for text in shown]
@@ -87,7 +92,10 @@ def _df(value: float) -> str:
 
 
 def apa_decimals(sd: np.ndarray) -> int:
-    """Return how many decimals show means to three digits of a typical standard deviation of the conditions."""
+    """
+    Return how many decimals show means to three digits of a typical standard deviation of the
+    conditions.
+    """
     typical = float(np.median(sd[sd > 0.0])) if (sd > 0.0).any() else 1.0
     return int(np.clip(2 - np.floor(np.log10(typical)), 0, 12))
 
@@ -96,28 +104,36 @@ def _omnibus(result) -> str:
     verb = "differed" if result.p_corrected < result.alpha else "did not differ"
     statistic = (
         f"F({_df(result.df1_corrected)}, {_df(result.df2_corrected)}) = {apa_number(result.F)}, "
-        f"{apa_p(result.p_corrected)}, ηp² = {_share(result.eta2_partial)}, 90% CI [{_share(result.eta2_partial_low)}, "
-        f"{_share(result.eta2_partial_high)}], ηG² = {_share(result.eta2_generalized)}"
+        f"{apa_p(result.p_corrected)}, ηp² = {_share(result.eta2_partial)}, 90% CI "
+        f"[{_share(result.eta2_partial_low)}, {_share(result.eta2_partial_high)}], ηG² = "
+        f"{_share(result.eta2_generalized)}"
     )
-    of_what = "" if str(result.within).lower() in ("condition", "conditions") else f" of {result.within}"
+    of_what = (
+        "" if str(result.within).lower() in ("condition", "conditions") else f" of {result.within}"
+    )
     return (
-        f"A one-way repeated-measures ANOVA (N = {result.n}) showed that {result.dv} {verb} significantly between the "
-        f"{result.k} conditions{of_what}, {statistic}."
+        f"A one-way repeated-measures ANOVA (N = {result.n}) showed that {result.dv} {verb} "
+        f"significantly between the {result.k} conditions{of_what}, {statistic}."
     )
 
 
 def _sphericity(result) -> str:
     if result.k == 2:
         return ""
-    name = {"greenhouse-geisser": "Greenhouse–Geisser", "huynh-feldt": "Huynh–Feldt"}.get(result.correction)
+    name = {"greenhouse-geisser": "Greenhouse–Geisser", "huynh-feldt": "Huynh–Feldt"}.get(
+        result.correction
+    )
     epsilon = result.epsilon_hf if result.correction == "huynh-feldt" else result.epsilon_gg
-    applied = f"degrees of freedom are {f'{name} corrected, ε = {_share(epsilon)}' if name else 'not corrected'}"
+    applied = (
+        "degrees of freedom are "
+        f"{f'{name} corrected, ε = {_share(epsilon)}' if name else 'not corrected'}"
+    )
     if result.mauchly_reason:
         return f" {result.mauchly_reason.removesuffix('.')}; {applied}."
     found = "was violated" if result.mauchly_p < result.alpha else "was not rejected"
     return (
-        f" Sphericity {found} (Mauchly's W = {_share(result.mauchly_w)}, "
-        f"χ²({result.mauchly_df}) = {apa_number(result.mauchly_chi2)}, {apa_p(result.mauchly_p)}); {applied}."
+        f" Sphericity {found} (Mauchly's W = {_share(result.mauchly_w)}, χ²({result.mauchly_df}) "
+        f"= {apa_number(result.mauchly_chi2)}, {apa_p(result.mauchly_p)}); {applied}."
     )
 
 
@@ -192,10 +208,11 @@ def apa_pair(result) -> str:
     digits = apa_decimals(stats["sd"].to_numpy())
     words = "differed significantly" if result.p < 0.05 else "did not differ significantly"
     return (
-        f"{_origin(result.scores)}{result.scores.dv} {words} between {a} and {b}, t({result.df}) = {apa_number(result.t)}, "
-        f"{apa_p(result.p)}, mean difference {apa_number(result.mean_difference, digits)}, {100 * result.confidence:g}% CI "
-        f"[{apa_number(result.ci_low, digits)}, {apa_number(result.ci_high, digits)}], d_z = {apa_number(result.d_z)}."
-        f"{_left_out(result, 'scores')}"
+        f"{_origin(result.scores)}{result.scores.dv} {words} between {a} and {b}, t({result.df}) "
+        f"= {apa_number(result.t)}, {apa_p(result.p)}, mean difference "
+        f"{apa_number(result.mean_difference, digits)}, {100 * result.confidence:g}% CI "
+        f"[{apa_number(result.ci_low, digits)}, {apa_number(result.ci_high, digits)}], d_z = "
+        f"{apa_number(result.d_z)}.{_left_out(result, 'scores')}"
     )
 
 
@@ -205,14 +222,14 @@ def apa_effects(result) -> str:
     for row in result.effects.to_dict("records"):
         verb = "was" if row["p_corrected"] < result.alpha else "was not"
         sentences.append(
-            f"{row['effect']} {verb} significant, F({_df(row['df1_corrected'])}, {_df(row['df2_corrected'])}) = "
-            f"{apa_number(row['F'])}, {apa_p(row['p_corrected'])}, ηp² = {_share(row['eta2_partial'])}, "
-            f"ηG² = {_share(row['eta2_generalized'])}"
+            f"{row['effect']} {verb} significant, F({_df(row['df1_corrected'])}, "
+            f"{_df(row['df2_corrected'])}) = {apa_number(row['F'])}, {apa_p(row['p_corrected'])}, "
+            f"ηp² = {_share(row['eta2_partial'])}, ηG² = {_share(row['eta2_generalized'])}"
         )
     factors = [len(levels) for levels in (*result.between.values(), *result.within.values())]
     kind = "mixed" if result.between else "repeated-measures"
     return (
-        f"{_origin(result.scores)}A {' × '.join(map(str, factors))} {kind} ANOVA of {result.scores.dv} (N = "
-        f"{len(result.scores.subjects)}, correction: {result.correction}): {'; '.join(sentences)}."
-        f"{_left_out(result, 'cells')}"
+        f"{_origin(result.scores)}A {' × '.join(map(str, factors))} {kind} ANOVA of "
+        f"{result.scores.dv} (N = {len(result.scores.subjects)}, correction: "
+        f"{result.correction}): {'; '.join(sentences)}.{_left_out(result, 'cells')}"
     )

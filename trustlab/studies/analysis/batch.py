@@ -1,7 +1,9 @@
 """
-Repeated-measures analyses of many studies at once: the engine under `repeated_measures` and under campaigns.
+Repeated-measures analyses of many studies at once: the engine under `repeated_measures` and under
+campaigns.
 
-All pairs of conditions come with them: paired t-tests, adjusted p-values and standardized differences.
+All pairs of conditions come with them: paired t-tests, adjusted p-values and standardized
+differences.
 """
 
 from dataclasses import dataclass, fields
@@ -41,13 +43,17 @@ class PartialEtaInterval:
     level: float
 
 
-# Noncentrality beyond which the noncentral F of SciPy fails; the form for large λ has nine digits there, and η² all of its own.
+# Noncentrality beyond which the noncentral F of SciPy fails; the form for large λ has nine digits
+# there, and η² all of its own.
 _LARGE = 1e9
 
 
 def noncentrality_limit(f: float, df1: float, df2: float, probability: float) -> float:
-    """Return the λ ≥ 0 at which P(F′ ≤ f | λ) is `probability`; 0 where it is less even at λ = 0."""
-    # F′ df1/df2 = χ′²(λ)/χ²(df2), where χ′²(λ) = λ + df1 to within √λ: only the denominator is left to vary.
+    """
+    Return the λ ≥ 0 at which P(F′ ≤ f | λ) is `probability`; 0 where it is less even at λ = 0.
+    """
+    # F′ df1/df2 = χ′²(λ)/χ²(df2), where χ′²(λ) = λ + df1 to within √λ: only the denominator is left
+    # to vary.
     large = df1 * (f * float(special.chdtri(df2, probability)) / df2 - 1.0)
     if large > _LARGE:
         return large
@@ -63,15 +69,18 @@ def noncentrality_limit(f: float, df1: float, df2: float, probability: float) ->
     return float(brentq(excess, 0.0, high, xtol=1e-12 * high, rtol=1e-13, maxiter=500))
 
 
-def partial_eta_interval(f: float, df1: float, df2: float, level: float = 0.90) -> PartialEtaInterval:
+def partial_eta_interval(
+    f: float, df1: float, df2: float, level: float = 0.90
+) -> PartialEtaInterval:
     """
     Return the interval of partial η² that inverts the noncentral F distribution.
 
-    With λ_low and λ_high such that P(F′ ≥ f | λ_low) = P(F′ ≤ f | λ_high) = (1 − level)/2, the limits are
-    λ / (λ + df1 + df2): λ = n (k − 1) η²/(1 − η²) in the population (`noncentrality`), and n (k − 1) = df1 + df2. Where
-    the test is corrected, both degrees of freedom are those times ε, and λ is ε times that of the uncorrected F (Box,
-    1954). Steiger (2004) has one more below, for designs between subjects. The customary level is 0.90: its lower limit
-    is above 0 where the test's p is below 0.05.
+    With λ_low and λ_high such that P(F′ ≥ f | λ_low) = P(F′ ≤ f | λ_high) = (1 − level)/2, the
+    limits are λ / (λ + df1 + df2): λ = n (k − 1) η²/(1 − η²) in the population (`noncentrality`),
+    and n (k − 1) = df1 + df2. Where the test is corrected, both degrees of freedom are those times
+    ε, and λ is ε times that of the uncorrected F (Box, 1954). Steiger (2004) has one more below,
+    for designs between subjects. The customary level is 0.90: its lower limit is above 0 where the
+    test's p is below 0.05.
 
     Parameters
     ----------
@@ -103,19 +112,25 @@ def t_half_width(sd: Any, n: int, level: float = 0.95) -> Any:
 
 def within_subject_sd(values: np.ndarray) -> np.ndarray:
     """
-    Return each condition's standard deviation of scores less their subject's mean, times √(k/(k − 1)).
+    Return each condition's standard deviation of scores less their subject's mean, times √(k/(k −
+    1)).
 
-    Removing the subjects' means (Cousineau, 2005) leaves the spread that a comparison within subjects sees; the factor
-    (Morey, 2008) compensates for the variance that this removes. For k = 2 the interval is 1/√2 times that of the
-    paired difference.
+    Removing the subjects' means (Cousineau, 2005) leaves the spread that a comparison within
+    subjects sees; the factor (Morey, 2008) compensates for the variance that this removes. For k =
+    2 the interval is 1/√2 times that of the paired difference.
     """
     k = values.shape[1]
     centred = values - values.mean()  # a common offset would cost digits in the subjects' means
-    return (centred - centred.mean(axis=1, keepdims=True)).std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
+    return (centred - centred.mean(axis=1, keepdims=True)).std(axis=0, ddof=1) * np.sqrt(
+        k / (k - 1.0)
+    )
 
 
 def describe(scores: ScoreTable, level: float = 0.95) -> pd.DataFrame:
-    """Return a row per condition: condition n mean sd se median minimum maximum, and both intervals of the mean."""
+    """
+    Return a row per condition: condition n mean sd se median minimum maximum, and both intervals of
+    the mean.
+    """
     values = scores.values
     n = len(values)
     mean, sd = values.mean(axis=0), values.std(axis=0, ddof=1)
@@ -147,11 +162,13 @@ _GREATEST, _LEAST = 1e140, 1e-100
 @dataclass(frozen=True, eq=False)
 class PairwiseBatch:
     """
-    Pairwise statistics of many studies, shape (studies, pairs); NaN where every subject has the same difference.
+    Pairwise statistics of many studies, shape (studies, pairs); NaN where every subject has the
+    same difference.
 
-    `a` and `b` are the positions of the two conditions, shape (pairs,), a before b; differences are a − b, intervals
-    have 95 %, p-values are two-sided. d_z is the mean over the standard deviation of the differences, d_av the mean
-    difference over the mean of the two conditions' standard deviations (Lakens, 2013).
+    `a` and `b` are the positions of the two conditions, shape (pairs,), a before b; differences are
+    a − b, intervals have 95 %, p-values are two-sided. d_z is the mean over the standard deviation
+    of the differences, d_av the mean difference over the mean of the two conditions' standard
+    deviations (Lakens, 2013).
     """
 
     a: np.ndarray
@@ -181,7 +198,8 @@ def bonferroni(p: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     p : numpy.ndarray, shape (..., tests)
-        Unadjusted p-values of one family along the last axis; NaN stay NaN and do not count, as in R's p.adjust.
+        Unadjusted p-values of one family along the last axis; NaN stay NaN and do not count, as in
+        R's p.adjust.
     """
     count = (~np.isnan(p)).sum(axis=-1, keepdims=True)
     return np.minimum(count * p, 1.0)
@@ -194,7 +212,8 @@ def holm(p: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     p : numpy.ndarray, shape (..., tests)
-        Unadjusted p-values of one family along the last axis; NaN stay NaN and do not count, as in R's p.adjust.
+        Unadjusted p-values of one family along the last axis; NaN stay NaN and do not count, as in
+        R's p.adjust.
     """
     count = (~np.isnan(p)).sum(axis=-1, keepdims=True)
     order = np.argsort(p, axis=-1, kind="stable")  # NaN last
@@ -210,8 +229,9 @@ def paired_differences(scores: np.ndarray, sd: np.ndarray, rounding: np.ndarray)
     """
     Compare every pair of conditions by a paired t-test.
 
-    `scores` has shape (studies, subjects, conditions), `sd` are the conditions' standard deviations, and `rounding` is
-    the spread of differences that rounding of the scores alone can cause, shape (studies,).
+    `scores` has shape (studies, subjects, conditions), `sd` are the conditions' standard
+    deviations, and `rounding` is the spread of differences that rounding of the scores alone can
+    cause, shape (studies,).
     """
     studies, n, k = scores.shape
     a, b = np.array(list(combinations(range(k), 2))).T
@@ -263,8 +283,8 @@ class Omnibus:
     ss_effect, ss_subjects, ss_error : float
         Sums of squares.
     mauchly_w, mauchly_chi2, mauchly_p, mauchly_p_first_order : float
-        Mauchly's test, its p with and without the second-order term; NaN for k = 2, for n ≤ k − 1 and where the covariance
-        of the contrasts is singular.
+        Mauchly's test, its p with and without the second-order term; NaN for k = 2, for n ≤ k − 1
+        and where the covariance of the contrasts is singular.
     mauchly_df : int
         k (k − 1)/2 − 1.
     epsilon_gg, epsilon_hf, epsilon_hf_untruncated : float
@@ -301,7 +321,8 @@ class Omnibus:
 @dataclass(frozen=True, eq=False)
 class RepeatedMeasuresBatch(Omnibus):
     """
-    One-way repeated-measures analyses of many studies: every field of `Omnibus` as an array, and the following.
+    One-way repeated-measures analyses of many studies: every field of `Omnibus` as an array, and
+    the following.
 
     Parameters
     ----------
@@ -336,7 +357,10 @@ class RepeatedMeasuresBatch(Omnibus):
         return pd.DataFrame(columns, index=pd.RangeIndex(len(self), name="study"))
 
     def pairs(self) -> pd.DataFrame:
-        """Return one row per study and pair; columns study a b (positions of the conditions) mean_difference … d_av."""
+        """
+        Return one row per study and pair; columns study a b (positions of the conditions)
+        mean_difference … d_av.
+        """
         studies, pairs = self.pairwise.t.shape
         keys = {
             "study": np.repeat(np.arange(studies), pairs),
@@ -348,23 +372,31 @@ class RepeatedMeasuresBatch(Omnibus):
         return pd.DataFrame(keys | values)
 
     def __repr__(self) -> str:
-        return f"RepeatedMeasuresBatch({len(self)} studies of {self.n} subjects × {self.k} conditions)"
+        return (
+            f"RepeatedMeasuresBatch({len(self)} studies of {self.n} subjects × {self.k} conditions)"
+        )
 
     def _repr_html_(self) -> str:
         return as_html(repr(self), self.table().describe().T)
 
 
 def checked_scores(array: np.ndarray) -> np.ndarray:
-    """Return scores as floats of shape (studies, subjects, conditions), each finite and of a size that can be squared."""
+    """
+    Return scores as floats of shape (studies, subjects, conditions), each finite and of a size that
+    can be squared.
+    """
     try:
         given = np.asarray(array)
     except ValueError:
         given = np.empty(0, dtype=object)
     if given.dtype.kind not in "fiu":
-        raise ValueError(f"array must hold real numbers, got {type(array).__name__} of dtype {given.dtype}")
+        raise ValueError(
+            f"array must hold real numbers, got {type(array).__name__} of dtype {given.dtype}"
+        )
     if given.ndim != 3:
         raise ValueError(
-            f"array must have three axes (study, subject, condition), got {given.shape}: one study is array[None]"
+            f"array must have three axes (study, subject, condition), got {given.shape}: one "
+            "study is array[None]"
         )
     studies, n, k = given.shape
     if studies < 1:
@@ -387,7 +419,10 @@ def checked_scores(array: np.ndarray) -> np.ndarray:
 
 
 def chunks(studies: int, scores: int) -> list[range]:
-    """Return the numbers of studies of so many scores each, in the parts in which they are analysed or drawn."""
+    """
+    Return the numbers of studies of so many scores each, in the parts in which they are analysed or
+    drawn.
+    """
     step = max(1, _CHUNK // scores)
     return [range(first, min(first + step, studies)) for first in range(0, studies, step)]
 
@@ -436,7 +471,9 @@ def _why_flat(values: np.ndarray, effect: bool) -> str:
     if np.ptp(values) == 0.0:
         return f"every score is {values.flat[0]:g}; there is nothing to analyse"
     found = "all subjects differ by the same amounts" if effect else "no subject's scores differ"
-    return f"the error variance is zero ({found} between conditions), so that F and t are not defined"
+    return (
+        f"the error variance is zero ({found} between conditions), so that F and t are not defined"
+    )
 
 
 def repeated_measures_batch(array: np.ndarray) -> RepeatedMeasuresBatch:
@@ -455,13 +492,14 @@ def repeated_measures_batch(array: np.ndarray) -> RepeatedMeasuresBatch:
     Raises
     ------
     ValueError
-        If `array` has another shape, fewer than 3 subjects or 2 conditions, a score that is not a finite number, or a
-        study without error variance; the study, subject and condition are named.
+        If `array` has another shape, fewer than 3 subjects or 2 conditions, a score that is not a
+        finite number, or a study without error variance; the study, subject and condition are
+        named.
 
     Notes
     -----
-    Sums of squares come from orthonormal contrasts of the centred scores, so that a large common offset costs no
-    digits beyond those that the scores themselves have lost.
+    Sums of squares come from orthonormal contrasts of the centred scores, so that a large common
+    offset costs no digits beyond those that the scores themselves have lost.
 
     Examples
     --------
@@ -474,7 +512,9 @@ def repeated_measures_batch(array: np.ndarray) -> RepeatedMeasuresBatch:
     """
     scores = checked_scores(array)
     studies, n, k = scores.shape
-    parts = [_analyse(scores[part.start : part.stop], part.start) for part in chunks(studies, n * k)]
+    parts = [
+        _analyse(scores[part.start : part.stop], part.start) for part in chunks(studies, n * k)
+    ]
     pairs = _joined([vars(part.pop("pairwise")) for part in parts])
     return RepeatedMeasuresBatch(
         n=n,
@@ -488,7 +528,10 @@ def repeated_measures_batch(array: np.ndarray) -> RepeatedMeasuresBatch:
 
 
 def _joined(parts: list[dict]) -> dict:
-    """Put the arrays of all chunks below each other; what is one for all studies (a, b, df) comes from the first."""
+    """
+    Put the arrays of all chunks below each other; what is one for all studies (a, b, df) comes from
+    the first.
+    """
     return {
         name: value if name in ("a", "b", "df") else np.concatenate([part[name] for part in parts])
         for name, value in parts[0].items()

@@ -1,4 +1,7 @@
-"""A mixed model with a random intercept per subject: a check of the ANOVA that also accepts missing cells."""
+"""
+A mixed model with a random intercept per subject: a check of the ANOVA that also accepts missing
+cells.
+"""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
@@ -17,7 +20,8 @@ from trustlab.studies.analysis.sphericity import orthonormal_contrasts
 @dataclass(frozen=True, eq=False)
 class MixedModel:
     """
-    Score = mean of the condition + random intercept of the subject + error, by restricted maximum likelihood.
+    Score = mean of the condition + random intercept of the subject + error, by restricted maximum
+    likelihood.
 
     Parameters
     ----------
@@ -34,7 +38,8 @@ class MixedModel:
     icc : float
         subject_variance over the sum of both.
     singular : bool
-        Whether the subjects' variance is estimated as zero; F is then not the ANOVA's, even without missing cells.
+        Whether the subjects' variance is estimated as zero; F is then not the ANOVA's, even without
+        missing cells.
     n, cells, missing_cells : int
         Subjects with a score, cells with a score and cells without.
     means : pandas.DataFrame
@@ -65,7 +70,9 @@ class MixedModel:
         return pd.DataFrame([row])
 
     def _repr_html_(self) -> str:
-        return as_html(self.origin, self.table(), self.means, title="Mixed model, random intercept per subject")
+        return as_html(
+            self.origin, self.table(), self.means, title="Mixed model, random intercept per subject"
+        )
 
 
 def mixed_model(
@@ -85,13 +92,15 @@ def mixed_model(
     points: int = 15,
 ) -> Any:
     """
-    Fit a random intercept per subject to a long table, or a mixed model by formula; cells may be missing.
+    Fit a random intercept per subject to a long table, or a mixed model by formula; cells may be
+    missing.
 
     Parameters
     ----------
     frame : pandas.DataFrame or str
-        One row per subject and condition, where a missing cell is an absent row or a missing score; or a formula such as
-        "error ~ autonomy * trial", followed by its table: ``mixed_model("error ~ autonomy", table, groups="subject")``.
+        One row per subject and condition, where a missing cell is an absent row or a missing score;
+        or a formula such as "error ~ autonomy * trial", followed by its table: ``mixed_model("error
+        ~ autonomy", table, groups="subject")``.
     dv, within, subject : hashable
         Columns with the score, the condition and the subject; without a formula.
     order : sequence, optional
@@ -101,19 +110,22 @@ def mixed_model(
     groups : hashable
         With a formula: the column whose groups have random effects.
     random : str
-        With a formula: the random effects of a group, "1" for intercepts, "1 + trial" for intercepts and correlated slopes.
+        With a formula: the random effects of a group, "1" for intercepts, "1 + trial" for
+        intercepts and correlated slopes.
     bootstrap : int
-        With a formula: data sets simulated to test each term. No kept Python library has Satterthwaite's or Kenward and Roger's degrees
-        of freedom; the likelihood ratio's own p is asymptotic and too small with few groups.
+        With a formula: data sets simulated to test each term. No kept Python library has
+        Satterthwaite's or Kenward and Roger's degrees of freedom; the likelihood ratio's own p is
+        asymptotic and too small with few groups.
     seed : int
         Of the bootstrap.
     family : {"normal", "binomial"}
-        With a formula: "binomial" is a logistic model with random intercepts of successes (0 and 1, or counts), by maximum likelihood;
-        no kept Python library has one.
+        With a formula: "binomial" is a logistic model with random intercepts of successes (0 and 1,
+        or counts), by maximum likelihood; no kept Python library has one.
     trials : str, optional
         Of a binomial family: the column with how many trials a row has; 1 each when left out.
     points : int
-        Of a binomial family: nodes of the adaptive Gauss–Hermite quadrature; 1 is Laplace's approximation, the default of lme4.
+        Of a binomial family: nodes of the adaptive Gauss–Hermite quadrature; 1 is Laplace's
+        approximation, the default of lme4.
 
     Returns
     -------
@@ -123,9 +135,10 @@ def mixed_model(
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.analysis.score_table.read_scores`), fewer than three subjects have a
-        score, a condition has fewer than two, or nothing is left to estimate the error from; with a formula, if it does not fit
-        the table, its effects are not estimable, a value is missing or no maximum of the likelihood is found.
+        If the table is refused (see `trustlab.studies.analysis.score_table.read_scores`), fewer
+        than three subjects have a score, a condition has fewer than two, or nothing is left to
+        estimate the error from; with a formula, if it does not fit the table, its effects are not
+        estimable, a value is missing or no maximum of the likelihood is found.
 
     Examples
     --------
@@ -145,7 +158,10 @@ def mixed_model(
 
 
 def fit_mixed_model(table: ScoreTable) -> MixedModel:
-    """Fit a random intercept per subject to scores arranged as subjects × conditions, NaN for a missing cell."""
+    """
+    Fit a random intercept per subject to scores arranged as subjects × conditions, NaN for a
+    missing cell.
+    """
     there = ~np.isnan(table.values)
     person, condition = np.nonzero(there)
     raw = table.values[there]
@@ -199,11 +215,14 @@ def _check_counts(table: ScoreTable, there: np.ndarray, n: int, df2: int) -> Non
     counts = there.sum(axis=0)
     if counts.min() < 2:
         least = table.conditions[int(np.argmin(counts))]
-        raise ValueError(f"within: condition {least!r} has {counts.min()} score(s); at least two are needed")
+        raise ValueError(
+            f"within: condition {least!r} has {counts.min()} score(s); at least two are needed"
+        )
     if df2 < 1:
         raise ValueError(
-            f"dv: {there.sum()} scores of {n} subjects under {len(table.conditions)} conditions leave nothing to estimate "
-            "the error from; more subjects must have scores under several conditions"
+            f"dv: {there.sum()} scores of {n} subjects under {len(table.conditions)} conditions "
+            "leave nothing to estimate the error from; more subjects must have scores under "
+            "several conditions"
         )
 
 
@@ -212,7 +231,9 @@ def _sums_by_subject(columns: np.ndarray, person: np.ndarray) -> np.ndarray:
     return np.column_stack([np.bincount(person, column)[person] for column in columns.T])
 
 
-def _check_error(table: ScoreTable, score: np.ndarray, design: np.ndarray, person: np.ndarray, size: float) -> None:
+def _check_error(
+    table: ScoreTable, score: np.ndarray, design: np.ndarray, person: np.ndarray, size: float
+) -> None:
     """Refuse scores that are exactly the sum of a subject's level and a condition's."""
     columns = np.column_stack([score, design])
     within = columns - _sums_by_subject(columns, person) / np.bincount(person)[person, None]
@@ -231,10 +252,16 @@ class _Fit(NamedTuple):
     residual_variance: float
 
 
-def _generalized_least_squares(score: np.ndarray, design: np.ndarray, person: np.ndarray, ratio: float) -> _Fit:
-    """Estimate the means for V = I + ratio · 11' within a subject; the deviance is that of the restricted likelihood."""
+def _generalized_least_squares(
+    score: np.ndarray, design: np.ndarray, person: np.ndarray, ratio: float
+) -> _Fit:
+    """
+    Estimate the means for V = I + ratio · 11' within a subject; the deviance is that of the
+    restricted likelihood.
+    """
     counts = np.bincount(person)
-    # V⁻¹ = I − ratio/(1 + counts · ratio) · 11' within a subject (Sherman–Morrison): no matrix of all scores is formed.
+    # V⁻¹ = I − ratio/(1 + counts · ratio) · 11' within a subject (Sherman–Morrison): no matrix of
+    # all scores is formed.
     weight = (ratio / (1.0 + counts * ratio))[person, None]
     columns = np.column_stack([score, design])
     products = columns.T @ (columns - weight * _sums_by_subject(columns, person))
@@ -243,16 +270,19 @@ def _generalized_least_squares(score: np.ndarray, design: np.ndarray, person: np
     error = (score - design @ means)[:, None]
     quadratic = float((error * (error - weight * _sums_by_subject(error, person))).sum())
     free = score.size - design.shape[1]
-    deviance = free * np.log(quadratic) + np.log1p(counts * ratio).sum() - np.linalg.slogdet(inverse)[1]
+    deviance = (
+        free * np.log(quadratic) + np.log1p(counts * ratio).sum() - np.linalg.slogdet(inverse)[1]
+    )
     return _Fit(float(deviance), means, inverse, quadratic / free)
 
 
 def _ratio_of_variances(score: np.ndarray, design: np.ndarray, person: np.ndarray) -> float:
     """
-    Return the ratio of subjects' to residual variance with the least restricted deviance; 0 at the boundary.
+    Return the ratio of subjects' to residual variance with the least restricted deviance; 0 at the
+    boundary.
 
-    The whole range is searched: statsmodels' MixedLM, from its own start, can stop at a variance of zero and report
-    success.
+    The whole range is searched: statsmodels' MixedLM, from its own start, can stop at a variance of
+    zero and report success.
     """
 
     def deviance(log_ratio: float) -> float:

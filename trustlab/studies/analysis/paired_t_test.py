@@ -1,4 +1,7 @@
-"""Two conditions: the paired t-test with its interval, effect sizes, normality and Wilcoxon's test beside it."""
+"""
+Two conditions: the paired t-test with its interval, effect sizes, normality and Wilcoxon's test
+beside it.
+"""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
@@ -11,7 +14,12 @@ from trustlab.models.checks import open_unit
 from trustlab.models.html import as_html
 from trustlab.studies.analysis.batch import analyse_table, describe, t_half_width
 from trustlab.studies.analysis.rank_tests import normality_of_differences, wilcoxon
-from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, read_scores, same_for_all
+from trustlab.studies.analysis.score_table import (
+    ScoreTable,
+    complete_scores,
+    read_scores,
+    same_for_all,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +50,9 @@ class PairedTTest:
     wilcoxon_v, wilcoxon_p : float
         Sum of the ranks of positive differences, zero differences left out, and its two-sided p.
     wilcoxon_method : str
-        "exact" below 50 subjects without ties or zero differences, else "normal approximation, continuity corrected"; and
-        whether ties were judged to twelve digits, where floating point separates them.
+        "exact" below 50 subjects without ties or zero differences, else "normal approximation,
+        continuity corrected"; and whether ties were judged to twelve digits, where floating point
+        separates them.
     rank_biserial : float
         (positive − negative rank sum) over their total.
     shapiro_w, shapiro_p : float
@@ -83,7 +92,10 @@ class PairedTTest:
         return pd.DataFrame([{name: getattr(self, name) for name in names}])
 
     def descriptives(self) -> pd.DataFrame:
-        """Return the conditions' scores in numbers, as `RepeatedMeasures.descriptives` does; intervals at `confidence`."""
+        """
+        Return the conditions' scores in numbers, as `RepeatedMeasures.descriptives` does; intervals
+        at `confidence`.
+        """
         return describe(self.scores, self.confidence)
 
     def apa(self) -> str:
@@ -146,8 +158,8 @@ def paired_t_test(
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.analysis.score_table`), there are not exactly two conditions, or every
-        subject has the same difference.
+        If the table is refused (see `trustlab.studies.analysis.score_table`), there are not exactly
+        two conditions, or every subject has the same difference.
 
     References
     ----------

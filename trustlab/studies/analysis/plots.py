@@ -1,4 +1,6 @@
-"""Figures of analyses: means with intervals, rainclouds, a line per subject, differences of a pair."""
+"""
+Figures of analyses: means with intervals, rainclouds, a line per subject, differences of a pair.
+"""
 
 import textwrap
 
@@ -16,7 +18,9 @@ def panels(count: int, height: float, title: str = "") -> np.ndarray:
     """Return so many axes of a new figure, at most four in a row."""
     columns = min(4, count)
     rows = -(-count // columns)
-    axes = axes_or_new(None, rows, columns, title, squeeze=False, figsize=(2.5 * columns, height * rows))
+    axes = axes_or_new(
+        None, rows, columns, title, squeeze=False, figsize=(2.5 * columns, height * rows)
+    )
     for axis in axes.flat[count:]:
         axis.axis("off")
     return axes.ravel()[:count]
@@ -32,7 +36,9 @@ def _means(stats: pd.DataFrame, axes, end: str = "") -> None:
     """Draw means with the intervals in columns ci_low and ci_high, their names with that end."""
     mean = stats["mean"]
     reach = [mean - stats[f"ci_low{end}"], stats[f"ci_high{end}"] - mean]
-    axes.errorbar(np.arange(mean.size), mean, reach, fmt="o", color=_BLUE, capsize=5, lw=1.5, zorder=3)
+    axes.errorbar(
+        np.arange(mean.size), mean, reach, fmt="o", color=_BLUE, capsize=5, lw=1.5, zorder=3
+    )
 
 
 def _label_conditions(scores: ScoreTable, axes) -> None:
@@ -42,7 +48,10 @@ def _label_conditions(scores: ScoreTable, axes) -> None:
 
 
 def _title(origin: str, what: str, axes) -> str:
-    """Return the title in lines as wide as the axes, the origin on lines of its own where one line is not enough."""
+    """
+    Return the title in lines as wide as the axes, the origin on lines of its own where one line is
+    not enough.
+    """
     width = axes.bbox.width / axes.figure.dpi
     letters = max(16, int(15.0 * width))  # of size "small" per inch
     whole = f"{origin}: {what}" if origin else what
@@ -60,18 +69,28 @@ def _clouds(scores: ScoreTable, axes) -> None:
     jitter = np.random.default_rng(0).uniform(-0.05, 0.05, scores.values.shape)
     for j, values in enumerate(scores.values.T):
         axes.plot(j - 0.22 + jitter[:, j], values, "o", ms=3, color=_BLUE, alpha=0.5, mew=0)
-        box = {"widths": 0.12, "manage_ticks": False, "showfliers": False, "medianprops": {"color": "k"}}
+        box = {
+            "widths": 0.12,
+            "manage_ticks": False,
+            "showfliers": False,
+            "medianprops": {"color": "k"},
+        }
         axes.boxplot(values, positions=[j], **box)
         spread = np.ptp(values)
         if spread > 1e-9 * np.abs(values).max():
-            grid = np.linspace(values.min(), values.max(), 200)  # no density where there is no score
+            grid = np.linspace(
+                values.min(), values.max(), 200
+            )  # no density where there is no score
             density = gaussian_kde(values)(grid)
             right = j + 0.12 + 0.3 * density / density.max()
             axes.fill_betweenx(grid, j + 0.12, right, color=_BLUE, alpha=0.3, lw=0)
 
 
 def plot_conditions(result, kind: str = "means", interval: str = "between", axes=None):
-    """Draw the conditions of one analysis side by side; the arguments are those of `RepeatedMeasures.plot`."""
+    """
+    Draw the conditions of one analysis side by side; the arguments are those of
+    `RepeatedMeasures.plot`.
+    """
     one_of("kind", kind, ("means", "raincloud", "paired"))
     one_of("interval", interval, ("between", "within"))
     axes = axes_or_new(axes, figsize=(max(4.2, 1.6 + 0.9 * result.k), 3.6))
@@ -92,7 +111,9 @@ def plot_conditions(result, kind: str = "means", interval: str = "between", axes
 
 
 def plot_pair(result, axes=None) -> np.ndarray:
-    """Draw both conditions of a paired t-test subject by subject, and the differences beside them."""
+    """
+    Draw both conditions of a paired t-test subject by subject, and the differences beside them.
+    """
     left, right = axes_or_new(axes, columns=2, figsize=(7.2, 3.6), width_ratios=[2, 1])
     _subjects(result.scores, left)
     _means(result.descriptives(), left)
@@ -101,7 +122,9 @@ def plot_pair(result, axes=None) -> np.ndarray:
     jitter = np.random.default_rng(0).uniform(-0.12, 0.12, differences.size)
     right.plot(jitter, differences, "o", color=_GREY, ms=4, zorder=1)
     half = result.ci_high - result.mean_difference
-    right.errorbar([0], [result.mean_difference], [half], fmt="o", color="C1", capsize=5, lw=1.8, zorder=3)
+    right.errorbar(
+        [0], [result.mean_difference], [half], fmt="o", color="C1", capsize=5, lw=1.8, zorder=3
+    )
     right.axhline(0.0, color="k", lw=0.8, ls=":")
     right.set(xlim=(-0.6, 0.6), xticks=[], ylabel=f"difference {result.a} − {result.b}")
     if result.scores.origin:

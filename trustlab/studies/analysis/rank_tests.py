@@ -1,4 +1,7 @@
-"""Beside the ANOVA and the t-test: Friedman's and Wilcoxon's rank tests, and the normality of differences."""
+"""
+Beside the ANOVA and the t-test: Friedman's and Wilcoxon's rank tests, and the normality of
+differences.
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -9,7 +12,8 @@ import scipy
 
 from trustlab.models.html import as_html
 
-# Different whole numbers up to which scores are taken for those of one rating item, such as 0 to 10.
+# Different whole numbers up to which scores are taken for those of one rating item, such as 0 to
+# 10.
 _MOST_STEPS = 11
 
 
@@ -35,7 +39,10 @@ class Friedman:
 
 
 def friedman(values: np.ndarray) -> Friedman:
-    """Rank the scores of every subject, shape (n, k), and test whether the mean ranks of the conditions differ."""
+    """
+    Rank the scores of every subject, shape (n, k), and test whether the mean ranks of the
+    conditions differ.
+    """
     import pingouin
 
     n, k = values.shape
@@ -46,7 +53,10 @@ def friedman(values: np.ndarray) -> Friedman:
 
 
 class Wilcoxon(NamedTuple):
-    """Wilcoxon's signed-rank test: rank sum of the positive differences, two-sided p, method, effect size."""
+    """
+    Wilcoxon's signed-rank test: rank sum of the positive differences, two-sided p, method, effect
+    size.
+    """
 
     wilcoxon_v: float
     wilcoxon_p: float
@@ -56,11 +66,13 @@ class Wilcoxon(NamedTuple):
 
 def wilcoxon(differences: np.ndarray, largest: float) -> Wilcoxon:
     """
-    Test paired differences of scores of size up to `largest`, not all zero, by the rules of R's wilcox.test.
+    Test paired differences of scores of size up to `largest`, not all zero, by the rules of R's
+    wilcox.test.
 
-    Zero differences are left out. The p-value is exact below 50 subjects without ties or zero differences, else from the
-    normal approximation with continuity correction. Differences are ranked to twelve digits of the largest score, as
-    0.3 − 0.2 and 0.2 − 0.1 are a tie although they differ in floating point; where that changes a rank, the method says so.
+    Zero differences are left out. The p-value is exact below 50 subjects without ties or zero
+    differences, else from the normal approximation with continuity correction. Differences are
+    ranked to twelve digits of the largest score, as 0.3 − 0.2 and 0.2 − 0.1 are a tie although they
+    differ in floating point; where that changes a rank, the method says so.
     """
     grid = 10.0 ** (np.ceil(np.log10(largest)) - 12.0)
     rounded = np.round(differences / grid)
@@ -68,7 +80,9 @@ def wilcoxon(differences: np.ndarray, largest: float) -> Wilcoxon:
     kept = rounded[rounded != 0.0]
     ranks = scipy.stats.rankdata(np.abs(kept))
     exact = kept.size == differences.size < 50 and np.unique(ranks).size == kept.size
-    found = scipy.stats.wilcoxon(kept, method="exact" if exact else "asymptotic", correction=not exact)
+    found = scipy.stats.wilcoxon(
+        kept, method="exact" if exact else "asymptotic", correction=not exact
+    )
     v, total = float(ranks[kept > 0.0].sum()), kept.size * (kept.size + 1) / 2.0
     method = "exact" if exact else "normal approximation, continuity corrected"
     method += "; ties judged to twelve digits" if merged else ""
@@ -77,15 +91,20 @@ def wilcoxon(differences: np.ndarray, largest: float) -> Wilcoxon:
 
 def rank_pairs(values: np.ndarray, a: np.ndarray, b: np.ndarray, method: str) -> pd.DataFrame:
     """
-    Compare every pair of conditions a, b by ranks: a row per pair, the statistic, p, and what else the method gives.
+    Compare every pair of conditions a, b by ranks: a row per pair, the statistic, p, and what else
+    the method gives.
 
-    "wilcoxon" is the signed-rank test of each pair; NaN where no subject's scores differ. "conover" follows Friedman's test: t of
-    the mean ranks of all conditions on (n − 1)(k − 1) degrees of freedom (Conover, 1999, Section 5.8).
+    "wilcoxon" is the signed-rank test of each pair; NaN where no subject's scores differ. "conover"
+    follows Friedman's test: t of the mean ranks of all conditions on (n − 1)(k − 1) degrees of
+    freedom (Conover, 1999, Section 5.8).
     """
     if method == "wilcoxon":
         largest, nothing = np.abs(values).max(), Wilcoxon(np.nan, np.nan, "not defined", np.nan)
         differences = [values[:, i] - values[:, j] for i, j in zip(a, b, strict=True)]
-        found = [wilcoxon(d, largest) if np.ptp([*d, 0.0]) > 1e-12 * largest else nothing for d in differences]
+        found = [
+            wilcoxon(d, largest) if np.ptp([*d, 0.0]) > 1e-12 * largest else nothing
+            for d in differences
+        ]
         table = pd.DataFrame(found).set_axis(["V", "p", "method", "rank_biserial"], axis=1)
         return table.assign(median_difference=[np.median(d) for d in differences])
     n, k = values.shape
@@ -99,19 +118,27 @@ def rank_pairs(values: np.ndarray, a: np.ndarray, b: np.ndarray, method: str) ->
 
 
 def rating_notes(values: np.ndarray, tests: str) -> tuple[str, ...]:
-    """Return a note, with the name of the tests by ranks, where scores look like those of one rating item."""
+    """
+    Return a note, with the name of the tests by ranks, where scores look like those of one rating
+    item.
+    """
     steps = np.unique(values)
     if steps.size > _MOST_STEPS or not np.array_equal(steps, np.round(steps)):
         return ()
-    found = f"Scores are whole numbers from {steps[0]:g} to {steps[-1]:g}, as of a rating item, whose steps need not be equal"
+    found = (
+        f"Scores are whole numbers from {steps[0]:g} to {steps[-1]:g}, as of a rating item, "
+        "whose steps need not be equal"
+    )
     return (f"{found}: see {tests} for tests by ranks.",)
 
 
 def normality_of_differences(values: np.ndarray, a: np.ndarray, b: np.ndarray) -> pd.DataFrame:
     """
-    Apply the Shapiro–Wilk test to the differences of every pair of conditions a, b: a row W, p per pair.
+    Apply the Shapiro–Wilk test to the differences of every pair of conditions a, b: a row W, p per
+    pair.
 
-    NaN where all differences are equal, and above 5000 subjects, where the approximation of p is not valid.
+    NaN where all differences are equal, and above 5000 subjects, where the approximation of p is
+    not valid.
     """
     rounding = 4.0 * np.finfo(float).eps * np.abs(values).max()
     rows = []
@@ -120,6 +147,8 @@ def normality_of_differences(values: np.ndarray, a: np.ndarray, b: np.ndarray) -
         if difference.size > 5000 or np.ptp(difference) <= 2.0 * rounding:
             rows.append((np.nan, np.nan))
         else:
-            found = scipy.stats.shapiro(difference / np.abs(difference).max())  # SciPy takes tiny differences for equal
+            found = scipy.stats.shapiro(
+                difference / np.abs(difference).max()
+            )  # SciPy takes tiny differences for equal
             rows.append((float(found.statistic), float(found.pvalue)))
     return pd.DataFrame(rows, columns=["W", "p"])

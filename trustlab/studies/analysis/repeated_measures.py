@@ -19,19 +19,41 @@ from trustlab.studies.analysis.batch import (
     partial_eta_interval,
 )
 from trustlab.studies.analysis.mixed_model import MixedModel, fit_mixed_model
-from trustlab.studies.analysis.rank_tests import Friedman, friedman, normality_of_differences, rank_pairs, rating_notes
-from trustlab.studies.analysis.score_table import ScoreTable, complete_scores, labelled, read_scores, same_for_all
+from trustlab.studies.analysis.rank_tests import (
+    Friedman,
+    friedman,
+    normality_of_differences,
+    rank_pairs,
+    rating_notes,
+)
+from trustlab.studies.analysis.score_table import (
+    ScoreTable,
+    complete_scores,
+    labelled,
+    read_scores,
+    same_for_all,
+)
 from trustlab.studies.analysis.sphericity import CORRECTIONS, decided
 
 _DESIGN = ("dv", "within", "subject", "conditions", "subjects", "excluded")
 _UNTABLED = (*_DESIGN, "notes", "scores", "observed", "batch")
-_OF_CONDITIONS = ("F", "p", "epsilon_gg", "p_gg", "epsilon_hf", "p_hf", "eta2_partial", "eta2_generalized")
+_OF_CONDITIONS = (
+    "F",
+    "p",
+    "epsilon_gg",
+    "p_gg",
+    "epsilon_hf",
+    "p_hf",
+    "eta2_partial",
+    "eta2_generalized",
+)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RepeatedMeasures(Omnibus):
     """
-    A one-way repeated-measures analysis: every field of `Omnibus` (n, k, F, df1, df2, p …) as a number, and the following.
+    A one-way repeated-measures analysis: every field of `Omnibus` (n, k, F, df1, df2, p …) as a
+    number, and the following.
 
     Parameters
     ----------
@@ -89,7 +111,10 @@ class RepeatedMeasures(Omnibus):
     batch: RepeatedMeasuresBatch
 
     def table(self) -> pd.DataFrame:
-        """Return every omnibus statistic in one row, so that tables of several measures can be concatenated."""
+        """
+        Return every omnibus statistic in one row, so that tables of several measures can be
+        concatenated.
+        """
         row = {"dv": self.dv, "within": self.within}
         names = [field.name for field in fields(self) if field.name not in _UNTABLED]
         row |= {name: getattr(self, name) for name in names}
@@ -98,14 +123,15 @@ class RepeatedMeasures(Omnibus):
 
     def anova_table(self) -> pd.DataFrame:
         """
-        Return sums of squares, mean squares and the test, one row per source of variance; nothing is rounded.
+        Return sums of squares, mean squares and the test, one row per source of variance; nothing
+        is rounded.
 
         Returns
         -------
         pandas.DataFrame
-            Rows condition, error (conditions × subjects) and subjects. Columns source, ss, df, ms (of all three), then F,
-            p (sphericity assumed), epsilon_gg, p_gg, epsilon_hf, p_hf, eta2_partial and eta2_generalized, which only the
-            first row has.
+            Rows condition, error (conditions × subjects) and subjects. Columns source, ss, df, ms
+            (of all three), then F, p (sphericity assumed), epsilon_gg, p_gg, epsilon_hf, p_hf,
+            eta2_partial and eta2_generalized, which only the first row has.
         """
         ss = np.array([self.ss_effect, self.ss_error, self.ss_subjects])
         df = np.array([self.df1, self.df2, self.n - 1])
@@ -134,8 +160,9 @@ class RepeatedMeasures(Omnibus):
         Returns
         -------
         pandas.DataFrame
-            Columns condition n mean sd se median minimum maximum, then two 95 % intervals of the mean: ci_low and
-            ci_high between subjects, ci_low_within and ci_high_within after Cousineau and Morey.
+            Columns condition n mean sd se median minimum maximum, then two 95 % intervals of the
+            mean: ci_low and ci_high between subjects, ci_low_within and ci_high_within after
+            Cousineau and Morey.
         """
         return labelled(describe(self.scores), self.origin)
 
@@ -146,14 +173,16 @@ class RepeatedMeasures(Omnibus):
         Parameters
         ----------
         method : {"t", "wilcoxon", "conover"}
-            Paired t-tests; or, after Friedman's test, Wilcoxon's signed-rank tests or Conover's t of the mean ranks.
+            Paired t-tests; or, after Friedman's test, Wilcoxon's signed-rank tests or Conover's t
+            of the mean ranks.
 
         Returns
         -------
         pandas.DataFrame
-            For "t", columns a b mean_difference (a − b) ci_low ci_high (95 %, unadjusted) t df p p_bonferroni p_holm d_z d_av.
-            For "wilcoxon", a b V p method rank_biserial median_difference p_bonferroni p_holm; p is NaN where no subject's scores
-            differ. For "conover", a b mean_rank_difference t df p p_bonferroni p_holm.
+            For "t", columns a b mean_difference (a − b) ci_low ci_high (95 %, unadjusted) t df p
+            p_bonferroni p_holm d_z d_av. For "wilcoxon", a b V p method rank_biserial
+            median_difference p_bonferroni p_holm; p is NaN where no subject's scores differ. For
+            "conover", a b mean_rank_difference t df p p_bonferroni p_holm.
         """
         one_of("method", method, ("t", "wilcoxon", "conover"))
         found = self.batch.pairs().drop(columns="study")
@@ -161,9 +190,14 @@ class RepeatedMeasures(Omnibus):
             pairwise = self.batch.pairwise
             tests = rank_pairs(self.scores.values, pairwise.a, pairwise.b, method)
             p = tests["p"].to_numpy()
-            found = pd.concat([found[["a", "b"]], tests.assign(p_bonferroni=bonferroni(p), p_holm=holm(p))], axis=1)
+            found = pd.concat(
+                [found[["a", "b"]], tests.assign(p_bonferroni=bonferroni(p), p_holm=holm(p))],
+                axis=1,
+            )
         labels = pd.Index(self.conditions, tupleize_cols=False)
-        return labelled(found.assign(a=labels.take(found["a"]), b=labels.take(found["b"])), self.origin)
+        return labelled(
+            found.assign(a=labels.take(found["a"]), b=labels.take(found["b"])), self.origin
+        )
 
     def normality(self) -> pd.DataFrame:
         """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
@@ -189,19 +223,26 @@ class RepeatedMeasures(Omnibus):
         ValueError
             Always.
         """
-        raise ValueError('more factors are needed, within=[…, …] or between=…; of one, .friedman(), .pairs("wilcoxon")')
+        raise ValueError(
+            "more factors are needed, within=[…, …] or between=…; of one, .friedman(), "
+            '.pairs("wilcoxon")'
+        )
 
     def assumptions(self) -> pd.DataFrame:
         """
-        Return in one row what speaks for or against the ANOVA, so that tables of several measures can be concatenated.
+        Return in one row what speaks for or against the ANOVA, so that tables of several measures
+        can be concatenated.
 
         Returns
         -------
         pandas.DataFrame
-            Columns p_shapiro_least (of all pairs' differences), pairs_not_normal (p below alpha after Holm's adjustment),
-            p_anova (corrected), friedman_chi2, p_friedman, kendall_w, mixed_n, mixed_F, p_mixed.
+            Columns p_shapiro_least (of all pairs' differences), pairs_not_normal (p below alpha
+            after Holm's adjustment), p_anova (corrected), friedman_chi2, p_friedman, kendall_w,
+            mixed_n, mixed_F, p_mixed.
         """
-        normality, ranks, mixed = self.normality()["p"], self.friedman(), self.mixed_model()
+        normality = self.normality()["p"]
+        ranks = self.friedman()
+        mixed = self.mixed_model()
         row = {
             "p_shapiro_least": normality.min(),
             "pairs_not_normal": int((holm(normality.to_numpy()) < self.alpha).sum()),
@@ -239,7 +280,8 @@ class RepeatedMeasures(Omnibus):
         Parameters
         ----------
         kind : {"means", "raincloud", "paired"}
-            Means with 95 % intervals, as in Figs. 2.11–2.17 and 3.18–3.21; distributions; or a line per subject.
+            Means with 95 % intervals, as in Figs. 2.11–2.17 and 3.18–3.21; distributions; or a line
+            per subject.
         interval : {"between", "within"}
             Which interval of the means to draw.
         axes : matplotlib.axes.Axes, optional
@@ -256,15 +298,20 @@ class RepeatedMeasures(Omnibus):
     def __repr__(self) -> str:
         note = f" [{self.origin}]" if self.origin else ""
         return (
-            f"RepeatedMeasures({self.dv} by {self.within}, {self.n} subjects × {self.k} conditions{note}: "
-            f"F({self.df1_corrected:.4g}, {self.df2_corrected:.4g}) = {self.F:.4g}, p = {self.p_corrected:.3g}, "
-            f"correction: {self.correction})"
+            f"RepeatedMeasures({self.dv} by {self.within}, {self.n} subjects × {self.k} "
+            f"conditions{note}: F({self.df1_corrected:.4g}, {self.df2_corrected:.4g}) = "
+            f"{self.F:.4g}, p = {self.p_corrected:.3g}, correction: {self.correction})"
         )
 
     def _repr_html_(self) -> str:
         left_out = f"Left out: {', '.join(map(str, self.excluded))}." if self.excluded else ""
         counts = f"{self.n} subjects × {self.k} conditions."
-        words = " ".join(filter(None, (counts, self.origin and f"{self.origin}.", left_out, self.reason, *self.notes)))
+        words = " ".join(
+            filter(
+                None,
+                (counts, self.origin and f"{self.origin}.", left_out, self.reason, *self.notes),
+            )
+        )
         tables = (self.corrections(), self.descriptives(), self.pairs())
         return as_html(words, *tables, title=f"{self.dv} by {self.within}")
 
@@ -283,7 +330,8 @@ def repeated_measures(
     alpha: float = 0.05,
 ) -> Any:
     """
-    Analyse one score under several conditions, or in all cells of several factors, each of which every subject went through.
+    Analyse one score under several conditions, or in all cells of several factors, each of which
+    every subject went through.
 
     Parameters
     ----------
@@ -296,37 +344,39 @@ def repeated_measures(
     between : hashable or list of hashable, optional
         Columns with groups of subjects, each of whom is in one; only by keyword.
     covariate : hashable, optional
-        A column with one number per subject, which enters about its mean and interacts with the factors within subjects.
+        A column with one number per subject, which enters about its mean and interacts with the
+        factors within subjects.
     missing : {"raise", "listwise"}
         Whether a missing cell is an error, or its subject is left out (and named in `.excluded`).
     order : sequence or dict, optional
-        Conditions in the order wanted; with several factors, a dict of factor to levels. By default a categorical column keeps the order of its categories (those that
-        occur); numbers are sorted by value and text by alphabet.
+        Conditions in the order wanted; with several factors, a dict of factor to levels. By default
+        a categorical column keeps the order of its categories (those that occur); numbers are
+        sorted by value and text by alphabet.
     correction : {"greenhouse-geisser", "huynh-feldt", "none", "auto"}
-        Which correction `.p_corrected` has. "auto": Greenhouse–Geisser where Mauchly's test rejects sphericity at
-        `alpha` or is not defined, none elsewhere; with few subjects its type I error is above `alpha`, as the test misses
-        violations. All three are always in the result.
+        Which correction `.p_corrected` has. "auto": Greenhouse–Geisser where Mauchly's test rejects
+        sphericity at `alpha` or is not defined, none elsewhere; with few subjects its type I error
+        is above `alpha`, as the test misses violations. All three are always in the result.
     alpha : float
         Level of significance.
 
     Returns
     -------
     RepeatedMeasures or FactorialMeasures
-        The latter where there are several factors, groups or a covariate: sums of squares of type III, with Greenhouse–Geisser's
-        and Huynh–Feldt's ε for every effect.
+        The latter where there are several factors, groups or a covariate: sums of squares of type
+        III, with Greenhouse–Geisser's and Huynh–Feldt's ε for every effect.
 
     Raises
     ------
     ValueError
-        If a column is unknown, a label is missing, a score is not a finite number, a cell has several rows or none,
-        there is one condition or fewer than three complete subjects, a subject is in two groups, a group has one subject, or
-        scores have no error variance.
+        If a column is unknown, a label is missing, a score is not a finite number, a cell has
+        several rows or none, there is one condition or fewer than three complete subjects, a
+        subject is in two groups, a group has one subject, or scores have no error variance.
 
     Notes
     -----
     Values follow R: `aov_car` of afex and `Anova` of car for F, ε and η², `mauchly.test` (see
-    `trustlab.studies.analysis.sphericity.mauchly` for its p-value), `t.test(paired = TRUE)` and `p.adjust` for the pairs,
-    `friedman.test`, `shapiro.test`.
+    `trustlab.studies.analysis.sphericity.mauchly` for its p-value), `t.test(paired = TRUE)` and
+    `p.adjust` for the pairs, `friedman.test`, `shapiro.test`.
 
     Examples
     --------
@@ -342,7 +392,9 @@ def repeated_measures(
         from trustlab.studies.factors.factorial import factorial_measures
 
         groups = between if isinstance(between, list) else [] if between is None else [between]
-        return factorial_measures(frame, dv, factors, subject, groups, covariate, missing, order, correction, alpha)
+        return factorial_measures(
+            frame, dv, factors, subject, groups, covariate, missing, order, correction, alpha
+        )
     within = factors[0]
     order = order.get(within) if isinstance(order, dict) else order
     one_of("correction", correction, ("auto", *CORRECTIONS))
@@ -351,9 +403,14 @@ def repeated_measures(
     scores, excluded = complete_scores(observed, missing)
     batch = analyse_table(scores)
     omnibus = batch.study(0)
-    df1, df2, gg, hf = batch.df1, batch.df2, omnibus["epsilon_gg"], omnibus["epsilon_hf"]
+    df1 = batch.df1
+    df2 = batch.df2
+    gg = omnibus["epsilon_gg"]
+    hf = omnibus["epsilon_hf"]
     decision = decided(omnibus, df1, df2, batch.n - 1, correction, alpha)
-    interval = partial_eta_interval(omnibus["F"], decision["df1_corrected"], decision["df2_corrected"], 0.90)
+    interval = partial_eta_interval(
+        omnibus["F"], decision["df1_corrected"], decision["df2_corrected"], 0.90
+    )
     return RepeatedMeasures(
         **omnibus,
         **decision,
@@ -385,13 +442,16 @@ def _notes(scores: ScoreTable, excluded: tuple, batch: RepeatedMeasuresBatch) ->
         notes.append(f"Left out for missing cells: {', '.join(map(repr, excluded))}.")
     if constant := same_for_all(scores):
         notes.append(
-            f"Every subject has the same score (SD = 0) in {', '.join(map(repr, constant))}: a limit of the scale, or a "
-            "fault of the data? Tests with that condition rest on the variance of the other conditions alone."
+            f"Every subject has the same score (SD = 0) in {', '.join(map(repr, constant))}: a "
+            "limit of the scale, or a fault of the data? Tests with that condition rest on the "
+            "variance of the other conditions alone."
         )
     notes += rating_notes(scores.values, 'friedman() and pairs(method="wilcoxon")')
     flat = np.flatnonzero(np.isnan(batch.pairwise.t[0]))
     if flat.size:
-        a, b = (scores.conditions[int(index[flat[0]])] for index in (batch.pairwise.a, batch.pairwise.b))
+        a, b = (
+            scores.conditions[int(index[flat[0]])] for index in (batch.pairwise.a, batch.pairwise.b)
+        )
         same = f"every subject has the same difference ({a!r} and {b!r} first)"
         notes.append(f"In {flat.size} pair(s) of conditions {same}: no t-test.")
     return tuple(notes)

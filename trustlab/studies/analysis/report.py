@@ -1,4 +1,7 @@
-"""The Results section of a paper: sentences, tables and a figure, shown and written to HTML, LaTeX or Word."""
+"""
+The Results section of a paper: sentences, tables and a figure, shown and written to HTML, LaTeX or
+Word.
+"""
 
 import html
 import io
@@ -19,16 +22,48 @@ from trustlab.studies.factors.factorial import FactorialMeasures
 # What LaTeX would read as a command, and signs that it lacks as letters.
 _LATEX = str.maketrans(
     {sign: f"\\{sign}" for sign in "&%$#_{}"}
-    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": "$<$", ">": "$>$"}
-    | {"−": "$-$", "×": r"$\times$", "²": "$^2$", "η": r"$\eta$", "ε": r"$\varepsilon$", "χ": r"$\chi$", "≥": r"$\geq$"}
+    | {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "<": "$<$",
+        ">": "$>$",
+    }
+    | {
+        "−": "$-$",
+        "×": r"$\times$",
+        "²": "$^2$",
+        "η": r"$\eta$",
+        "ε": r"$\varepsilon$",
+        "χ": r"$\chi$",
+        "≥": r"$\geq$",
+    }
 )
 # Columns beyond which a table of one row is printed as a column.
 _WIDE = 8
 # Columns of a section's tables, and what they are called there.
 _MOMENTS = {"n": "n", "mean": "M", "sd": "SD", "ci_low": "95% CI low", "ci_high": "95% CI high"}
-_TESTS = {"effect": "effect", "F": "F", "df1_corrected": "df1", "df2_corrected": "df2", "p_corrected": "p"}
+_TESTS = {
+    "effect": "effect",
+    "F": "F",
+    "df1_corrected": "df1",
+    "df2_corrected": "df2",
+    "p_corrected": "p",
+}
 _TESTS |= {"eta2_partial": "ηp²", "eta2_generalized": "ηG²", "correction": "correction"}
-_PAIRS = ("a", "b", "mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm", "p_bonferroni", "d_z")
+_PAIRS = (
+    "a",
+    "b",
+    "mean_difference",
+    "ci_low",
+    "ci_high",
+    "t",
+    "df",
+    "p",
+    "p_holm",
+    "p_bonferroni",
+    "d_z",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +76,11 @@ class StudyReport:
     result : object
         The analysis, or a table.
     text : str
-        Its sentences: test with its correction, effect sizes, means, pairs, exclusions, and what to know before using them;
-        empty where the result has none.
+        Its sentences: test with its correction, effect sizes, means, pairs, exclusions, and what to
+        know before using them; empty where the result has none.
     tables : dict of str to pandas.DataFrame
-        Descriptive statistics, analysis of variance and pairwise comparisons by title; or the result's own table; unrounded.
+        Descriptive statistics, analysis of variance and pairwise comparisons by title; or the
+        result's own table; unrounded.
     origin : str
         What kind of data these are where they were not measured; else empty.
     """
@@ -99,7 +135,9 @@ class StudyReport:
             If the ending is another one.
         """
         path = Path(path)
-        kind = one_of(f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex", ".docx"))
+        kind = one_of(
+            f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex", ".docx")
+        )
         tables = {title: _printed(table, digits) for title, table in self.tables.items()}
         if kind == ".docx":
             _write_word(path, self, tables)
@@ -109,7 +147,9 @@ class StudyReport:
         return path
 
     def _repr_html_(self) -> str:
-        return _html(self, {title: _printed(table, 2) for title, table in self.tables.items()}, figure=False)
+        return _html(
+            self, {title: _printed(table, 2) for title, table in self.tables.items()}, figure=False
+        )
 
 
 def report(
@@ -121,7 +161,8 @@ def report(
     Parameters
     ----------
     frame : pandas.DataFrame or result
-        Long table. Without `dv`: a result of this package with `.table()`, or a table of results, as it is.
+        Long table. Without `dv`: a result of this package with `.table()`, or a table of results,
+        as it is.
     dv, within, subject : hashable
         Columns, as for `repeated_measures`.
     **options : object
@@ -148,11 +189,16 @@ def report(
     if isinstance(result, RepeatedMeasures | FactorialMeasures):
         return _section(result)
     if not isinstance(result, pd.DataFrame) and not hasattr(result, "table"):
-        raise ValueError(f"frame must be a table with dv=, within=, subject=, or a result, got {type(frame).__name__}")
+        raise ValueError(
+            "frame must be a table with dv=, within=, subject=, or a result, got "
+            f"{type(frame).__name__}"
+        )
     table = result if isinstance(result, pd.DataFrame) else result.table()
     title = "Results" if table is result else type(result).__name__
     text = result.apa() if hasattr(result, "apa") else ""
-    return StudyReport(result, text, {title: table}, getattr(result, "origin", "") or table.attrs.get("origin", ""))
+    return StudyReport(
+        result, text, {title: table}, getattr(result, "origin", "") or table.attrs.get("origin", "")
+    )
 
 
 def _section(result: RepeatedMeasures | FactorialMeasures) -> StudyReport:
@@ -163,8 +209,13 @@ def _section(result: RepeatedMeasures | FactorialMeasures) -> StudyReport:
         pairs = {"Pairwise comparisons": result.pairs()}
     else:
         tests, factors = result.table(), [*result.between, *result.within]
-        pairs = {f"Pairwise comparisons of {x}": result.pairs(x) for x in (*result.within, *result.between)}
-    moments = result.descriptives().astype(dict.fromkeys(factors, str))  # levels that are numbers are not rounded
+        pairs = {
+            f"Pairwise comparisons of {x}": result.pairs(x)
+            for x in (*result.within, *result.between)
+        }
+    moments = result.descriptives().astype(
+        dict.fromkeys(factors, str)
+    )  # levels that are numbers are not rounded
     own = [name for name in moments if name in factors or name in _MOMENTS]
     tables = {"Descriptive statistics": moments[own].rename(columns=_MOMENTS)}
     tables |= {"Analysis of variance": tests[list(_TESTS)].rename(columns=_TESTS)}
@@ -199,8 +250,14 @@ def _latex(found: StudyReport, tables: dict[str, pd.DataFrame]) -> str:
         import jinja2  # noqa: F401  what pandas writes LaTeX with
     parts = [found.text.translate(_LATEX)]
     for title, table in tables.items():
-        cells = table.rename(columns=lambda name: str(name).translate(_LATEX)).map(lambda cell: cell.translate(_LATEX))
-        parts.append(cells.to_latex(index=False, escape=False, caption=_caption(found, title).translate(_LATEX)))
+        cells = table.rename(columns=lambda name: str(name).translate(_LATEX)).map(
+            lambda cell: cell.translate(_LATEX)
+        )
+        parts.append(
+            cells.to_latex(
+                index=False, escape=False, caption=_caption(found, title).translate(_LATEX)
+            )
+        )
     return "\n\n".join(parts)
 
 

@@ -30,7 +30,8 @@ class ScoreTable:
     dv, within, subject : hashable
         Names of the columns.
     origin : str
-        What kind of data these are where they were not measured ("synthetic data", "reconstructed data"); else empty.
+        What kind of data these are where they were not measured ("synthetic data", "reconstructed
+        data"); else empty.
     """
 
     values: np.ndarray
@@ -43,7 +44,10 @@ class ScoreTable:
 
 
 def origin_of(attrs: dict) -> str:
-    """Return "reconstructed data", "synthetic data", the text of attrs["origin"], or "" for measured data."""
+    """
+    Return "reconstructed data", "synthetic data", the text of attrs["origin"], or "" for measured
+    data.
+    """
     for kind in ("reconstructed", "synthetic"):
         if attrs.get(kind) is True:
             return f"{kind} data"
@@ -52,13 +56,19 @@ def origin_of(attrs: dict) -> str:
 
 
 def labelled(frame: pd.DataFrame, origin: str, **more: object) -> pd.DataFrame:
-    """Return a table that says what kind of data it was made from where they were not measured, and what else is given."""
+    """
+    Return a table that says what kind of data it was made from where they were not measured, and
+    what else is given.
+    """
     frame.attrs |= more | ({"origin": origin} if origin else {})
     return frame
 
 
 def _how_to_melt(frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable) -> str:
-    """Return how to turn a table with a column per condition into a long one; nothing where the table is long."""
+    """
+    Return how to turn a table with a column per condition into a long one; nothing where the table
+    is long.
+    """
     if any(not isinstance(name, Hashable) or name in frame.columns for name in (dv, within)):
         return ""
     own = f"frame.rename_axis({subject!r}).reset_index()"
@@ -73,7 +83,10 @@ def _how_to_melt(frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: H
 
 
 def _labels(series: pd.Series, argument: str) -> list:
-    """Return each label of a column once: in the order of the categories if it is categorical, else as they appear."""
+    """
+    Return each label of a column once: in the order of the categories if it is categorical, else as
+    they appear.
+    """
     refuse_missing_labels(series, argument)
     if isinstance(series.dtype, pd.CategoricalDtype):
         return series.cat.remove_unused_categories().cat.categories.tolist()
@@ -87,7 +100,10 @@ def _codes(series: pd.Series, labels: list) -> np.ndarray:
 
 
 def levels_of(series: pd.Series, argument: str, order: Sequence | None = None) -> list:
-    """Return each label of a column once, in the order asked for, else in that of the categories, else sorted."""
+    """
+    Return each label of a column once, in the order asked for, else in that of the categories, else
+    sorted.
+    """
     labels = _labels(series, argument)
     if order is not None:
         wanted = list(order) if isinstance(order, Iterable) and not isinstance(order, str) else []
@@ -102,21 +118,29 @@ def levels_of(series: pd.Series, argument: str, order: Sequence | None = None) -
     except TypeError:
         kinds = " and ".join(sorted({type(label).__name__ for label in labels}))
         remedy = "make them one type, or give order=[…]"
-        raise ValueError(f"within: column {series.name!r} mixes {kinds}, without a common order; {remedy}") from None
+        raise ValueError(
+            f"within: column {series.name!r} mixes {kinds}, without a common order; {remedy}"
+        ) from None
 
 
 def _scores(series: pd.Series, where: Callable[[int], str]) -> np.ndarray:
-    """Return the scores as floats, NaN where missing; anything but real, finite numbers is refused."""
+    """
+    Return the scores as floats, NaN where missing; anything but real, finite numbers is refused.
+    """
     start = f"dv: column {series.name!r}"
     if isinstance(series.dtype, pd.CategoricalDtype):
-        raise ValueError(f"{start} is categorical; scores must be numbers (pandas.to_numeric makes them)")
+        raise ValueError(
+            f"{start} is categorical; scores must be numbers (pandas.to_numeric makes them)"
+        )
     values = np.empty(len(series))
     for k, value in enumerate(series.tolist()):
         try:
             values[k] = number_or_nan(value)
         except TypeError:
             remedy = "(text that stands for numbers: convert it with pandas.to_numeric)"
-            raise ValueError(f"{start} holds {shown(value)} for {where(k)}; scores must be numbers {remedy}") from None
+            raise ValueError(
+                f"{start} holds {shown(value)} for {where(k)}; scores must be numbers {remedy}"
+            ) from None
     infinite = np.isinf(values)
     if infinite.any():
         k = int(np.argmax(infinite))
@@ -125,24 +149,36 @@ def _scores(series: pd.Series, where: Callable[[int], str]) -> np.ndarray:
 
 
 def read_scores(
-    frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable, *, order: Sequence | None = None
+    frame: pd.DataFrame,
+    dv: Hashable,
+    within: Hashable,
+    subject: Hashable,
+    *,
+    order: Sequence | None = None,
 ) -> ScoreTable:
     """
     Check a long table and arrange its scores as subjects × conditions, missing cells as NaN.
 
-    By default a categorical column keeps the order of its categories (those that occur); any other is sorted.
+    By default a categorical column keeps the order of its categories (those that occur); any other
+    is sorted.
     """
     of_class("frame", frame, pd.DataFrame, "with a row per subject and condition")
     columns = {"dv": dv, "within": within, "subject": subject}
     remedy = _how_to_melt(frame, dv, within, subject)
-    series = {argument: column_of(frame, argument, name, remedy) for argument, name in columns.items()}
+    series = {
+        argument: column_of(frame, argument, name, remedy) for argument, name in columns.items()
+    }
     if len(set(columns.values())) < 3:
-        raise ValueError(f"dv, within and subject must be three columns, got {dv!r}, {within!r}, {subject!r}")
+        raise ValueError(
+            f"dv, within and subject must be three columns, got {dv!r}, {within!r}, {subject!r}"
+        )
     if len(frame) == 0:
         raise ValueError("frame has no rows")
     conditions = levels_of(series["within"], "within", order)
     subjects = _labels(series["subject"], "subject")
-    with suppress(TypeError):  # labels of several types stay in order of appearance: nothing depends on it
+    with suppress(
+        TypeError
+    ):  # labels of several types stay in order of appearance: nothing depends on it
         subjects = sorted(subjects)
     k = len(conditions)
     cell = _codes(series["subject"], subjects) * k + _codes(series["within"], conditions)
@@ -153,7 +189,9 @@ def read_scores(
 
     scores = _scores(series["dv"], lambda i: f"{cell_name(cell[i])} (row {row[i]!r})")
     if k < 2:
-        raise ValueError(f"within: column {within!r} has one condition only, {conditions[0]!r}; two are needed")
+        raise ValueError(
+            f"within: column {within!r} has one condition only, {conditions[0]!r}; two are needed"
+        )
     counts = np.bincount(cell, minlength=len(subjects) * k)
     if (counts > 1).any():
         repeated, texts = np.flatnonzero(counts > 1), []
@@ -179,7 +217,9 @@ def read_scores(
 def _missing_cells(table: ScoreTable) -> str:
     texts = []
     for subject, scores in zip(table.subjects, table.values, strict=True):
-        absent = [repr(c) for c, score in zip(table.conditions, scores, strict=True) if np.isnan(score)]
+        absent = [
+            repr(c) for c, score in zip(table.conditions, scores, strict=True) if np.isnan(score)
+        ]
         if len(absent) == len(table.conditions):
             texts.append(f"subject {subject!r} has no score at all")
         elif absent:
@@ -194,29 +234,42 @@ def _alike(labels: tuple) -> str:
     for label in labels:
         other = plain.setdefault(str(label).strip().casefold(), label)
         if other is not label:
-            return f" (conditions {other!r} and {label!r} differ by spaces, case or type alone: are they the same?)"
+            return (
+                f" (conditions {other!r} and {label!r} differ by spaces, case or type alone: "
+                "are they the same?)"
+            )
     return ""
 
 
 def same_for_all(table: ScoreTable) -> list:
     """Return the conditions of a complete table in which every subject has the same score."""
     spread = np.ptp(table.values, axis=0)
-    return [condition for condition, range_ in zip(table.conditions, spread, strict=True) if range_ == 0.0]
+    return [
+        condition
+        for condition, range_ in zip(table.conditions, spread, strict=True)
+        if range_ == 0.0
+    ]
 
 
 def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTable, tuple]:
-    """Return a table without missing cells, and the subjects that were left out for it (missing="listwise")."""
+    """
+    Return a table without missing cells, and the subjects that were left out for it
+    (missing="listwise").
+    """
     one_of("missing", missing, ("raise", "listwise"))
     gone = np.isnan(table.values).any(axis=1)
     if gone.any() and missing == "raise":
         raise ValueError(
-            f"missing cells in {table.dv!r}: {_missing_cells(table)}{_alike(table.conditions)}. Complete them; or leave "
-            "these subjects out with missing='listwise'; or use trustlab.studies.mixed_model, which accepts missing cells"
+            f"missing cells in {table.dv!r}: {_missing_cells(table)}{_alike(table.conditions)}. "
+            "Complete them; or leave these subjects out with missing='listwise'; or use "
+            "trustlab.studies.mixed_model, which accepts missing cells"
         )
     excluded = tuple(s for s, out in zip(table.subjects, gone, strict=True) if out)
     kept = tuple(s for s, out in zip(table.subjects, gone, strict=True) if not out)
     if len(kept) < 3:
-        without = f" (left out: {_missing_cells(table)}){_alike(table.conditions)}" if excluded else ""
+        without = (
+            f" (left out: {_missing_cells(table)}){_alike(table.conditions)}" if excluded else ""
+        )
         named = f" ({', '.join(map(repr, kept))})" if kept else ""
         found = f"{len(kept)} complete subject(s){named} in column {table.subject!r}{without}"
         raise ValueError(f"subject: {found}; at least three are needed")

@@ -22,9 +22,14 @@ OUTLIER_RULES = {
 }
 
 _TARGETS = {"limit": "set to that limit", "next": "set to the next most extreme value"}
-_SPREADS = {"sd": "standard deviation", "mad": "median absolute deviation", "iqr": "interquartile range"}
+_SPREADS = {
+    "sd": "standard deviation",
+    "mad": "median absolute deviation",
+    "iqr": "interquartile range",
+}
 
-# 1/Φ⁻¹(3/4): times the median absolute deviation it estimates the standard deviation of normal values.
+# 1/Φ⁻¹(3/4): times the median absolute deviation it estimates the standard deviation of normal
+# values.
 _MAD_TO_SD = 1.482602218505602
 
 
@@ -38,7 +43,8 @@ class Winsorized:
     data : pandas.DataFrame or numpy.ndarray
         The data with outlying values replaced; rows, order and other columns are unchanged.
     changes : pandas.DataFrame
-        Values changed: subject (position from 0 for an array), condition (NaN for an array), old, new.
+        Values changed: subject (position from 0 for an array), condition (NaN for an array), old,
+        new.
     limits : pandas.DataFrame
         One row per condition looked at: condition, n, low, high, changed.
     rule : str
@@ -60,7 +66,9 @@ class Winsorized:
         return self.changes
 
     def apa(self) -> str:
-        """Return the sentence a paper needs: how many values of how many, whose, and by which rule."""
+        """
+        Return the sentence a paper needs: how many values of how many, whose, and by which rule.
+        """
         of = int(self.limits["n"].sum())
         if self.changes.empty:
             return f"None of {of} values was winsorized (rule: {self.rule})."
@@ -68,16 +76,22 @@ class Winsorized:
         for condition, own in self.changes.groupby("condition", sort=False, dropna=False):
             who = ", ".join(map(str, own["subject"]))
             where = "" if pd.isna(condition) else f" in {condition}"
-            parts.append(f"{len(own)}{where} ({'position' if pd.isna(condition) else 'subject'} {who})")
+            parts.append(
+                f"{len(own)}{where} ({'position' if pd.isna(condition) else 'subject'} {who})"
+            )
         word = "values was" if len(self.changes) == 1 else "values were"
-        return f"{len(self.changes)} of {of} {word} winsorized: {'; '.join(parts)}. Rule: {self.rule}."
+        return (
+            f"{len(self.changes)} of {of} {word} winsorized: {'; '.join(parts)}. Rule: {self.rule}."
+        )
 
     def _repr_html_(self) -> str:
         return as_html(self.apa(), self.changes)
 
 
 def _limits(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, float]:
-    """Return the lowest and highest value that is not outlying; not finite where the spread overflows."""
+    """
+    Return the lowest and highest value that is not outlying; not finite where the spread overflows.
+    """
     n = x.size
     if n < 3:
         raise ValueError(f"{where}: {n} values; winsorizing needs at least three")
@@ -85,7 +99,9 @@ def _limits(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, f
         return float(x[0]), float(x[0])
     if outside == "extremes":
         if 2 * k >= n:
-            raise ValueError(f"{where}: {k:g} values at each end are all of the {n}; use a smaller k")
+            raise ValueError(
+                f"{where}: {k:g} values at each end are all of the {n}; use a smaller k"
+            )
         ordered = np.sort(x)
         return float(ordered[int(k)]), float(ordered[n - 1 - int(k)])
     if outside == "quantile":
@@ -94,7 +110,10 @@ def _limits(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, f
     if outside == "sd":
         reach = (n - 1) / np.sqrt(n)  # no value of n lies more standard deviations from their mean
         if k >= reach:
-            found = f"none of {n} values can lie {k:g} standard deviations from their mean (at most {reach:.3g})"
+            found = (
+                f"none of {n} values can lie {k:g} standard deviations from their mean (at "
+                f"most {reach:.3g})"
+            )
             raise ValueError(f'{where}: {found}; use a smaller k or outside="mad" or "iqr"')
         low = high = x.mean()
         spread = x.std(ddof=1)
@@ -105,14 +124,19 @@ def _limits(x: np.ndarray, outside: str, k: float, where: str) -> tuple[float, f
         low, high = np.quantile(x, [0.25, 0.75])
         spread = high - low
     if spread == 0.0:
-        raise ValueError(f"{where}: so many values are equal that their {_SPREADS[outside]} is 0; choose another rule")
+        raise ValueError(
+            f"{where}: so many values are equal that their {_SPREADS[outside]} is 0; choose "
+            "another rule"
+        )
     return float(low - k * spread), float(high + k * spread)
 
 
 def _moved(x: np.ndarray, low: float, high: float, to: str, where: str) -> np.ndarray:
     """Return the values with those outside [low, high] replaced."""
     if not np.isfinite([low, high]).all():
-        raise ValueError(f"{where}: values are so large that their spread overflows; change their unit")
+        raise ValueError(
+            f"{where}: values are so large that their spread overflows; change their unit"
+        )
     inside = x[(x >= low) & (x <= high)]
     if inside.size == 0:
         raise ValueError(f"{where}: every value is outside {low:g} to {high:g}; use a larger k")
@@ -141,13 +165,20 @@ def _chosen(conditions: Sequence[Hashable] | None, table: ScoreTable) -> list:
     chosen = labels_of("conditions", conditions, 1)
     for condition in chosen:
         if condition not in table.conditions:
-            hint = f"{did_you_mean(condition, table.conditions)} (there are {', '.join(map(str, table.conditions))})"
+            hint = (
+                f"{did_you_mean(condition, table.conditions)} (there are "
+                f"{', '.join(map(str, table.conditions))})"
+            )
             raise ValueError(f"conditions: {condition!r} is not in column {table.within!r}{hint}")
     return list(chosen)
 
 
-def _cells(frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable, conditions: Any) -> tuple:
-    """Return a table's scores and subjects, and the rows of each condition in which there is a score."""
+def _cells(
+    frame: pd.DataFrame, dv: Hashable, within: Hashable, subject: Hashable, conditions: Any
+) -> tuple:
+    """
+    Return a table's scores and subjects, and the rows of each condition in which there is a score.
+    """
     chosen = _chosen(conditions, read_scores(frame, dv, within, subject))
     scores = pd.to_numeric(frame[dv]).to_numpy(dtype=float, na_value=np.nan).copy()
     labels, there = list(frame[within]), np.isfinite(scores)
@@ -169,23 +200,25 @@ def winsorize(
     """
     Replace outlying values, condition by condition, and list every change.
 
-    Section 3.9.4.1 winsorizes two outliers of one condition and does not say by which rule; here every part of the
-    rule is an argument without a default.
+    Section 3.9.4.1 winsorizes two outliers of one condition and does not say by which rule; here
+    every part of the rule is an argument without a default.
 
     Parameters
     ----------
     data : pandas.DataFrame or array_like, shape (N,)
-        A long table with a row per subject and condition, or plain values. Missing cells of a table stay missing.
+        A long table with a row per subject and condition, or plain values. Missing cells of a table
+        stay missing.
     dv, within, subject : hashable
         Columns with the score, the condition and the subject; for a table only.
     outside : {"sd", "mad", "iqr", "quantile", "extremes"}
-        Which values count as outlying: beyond k standard deviations from the mean, k scaled median absolute deviations
-        from the median, k interquartile ranges from the quartiles, the quantiles k and 1 − k, or the k most extreme
-        values at each end.
+        Which values count as outlying: beyond k standard deviations from the mean, k scaled median
+        absolute deviations from the median, k interquartile ranges from the quartiles, the
+        quantiles k and 1 − k, or the k most extreme values at each end.
     k : float
         The rule's number.
     to : {"limit", "next"}
-        What an outlying value becomes: the limit itself, or the most extreme value that is not outlying.
+        What an outlying value becomes: the limit itself, or the most extreme value that is not
+        outlying.
     conditions : sequence, optional
         The conditions to look at; all by default.
 
@@ -196,8 +229,8 @@ def winsorize(
     Raises
     ------
     ValueError
-        If the table is refused (see `trustlab.studies.analysis.score_table`), a rule is unknown or cannot apply to so few or so
-        many equal values, or a condition is unknown.
+        If the table is refused (see `trustlab.studies.analysis.score_table`), a rule is unknown or
+        cannot apply to so few or so many equal values, or a condition is unknown.
 
     Examples
     --------
@@ -214,7 +247,9 @@ def winsorize(
         words += " of each condition" if outside == "extremes" else ", per condition"
     else:
         if any(argument is not None for argument in (dv, within, subject, conditions)):
-            raise ValueError("dv, within, subject and conditions are for a DataFrame; plain values have none")
+            raise ValueError(
+                "dv, within, subject and conditions are for a DataFrame; plain values have none"
+            )
         if np.asarray(data).dtype.kind not in "iuf":
             raise ValueError(f"data must be numbers, got {np.asarray(data).dtype}")
         scores = finite_array("data", data).copy()
@@ -223,7 +258,9 @@ def winsorize(
     changes, limits = [], []
     for condition, rows in groups.items():
         x, where = scores[rows], "data" if dv is None else f"condition {condition!r} of {dv!r}"
-        with np.errstate(over="ignore", invalid="ignore"):  # a spread that overflows is refused below
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # a spread that overflows is refused below
             low, high = _limits(x, outside, k, where)
         new = _moved(x, low, high, to, where)
         moved = np.flatnonzero(new != x)

@@ -1,1 +1,3 @@
-"""Designs of several factors: within and between subjects, with covariates, and orders of conditions."""
+"""
+Designs of several factors: within and between subjects, with covariates, and orders of conditions.
+"""

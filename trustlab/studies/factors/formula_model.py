@@ -1,4 +1,7 @@
-"""Mixed models by formula: trials, covariates, random slopes and missing cells; by statsmodels, tested by likelihood ratios."""
+"""
+Mixed models by formula: trials, covariates, random slopes and missing cells; by statsmodels, tested
+by likelihood ratios.
+"""
 
 import warnings
 from collections.abc import Hashable
@@ -62,26 +65,36 @@ class FormulaModel:
 
     def table(self) -> pd.DataFrame:
         """
-        Return the likelihood-ratio test of every term, against the model without it and without what contains it.
+        Return the likelihood-ratio test of every term, against the model without it and without
+        what contains it.
 
         Returns
         -------
         pandas.DataFrame
-            Columns term, chi2, df, p_chi2 (asymptotic: too small with few groups), p_bootstrap (share of data sets simulated from the
-            model without the term whose χ² is as large, (count + 1)/(draws + 1); NaN without a bootstrap).
+            Columns term, chi2, df, p_chi2 (asymptotic: too small with few groups), p_bootstrap
+            (share of data sets simulated from the model without the term whose χ² is as large,
+            (count + 1)/(draws + 1); NaN without a bootstrap).
         """
         return self.tests.copy()
 
     def coefficients_table(self) -> pd.DataFrame:
-        """Return the fixed effects, by restricted likelihood or in logits: name estimate se z p ci_low ci_high (95 %, normal)."""
+        """
+        Return the fixed effects, by restricted likelihood or in logits: name estimate se z p ci_low
+        ci_high (95 %, normal).
+        """
         return self.coefficients.copy()
 
     def random_effects(self) -> pd.DataFrame:
-        """Return variances and correlations of the random effects and the residual variance: name, variance, sd, then correlations."""
+        """
+        Return variances and correlations of the random effects and the residual variance: name,
+        variance, sd, then correlations.
+        """
         return self.variances.copy()
 
     def _repr_html_(self) -> str:
-        how = "likelihood ratios, asymptotic" + (f" and by {self.draws} simulated data sets" if self.draws else "")
+        how = "likelihood ratios, asymptotic" + (
+            f" and by {self.draws} simulated data sets" if self.draws else ""
+        )
         found = f"{self.origin} {self.observations} rows of {self.n} groups; {how}".strip()
         title = f"{self.formula}, random {self.random}, {self.family}"
         return as_html(found, self.tests, self.coefficients, self.variances, title=title)
@@ -101,7 +114,9 @@ def formula_model(
     """Fit a mixed model by formula; the arguments are those of `mixed_model`."""
     of_class("formula", formula, str)
     of_class("random", random, str, 'such as "1" (intercepts) or "1 + trial" (and slopes)')
-    frame = of_class("data", data, pd.DataFrame, "give the table after the formula, or as data=").reset_index(drop=True)
+    frame = of_class(
+        "data", data, pd.DataFrame, "give the table after the formula, or as data="
+    ).reset_index(drop=True)
     if formula.count("~") != 1:
         raise ValueError(f"formula must be “score ~ terms”, got {formula!r}")
     bootstrap = whole_number("bootstrap", bootstrap, least=0, most=100_000)
@@ -111,11 +126,15 @@ def formula_model(
     refuse_missing_labels(column_of(frame, "groups", groups), "groups")
     codes, labels = pd.factorize(frame[groups])
     if len(labels) < 3:
-        raise ValueError(f"groups: column {groups!r} has {len(labels)} groups; at least three are needed")
+        raise ValueError(
+            f"groups: column {groups!r} has {len(labels)} groups; at least three are needed"
+        )
     y, x, z, terms = _matrices(formula, random, frame)
     if family == "binomial":
         if list(z.columns) != ["Intercept"]:
-            raise ValueError(f'family="binomial" has random intercepts only: random="1", got {random!r}')
+            raise ValueError(
+                f'family="binomial" has random intercepts only: random="1", got {random!r}'
+            )
         logistic = Logistic(codes, checked_counts(y, frame, trials), points)
         model: Model = logistic
         estimates = _logistic_estimates(logistic, y, x)
@@ -125,7 +144,10 @@ def formula_model(
         model = normal = _Normal(codes, z)
         estimates = _normal_estimates(normal, y, x, centre, scale)
     seeds = spawned(seed, len(terms))
-    tests = [_test(name, terms, y, x, model, bootstrap, own) for name, own in zip(terms, seeds, strict=True)]
+    tests = [
+        _test(name, terms, y, x, model, bootstrap, own)
+        for name, own in zip(terms, seeds, strict=True)
+    ]
     origin = origin_of(data.attrs)
     labelled(estimates["coefficients"], origin)
     table = pd.DataFrame(tests, columns=["term", "chi2", "df", "p_chi2", "p_bootstrap"])
@@ -143,10 +165,17 @@ def formula_model(
     )
 
 
-def _normal_estimates(model: "_Normal", y: np.ndarray, x: pd.DataFrame, centre: float, scale: float) -> dict:
-    """Return the estimates of a linear model in the unit of the score: fixed effects and variances by restricted likelihood."""
+def _normal_estimates(
+    model: "_Normal", y: np.ndarray, x: pd.DataFrame, centre: float, scale: float
+) -> dict:
+    """
+    Return the estimates of a linear model in the unit of the score: fixed effects and variances by
+    restricted likelihood.
+    """
     full, restricted = model.fit(y, x.to_numpy()), model.fit(y, x.to_numpy(), reml=True)
-    estimate = scale * restricted.fe_params + centre * np.array([name == "Intercept" for name in x.columns])
+    estimate = scale * restricted.fe_params + centre * np.array(
+        [name == "Intercept" for name in x.columns]
+    )
     covariance = scale**2 * np.atleast_2d(restricted.cov_re)
     return {
         "coefficients": _coefficients(list(x.columns), estimate, scale * restricted.bse_fe),
@@ -160,7 +189,10 @@ def _logistic_estimates(model: Logistic, y: np.ndarray, x: pd.DataFrame) -> dict
     """Return the estimates of a logistic model, in logits."""
     fit = model.fit(y, x.to_numpy(), covariance=True)
     if np.abs(x.to_numpy() @ fit.beta).max() > _FAR:
-        raise ValueError("the likelihood has no maximum: some effect separates successes from failures; leave it out")
+        raise ValueError(
+            "the likelihood has no maximum: some effect separates successes from failures; leave "
+            "it out"
+        )
     return {
         "coefficients": _coefficients(list(x.columns), fit.beta, np.sqrt(np.diag(fit.covariance))),
         "variances": _variances(["Intercept"], np.array([[fit.sd**2]])),
@@ -177,7 +209,10 @@ def _coefficients(names: list[str], estimate: np.ndarray, se: np.ndarray) -> pd.
 
 
 def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
-    """Return score, regressors of fixed and of random effects, and for every term its columns; no row is left out in silence."""
+    """
+    Return score, regressors of fixed and of random effects, and for every term its columns; no row
+    is left out in silence.
+    """
     from formulaic import model_matrix
     from formulaic.errors import FormulaicError
 
@@ -186,7 +221,9 @@ def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
         z = model_matrix(random, frame, na_action="ignore")
     except (FormulaicError, NameError, KeyError, SyntaxError, ValueError) as error:
         there = ", ".join(map(str, frame))
-        raise ValueError(f"formula {formula!r}, random {random!r}: {error} (columns are {there})") from None
+        raise ValueError(
+            f"formula {formula!r}, random {random!r}: {error} (columns are {there})"
+        ) from None
     y, x = found.lhs, found.rhs
     if y.shape[1] != 1:
         raise ValueError(f"formula {formula!r}: the score must be one column of numbers")
@@ -194,40 +231,65 @@ def _matrices(formula: str, random: str, frame: pd.DataFrame) -> tuple:
     bad = ~np.isfinite(together).all(axis=1)
     if bad.any():
         row = int(np.argmax(bad))
-        raise ValueError(f"data: {bad.sum()} rows have a missing or infinite value, row {row} first; leave them out")
-    terms = {str(term): list(columns) for term, columns in x.model_spec.term_indices.items() if str(term) != "1"}
+        raise ValueError(
+            f"data: {bad.sum()} rows have a missing or infinite value, row {row} first; leave "
+            "them out"
+        )
+    terms = {
+        str(term): list(columns)
+        for term, columns in x.model_spec.term_indices.items()
+        if str(term) != "1"
+    }
     score = together[:, 0]
     if np.linalg.matrix_rank(together[:, 1 : x.shape[1] + 1]) < x.shape[1]:
-        raise ValueError(f"formula {formula!r}: its columns are linearly dependent; an effect is not estimable")
+        raise ValueError(
+            f"formula {formula!r}: its columns are linearly dependent; an effect is not estimable"
+        )
     if not np.ptp(score):
         raise ValueError(f"formula {formula!r}: every score is {score[0]:g}")
-    numbers = [pd.DataFrame(np.asarray(part, dtype=float), columns=list(part.columns)) for part in (x, z)]
+    numbers = [
+        pd.DataFrame(np.asarray(part, dtype=float), columns=list(part.columns)) for part in (x, z)
+    ]
     return score, *numbers, terms
 
 
 class _Normal:
-    """A linear model with correlated random effects by group: fitted by statsmodels, and drawn from."""
+    """
+    A linear model with correlated random effects by group: fitted by statsmodels, and drawn from.
+    """
 
     def __init__(self, codes: np.ndarray, z: pd.DataFrame):
         self.codes, self.z = codes, z
 
     def fit(self, y: np.ndarray, x: np.ndarray, reml: bool = False):
-        """Return the best fit from two starts: statsmodels' own can end at a variance of zero that is not the maximum."""
+        """
+        Return the best fit from two starts: statsmodels' own can end at a variance of zero that is
+        not the maximum.
+        """
         from statsmodels.regression.mixed_linear_model import MixedLM, MixedLMParams
 
         model = MixedLM(y, x, self.codes, exog_re=self.z.to_numpy())
         beta = np.linalg.lstsq(x, y, rcond=None)[0]
         fits = []
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a variance at its boundary, which the result says by itself
-            for start in (None, MixedLMParams.from_components(beta, cov_re=np.eye(self.z.shape[1]))):
+            warnings.simplefilter(
+                "ignore"
+            )  # of a variance at its boundary, which the result says by itself
+            for start in (
+                None,
+                MixedLMParams.from_components(beta, cov_re=np.eye(self.z.shape[1])),
+            ):
                 try:
-                    fits.append(model.fit(start_params=start, reml=reml, method=["bfgs", "lbfgs", "powell"]))
+                    fits.append(
+                        model.fit(start_params=start, reml=reml, method=["bfgs", "lbfgs", "powell"])
+                    )
                 except np.linalg.LinAlgError:
                     continue
         fits = [fit for fit in fits if np.isfinite(fit.llf)]
         if not fits:
-            raise ValueError("no maximum of the mixed model's likelihood was found; give fewer random effects")
+            raise ValueError(
+                "no maximum of the mixed model's likelihood was found; give fewer random effects"
+            )
         return max(fits, key=lambda fit: fit.llf)
 
     def draw(self, fit, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -243,9 +305,18 @@ Model = _Normal | Logistic
 
 
 def _test(
-    name: str, terms: dict, y: np.ndarray, x: pd.DataFrame, model: Model, draws: int, seed: SeedSequence
+    name: str,
+    terms: dict,
+    y: np.ndarray,
+    x: pd.DataFrame,
+    model: Model,
+    draws: int,
+    seed: SeedSequence,
 ) -> tuple:
-    """Return the likelihood-ratio test of a term, asymptotic and by simulation from the model without it."""
+    """
+    Return the likelihood-ratio test of a term, asymptotic and by simulation from the model without
+    it.
+    """
     own = set(name.split(":"))
     above = [i for other, columns in terms.items() if own < set(other.split(":")) for i in columns]
     full = x.drop(columns=x.columns[above]).to_numpy()
@@ -265,12 +336,16 @@ def _test(
     return name, chi2, df, float(special.chdtrc(df, chi2)), p_bootstrap
 
 
-def _variances(names: list[str], covariance: np.ndarray, residual: float | None = None) -> pd.DataFrame:
+def _variances(
+    names: list[str], covariance: np.ndarray, residual: float | None = None
+) -> pd.DataFrame:
     """Return the random effects in a table, and the residual variance of a model that has one."""
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = covariance / np.outer(sd, sd)
-    table = pd.DataFrame({"name": [*names, "residual"], "variance": [*np.diag(covariance), residual]})
+    table = pd.DataFrame(
+        {"name": [*names, "residual"], "variance": [*np.diag(covariance), residual]}
+    )
     table["sd"] = np.sqrt(table["variance"].clip(lower=0.0))
     for j, name in enumerate(names):
         table[f"correlation with {name}"] = [*correlation[:, j], np.nan]

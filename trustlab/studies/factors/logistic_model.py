@@ -1,4 +1,7 @@
-"""Logistic models with a random intercept per group: maximum likelihood by adaptive Gauss–Hermite quadrature."""
+"""
+Logistic models with a random intercept per group: maximum likelihood by adaptive Gauss–Hermite
+quadrature.
+"""
 
 from typing import NamedTuple
 
@@ -13,7 +16,10 @@ from trustlab.studies.columns import column_of
 
 
 class LogisticFit(NamedTuple):
-    """Estimates: log-likelihood without binomial coefficients, logits, SD of the intercepts, covariance of the logits."""
+    """
+    Estimates: log-likelihood without binomial coefficients, logits, SD of the intercepts,
+    covariance of the logits.
+    """
 
     llf: float
     beta: np.ndarray
@@ -24,15 +30,19 @@ class LogisticFit(NamedTuple):
 @njit
 def _log_likelihood(eta, counts, trials, first, sd, nodes, log_weights):
     """
-    Return Σ log ∫ ∏ p^count (1 − p)^(trials − count) φ(v) dv over groups, logit p = η + sd v, without binomial coefficients.
+    Return Σ log ∫ ∏ p^count (1 − p)^(trials − count) φ(v) dv over groups, logit p = η + sd v,
+    without binomial coefficients.
 
-    Group g has rows first[g] to first[g + 1]. Nodes lie about the mode of each group's integrand (Pinheiro and Bates, 1995); one
-    node is Laplace's approximation.
+    Group g has rows first[g] to first[g + 1]. Nodes lie about the mode of each group's integrand
+    (Pinheiro and Bates, 1995); one node is Laplace's approximation.
     """
     total = 0.0
     values = np.empty(nodes.size)
     for g in range(first.size - 1):
-        v, low, high, curvature = 0.0, -1e3, 1e3, 1.0
+        v = 0.0
+        low = -1e3
+        high = 1e3
+        curvature = 1.0
         for _ in range(200):
             slope, curvature = -v, 1.0
             for i in range(first[g], first[g + 1]):
@@ -65,7 +75,10 @@ def _log_likelihood(eta, counts, trials, first, sd, nodes, log_weights):
 
 @njit
 def _loss_and_slope(parameters, rows, counts, trials, first, nodes, log_weights):
-    """Return the negative log-likelihood at logits and SD (of either sign), and its gradient by central differences."""
+    """
+    Return the negative log-likelihood at logits and SD (of either sign), and its gradient by
+    central differences.
+    """
     values, slope = np.empty(2), np.empty(parameters.size)
     for i in range(parameters.size):
         step = 1e-5 * max(1.0, abs(parameters[i]))
@@ -73,14 +86,21 @@ def _loss_and_slope(parameters, rows, counts, trials, first, nodes, log_weights)
             moved = parameters.copy()
             moved[i] += step * (1 - 2 * side)
             eta = rows @ moved[:-1]
-            values[side] = _log_likelihood(eta, counts, trials, first, abs(moved[-1]), nodes, log_weights)
+            values[side] = _log_likelihood(
+                eta, counts, trials, first, abs(moved[-1]), nodes, log_weights
+            )
         slope[i] = (values[1] - values[0]) / (2.0 * step)
     eta = rows @ parameters[:-1]
-    return -_log_likelihood(eta, counts, trials, first, abs(parameters[-1]), nodes, log_weights), slope
+    return -_log_likelihood(
+        eta, counts, trials, first, abs(parameters[-1]), nodes, log_weights
+    ), slope
 
 
 class Logistic:
-    """Counts out of trials by group: what a random-intercept model is fitted to, and how data are drawn from one."""
+    """
+    Counts out of trials by group: what a random-intercept model is fitted to, and how data are
+    drawn from one.
+    """
 
     def __init__(self, codes: np.ndarray, trials: np.ndarray, points: int):
         self.codes, self.trials = codes, trials
@@ -90,32 +110,46 @@ class Logistic:
         self._log_weights = np.log(weights)
 
     def fit(self, counts: np.ndarray, x: np.ndarray, covariance: bool = False) -> LogisticFit:
-        """Return the maximum of the likelihood; the covariance is that of the observed information, and zero unless asked for."""
+        """
+        Return the maximum of the likelihood; the covariance is that of the observed information,
+        and zero unless asked for.
+        """
         order = self._order
         own = (counts[order], self.trials[order], self._first, self._nodes, self._log_weights)
         data = (np.ascontiguousarray(x[order]), *own)
         # Least squares of empirical logits: near enough to start from.
         logits = np.log((counts + 0.5) / (self.trials - counts + 0.5))
         start = np.linalg.lstsq(x, logits, rcond=None)[0]
-        found = minimize(_loss_and_slope, np.append(start, 0.7), data, "BFGS", jac=True, options={"gtol": 1e-6})
+        found = minimize(
+            _loss_and_slope, np.append(start, 0.7), data, "BFGS", jac=True, options={"gtol": 1e-6}
+        )
         beta, sd = found.x[:-1], abs(float(found.x[-1]))
         information = np.zeros((beta.size, beta.size))
         if covariance:
             from statsmodels.tools.numdiff import approx_hess3
 
-            hessian = approx_hess3(found.x, lambda parameters: _loss_and_slope(parameters, *data)[0])
-            # Where the intercepts do not vary the SD is at its boundary, and carries no information on the logits.
-            information = np.linalg.inv(hessian if sd > _SINGULAR else hessian[:-1, :-1])[: beta.size, : beta.size]
+            hessian = approx_hess3(
+                found.x, lambda parameters: _loss_and_slope(parameters, *data)[0]
+            )
+            # Where the intercepts do not vary the SD is at its boundary, and carries no information
+            # on the logits.
+            information = np.linalg.inv(hessian if sd > _SINGULAR else hessian[:-1, :-1])[
+                : beta.size, : beta.size
+            ]
         return LogisticFit(-float(found.fun), beta, sd, information)
 
     def log_coefficients(self, counts: np.ndarray) -> float:
         """Return the sum of the logarithms of the binomial coefficients."""
-        return float(-(np.log1p(self.trials) + special.betaln(counts + 1, self.trials - counts + 1)).sum())
+        return float(
+            -(np.log1p(self.trials) + special.betaln(counts + 1, self.trials - counts + 1)).sum()
+        )
 
     def draw(self, fit: LogisticFit, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Return counts drawn from a fitted model."""
         effects = fit.sd * rng.standard_normal(self.codes.max() + 1)
-        return rng.binomial(self.trials.astype(int), special.expit(x @ fit.beta + effects[self.codes])).astype(float)
+        return rng.binomial(
+            self.trials.astype(int), special.expit(x @ fit.beta + effects[self.codes])
+        ).astype(float)
 
 
 # SD below which intercepts do not vary.
@@ -124,10 +158,26 @@ _SINGULAR = 1e-3
 
 def checked_counts(counts: np.ndarray, data: pd.DataFrame, trials: str | None) -> np.ndarray:
     """Return the number of trials of every row, which successes must be counts out of."""
-    out_of = np.ones(counts.size) if trials is None else finite_array("trials", column_of(data, "trials", trials))
-    bad = (out_of < 1) | (out_of != np.round(out_of)) | (counts < 0) | (counts > out_of) | (counts != np.round(counts))
+    out_of = (
+        np.ones(counts.size)
+        if trials is None
+        else finite_array("trials", column_of(data, "trials", trials))
+    )
+    bad = (
+        (out_of < 1)
+        | (out_of != np.round(out_of))
+        | (counts < 0)
+        | (counts > out_of)
+        | (counts != np.round(counts))
+    )
     if bad.any():
         row = int(np.argmax(bad))
-        remedy = 'trials="…" names the column with how many there were' if trials is None else "check both columns"
-        raise ValueError(f"row {row}: {counts[row]:g} of {out_of[row]:g} is no number of successes; {remedy}")
+        remedy = (
+            'trials="…" names the column with how many there were'
+            if trials is None
+            else "check both columns"
+        )
+        raise ValueError(
+            f"row {row}: {counts[row]:g} of {out_of[row]:g} is no number of successes; {remedy}"
+        )
     return out_of

@@ -1,4 +1,7 @@
-"""Orders of conditions: period, sequence and first-order carry-over, and the conditions' effect adjusted for them."""
+"""
+Orders of conditions: period, sequence and first-order carry-over, and the conditions' effect
+adjusted for them.
+"""
 
 import warnings
 from collections.abc import Hashable, Iterable, Sequence
@@ -43,20 +46,22 @@ class OrderEffects:
 
     def table(self) -> pd.DataFrame:
         """
-        Return the tests, each effect adjusted for all others within subjects; sequences are compared between subjects.
+        Return the tests, each effect adjusted for all others within subjects; sequences are
+        compared between subjects.
 
         Returns
         -------
         pandas.DataFrame
-            Rows sequence, position, condition, carry_over and condition_without_carry_over (condition adjusted for position only);
-            columns effect, ss, df1, df2, F, p, note. NaN where the orders do not separate an effect from others; the note
-            says so.
+            Rows sequence, position, condition, carry_over and condition_without_carry_over
+            (condition adjusted for position only); columns effect, ss, df1, df2, F, p, note. NaN
+            where the orders do not separate an effect from others; the note says so.
         """
         return self.tests.copy()
 
     def pairs(self) -> pd.DataFrame:
         """
-        Return differences between conditions, adjusted for position and carry-over (as far as the orders separate them).
+        Return differences between conditions, adjusted for position and carry-over (as far as the
+        orders separate them).
 
         Returns
         -------
@@ -83,8 +88,8 @@ def order_effects(
     """
     Test period, sequence and first-order carry-over in Latin squares and Williams designs.
 
-    Within subjects, score = subject + position + condition + carry-over of the condition before (none at the first position), by
-    least squares; the sequence is tested on the subjects' means.
+    Within subjects, score = subject + position + condition + carry-over of the condition before
+    (none at the first position), by least squares; the sequence is tested on the subjects' means.
 
     Parameters
     ----------
@@ -104,8 +109,8 @@ def order_effects(
     Raises
     ------
     ValueError
-        If a column is unknown, positions of a subject are not 1, 2 …, a score is missing, or nothing is left to estimate the
-        error from.
+        If a column is unknown, positions of a subject are not 1, 2 …, a score is missing, or
+        nothing is left to estimate the error from.
 
     References
     ----------
@@ -129,30 +134,47 @@ def order_effects(
     scores = read_scores(frame, dv, position, subject)
     if np.isnan(scores.values).any():
         i, j = np.argwhere(np.isnan(scores.values))[0]
-        raise ValueError(f"dv: subject {scores.subjects[i]!r} has no score at position {scores.conditions[j]!r}")
+        raise ValueError(
+            f"dv: subject {scores.subjects[i]!r} has no score at position {scores.conditions[j]!r}"
+        )
     n, k = scores.values.shape
     if list(scores.conditions) != list(range(1, k + 1)):
-        raise ValueError(f"position: column {position!r} must hold 1 to {k}, found {list(scores.conditions)}")
+        raise ValueError(
+            f"position: column {position!r} must hold 1 to {k}, found {list(scores.conditions)}"
+        )
     conditions = levels_of(column_of(frame, "condition", condition), "condition", order)
     where = frame.set_index([subject, position])[condition].to_dict()
-    codes = np.array([[conditions.index(where[who, place]) for place in scores.conditions] for who in scores.subjects])
+    codes = np.array(
+        [
+            [conditions.index(where[who, place]) for place in scores.conditions]
+            for who in scores.subjects
+        ]
+    )
     names = [tuple(row) for row in codes.tolist()]
     if sequence is not None:
         column_of(frame, "sequence", sequence)
         given = frame.drop_duplicates([subject, sequence]).set_index(subject)[sequence]
         if twice := given.index[given.index.duplicated()].tolist():
-            raise ValueError(f"sequence: subject {twice[0]!r} has two sequences in column {sequence!r}")
+            raise ValueError(
+                f"sequence: subject {twice[0]!r} has two sequences in column {sequence!r}"
+            )
         names = [given[who] for who in scores.subjects]
     tests = _within_tests(scores.values, codes, len(conditions))
     tests.insert(0, _sequence_test(scores.values.mean(axis=1) * np.sqrt(k), names))
     columns = ["effect", "ss", "df1", "df2", "F", "p", "note"]
-    table, pairs = pd.DataFrame(tests, columns=columns), _differences(scores.values, codes, conditions)
+    table, pairs = (
+        pd.DataFrame(tests, columns=columns),
+        _differences(scores.values, codes, conditions),
+    )
     table, pairs = labelled(table, scores.origin), labelled(pairs, scores.origin)
     return OrderEffects(dv, tuple(conditions), n, table, pairs, scores.origin)
 
 
 def _regressors(codes: np.ndarray, count: int) -> dict[str, np.ndarray]:
-    """Return the columns of every effect, a row per subject and position; sums to zero, but for the subjects."""
+    """
+    Return the columns of every effect, a row per subject and position; sums to zero, but for the
+    subjects.
+    """
     n, k = codes.shape
 
     def coded(values: np.ndarray, levels: int) -> np.ndarray:
@@ -174,7 +196,9 @@ def _least_squares(y: np.ndarray, parts: Iterable[np.ndarray]):
     from statsmodels.regression.linear_model import OLS
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of dependent columns, which degrees of freedom and notes say by themselves
+        warnings.simplefilter(
+            "ignore"
+        )  # of dependent columns, which degrees of freedom and notes say by themselves
         return OLS(y, np.column_stack(list(parts))).fit()
 
 
@@ -187,7 +211,10 @@ def _within_tests(values: np.ndarray, codes: np.ndarray, count: int) -> list[tup
         without, _, left_out = effect.partition("_without_")
         full = {name: x for name, x in parts.items() if name != left_out}
         fit = _least_squares(y, full.values())
-        if fit.df_resid < 1 or fit.ssr <= fit.df_resid * (4.0 * np.finfo(float).eps * np.abs(values).max()) ** 2:
+        if (
+            fit.df_resid < 1
+            or fit.ssr <= fit.df_resid * (4.0 * np.finfo(float).eps * np.abs(values).max()) ** 2
+        ):
             beside = "subjects, positions, conditions and carry-over"
             raise ValueError(f"dv: {values.size} scores leave no error variance beside {beside}")
         reduced = _least_squares(y, (x for name, x in full.items() if name != without))
@@ -201,7 +228,9 @@ def _row(effect: str, fit, reduced, wanted: int) -> tuple:
     if df1 == 0:
         why = "not estimable: these orders do not separate it from the other effects"
         return effect, np.nan, 0, df2, np.nan, np.nan, why
-    note = "" if df1 == wanted else f"only {df1} of {wanted} contrasts are estimable from these orders"
+    note = (
+        "" if df1 == wanted else f"only {df1} of {wanted} contrasts are estimable from these orders"
+    )
     f, p, _ = fit.compare_f_test(reduced)
     return effect, reduced.ssr - fit.ssr, df1, df2, float(f), float(p), note
 
@@ -215,11 +244,16 @@ def _sequence_test(means: np.ndarray, names: list) -> tuple:
         why = "one sequence only" if df1 < 1 else "every sequence has one subject"
         return "sequence", np.nan, df1, df2, np.nan, np.nan, f"not testable: {why}"
     y = means - means.mean()
-    return _row("sequence", _least_squares(y, [indicators]), _least_squares(y, [np.ones((y.size, 1))]), df1)
+    return _row(
+        "sequence", _least_squares(y, [indicators]), _least_squares(y, [np.ones((y.size, 1))]), df1
+    )
 
 
 def _differences(values: np.ndarray, codes: np.ndarray, conditions: list) -> pd.DataFrame:
-    """Return the differences of conditions in the full model, or without carry-over where the orders do not separate it."""
+    """
+    Return the differences of conditions in the full model, or without carry-over where the orders
+    do not separate it.
+    """
     y = (values - values.mean()).ravel()
     parts = _regressors(codes, len(conditions))
     fit, k = _least_squares(y, parts.values()), len(conditions)
@@ -231,7 +265,9 @@ def _differences(values: np.ndarray, codes: np.ndarray, conditions: list) -> pd.
     weights = np.zeros((len(pairs), fit.model.exog.shape[1]))
     weights[:, start : start + k - 1] = [coding[i] - coding[j] for i, j in pairs]
     # What is not estimable is no combination of rows of the regressors.
-    estimable = np.isclose(weights @ np.linalg.pinv(fit.model.exog) @ fit.model.exog, weights, atol=1e-8).all(axis=1)
+    estimable = np.isclose(
+        weights @ np.linalg.pinv(fit.model.exog) @ fit.model.exog, weights, atol=1e-8
+    ).all(axis=1)
     tests = fit.t_test(weights)
     low, high = tests.conf_int().T
     columns = {"mean_difference": tests.effect, "ci_low": low, "ci_high": high}

@@ -1,4 +1,7 @@
-"""Power in closed form: noncentral F where sphericity holds, Box's approximation elsewhere, and exact binomial intervals."""
+"""
+Power in closed form: noncentral F where sphericity holds, Box's approximation elsewhere, and exact
+binomial intervals.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,8 +14,8 @@ def noncentrality(eta2_partial: float, n: int, k: int) -> float:
     """
     Return λ = n (k − 1) η² / (1 − η²), the noncentrality of F at a population partial η².
 
-    η² = S / (S + (k − 1) σ_e²) with S = Σ (μ_j − μ)² and σ_e² the mean variance of orthonormal contrasts, so that
-    λ = n S / σ_e². With Cohen's f² = η² / (1 − η²).
+    η² = S / (S + (k − 1) σ_e²) with S = Σ (μ_j − μ)² and σ_e² the mean variance of orthonormal
+    contrasts, so that λ = n S / σ_e². With Cohen's f² = η² / (1 − η²).
 
     Parameters
     ----------
@@ -33,13 +36,16 @@ def noncentrality(eta2_partial: float, n: int, k: int) -> float:
     return n * (k - 1) * eta2 / (1.0 - eta2)
 
 
-def noncentral_f_power(n: int, k: int, noncentrality: float, alpha: float = 0.05, epsilon: float = 1.0) -> float:
+def noncentral_f_power(
+    n: int, k: int, noncentrality: float, alpha: float = 0.05, epsilon: float = 1.0
+) -> float:
     """
     Return the power of the repeated-measures F with n subjects and k conditions.
 
-    With sphericity (ε = 1) F is exactly noncentral with k − 1 and (n − 1)(k − 1) degrees of freedom. Below 1 it is
-    taken as noncentral F with both degrees of freedom and λ times ε, after Box: an approximation of the test with ε
-    known, and no more than a guide. A paired t-test is the case k = 2 with λ = n d_z².
+    With sphericity (ε = 1) F is exactly noncentral with k − 1 and (n − 1)(k − 1) degrees of
+    freedom. Below 1 it is taken as noncentral F with both degrees of freedom and λ times ε, after
+    Box: an approximation of the test with ε known, and no more than a guide. A paired t-test is the
+    case k = 2 with λ = n d_z².
 
     Parameters
     ----------
@@ -65,15 +71,20 @@ def noncentral_f_power(n: int, k: int, noncentrality: float, alpha: float = 0.05
     value = not_negative("noncentrality", noncentrality)
     alpha, epsilon = open_unit("alpha", alpha), finite_number("epsilon", epsilon)
     if not 1.0 / (k - 1) - 1e-12 <= epsilon <= 1.0 + 1e-12:
-        raise ValueError(f"epsilon must lie in [1/(k − 1), 1] = [{1.0 / (k - 1):.4g}, 1], got {epsilon}")
+        raise ValueError(
+            f"epsilon must lie in [1/(k − 1), 1] = [{1.0 / (k - 1):.4g}, 1], got {epsilon}"
+        )
     df1, df2 = epsilon * (k - 1), epsilon * (k - 1) * (n - 1)
     critical = special.fdtri(df1, df2, 1.0 - alpha)
     return float(1.0 - special.ncfdtr(df1, df2, epsilon * value, critical))
 
 
-def clopper_pearson(count: ArrayLike, total: int, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+def clopper_pearson(
+    count: ArrayLike, total: int, level: float = 0.95
+) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the exact interval of a share of which `count` in `total` draws were found (Clopper and Pearson, 1934).
+    Return the exact interval of a share of which `count` in `total` draws were found (Clopper and
+    Pearson, 1934).
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Covariances of conditions: checked, measured from data, and built to a wanted correlation and sphericity."""
+"""
+Covariances of conditions: checked, measured from data, and built to a wanted correlation and
+sphericity.
+"""
 
 from collections.abc import Hashable
 from dataclasses import dataclass
@@ -16,7 +19,10 @@ _LEAST = 1e-12
 
 
 def checked_covariance(name: str, values: np.ndarray, size: int | None = None) -> np.ndarray:
-    """Return a matrix that is square, symmetric and positive definite; the error names the eigenvalue that is not."""
+    """
+    Return a matrix that is square, symmetric and positive definite; the error names the eigenvalue
+    that is not.
+    """
     try:
         given = np.asarray(values)
     except ValueError:  # rows of different lengths
@@ -27,7 +33,10 @@ def checked_covariance(name: str, values: np.ndarray, size: int | None = None) -
         raise ValueError(f"{name} must be a square matrix of numbers, got {found}")
     matrix = given.astype(float)
     if size is not None and len(matrix) != size:
-        raise ValueError(f"{name} must be {size} × {size}, one row per condition, got {len(matrix)} × {len(matrix)}")
+        raise ValueError(
+            f"{name} must be {size} × {size}, one row per condition, got {len(matrix)} × "
+            f"{len(matrix)}"
+        )
     if not np.isfinite(matrix).all():
         i, j = np.argwhere(~np.isfinite(matrix))[0]
         raise ValueError(f"{name} must be finite, but row {i}, column {j} is {matrix[i, j]}")
@@ -42,7 +51,9 @@ def checked_covariance(name: str, values: np.ndarray, size: int | None = None) -
     if not eigenvalues[0] > _LEAST * eigenvalues[-1]:
         found = f"its least eigenvalue is {eigenvalues[0]:.6g} (greatest {eigenvalues[-1]:.6g})"
         why = "zero means that one condition is a linear function of the others"
-        raise ValueError(f"{name} is not positive definite: {found}; {why}. Check its variances and correlations")
+        raise ValueError(
+            f"{name} is not positive definite: {found}; {why}. Check its variances and correlations"
+        )
     return matrix
 
 
@@ -80,13 +91,17 @@ class Conditions:
         matrix = checked_covariance("covariance", self.covariance, mean.size)
         labels = labels_of("labels", self.labels, mean.size)
         if len(labels) != mean.size:
-            raise ValueError(f"labels must name {mean.size} conditions, each once, got {labels!r:.200}")
+            raise ValueError(
+                f"labels must name {mean.size} conditions, each once, got {labels!r:.200}"
+            )
         for name, value in (("labels", labels), ("mean", mean), ("covariance", matrix)):
             object.__setattr__(self, name, value)
 
     @property
     def simulated_origin(self) -> str:
-        """Where the results of studies drawn from this population come from, for headers and captions."""
+        """
+        Where the results of studies drawn from this population come from, for headers and captions.
+        """
         return "simulated studies" + (f", from {self.origin}" if self.origin else "")
 
     @property
@@ -109,7 +124,10 @@ class Conditions:
 
     @property
     def eta2_partial(self) -> float:
-        """Partial η² of the population, S / (S + tr M), S = Σ (μ_j − μ)² and M the covariance of contrasts."""
+        """
+        Partial η² of the population, S / (S + tr M), S = Σ (μ_j − μ)² and M the covariance of
+        contrasts.
+        """
         effect = ((self.mean - self.mean.mean()) ** 2).sum()
         return float(effect / (effect + np.trace(self.contrasts)))
 
@@ -140,14 +158,17 @@ class Conditions:
         apart = self.mean - self.mean.mean()
         now = np.sqrt((apart**2).sum())
         if eta2 > 0.0 and now <= 1e-12 * max(np.abs(self.mean).max(), 1e-300):
-            raise ValueError("effect_size scales differences between means, but all means are the same")
+            raise ValueError(
+                "effect_size scales differences between means, but all means are the same"
+            )
         wanted = np.sqrt(eta2 / (1.0 - eta2) * np.trace(self.contrasts))
         mean = self.mean.mean() + apart * (wanted / now if eta2 > 0.0 else 0.0)
         return Conditions(self.labels, mean, self.covariance, self.origin)
 
     def with_structure(self, correlation: float | None, epsilon: float | None) -> "Conditions":
         """
-        Return the population with `graded_covariance` of the same mean variance; what is None stays as it is.
+        Return the population with `graded_covariance` of the same mean variance; what is None stays
+        as it is.
 
         Parameters
         ----------
@@ -163,13 +184,17 @@ class Conditions:
         return Conditions(self.labels, self.mean, matrix, self.origin)
 
 
-def graded_covariance(k: int, correlation: float = 0.5, epsilon: float = 1.0, sd: float = 1.0) -> np.ndarray:
+def graded_covariance(
+    k: int, correlation: float = 0.5, epsilon: float = 1.0, sd: float = 1.0
+) -> np.ndarray:
     """
     Return a covariance of k conditions with a wanted mean correlation and ε.
 
-    The variances of the k − 1 orthonormal polynomial contrasts (linear first) form a geometric sequence, falling so steeply that ε
-    comes out; their mean is σ² (1 − ρ), and that of the sum over conditions is σ² (1 + (k − 1) ρ). ε = 1 is compound symmetry. Mean
-    variance and mean covariance are σ² and ρ σ². With ε below 1 power depends on which contrasts vary most: this is one choice.
+    The variances of the k − 1 orthonormal polynomial contrasts (linear first) form a geometric
+    sequence, falling so steeply that ε comes out; their mean is σ² (1 − ρ), and that of the sum
+    over conditions is σ² (1 + (k − 1) ρ). ε = 1 is compound symmetry. Mean variance and mean
+    covariance are σ² and ρ σ². With ε below 1 power depends on which contrasts vary most: this is
+    one choice.
 
     Parameters
     ----------
@@ -196,9 +221,13 @@ def graded_covariance(k: int, correlation: float = 0.5, epsilon: float = 1.0, sd
     sd = positive("sd", sd)
     d = k - 1
     if not -1.0 / d < rho < 1.0:
-        raise ValueError(f"correlation must lie between −1/(k − 1) = {-1.0 / d:.4g} and 1, got {rho}")
+        raise ValueError(
+            f"correlation must lie between −1/(k − 1) = {-1.0 / d:.4g} and 1, got {rho}"
+        )
     if not (1.0 / d < eps <= 1.0 + 1e-12 or (d == 1 and abs(eps - 1.0) < 1e-12)):
-        raise ValueError(f"epsilon must lie above 1/(k − 1) = {1.0 / d:.4g} and be at most 1, got {eps}")
+        raise ValueError(
+            f"epsilon must lie above 1/(k − 1) = {1.0 / d:.4g} and be at most 1, got {eps}"
+        )
 
     def shares(log_ratio: float) -> np.ndarray:
         values = np.exp(log_ratio * np.arange(d))
@@ -206,7 +235,9 @@ def graded_covariance(k: int, correlation: float = 0.5, epsilon: float = 1.0, sd
 
     ratio = 0.0
     if d > 1 and eps < 1.0 - 1e-12:
-        ratio = brentq(lambda x: 1.0 / (d * (shares(x) ** 2).sum()) - eps, -60.0, 0.0, xtol=1e-14, rtol=1e-14)
+        ratio = brentq(
+            lambda x: 1.0 / (d * (shares(x) ** 2).sum()) - eps, -60.0, 0.0, xtol=1e-14, rtol=1e-14
+        )
     variances = d * sd**2 * (1.0 - rho) * shares(ratio)
     # Powers are nearly dependent beyond a dozen conditions; cosines are orthogonal, and as smooth.
     if k <= 12:
@@ -219,7 +250,14 @@ def graded_covariance(k: int, correlation: float = 0.5, epsilon: float = 1.0, sd
 
 
 def conditions_from(
-    mean: Any, covariance: Any, data: Any, dv: Hashable, within: Hashable, subject: Hashable, order: Any, labels: Any
+    mean: Any,
+    covariance: Any,
+    data: Any,
+    dv: Hashable,
+    within: Hashable,
+    subject: Hashable,
+    order: Any,
+    labels: Any,
 ) -> Conditions:
     """
     Return the population that means and a covariance, or those of data, make.
@@ -231,7 +269,8 @@ def conditions_from(
     covariance : array_like, shape (k, k), or None
         Covariance of the conditions; a DataFrame names them too.
     data : pandas.DataFrame, optional
-        A long table instead of the two: its sample means and covariance are taken for the population's.
+        A long table instead of the two: its sample means and covariance are taken for the
+        population's.
     dv, within, subject : hashable
         Its columns.
     order : sequence, optional
@@ -254,19 +293,27 @@ def conditions_from(
         scores, _ = complete_scores(read_scores(data, dv, within, subject, order=order))
         n, k = scores.values.shape
         if n <= k:
-            raise ValueError(f"data hold {n} subjects in {k} conditions: their covariance needs at least {k + 1}")
+            raise ValueError(
+                f"data hold {n} subjects in {k} conditions: their covariance needs at least {k + 1}"
+            )
         matrix = checked_covariance("covariance of data", np.cov(scores.values.T))
         return Conditions(scores.conditions, scores.values.mean(axis=0), matrix, scores.origin)
     if mean is None or covariance is None:
-        raise ValueError("power needs mean= and covariance= of the conditions, or data= to take both from")
+        raise ValueError(
+            "power needs mean= and covariance= of the conditions, or data= to take both from"
+        )
     if isinstance(mean, dict):
         mean = pd.Series(mean)
     names = list(mean.index) if isinstance(mean, pd.Series) else None
     if isinstance(covariance, pd.DataFrame):
         if list(covariance.index) != list(covariance.columns):
-            raise ValueError("covariance must have the same conditions in rows and columns, in the same order")
+            raise ValueError(
+                "covariance must have the same conditions in rows and columns, in the same order"
+            )
         if names is not None and list(covariance.columns) != names:
-            raise ValueError(f"mean has conditions {names}, but covariance {list(covariance.columns)}")
+            raise ValueError(
+                f"mean has conditions {names}, but covariance {list(covariance.columns)}"
+            )
         names, covariance = list(covariance.columns), covariance.to_numpy()
     means = finite_array("mean", mean)
     given: Any = labels if labels is not None else names or range(1, means.size + 1)

@@ -1,4 +1,7 @@
-"""Power of designs with several factors, groups, or shares of trials: simulated studies, analysed as real ones are."""
+"""
+Power of designs with several factors, groups, or shares of trials: simulated studies, analysed as
+real ones are.
+"""
 
 from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
@@ -30,7 +33,10 @@ from trustlab.studies.planning.covariances import checked_covariance
 
 @dataclass(frozen=True, eq=False)
 class NormalCells:
-    """Normal scores by group and cell, means of shape (groups, cells), one covariance; the last factor varies fastest in both."""
+    """
+    Normal scores by group and cell, means of shape (groups, cells), one covariance; the last factor
+    varies fastest in both.
+    """
 
     within: Mapping[str, tuple]
     between: Mapping[str, tuple]
@@ -39,14 +45,23 @@ class NormalCells:
     simulated_origin: str = "simulated studies"
 
     def _design(self, n: int) -> tuple[np.ndarray, BetweenDesign, dict[str, int]]:
-        """Return the group number of each participant, n in each group, their design, and how many levels factors have."""
+        """
+        Return the group number of each participant, n in each group, their design, and how many
+        levels factors have.
+        """
         groups = np.repeat(np.arange(len(self.mean)), n)
         codes = np.unravel_index(groups, [len(levels) for levels in self.between.values()] or [1])
         sizes = {name: len(levels) for name, levels in self.within.items()}
-        return groups, between_design(len(groups), dict(zip(self.between, codes, strict=False))), sizes
+        return (
+            groups,
+            between_design(len(groups), dict(zip(self.between, codes, strict=False))),
+            sizes,
+        )
 
     def expected(self, n: int, alpha: float) -> Iterator[tuple[str, str, float, float]]:
-        """Yield effect, test, population partial η² and power in closed form, which needs sphericity."""
+        """
+        Yield effect, test, population partial η² and power in closed form, which needs sphericity.
+        """
         groups, design, sizes = self._design(n)
         for names, (block, columns) in product(subsets(list(sizes)), design.blocks.items()):
             contrasts = within_contrasts(sizes, names)
@@ -59,16 +74,25 @@ class NormalCells:
             spherical = d == 1 or greenhouse_geisser(variances) > 1.0 - 1e-9
             for test in CORRECTIONS if block or names else ():
                 closed = power if spherical and test == "none" else np.nan
-                yield " × ".join(filter(None, (block, *names))), test, strength / (strength + len(groups) * d), closed
+                yield (
+                    " × ".join(filter(None, (block, *names))),
+                    test,
+                    strength / (strength + len(groups) * d),
+                    closed,
+                )
 
-    def counts(self, n: int, rng: np.random.Generator, replicates: int, alpha: float) -> dict[str, int]:
+    def counts(
+        self, n: int, rng: np.random.Generator, replicates: int, alpha: float
+    ) -> dict[str, int]:
         """Draw studies and count significant effects, "effect/test"."""
         found: Counter = Counter()
         groups, design, sizes = self._design(n)
         root = np.linalg.cholesky(self.covariance).T
         for part in chunks(replicates, len(groups) * len(root)):
             shape = (len(part), len(groups), len(root))
-            tests = effect_tests(rng.standard_normal(shape) @ root + self.mean[groups], sizes, design)
+            tests = effect_tests(
+                rng.standard_normal(shape) @ root + self.mean[groups], sizes, design
+            )
             for test, column in zip(CORRECTIONS, ("p", "p_gg", "p_hf"), strict=True):
                 hits = (tests[column] < alpha).groupby(level="effect").sum()
                 found.update({f"{effect}/{test}": int(count) for effect, count in hits.items()})
@@ -77,7 +101,10 @@ class NormalCells:
 
 @dataclass(frozen=True, eq=False)
 class Shares:
-    """Counts out of trials by condition: logits of the participant in the middle, SD of the participants' intercepts."""
+    """
+    Counts out of trials by condition: logits of the participant in the middle, SD of the
+    participants' intercepts.
+    """
 
     logits: np.ndarray
     trials: int
@@ -88,7 +115,9 @@ class Shares:
         """Yield the effect and its test, which has no closed form."""
         yield "condition", "likelihood ratio", np.nan, np.nan
 
-    def counts(self, n: int, rng: np.random.Generator, replicates: int, alpha: float) -> dict[str, int]:
+    def counts(
+        self, n: int, rng: np.random.Generator, replicates: int, alpha: float
+    ) -> dict[str, int]:
         """Draw studies, and count those whose likelihood ratio finds the conditions different."""
         k, found = len(self.logits), 0
         model = Logistic(np.repeat(np.arange(n), k), np.full(n * k, float(self.trials)), 9)
@@ -102,9 +131,19 @@ class Shares:
 
 
 def population_of(
-    mean: Any, covariance: Any, data: Any, dv: Hashable, within: list, between: list, subject: Hashable, order: Any
+    mean: Any,
+    covariance: Any,
+    data: Any,
+    dv: Hashable,
+    within: list,
+    between: list,
+    subject: Hashable,
+    order: Any,
 ) -> NormalCells:
-    """Return the population of a pilot study, or of means indexed by the factors' levels and a covariance of the cells."""
+    """
+    Return the population of a pilot study, or of means indexed by the factors' levels and a
+    covariance of the cells.
+    """
     if data is not None:
         pilot = repeated_measures(data, dv, within, subject, between=between, order=order)
         matrix = checked_covariance("covariance of data", pilot.residual_covariance())
@@ -115,42 +154,92 @@ def population_of(
         return NormalCells(own, groups, means, matrix, origin)
     names, series = [*map(str, between), *map(str, within)], pd.Series(mean, dtype=float)
     if series.index.nlevels != len(names):
-        raise ValueError(f"mean must be indexed by {', '.join(names)}, got {series.index.nlevels} level(s)")
+        raise ValueError(
+            f"mean must be indexed by {', '.join(names)}, got {series.index.nlevels} level(s)"
+        )
     levels = {name: tuple(series.index.unique(i)) for i, name in enumerate(names)}
     found = series.reindex(pd.MultiIndex.from_product(levels.values()))
     if found.isna().any():
-        raise ValueError(f"mean: no number for cell {found.index[found.isna()][0]!r} of {' × '.join(names)}")
+        raise ValueError(
+            f"mean: no number for cell {found.index[found.isna()][0]!r} of {' × '.join(names)}"
+        )
     groups = {name: levels.pop(name) for name in names[: len(between)]}
     means = found.to_numpy().reshape(int(np.prod([len(x) for x in groups.values()])), -1)
-    return NormalCells(levels, groups, means, checked_covariance("covariance", covariance, means.shape[1]))
+    return NormalCells(
+        levels, groups, means, checked_covariance("covariance", covariance, means.shape[1])
+    )
 
 
 def shares_of(probabilities: Any, trials: int | None, sd: float | None) -> Shares:
-    """Return the population of shares with these probabilities, of the participant in the middle, by condition."""
+    """
+    Return the population of shares with these probabilities, of the participant in the middle, by
+    condition.
+    """
     if trials is None or sd is None:
-        raise ValueError('family="binomial" needs trials= of a person and condition, and sd= of intercepts in logits')
-    chances = array_between("mean", list(pd.Series(probabilities)), 1e-6, 1.0 - 1e-6, "probabilities")
+        raise ValueError(
+            'family="binomial" needs trials= of a person and condition, and sd= of intercepts in '
+            "logits"
+        )
+    chances = array_between(
+        "mean", list(pd.Series(probabilities)), 1e-6, 1.0 - 1e-6, "probabilities"
+    )
     if chances.size < 2:
-        raise ValueError(f"mean must have the probabilities of at least two conditions, got {chances.size}")
+        raise ValueError(
+            f"mean must have the probabilities of at least two conditions, got {chances.size}"
+        )
     return Shares(special.logit(chances), whole_number("trials", trials), not_negative("sd", sd))
 
 
 def effects_power(
-    population: NormalCells | Shares, sizes: Sequence[int], counted: Sequence[dict], alpha: float, level: float
+    population: NormalCells | Shares,
+    sizes: Sequence[int],
+    counted: Sequence[dict],
+    alpha: float,
+    level: float,
 ) -> pd.DataFrame:
-    """Return the power of every effect with n participants in each group, for every n, from the counts of simulated studies."""
+    """
+    Return the power of every effect with n participants in each group, for every n, from the counts
+    of simulated studies.
+    """
     rows = []
     for n, counts in zip(sizes, counted, strict=True):
         for effect, test, eta2, closed in population.expected(n, alpha):
             count, replicates = counts[f"{effect}/{test}"], counts["replicates"]
             low, high = clopper_pearson(count, replicates, level)
-            rows.append((n, effect, eta2, test, count / replicates, float(low), float(high), replicates, closed))
-    columns = ["n", "effect", "eta2_partial", "test", "power", "ci_low", "ci_high", "replicates", "closed_form"]
+            rows.append(
+                (
+                    n,
+                    effect,
+                    eta2,
+                    test,
+                    count / replicates,
+                    float(low),
+                    float(high),
+                    replicates,
+                    closed,
+                )
+            )
+    columns = [
+        "n",
+        "effect",
+        "eta2_partial",
+        "test",
+        "power",
+        "ci_low",
+        "ci_high",
+        "replicates",
+        "closed_form",
+    ]
     return pd.DataFrame(rows, columns=columns)
 
 
 def count_effects(
-    population: NormalCells | Shares, n: int, draws: SeedSequence, replicates: int, alpha: float, seed: SeedSequence
+    population: NormalCells | Shares,
+    n: int,
+    draws: SeedSequence,
+    replicates: int,
+    alpha: float,
+    seed: SeedSequence,
 ) -> dict[str, int]:
     """Count the significant effects of one population and n: a task of `run_campaign`."""
     return population.counts(n, np.random.default_rng(draws), replicates, alpha)

@@ -1,4 +1,7 @@
-"""Populations from which simulated operators are drawn: stand-ins for people, with the identified spread."""
+"""
+Populations from which simulated operators are drawn: stand-ins for people, with the identified
+spread.
+"""
 
 from dataclasses import dataclass, field
 
@@ -15,8 +18,8 @@ from trustlab.operators.ground_robot import Operator, model_of, person_of, share
 from trustlab.operators.teleoperator import RANGES, REACH, Teleoperator
 from trustlab.studies.planning.covariances import checked_covariance
 
-# What is normally distributed. τ = 1/(1 − a) in samples. A place is a share of a range: for TSC_l, of the limits (2.9)-(2.10) at
-# δ_Ph = 0; for TSC_u, of what lies between TSC_l and the upper limit.
+# What is normally distributed. τ = 1/(1 − a) in samples. A place is a share of a range: for TSC_l,
+# of the limits (2.9)-(2.10) at δ_Ph = 0; for TSC_u, of what lies between TSC_l and the upper limit.
 COORDINATES = (
     "ln tau_r",
     "logit beta",
@@ -42,7 +45,10 @@ PRINTED = ("1", "2", "3", "4", "5")
 
 
 def _stream(seed: int, who: int) -> np.random.Generator:
-    """Return the random numbers of one person, so that a smaller sample is the beginning of a larger one."""
+    """
+    Return the random numbers of one person, so that a smaller sample is the beginning of a larger
+    one.
+    """
     root = [whole_number("seed", seed, least=0), PEOPLE]
     return np.random.default_rng(np.random.SeedSequence(root, spawn_key=(who,)))
 
@@ -76,12 +82,15 @@ def _coordinates(label: str) -> np.ndarray:
 @dataclass(frozen=True, eq=False)
 class GroundRobotPopulation:
     """
-    Operators of the ground robot: a normal distribution of twelve coordinates, truncated to valid models.
+    Operators of the ground robot: a normal distribution of twelve coordinates, truncated to valid
+    models.
 
-    The coordinates (`COORDINATES` in the module) are logarithms of positive numbers and logits of shares, so that nearly every draw is a valid
-    model; draws with utilization or performance out of range, or thresholds outside the limits of Theorem 1, are repeated. Shares of
-    suggestions followed have beta distributions with the printed means and standard deviations, independent of all else. The least robot
-    performance is the same for all. Thresholds of TSC come from the operator's own model: identification without error.
+    The coordinates (`COORDINATES` in the module) are logarithms of positive numbers and logits of
+    shares, so that nearly every draw is a valid model; draws with utilization or performance out of
+    range, or thresholds outside the limits of Theorem 1, are repeated. Shares of suggestions
+    followed have beta distributions with the printed means and standard deviations, independent of
+    all else. The least robot performance is the same for all. Thresholds of TSC come from the
+    operator's own model: identification without error.
 
     Parameters
     ----------
@@ -90,7 +99,8 @@ class GroundRobotPopulation:
     covariance : array_like, shape (12, 12)
         Of `COORDINATES`; positive definite.
     follow : ((float, float), (float, float))
-        Mean and standard deviation of the shares of suggestions followed, by TSC and by performance, in [0, 1].
+        Mean and standard deviation of the shares of suggestions followed, by TSC and by
+        performance, in [0, 1].
     p_r_min : float
         Least robot performance [m/s].
     origin : str
@@ -101,11 +111,13 @@ class GroundRobotPopulation:
     Raises
     ------
     ValueError
-        If sizes differ, the covariance is not positive definite, or no beta distribution has such a mean and spread.
+        If sizes differ, the covariance is not positive definite, or no beta distribution has such a
+        mean and spread.
 
     Notes
     -----
-    Five people identify no distribution of twelve numbers: means and spreads are rough, correlations hardly known.
+    Five people identify no distribution of twelve numbers: means and spreads are rough,
+    correlations hardly known.
     """
 
     mean: np.ndarray
@@ -118,29 +130,39 @@ class GroundRobotPopulation:
     def __post_init__(self):
         size = len(COORDINATES)
         object.__setattr__(self, "mean", finite_array("mean", self.mean, length=size))
-        object.__setattr__(self, "covariance", checked_covariance("covariance", self.covariance, size))
+        object.__setattr__(
+            self, "covariance", checked_covariance("covariance", self.covariance, size)
+        )
         object.__setattr__(self, "p_r_min", finite_number("p_r_min", self.p_r_min))
         try:
             tsc, performance = self.follow
-            pairs = tuple((finite_number("follow", a), finite_number("follow", b)) for a, b in (tsc, performance))
+            pairs = tuple(
+                (finite_number("follow", a), finite_number("follow", b))
+                for a, b in (tsc, performance)
+            )
         except (TypeError, ValueError):
-            raise ValueError(f"follow must be two pairs of numbers (mean, SD), got {self.follow!r:.100}") from None
+            raise ValueError(
+                f"follow must be two pairs of numbers (mean, SD), got {self.follow!r:.100}"
+            ) from None
         for average, sd in pairs:
             if not (0.0 < average < 1.0 and 0.0 < sd < np.sqrt(average * (1.0 - average))):
                 need = "the mean must lie in (0, 1) and the SD below √(mean (1 − mean))"
-                raise ValueError(f"shares with mean {average:g} and SD {sd:g} have no beta distribution: {need}")
+                raise ValueError(
+                    f"shares with mean {average:g} and SD {sd:g} have no beta distribution: {need}"
+                )
         object.__setattr__(self, "follow", pairs)
 
     @classmethod
     def published(cls, shrinkage: float = 0.5, spread: float = 1.0) -> "GroundRobotPopulation":
         """
-        Return the population with the means and spreads of the five participants of Tables 2.1, 2.2, 2.3 and 2.6.
+        Return the population with the means and spreads of the five participants of Tables 2.1,
+        2.2, 2.3 and 2.6.
 
         Parameters
         ----------
         shrinkage : float
-            λ in (0, 1] of (1 − λ) S + λ diag S, S the sample covariance of the five, which alone is singular: correlations are
-            shrunk towards zero, variances stay.
+            λ in (0, 1] of (1 − λ) S + λ diag S, S the sample covariance of the five, which alone is
+            singular: correlations are shrunk towards zero, variances stay.
         spread : float
             Factor on all standard deviations of the coordinates; positive.
 
@@ -151,16 +173,26 @@ class GroundRobotPopulation:
         """
         shrinkage, spread = finite_number("shrinkage", shrinkage), positive("spread", spread)
         if not 0.0 < shrinkage <= 1.0:
-            raise ValueError(f"shrinkage must lie in (0, 1], got {shrinkage}: at 0 the covariance of five is singular")
+            raise ValueError(
+                f"shrinkage must lie in (0, 1], got {shrinkage}: at 0 the covariance of five is "
+                "singular"
+            )
         rows = np.array([_coordinates(label) for label in PRINTED])
         sample = np.cov(rows.T)
         matrix = spread**2 * ((1.0 - shrinkage) * sample + shrinkage * np.diag(np.diag(sample)))
         shares = published_table("2.6")[["mean", "sd"]].astype(float) / 100.0
-        tsc, performance = ((float(shares.loc[c, "mean"]), float(shares.loc[c, "sd"])) for c in ("C2", "C4"))
-        return cls(rows.mean(axis=0), matrix, (tsc, performance), 0.24, "Tables 2.1, 2.2, 2.3 and 2.6")
+        tsc, performance = (
+            (float(shares.loc[c, "mean"]), float(shares.loc[c, "sd"])) for c in ("C2", "C4")
+        )
+        return cls(
+            rows.mean(axis=0), matrix, (tsc, performance), 0.24, "Tables 2.1, 2.2, 2.3 and 2.6"
+        )
 
     def table(self) -> pd.DataFrame:
-        """Return the distribution: columns quantity, distribution, mean, sd, of the coordinate as named."""
+        """
+        Return the distribution: columns quantity, distribution, mean, sd, of the coordinate as
+        named.
+        """
         size = len(COORDINATES)
         mean, sd = np.transpose(self.follow)
         return pd.DataFrame(
@@ -219,8 +251,9 @@ class GroundRobotPopulation:
         Returns
         -------
         pandas.DataFrame
-            A row per operator: participant (from 1), a_r, beta, p_h_min, p_h_max, a_pr, p_r_min, p_r_max, lower, upper,
-            lower_spread, upper_spread, follow_tsc, follow_performance, tsc_l, tsc_u, redrawn (how many draws were invalid).
+            A row per operator: participant (from 1), a_r, beta, p_h_min, p_h_max, a_pr, p_r_min,
+            p_r_max, lower, upper, lower_spread, upper_spread, follow_tsc, follow_performance,
+            tsc_l, tsc_u, redrawn (how many draws were invalid).
 
         Raises
         ------
@@ -228,7 +261,9 @@ class GroundRobotPopulation:
             If hardly any draw is a valid model.
         """
         root = np.linalg.cholesky(self.covariance)
-        rows = [self._one(who, _stream(seed, who), root) for who in range(1, whole_number("n", n) + 1)]
+        rows = [
+            self._one(who, _stream(seed, who), root) for who in range(1, whole_number("n", n) + 1)
+        ]
         frame = pd.DataFrame(rows)
         frame.attrs["synthetic"] = True
         return frame
@@ -239,7 +274,9 @@ class GroundRobotPopulation:
         for tries in range(MOST_TRIES):
             coordinates = self.mean + root @ rng.standard_normal(len(COORDINATES))
             try:
-                values = {"participant": who} | self._values(coordinates) | more | {"redrawn": tries}
+                values = (
+                    {"participant": who} | self._values(coordinates) | more | {"redrawn": tries}
+                )
                 self.person(values)
             except ValueError:
                 continue
@@ -248,7 +285,9 @@ class GroundRobotPopulation:
         raise ValueError(f"{found}; check means and spreads of this population")
 
     def _values(self, z: np.ndarray) -> dict[str, float]:
-        """Return the parameters that coordinates stand for; raise `ValueError` if they make no model."""
+        """
+        Return the parameters that coordinates stand for; raise `ValueError` if they make no model.
+        """
         p_h_min, lower = float(z[2]), float(z[6])
         values = {
             "a_r": 1.0 - float(np.exp(-z[0])),
@@ -292,11 +331,13 @@ class GroundRobotPopulation:
 @dataclass(frozen=True)
 class TeleoperatorPopulation:
     """
-    Operators of the haptic device: skill uniform in [0, 1], properties about it as in `graded_teleoperators`.
+    Operators of the haptic device: skill uniform in [0, 1], properties about it as in
+    `graded_teleoperators`.
 
-    Each property lies at the share ½ (g + u) of its range in `trustlab.operators.teleoperator.RANGES`, where g is the skill
-    and u is uniform in [0, 1] and drawn separately for each property; patience is uniform in 2 to 4 s. These ranges are plausible, not measured: the dissertation
-    identifies no model of its teleoperators.
+    Each property lies at the share ½ (g + u) of its range in
+    `trustlab.operators.teleoperator.RANGES`, where g is the skill and u is uniform in [0, 1] and
+    drawn separately for each property; patience is uniform in 2 to 4 s. These ranges are plausible,
+    not measured: the dissertation identifies no model of its teleoperators.
 
     Parameters
     ----------
@@ -324,7 +365,12 @@ class TeleoperatorPopulation:
         """Return the distribution: columns quantity, distribution, mean, sd."""
         share = np.sqrt(2.0 / 12.0) / 2.0
         rows = [
-            (name, f"between {low:g} and {high:g} by skill", 0.5 * (low + high), abs(high - low) * share)
+            (
+                name,
+                f"between {low:g} and {high:g} by skill",
+                0.5 * (low + high),
+                abs(high - low) * share,
+            )
             for name, (low, high) in RANGES.items()
         ]
         rows.append(("patience", "uniform, 2 to 4 s", 3.0, 2.0 / np.sqrt(12.0)))
@@ -344,7 +390,8 @@ class TeleoperatorPopulation:
         Returns
         -------
         pandas.DataFrame
-            A row per operator: participant (from 1), skill, proportional, derivative, reaction, lag, noise, patience, reach.
+            A row per operator: participant (from 1), skill, proportional, derivative, reaction,
+            lag, noise, patience, reach.
         """
         rows = []
         for who in range(1, whole_number("n", n) + 1):

@@ -1,4 +1,7 @@
-"""Power of a within-subject design by simulated studies, against n, effect size, correlation and sphericity."""
+"""
+Power of a within-subject design by simulated studies, against n, effect size, correlation and
+sphericity.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -16,7 +19,11 @@ from trustlab.models.checks import did_you_mean, one_of, open_unit, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.analysis.batch import chunks, repeated_measures_batch
 from trustlab.studies.analysis.sphericity import CORRECTIONS
-from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
+from trustlab.studies.planning.closed_form_power import (
+    clopper_pearson,
+    noncentral_f_power,
+    noncentrality,
+)
 from trustlab.studies.planning.covariances import Conditions, conditions_from
 from trustlab.studies.planning.factorial_power import (
     NormalCells,
@@ -43,7 +50,9 @@ COLUMNS = (
     ("adjust", "claims", *ENDS, "expected_found"),
 )
 
-MOST_CELLS, MOST_N, LEAST_REPLICATES = 10_000, 100_000, 100
+MOST_CELLS = 10_000
+MOST_N = 100_000
+LEAST_REPLICATES = 100
 
 # Corrections of the omnibus F; "auto" is Greenhouse–Geisser where Mauchly's test rejects.
 TESTS = (*CORRECTIONS, "auto")
@@ -95,10 +104,12 @@ class PowerAnalysis:
         Returns
         -------
         pandas.DataFrame
-            A row per cell and test: n, effect_size (population partial η²), correlation, epsilon, noncentrality, test ("none",
-            "greenhouse-geisser", "huynh-feldt", "auto"), power, ci_low, ci_high, replicates, closed_form (noncentral F; NaN where
-            sphericity does not hold or the test is corrected). With several factors or groups a row per n, effect and test: n (in each
-            group), effect, eta2_partial (of the population), test, power …; of shares the test is "likelihood ratio".
+            A row per cell and test: n, effect_size (population partial η²), correlation, epsilon,
+            noncentrality, test ("none", "greenhouse-geisser", "huynh-feldt", "auto"), power,
+            ci_low, ci_high, replicates, closed_form (noncentral F; NaN where sphericity does not
+            hold or the test is corrected). With several factors or groups a row per n, effect and
+            test: n (in each group), effect, eta2_partial (of the population), test, power …; of
+            shares the test is "likelihood ratio".
         """
         return self.omnibus.copy()
 
@@ -109,20 +120,23 @@ class PowerAnalysis:
         Returns
         -------
         pandas.DataFrame
-            A row per cell, pair and adjustment: n, effect_size, correlation, epsilon, a, b, d_z, adjust ("none", "bonferroni",
-            "holm"), power, ci_low, ci_high, replicates, closed_form (noncentral t; NaN for Holm's).
+            A row per cell, pair and adjustment: n, effect_size, correlation, epsilon, a, b, d_z,
+            adjust ("none", "bonferroni", "holm"), power, ci_low, ci_high, replicates, closed_form
+            (noncentral t; NaN for Holm's).
         """
         return self.pairwise.copy()
 
     def claims(self) -> pd.DataFrame:
         """
-        Return the probability that one study finds F and all claimed pairs, each in the population's direction.
+        Return the probability that one study finds F and all claimed pairs, each in the
+        population's direction.
 
         Returns
         -------
         pandas.DataFrame
-            A row per cell and adjustment: n, effect_size, correlation, epsilon, adjust, claims (how many pairs), power, ci_low, ci_high,
-            replicates, expected_found (mean number of claimed pairs found). No rows without claims.
+            A row per cell and adjustment: n, effect_size, correlation, epsilon, adjust, claims (how
+            many pairs), power, ci_low, ci_high, replicates, expected_found (mean number of claimed
+            pairs found). No rows without claims.
         """
         return self.together.copy()
 
@@ -133,12 +147,14 @@ class PowerAnalysis:
 
     def plot(self, against: str | None = None, test: str | Sequence[str] = USUAL_TEST, axes=None):
         """
-        Plot the power of the omnibus F with its Monte-Carlo intervals; crosses mark the closed form.
+        Plot the power of the omnibus F with its Monte-Carlo intervals; crosses mark the closed
+        form.
 
         Parameters
         ----------
         against : {"n", "effect_size", "correlation", "epsilon"}, optional
-            The horizontal axis; by default the first that takes several values. A line per combination of the others.
+            The horizontal axis; by default the first that takes several values. A line per
+            combination of the others.
         test : {"greenhouse-geisser", "huynh-feldt", "none", "auto"} or sequence of them
             Which test, or several to compare.
         axes : matplotlib.axes.Axes, optional
@@ -173,13 +189,16 @@ class PowerAnalysis:
             label = ", ".join(words + [name] * (len(tests) > 1))
             x, power = part[against].to_numpy(), part["power"].to_numpy()
             bars = np.maximum([power - part["ci_low"], part["ci_high"] - power], 0.0)
-            drawn = axes.errorbar(x, power, bars, fmt="o-", ms=4, lw=1.3, capsize=3, label=label or None)
+            drawn = axes.errorbar(
+                x, power, bars, fmt="o-", ms=4, lw=1.3, capsize=3, label=label or None
+            )
             if part["closed_form"].notna().any():
                 axes.plot(x, part["closed_form"], "x", ms=8, color=drawn[0].get_color())
         axes.axhline(self.alpha, color="0.6", lw=0.8, ls=":")
         axes.set(xlabel=AXES[against], ylabel="power", ylim=(-0.02, 1.02))
         axes.set_title(
-            f"{self.origin}: F, correction “{', '.join(tests)}”, level {self.alpha:g}, {100 * self.level:g} % Monte-Carlo intervals",
+            f"{self.origin}: F, correction “{', '.join(tests)}”, level {self.alpha:g}, "
+            f"{100 * self.level:g} % Monte-Carlo intervals",
             fontsize="small",
         )
         if others or len(tests) > 1:
@@ -188,10 +207,16 @@ class PowerAnalysis:
 
     def __repr__(self) -> str:
         cells = len(self.omnibus) // len(TESTS)
-        return f"PowerAnalysis({cells} cell(s) of {self.replicates} {self.origin}, alpha {self.alpha:g})"
+        return (
+            f"PowerAnalysis({cells} cell(s) of {self.replicates} {self.origin}, alpha "
+            f"{self.alpha:g})"
+        )
 
     def _repr_html_(self) -> str:
-        words = f"{self.replicates} per cell, level {self.alpha:g}, {100 * self.level:g} % Monte-Carlo intervals"
+        words = (
+            f"{self.replicates} per cell, level {self.alpha:g}, {100 * self.level:g} % "
+            "Monte-Carlo intervals"
+        )
         parts = [part for part in (self.omnibus, self.pairwise, self.together) if len(part)]
         return as_html(words, *parts, title=f"Power, {self.origin}")
 
@@ -226,9 +251,10 @@ def power_analysis(
     """
     Simulate studies drawn from a normal population and count how many find its effects.
 
-    The population has the given means and covariance, or those of `data`: a pilot study, a virtual study, or data
-    reconstructed from printed statistics. Each study is analysed as `repeated_measures` does. Power at the effect that a study
-    itself has estimated ("observed power") restates its p-value and says nothing more about it.
+    The population has the given means and covariance, or those of `data`: a pilot study, a virtual
+    study, or data reconstructed from printed statistics. Each study is analysed as
+    `repeated_measures` does. Power at the effect that a study itself has estimated ("observed
+    power") restates its p-value and says nothing more about it.
 
     Parameters
     ----------
@@ -239,7 +265,8 @@ def power_analysis(
     data : pandas.DataFrame, optional
         A long table instead of both.
     dv, within, subject : hashable
-        Columns of `data`; several factors are a list, and `mean` is then a Series indexed by their levels, as the covariance is.
+        Columns of `data`; several factors are a list, and `mean` is then a Series indexed by their
+        levels, as the covariance is.
     between : hashable or list of hashable, optional
         Factors between subjects, which come first in the index of `mean`.
     order : sequence or dict, optional
@@ -249,17 +276,20 @@ def power_analysis(
     n : int or sequence of int
         Subjects; at least 3. With groups, in each of them.
     effect_size : float or sequence of float, optional
-        Partial η² of the population: means keep their pattern and are scaled about their mean. When left out, means
-        are used as given.
+        Partial η² of the population: means keep their pattern and are scaled about their mean. When
+        left out, means are used as given.
     correlation, epsilon : float or sequence of float, optional
-        Replace the covariance by `graded_covariance` of the same mean variance; what is left out stays as it is.
+        Replace the covariance by `graded_covariance` of the same mean variance; what is left out
+        stays as it is.
     claims : sequence of (a, b), optional
         Pairs that must be found together with F, in the direction of the population's difference.
     family : {"normal", "binomial"}
-        Scores, or counts of successes: `mean` has their probabilities by condition for the participant in the middle, and conditions
-        are compared by the likelihood ratio of the logistic mixed model, which takes some milliseconds a study.
+        Scores, or counts of successes: `mean` has their probabilities by condition for the
+        participant in the middle, and conditions are compared by the likelihood ratio of the
+        logistic mixed model, which takes some milliseconds a study.
     trials, sd : int, float
-        Of counts: trials of each participant and condition, and the standard deviation of participants' intercepts in logits.
+        Of counts: trials of each participant and condition, and the standard deviation of
+        participants' intercepts in logits.
     alpha : float
         Level of all tests, in (0, 1).
     replicates : int
@@ -267,20 +297,23 @@ def power_analysis(
     level : float
         Coverage of the Monte-Carlo intervals.
     seed : int
-        Each cell has draws of its own, by its n and its population and not by its place in the grid.
+        Each cell has draws of its own, by its n and its population and not by its place in the
+        grid.
     n_jobs, cluster, executor : int, object, Executor, optional
-        Where cells are simulated, as in `run_campaign`; by default in this process. They have no effect on results.
+        Where cells are simulated, as in `run_campaign`; by default in this process. They have no
+        effect on results.
 
     Returns
     -------
     PowerAnalysis
-        With several factors, groups or counts there are no effect_size, correlation, epsilon, claims or labels.
+        With several factors, groups or counts there are no effect_size, correlation, epsilon,
+        claims or labels.
 
     Raises
     ------
     ValueError
-        If means and covariance do not fit together, the covariance is not positive definite (the eigenvalue is named), n is too
-        small, or another argument is out of range.
+        If means and covariance do not fit together, the covariance is not positive definite (the
+        eigenvalue is named), n is too small, or another argument is out of range.
 
     Examples
     --------
@@ -294,9 +327,16 @@ def power_analysis(
     seed, where = whole_number("seed", seed, least=0), where_to_run(n_jobs, cluster, executor)
     sides = [x if isinstance(x, list) else [] if x is None else [x] for x in (within, between)]
     shares = one_of("family", family, ("normal", "binomial")) != "normal"
-    idle: dict[str, Any] = {"covariance": covariance, "data": data} if shares else {"trials": trials, "sd": sd}
+    idle: dict[str, Any] = (
+        {"covariance": covariance, "data": data} if shares else {"trials": trials, "sd": sd}
+    )
     if shares or len(sides[0]) > 1 or sides[1]:
-        idle |= {"effect_size": effect_size, "correlation": correlation, "epsilon": epsilon, "claims": claims}
+        idle |= {
+            "effect_size": effect_size,
+            "correlation": correlation,
+            "epsilon": epsilon,
+            "claims": claims,
+        }
         _refuse_idle(idle | {"labels": labels})
         cells = (mean, covariance, data, dv, sides[0], sides[1], subject, order)
         several = shares_of(mean, trials, sd) if shares else population_of(*cells)
@@ -308,9 +348,13 @@ def power_analysis(
     grid = [_listed(name, values) for name, values in axes]
     studies = _cells(population, grid)
     drawn = [(cell, size, _draws(seed, size, cell)) for size, cell in studies]
-    counted = run_counts(count_findings, drawn, {"replicates": replicates, "alpha": alpha, "claims": mask}, where)
+    counted = run_counts(
+        count_findings, drawn, {"replicates": replicates, "alpha": alpha, "claims": mask}, where
+    )
     pairs = zip(studies, counted, strict=True)
-    parts = [_rows(cell, size, counts, replicates, alpha, level, mask) for (size, cell), counts in pairs]
+    parts = [
+        _rows(cell, size, counts, replicates, alpha, level, mask) for (size, cell), counts in pairs
+    ]
     tables = _tables(parts, population.simulated_origin)
     varied = tuple(name for name, values in zip(AXES, grid, strict=True) if len(values) > 1)
     return PowerAnalysis(population, alpha, replicates, level, seed, varied, *tables)
@@ -336,7 +380,13 @@ def _tables(parts: list[tuple], origin: str) -> list[pd.DataFrame]:
 
 
 def _power_of_effects(
-    population: NormalCells | Shares, n: list, seed: int, replicates: int, alpha: float, level: float, where: dict
+    population: NormalCells | Shares,
+    n: list,
+    seed: int,
+    replicates: int,
+    alpha: float,
+    level: float,
+    where: dict,
 ) -> PowerAnalysis:
     """Return the power of every effect with each n participants in a group."""
     sizes, none = _sizes(n), pd.DataFrame()
@@ -344,7 +394,9 @@ def _power_of_effects(
     counted = run_counts(count_effects, cells, {"replicates": replicates, "alpha": alpha}, where)
     table = effects_power(population, sizes, counted, alpha, level)
     table.attrs["origin"] = population.simulated_origin
-    return PowerAnalysis(population, alpha, replicates, level, seed, ("n", "effect"), table, none, none)
+    return PowerAnalysis(
+        population, alpha, replicates, level, seed, ("n", "effect"), table, none, none
+    )
 
 
 def _refuse_idle(arguments: dict[str, Any]) -> None:
@@ -358,7 +410,10 @@ def _sizes(values: list) -> list[int]:
     """Return numbers of subjects that a design can have."""
     sizes = [whole_number("n", size, most=MOST_N) for size in values]
     if min(sizes) < 3:
-        raise ValueError(f"n = {min(sizes)} is too small for the design: repeated measures need at least 3 subjects")
+        raise ValueError(
+            f"n = {min(sizes)} is too small for the design: repeated measures need at least 3 "
+            "subjects"
+        )
     return sizes
 
 
@@ -372,15 +427,24 @@ def _cells(population: Conditions, grid: list[list]) -> list[tuple[int, Conditio
     """Return subjects and population of every cell of n × effect_size × correlation × epsilon."""
     sizes = _sizes(grid[0])
     shapes = [population.with_structure(*pair) for pair in product(*grid[2:])]
-    effects = [shape if effect is None else shape.with_effect(effect) for effect, shape in product(grid[1], shapes)]
+    effects = [
+        shape if effect is None else shape.with_effect(effect)
+        for effect, shape in product(grid[1], shapes)
+    ]
     cells = list(product(sizes, effects))
     if len(cells) > MOST_CELLS:
-        raise ValueError(f"{len(cells)} cells are too many for one call, at most {MOST_CELLS}; split the grid")
+        raise ValueError(
+            f"{len(cells)} cells are too many for one call, at most {MOST_CELLS}; split the grid"
+        )
     return cells
 
 
-def _rows(cell: Conditions, n: int, counts: dict, replicates: int, alpha: float, level: float, mask: Any) -> tuple:
-    """Return the rows of the three tables for one cell, from the counts of its simulated studies."""
+def _rows(
+    cell: Conditions, n: int, counts: dict, replicates: int, alpha: float, level: float, mask: Any
+) -> tuple:
+    """
+    Return the rows of the three tables for one cell, from the counts of its simulated studies.
+    """
     k = len(cell.mean)
     axes = (n, cell.eta2_partial, cell.correlation, cell.epsilon)
     strength = noncentrality(cell.eta2_partial, n, k)
@@ -394,12 +458,17 @@ def _rows(cell: Conditions, n: int, counts: dict, replicates: int, alpha: float,
     def power(key: str) -> tuple[float, float, float, int]:
         return counts[key] / replicates, *limits[key], replicates
 
-    omnibus = [(*axes, strength, test, *power(f"F {test}"), exact if test == "none" else np.nan) for test in TESTS]
+    omnibus = [
+        (*axes, strength, test, *power(f"F {test}"), exact if test == "none" else np.nan)
+        for test in TESTS
+    ]
     pairs, together = [], []
     levels = {"none": alpha, "bonferroni": alpha / len(cell.d_z)}  # Holm's has no closed form
     for i, (pair, d_z) in enumerate(zip(combinations(cell.labels, 2), cell.d_z, strict=True)):
         for name in ADJUSTMENTS:
-            closed = noncentral_f_power(n, 2, n * d_z**2, levels[name]) if name in levels else np.nan
+            closed = (
+                noncentral_f_power(n, 2, n * d_z**2, levels[name]) if name in levels else np.nan
+            )
             pairs.append((*axes, *pair, d_z, name, *power(f"pair {i} {name}"), closed))
     if mask is not None:
         for name in ADJUSTMENTS:
@@ -408,26 +477,44 @@ def _rows(cell: Conditions, n: int, counts: dict, replicates: int, alpha: float,
     return omnibus, pairs, together
 
 
-def run_counts(task: Callable, cells: Sequence[tuple], fixed: Mapping, where: Mapping) -> list[dict]:
-    """Return what a task counts in each cell (population, n, draws), with the same further arguments for all."""
+def run_counts(
+    task: Callable, cells: Sequence[tuple], fixed: Mapping, where: Mapping
+) -> list[dict]:
+    """
+    Return what a task counts in each cell (population, n, draws), with the same further arguments
+    for all.
+    """
     from trustlab.campaign import CampaignError, run_campaign
 
-    parameters = [{"population": population, "n": n, "draws": draws, **fixed} for population, n, draws in cells]
+    parameters = [
+        {"population": population, "n": n, "draws": draws, **fixed}
+        for population, n, draws in cells
+    ]
     done = run_campaign(task, parameters, **where)
     if done["failed"].any():
-        raise CampaignError(f"studies could not be simulated: {done.loc[done['failed'], 'error'].iloc[0]}")
+        raise CampaignError(
+            f"studies could not be simulated: {done.loc[done['failed'], 'error'].iloc[0]}"
+        )
     return done.to_dict("records")
 
 
 def count_findings(
-    population: Conditions, n: int, draws: SeedSequence, replicates: int, alpha: float, claims: Any, seed: SeedSequence
+    population: Conditions,
+    n: int,
+    draws: SeedSequence,
+    replicates: int,
+    alpha: float,
+    claims: Any,
+    seed: SeedSequence,
 ) -> dict[str, int]:
     """
-    Draw studies from a normal population, analyse each, and count those that are significant: a task of `run_campaign`.
+    Draw studies from a normal population, analyse each, and count those that are significant: a
+    task of `run_campaign`.
 
-    Keys: "F test" by `TESTS`; "pair i adjustment", pairs a < b in order; and where `claims` says which pairs are claimed,
-    "claims adjustment" (F under `USUAL_TEST` and every claimed pair in the claimed direction) and "claimed adjustment" (claimed
-    pairs found, summed over studies). `draws` is the seed: which one belongs to which study size is the caller's choice.
+    Keys: "F test" by `TESTS`; "pair i adjustment", pairs a < b in order; and where `claims` says
+    which pairs are claimed, "claims adjustment" (F under `USUAL_TEST` and every claimed pair in the
+    claimed direction) and "claimed adjustment" (claimed pairs found, summed over studies). `draws`
+    is the seed: which one belongs to which study size is the caller's choice.
     """
     rng = np.random.default_rng(draws)
     k = len(population.mean)
@@ -438,7 +525,8 @@ def count_findings(
     for part in chunks(replicates, n * k):
         scores = rng.standard_normal((len(part), n, k)) @ root + population.mean
         batch = repeated_measures_batch(scores)
-        # An undefined p of Mauchly's test (n ≤ k − 1) counts as a rejection, as in `repeated_measures`.
+        # An undefined p of Mauchly's test (n ≤ k − 1) counts as a rejection, as in
+        # `repeated_measures`.
         rejected = ~(batch.mauchly_p >= alpha) if k > 2 else np.zeros(len(part), dtype=bool)
         p_values = (batch.p, batch.p_gg, batch.p_hf, np.where(rejected, batch.p_gg, batch.p))
         findings = {test: p < alpha for test, p in zip(TESTS, p_values, strict=True)}
@@ -450,7 +538,9 @@ def count_findings(
                 counts[f"pair {i} {name}"] += int(found)
             if claims is not None:
                 right = hits & (np.sign(batch.pairwise.mean_difference) == expected)
-                counts[f"claims {name}"] += int((right[:, claims].all(axis=1) & findings[USUAL_TEST]).sum())
+                counts[f"claims {name}"] += int(
+                    (right[:, claims].all(axis=1) & findings[USUAL_TEST]).sum()
+                )
                 counts[f"claimed {name}"] += int(right[:, claims].sum())
     return dict(counts)
 
@@ -465,12 +555,19 @@ def claims_mask(claims: Sequence[tuple] | None, conditions: Conditions) -> np.nd
     if isinstance(claims, str | bytes) or not hasattr(claims, "__iter__"):
         raise ValueError(f"claims must be a list of pairs of conditions, got {claims!r:.60}")
     for pair in claims:
-        if isinstance(pair, str) or not hasattr(pair, "__len__") or len(pair) != 2 or pair[0] == pair[1]:
+        if (
+            isinstance(pair, str)
+            or not hasattr(pair, "__len__")
+            or len(pair) != 2
+            or pair[0] == pair[1]
+        ):
             raise ValueError(f"a comparison is a pair of two conditions (a, b), got {pair!r:.60}")
         for label in pair:
             if label not in labels:
                 there = ", ".join(map(str, labels))
-                raise ValueError(f"unknown condition {label!r}{did_you_mean(label, labels)} (there are {there})")
+                raise ValueError(
+                    f"unknown condition {label!r}{did_you_mean(label, labels)} (there are {there})"
+                )
         where = pairs.index(tuple(sorted(pair, key=labels.index)))
         if mask[where]:
             raise ValueError(f"pair {pair!r} is claimed twice")

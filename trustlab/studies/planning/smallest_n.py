@@ -1,4 +1,6 @@
-"""The smallest study with a wanted power: bisection on simulated power, begun at the closed form."""
+"""
+The smallest study with a wanted power: bisection on simulated power, begun at the closed form.
+"""
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
@@ -11,7 +13,11 @@ from trustlab.campaign.run import where_to_run
 from trustlab.models.checks import one_of, open_unit, whole_number
 from trustlab.models.html import as_html
 from trustlab.studies.designs import participants_needed
-from trustlab.studies.planning.closed_form_power import clopper_pearson, noncentral_f_power, noncentrality
+from trustlab.studies.planning.closed_form_power import (
+    clopper_pearson,
+    noncentral_f_power,
+    noncentrality,
+)
 from trustlab.studies.planning.covariances import Conditions, conditions_from
 from trustlab.studies.planning.power import (
     ADJUSTMENTS,
@@ -46,7 +52,8 @@ class SmallestN:
     whole_squares : int
         The next number that fills whole Latin squares of the conditions.
     evaluations : pandas.DataFrame
-        Every n that was simulated: n, power, ci_low, ci_high; n − 1 is among them, unless n is the least possible, 3.
+        Every n that was simulated: n, power, ci_low, ci_high; n − 1 is among them, unless n is the
+        least possible, 3.
     origin : str
         Where the numbers come from, for headers and captions.
     """
@@ -99,8 +106,8 @@ def smallest_n(
     """
     Return the smallest n whose simulated power reaches `power` while that of n − 1 does not.
 
-    Every n has draws of its own from the seed, so that the answer is the same at every call. Within the Monte-Carlo
-    error neighbouring n can be as good.
+    Every n has draws of its own from the seed, so that the answer is the same at every call. Within
+    the Monte-Carlo error neighbouring n can be as good.
 
     Parameters
     ----------
@@ -127,8 +134,8 @@ def smallest_n(
     most : int
         The largest n to try.
     n_jobs, cluster, executor : int, object, Executor, optional
-        Where studies are simulated, as in `run_campaign`; by default in this process. Several n are then simulated at the
-        same time; the answer is the same.
+        Where studies are simulated, as in `run_campaign`; by default in this process. Several n are
+        then simulated at the same time; the answer is the same.
 
     Returns
     -------
@@ -137,7 +144,8 @@ def smallest_n(
     Raises
     ------
     ValueError
-        If an argument is out of range, power does not exceed alpha, or even `most` subjects do not reach it.
+        If an argument is out of range, power does not exceed alpha, or even `most` subjects do not
+        reach it.
 
     Examples
     --------
@@ -150,13 +158,20 @@ def smallest_n(
     population = conditions_from(mean, covariance, data, dv, within, subject, order, labels)
     if effect_size is not None:
         population = population.with_effect(effect_size)
-    wanted, alpha, level = open_unit("power", power), open_unit("alpha", alpha), open_unit("level", level)
+    wanted = open_unit("power", power)
+    alpha = open_unit("alpha", alpha)
+    level = open_unit("level", level)
     replicates = whole_number("replicates", replicates, least=LEAST_REPLICATES, most=10_000_000)
-    seed, most = whole_number("seed", seed, least=0), whole_number("most", most, least=3, most=MOST_N)
+    seed, most = (
+        whole_number("seed", seed, least=0),
+        whole_number("most", most, least=3, most=MOST_N),
+    )
     one_of("test", test, TESTS)
     one_of("adjust", adjust, ADJUSTMENTS)
     if wanted <= alpha:
-        raise ValueError(f"power = {wanted:g} must exceed alpha = {alpha:g}, its value without any effect")
+        raise ValueError(
+            f"power = {wanted:g} must exceed alpha = {alpha:g}, its value without any effect"
+        )
     which = None if pair is None else int(np.flatnonzero(claims_mask([pair], population))[0])
     key = f"F {test}" if which is None else f"pair {which} {adjust}"
     expected = _closed_form(population, which, wanted, alpha, adjust)
@@ -173,7 +188,9 @@ def smallest_n(
     if n is None:
         share = found[most] / replicates
         what = f"{most} subjects reach a power of {share:.3g} only, {wanted:g} was wanted"
-        raise ValueError(f"{what}: the effect is too small for the design; raise most=, or change the design")
+        raise ValueError(
+            f"{what}: the effect is too small for the design; raise most=, or change the design"
+        )
     low, high = clopper_pearson(list(found.values()), replicates, level)
     shares = [count / replicates for count in found.values()]
     rows = pd.DataFrame({"n": list(found), "power": shares, "ci_low": low, "ci_high": high})
@@ -184,13 +201,19 @@ def smallest_n(
 
 
 def _search(
-    simulated: Callable[[list[int]], dict], expected: Callable[[int], bool], least: float, most: int, ahead: int
+    simulated: Callable[[list[int]], dict],
+    expected: Callable[[int], bool],
+    least: float,
+    most: int,
+    ahead: int,
 ) -> tuple[int | None, dict[int, int]]:
     """
-    Return the smallest n with `least` findings, and the findings of every n that the search asked for.
+    Return the smallest n with `least` findings, and the findings of every n that the search asked
+    for.
 
-    The search needs one n after the other. Workers simulate up to `ahead` at the same time, along the path on which the closed
-    form leads the search; where the simulation leads elsewhere, some were simulated for nothing.
+    The search needs one n after the other. Workers simulate up to `ahead` at the same time, along
+    the path on which the closed form leads the search; where the simulation leads elsewhere, some
+    were simulated for nothing.
     """
     found: dict[int, int] = {}
     asked: set[int] = set()
@@ -228,11 +251,18 @@ def _bisect(enough, start: int, most: int) -> int | None:
     return high if high <= most else None
 
 
-def _closed_form(population: Conditions, which: Any, wanted: float, alpha: float, adjust: str) -> Callable[[int], bool]:
-    """Return whether n subjects are enough by noncentral F with Box's ε, or by noncentral t for a pair."""
+def _closed_form(
+    population: Conditions, which: Any, wanted: float, alpha: float, adjust: str
+) -> Callable[[int], bool]:
+    """
+    Return whether n subjects are enough by noncentral F with Box's ε, or by noncentral t for a
+    pair.
+    """
     k, epsilon = len(population.mean), population.epsilon
     if which is not None:
-        d_z, k, epsilon = population.d_z[which], 2, 1.0
+        d_z = population.d_z[which]
+        k = 2
+        epsilon = 1.0
         # Holm's first step is Bonferroni's; its later steps have no closed form.
         alpha = alpha if adjust == "none" else alpha / len(population.d_z)
 

@@ -1,4 +1,7 @@
-"""A whole study with simulated operators, from its design to its statistics, and its folder, laid out like a lab's."""
+"""
+A whole study with simulated operators, from its design to its statistics, and its folder, laid out
+like a lab's.
+"""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -13,7 +16,15 @@ from numpy.random import SeedSequence
 
 from trustlab.campaign.folder import folder_path, refuse, writing_in
 from trustlab.campaign.run import run_campaign, where_to_run
-from trustlab.models.checks import finite_number, flag, not_negative, of_class, one_of, warn, whole_number
+from trustlab.models.checks import (
+    finite_number,
+    flag,
+    not_negative,
+    of_class,
+    one_of,
+    warn,
+    whole_number,
+)
 from trustlab.models.html import as_html
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.sessions.writers import write_session
@@ -22,7 +33,13 @@ from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeat
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.planning.populations import GroundRobotPopulation, TeleoperatorPopulation
 from trustlab.teleoperation.loop.schemes import SCHEMES
-from trustlab.testbeds.deciding import CONDITIONS, KNOWN, SAMPLE_TIME, suggested_by_tsc, warn_if_too_short
+from trustlab.testbeds.deciding import (
+    CONDITIONS,
+    KNOWN,
+    SAMPLE_TIME,
+    suggested_by_tsc,
+    warn_if_too_short,
+)
 from trustlab.testbeds.ground_robot.conditions import MOST_LAPS, measured_condition, run_condition
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures
 from trustlab.testbeds.uav_following.people import FollowingPopulation
@@ -79,9 +96,11 @@ class VirtualStudy:
     participants : pandas.DataFrame
         Their parameters as drawn, a row each.
     measures : pandas.DataFrame
-        A row per session: participant, position, condition, synthetic, and every measure of the testbed.
+        A row per session: participant, position, condition, synthetic, and every measure of the
+        testbed.
     failures : pandas.DataFrame
-        Participants whose sessions could not be run: participant, error. They have no rows in `measures`.
+        Participants whose sessions could not be run: participant, error. They have no rows in
+        `measures`.
     settings : dict
         seed, laps or duration [s], rest [s], assumptions, where given.
     folder : pathlib.Path or None
@@ -103,7 +122,9 @@ class VirtualStudy:
         """Names of the measures."""
         return tuple(name for name in self.measures.columns if name not in KEYS)
 
-    def analysis(self, dv: str, conditions: Sequence[str] | None = None, **options: Any) -> RepeatedMeasures:
+    def analysis(
+        self, dv: str, conditions: Sequence[str] | None = None, **options: Any
+    ) -> RepeatedMeasures:
         """
         Return the repeated-measures analysis of one measure.
 
@@ -119,7 +140,8 @@ class VirtualStudy:
         Raises
         ------
         ValueError
-            If the measure or a condition is unknown, or the measure has missing values or no variance.
+            If the measure or a condition is unknown, or the measure has missing values or no
+            variance.
         """
         one_of("dv", dv, self.names)
         wanted = self.conditions if conditions is None else tuple(conditions)
@@ -135,8 +157,9 @@ class VirtualStudy:
         Returns
         -------
         pandas.DataFrame
-            A row per measure: measure, conditions (that have it for everyone), n, k, F, df1, df2, p (corrected as `correction` says),
-            correction, epsilon_gg, eta2_partial, eta2_partial_low, eta2_partial_high, note. NaN where a test is not defined; the note
+            A row per measure: measure, conditions (that have it for everyone), n, k, F, df1, df2, p
+            (corrected as `correction` says), correction, epsilon_gg, eta2_partial,
+            eta2_partial_low, eta2_partial_high, note. NaN where a test is not defined; the note
             says why.
         """
         rows = []
@@ -146,15 +169,23 @@ class VirtualStudy:
             row: dict[str, Any] = dict.fromkeys([*TEST, *EFFECT], np.nan)
             try:
                 if len(own) < 2:
-                    raise ValueError("fewer than two conditions have this measure for every participant")
+                    raise ValueError(
+                        "fewer than two conditions have this measure for every participant"
+                    )
                 result = self.analysis(name, own)
             except ValueError as error:
                 row |= {"correction": "", "note": str(error)}
             else:
                 row |= {key: getattr(result, key) for key in row}
-                row |= {"df1": result.df1_corrected, "df2": result.df2_corrected, "p": result.p_corrected}
+                row |= {
+                    "df1": result.df1_corrected,
+                    "df2": result.df2_corrected,
+                    "p": result.p_corrected,
+                }
                 gone = [c for c in self.conditions if c not in own]
-                row["note"] = f"without {', '.join(gone)}, which do not have it for everyone" if gone else ""
+                row["note"] = (
+                    f"without {', '.join(gone)}, which do not have it for everyone" if gone else ""
+                )
             rows.append({"measure": name, "conditions": " ".join(own)} | row)
         frame = pd.DataFrame(rows)
         frame.attrs["origin"] = ORIGIN
@@ -197,7 +228,9 @@ class VirtualStudy:
         measures = USUAL[self.testbed] if measures is None else measures
         names = [measures] if isinstance(measures, str) else list(measures)
         results = [self.analysis(name) for name in names]
-        axes = panels(len(names), 3.2, f"{ORIGIN}, n = {len(self.participants) - len(self.failures)}")
+        axes = panels(
+            len(names), 3.2, f"{ORIGIN}, n = {len(self.participants) - len(self.failures)}"
+        )
         for axis, result in zip(axes, results, strict=True):
             result.plot(kind, axes=axis)
             axis.set(title="", xlabel="")
@@ -206,26 +239,44 @@ class VirtualStudy:
     @property
     def summary(self) -> str:
         """What was simulated, in a sentence or two."""
-        setting = ", ".join(f"{name} {value}" for name, value in self.settings.items() if value is not None)
+        setting = ", ".join(
+            f"{name} {value}" for name, value in self.settings.items() if value is not None
+        )
         assumed = self.settings.get("assumptions", {})
-        carried, rest = "Every session begins with the same utilization", ": orders have no effect on results."
+        carried, rest = (
+            "Every session begins with the same utilization",
+            ": orders have no effect on results.",
+        )
         if self.settings.get("rest") is not None:
-            carried, rest = "Utilization is carried over from session to session by (2.5)", "; nothing else is."
+            carried, rest = (
+                "Utilization is carried over from session to session by (2.5)",
+                "; nothing else is.",
+            )
         if assumed.get("learning") or assumed.get("fatigue"):
             rest = "; people learn or tire from session to session."
-        failed = f" {len(self.failures)} participant(s) failed and are left out." if len(self.failures) else ""
+        failed = (
+            f" {len(self.failures)} participant(s) failed and are left out."
+            if len(self.failures)
+            else ""
+        )
         return (
-            f"Virtual study on {WORDS[self.testbed]}: {len(self.participants)} simulated operators ({self.population.origin}), "
-            f"conditions {', '.join(self.conditions)}; {setting}. No person took part. {carried}{rest}{failed}"
+            f"Virtual study on {WORDS[self.testbed]}: {len(self.participants)} simulated "
+            f"operators ({self.population.origin}), conditions {', '.join(self.conditions)}; "
+            f"{setting}. No person took part. {carried}{rest}{failed}"
         )
 
     def __repr__(self) -> str:
         conditions = ", ".join(self.conditions)
-        return f"VirtualStudy({self.testbed}, {len(self.participants)} simulated operators, {conditions})"
+        return (
+            f"VirtualStudy({self.testbed}, {len(self.participants)} simulated operators, "
+            f"{conditions})"
+        )
 
     def _repr_html_(self) -> str:
         means = self.measures.groupby("condition", observed=True)[list(self.names)].mean().T
-        return as_html(self.summary, self.table()) + as_html(f"Means ({ORIGIN})", means[list(self.conditions)])
+        return as_html(self.summary, self.table()) + as_html(
+            f"Means ({ORIGIN})", means[list(self.conditions)]
+        )
 
 
 def virtual_study(
@@ -251,42 +302,50 @@ def virtual_study(
     """
     Simulate a within-subject study from its design to its statistics.
 
-    Operators are drawn from a population and run every condition in the orders of a Latin square; their measures are
-    analysed. Given the operator, sessions are independent: orders have no effect unless `rest` is given.
+    Operators are drawn from a population and run every condition in the orders of a Latin square;
+    their measures are analysed. Given the operator, sessions are independent: orders have no effect
+    unless `rest` is given.
 
     Parameters
     ----------
     design : "latin_square" or LatinSquareDesign
-        Orders of conditions: a complete balanced Latin square drawn from the seed, or a design with its conditions and
-        participants (numbered from 1).
+        Orders of conditions: a complete balanced Latin square drawn from the seed, or a design with
+        its conditions and participants (numbered from 1).
     n : int, optional
-        Participants; they must fill whole squares, or, for an odd number of conditions, half of the last one, which leaves carry-over
-        unbalanced. As many as the dissertation's study invited, or the next whole squares.
+        Participants; they must fill whole squares, or, for an odd number of conditions, half of the
+        last one, which leaves carry-over unbalanced. As many as the dissertation's study invited,
+        or the next whole squares.
     conditions : sequence of str, optional
-        C1 to C5 and the controls "own" and "random" of `run_condition` (ground robot, or a UAV that follows a leader), or M, MI, MMI, TMIG, TMIS, OMI (teleoperation of a UAV); C1 to
-        C5, or M, OMI, MMI and TMIG for a `TeleoperatorPopulation`.
+        C1 to C5 and the controls "own" and "random" of `run_condition` (ground robot, or a UAV that
+        follows a leader), or M, MI, MMI, TMIG, TMIS, OMI (teleoperation of a UAV); C1 to C5, or M,
+        OMI, MMI and TMIG for a `TeleoperatorPopulation`.
     population : GroundRobotPopulation, FollowingPopulation or TeleoperatorPopulation, optional
-        From whom operators are drawn; `GroundRobotPopulation.published()`, `FollowingPopulation()` or `TeleoperatorPopulation()` by
-        default.
+        From whom operators are drawn; `GroundRobotPopulation.published()`, `FollowingPopulation()`
+        or `TeleoperatorPopulation()` by default.
     seed : int
-        Of the design, of the people and of all runs. With the same seed, the people of a smaller study are the first of a
-        larger one.
+        Of the design, of the people and of all runs. With the same seed, the people of a smaller
+        study are the first of a larger one.
     testbed : {"ground_robot", "uav"}, optional
-        Where C1 to C5 are run, the testbed of Section 2.4.1 (by default) or of Section 2.4.2; schemes of Chapter 3 are of "uav".
+        Where C1 to C5 are run, the testbed of Section 2.4.1 (by default) or of Section 2.4.2;
+        schemes of Chapter 3 are of "uav".
     assumptions : mapping of str to float, optional
-        For C1 to C5, what is assumed of all operators: any of `trustlab.operators.ASSUMPTIONS` by name.
+        For C1 to C5, what is assumed of all operators: any of `trustlab.operators.ASSUMPTIONS` by
+        name.
     laps : int, optional
         Laps of each run of the ground robot; 8, as printed.
     duration : float, optional
         Length of each run of teleoperation [s]; 120.
     rest : float, optional
-        C1 to C5 only: pause between sessions [s], in which utilization decays by (2.5) from its value at the end of the
-        session before. When it is left out, every session begins with the operator's r0, 0 unless assumed otherwise.
+        C1 to C5 only: pause between sessions [s], in which utilization decays by (2.5) from its
+        value at the end of the session before. When it is left out, every session begins with the
+        operator's r0, 0 unless assumed otherwise.
     n_jobs, cluster, executor : int, object, Executor, optional
-        Where participants are simulated, as in `run_campaign`; by default in this process. They have no effect on results.
+        Where participants are simulated, as in `run_campaign`; by default in this process. They
+        have no effect on results.
     out : path-like, optional
-        A folder for sessions/ (Parquet, one file per session, for `read_sessions`), participants.csv, orders.csv, measures.csv, about.txt
-        and campaign/; a call with the same arguments goes on where a killed one stopped. Eight laps are about 1 MB.
+        A folder for sessions/ (Parquet, one file per session, for `read_sessions`),
+        participants.csv, orders.csv, measures.csv, about.txt and campaign/; a call with the same
+        arguments goes on where a killed one stopped. Eight laps are about 1 MB.
     progress : bool, optional
         Whether to show progress, as for `run_campaign`.
     fresh : bool
@@ -301,15 +360,16 @@ def virtual_study(
     Raises
     ------
     ValueError
-        If a condition is unknown or of another testbed, the population does not fit, n is too small or fills no whole squares, or an
-        argument would have no effect.
+        If a condition is unknown or of another testbed, the population does not fit, n is too small
+        or fills no whole squares, or an argument would have no effect.
 
     Warns
     -----
     CampaignWarning
         If participants' runs failed; they are listed in `.failures`.
     UserWarning
-        If the design leaves carry-over unbalanced, if sessions of C1 to C5 are too short for anybody to switch, or if nobody did.
+        If the design leaves carry-over unbalanced, if sessions of C1 to C5 are too short for
+        anybody to switch, or if nobody did.
 
     Examples
     --------
@@ -327,7 +387,11 @@ def virtual_study(
     people = population.draw(len(design.participants), seed)
     folder = None if out is None else Folder(out, design, flag("fresh", fresh))
     own = {"study": population.study} if isinstance(population, TeleoperatorPopulation) else {}
-    fixed = {"testbed": testbed, "settings": settings | own, "folder": folder and str(folder.sessions)}
+    fixed = {
+        "testbed": testbed,
+        "settings": settings | own,
+        "folder": folder and str(folder.sessions),
+    }
     runs = people.assign(order=design.table().agg(" ".join, axis=1).to_numpy())
     done = run_campaign(
         run_participant,
@@ -373,7 +437,10 @@ def _named(conditions: object, design: object, population: object) -> tuple[str,
         raise ValueError(f"conditions must be a list of names, got {conditions!r:.60}")
     if isinstance(design, LatinSquareDesign):
         if conditions is not None and tuple(conditions) != design.conditions:
-            raise ValueError(f"design has the conditions {design.conditions}, but conditions= says {tuple(conditions)}")
+            raise ValueError(
+                f"design has the conditions {design.conditions}, but conditions= says "
+                f"{tuple(conditions)}"
+            )
         conditions = design.conditions
     else:
         one_of("design", design, ["latin_square"], "a LatinSquareDesign")
@@ -382,9 +449,14 @@ def _named(conditions: object, design: object, population: object) -> tuple[str,
     known = [*KNOWN, *SCHEMES]
     names = tuple(one_of("condition", name, known) for name in conditions)
     if len(names) < 2 or len(set(names)) < len(names):
-        raise ValueError(f"conditions must be two or more, each once, got {', '.join(names) or 'none'}")
+        raise ValueError(
+            f"conditions must be two or more, each once, got {', '.join(names) or 'none'}"
+        )
     if 0 < sum(name in SCHEMES for name in names) < len(names):
-        raise ValueError(f"a study runs on one testbed, but conditions {', '.join(names)} are of two; make two studies")
+        raise ValueError(
+            f"a study runs on one testbed, but conditions {', '.join(names)} are of two; make two "
+            "studies"
+        )
     return names
 
 
@@ -404,11 +476,19 @@ def _testbed(testbed: str | None, conditions: tuple[str, ...], population: objec
 def _fitting(population: object, testbed: str) -> Population:
     """Return a population of operators of the testbed."""
     if population is None:
-        return GroundRobotPopulation.published() if testbed == "ground_robot" else POPULATIONS[testbed]()
-    return of_class("population", population, POPULATIONS[testbed], f"the conditions are of {WORDS[testbed]}")
+        return (
+            GroundRobotPopulation.published()
+            if testbed == "ground_robot"
+            else POPULATIONS[testbed]()
+        )
+    return of_class(
+        "population", population, POPULATIONS[testbed], f"the conditions are of {WORDS[testbed]}"
+    )
 
 
-def _designed(design: object, n: int | None, conditions: tuple, seed: int, testbed: str) -> LatinSquareDesign:
+def _designed(
+    design: object, n: int | None, conditions: tuple, seed: int, testbed: str
+) -> LatinSquareDesign:
     """Return a design whose participants are numbered and enough for repeated measures."""
     n = None if n is None else whole_number("n", n)
     if isinstance(design, LatinSquareDesign):
@@ -416,30 +496,42 @@ def _designed(design: object, n: int | None, conditions: tuple, seed: int, testb
         if n is not None and n != count:
             raise ValueError(f"design is for {count} participants, but n = {n}")
         if design.participants != tuple(range(1, count + 1)):
-            raise ValueError("the participants of a virtual study are numbered: make the design with their number")
+            raise ValueError(
+                "the participants of a virtual study are numbered: make the design with their "
+                "number"
+            )
         if count < 3:
-            raise ValueError(f"{count} participants are too few for the design: repeated measures need at least 3")
+            raise ValueError(
+                f"{count} participants are too few for the design: repeated measures need at "
+                "least 3"
+            )
         return design
     least = participants_needed(len(conditions), 3)
     if n is None:
         n = participants_needed(len(conditions), PRINTED_N[testbed])
     if n < max(3, len(conditions)):
         square = f"a balanced Latin square of {len(conditions)} conditions"
-        raise ValueError(f"n = {n} is too small for the design: {square} needs {least} participants")
+        raise ValueError(
+            f"n = {n} is too small for the design: {square} needs {least} participants"
+        )
     k = len(conditions)
     if k % 2 == 0 or n % (2 * k) != k:
         return latin_square_design(conditions, n, seed=seed)
-    # The first k orders of a square for odd k are a Latin square by themselves: every condition once at every position.
+    # The first k orders of a square for odd k are a Latin square by themselves: every condition
+    # once at every position.
     whole = latin_square_design(conditions, n + k, seed=seed)
     half = tuple(row for row in whole.rows[n - k :] if row <= k)
     warn(
-        f"{n} participants fill half of the last square: each of the {k} conditions stands equally often at every position, but does "
-        f"not follow every other one equally often; {n + k} participants would balance both"
+        f"{n} participants fill half of the last square: each of the {k} conditions stands "
+        "equally often at every position, but does not follow every other one equally often; "
+        f"{n + k} participants would balance both"
     )
     return replace(whole, participants=tuple(range(1, n + 1)), rows=whole.rows[: n - k] + half)
 
 
-def _settings(testbed: str, laps: int | None, duration: float | None, rest: float | None, assumptions: Any) -> dict:
+def _settings(
+    testbed: str, laps: int | None, duration: float | None, rest: float | None, assumptions: Any
+) -> dict:
     """Return the settings of all runs; raise where one would have no effect."""
     idle: dict[str, object] = {"laps": laps, "rest": rest, "assumptions": assumptions}
     if testbed != "uav":
@@ -452,10 +544,15 @@ def _settings(testbed: str, laps: int | None, duration: float | None, rest: floa
     laps = 8 if laps is None else whole_number("laps", laps, most=MOST_LAPS)
     settings = {"laps": laps} if testbed == "ground_robot" else {}
     assumed = checked_assumptions({} if assumptions is None else assumptions)
-    return settings | {"rest": None if rest is None else not_negative("rest", rest), "assumptions": assumed}
+    return settings | {
+        "rest": None if rest is None else not_negative("rest", rest),
+        "assumptions": assumed,
+    }
 
 
-def _tidy(done: pd.DataFrame, design: LatinSquareDesign, conditions: tuple[str, ...]) -> pd.DataFrame:
+def _tidy(
+    done: pd.DataFrame, design: LatinSquareDesign, conditions: tuple[str, ...]
+) -> pd.DataFrame:
     """Return a row per session from a row per participant."""
     prefix = f"{conditions[0]}/"
     names = [column.removeprefix(prefix) for column in done.columns if column.startswith(prefix)]
@@ -463,7 +560,9 @@ def _tidy(done: pd.DataFrame, design: LatinSquareDesign, conditions: tuple[str, 
     parts = [wide[[f"{c}/{name}" for name in names]].set_axis(names, axis=1) for c in conditions]
     long = pd.concat(parts, keys=conditions, names=["condition"]).astype(float).reset_index()
     frame = design.orders().merge(long, on=["participant", "condition"], validate="one_to_one")
-    frame["condition"] = pd.Categorical(frame["condition"], categories=list(conditions), ordered=False)
+    frame["condition"] = pd.Categorical(
+        frame["condition"], categories=list(conditions), ordered=False
+    )
     frame["synthetic"] = True
     frame = frame[[*KEYS, *names]].sort_values(["participant", "position"], ignore_index=True)
     frame.attrs = {"origin": ORIGIN}
@@ -471,7 +570,10 @@ def _tidy(done: pd.DataFrame, design: LatinSquareDesign, conditions: tuple[str, 
 
 
 class Folder:
-    """Where a virtual study is written; refused if it holds other things, or sessions not known to be of this study."""
+    """
+    Where a virtual study is written; refused if it holds other things, or sessions not known to be
+    of this study.
+    """
 
     def __init__(self, path: str | os.PathLike, design: LatinSquareDesign, fresh: bool = False):
         self.path = folder_path(path)
@@ -485,7 +587,9 @@ class Folder:
         if (self.campaign / "campaign.json").is_file():
             known = {session_file(*row) for row in design.orders().itertuples(index=False)}
             if fresh:
-                known = {name for name in held if fnmatchcase(name, "participant_*_trial_*.parquet")}
+                known = {
+                    name for name in held if fnmatchcase(name, "participant_*_trial_*.parquet")
+                }
         refuse(self.sessions, "sessions that are not known to be of this study", held - known)
         if fresh:
             for name in known & held:
@@ -500,10 +604,14 @@ class Folder:
         missing = [name for name in wanted if not (self.sessions / name).is_file()]
         if missing:
             raise ValueError(
-                f"{len(missing)} of {len(wanted)} sessions are missing from {self.sessions} ({missing[0]} first), although the "
-                "campaign beside it says that they were run; remove the folder and run the study again"
+                f"{len(missing)} of {len(wanted)} sessions are missing from {self.sessions} "
+                f"({missing[0]} first), although the campaign beside it says that they were run; "
+                "remove the folder and run the study again"
             )
-        about = f"SIMULATED. {study.summary}\nOne file per session in sessions/: trustlab.read_sessions reads them.\n"
+        about = (
+            f"SIMULATED. {study.summary}\nOne file per session in sessions/: "
+            "trustlab.read_sessions reads them.\n"
+        )
         with writing_in(self.path):
             study.participants.to_csv(self.path / "participants.csv", index=False)
             orders.to_csv(self.path / "orders.csv", index=False)
@@ -512,11 +620,16 @@ class Folder:
 
 
 # What makes an operator of a row of the population's draw, by testbed.
-PERSONS = {"ground_robot": GroundRobotPopulation.person, "uav_following": FollowingPopulation.person}
+PERSONS = {
+    "ground_robot": GroundRobotPopulation.person,
+    "uav_following": FollowingPopulation.person,
+}
 
 
 def session_file(participant: int, position: int, condition: str) -> str:
-    """Return the name of the file that holds one session; participants and positions count from 1."""
+    """
+    Return the name of the file that holds one session; participants and positions count from 1.
+    """
     return f"participant_{participant:05d}_trial_{position}_{condition}.parquet"
 
 
@@ -530,17 +643,24 @@ def run_participant(
     **operator: float,
 ) -> dict[str, float]:
     """
-    Run all conditions for one simulated operator, and return measures as "condition/measure": a task of `run_campaign`.
+    Run all conditions for one simulated operator, and return measures as "condition/measure": a
+    task of `run_campaign`.
 
-    `order` holds the conditions in their order, separated by blanks; `settings` assumptions of C1–C5, laps of the ground robot and
-    rest [s] (the pause between sessions, or None where each begins with the operator's r0), or study and duration [s] of
-    teleoperation; `operator` is a row of the population's draw.
+    `order` holds the conditions in their order, separated by blanks; `settings` assumptions of
+    C1–C5, laps of the ground robot and rest [s] (the pause between sessions, or None where each
+    begins with the operator's r0), or study and duration [s] of teleoperation; `operator` is a row
+    of the population's draw.
     """
     conditions = order.split()
-    # Each condition has a seed by its place in the alphabet, so that the order has no effect on its noise.
+    # Each condition has a seed by its place in the alphabet, so that the order has no effect on its
+    # noise.
     streams = dict(zip(sorted(conditions), seed.spawn(len(conditions)), strict=True))
     values, found = operator | {"participant": participant}, {}
-    run = _Allocated(testbed, values, settings) if testbed in PERSONS else _Teleoperated(values, settings)
+    run = (
+        _Allocated(testbed, values, settings)
+        if testbed in PERSONS
+        else _Teleoperated(values, settings)
+    )
     for position, condition in enumerate(conditions, start=1):
         if folder is None:
             measures = run.measures(condition, position, streams[condition])
@@ -569,10 +689,15 @@ class _Teleoperated:
 
 
 class _Allocated:
-    """An operator's runs under C1–C5; utilization is carried over where sessions have a rest between them."""
+    """
+    An operator's runs under C1–C5; utilization is carried over where sessions have a rest between
+    them.
+    """
 
     def __init__(self, testbed: str, values: dict[str, float], settings: dict):
-        self.testbed, self.settings, self.carried = testbed, settings, None
+        self.testbed = testbed
+        self.settings = settings
+        self.carried = None
         someone, self.model, self.thresholds = PERSONS[testbed](values)
         self.person = replace(someone, **settings.get("assumptions", {}))
 
@@ -588,12 +713,17 @@ class _Allocated:
         own = {} if self.testbed != "ground_robot" else {"laps": self.settings["laps"]}
         if suggested_by_tsc(condition):
             own["thresholds"] = self.thresholds
-        run = run_condition(**self._arguments(condition, position), seed=seed, testbed=self.testbed, **own)
+        run = run_condition(
+            **self._arguments(condition, position), seed=seed, testbed=self.testbed, **own
+        )
         self._rested(float(run.session["r"][-1]))
         return run.session, run.measures
 
     def measures(self, condition: str, position: int, seed: SeedSequence) -> dict[str, float]:
-        arguments = self._arguments(condition, position) | {"thresholds": self.thresholds, "seed": seed}
+        arguments = self._arguments(condition, position) | {
+            "thresholds": self.thresholds,
+            "seed": seed,
+        }
         if self.testbed == "ground_robot":
             measures, last = measured_condition(**arguments, laps=self.settings["laps"])
         else:

@@ -1,4 +1,7 @@
-"""Answers to a questionnaire: a wide or long table becomes a row per subject and condition, a column per item."""
+"""
+Answers to a questionnaire: a wide or long table becomes a row per subject and condition, a column
+per item.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -11,7 +14,10 @@ from trustlab.studies.columns import column_of, number_or_nan, refuse_missing_la
 
 
 def answer_name(row: object, item: object = None) -> str:
-    """Return how an error refers to an answer: subject, condition where the label of the row has one, item."""
+    """
+    Return how an error refers to an answer: subject, condition where the label of the row has one,
+    item.
+    """
     subject, *condition = row if isinstance(row, tuple) else (row,)
     labels = {"subject": subject}
     if condition:
@@ -23,7 +29,9 @@ def answer_name(row: object, item: object = None) -> str:
 
 
 def _columns_of_items(wanted: Sequence[str], items: object) -> dict[str, object]:
-    """Return which column (or, in a long table, which label) holds each item of the questionnaire."""
+    """
+    Return which column (or, in a long table, which label) holds each item of the questionnaire.
+    """
     if items is None:
         return {name: name for name in wanted}
     if isinstance(items, Mapping):
@@ -33,7 +41,9 @@ def _columns_of_items(wanted: Sequence[str], items: object) -> dict[str, object]
             raise ValueError(f"items: {unknown[0]!r} is not an item of this questionnaire{hint}")
         lacking = [name for name in wanted if name not in items]
         if lacking:
-            raise ValueError(f"items: no column is named for {', '.join(lacking)}; name one for every item")
+            raise ValueError(
+                f"items: no column is named for {', '.join(lacking)}; name one for every item"
+            )
         columns = {name: items[name] for name in wanted}
     elif isinstance(items, Sequence) and not isinstance(items, str):
         if len(items) != len(wanted):
@@ -59,10 +69,14 @@ def _check_table(frame: pd.DataFrame, keys: list[str]) -> None:
         raise ValueError(f"subject and condition are the same column, {keys[0]!r}")
 
 
-def _answered(frame: pd.DataFrame, rows: list, columns: Mapping, item: Any, response: Any) -> Iterator[tuple]:
+def _answered(
+    frame: pd.DataFrame, rows: list, columns: Mapping, item: Any, response: Any
+) -> Iterator[tuple]:
     """Yield row, item and answer of every cell of a wide table, or of every row of a long one."""
     if item is None:
-        found = {name: column_of(frame, f"item {name!r}", column) for name, column in columns.items()}
+        found = {
+            name: column_of(frame, f"item {name!r}", column) for name, column in columns.items()
+        }
         for name, column in found.items():
             yield from zip(rows, [name] * len(rows), column.array, strict=True)
         return
@@ -71,8 +85,14 @@ def _answered(frame: pd.DataFrame, rows: list, columns: Mapping, item: Any, resp
     refuse_missing_labels(labels, "item")
     for row, label, value in zip(rows, labels.array, answers.array, strict=True):
         if label not in items:
-            hint = f"{did_you_mean(label, items)}; name it in items=, or leave out the rows of other questionnaires"
-            raise ValueError(f"{answer_name(row)}: {label!r} in column {item!r} is no item of this questionnaire{hint}")
+            hint = (
+                f"{did_you_mean(label, items)}; name it in items=, or leave out the rows of "
+                "other questionnaires"
+            )
+            raise ValueError(
+                f"{answer_name(row)}: {label!r} in column {item!r} is no item of this "
+                f"questionnaire{hint}"
+            )
         yield row, items[label], value
 
 
@@ -87,26 +107,35 @@ def read_answers(
     response: str | None = None,
 ) -> pd.DataFrame:
     """
-    Return a column per item and a row per subject (and condition), which the index names; NaN where not answered.
+    Return a column per item and a row per subject (and condition), which the index names; NaN where
+    not answered.
 
     The arguments are those of `score_likert`; `wanted` are the questionnaire's items.
     """
     keys = [subject] if condition is None else [subject, condition]
     _check_table(frame, keys)
     if (item is None) != (response is None):
-        raise ValueError("a long table needs both item= and response=; for a wide one leave both out")
+        raise ValueError(
+            "a long table needs both item= and response=; for a wide one leave both out"
+        )
     columns = _columns_of_items(wanted, items)
     own = list(frame[keys].itertuples(index=False, name=None))
     rows = own if condition is not None else [label for (label,) in own]
     answers = {}
     for row, name, value in _answered(frame, rows, columns, item, response):
         if (row, name) in answers:
-            hint = ", or say condition= if they were given under two conditions" if condition is None else ""
+            hint = (
+                ", or say condition= if they were given under two conditions"
+                if condition is None
+                else ""
+            )
             raise ValueError(f"{answer_name(row, name)} occurs twice; keep one{hint}")
         try:
             answers[row, name] = number_or_nan(value)
         except TypeError:
-            raise ValueError(f"{answer_name(row, name)}: the answer is {shown(value)}, not a number") from None
+            raise ValueError(
+                f"{answer_name(row, name)}: the answer is {shown(value)}, not a number"
+            ) from None
     # One row each, in order of appearance, with the types of the columns.
     labels = frame[keys].drop_duplicates()
     index = pd.Index(labels[subject]) if condition is None else pd.MultiIndex.from_frame(labels)
@@ -114,7 +143,9 @@ def read_answers(
     return pd.DataFrame(table, index=index, columns=list(wanted), dtype=float)
 
 
-def check_answers(answers: pd.DataFrame, low: float, high: float, step: float | None, hint: str = "") -> None:
+def check_answers(
+    answers: pd.DataFrame, low: float, high: float, step: float | None, hint: str = ""
+) -> None:
     """
     Refuse answers outside the scale or between its steps; missing ones pass.
 
@@ -133,4 +164,7 @@ def check_answers(answers: pd.DataFrame, low: float, high: float, step: float | 
     if step is not None:
         steps = (values - low) / step
         # NaN compares as False: a missing answer is on no step and between none.
-        refuse(np.abs(steps - np.round(steps)) > 1e-9, f"is not a step of {step:g} from {low:g} to {high:g}")
+        refuse(
+            np.abs(steps - np.round(steps)) > 1e-9,
+            f"is not a step of {step:g} from {low:g} to {high:g}",
+        )

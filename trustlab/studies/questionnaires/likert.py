@@ -1,7 +1,9 @@
 """
-Likert scales: reversed items, subscales, missing answers by a named rule, and scores that know their range.
+Likert scales: reversed items, subscales, missing answers by a named rule, and scores that know
+their range.
 
-Two of them are at hand: satisfaction on five points (Chapter 2) or seven, and the trust checklist of Jian, Bisantz and Drury.
+Two of them are at hand: satisfaction on five points (Chapter 2) or seven, and the trust checklist
+of Jian, Bisantz and Drury.
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,7 +53,8 @@ class Reliability:
 
 def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability:
     """
-    Return Cronbach's alpha of items scored in the same direction, α = k/(k − 1) · (1 − Σ s_i²/s²), by pingouin.
+    Return Cronbach's alpha of items scored in the same direction, α = k/(k − 1) · (1 − Σ s_i²/s²),
+    by pingouin.
 
     Parameters
     ----------
@@ -67,13 +70,13 @@ def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability
     Raises
     ------
     ValueError
-        If there are fewer than two items or three subjects, an answer is missing or not a number, or the sum of the items
-        is the same for all subjects.
+        If there are fewer than two items or three subjects, an answer is missing or not a number,
+        or the sum of the items is the same for all subjects.
 
     References
     ----------
-    L. S. Feldt, D. J. Woodruff, F. A. Salih, Statistical inference for coefficient alpha, Applied Psychological
-    Measurement 11 (1987) 93-103.
+    L. S. Feldt, D. J. Woodruff, F. A. Salih, Statistical inference for coefficient alpha, Applied
+    Psychological Measurement 11 (1987) 93-103.
 
     Examples
     --------
@@ -102,23 +105,30 @@ def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability
     numbers = items.astype(float).set_axis(range(k), axis=1).reset_index(drop=True)
     if np.abs(numbers.to_numpy()).max() > 1e100:
         raise ValueError("items are so large that their squares overflow; change their unit")
-    numbers /= np.ldexp(1.0, np.frexp(np.abs(numbers.to_numpy()).max())[1])  # squares of tiny numbers underflow
+    numbers /= np.ldexp(
+        1.0, np.frexp(np.abs(numbers.to_numpy()).max())[1]
+    )  # squares of tiny numbers underflow
     if np.ptp(numbers.sum(axis=1)) == 0.0:
         raise ValueError("the items' sum is the same for all subjects: alpha is not defined")
     alpha = float(alpha_of(data=numbers)[0])
-    df1, df2, tail = n - 1, (n - 1) * (k - 1), (1.0 - confidence) / 2.0
+    df1 = n - 1
+    df2 = (n - 1) * (k - 1)
+    tail = (1.0 - confidence) / 2.0
     low, high = (1.0 - (1.0 - alpha) * float(f.isf(p, df1, df2)) for p in (tail, 1.0 - tail))
     rest = {}
     for j, name in enumerate(items.columns):
         left = numbers.drop(columns=j)
-        rest[name] = float(alpha_of(data=left)[0]) if k > 2 and np.ptp(left.sum(axis=1)) > 0.0 else np.nan
+        rest[name] = (
+            float(alpha_of(data=left)[0]) if k > 2 and np.ptp(left.sum(axis=1)) > 0.0 else np.nan
+        )
     return Reliability(alpha, low, high, confidence, n, k, pd.Series(rest, name="alpha_without"))
 
 
 # Every item must be answered; or a score is formed where at least half of its items are answered.
 MISSING_RULES = ("refuse", "half_rule")
 
-# The items of Section 2.4.1.3: satisfaction, comfort, and the feeling of being in control of the task.
+# The items of Section 2.4.1.3: satisfaction, comfort, and the feeling of being in control of the
+# task.
 SATISFACTION_ITEMS = ("satisfaction", "comfort", "control")
 
 
@@ -142,7 +152,9 @@ class Subscale:
     reversed: tuple[str, ...] = ()
 
 
-def _check_names(what: str, names: Sequence[str], known: Sequence[str] | None = None, least: int = 1) -> None:
+def _check_names(
+    what: str, names: Sequence[str], known: Sequence[str] | None = None, least: int = 1
+) -> None:
     """Refuse names of items that are too few, occur twice or are not among those known."""
     if isinstance(names, str) or not all(isinstance(name, str) and name.strip() for name in names):
         raise ValueError(f"{what} must be a list of names, got {names!r}")
@@ -180,7 +192,8 @@ class LikertScale:
     Raises
     ------
     ValueError
-        If items repeat, a reversed item or an item of a subscale is not among the items, or low is not below high.
+        If items repeat, a reversed item or an item of a subscale is not among the items, or low is
+        not below high.
     """
 
     name: str
@@ -202,18 +215,27 @@ class LikertScale:
         taken = [f"{self.name}_mean", f"{self.name}_sum"]
         for part in self.subscales:
             if part.name in taken:
-                raise ValueError(f"subscale {part.name!r}: another score has this name; rename one of the two")
+                raise ValueError(
+                    f"subscale {part.name!r}: another score has this name; rename one of the two"
+                )
             taken.append(part.name)
             _check_names(f"subscale {part.name!r}", part.items, self.items)
-            _check_names(f"reversed items of subscale {part.name!r}", part.reversed, part.items, least=0)
+            _check_names(
+                f"reversed items of subscale {part.name!r}", part.reversed, part.items, least=0
+            )
         low, high = in_order("low", self.low, "high", self.high)
         if self.step is not None:
             steps = (high - low) / finite_number("step", self.step)
             if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-9):
-                raise ValueError(f"step must divide {low:g} to {high:g} into equal parts, got {self.step:g}")
+                raise ValueError(
+                    f"step must divide {low:g} to {high:g} into equal parts, got {self.step:g}"
+                )
 
     def table(self) -> pd.DataFrame:
-        """Return the items: item, low, high, step, reversed, and for each subscale a column that marks its items."""
+        """
+        Return the items: item, low, high, step, reversed, and for each subscale a column that marks
+        its items.
+        """
         columns = {
             "item": self.items,
             "low": float(self.low),
@@ -221,7 +243,9 @@ class LikertScale:
             "step": np.nan if self.step is None else float(self.step),
             "reversed": [name in self.reversed for name in self.items],
         }
-        columns |= {part.name: [name in part.items for name in self.items] for part in self.subscales}
+        columns |= {
+            part.name: [name in part.items for name in self.items] for part in self.subscales
+        }
         return pd.DataFrame(columns)
 
 
@@ -237,7 +261,8 @@ class ScaleScores:
     scores : pandas.DataFrame
         A row per subject and condition: the columns that name them, then a column per score.
     answers : pandas.DataFrame
-        The answers, indexed by subject (and condition), a column per item; rescaled where that was asked for, not reversed.
+        The answers, indexed by subject (and condition), a column per item; rescaled where that was
+        asked for, not reversed.
     ranges : dict of str to tuple
         Lowest and highest value that each score can have.
     coded : dict of str to pandas.DataFrame
@@ -254,7 +279,9 @@ class ScaleScores:
     missing: pd.DataFrame
 
     def table(self) -> pd.DataFrame:
-        """Return the scores; `.attrs["scales"]` keeps name, low and high of every score's column."""
+        """
+        Return the scores; `.attrs["scales"]` keeps name, low and high of every score's column.
+        """
         frame = self.scores.copy()
         frame.attrs["scales"] = {
             score: {"name": self.name, "low": float(low), "high": float(high)}
@@ -266,7 +293,8 @@ class ScaleScores:
         """
         Return Cronbach's alpha of every score of two items or more, for each condition.
 
-        Answers of one subject under several conditions are not independent, hence one alpha per condition.
+        Answers of one subject under several conditions are not independent, hence one alpha per
+        condition.
 
         Parameters
         ----------
@@ -276,8 +304,9 @@ class ScaleScores:
         Returns
         -------
         pandas.DataFrame
-            Columns score, condition (NaN where there is none), n, items, alpha, ci_low, ci_high; subjects with missing
-            answers are left out of n; alpha is NaN for fewer than three subjects, or where all have the same score.
+            Columns score, condition (NaN where there is none), n, items, alpha, ci_low, ci_high;
+            subjects with missing answers are left out of n; alpha is NaN for fewer than three
+            subjects, or where all have the same score.
         """
         rows = []
         for score, coded in self.coded.items():
@@ -292,38 +321,55 @@ class ScaleScores:
                     alpha = cronbach_alpha(own, confidence)
                     found = (alpha.alpha, alpha.ci_low, alpha.ci_high)
                 rows.append((score, condition, len(own), own.shape[1], *found))
-        return pd.DataFrame(rows, columns=["score", "condition", "n", "items", "alpha", "ci_low", "ci_high"])
+        return pd.DataFrame(
+            rows, columns=["score", "condition", "n", "items", "alpha", "ci_low", "ci_high"]
+        )
 
     def _repr_html_(self) -> str:
         return as_html("", self.scores, title=self.name)
 
 
-def missing_answers(answers: pd.DataFrame, parts: Mapping[str, Sequence[str]], rule: str) -> pd.DataFrame:
+def missing_answers(
+    answers: pd.DataFrame, parts: Mapping[str, Sequence[str]], rule: str
+) -> pd.DataFrame:
     """
-    Return the answers that are missing (subject, condition, item, rule), or refuse them where the rule does.
+    Return the answers that are missing (subject, condition, item, rule), or refuse them where the
+    rule does.
 
     `parts` gives the items of every score.
     """
     one_of("missing", rule, MISSING_RULES)
     several = isinstance(answers.index, pd.MultiIndex)
-    gaps = [(answers.index[i], answers.columns[j]) for i, j in np.argwhere(answers.isna().to_numpy())]
+    gaps = [
+        (answers.index[i], answers.columns[j]) for i, j in np.argwhere(answers.isna().to_numpy())
+    ]
     if gaps and rule == "refuse":
         named = "; ".join(answer_name(*gap) for gap in gaps[:10]) + (" …" if len(gaps) > 10 else "")
-        remedy = 'Fill them in from the records, leave the subject out, or ask for missing="half_rule"'
-        raise ValueError(f"{len(gaps)} {'answer is' if len(gaps) == 1 else 'answers are'} missing: {named}. {remedy}")
+        remedy = (
+            'Fill them in from the records, leave the subject out, or ask for missing="half_rule"'
+        )
+        raise ValueError(
+            f"{len(gaps)} {'answer is' if len(gaps) == 1 else 'answers are'} missing: {named}. "
+            f"{remedy}"
+        )
     for score, items in parts.items():
         short = answers[list(items)].isna().mean(axis=1).to_numpy() > 0.5
         if short.any():
             found = f"fewer than half of the {len(items)} items of {score!r} are answered"
             whose = answer_name(answers.index[int(np.argmax(short))])
-            raise ValueError(f"{whose}: {found}, so that the half rule gives no score; leave the subject out")
+            raise ValueError(
+                f"{whose}: {found}, so that the half rule gives no score; leave the subject out"
+            )
     rows = [(*(row if several else (row, np.nan)), item, rule) for row, item in gaps]
     table = pd.DataFrame(rows, columns=["subject", "condition", "item", "rule"])
     return table if several else table.astype({"condition": float})
 
 
 class AnswerColumns(TypedDict, total=False):
-    """Where the answers are and what is done about missing ones: the keyword arguments of `score_likert`."""
+    """
+    Where the answers are and what is done about missing ones: the keyword arguments of
+    `score_likert`.
+    """
 
     subject: Required[str]
     condition: str | None
@@ -345,23 +391,26 @@ def score_likert(
     missing: str = "refuse",
 ) -> ScaleScores:
     """
-    Score a questionnaire: mean and sum over all items, reversed ones recoded, and the mean of every subscale.
+    Score a questionnaire: mean and sum over all items, reversed ones recoded, and the mean of every
+    subscale.
 
     Parameters
     ----------
     frame : pandas.DataFrame
-        Answers as given, not reversed: wide (a column per item) or, with `item` and `response`, long.
+        Answers as given, not reversed: wide (a column per item) or, with `item` and `response`,
+        long.
     scale : LikertScale
         The questionnaire.
     subject, condition : str
         Columns that say whose answers these are and under which condition; `condition` may be None.
     items : dict or list, optional
-        Item of the scale → column (wide) or label in column `item` (long); or those in the scale's order. By default
-        they have the scale's own names.
+        Item of the scale → column (wide) or label in column `item` (long); or those in the scale's
+        order. By default they have the scale's own names.
     item, response : str, optional
         For a long table: the column that names the item and the one that holds the answer.
     missing : str
-        "refuse", or "half_rule": means of the answered items where at least half are answered, sums prorated.
+        "refuse", or "half_rule": means of the answered items where at least half are answered, sums
+        prorated.
 
     Returns
     -------
@@ -370,7 +419,8 @@ def score_likert(
     Raises
     ------
     ValueError
-        Naming subject, condition and item of an answer that is missing, not a number, outside the scale or between its steps.
+        Naming subject, condition and item of an answer that is missing, not a number, outside the
+        scale or between its steps.
 
     Examples
     --------
@@ -385,7 +435,13 @@ def score_likert(
     """
     of_class("scale", scale, LikertScale)
     answers = read_answers(
-        frame, scale.items, subject=subject, condition=condition, items=items, item=item, response=response
+        frame,
+        scale.items,
+        subject=subject,
+        condition=condition,
+        items=items,
+        item=item,
+        response=response,
     )
     check_answers(answers, scale.low, scale.high, scale.step)
     whole = Subscale(f"{scale.name}_mean", scale.items, scale.reversed)
@@ -407,7 +463,9 @@ def score_likert(
     return ScaleScores(scale.source or scale.name, table, answers, ranges, coded, gaps)
 
 
-def satisfaction_scale(points: int, items: Any = SATISFACTION_ITEMS, reversed: Any = ()) -> LikertScale:
+def satisfaction_scale(
+    points: int, items: Any = SATISFACTION_ITEMS, reversed: Any = ()
+) -> LikertScale:
     """
     Return a satisfaction scale.
 
@@ -445,11 +503,13 @@ def score_satisfaction(  # type: ignore[misc]  # `items` is among the columns to
     Parameters
     ----------
     frame : pandas.DataFrame
-        Answers as given, not reversed: wide (a column per item) or, with `item` and `response`, long.
+        Answers as given, not reversed: wide (a column per item) or, with `item` and `response`,
+        long.
     points : {5, 7}
         Answers run from 1 to this.
     items : sequence of str or dict
-        The items, which are the columns' names; or a dict of item → column (wide) or label in column `item` (long).
+        The items, which are the columns' names; or a dict of item → column (wide) or label in
+        column `item` (long).
     reversed : sequence of str
         Items for which a high answer means little satisfaction.
     **columns : AnswerColumns
@@ -463,8 +523,8 @@ def score_satisfaction(  # type: ignore[misc]  # `items` is among the columns to
     Raises
     ------
     ValueError
-        Naming subject, condition and item of an answer that is missing, not a number, or not a whole number from 1 to
-        `points`.
+        Naming subject, condition and item of an answer that is missing, not a number, or not a
+        whole number from 1 to `points`.
 
     Examples
     --------
@@ -486,7 +546,8 @@ def score_satisfaction(  # type: ignore[misc]  # `items` is among the columns to
 _DISTRUST = ("deceptive", "underhanded", "suspicious", "wary", "harmful")
 _TRUST = ("confident", "security", "integrity", "dependable", "reliable", "trust", "familiar")
 
-#: Items 1–5 (distrust) are reversed in mean and sum; both subscales are means of the answers as given.
+# : Items 1–5 (distrust) are reversed in mean and sum; both subscales are means of the answers as
+# given.
 TRUST_CHECKLIST = LikertScale(
     name="trust",
     items=_DISTRUST + _TRUST,
@@ -505,26 +566,29 @@ def score_trust_checklist(frame: pd.DataFrame, **columns: Unpack[AnswerColumns])
     Parameters
     ----------
     frame : pandas.DataFrame
-        Answers as given, not reversed: wide (a column per item) or, with `item` and `response`, long.
+        Answers as given, not reversed: wide (a column per item) or, with `item` and `response`,
+        long.
     **columns : AnswerColumns
-        The keyword arguments of `score_likert`: subject, condition, items, item, response, missing. `items` maps items of
-        TRUST_CHECKLIST to columns (wide) or to labels in column `item` (long), or lists those of items 1 to 12.
+        The keyword arguments of `score_likert`: subject, condition, items, item, response, missing.
+        `items` maps items of TRUST_CHECKLIST to columns (wide) or to labels in column `item`
+        (long), or lists those of items 1 to 12.
 
     Returns
     -------
     ScaleScores
-        Scores trust_mean (1–7), trust_sum (12–84), trust_subscale (1–7, items 6–12) and distrust_subscale (1–7, items
-        1–5, where a high score is distrust).
+        Scores trust_mean (1–7), trust_sum (12–84), trust_subscale (1–7, items 6–12) and
+        distrust_subscale (1–7, items 1–5, where a high score is distrust).
 
     Raises
     ------
     ValueError
-        Naming subject, condition and item of an answer that is missing, not a number, or not a whole number from 1 to 7.
+        Naming subject, condition and item of an answer that is missing, not a number, or not a
+        whole number from 1 to 7.
 
     References
     ----------
-    J.-Y. Jian, A. M. Bisantz, C. G. Drury, Foundations for an empirically determined scale of trust in automated systems,
-    International Journal of Cognitive Ergonomics 4 (2000) 53-71.
+    J.-Y. Jian, A. M. Bisantz, C. G. Drury, Foundations for an empirically determined scale of trust
+    in automated systems, International Journal of Cognitive Ergonomics 4 (2000) 53-71.
 
     Examples
     --------

@@ -11,16 +11,30 @@ from trustlab.studies.columns import column_of, refuse_missing_labels
 from trustlab.studies.questionnaires.answers import answer_name, check_answers, read_answers
 from trustlab.studies.questionnaires.likert import ScaleScores, missing_answers
 
-#: The six scales: demands (mental, physical, temporal), performance (good → poor), effort, frustration.
+# : The six scales: demands (mental, physical, temporal), performance (good → poor), effort,
+# frustration.
 TLX_SCALES = ("mental", "physical", "temporal", "performance", "effort", "frustration")
 
-#: Response scales besides 0–100 in steps of 5: lowest and highest answer, step, what makes 0–100 of it, in words.
+# : Response scales besides 0–100 in steps of 5: lowest and highest answer, step, what makes 0–100
+# of it, in words.
 TLX_RESCALINGS: dict[str, tuple[float, float, float | None, Callable, str]] = {
     "0-100": (0.0, 100.0, None, lambda x: x, "as it is, on or between the marks (sliders)"),
     "0-20": (0.0, 20.0, 1.0, lambda x: 5.0 * x, "5 times the answer"),
     "1-21": (1.0, 21.0, 1.0, lambda x: 5.0 * (x - 1.0), "5 times the answer less 1"),
-    "1-20, as intervals": (1.0, 20.0, 1.0, lambda x: 5.0 * x, "5 times the answer: twenty intervals, 5 to 100"),
-    "1-20, stretched": (1.0, 20.0, 1.0, lambda x: 100.0 * (x - 1.0) / 19.0, "1 to 20 stretched to 0 to 100"),
+    "1-20, as intervals": (
+        1.0,
+        20.0,
+        1.0,
+        lambda x: 5.0 * x,
+        "5 times the answer: twenty intervals, 5 to 100",
+    ),
+    "1-20, stretched": (
+        1.0,
+        20.0,
+        1.0,
+        lambda x: 100.0 * (x - 1.0) / 19.0,
+        "1 to 20 stretched to 0 to 100",
+    ),
     "0-10": (0.0, 10.0, 1.0, lambda x: 10.0 * x, "10 times the answer"),
     "1-7": (1.0, 7.0, 1.0, lambda x: 100.0 * (x - 1.0) / 6.0, "1 to 7 stretched to 0 to 100"),
 }
@@ -33,16 +47,26 @@ def _check_weights(weights: np.ndarray, whose: str) -> None:
     for name, weight in zip(TLX_SCALES, weights, strict=True):
         if weight not in range(6):
             found = f"that of {name!r} is {'missing' if np.isnan(weight) else f'{weight:g}'}"
-            raise ValueError(f"weights of {whose}: {found}; each must be a whole number from 0 to 5")
+            raise ValueError(
+                f"weights of {whose}: {found}; each must be a whole number from 0 to 5"
+            )
     total = float(weights.sum())
     if total != 15.0:
         raise ValueError(f"weights of {whose} sum to {total:g}; those of fifteen choices sum to 15")
     lowest = np.cumsum(np.sort(weights))
-    for k in range(2, 6):  # Landau (1953): the k scales chosen least still meet each other k(k − 1)/2 times
+    for k in range(
+        2, 6
+    ):  # Landau (1953): the k scales chosen least still meet each other k(k − 1)/2 times
         if lowest[k - 1] < k * (k - 1) / 2:
-            why = f"meet each other {k * (k - 1) // 2} times but were chosen {int(lowest[k - 1])} times in all"
+            why = (
+                f"meet each other {k * (k - 1) // 2} times but were chosen {int(lowest[k - 1])} "
+                "times in all"
+            )
             given = [int(w) for w in weights]
-            raise ValueError(f"weights of {whose}: no fifteen choices give {given}; the {k} scales chosen least {why}")
+            raise ValueError(
+                f"weights of {whose}: no fifteen choices give {given}; the {k} scales chosen "
+                f"least {why}"
+            )
 
 
 def tlx_weights(
@@ -61,8 +85,8 @@ def tlx_weights(
     choices : pandas.DataFrame
         A row per subject and pair of scales.
     subject, first, second, chosen : str
-        Columns: who, the two scales compared, and the one that contributed more to the workload; scales are named as
-        in TLX_SCALES.
+        Columns: who, the two scales compared, and the one that contributed more to the workload;
+        scales are named as in TLX_SCALES.
 
     Returns
     -------
@@ -72,7 +96,8 @@ def tlx_weights(
     Raises
     ------
     ValueError
-        Naming the subject and the pair that is missing or occurs twice, or whose choice is neither of the two.
+        Naming the subject and the pair that is missing or occurs twice, or whose choice is neither
+        of the two.
     """
     if not isinstance(choices, pd.DataFrame) or choices.empty:
         raise ValueError("choices must be a DataFrame with a row per subject and pair of scales")
@@ -90,15 +115,21 @@ def tlx_weights(
                     raise ValueError(f"subject {who!r}: {scale!r} is not a scale{hint}")
             pair = frozenset((a, b))
             if len(pair) < 2 or pair in seen:
-                what = "is compared with itself" if len(pair) < 2 else f"and {b!r} are compared twice"
+                what = (
+                    "is compared with itself" if len(pair) < 2 else f"and {b!r} are compared twice"
+                )
                 raise ValueError(f"subject {who!r}: {a!r} {what}; keep one row per pair of scales")
             if pick not in pair:
-                raise ValueError(f"subject {who!r}, {a!r} or {b!r}: chosen is {pick!r}, which is neither")
+                raise ValueError(
+                    f"subject {who!r}, {a!r} or {b!r}: chosen is {pick!r}, which is neither"
+                )
             seen.add(pair)
             counts[pick] += 1
         lacking = [" and ".join(pair) for pair in _PAIRS if frozenset(pair) not in seen]
         if lacking:
-            raise ValueError(f"subject {who!r}: {len(lacking)} of 15 pairs are missing: {', '.join(lacking)}")
+            raise ValueError(
+                f"subject {who!r}: {len(lacking)} of 15 pairs are missing: {', '.join(lacking)}"
+            )
         rows.append((who, *counts.values()))
     return pd.DataFrame(rows, columns=[subject, *TLX_SCALES])
 
@@ -109,7 +140,9 @@ def _weights_of_rows(weights: pd.DataFrame | Mapping, answers: pd.DataFrame) -> 
     if isinstance(weights, Mapping):
         if set(weights) != set(TLX_SCALES):
             found = ", ".join(map(str, weights))
-            raise ValueError(f"weights must have the six scales {', '.join(TLX_SCALES)}; got {found}")
+            raise ValueError(
+                f"weights must have the six scales {', '.join(TLX_SCALES)}; got {found}"
+            )
         weights = pd.DataFrame([dict(weights)] * len(answers), index=answers.index).reset_index()
     of_class("weights", weights, pd.DataFrame, "or give a dict of scale to weight")
     if keys[0] not in weights.columns:
@@ -128,13 +161,24 @@ def _weights_of_rows(weights: pd.DataFrame | Mapping, answers: pd.DataFrame) -> 
 
 
 def _on_hundred(answers: pd.DataFrame, scale: str | None) -> pd.DataFrame:
-    """Return checked answers on the scale 0–100; without a name, answers that another form could have are refused."""
+    """
+    Return checked answers on the scale 0–100; without a name, answers that another form could have
+    are refused.
+    """
     known = "; ".join(f"{name!r}: {words}" for name, (*_, words) in TLX_RESCALINGS.items())
     if scale is None:
-        check_answers(answers, 0.0, 100.0, 5.0, f"; if the form had another scale, set scale= to one of {known}")
+        check_answers(
+            answers,
+            0.0,
+            100.0,
+            5.0,
+            f"; if the form had another scale, set scale= to one of {known}",
+        )
         top = np.nanmax(answers.to_numpy(), initial=0.0)
         if top <= 21.0:
-            raise ValueError(f"no answer exceeds {top:g}, which fits several forms; set scale= to one of {known}")
+            raise ValueError(
+                f"no answer exceeds {top:g}, which fits several forms; set scale= to one of {known}"
+            )
         return answers
     if not isinstance(scale, str) or scale not in TLX_RESCALINGS:
         raise ValueError(f"scale must be one of {known}; got {scale!r}")
@@ -158,32 +202,37 @@ def score_nasa_tlx(
     missing: str = "refuse",
 ) -> ScaleScores:
     """
-    Score the NASA task load index: the raw score is the mean of six scales, the weighted one Σ w_i x_i/15.
+    Score the NASA task load index: the raw score is the mean of six scales, the weighted one Σ w_i
+    x_i/15.
 
     On the standard form performance runs from good (0) to poor (100), so it is not reversed.
 
     Parameters
     ----------
     frame : pandas.DataFrame
-        Answers 0–100 in steps of 5: wide (a column per scale: mental, physical, temporal, performance, effort, frustration,
-        or those that `items` names) or, with `item` and `response`, long.
+        Answers 0–100 in steps of 5: wide (a column per scale: mental, physical, temporal,
+        performance, effort, frustration, or those that `items` names) or, with `item` and
+        `response`, long.
     subject, condition : str
         Columns that say whose answers these are and under which condition; `condition` may be None.
     items : dict or list, optional
-        Scale (TLX_SCALES) → column (wide) or label in column `item` (long); or those in the order of TLX_SCALES.
+        Scale (TLX_SCALES) → column (wide) or label in column `item` (long); or those in the order
+        of TLX_SCALES.
     item, response : str, optional
         For a long table: the column that names the scale and the one that holds the answer.
     weights : pandas.DataFrame or dict, optional
-        Six weights per subject (and condition, if it has that column), as `tlx_weights` gives them, or one set for all.
+        Six weights per subject (and condition, if it has that column), as `tlx_weights` gives them,
+        or one set for all.
     scale : str, optional
-        The form, a name in TLX_RESCALINGS. When left out, answers must be those of the published form, 0–100 in steps of 5,
-        and fit no other: where none exceeds 21, the form must be named.
+        The form, a name in TLX_RESCALINGS. When left out, answers must be those of the published
+        form, 0–100 in steps of 5, and fit no other: where none exceeds 21, the form must be named.
     rescale : str, optional
         Former name of `scale`.
     performance : {"good_to_poor", "poor_to_good"}
         Direction of the performance scale on the form; "poor_to_good" is recoded as 100 − x.
     missing : str
-        "refuse", or "half_rule": means of the answered scales where at least half are answered, weights likewise.
+        "refuse", or "half_rule": means of the answered scales where at least half are answered,
+        weights likewise.
 
     Returns
     -------
@@ -193,8 +242,9 @@ def score_nasa_tlx(
     Raises
     ------
     ValueError
-        Naming subject, condition and scale of an answer that is missing, not a number, out of range or not a step of 5, or the
-        subject whose weights are not whole numbers from 0 to 5, do not sum to 15 or cannot come from fifteen choices.
+        Naming subject, condition and scale of an answer that is missing, not a number, out of range
+        or not a step of 5, or the subject whose weights are not whole numbers from 0 to 5, do not
+        sum to 15 or cannot come from fifteen choices.
 
     References
     ----------
@@ -215,19 +265,29 @@ def score_nasa_tlx(
         warn_renamed("score_nasa_tlx(rescale=…)", "score_nasa_tlx(scale=…)")
         scale = rescale
     answers = read_answers(
-        frame, TLX_SCALES, subject=subject, condition=condition, items=items, item=item, response=response
+        frame,
+        TLX_SCALES,
+        subject=subject,
+        condition=condition,
+        items=items,
+        item=item,
+        response=response,
     )
     answers = _on_hundred(answers, scale)
     gaps = missing_answers(answers, {"tlx_raw": TLX_SCALES}, missing)
     coded = answers.copy()
     if performance == "poor_to_good":
         coded["performance"] = 100.0 - coded["performance"]
-    scores = pd.DataFrame({"tlx_raw": coded.mean(axis=1), "tlx_weighted": np.nan}, index=answers.index)
+    scores = pd.DataFrame(
+        {"tlx_raw": coded.mean(axis=1), "tlx_weighted": np.nan}, index=answers.index
+    )
     if weights is not None:
         w = np.where(coded.notna(), _weights_of_rows(weights, answers), 0.0)
         if (w.sum(axis=1) == 0.0).any():
             row = answers.index[int(np.argmax(w.sum(axis=1) == 0.0))]
-            raise ValueError(f"{answer_name(row)}: every scale with a weight is missing: no weighted score")
+            raise ValueError(
+                f"{answer_name(row)}: every scale with a weight is missing: no weighted score"
+            )
         scores["tlx_weighted"] = (w * coded.fillna(0.0)).sum(axis=1) / w.sum(axis=1)
     ranges = dict.fromkeys(scores, (0.0, 100.0))
     table = scores.reset_index()

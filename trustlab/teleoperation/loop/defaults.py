@@ -1,4 +1,7 @@
-"""The parts that a loop has where the user gives no other: autonomy, operator's law, force feedback, vehicle and trust."""
+"""
+The parts that a loop has where the user gives no other: autonomy, operator's law, force feedback,
+vehicle and trust.
+"""
 
 import numpy as np
 
@@ -15,7 +18,9 @@ def clip(value, reach):
 
 @Part
 def controller(state, setup):
-    """Set u_a by a PID controller on the camera's picture; a vehicle that has lost its target hovers."""
+    """
+    Set u_a by a PID controller on the camera's picture; a vehicle that has lost its target hovers.
+    """
     auto = setup.auto
     for i in range(3):
         state.u_a[i] = 0.0
@@ -53,11 +58,16 @@ FLOOR = 0.05
 @Part
 def crossover_law(state, setup):
     """
-    Set the command wanted by an operator who keeps the crossover of the whole loop where it was, whatever the channel's scale.
+    Set the command wanted by an operator who keeps the crossover of the whole loop where it was,
+    whatever the channel's scale.
 
-    The scale is the ratio of the root mean squares of what the channel gives and takes, which delays do not change.
+    The scale is the ratio of the root mean squares of what the channel gives and takes, which
+    delays do not change.
     """
-    hand, memory, taken, given = setup.hand, state.operator_memory, 0.0, 0.0
+    hand = setup.hand
+    memory = state.operator_memory
+    taken = 0.0
+    given = 0.0
     for i in range(3):
         taken += state.r_m[i] ** 2
         given += state.r_s[i] ** 2
@@ -65,7 +75,9 @@ def crossover_law(state, setup):
     memory[1] += hand.learned * (given - memory[1])
     scale = np.sqrt((memory[1] + FLOOR**2) / (memory[0] + FLOOR**2))  # 1 until the hand has moved
     for i in range(3):
-        state.wanted[i] = hand.compensation * clip(hand.crossover * state.seen[i], hand.reach) / scale
+        state.wanted[i] = (
+            hand.compensation * clip(hand.crossover * state.seen[i], hand.reach) / scale
+        )
 
 
 # How operators act on the error that they see, by name.
@@ -84,10 +96,19 @@ def linear_vehicle(state, setup):
     """Step the vehicle by its exact matrices, the command being held over the sample."""
     phi, gamma = setup.vehicle.phi, setup.vehicle.gamma
     for i in range(3):
-        s, w, a, command = state.robot[i], state.velocity[i], state.acceleration[i], state.command[i]
-        state.robot[i] = phi[i, 0, 0] * s + phi[i, 0, 1] * w + phi[i, 0, 2] * a + gamma[i, 0] * command
-        state.velocity[i] = phi[i, 1, 0] * s + phi[i, 1, 1] * w + phi[i, 1, 2] * a + gamma[i, 1] * command
-        state.acceleration[i] = phi[i, 2, 0] * s + phi[i, 2, 1] * w + phi[i, 2, 2] * a + gamma[i, 2] * command
+        s = state.robot[i]
+        w = state.velocity[i]
+        a = state.acceleration[i]
+        command = state.command[i]
+        state.robot[i] = (
+            phi[i, 0, 0] * s + phi[i, 0, 1] * w + phi[i, 0, 2] * a + gamma[i, 0] * command
+        )
+        state.velocity[i] = (
+            phi[i, 1, 0] * s + phi[i, 1, 1] * w + phi[i, 1, 2] * a + gamma[i, 1] * command
+        )
+        state.acceleration[i] = (
+            phi[i, 2, 0] * s + phi[i, 2, 1] * w + phi[i, 2, 2] * a + gamma[i, 2] * command
+        )
 
 
 @Part
@@ -99,10 +120,15 @@ def two_way_trust(state, setup):
 
 @njit(error_model="numpy", forceinline=True)
 def next_trust(trust, model, p):
-    """Return trust one sample later for a performance in its own unit; performance beyond its range counts as at its end."""
+    """
+    Return trust one sample later for a performance in its own unit; performance beyond its range
+    counts as at its end.
+    """
     share = min(max((p - model.p_min) / (model.p_max - model.p_min), 0.0), 1.0)
     span = model.t_max - model.t_min
-    return model.t_min + span * trust_step((trust - model.t_min) / span, share, model.decay, model.gain)
+    return model.t_min + span * trust_step(
+        (trust - model.t_min) / span, share, model.decay, model.gain
+    )
 
 
 # By the port that each of them serves.

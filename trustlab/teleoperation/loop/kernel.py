@@ -1,11 +1,12 @@
 """
 The whole teleoperation loop (Fig. 3.1), compiled: `advance` does one sample after another.
 
-A sample changes one record of STATE, of which the first part is the row of the log. Whatever is delayed (pictures, waves,
-performance that leaves its window) is looked up here, so that the parts need no history. Records are passed as plain
-pointers, whereas every array that a compiled function is given costs two atomic reference counts a call: with arrays
-as arguments this loop is three times slower. `advance` and `read_wave`, which need arrays, do without counts (_nrt=False):
-they allocate nothing, and their caller keeps what they are given.
+A sample changes one record of STATE, of which the first part is the row of the log. Whatever is
+delayed (pictures, waves, performance that leaves its window) is looked up here, so that the parts
+need no history. Records are passed as plain pointers, whereas every array that a compiled function
+is given costs two atomic reference counts a call: with arrays as arguments this loop is three times
+slower. `advance` and `read_wave`, which need arrays, do without counts (_nrt=False): they allocate
+nothing, and their caller keeps what they are given.
 """
 
 import numpy as np
@@ -59,7 +60,9 @@ def receive(k, setup, delays, arrives, accounts, history, sent, log, state):
         state.known_near = history[far].in_near if far >= 0 else 0.0
         state.known_far = history[near].in_far if near >= 0 else 0.0
     if setup.channel == WAVES:
-        gain, read_out, T = setup.loop.gain, setup.read_out, state.sample_time
+        gain = setup.loop.gain
+        read_out = setup.read_out
+        T = state.sample_time
         read_wave(sent[0], arrives[0], k, delays[0, k], gain, read_out, T, accounts[0], state.v_r)
         read_wave(sent[1], arrives[1], k, delays[1, k], gain, read_out, T, accounts[1], state.v_l)
     elif setup.channel == PACKETS:
@@ -85,19 +88,31 @@ def pictured(error, widest):
 
 @njit(error_model="numpy", forceinline=True)
 def look_up(k, setup, inputs, history, state):
-    """Set what sample k begins with: the target, the pictures of camera and operator, and the performance that leaves."""
+    """
+    Set what sample k begins with: the target, the pictures of camera and operator, and the
+    performance that leaves.
+    """
     now = inputs[k]
     state.t = k * state.sample_time
     view, camera = k - setup.hand.delay, k - setup.auto.delay
     widest = setup.auto.picture
     state.sees = view >= 1 and pictured(history[view].error, widest)
-    state.finds = camera >= 1 and inputs[camera].detected and pictured(history[camera].error, widest)
+    state.finds = (
+        camera >= 1 and inputs[camera].detected and pictured(history[camera].error, widest)
+    )
     before = camera - 1
-    state.found_before = state.finds and inputs[before].detected and pictured(history[before].error, widest)
+    state.found_before = (
+        state.finds and inputs[before].detected and pictured(history[before].error, widest)
+    )
     square = 0.0
     for i in range(3):
-        state.reference[i], state.reference_velocity[i] = now.reference[i], now.reference_velocity[i]
-        state.pushed[i], state.motor[i], state.hand[i] = now.pushed[i], now.motor[i], now.hand[i]
+        state.reference[i], state.reference_velocity[i] = (
+            now.reference[i],
+            now.reference_velocity[i],
+        )
+        state.pushed[i] = now.pushed[i]
+        state.motor[i] = now.motor[i]
+        state.hand[i] = now.hand[i]
         state.error[i] = now.reference[i] - state.robot[i]
         square += state.error[i] ** 2
         history[k].error[i] = state.error[i]
@@ -105,7 +120,10 @@ def look_up(k, setup, inputs, history, state):
             state.seen[i] = history[view].error[i] + inputs[view].ahead[i]
             state.seen_before[i] = history[view - 1].error[i] + inputs[view - 1].ahead[i]
         if camera >= 1:
-            state.picture[i], state.picture_before[i] = history[camera].error[i], history[camera - 1].error[i]
+            state.picture[i], state.picture_before[i] = (
+                history[camera].error[i],
+                history[camera - 1].error[i],
+            )
     state.path_error = np.sqrt(square)
     state.samples = min(k + 1, setup.loop.window)
     if k >= setup.loop.window:
@@ -126,29 +144,47 @@ def reach_out(setup, state):
         goal = state.wish[i] / device.weight  # where the device's output is the wish, r_m = Λ x
         shaking = hand.noise * state.motor[i] * (1.0 + abs(state.wish[i]))
         state.force[i] = device.held_stiffness * goal + shaking + state.pushed[i]
-        state.free_output[i] = haptic.free_output(device, state.device[i], state.device_velocity[i], state.force[i])
+        state.free_output[i] = haptic.free_output(
+            device, state.device[i], state.device_velocity[i], state.force[i]
+        )
 
 
 @njit(error_model="numpy", forceinline=True)
 def axis(d, i):
     """Return one axis of the device."""
     return haptic.Device(
-        d.sample_time[i], d.mass[i], d.damping[i], d.stiffness[i], d.weight[i], d.held_stiffness[i], d.inertia[i],
-        d.lever[i], d.spare[i],
-    )  # fmt: skip
+        d.sample_time[i],
+        d.mass[i],
+        d.damping[i],
+        d.stiffness[i],
+        d.weight[i],
+        d.held_stiffness[i],
+        d.inertia[i],
+        d.lever[i],
+        d.spare[i],
+    )
 
 
 @njit(error_model="numpy", forceinline=True)
 def book(setup, state):
-    """Book the energy of every port and set the robot's command; return whether device and channel are bounded."""
-    T, scaling, near = state.sample_time, setup.loop.force_scaling, 0.0
+    """
+    Book the energy of every port and set the robot's command; return whether device and channel are
+    bounded.
+    """
+    T = state.sample_time
+    scaling = setup.loop.force_scaling
+    near = 0.0
     state.energy_device = 0.0
     for i in range(3):
-        device, x, v = axis(setup.device, i), state.device[i], state.device_velocity[i]
+        device = axis(setup.device, i)
+        x = state.device[i]
+        v = state.device_velocity[i]
         v_middle = haptic.midpoint_velocity(device, x, v, state.force[i], scaling * state.f_m[i])
         x_middle = x + 0.5 * T * v_middle
         state.middle[i] = v_middle
-        state.f_h[i] = state.force[i] - setup.hand.stiffness * x_middle - setup.hand.damping * v_middle
+        state.f_h[i] = (
+            state.force[i] - setup.hand.stiffness * x_middle - setup.hand.damping * v_middle
+        )
         state.energy_operator += T * state.r_m[i] * state.f_h[i] / scaling
         state.energy_port += T * state.r_m[i] * state.f_m[i]
         state.energy_channel += T * (state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i])
@@ -165,7 +201,10 @@ def book(setup, state):
 
 @njit(error_model="numpy", forceinline=True)
 def performance(n, miss, share, size):
-    """Return (3.27) of one partner: its command's distance from the ideal one, and its share of the tracking error."""
+    """
+    Return (3.27) of one partner: its command's distance from the ideal one, and its share of the
+    tracking error.
+    """
     return max(1.0 - miss / n.command_range, 0.0) * max(1.0 - share * size / n.error_range, 0.0)
 
 
@@ -184,15 +223,23 @@ def judge(n, state):
     state.sum_r -= state.leaving_r
     state.sum_h -= state.leaving_h
     # sums of differences may end a rounding error below zero
-    state.p_r, state.p_h = max(state.sum_r / state.samples, 0.0), max(state.sum_h / state.samples, 0.0)
+    state.p_r, state.p_h = (
+        max(state.sum_r / state.samples, 0.0),
+        max(state.sum_h / state.samples, 0.0),
+    )
 
 
 @njit(error_model="numpy", forceinline=True)
 def decide(setup, alpha, state):
-    """Let autonomy, scheme and operator decide; return the part that failed, DONE where none did. α may be given."""
+    """
+    Let autonomy, scheme and operator decide; return the part that failed, DONE where none did. α
+    may be given.
+    """
     parts = setup.parts
     for i in range(3):
-        state.u_i[i] = state.reference_velocity[i] + state.error[i]  # the ideal controller has the gain 1/s
+        state.u_i[i] = (
+            state.reference_velocity[i] + state.error[i]
+        )  # the ideal controller has the gain 1/s
     call(parts.autonomy, state, setup)
     if state.raised or not finite(state.u_a):
         return AUTONOMY
@@ -212,7 +259,10 @@ def decide(setup, alpha, state):
 def keep(k, state, history, sent):
     """Keep what later samples look up."""
     old = history[k]
-    old.good_r, old.good_h, old.in_near, old.in_far = state.good_r, state.good_h, state.in_near, state.in_far
+    old.good_r = state.good_r
+    old.good_h = state.good_h
+    old.in_near = state.in_near
+    old.in_far = state.in_far
     for i in range(3):
         sent[0, k, i], sent[1, k, i] = state.u_l[i], state.u_r[i]
 
@@ -238,15 +288,17 @@ def act(setup, state):
 
 
 @njit(error_model="numpy", _nrt=False)
-def advance(start, stop, setups, states, row, inputs, delays, arrives, accounts, history, sent, log, table):
+def advance(
+    start, stop, setups, states, row, inputs, delays, arrives, accounts, history, sent, log, table
+):
     """
     Do the samples from `start` to before `stop`; return the samples done and how the run ended.
 
-    setups, states, shape (1,): records of SETUP and STATE. row: the state's part that is logged, as numbers. inputs, history,
-    log, shape (N,): records of INPUT, HISTORY and LOG. sent, shape (2, N, 3): waves by the sample that they were sent in, to
-    the robot and back. table: the log as numbers. delays, arrives, shape (2, N): delay in
-    samples, and whether what is sent in a sample arrives at all. accounts: `ledger.accounts()` for waves, and again
-    for packets of energy.
+    setups, states, shape (1,): records of SETUP and STATE. row: the state's part that is logged, as
+    numbers. inputs, history, log, shape (N,): records of INPUT, HISTORY and LOG. sent, shape (2, N,
+    3): waves by the sample that they were sent in, to the robot and back. table: the log as
+    numbers. delays, arrives, shape (2, N): delay in samples, and whether what is sent in a sample
+    arrives at all. accounts: `ledger.accounts()` for waves, and again for packets of energy.
     """
     setup, state = setups[0], states[0]
     if start == 0:

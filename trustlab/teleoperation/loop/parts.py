@@ -1,9 +1,9 @@
 """
 The exchangeable parts of the loop: functions of its state, called by their addresses.
 
-The loop is compiled once; a part is a C function void(STATE *, SETUP *). A built-in one is compiled and cached like the loop.
-A user's function is compiled where numba can, which compiles nothing else; where numba cannot, its address is that of a
-callback into Python.
+The loop is compiled once; a part is a C function void(STATE *, SETUP *). A built-in one is compiled
+and cached like the loop. A user's function is compiled where numba can, which compiles nothing
+else; where numba cannot, its address is that of a callback into Python.
 """
 
 import ctypes
@@ -67,11 +67,14 @@ class UserPart(Part):
     """
     A user's function as a part, compiled where numba can.
 
-    A function takes the state, or the state and its own memory, an array of 16 numbers that are zero at the start.
+    A function takes the state, or the state and its own memory, an array of 16 numbers that are
+    zero at the start.
     """
 
     def __init__(self, port: str, function: Callable, view):
-        self.port, self.function, self.view = port, function, view
+        self.port = port
+        self.function = function
+        self.view = view
         self.kept, self.way = compiled(port, function)
         if self.kept is None:
             self.part = _setter(port, _with_memory(port, function))
@@ -80,20 +83,30 @@ class UserPart(Part):
     @cached_property
     def address(self) -> int:
         """Where the C function, or the callback, stands."""
-        return self.kept.address if self.way == "compiled" else ctypes.cast(self.kept, ctypes.c_void_p).value or 0
+        return (
+            self.kept.address
+            if self.way == "compiled"
+            else ctypes.cast(self.kept, ctypes.c_void_p).value or 0
+        )
 
     def _called_back(self, state: int, setup: int) -> None:
-        # An exception cannot pass through compiled code: it is kept, and the loop stops at the flag.
+        # An exception cannot pass through compiled code: it is kept, and the loop stops at the
+        # flag.
         try:
             self.part(self.view, None)
         except BaseException as error:
             self.error, self.view.raised = error, True
 
     def raised(self) -> BaseException | None:
-        """Return what the function raised in this sample; a compiled one is called again in Python to find out."""
+        """
+        Return what the function raised in this sample; a compiled one is called again in Python to
+        find out.
+        """
         if self.error is None:
             try:
-                _setter(self.port, _with_memory(self.port, _plain(self.function)))(self.view.copy(), None)
+                _setter(self.port, _with_memory(self.port, _plain(self.function)))(
+                    self.view.copy(), None
+                )
             except Exception as error:
                 return error
         return self.error
@@ -101,7 +114,9 @@ class UserPart(Part):
 
 @lru_cache(maxsize=64)
 def compiled(port: str, function: Callable) -> tuple[Any, str]:
-    """Return a user's function as a C function and how it runs; None where numba cannot compile it."""
+    """
+    Return a user's function as a C function and how it runs; None where numba cannot compile it.
+    """
     if not isinstance(_plain(function), FunctionType):
         return None, f"Python: a {type(function).__name__}, not a plain function"
     try:
@@ -109,16 +124,25 @@ def compiled(port: str, function: Callable) -> tuple[Any, str]:
         set_fields = numba.njit(boundscheck=True)(_setter(port, _with_memory(port, own)))
 
         def part(state, setup):
-            # numba knows no narrower class; the loop stops at the flag, and `raised` finds out what it was
+            # numba knows no narrower class; the loop stops at the flag, and `raised` finds out what
+            # it was
             try:
                 set_fields(state, setup)
             except Exception:
                 state.raised = True
 
         return numba.cfunc(SIGNATURE)(part), "compiled"
-    except (errors.NumbaError, NotImplementedError, KeyError) as error:  # the last for a field that the state has not
+    except (
+        errors.NumbaError,
+        NotImplementedError,
+        KeyError,
+    ) as error:  # the last for a field that the state has not
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        return None, f"Python: numba cannot compile it ({shown(next(iter(lines[1:]), type(error).__name__))})"
+        return (
+            None,
+            "Python: numba cannot compile it "
+            f"({shown(next(iter(lines[1:]), type(error).__name__))})",
+        )
 
 
 def _plain(function: Callable) -> Callable:
@@ -147,14 +171,20 @@ def _setter(port: str, function: Callable) -> Callable:
         found, field = function(state), state[first]
         if len(found) != 3:
             raise ValueError("three numbers are wanted, for x, y and z")
-        field[0], field[1], field[2] = found[0], found[1], found[2]
+        field[0] = found[0]
+        field[1] = found[1]
+        field[2] = found[2]
 
     def vectors(state, setup):
         (one, two), here, there = function(state), state[first], state[second]
         if len(one) != 3 or len(two) != 3:
             raise ValueError("position and velocity are wanted, three numbers each, for x, y and z")
-        here[0], here[1], here[2] = one[0], one[1], one[2]
-        there[0], there[1], there[2] = two[0], two[1], two[2]
+        here[0] = one[0]
+        here[1] = one[1]
+        here[2] = one[2]
+        there[0] = two[0]
+        there[1] = two[1]
+        there[2] = two[2]
 
     if not STATE[first].shape:
         return numbers
@@ -162,7 +192,9 @@ def _setter(port: str, function: Callable) -> Callable:
 
 
 def part_of(port: str, part: Part | Callable, view) -> Part:
-    """Return a built-in part as it is, and a user's function as a part of the loop with this state."""
+    """
+    Return a built-in part as it is, and a user's function as a part of the loop with this state.
+    """
     if isinstance(part, Part):
         return part
     if not callable(part):
@@ -174,8 +206,8 @@ class View:
     """
     The state as Python sees it: numbers by name, vectors as arrays over the same memory.
 
-    Unlike those of NumPy's own records, whose attributes hide fields (`device` is one), its numbers are Python's, which raise
-    where they are divided by zero, as in compiled functions.
+    Unlike those of NumPy's own records, whose attributes hide fields (`device` is one), its numbers
+    are Python's, which raise where they are divided by zero, as in compiled functions.
     """
 
     def __init__(self, states: np.ndarray):

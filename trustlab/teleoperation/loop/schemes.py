@@ -14,7 +14,10 @@ from trustlab.teleoperation.loop.parts import Part
 
 @njit(error_model="numpy", forceinline=True)
 def share_of_range(trust, model):
-    """Return trust as a share of its range; the scales (3.5) and (3.6) have their midpoint at half of it."""
+    """
+    Return trust as a share of its range; the scales (3.5) and (3.6) have their midpoint at half of
+    it.
+    """
     return (trust - model.t_min) / (model.t_max - model.t_min)
 
 
@@ -37,8 +40,12 @@ def logistic_by_trust(state, setup):
 def stepped_by_trust(state, setup):
     """Set both scales by trust (3.6)."""
     n = setup.loop
-    state.alpha = state.alpha_min if share_of_range(state.trust_hr, n.trust_hr) >= 0.5 else state.alpha_max
-    state.beta = state.beta_min if share_of_range(state.trust_rh, n.trust_rh) >= 0.5 else state.beta_max
+    state.alpha = (
+        state.alpha_min if share_of_range(state.trust_hr, n.trust_hr) >= 0.5 else state.alpha_max
+    )
+    state.beta = (
+        state.beta_min if share_of_range(state.trust_rh, n.trust_rh) >= 0.5 else state.beta_max
+    )
 
 
 @Part
@@ -58,7 +65,8 @@ def optimal(state, setup):
     """Set α by Appendix A, from what the operator commanded in the sample before."""
     ahead = np.empty((3, 5))
     for i in range(3):
-        # one by one, for a row that is set at once compiles an error message for unequal lengths, in two seconds
+        # one by one, for a row that is set at once compiles an error message for unequal lengths,
+        # in two seconds
         ahead[i, 0] = state.r_s[i] / state.alpha
         ahead[i, 1] = state.u_a[i]
         ahead[i, 2] = state.error[i]
@@ -78,10 +86,11 @@ class Scheme:
     name : str
         M, MI, MMI, TMIG, TMIS, OMI, or your own.
     shares : callable
-        f(state) → (α, β), called in every sample: α within [state.alpha_min, state.alpha_max], β within [state.beta_min,
-        state.beta_max], the bounds for which the channel's ends are set (3.1). `state` has everything that a run logs, by
-        name, as it is known when the scales are set: t, p_r, p_h, trust_hr, trust_rh, path_error, robot, velocity, … A
-        function f(state, memory) has 16 numbers of its own, zero at the start. It is compiled where numba can, else
+        f(state) → (α, β), called in every sample: α within [state.alpha_min, state.alpha_max], β
+        within [state.beta_min, state.beta_max], the bounds for which the channel's ends are set
+        (3.1). `state` has everything that a run logs, by name, as it is known when the scales are
+        set: t, p_r, p_h, trust_hr, trust_rh, path_error, robot, velocity, … A function f(state,
+        memory) has 16 numbers of its own, zero at the start. It is compiled where numba can, else
         called in Python.
     title : str
         What it is.
@@ -112,22 +121,46 @@ class Scheme:
         if not isinstance(self.name, str) or not self.name:
             raise ValueError(f"name must be a text, got {shown(self.name)}")
         if not (callable(self.shares) or isinstance(self.shares, Part)):
-            raise ValueError(f"shares must be a function of the state, got {type(self.shares).__name__}")
+            raise ValueError(
+                f"shares must be a function of the state, got {type(self.shares).__name__}"
+            )
 
 
 SCHEMES = {
     scheme.name: scheme
     for scheme in (
         Scheme("M", manual, "manual teleoperation with force feedback"),
-        Scheme("MI", logistic_by_trust, "mixed initiative by trust (3.5), without force feedback", bilateral=False),
+        Scheme(
+            "MI",
+            logistic_by_trust,
+            "mixed initiative by trust (3.5), without force feedback",
+            bilateral=False,
+        ),
         Scheme("MMI", by_hand, "mixed initiative, allocated by hand, with force feedback"),
-        Scheme("TMIG", logistic_by_trust, "mixed initiative by trust, logistic scales (3.5), with force feedback"),
-        Scheme("TMIS", stepped_by_trust, "mixed initiative by trust, step scales (3.6), with force feedback"),
-        Scheme("OMI", optimal, "mixed initiative, optimal allocation (Appendix A), with force feedback"),
+        Scheme(
+            "TMIG",
+            logistic_by_trust,
+            "mixed initiative by trust, logistic scales (3.5), with force feedback",
+        ),
+        Scheme(
+            "TMIS",
+            stepped_by_trust,
+            "mixed initiative by trust, step scales (3.6), with force feedback",
+        ),
+        Scheme(
+            "OMI", optimal, "mixed initiative, optimal allocation (Appendix A), with force feedback"
+        ),
     )
 }
 
 
 def scheme_named(name: str | Scheme) -> Scheme:
-    """Return the scheme of this name, or one's own as it is; an unknown name is refused with the nearest."""
-    return name if isinstance(name, Scheme) else SCHEMES[one_of("scheme", name, SCHEMES, also="a trustlab.Scheme")]
+    """
+    Return the scheme of this name, or one's own as it is; an unknown name is refused with the
+    nearest.
+    """
+    return (
+        name
+        if isinstance(name, Scheme)
+        else SCHEMES[one_of("scheme", name, SCHEMES, also="a trustlab.Scheme")]
+    )

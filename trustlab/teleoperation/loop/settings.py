@@ -4,7 +4,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from trustlab.models.checks import finite_array, finite_number, of_class, one_of, positive, set_checked
+from trustlab.models.checks import (
+    finite_array,
+    finite_number,
+    of_class,
+    one_of,
+    positive,
+    set_checked,
+)
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.state import LOOP
@@ -16,13 +23,19 @@ STUDY_NAMES = ("preliminary", "main")
 
 
 class DivergenceError(ArithmeticError):
-    """A run grew without bound: says when, in which block, and its energy. `.session` has the run so far, if two samples."""
+    """
+    A run grew without bound: says when, in which block, and its energy. `.session` has the run so
+    far, if two samples.
+    """
 
     session: Session | None = None
 
 
 class PartError(ValueError):
-    """A part raised an error or returned an invalid value: says which and when. `.session` has the run so far, if two samples."""
+    """
+    A part raised an error or returned an invalid value: says which and when. `.session` has the run
+    so far, if two samples.
+    """
 
     session: Session | None = None
 
@@ -35,7 +48,8 @@ class LoopSettings:
     Parameters
     ----------
     mass, damping, stiffness, weight : float or three floats
-        M [kg], B [N s/m], K [N/m] and Λ [1/s] of the haptic device, the same on all axes or axis by axis.
+        M [kg], B [N s/m], K [N/m] and Λ [1/s] of the haptic device, the same on all axes or axis by
+        axis.
     scattering : Scattering
         Impedance b, bounds of α and β, and Ṫ_max.
     k_ffa : float
@@ -51,7 +65,8 @@ class LoopSettings:
     window : float
         W of (3.26) [s].
     command_range, error_range : float
-        y_max of N in (3.27): for commands [m/s] and for tracking errors [m], both as 1-norms over three axes.
+        y_max of N in (3.27): for commands [m/s] and for tracking errors [m], both as 1-norms over
+        three axes.
     printed_sign : bool
         Use the printed f'_s = +k_ffa e, an active spring that pushes the hand away from the target.
     require_passive : bool
@@ -59,7 +74,8 @@ class LoopSettings:
     title : str
         What these settings are.
     study : {"main", "preliminary"}
-        The study whose task, delays and operator's reach are the defaults; `dataclasses.replace` keeps it.
+        The study whose task, delays and operator's reach are the defaults; `dataclasses.replace`
+        keeps it.
 
     Raises
     ------
@@ -99,13 +115,16 @@ class LoopSettings:
         one_of("study", self.study, STUDY_NAMES)
         if self.k_ffa < 0.0:
             raise ValueError(
-                f"k_ffa must not be negative, got {self.k_ffa}; printed_sign=True gives the printed direction"
+                f"k_ffa must not be negative, got {self.k_ffa}; printed_sign=True gives the "
+                "printed direction"
             )
         self.scalings("logistic")
         self.device()
 
     def device(self) -> HapticDevice:
-        """Return the haptic device, checked for r-passivity with the damping that its port always has."""
+        """
+        Return the haptic device, checked for r-passivity with the damping that its port always has.
+        """
         return HapticDevice(
             self.mass,
             self.damping,
@@ -130,9 +149,12 @@ class LoopSettings:
             (self.scattering.beta_min, self.scattering.beta_max, self.robot_to_human),
         )
         if kind == "step":
-            return tuple(StepScaling(low, high, None, trust.t_min, trust.t_max) for low, high, trust in pairs)
+            return tuple(
+                StepScaling(low, high, None, trust.t_min, trust.t_max) for low, high, trust in pairs
+            )
         return tuple(
-            LogisticScaling(low, high, self.steepness, None, trust.t_min, trust.t_max) for low, high, trust in pairs
+            LogisticScaling(low, high, self.steepness, None, trust.t_min, trust.t_max)
+            for low, high, trust in pairs
         )
 
     def numbers(self, sample_time: float) -> np.void:
@@ -160,11 +182,19 @@ class LoopSettings:
 
 def _trust_numbers(trust: TrustModel, sample_time: float) -> tuple:
     """Return a trust model for one sample time, a record of TRUST."""
-    return trust.decay(sample_time), trust.b / trust.a, trust.p_min, trust.p_max, trust.t_min, trust.t_max
+    return (
+        trust.decay(sample_time),
+        trust.b / trust.a,
+        trust.p_min,
+        trust.p_max,
+        trust.t_min,
+        trust.t_max,
+    )
 
 
-# Printed settings. The device's mass, the rates of trust and y_max are not printed: the first is near the
-# heaviest that is r-passive with the printed gains of each study (9.2 g and 0.55 kg); the others are ours.
+# Printed settings. The device's mass, the rates of trust and y_max are not printed: the first is
+# near the heaviest that is r-passive with the printed gains of each study (9.2 g and 0.55 kg); the
+# others are ours.
 STUDIES = {
     "preliminary": LoopSettings(
         mass=0.009,

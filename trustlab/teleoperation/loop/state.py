@@ -1,4 +1,7 @@
-"""What the compiled loop reads and leaves: the records of its state, its log, its inputs, its history and its constants."""
+"""
+What the compiled loop reads and leaves: the records of its state, its log, its inputs, its history
+and its constants.
+"""
 
 import numpy as np
 
@@ -33,28 +36,40 @@ LOG = np.dtype(
 
 COLUMNS = columns_of(LOG)
 
-# What comes from outside in one sample: where the robot should be and how fast it should move, how far the target moves on
-# within the operator's preview, noise of the hand, a force added to the hand's, where the hand wants to be and α where they are given (NaN elsewhere), and whether the controller's
-# camera finds its target.
-INPUT = record(vectors="reference reference_velocity ahead motor pushed hand", numbers="alpha", flags="detected")
+# What comes from outside in one sample: where the robot should be and how fast it should move, how
+# far the target moves on within the operator's preview, noise of the hand, a force added to the
+# hand's, where the hand wants to be and α where they are given (NaN elsewhere), and whether the
+# controller's camera finds its target.
+INPUT = record(
+    vectors="reference reference_velocity ahead motor pushed hand",
+    numbers="alpha",
+    flags="detected",
+)
 
-# What is looked up later: errors as they were seen, energies as they were sent, performance that leaves its window.
+# What is looked up later: errors as they were seen, energies as they were sent, performance that
+# leaves its window.
 HISTORY = record(vectors="error", numbers="good_r good_h in_near in_far")
 
-# The state proper: lagging wish of the hand, integral of the controller, acceleration; and what came with this sample.
+# The state proper: lagging wish of the hand, integral of the controller, acceleration; and what
+# came with this sample.
 KEPT = "acceleration wish integral drift reference_velocity pushed motor hand error"
-# What has arrived by now: the picture of camera and operator (and the one before), waves, and what a packet brought.
+# What has arrived by now: the picture of camera and operator (and the one before), waves, and what
+# a packet brought.
 ARRIVED = "picture picture_before seen seen_before v_l v_r arrived packet_force"
 # What the parts of a step tell each other.
-SIGNALS = "wanted force free_output stretch guiding pull free_velocity compliance u_l u_r middle command"
+SIGNALS = (
+    "wanted force free_output stretch guiding pull free_velocity compliance u_l u_r middle command"
+)
 BOUNDS = "sample_time alpha_min alpha_max beta_min beta_max"
-# The whole state of the loop, which every part reads and changes; it begins with the row of the log.
+# The whole state of the loop, which every part reads and changes; it begins with the row of the
+# log.
 STATE = np.dtype(
     LOG.descr
     + record(
         vectors=f"{KEPT} {ARRIVED} {SIGNALS}",
         numbers=(
-            f"t {BOUNDS} sum_r sum_h good_r good_h leaving_r leaving_h in_near out_near in_far out_far known_near known_far"
+            f"t {BOUNDS} sum_r sum_h good_r good_h leaving_r leaving_h in_near out_near in_far "
+            "out_far known_near known_far"
         ),
         counts="waited samples",
     ).descr
@@ -72,20 +87,26 @@ DEVICE = record(vectors=" ".join(haptic.Device._fields))
 TRUST = record(numbers="decay gain p_min p_max t_min t_max")
 
 # Channel, guidance, trust, scales and measures of performance; see `LoopSettings`.
-NUMBERS = record(numbers="force_scaling gain guidance steepness command_range error_range", counts="window")
+NUMBERS = record(
+    numbers="force_scaling gain guidance steepness command_range error_range", counts="window"
+)
 LOOP = np.dtype([*NUMBERS.descr, ("trust_hr", TRUST), ("trust_rh", TRUST)])
 
-# The simulated hand and eye: gains on the error seen, delay in samples, lag, impedance, and handling of α; `learned` is the
-# share of what is new, per sample, in what an operator knows of the channel.
+# The simulated hand and eye: gains on the error seen, delay in samples, lag, impedance, and
+# handling of α; `learned` is the share of what is new, per sample, in what an operator knows of the
+# channel.
 HAND = record(
-    numbers="proportional derivative compensation crossover learned decay reach stiffness damping noise shift",
+    numbers="proportional derivative compensation crossover learned decay reach stiffness "
+    "damping noise shift",
     counts="delay patience",
 )
 
-# The autonomous controller (PID on what the camera saw `delay` samples ago), and half its picture's width.
+# The autonomous controller (PID on what the camera saw `delay` samples ago), and half its picture's
+# width.
 AUTONOMY = record(numbers="proportional integral derivative reach picture", counts="delay")
 
-# One end of the channel: what multiplies velocity or force and waves, see `OperatorEnd` and `RobotEnd`.
+# One end of the channel: what multiplies velocity or force and waves, see `OperatorEnd` and
+# `RobotEnd`.
 END = record(numbers=" ".join(waves.OperatorEnd._fields))
 
 # What stays the same during a run; `parts` holds the addresses of the compiled parts.

@@ -1,1 +1,4 @@
-"""The ports of a teleoperation loop, each with its compiled equations: device, waves, ledger, passivity."""
+"""
+The ports of a teleoperation loop, each with its compiled equations: device, waves, ledger,
+passivity.
+"""

@@ -12,7 +12,10 @@ ROUNDING = 1e-12
 
 
 class Device(NamedTuple):
-    """One axis of the device, and what the implicit midpoint rule makes of it together with the hand that holds it."""
+    """
+    One axis of the device, and what the implicit midpoint rule makes of it together with the hand
+    that holds it.
+    """
 
     sample_time: float
     mass: float
@@ -32,19 +35,26 @@ def held_device(mass, damping, stiffness, weight, hand_stiffness, hand_damping, 
     inertia = 2.0 * mass / sample_time + held_damping + 0.5 * sample_time * held_stiffness
     lever = 1.0 + 0.5 * sample_time * weight
     spare = stiffness + weight * damping - weight * mass * weight
-    return Device(sample_time, mass, damping, stiffness, weight, held_stiffness, inertia, lever, spare)
+    return Device(
+        sample_time, mass, damping, stiffness, weight, held_stiffness, inertia, lever, spare
+    )
 
 
 @njit(error_model="numpy", forceinline=True)
 def midpoint_velocity(device, x, v, force, feedback):
-    """Return the velocity at the middle of the sample under the hand's force and the scaled feedback."""
+    """
+    Return the velocity at the middle of the sample under the hand's force and the scaled feedback.
+    """
     pull = 2.0 * device.mass * v / device.sample_time - device.held_stiffness * x + force - feedback
     return pull / device.inertia
 
 
 @njit(error_model="numpy", forceinline=True)
 def free_output(device, x, v, force):
-    """Return the output r_m that the device would have without feedback; the channel's end is solved with it."""
+    """
+    Return the output r_m that the device would have without feedback; the channel's end is solved
+    with it.
+    """
     pull = 2.0 * device.mass * v / device.sample_time - device.held_stiffness * x + force
     return device.lever * pull / device.inertia + device.weight * x
 
@@ -58,7 +68,9 @@ def device_storage(device, x, v):
 
 @njit(error_model="numpy", forceinline=True)
 def device_loss(device, x_middle, v_middle):
-    """Return the power dissipated on one axis at the midpoint, (3.10), before static scaling [W]."""
+    """
+    Return the power dissipated on one axis at the midpoint, (3.10), before static scaling [W].
+    """
     damped = (device.damping - device.mass * device.weight) * v_middle**2
     return damped + device.weight * device.stiffness * x_middle**2
 
@@ -72,7 +84,9 @@ def _matrix(name: str, value, n: int) -> np.ndarray:
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a number, a diagonal or a matrix of numbers, got {value!r}") from None
+        raise ValueError(
+            f"{name} must be a number, a diagonal or a matrix of numbers, got {value!r}"
+        ) from None
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {value!r}")
     if array.ndim == 0:
@@ -80,7 +94,10 @@ def _matrix(name: str, value, n: int) -> np.ndarray:
     elif array.ndim == 1:
         array = np.diag(array)
     if array.shape != (n, n):
-        raise ValueError(f"{name} must be a number, a diagonal or a {n} × {n} matrix, got shape {np.shape(value)}")
+        raise ValueError(
+            f"{name} must be a number, a diagonal or a {n} × {n} matrix, got shape "
+            f"{np.shape(value)}"
+        )
     if np.abs(array - array.T).max() > ROUNDING * np.abs(array).max():
         raise ValueError(f"{name} must be symmetric")
     return array
@@ -91,21 +108,24 @@ class HapticDevice:
     """
     A haptic device made r-passive by a local PD loop, equations (3.8)-(3.11).
 
-    M dv/dt = −B v − K x + f_h − γ f''_m with the output r_m = v + Λ x. With B ≥ ½(MΛ + ΛM) and K + ΛB ≥ ΛMΛ it is passive
-    with the storage V_hd = ½ r_mᵀM r_m + ½ xᵀ(K + ΛB − ΛMΛ)x. The inertia is constant, so that C(x, v) = 0.
+    M dv/dt = −B v − K x + f_h − γ f''_m with the output r_m = v + Λ x. With B ≥ ½(MΛ + ΛM) and K +
+    ΛB ≥ ΛMΛ it is passive with the storage V_hd = ½ r_mᵀM r_m + ½ xᵀ(K + ΛB − ΛMΛ)x. The inertia is
+    constant, so that C(x, v) = 0.
 
     Parameters
     ----------
     mass : float or array_like
         M [kg]: a number, a diagonal, or a symmetric positive definite matrix.
     damping, stiffness, weight : float or array_like
-        Diagonals B [N s/m], K [N/m] and Λ [1/s] of the local loop and the output; B > 0, K ≥ 0, Λ > 0.
+        Diagonals B [N s/m], K [N/m] and Λ [1/s] of the local loop and the output; B > 0, K ≥ 0, Λ >
+        0.
     force_scaling : float
         γ > 0 of (3.25), static scaling of the force feedback.
     dimensions : int
         Degrees of freedom where all gains are numbers.
     port_damping : float
-        Least damping that the channel adds at the port, β_min b (Section 3.7.2) [N s/m]; counted in the conditions.
+        Least damping that the channel adds at the port, β_min b (Section 3.7.2) [N s/m]; counted in
+        the conditions.
     require_passive : bool
         Refuse gains that are not r-passive.
 
@@ -118,8 +138,8 @@ class HapticDevice:
 
     Notes
     -----
-    Saeidi, Section 3.4 and Proposition 2. The supply that (3.11) gives is r''_mᵀ f_h − r_mᵀ f''_m with r''_m = r_m/γ; (3.25)
-    is printed with a plus.
+    Saeidi, Section 3.4 and Proposition 2. The supply that (3.11) gives is r''_mᵀ f_h − r_mᵀ f''_m
+    with r''_m = r_m/γ; (3.25) is printed with a plus.
 
     Examples
     --------
@@ -146,7 +166,11 @@ class HapticDevice:
         if np.linalg.eigvalsh(mass).min() <= 0.0:
             raise ValueError("mass must be positive definite")
         object.__setattr__(self, "mass", mass)
-        for name, least in (("damping", "positive"), ("stiffness", "0 or more"), ("weight", "positive")):
+        for name, least in (
+            ("damping", "positive"),
+            ("stiffness", "0 or more"),
+            ("weight", "positive"),
+        ):
             matrix = _matrix(name, getattr(self, name), n)
             diagonal = np.diag(matrix)
             if (matrix != np.diag(diagonal)).any():
@@ -159,9 +183,10 @@ class HapticDevice:
         if self.require_passive and not self.is_passive:
             most = self.largest_mass()
             raise PassivityError(
-                f"the device is not r-passive: B ≥ MΛ and K + ΛB ≥ ΛMΛ (3.9)-(3.10) hold up to {most:.4g} kg only, and it "
-                f"has {np.diag(mass).max():.4g} kg; raise damping to {self._least_damping():.4g} N s/m, lower weight, or "
-                "pass require_passive=False to see it fail"
+                "the device is not r-passive: B ≥ MΛ and K + ΛB ≥ ΛMΛ (3.9)-(3.10) hold up to "
+                f"{most:.4g} kg only, and it has {np.diag(mass).max():.4g} kg; raise damping to "
+                f"{self._least_damping():.4g} N s/m, lower weight, or pass require_passive=False "
+                "to see it fail"
             )
 
     def _at_port(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -173,17 +198,24 @@ class HapticDevice:
     def _spare(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the matrices of (3.10) and (3.9) that must not be negative."""
         damping, stiffness, cross = self._at_port()
-        return damping - cross, stiffness + self.weight @ damping - self.weight @ self.mass @ self.weight
+        return (
+            damping - cross,
+            stiffness + self.weight @ damping - self.weight @ self.mass @ self.weight,
+        )
 
     @property
     def is_passive(self) -> bool:
         """Whether B ≥ ½(MΛ + ΛM) and K + ΛB ≥ ΛMΛ, up to rounding."""
         return all(
-            np.linalg.eigvalsh(matrix).min() >= -ROUNDING * max(1.0, np.abs(matrix).max()) for matrix in self._spare()
+            np.linalg.eigvalsh(matrix).min() >= -ROUNDING * max(1.0, np.abs(matrix).max())
+            for matrix in self._spare()
         )
 
     def largest_mass(self) -> float:
-        """Return the largest mass [kg] (largest diagonal entry, M scaled as a whole) that is r-passive with these gains."""
+        """
+        Return the largest mass [kg] (largest diagonal entry, M scaled as a whole) that is r-passive
+        with these gains.
+        """
         from scipy.linalg import eigh
 
         damping, stiffness, cross = self._at_port()
@@ -195,7 +227,9 @@ class HapticDevice:
         return float(most * np.diag(self.mass).max())
 
     def _least_damping(self) -> float:
-        """Return the least damping [N s/m], the same on all axes, with which the device is r-passive."""
+        """
+        Return the least damping [N s/m], the same on all axes, with which the device is r-passive.
+        """
         cross = self._at_port()[2]
         return float(np.linalg.eigvalsh(cross).max() - self.force_scaling * self.port_damping)
 
@@ -242,9 +276,11 @@ class HapticDevice:
         self, x: np.ndarray, v: np.ndarray, f_h: np.ndarray, f_m: np.ndarray, sample_time: float
     ) -> tuple[np.ndarray, np.ndarray, float]:
         """
-        Return the state one sample later by the implicit midpoint rule, and the energy supplied over the sample.
+        Return the state one sample later by the implicit midpoint rule, and the energy supplied
+        over the sample.
 
-        Storage, dissipation at the midpoint and supply balance to rounding: V(k+1) − V(k) = supply − T S_hd(midpoint).
+        Storage, dissipation at the midpoint and supply balance to rounding: V(k+1) − V(k) = supply
+        − T S_hd(midpoint).
 
         Parameters
         ----------
@@ -275,12 +311,18 @@ class HapticDevice:
         left = self.mass + half * self.damping + half**2 * self.stiffness
         force = f_h - self.force_scaling * f_m
         middle = np.linalg.solve(left, self.mass @ v + half * (force - self.stiffness @ x))
-        supply = sample_time / self.force_scaling * float((middle + self.weight @ (x + half * middle)) @ force)
+        supply = (
+            sample_time
+            / self.force_scaling
+            * float((middle + self.weight @ (x + half * middle)) @ force)
+        )
         return x + sample_time * middle, 2.0 * middle - v, supply
 
     def state_space(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return A, B, C of the state (x, v), input f_h − γ f''_m and output r_m."""
-        n, zero, one = self.dimensions, np.zeros((self.dimensions, self.dimensions)), np.eye(self.dimensions)
+        n = self.dimensions
+        zero = np.zeros((self.dimensions, self.dimensions))
+        one = np.eye(self.dimensions)
         inverse = np.linalg.inv(self.mass)
         a = np.block([[zero, one], [-inverse @ self.stiffness, -inverse @ self.damping]])
         return a, np.vstack([np.zeros((n, n)), inverse]), np.hstack([self.weight, one])

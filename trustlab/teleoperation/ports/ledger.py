@@ -1,14 +1,20 @@
-"""Reading of delayed waves: an energy ledger that never gives out more than arrived, and the two gains of (3.13)."""
+"""
+Reading of delayed waves: an energy ledger that never gives out more than arrived, and the two gains
+of (3.13).
+"""
 
 import numpy as np
 
 from trustlab.models.checks import positive, whole_number
 from trustlab.models.compiled import njit
 
-HOLD, INTERPOLATED, LEDGER = 0, 1, 2
+HOLD = 0
+INTERPOLATED = 1
+LEDGER = 2
 READ_OUTS = {"hold": HOLD, "interpolated": INTERPOLATED, "ledger": LEDGER}
 
-# The ledger of one direction: first sample not yet booked, energy in hand [J], latest sample that was read.
+# The ledger of one direction: first sample not yet booked, energy in hand [J], latest sample that
+# was read.
 ACCOUNT = np.dtype([("unbooked", np.int64), ("balance", float), ("latest", float)])
 
 # How many of the newest packets an `EnergyLedger` remembers: 65 s at 1 kHz.
@@ -27,10 +33,11 @@ def amplitude(energy, balance, pace):
     """
     Return the amplitude in [0, 1] at which the newest wave, of this energy per sample, is read.
 
-    `pace` is the share of a sample by which the reading moves on, 1 − dT/dt: while a delay grows, waves are read at
-    √pace, which spends their energy as evenly as it arrives. What the balance holds beyond one more packet is left from
-    samples that jitter or loss made the reading skip; it is spent at once. Without this the energy would stay in the
-    ledger for ever, and a steady wave would arrive too small.
+    `pace` is the share of a sample by which the reading moves on, 1 − dT/dt: while a delay grows,
+    waves are read at √pace, which spends their energy as evenly as it arrives. What the balance
+    holds beyond one more packet is left from samples that jitter or loss made the reading skip; it
+    is spent at once. Without this the energy would stay in the ledger for ever, and a steady wave
+    would arrive too small.
     """
     if energy <= 0.0:
         return 1.0
@@ -38,14 +45,15 @@ def amplitude(energy, balance, pace):
     return np.sqrt(min(share, balance / energy))
 
 
-# no reference counts (_nrt): they are atomic, and would take a third of the teleoperation loop's time
+# no reference counts (_nrt): they are atomic, and would take a third of the teleoperation loop's
+# time
 @njit(error_model="numpy", forceinline=True, _nrt=False)
 def read_wave(sent, arrives, k, delay, gain, read_out, sample_time, account, out):
     """
     Read the wave that arrives in sample k, sent `delay` samples before, into `out`.
 
-    sent, shape (N, n): waves by the sample they were sent in. arrives, shape (N,): whether they arrive at all. account:
-    a record of ACCOUNT, used by the "ledger" read-out alone.
+    sent, shape (N, n): waves by the sample they were sent in. arrives, shape (N,): whether they
+    arrive at all. account: a record of ACCOUNT, used by the "ledger" read-out alone.
     """
     n = sent.shape[1]
     where = k - delay
@@ -88,11 +96,12 @@ def read_wave(sent, arrives, k, delay, gain, read_out, sample_time, account, out
 
 class EnergyLedger:
     """
-    Read packets of waves so that never more energy leaves than came in, whatever their jitter, loss and order.
+    Read packets of waves so that never more energy leaves than came in, whatever their jitter, loss
+    and order.
 
-    Every packet is booked once, with the energy it carries, when it arrives. A read returns the newest wave, scaled down
-    where the balance does not hold its energy. A packet that arrives more than 65,536 numbers after a newer one is
-    refused: it could not be told from a duplicate.
+    Every packet is booked once, with the energy it carries, when it arrives. A read returns the
+    newest wave, scaled down where the balance does not hold its energy. A packet that arrives more
+    than 65,536 numbers after a newer one is refused: it could not be told from a duplicate.
 
     Parameters
     ----------
@@ -116,7 +125,8 @@ class EnergyLedger:
     def __init__(self, sample_time: float):
         self.sample_time = positive("sample_time", sample_time)
         self.received = self.given = 0.0
-        # A ring by number modulo its length: a duplicate is recognised in constant memory, however long the run.
+        # A ring by number modulo its length: a duplicate is recognised in constant memory, however
+        # long the run.
         self._seen = [-1] * WINDOW
         self._newest = -1
         self._wave: np.ndarray | None = None
@@ -150,9 +160,13 @@ class EnergyLedger:
         number = whole_number("number", number, least=0)
         values = np.atleast_1d(np.asarray(wave, dtype=float))
         if values.ndim != 1 or not np.isfinite(values).all():
-            raise ValueError(f"packet {number}: wave must be finite numbers, shape (n,), got {values.tolist()}")
+            raise ValueError(
+                f"packet {number}: wave must be finite numbers, shape (n,), got {values.tolist()}"
+            )
         if self._wave is not None and values.shape != self._wave.shape:
-            raise ValueError(f"packet {number}: wave has shape {values.shape}, those before {self._wave.shape}")
+            raise ValueError(
+                f"packet {number}: wave has shape {values.shape}, those before {self._wave.shape}"
+            )
         if number <= self._newest - WINDOW or self._seen[number % WINDOW] == number:
             return False
         self._seen[number % WINDOW] = number
@@ -162,11 +176,14 @@ class EnergyLedger:
         return True
 
     def read(self) -> np.ndarray:
-        """Return the wave to use in this sample, shape (n,); an empty array before the first packet."""
+        """
+        Return the wave to use in this sample, shape (n,); an empty array before the first packet.
+        """
         if self._wave is None:
             return np.zeros(0)
         energy = self.sample_time * float(self._wave @ self._wave)
-        # Packets carry no time, so that nothing is known of the delay's rate: they are read at full pace.
+        # Packets carry no time, so that nothing is known of the delay's rate: they are read at full
+        # pace.
         out = self._wave * amplitude.py_func(energy, self.balance, 1.0)
         self.given += self.sample_time * float(out @ out)
         return out

@@ -8,13 +8,17 @@ from trustlab.models.checks import not_negative, one_of, positive
 from trustlab.models.compiled import njit
 from trustlab.teleoperation.records import signals
 
-OFF, CANCEL, REPAY = 0, 1, 2
+OFF = 0
+CANCEL = 1
+REPAY = 2
 METHODS = {"off": OFF, "cancel": CANCEL, "repay": REPAY}
 
 
 @njit(error_model="numpy", forceinline=True)
 def demanded(method, energy, power, sample_time):
-    """Return the power [W] that the port must take in this sample, or NaN where the controller rests."""
+    """
+    Return the power [W] that the port must take in this sample, or NaN where the controller rests.
+    """
     if method == CANCEL and energy <= 0.0 and power < 0.0:
         return 0.0
     if method == REPAY and energy + sample_time * power < 0.0:
@@ -27,8 +31,9 @@ def activation(power, square, compliance, demand):
     """
     Return w ≥ 0 of the damping that makes a port take the power `demand`, and whether it can.
 
-    The port's velocity yields to the force, v = v0/(1 + w) with w = compliance z. With power = v0ᵀf' and square = v0ᵀv0 the
-    port takes [(1 + w) power + (w/compliance) square]/(1 + w)². The least w is returned; infinity stops the port.
+    The port's velocity yields to the force, v = v0/(1 + w) with w = compliance z. With power =
+    v0ᵀf' and square = v0ᵀv0 the port takes [(1 + w) power + (w/compliance) square]/(1 + w)². The
+    least w is returned; infinity stops the port.
     """
     gain = square / compliance
     if power >= demand:
@@ -68,21 +73,24 @@ class Controlled(NamedTuple):
 
 class PassivityController:
     """
-    Keep a port with velocity input and force output from giving out more energy than it took, (3.19)-(3.20).
+    Keep a port with velocity input and force output from giving out more energy than it took,
+    (3.19)-(3.20).
 
-    f = f' + z v. In discrete time the observed energy is never exactly zero, so that it is tested for ≤ 0.
+    f = f' + z v. In discrete time the observed energy is never exactly zero, so that it is tested
+    for ≤ 0.
 
     Parameters
     ----------
     sample_time : float
         T [s].
     method : {"cancel", "repay"}
-        "cancel" is the printed rule: while the observed energy is ≤ 0, negative power is cancelled, z = −vᵀf'/‖v‖². The force
-        never grows, and the energy undershoots zero by at most T|vᵀf'| of one sample. "repay" is Hannaford and Ryu's: the
-        sample that would end below zero is damped so that it ends at zero; forces can spike.
+        "cancel" is the printed rule: while the observed energy is ≤ 0, negative power is cancelled,
+        z = −vᵀf'/‖v‖². The force never grows, and the energy undershoots zero by at most T|vᵀf'| of
+        one sample. "repay" is Hannaford and Ryu's: the sample that would end below zero is damped
+        so that it ends at zero; forces can spike.
     cap : float
-        "repay" only: largest damping force z‖v‖ [N]; energy that it cannot absorb remains as a deficit and is repaid
-        later.
+        "repay" only: largest damping force z‖v‖ [N]; energy that it cannot absorb remains as a
+        deficit and is repaid later.
     velocity_floor : float
         Below this speed [m/s] no damping is injected.
 
@@ -93,7 +101,8 @@ class PassivityController:
 
     Notes
     -----
-    B. Hannaford, J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Trans. Robotics and Automation 18(1), 2002.
+    B. Hannaford, J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Trans.
+    Robotics and Automation 18(1), 2002.
 
     Examples
     --------
@@ -102,7 +111,13 @@ class PassivityController:
     [0.0]
     """
 
-    def __init__(self, sample_time: float, method: str = "cancel", cap: float = np.inf, velocity_floor: float = 0.0):
+    def __init__(
+        self,
+        sample_time: float,
+        method: str = "cancel",
+        cap: float = np.inf,
+        velocity_floor: float = 0.0,
+    ):
         self.sample_time = positive("sample_time", sample_time)
         self.method = one_of("method", method, ("cancel", "repay"))
         self.cap = np.inf if cap == np.inf else not_negative("cap", cap)
@@ -128,11 +143,18 @@ class PassivityController:
         ValueError
             If they are not finite or differ in shape; the observed energy stays what it was.
         """
-        v, f = np.atleast_1d(np.asarray(velocity, dtype=float)), np.atleast_1d(np.asarray(force, dtype=float))
+        v, f = (
+            np.atleast_1d(np.asarray(velocity, dtype=float)),
+            np.atleast_1d(np.asarray(force, dtype=float)),
+        )
         if v.ndim != 1 or v.shape != f.shape:
-            raise ValueError(f"velocity and force must have one shape (n,), got {v.shape} and {f.shape}")
+            raise ValueError(
+                f"velocity and force must have one shape (n,), got {v.shape} and {f.shape}"
+            )
         if not (np.isfinite(v).all() and np.isfinite(f).all()):
-            raise ValueError(f"velocity and force must be finite, got {v.tolist()} and {f.tolist()}")
+            raise ValueError(
+                f"velocity and force must be finite, got {v.tolist()} and {f.tolist()}"
+            )
         power, square = float(v @ f), float(v @ v)
         demand = float(demanded(METHODS[self.method], self.energy, power, self.sample_time))
         z = 0.0

@@ -11,7 +11,10 @@ from trustlab.models.compiled import njit
 
 
 class OperatorEnd(NamedTuple):
-    """Coefficients of (3.22) at the operator's end: f'_m = b r_m + arriving v_l, u_l = sent r_m + reflected v_l."""
+    """
+    Coefficients of (3.22) at the operator's end: f'_m = b r_m + arriving v_l, u_l = sent r_m +
+    reflected v_l.
+    """
 
     b: float
     arriving: float
@@ -20,7 +23,10 @@ class OperatorEnd(NamedTuple):
 
 
 class RobotEnd(NamedTuple):
-    """Coefficients of (3.22) at the robot's end: r'_s = (arriving v_r − f_s)/b, u_r = sent f_s − reflected v_r."""
+    """
+    Coefficients of (3.22) at the robot's end: r'_s = (arriving v_r − f_s)/b, u_r = sent f_s −
+    reflected v_r.
+    """
 
     b: float
     arriving: float
@@ -28,20 +34,27 @@ class RobotEnd(NamedTuple):
     reflected: float
 
 
-# These six functions are the only place where the wave equations stand. Kernels call them compiled; `Scattering` calls
-# their Python originals (`.py_func`) on whole arrays.
+# These six functions are the only place where the wave equations stand. Kernels call them compiled;
+# `Scattering` calls their Python originals (`.py_func`) on whole arrays.
 
 
 @njit(error_model="numpy", forceinline=True)
 def operator_end(b, beta_min, beta_max):
     """Return the coefficients at the operator's end for an impedance and the bounds of β."""
-    return OperatorEnd(b, np.sqrt(2.0 * b / beta_max), np.sqrt(2.0 * b * beta_min), np.sqrt(beta_min / beta_max))
+    return OperatorEnd(
+        b, np.sqrt(2.0 * b / beta_max), np.sqrt(2.0 * b * beta_min), np.sqrt(beta_min / beta_max)
+    )
 
 
 @njit(error_model="numpy", forceinline=True)
 def robot_end(b, alpha_min, alpha_max):
     """Return the coefficients at the robot's end for an impedance and the bounds of α."""
-    return RobotEnd(b, np.sqrt(2.0 * b / alpha_max), np.sqrt(2.0 * alpha_min / b), np.sqrt(alpha_min / alpha_max))
+    return RobotEnd(
+        b,
+        np.sqrt(2.0 * b / alpha_max),
+        np.sqrt(2.0 * alpha_min / b),
+        np.sqrt(alpha_min / alpha_max),
+    )
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -73,7 +86,8 @@ def delay_rate(name: str, value) -> float:
     rate = finite_number(name, value)
     if not 0.0 <= rate <= 1.0:
         raise ValueError(
-            f"{name} must lie in [0, 1], got {rate}: a delay that grows faster than time lets nothing arrive (Theorem 3)"
+            f"{name} must lie in [0, 1], got {rate}: a delay that grows faster than time lets "
+            "nothing arrive (Theorem 3)"
         )
     return rate
 
@@ -81,12 +95,13 @@ def delay_rate(name: str, value) -> float:
 @dataclass(frozen=True)
 class Scattering:
     """
-    Wave variables at both ends of a channel whose powers are scaled by α(t) and β(t), equations (3.13) and (3.22).
+    Wave variables at both ends of a channel whose powers are scaled by α(t) and β(t), equations
+    (3.13) and (3.22).
 
-    f'_m = b r_m + √(2b/β_max) v_l, u_l = √(2bβ_min) r_m + √(β_min/β_max) v_l,
-    r'_s = (√(2b/α_max) v_r − f_s)/b, u_r = √(2α_min/b) f_s − √(α_min/α_max) v_r, and r_s = α r'_s, f_m = β f'_m.
-    Waves leave with the lower bound of the scale and arrive with the upper one, so that no scale within its bounds
-    generates energy.
+    f'_m = b r_m + √(2b/β_max) v_l, u_l = √(2bβ_min) r_m + √(β_min/β_max) v_l, r'_s = (√(2b/α_max)
+    v_r − f_s)/b, u_r = √(2α_min/b) f_s − √(α_min/α_max) v_r, and r_s = α r'_s, f_m = β f'_m. Waves
+    leave with the lower bound of the scale and arrive with the upper one, so that no scale within
+    its bounds generates energy.
 
     Parameters
     ----------
@@ -129,7 +144,8 @@ class Scattering:
             low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
             if not low > 0.0:
                 raise ValueError(
-                    f"{name}_min must be positive, got {low}: a scale of zero leaves one-way teleoperation (3.1)"
+                    f"{name}_min must be positive, got {low}: a scale of zero leaves one-way "
+                    "teleoperation (3.1)"
                 )
             if low > high:
                 raise ValueError(f"{name}_min must not exceed {name}_max, got {low} and {high}")
@@ -202,5 +218,6 @@ class Scattering:
             if bad.any():
                 k = int(np.argmax(bad))
                 raise ValueError(
-                    f"{name} must lie in [{low}, {high}] ({name}_min, {name}_max), but sample {k} is {values.flat[k]}"
+                    f"{name} must lie in [{low}, {high}] ({name}_min, {name}_max), but sample {k} "
+                    f"is {values.flat[k]}"
                 )

@@ -1,4 +1,7 @@
-"""Who sees whom in a team of robots: graphs as adjacency matrices, how they change during a run, and one step on them."""
+"""
+Who sees whom in a team of robots: graphs as adjacency matrices, how they change during a run, and
+one step on them.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,12 +15,16 @@ from trustlab.teleoperation.team.settings import TeamSettings
 
 
 class GraphError(ValueError):
-    """A graph that cannot describe a team: a self-loop, a negative weight, robots that nobody sees, or a single robot."""
+    """
+    A graph that cannot describe a team: a self-loop, a negative weight, robots that nobody sees, or
+    a single robot.
+    """
 
 
 class TeamGraph(NamedTuple):
     """
-    The graph from a time on: `adjacency`, shape (N, N); which robots are in the team, and which of them may lead, shape (N,).
+    The graph from a time on: `adjacency`, shape (N, N); which robots are in the team, and which of
+    them may lead, shape (N,).
 
     Who leads must be seen by all who are present, directly or through others.
     """
@@ -35,16 +42,17 @@ class TeamGraph(NamedTuple):
 
 def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray]:
     """
-    Return the robots' names and the adjacency matrix of Section 4.2: a_ij > 0 where robot i sees robot j.
+    Return the robots' names and the adjacency matrix of Section 4.2: a_ij > 0 where robot i sees
+    robot j.
 
     Section 4.2 has undirected graphs with a_ij of 0 or 1; weights and directed graphs go past it.
 
     Parameters
     ----------
     graph : networkx.Graph, networkx.DiGraph or array_like, shape (N, N)
-        Without self-loops, edges from who sees to who is seen; a_ij is the edge's `weight`, 1 where there is none. Connected, or,
-        if directed, with a spanning tree: a robot whom all others see, directly or through others. Robots of a matrix are
-        named 0 … N − 1.
+        Without self-loops, edges from who sees to who is seen; a_ij is the edge's `weight`, 1 where
+        there is none. Connected, or, if directed, with a spanning tree: a robot whom all others
+        see, directly or through others. Robots of a matrix are named 0 … N − 1.
     require_connected : bool
         Refuse a graph in several parts, or without a spanning tree.
 
@@ -57,7 +65,10 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
     if len(names) < 2:
         raise GraphError(f"a team needs two robots or more, got {len(names)}")
     for i, j in np.argwhere(~(np.isfinite(matrix) & (matrix >= 0.0))):
-        raise GraphError(f"a_ij must be finite and 0 or more; from {names[i]!r} to {names[j]!r} it is {matrix[i, j]}")
+        raise GraphError(
+            f"a_ij must be finite and 0 or more; from {names[i]!r} to {names[j]!r} it is "
+            f"{matrix[i, j]}"
+        )
     for i in np.flatnonzero(np.diag(matrix)):
         raise GraphError(f"robot {names[i]!r} has a self-loop; remove it")
     if require_connected:
@@ -71,7 +82,9 @@ def _matrix(graph) -> tuple[tuple, np.ndarray]:
         import networkx
 
         if graph.is_multigraph():
-            raise GraphError("the graph has parallel edges (a multigraph); pass networkx.Graph(graph)")
+            raise GraphError(
+                "the graph has parallel edges (a multigraph); pass networkx.Graph(graph)"
+            )
         try:
             return tuple(graph.nodes), networkx.to_numpy_array(graph)
         except (TypeError, ValueError):
@@ -82,19 +95,25 @@ def _matrix(graph) -> tuple[tuple, np.ndarray]:
             raise TypeError
     except (TypeError, ValueError):
         told = type(graph).__name__
-        raise GraphError(f"graph must be a networkx.Graph or a square matrix of weights, got {told}") from None
+        raise GraphError(
+            f"graph must be a networkx.Graph or a square matrix of weights, got {told}"
+        ) from None
     return tuple(range(len(given))), given.astype(float)
 
 
 def roots(adjacency: np.ndarray) -> np.ndarray:
-    """Return the robots whom all others see, directly or through others; shape (N,), True where one is."""
+    """
+    Return the robots whom all others see, directly or through others; shape (N,), True where one
+    is.
+    """
     from scipy.sparse.csgraph import connected_components
 
     count, part = connected_components(adjacency, directed=True, connection="strong")
     sees_other_part = np.zeros(count, bool)
     i, j = np.nonzero(adjacency)
     sees_other_part[part[i[part[i] != part[j]]]] = True
-    # what one sees leads to a part that sees no other; all see it only if there is no second one of the kind
+    # what one sees leads to a part that sees no other; all see it only if there is no second one of
+    # the kind
     last = np.flatnonzero(~sees_other_part)
     return part == last[0] if last.size == 1 else np.zeros(len(adjacency), bool)
 
@@ -108,20 +127,28 @@ def _check_connected(names: tuple, matrix: np.ndarray) -> None:
         parts = [[repr(names[i]) for i in np.flatnonzero(label == part)] for part in range(count)]
         told = "; ".join("{" + ", ".join(part) + "}" for part in parts)
         raise GraphError(
-            f"the graph is not connected, it has {count} parts: {told}; robots of different parts never meet: add edges, "
-            "or pass require_connected=False to see it"
+            f"the graph is not connected, it has {count} parts: {told}; robots of different parts "
+            "never meet: add edges, or pass require_connected=False to see it"
         )
     if not roots(matrix).any():
         raise GraphError(
-            "the directed graph has no spanning tree: there is no robot whom all others see, directly or through others, so that "
-            "nobody can lead them all; add edges, or pass require_connected=False to see it"
+            "the directed graph has no spanning tree: there is no robot whom all others see, "
+            "directly or through others, so that nobody can lead them all; add edges, or pass "
+            "require_connected=False to see it"
         )
 
 
-def graphs_in_time(graph, changes: Mapping | None, require_connected: bool) -> tuple[tuple, list[TeamGraph]]:
-    """Return the names of all robots that are ever in the team, and the graph from 0 and from each change on."""
+def graphs_in_time(
+    graph, changes: Mapping | None, require_connected: bool
+) -> tuple[tuple, list[TeamGraph]]:
+    """
+    Return the names of all robots that are ever in the team, and the graph from 0 and from each
+    change on.
+    """
     if changes is not None and not isinstance(changes, Mapping):
-        raise ValueError(f"changes must be a dict from time [s] to graph, got {type(changes).__name__}")
+        raise ValueError(
+            f"changes must be a dict from time [s] to graph, got {type(changes).__name__}"
+        )
     given = {0.0: graph}
     for t, later in (changes or {}).items():
         t = finite_number("a time in changes", t)
@@ -140,8 +167,13 @@ def graphs_in_time(graph, changes: Mapping | None, require_connected: bool) -> t
     return names, [_on_all(names, *part, require_connected) for part in parts]
 
 
-def _on_all(names: tuple, t: float, some: tuple, adjacency: np.ndarray, connected: bool) -> TeamGraph:
-    """Return a graph of some robots as one of all: those that are absent see nobody and are seen by nobody."""
+def _on_all(
+    names: tuple, t: float, some: tuple, adjacency: np.ndarray, connected: bool
+) -> TeamGraph:
+    """
+    Return a graph of some robots as one of all: those that are absent see nobody and are seen by
+    nobody.
+    """
     place = {name: i for i, name in enumerate(names)}
     at = np.array([place[name] for name in some])
     whole = np.zeros((len(names), len(names)))
@@ -163,7 +195,8 @@ def algebraic_connectivity(graph) -> float:
     Parameters
     ----------
     graph : networkx.Graph, networkx.DiGraph or array_like, shape (N, N)
-        As in `team_graph`; 0 where it is not connected. On a directed graph the least real part of an eigenvalue but the first.
+        As in `team_graph`; 0 where it is not connected. On a directed graph the least real part of
+        an eigenvalue but the first.
     """
     matrix = laplacian(team_graph(graph, require_connected=False)[1])
     symmetric = (matrix == matrix.T).all()
@@ -171,16 +204,20 @@ def algebraic_connectivity(graph) -> float:
     return float(max(values[1], 0.0))
 
 
-def scaled_settings(graph, within: float = 200.0, settings: TeamSettings | None = None) -> TeamSettings:
+def scaled_settings(
+    graph, within: float = 200.0, settings: TeamSettings | None = None
+) -> TeamSettings:
     """
     Return settings whose gains bring a team to its goal within a given time, whatever its size.
 
-    A leader that is held at the goal draws the others there at the least eigenvalue μ of c L without the leader's row and column,
-    and (4.22) at half of that. 1/μ is at most the sum of the effective resistances to the leader, N L⁺_ii + tr L⁺, over c: it grows
-    as N on graphs with short paths (small worlds, random graphs), as N² on a ring. The coupling c makes this bound within/12; the
-    leader's gain is g = min(N, 2 c d), with the least degree d, so that it moves the mean and yet runs only metres ahead; the
-    force's gain is 1/g. Enough in simulation on rings, paths, complete graphs and small worlds of 4 to 1,000 robots. A ring of 1,000
-    gets a coupling above a thousand per second, more than robots can follow: no law that moves by differences to neighbours
+    A leader that is held at the goal draws the others there at the least eigenvalue μ of c L
+    without the leader's row and column, and (4.22) at half of that. 1/μ is at most the sum of the
+    effective resistances to the leader, N L⁺_ii + tr L⁺, over c: it grows as N on graphs with short
+    paths (small worlds, random graphs), as N² on a ring. The coupling c makes this bound within/12;
+    the leader's gain is g = min(N, 2 c d), with the least degree d, so that it moves the mean and
+    yet runs only metres ahead; the force's gain is 1/g. Enough in simulation on rings, paths,
+    complete graphs and small worlds of 4 to 1,000 robots. A ring of 1,000 gets a coupling above a
+    thousand per second, more than robots can follow: no law that moves by differences to neighbours
     alone is quick there, and shortcuts are the remedy.
 
     Parameters
@@ -199,17 +236,24 @@ def scaled_settings(graph, within: float = 200.0, settings: TeamSettings | None 
     """
     adjacency = team_graph(graph)[1]
     if (adjacency != adjacency.T).any():
-        raise GraphError("gains are known for undirected graphs only: give lead_gain, force_gain and coupling")
+        raise GraphError(
+            "gains are known for undirected graphs only: give lead_gain, force_gain and coupling"
+        )
     size, within = len(adjacency), positive("within", within)
     inverse = np.linalg.pinv(laplacian(adjacency), hermitian=True)
     slowest = size * inverse.diagonal().max() + np.trace(inverse)
     coupling = 12.0 / within * slowest
     gain = min(float(size), 2.0 * coupling * adjacency.sum(axis=1).min())
-    return replace(settings or TeamSettings(), coupling=coupling, lead_gain=gain, force_gain=1.0 / gain)
+    return replace(
+        settings or TeamSettings(), coupling=coupling, lead_gain=gain, force_gain=1.0 / gain
+    )
 
 
 def formation_on(graph: TeamGraph, coupling: float, h: float) -> Formation:
-    """Return what one step of the midpoint rule of length 2h needs of a graph; a directed one must damp its differences."""
+    """
+    Return what one step of the midpoint rule of length 2h needs of a graph; a directed one must
+    damp its differences.
+    """
     L, none = coupling * laplacian(graph.adjacency), np.empty((0, 0))
     size = len(L)
     if not graph.directed:
@@ -223,11 +267,14 @@ def formation_on(graph: TeamGraph, coupling: float, h: float) -> Formation:
     growth = np.linalg.eigvals(np.block([[-L, L.T], [-L, np.zeros_like(L)]])).real.max()
     if growth > 1e-7 * np.abs(L).max():
         raise GraphError(
-            f"on the directed graph from t = {graph.since:g} s on differences grow by {growth:.2g} 1/s, whoever leads: the weights "
-            "in and out of robots are too different; balance them, or add the edges' opposites"
+            f"on the directed graph from t = {graph.since:g} s on differences grow by "
+            f"{growth:.2g} 1/s, whoever leads: the weights in and out of robots are too "
+            "different; balance them, or add the edges' opposites"
         )
     solved = np.linalg.inv(np.eye(size) + h * L + h * h * L.T @ L)
     inner = np.ascontiguousarray(h * solved @ L.T)
     felt, felt_inner = L @ solved, L @ inner
     stiffness = h * felt.diagonal().copy()
-    return Formation(True, np.empty(0), np.eye(size), np.empty(0), L, solved, inner, felt, felt_inner, stiffness)
+    return Formation(
+        True, np.empty(0), np.eye(size), np.empty(0), L, solved, inner, felt, felt_inner, stiffness
+    )

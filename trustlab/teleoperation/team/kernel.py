@@ -1,9 +1,11 @@
 """
-The teleoperated team (Fig. 4.1), compiled: O(N) per step in the Laplacian's eigenbasis, O(N²) on a directed graph.
+The teleoperated team (Fig. 4.1), compiled: O(N) per step in the Laplacian's eigenbasis, O(N²) on a
+directed graph.
 
-`run_team` holds what needs arrays: the team's modes, and whatever is looked up in the past. The operator's end and the robots'
-end of the channel are one compiled function each, on a record of STATE. All that a run remembers stands in
-`Memory` and STATE, so that a run may pause at any sample: the graph and the leader change between two calls.
+`run_team` holds what needs arrays: the team's modes, and whatever is looked up in the past. The
+operator's end and the robots' end of the channel are one compiled function each, on a record of
+STATE. All that a run remembers stands in `Memory` and STATE, so that a run may pause at any sample:
+the graph and the leader change between two calls.
 """
 
 from typing import NamedTuple
@@ -16,32 +18,40 @@ from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.ledger import read_wave
 from trustlab.teleoperation.records import columns_of, record
 
-NO_FILTER, TWO_PORT, WAVES = 0, 1, 2
+NO_FILTER = 0
+TWO_PORT = 1
+WAVES = 2
 BLOCKS = ("haptic device", "channel", "team")
 
 # A row of the log: storages before the sample and the signals of the sample.
 LOG = record(
     vectors="leader device r_m f_h f_m r_s f_s",
     numbers=(
-        "number beta trust_rh push v_h v_hd v_ch v_fs v_e v_e_delayed v_filter v_t supply_team supply_error supply_hand "
-        "supply_device supply_filter supply_links lost_device lost_team lost_error lost_error_delayed"
+        "number beta trust_rh push v_h v_hd v_ch v_fs v_e v_e_delayed v_filter v_t supply_team "
+        "supply_error supply_hand supply_device supply_filter supply_links lost_device lost_team "
+        "lost_error lost_error_delayed"
     ),
 )
 
 COLUMNS = columns_of(LOG)
 
-# The state proper beside the device's place, which the log has: its velocity before the sample and in its middle, and what
-# the filters F1 (near) and F2 (far), or the filters of waves, hold.
-KEPT = "device_velocity middle near_velocity near_force far_velocity far_force filtered_l filtered_r"
-# Looked up or worked out before each end is solved: error as the operator sees it, added force, waves, force at rest.
+# The state proper beside the device's place, which the log has: its velocity before the sample and
+# in its middle, and what the filters F1 (near) and F2 (far), or the filters of waves, hold.
+KEPT = (
+    "device_velocity middle near_velocity near_force far_velocity far_force filtered_l filtered_r"
+)
+# Looked up or worked out before each end is solved: error as the operator sees it, added force,
+# waves, force at rest.
 ARRIVED = "error pushed v_l v_r open_force"
-# The operator's end, affine in what is still unknown: r_m = yielded + mobility · push, f_m = held + resistance · r_m.
+# The operator's end, affine in what is still unknown: r_m = yielded + mobility · push, f_m = held +
+# resistance · r_m.
 SIGNALS = "u_l u_r yielded mobility held resistance channel_force wanted"
 WITHIN = record(
     vectors=f"{KEPT} {ARRIVED} {SIGNALS}",
     numbers="seen_power near_power far_power hand_power device_power device_loss",
 )
-# What both ends read and leave; it begins with the row of the log, so that energies since the start stand there alone.
+# What both ends read and leave; it begins with the row of the log, so that energies since the start
+# stand there alone.
 STATE = np.dtype([*LOG.descr, *WITHIN.descr])
 
 # One robot: its end of the channel, and its trust in the operator.
@@ -51,8 +61,8 @@ ROBOT = record(numbers="b beta_min beta_max decay gain t_min t_max")
 # Device, filters, operator and how delays are read; see `TeamSettings` and `TeamOperator`.
 NUMBERS = record(
     numbers=(
-        "sample_time mass damping stiffness weight gain cutoff k12 k21 push reach drag budget reserve error_range steepness "
-        "lead_gain force_gain"
+        "sample_time mass damping stiffness weight gain cutoff k12 k21 push reach drag budget "
+        "reserve error_range steepness lead_gain force_gain"
     ),
     counts="read_out filtering vision",
     flags="guarded",
@@ -61,11 +71,13 @@ NUMBERS = record(
 
 class Formation(NamedTuple):
     """
-    The robots on their graph, for one step of the midpoint rule: q = (I + hL + h²LᵀL)⁻¹ (q₀ + hLᵀζ₀ + h g D r_s).
+    The robots on their graph, for one step of the midpoint rule: q = (I + hL + h²LᵀL)⁻¹ (q₀ + hLᵀζ₀
+    + h g D r_s).
 
-    Undirected graphs are diagonal in the modes of L: `values` and `vectors`, shapes (N,) and (N, N), and `solve`, shape (N,). A
-    directed graph has no such basis: `laplacian`, `solved` = (I + hL + h²LᵀL)⁻¹ and `inner` = h · solved · Lᵀ, shape (N, N), and
-    `felt`, `felt_inner` = L times these, from which the leader's force at rest is one row; `vectors` is then the identity.
+    Undirected graphs are diagonal in the modes of L: `values` and `vectors`, shapes (N,) and (N,
+    N), and `solve`, shape (N,). A directed graph has no such basis: `laplacian`, `solved` = (I + hL
+    + h²LᵀL)⁻¹ and `inner` = h · solved · Lᵀ, shape (N, N), and `felt`, `felt_inner` = L times
+    these, from which the leader's force at rest is one row; `vectors` is then the identity.
     """
 
     directed: bool
@@ -80,9 +92,10 @@ class Formation(NamedTuple):
     stiffness: np.ndarray  # what the team does to a leader's push, shape (N,)
 
 
-# What a run keeps of each sample: the robot that leads, and the one for which the operator's end of the channel is set (the
-# same, unless that end fails to switch); force added to the hand's, velocity sent to the leader, and its distance to the goal;
-# dissipation and storage of the error system.
+# What a run keeps of each sample: the robot that leads, and the one for which the operator's end of
+# the channel is set (the same, unless that end fails to switch); force added to the hand's,
+# velocity sent to the leader, and its distance to the goal; dissipation and storage of the error
+# system.
 SAMPLE = record(vectors="pushed sent seen", numbers="lost held", counts="lead head")
 
 
@@ -90,9 +103,9 @@ class Memory(NamedTuple):
     """
     What a run keeps from sample to sample, K samples and N robots; changed in place.
 
-    samples, shape (K,): records of SAMPLE. delays, arrives, shape (2, K): in samples, and whether waves arrive. accounts:
-    `ledger.accounts()`. waves u_l, u_r, shape (K, 3). w, z, shape (3, N): modes of the robots' distance to the goal and of ζ.
-    trust, shape (N,): in the operator, (4.2).
+    samples, shape (K,): records of SAMPLE. delays, arrives, shape (2, K): in samples, and whether
+    waves arrive. accounts: `ledger.accounts()`. waves u_l, u_r, shape (K, 3). w, z, shape (3, N):
+    modes of the robots' distance to the goal and of ζ. trust, shape (N,): in the operator, (4.2).
     """
 
     samples: np.ndarray
@@ -107,7 +120,10 @@ class Memory(NamedTuple):
 
 
 class FilterStep(NamedTuple):
-    """The filters under the midpoint rule: midpoint = decay · state + gate · input; without filters the input itself."""
+    """
+    The filters under the midpoint rule: midpoint = decay · state + gate · input; without filters
+    the input itself.
+    """
 
     decay: float
     gate: float
@@ -121,9 +137,9 @@ def push_share(budget, power, pull, stir, square, drag):
     """
     Return the greatest share σ ≤ 1 of a push whose power does not exceed `power`.
 
-    The device yields by r = a + y σ p to the push p, drag d at the hand: the hand gives r (σ p − d r) =
-    −d a² + σ p a (1 − 2 d y) + σ² y p² (1 − d y), with the sums pull = Σ p a (1 − 2 d y), stir = Σ y p² (1 − d y) and
-    square = Σ a². Nothing is pushed while the budget is spent.
+    The device yields by r = a + y σ p to the push p, drag d at the hand: the hand gives r (σ p − d
+    r) = −d a² + σ p a (1 − 2 d y) + σ² y p² (1 − d y), with the sums pull = Σ p a (1 − 2 d y), stir
+    = Σ y p² (1 − d y) and square = Σ a². Nothing is pushed while the budget is spent.
     """
     if budget <= 0.0 or power <= 0.0:
         return 0.0
@@ -137,7 +153,8 @@ def push_share(budget, power, pull, stir, square, drag):
 @njit(error_model="numpy", forceinline=True)
 def operator_side(n, device, filters, end, spendable, state):
     """
-    Solve the operator's end of the channel with filter, device and hand, in closed form, and the device's velocity.
+    Solve the operator's end of the channel with filter, device and hand, in closed form, and the
+    device's velocity.
 
     `spendable` is what V_h leaves above the reserve [J].
     """
@@ -148,16 +165,23 @@ def operator_side(n, device, filters, end, spendable, state):
     loaded = 1.0 + state.beta * end.b * filters.k12
     pull = stir = square = 0.0
     for i in range(3):
-        # the channel's force at its port, given what the filter holds of the velocity: force = held + resistance r_m
+        # the channel's force at its port, given what the filter holds of the velocity: force = held
+        # + resistance r_m
         velocity = filters.decay * state.near_velocity[i]
-        state.channel_force[i] = state.beta * (end.b * velocity + end.arriving * state.v_l[i]) / loaded
+        state.channel_force[i] = (
+            state.beta * (end.b * velocity + end.arriving * state.v_l[i]) / loaded
+        )
         state.held[i] = filters.decay * state.near_force[i] + filters.gate * state.channel_force[i]
-        state.resistance[i] = filters.k21 + filters.gate * (state.beta * end.b * filters.gate / loaded)
+        state.resistance[i] = filters.k21 + filters.gate * (
+            state.beta * end.b * filters.gate / loaded
+        )
         under = 1.0 + admittance * (state.resistance[i] + n.drag)
         state.wanted[i] = stiffness * state.error[i]
         state.mobility[i] = admittance / under
         free = haptic.free_output(device, state.device[i], state.device_velocity[i], 0.0)
-        state.yielded[i] = (free - admittance * state.held[i] + admittance * state.pushed[i]) / under
+        state.yielded[i] = (
+            free - admittance * state.held[i] + admittance * state.pushed[i]
+        ) / under
         pull += state.wanted[i] * state.yielded[i] * (1.0 - 2.0 * n.drag * state.mobility[i])
         stir += state.mobility[i] * state.wanted[i] ** 2 * (1.0 - n.drag * state.mobility[i])
         square += state.yielded[i] ** 2
@@ -171,13 +195,21 @@ def operator_side(n, device, filters, end, spendable, state):
         state.f_m[i] = state.held[i] + state.resistance[i] * state.r_m[i]
         state.f_h[i] = state.push * state.wanted[i] - n.drag * state.r_m[i] + state.pushed[i]
         force = state.channel_force[i] + state.beta * end.b * filters.gate / loaded * state.r_m[i]
-        velocity = filters.decay * state.near_velocity[i] + filters.gate * state.r_m[i] - filters.k12 * force
+        velocity = (
+            filters.decay * state.near_velocity[i]
+            + filters.gate * state.r_m[i]
+            - filters.k12 * force
+        )
         state.u_l[i] = waves.operator_wave(end, velocity, state.v_l[i])
         x, v = state.device[i], state.device_velocity[i]
-        state.middle[i] = v_middle = haptic.midpoint_velocity(device, x, v, state.f_h[i], state.f_m[i])
+        state.middle[i] = v_middle = haptic.midpoint_velocity(
+            device, x, v, state.f_h[i], state.f_m[i]
+        )
         state.hand_power += state.r_m[i] * state.f_h[i]
         state.device_power += state.r_m[i] * (state.f_h[i] - state.f_m[i])
-        state.device_loss += haptic.device_loss(device, x + 0.5 * n.sample_time * v_middle, v_middle)
+        state.device_loss += haptic.device_loss(
+            device, x + 0.5 * n.sample_time * v_middle, v_middle
+        )
         state.near_power += velocity * force
         state.near_velocity[i] += passed(filters, state.r_m[i], state.near_velocity[i])
         state.near_force[i] += passed(filters, force, state.near_force[i])
@@ -194,14 +226,17 @@ def robot_side(filters, end, stiffness, state):
     """
     Solve the robots' end of the channel with filter and leader: f_s = open_force + stiffness · r_s.
 
-    Each of the two relations is affine in the velocity at the channel's port, which the wave equation then fixes.
+    Each of the two relations is affine in the velocity at the channel's port, which the wave
+    equation then fixes.
     """
     state.far_power = 0.0
     under = 1.0 + filters.k12 * stiffness
     for i in range(3):
         held = (filters.decay * state.far_velocity[i] - filters.k12 * state.open_force[i]) / under
         share = filters.gate / under
-        force = filters.decay * state.far_force[i] + filters.gate * (state.open_force[i] + stiffness * held)
+        force = filters.decay * state.far_force[i] + filters.gate * (
+            state.open_force[i] + stiffness * held
+        )
         resistance = filters.k21 + filters.gate * stiffness * share
         free = end.arriving * state.v_r[i] / end.b
         velocity = (free - force / end.b) / (1.0 + resistance / end.b)
@@ -224,7 +259,10 @@ def filter_wave(filters, wave, held):
 
 @njit(error_model="numpy", forceinline=True)
 def storages(team, w, z):
-    """Return V_fs and V_e, (4.23) and (4.29); V_fs is a storage on an undirected graph only, elsewhere NaN."""
+    """
+    Return V_fs and V_e, (4.23) and (4.29); V_fs is a storage on an undirected graph only, elsewhere
+    NaN.
+    """
     v_fs = v_e = 0.0
     for i in range(3):
         for j in range(w.shape[1]):
@@ -237,7 +275,10 @@ def storages(team, w, z):
 
 @njit(error_model="numpy", forceinline=True)
 def force_at_rest(team, lead, h, w, z, i):
-    """Return the force (4.24) on axis i that the leader would report at the midpoint if it were not driven."""
+    """
+    Return the force (4.24) on axis i that the leader would report at the midpoint if it were not
+    driven.
+    """
     force = 0.0
     for j in range(w.shape[1]):
         if team.directed:
@@ -250,7 +291,10 @@ def force_at_rest(team, lead, h, w, z, i):
 
 @njit(error_model="numpy", forceinline=True)
 def move_modes(team, lead, h, drive, w, z, i):
-    """Step the modes on axis i, the leader driven at `drive`; return its position at the midpoint, ‖Lq‖² and qᵀLq."""
+    """
+    Step the modes on axis i, the leader driven at `drive`; return its position at the midpoint,
+    ‖Lq‖² and qᵀLq.
+    """
     at = team_loss = error_loss = 0.0
     for j in range(w.shape[1]):
         value = team.values[j]
@@ -277,14 +321,20 @@ def move_directed(team, lead, h, drive, w, z, i):
 @njit(error_model="numpy")
 def run_team(n, team, robots, memory, first, last, every, states, row, table, modes):
     """
-    Run the team from sample `first` to before `last`, with a row of `table` and of `modes` every `every` samples.
+    Run the team from sample `first` to before `last`, with a row of `table` and of `modes` every
+    `every` samples.
 
-    n: a record of NUMBERS. team: a Formation. robots, shape (N,): records of ROBOT. states, shape (1,): a record of STATE, of
-    which `row` is the part that is logged. modes, shape (rows, 3, N): of the distance to the goal. Returns the samples done and
-    the block that diverged (−1: none).
+    n: a record of NUMBERS. team: a Formation. robots, shape (N,): records of ROBOT. states, shape
+    (1,): a record of STATE, of which `row` is the part that is logged. modes, shape (rows, 3, N):
+    of the distance to the goal. Returns the samples done and the block that diverged (−1: none).
     """
     m, T = memory, n.sample_time
-    w, z, size, h, g, felt = m.w, m.z, memory.trust.size, 0.5 * T, n.lead_gain, n.force_gain
+    w = m.w
+    z = m.z
+    size = memory.trust.size
+    h = 0.5 * T
+    g = n.lead_gain
+    felt = n.force_gain
     state = states[0]
     device = haptic.held_device(n.mass, n.damping, n.stiffness, n.weight, 0.0, 0.0, T)
     pole = h * n.cutoff
@@ -293,8 +343,11 @@ def run_team(n, team, robots, memory, first, last, every, states, row, table, mo
     filters = low_pass if port else FilterStep(0.0, 1.0, 0.0, 0.0, 0.0)
     for k in range(first, last):
         now, late = m.samples[k], k - n.vision
-        past, lead, recorded = m.samples[max(late, 0)], now.lead, k % every == 0
-        # storage at the start of this sample; energy that enters by the leader's port appears in the team g and g/felt times
+        past = m.samples[max(late, 0)]
+        lead = now.lead
+        recorded = k % every == 0
+        # storage at the start of this sample; energy that enters by the leader's port appears in
+        # the team g and g/felt times
         state.v_hd = state.v_filter = 0.0
         state.v_fs, state.v_e = storages(team, w, z)
         state.v_fs *= felt / g
@@ -314,15 +367,22 @@ def run_team(n, team, robots, memory, first, last, every, states, row, table, mo
             square += state.error[i] ** 2
             if late >= 0:
                 state.seen_power += past.sent[i] * state.error[i]
-        good = max(1.0 - np.sqrt(square) / n.error_range, 0.0) if late >= 0 and n.push > 0.0 else 0.0
-        # the leader's trust in the operator sets β; the trust of all follows how near the goal the leader is
+        good = (
+            max(1.0 - np.sqrt(square) / n.error_range, 0.0) if late >= 0 and n.push > 0.0 else 0.0
+        )
+        # the leader's trust in the operator sets β; the trust of all follows how near the goal the
+        # leader is
         leader, told = robots[lead], m.trust[lead]
         share = min(max(told, 0.0), 1.0)
         state.beta = logistic_scale(leader.beta_min, leader.beta_max, n.steepness, 0.5, share)
         for i in range(size):
             m.trust[i] = trust_step(m.trust[i], good, robots[i].decay, robots[i].gain)
-        read_wave(m.u_l, m.arrives[0], k, m.delays[0, k], n.gain, n.read_out, T, m.accounts[0], state.v_r)
-        read_wave(m.u_r, m.arrives[1], k, m.delays[1, k], n.gain, n.read_out, T, m.accounts[1], state.v_l)
+        read_wave(
+            m.u_l, m.arrives[0], k, m.delays[0, k], n.gain, n.read_out, T, m.accounts[0], state.v_r
+        )
+        read_wave(
+            m.u_r, m.arrives[1], k, m.delays[1, k], n.gain, n.read_out, T, m.accounts[1], state.v_l
+        )
         if n.filtering == WAVES:
             filter_wave(low_pass, state.v_r, state.filtered_r)
             filter_wave(low_pass, state.v_l, state.filtered_l)
@@ -331,7 +391,9 @@ def run_team(n, team, robots, memory, first, last, every, states, row, table, mo
         operator_side(n, device, filters, near_end, state.v_h + n.budget - n.reserve, state)
         for i in range(3):
             state.open_force[i] = felt * force_at_rest(team, lead, h, w, z, i)
-        robot_side(filters, waves.robot_end(leader.b, 1.0, 1.0), felt * g * team.stiffness[lead], state)
+        robot_side(
+            filters, waves.robot_end(leader.b, 1.0, 1.0), felt * g * team.stiffness[lead], state
+        )
         if recorded:
             for i in range(3):
                 for j in range(size):
@@ -339,7 +401,9 @@ def run_team(n, team, robots, memory, first, last, every, states, row, table, mo
         supplied = away = filtered = team_loss = error_loss = 0.0
         for i in range(3):
             if team.directed:
-                state.leader[i], pulled, bent = move_directed(team, lead, h, g * state.r_s[i], w, z, i)
+                state.leader[i], pulled, bent = move_directed(
+                    team, lead, h, g * state.r_s[i], w, z, i
+                )
             else:
                 state.leader[i], pulled, bent = move_modes(team, lead, h, g * state.r_s[i], w, z, i)
             team_loss += felt / g * pulled

@@ -1,4 +1,7 @@
-"""Who leads: leader policies as small objects, all with a minimum dwell time, and each switch to another robot."""
+"""
+Who leads: leader policies as small objects, all with a minimum dwell time, and each switch to
+another robot.
+"""
 
 import itertools
 from collections.abc import Callable, Hashable, Sequence
@@ -57,12 +60,21 @@ class Decision:
 
     @property
     def free(self) -> bool:
-        """Whether another robot may take over: there is no leader, it has left, or it has led for τ_min."""
-        return self.leader is None or not self.present[self.leader] or self.t - self.since >= self.dwell - 1e-9
+        """
+        Whether another robot may take over: there is no leader, it has left, or it has led for
+        τ_min.
+        """
+        return (
+            self.leader is None
+            or not self.present[self.leader]
+            or self.t - self.since >= self.dwell - 1e-9
+        )
 
 
 class LivePolicy(Protocol):
-    """Anything with a `title` and a method `leader`, called at every decision while the run goes on."""
+    """
+    Anything with a `title` and a method `leader`, called at every decision while the run goes on.
+    """
 
     title: str
 
@@ -73,17 +85,26 @@ class LivePolicy(Protocol):
         Parameters
         ----------
         now : Decision
-            Time, trust, who is present, who leads since when; `now.memory` is the policy's to write to.
+            Time, trust, who is present, who leads since when; `now.memory` is the policy's to write
+            to.
         """
 
 
 class LeaderPolicy(Protocol):
-    """Anything with a `title` and a method `leaders`, called once, before the run: trust (4.1) does not depend on who leads."""
+    """
+    Anything with a `title` and a method `leaders`, called once, before the run: trust (4.1) does
+    not depend on who leads.
+    """
 
     title: str
 
     def leaders(
-        self, trust: np.ndarray, robots: Sequence[Hashable], step: float, dwell: float, rng: np.random.Generator
+        self,
+        trust: np.ndarray,
+        robots: Sequence[Hashable],
+        step: float,
+        dwell: float,
+        rng: np.random.Generator,
     ) -> np.ndarray:
         """
         Return the number of the leader in each decision interval, shape (M,).
@@ -91,7 +112,8 @@ class LeaderPolicy(Protocol):
         Parameters
         ----------
         trust : numpy.ndarray, shape (M, N)
-            Human-to-robot trust in every robot at every decision; −inf while a robot is not in the team.
+            Human-to-robot trust in every robot at every decision; −inf while a robot is not in the
+            team.
         robots : sequence
             The robots' names.
         step : float
@@ -111,12 +133,14 @@ def _hold(dwell: float, step: float) -> int:
 @dataclass(frozen=True)
 class MostTrusted:
     """
-    The robot that is trusted most leads, as soon as the present leader has stayed for τ_min (Section 4.3).
+    The robot that is trusted most leads, as soon as the present leader has stayed for τ_min
+    (Section 4.3).
 
     Parameters
     ----------
     margin : float
-        By how much another robot must be trusted more before it takes over (hysteresis); 0 as printed.
+        By how much another robot must be trusted more before it takes over (hysteresis); 0 as
+        printed.
 
     Raises
     ------
@@ -152,9 +176,13 @@ class MostTrusted:
             Not used.
         """
         hold, best = _hold(dwell, step), np.argmax(trust, axis=1)
-        out, leader, since = np.empty(len(trust), np.int64), int(best[0]), 0
+        out = np.empty(len(trust), np.int64)
+        leader = int(best[0])
+        since = 0
         for k, candidate in enumerate(best.tolist()):
-            free = k - since >= hold or trust[k, leader] == -np.inf  # who leaves the team leads no more
+            free = (
+                k - since >= hold or trust[k, leader] == -np.inf
+            )  # who leaves the team leads no more
             if free and trust[k, candidate] > trust[k, leader] + self.margin:
                 leader, since = candidate, k
             out[k] = leader
@@ -173,13 +201,15 @@ class GivenSequence:
     times : array_like, shape (S,), optional
         When each begins to lead [s], the first at 0.
     every : float, optional
-        How long each leads [s] if `times` is not given; the sequence then repeats. By default 2 τ_min.
+        How long each leads [s] if `times` is not given; the sequence then repeats. By default 2
+        τ_min.
 
     Raises
     ------
     ValueError
-        If a robot follows itself, times do not fit the robots, or both `times` and `every` are given; later, in `leaders`, if a
-        robot does not exist, and in `simulate_team`, as for every policy, if one leads for less than τ_min.
+        If a robot follows itself, times do not fit the robots, or both `times` and `every` are
+        given; later, in `leaders`, if a robot does not exist, and in `simulate_team`, as for every
+        policy, if one leads for less than τ_min.
     """
 
     robots: Sequence[Hashable] | None = None
@@ -197,7 +227,9 @@ class GivenSequence:
             object.__setattr__(self, "robots", robots)
             for place, (before, robot) in enumerate(itertools.pairwise(robots), start=1):
                 if robot == before:
-                    raise ValueError(f"a switch must pick another robot, but robots[{place}] is {robot!r} again")
+                    raise ValueError(
+                        f"a switch must pick another robot, but robots[{place}] is {robot!r} again"
+                    )
         if self.times is not None:
             if self.every is not None or self.robots is None:
                 raise ValueError("times need robots, and leave nothing for every to say")
@@ -209,7 +241,9 @@ class GivenSequence:
             set_checked(self, positive, "every")
         again = self.times is None and self.robots is not None and len(self.robots) > 1
         if again and self.robots[0] == self.robots[-1]:
-            raise ValueError(f"begun again, the sequence would have {self.robots[0]!r} follow itself")
+            raise ValueError(
+                f"begun again, the sequence would have {self.robots[0]!r} follow itself"
+            )
 
     def leaders(self, trust, robots, step, dwell, rng) -> np.ndarray:
         """
@@ -232,7 +266,10 @@ class GivenSequence:
         chosen = tuple(names) if self.robots is None else self.robots
         for name in chosen:
             if name not in names:
-                raise ValueError(f"the policy names robot {name!r}, which does not exist; robots are {list(names)}")
+                raise ValueError(
+                    f"the policy names robot {name!r}, which does not exist; robots are "
+                    f"{list(names)}"
+                )
         numbers, count = np.array([names[name] for name in chosen]), len(trust)
         if self.times is not None:
             begins = np.ceil(np.asarray(self.times) / step - 1e-9)
@@ -282,7 +319,9 @@ class RandomLeaders:
         """
         (count, n), present = trust.shape, trust > -np.inf
         first = np.flatnonzero(present[0])
-        out, k, leader = np.empty(count, np.int64), 0, int(first[rng.integers(first.size)])
+        out = np.empty(count, np.int64)
+        k = 0
+        leader = int(first[rng.integers(first.size)])
         while k < count:
             until = min(k + _hold(dwell * (1.0 + rng.exponential(self.waiting)), step), count)
             left = np.flatnonzero(~present[k:until, leader])
@@ -302,7 +341,10 @@ POLICIES = {
     "random": RandomLeaders(),
 }
 
-SIGNATURE = "leaders(trust, robots, step, dwell, rng), which returns the number of the leader at each decision"
+SIGNATURE = (
+    "leaders(trust, robots, step, dwell, rng), which returns the number of the leader at "
+    "each decision"
+)
 LIVE = "leader(now), which returns it at one"
 
 
@@ -313,7 +355,9 @@ def is_live(policy) -> bool:
 
 def policy_named(policy: str | LeaderPolicy | LivePolicy) -> Any:
     """Return a leader policy by name, or an object of one's own as it is."""
-    own = not isinstance(policy, str | type) and (callable(getattr(policy, "leaders", None)) or is_live(policy))
+    own = not isinstance(policy, str | type) and (
+        callable(getattr(policy, "leaders", None)) or is_live(policy)
+    )
     if own and hasattr(policy, "title"):
         return policy
     also = f"an object, not a class, with a title and a method {SIGNATURE}, or a method {LIVE}"

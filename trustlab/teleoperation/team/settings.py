@@ -5,7 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import finite_number, flag, not_negative, of_class, positive, set_checked
+from trustlab.models.checks import (
+    finite_number,
+    flag,
+    not_negative,
+    of_class,
+    positive,
+    set_checked,
+)
 from trustlab.models.trust import TrustModel
 from trustlab.teleoperation.ports.device import HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
@@ -16,18 +23,25 @@ def _trust(rate: float, ratio: float = 1.0) -> TrustModel:
 
 
 # Settings that may differ from robot to robot, and their classes.
-PER_ROBOT: dict[str, Any] = {"scattering": Scattering, "human_to_robot": TrustModel, "robot_to_human": TrustModel}
+PER_ROBOT: dict[str, Any] = {
+    "scattering": Scattering,
+    "human_to_robot": TrustModel,
+    "robot_to_human": TrustModel,
+}
 
 
 @dataclass(frozen=True)
 class TeamSettings:
     """
-    Settings of the blocks of Fig. 4.1 other than the graph. Chapter 4 prints no numbers; these are ours.
+    Settings of the blocks of Fig. 4.1 other than the graph. Chapter 4 prints no numbers; these are
+    ours.
 
-    What limits a large team is (4.22): a velocity r_s of the leader moves the mean of N robots by r_s/N only, and what the leader
-    knows spreads by the slow modes of L. Three gains answer to that: ζ̇ = −c L q, q̇ = c Lᵀζ − c L q + g D r_s and
-    f_s = φ c DᵀL q, with the coupling c, the leader's gain g and the force's gain φ. For any positive three the port stays
-    passive, with V_fs φ/g and V_e/g as storages, so that Lemmas 6 and 7 and Theorem 6 hold as before. See `scaled_settings`.
+    What limits a large team is (4.22): a velocity r_s of the leader moves the mean of N robots by
+    r_s/N only, and what the leader knows spreads by the slow modes of L. Three gains answer to
+    that: ζ̇ = −c L q, q̇ = c Lᵀζ − c L q + g D r_s and f_s = φ c DᵀL q, with the coupling c, the
+    leader's gain g and the force's gain φ. For any positive three the port stays passive, with V_fs
+    φ/g and V_e/g as storages, so that Lemmas 6 and 7 and Theorem 6 hold as before. See
+    `scaled_settings`.
 
     Parameters
     ----------
@@ -46,7 +60,8 @@ class TeamSettings:
     lead_gain : float
         g, how many times the velocity at its port the leader drives; 1 as printed.
     force_gain : float
-        φ, share of the force between the leader and those it sees that the operator feels; 1 as printed.
+        φ, share of the force between the leader and those it sees that the operator feels; 1 as
+        printed.
     coupling : float
         c, by which every a_ij is multiplied; 1 as printed.
 
@@ -82,14 +97,22 @@ class TeamSettings:
             given = getattr(self, name)
             many = (given,) if isinstance(given, kind) else given
             if isinstance(many, str) or not np.iterable(many):
-                raise ValueError(f"{name} must be a {kind.__name__} or a sequence of them, got {given!r}")
+                raise ValueError(
+                    f"{name} must be a {kind.__name__} or a sequence of them, got {given!r}"
+                )
             many = tuple(many)
             for place, one in enumerate(many):
                 of_class(f"{name}[{place}]", one, kind)
                 if kind is TrustModel and (one.p_min, one.p_max) != (0.0, 1.0):
-                    raise ValueError(f"{name}[{place}]: performance lies between 0 and 1 here, set p_min=0, p_max=1")
+                    raise ValueError(
+                        f"{name}[{place}]: performance lies between 0 and 1 here, set p_min=0, "
+                        "p_max=1"
+                    )
                 if kind is Scattering and (one.alpha_min, one.alpha_max) != (1.0, 1.0):
-                    raise ValueError(f"{name}[{place}]: α is 1 in Chapter 4, got [{one.alpha_min}, {one.alpha_max}]")
+                    raise ValueError(
+                        f"{name}[{place}]: α is 1 in Chapter 4, got [{one.alpha_min}, "
+                        f"{one.alpha_max}]"
+                    )
             if not many:
                 raise ValueError(f"{name} is empty")
             if not isinstance(given, kind):
@@ -127,12 +150,14 @@ class TeamSettings:
 @dataclass(frozen=True)
 class TeamOperator:
     """
-    A simulated operator: the hand pushes towards where the goal is seen from the leader, within an energy budget.
+    A simulated operator: the hand pushes towards where the goal is seen from the leader, within an
+    energy budget.
 
-    f_h = σ κ e − d r_m with e = r_q − y_h(t − T), κ = push, ‖κ e‖ cut at `reach`, d = drag. V_h of (4.30) is observed, and the
-    share σ ∈ [0, 1] is the greatest with which the hand leaves V_h ≥ −β_h + reserve. A hand that pushes needs energy, which
-    the budget holds; one that is dragged stores some. No control law of the hand can guarantee more, because it does
-    not control r_s(t − T)ᵀe, for which the reserve is kept. The run reports whether V_h ≥ −β_h held.
+    f_h = σ κ e − d r_m with e = r_q − y_h(t − T), κ = push, ‖κ e‖ cut at `reach`, d = drag. V_h of
+    (4.30) is observed, and the share σ ∈ [0, 1] is the greatest with which the hand leaves V_h ≥
+    −β_h + reserve. A hand that pushes needs energy, which the budget holds; one that is dragged
+    stores some. No control law of the hand can guarantee more, because it does not control r_s(t −
+    T)ᵀe, for which the reserve is kept. The run reports whether V_h ≥ −β_h held.
 
     Parameters
     ----------
@@ -172,7 +197,8 @@ class TeamOperator:
         set_checked(self, flag, "guarded", "slow_down")
         set_checked(self, positive, "reach", "budget")
         set_checked(self, not_negative, "push", "reserve", "cautious")
-        # a hand that drives (negative drag) is active: allowed only where nothing is promised of V_h
+        # a hand that drives (negative drag) is active: allowed only where nothing is promised of
+        # V_h
         set_checked(self, not_negative if self.guarded else finite_number, "drag")
         if not self.reserve < 1.0:
             raise ValueError(f"reserve must be below 1, got {self.reserve}")

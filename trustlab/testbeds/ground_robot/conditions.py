@@ -1,4 +1,7 @@
-"""A robot on a course, an operator, and who drives: a simulated stand-in for the Stage testbed of Fig. 2.1."""
+"""
+A robot on a course, an operator, and who drives: a simulated stand-in for the Stage testbed of Fig.
+2.1.
+"""
 
 from dataclasses import dataclass
 from functools import partial
@@ -8,7 +11,15 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.axes import axes_or_new
-from trustlab.models.checks import did_you_mean, finite_array, finite_number, of_class, one_of, spawned, whole_number
+from trustlab.models.checks import (
+    did_you_mean,
+    finite_array,
+    finite_number,
+    of_class,
+    one_of,
+    spawned,
+    whole_number,
+)
 from trustlab.models.published import published_models, published_table
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import Operator, operator
@@ -26,10 +37,13 @@ E_MAX = 2.0
 TESTBEDS = ("ground_robot", "uav", "uav_following")
 SLOWEST = 0.15
 # Largest runs that are made: ten million samples, 1.2 GB, are nearly twelve days of driving.
-MOST_LAPS, MOST_STEPS, MOST_PHASES = 1000, 10_000_000, 10_000
+MOST_LAPS = 1000
+MOST_STEPS = 10_000_000
+MOST_PHASES = 10_000
 
 MAKE_OPERATOR = (
-    "make one with trustlab.operators.operator(participant, model) or trustlab.testbeds.published_operator(1)"
+    "make one with trustlab.operators.operator(participant, model) or "
+    "trustlab.testbeds.published_operator(1)"
 )
 NOTE = "simulated stand-in for the Stage testbed of Fig. 2.1"
 
@@ -58,17 +72,30 @@ class GroundRobotRun(ConditionRun):
     lap_times: np.ndarray
 
     def laps(self) -> pd.DataFrame:
-        """Return the laps: columns lap, start [s], end [s], duration [s], manual_share, p_r, path_error [m]."""
+        """
+        Return the laps: columns lap, start [s], end [s], duration [s], manual_share, p_r,
+        path_error [m].
+        """
         start = np.r_[0.0, self.lap_times[:-1]]
         data = self.session.data
-        which = np.searchsorted(self.lap_times, data.index.to_numpy(), side="right").clip(max=start.size - 1)
-        means = data[["mode", "p_r", "path_error"]].groupby(which).mean().rename(columns={"mode": "manual_share"})
-        laps = pd.DataFrame({"lap": np.arange(1, start.size + 1), "start": start, "end": self.lap_times})
+        which = np.searchsorted(self.lap_times, data.index.to_numpy(), side="right").clip(
+            max=start.size - 1
+        )
+        means = (
+            data[["mode", "p_r", "path_error"]]
+            .groupby(which)
+            .mean()
+            .rename(columns={"mode": "manual_share"})
+        )
+        laps = pd.DataFrame(
+            {"lap": np.arange(1, start.size + 1), "start": start, "end": self.lap_times}
+        )
         return laps.assign(duration=laps["end"] - laps["start"]).join(means)
 
     def plot_path(self, start: float = 0.0, stop: float | None = None, axes=None):
         """
-        Plot the desired path and where the robot went under manual and autonomous control, as Fig. 2.2 does.
+        Plot the desired path and where the robot went under manual and autonomous control, as Fig.
+        2.2 does.
 
         Parameters
         ----------
@@ -84,7 +111,10 @@ class GroundRobotRun(ConditionRun):
         return plot_path(self.session, self.course, start, stop, axes)
 
     def __repr__(self) -> str:
-        return f"GroundRobotRun({self.session.label}: {self.lap_times.size} laps in {self.session.duration:.0f} s)"
+        return (
+            f"GroundRobotRun({self.session.label}: {self.lap_times.size} laps in "
+            f"{self.session.duration:.0f} s)"
+        )
 
 
 def run_condition(
@@ -105,71 +135,83 @@ def run_condition(
     """
     Drive laps, or fly after a leader, under one of the conditions C1–C5 of Section 2.4.1.2.
 
-    C1: the operator allocates by thresholds of TSC of their own. C2, C3: suggestions by (2.8), free to follow and
-    forced. C4, C5: suggestions by Algorithm 2, free and forced. Two controls are not printed: "own", forced suggestions by the
-    thresholds that the operator's switches in C1 show, and "random", forced suggestions at random times. TSC (2.1) and the suggestions come from performance as
-    measured, (2.4) and (2.7) over 100 s, and the given model. The run begins in the manual mode, rolling on the path;
-    nobody switches before that window is full.
+    C1: the operator allocates by thresholds of TSC of their own. C2, C3: suggestions by (2.8), free
+    to follow and forced. C4, C5: suggestions by Algorithm 2, free and forced. Two controls are not
+    printed: "own", forced suggestions by the thresholds that the operator's switches in C1 show,
+    and "random", forced suggestions at random times. TSC (2.1) and the suggestions come from
+    performance as measured, (2.4) and (2.7) over 100 s, and the given model. The run begins in the
+    manual mode, rolling on the path; nobody switches before that window is full.
 
     Parameters
     ----------
     condition : {"C1", "C2", "C3", "C4", "C5", "own", "random"}, optional
         The condition; either this or `rule`.
     participant : int, str or Operator
-        Who drives: the stand-in for a printed participant, 1 to 5, "1" to "5" or "pilot" (`published_operator`), or any
-        `Operator`.
+        Who drives: the stand-in for a printed participant, 1 to 5, "1" to "5" or "pilot"
+        (`published_operator`), or any `Operator`.
     model : TscModel, optional
-        The model which TSC and P_max of Algorithm 2 are taken from: the operator's identified one. For a printed
-        participant the printed one when not given; needed for an `Operator`.
+        The model which TSC and P_max of Algorithm 2 are taken from: the operator's identified one.
+        For a printed participant the printed one when not given; needed for an `Operator`.
     thresholds : (float, float), optional
-        TSC_l and TSC_u of (2.8), in C2 and C3 only; for a printed participant those of Table 2.2 when not given. In C1
-        the operator's own thresholds, `Operator.lower` and `.upper`, decide; in C4 and C5 Algorithm 2.
+        TSC_l and TSC_u of (2.8), in C2 and C3 only; for a printed participant those of Table 2.2
+        when not given. In C1 the operator's own thresholds, `Operator.lower` and `.upper`, decide;
+        in C4 and C5 Algorithm 2.
     laps : int, optional
-        How many laps of the ground robot; at least one, at most 1000; 8, as printed, when not given.
+        How many laps of the ground robot; at least one, at most 1000; 8, as printed, when not
+        given.
     seed : int or numpy.random.SeedSequence
-        Streams are spawned from it: the robot's sensing, the operator's hand, the operator's decisions, and the leader's start.
+        Streams are spawned from it: the robot's sensing, the operator's hand, the operator's
+        decisions, and the leader's start.
     robot : Pioneer, optional
         The robot, if not the calibrated one.
     course : Course, optional
         The course, if not the default one.
     r0 : float, optional
-        Utilization at the beginning, in [0, 1]; that of the operator when not given, 0 (rested) unless assumed otherwise.
+        Utilization at the beginning, in [0, 1]; that of the operator when not given, 0 (rested)
+        unless assumed otherwise.
     operator : Operator, optional
         The same as an `Operator` given as participant.
     testbed : {"ground_robot", "uav"}
-        The ground robot of Section 2.4.1, or the UAV of Section 2.4.2 that follows a leader for six minutes: there participants
-        are the seeded operators 1 to 20 of `following_operator`, or an `Operator` with a model in shares of 1.
+        The ground robot of Section 2.4.1, or the UAV of Section 2.4.2 that follows a leader for six
+        minutes: there participants are the seeded operators 1 to 20 of `following_operator`, or an
+        `Operator` with a model in shares of 1.
     rule : object, optional
         Who drives, in place of a condition: an object with a method step(tsc=…, p_r=…), as for
-        `simulate_allocation`. It is called every 0.1 s, from the time on at which the window is full, with TSC and P_r as measured,
-        and what it returns is the mode at once, without a reaction.
+        `simulate_allocation`. It is called every 0.1 s, from the time on at which the window is
+        full, with TSC and P_r as measured, and what it returns is the mode at once, without a
+        reaction.
     mode : int, optional
-        With a rule only: the first mode, 1 manual or 0 autonomous; `rule.mode` or else 1 when not given.
+        With a rule only: the first mode, 1 manual or 0 autonomous; `rule.mode` or else 1 when not
+        given.
 
     Returns
     -------
     ConditionRun
-        With `.session`, `.measures`, `.suggestions()` and `.plot()`; of the ground robot a `GroundRobotRun`, which has `.laps()`
-        and `.plot_path()` besides.
+        With `.session`, `.measures`, `.suggestions()` and `.plot()`; of the ground robot a
+        `GroundRobotRun`, which has `.laps()` and `.plot_path()` besides.
 
     Raises
     ------
     ValueError
-        If an argument is not understood or would have no effect, thresholds lie outside the limits of Theorem 1 at
-        δ_Ph = 0 (which are quoted), the laps are not finished at 0.15 m/s on average, or a rule fails or returns something else.
+        If an argument is not understood or would have no effect, thresholds lie outside the limits
+        of Theorem 1 at δ_Ph = 0 (which are quoted), the laps are not finished at 0.15 m/s on
+        average, or a rule fails or returns something else.
 
     Warns
     -----
     UserWarning
-        If the run ends before the window is full, so that nobody could switch and all conditions are the same.
+        If the run ends before the window is full, so that nobody could switch and all conditions
+        are the same.
 
     Notes
     -----
-    Simulated: no person took part, and the robot's and the hand's parameters are calibrated, not measured.
+    Simulated: no person took part, and the robot's and the hand's parameters are calibrated, not
+    measured.
 
-    In C1 an operator whose threshold is passed within the first 100 s switches at their end, one reaction later, whatever
-    TSC is by then: this first switch says nothing about the threshold. The metadata hold these 100 s as `settling`, and
-    `estimate_thresholds` leaves such switches out with after=110.0. All switches come a reaction late, see there.
+    In C1 an operator whose threshold is passed within the first 100 s switches at their end, one
+    reaction later, whatever TSC is by then: this first switch says nothing about the threshold. The
+    metadata hold these 100 s as `settling`, and `estimate_thresholds` leaves such switches out with
+    after=110.0. All switches come a reaction late, see there.
 
     Examples
     --------
@@ -181,13 +223,17 @@ def run_condition(
         for name, value in (("laps", laps), ("robot", robot), ("course", course)):
             if value is not None:
                 raise ValueError(f"{name} has no effect on the UAV testbed; leave it out")
-        return fly_condition(condition, participant, model, thresholds, seed, r0, operator, rule, mode)
+        return fly_condition(
+            condition, participant, model, thresholds, seed, r0, operator, rule, mode
+        )
     operator, model, printed = who_drives(participant, operator, model)
     operator, robot, course = checked(operator, robot, course)
     laps = whole_number("laps", 8 if laps is None else laps, most=MOST_LAPS)
     most = longest(laps, course)
     who = operator, model, E_MAX, laps, r0
-    rule, task, thresholds, condition = deciding.task_for(condition, rule, mode, thresholds, printed, *who)
+    rule, task, thresholds, condition = deciding.task_for(
+        condition, rule, mode, thresholds, printed, *who
+    )
     run = partial(driven, task, most, robot, course, operator, seed)
     data, lap_times = deciding.decided_by(rule, task, most, run)
     deciding.warn_if_too_short(data.size * deciding.SAMPLE_TIME)
@@ -213,12 +259,17 @@ def measured_condition(
     seed: np.random.SeedSequence,
     r0: float | None,
 ) -> tuple[dict[str, float], float]:
-    """Return the measures of `run_condition` with its defaults, and the last utilization, without making a session."""
+    """
+    Return the measures of `run_condition` with its defaults, and the last utilization, without
+    making a session.
+    """
     course = default_course()
     who = operator, model, E_MAX, laps, r0
     _, task, _, _ = deciding.task_for(condition, None, None, None, thresholds, *who)
     log, lap_times = driven(task, longest(laps, course), Pioneer(), course, operator, seed)
-    measures = condition_measures(log, deciding.sample_times(log.size), condition, operator, model, lap_times)
+    measures = condition_measures(
+        log, deciding.sample_times(log.size), condition, operator, model, lap_times
+    )
     return measures, float(log["r"][-1])
 
 
@@ -274,7 +325,9 @@ def drive_modes(
     _steps(modes.size * deciding.SAMPLE_TIME, "mode")
     task = deciding.task_of(deciding.SCHEDULE, E_MAX, first_mode=int(modes[0]), r0=r0)
     data, _ = driven(task, modes.size, robot, course, operator, seed, modes.astype(np.int64))
-    return session_of(deciding.framed(data).drop(columns=["tsc", "suggested_mode"]), operator, condition, seed)
+    return session_of(
+        deciding.framed(data).drop(columns=["tsc", "suggested_mode"]), operator, condition, seed
+    )
 
 
 def identification_session(
@@ -288,7 +341,8 @@ def identification_session(
     course: Course | None = None,
 ) -> Session:
     """
-    Drive what Section 2.2.2 identifies a model from: manual up to the maximum, autonomous down to the minimum, mixed.
+    Drive what Section 2.2.2 identifies a model from: manual up to the maximum, autonomous down to
+    the minimum, mixed.
 
     Parameters
     ----------
@@ -301,7 +355,8 @@ def identification_session(
     mixed : int
         Number of phases after them, manual and autonomous in turn.
     phase : (float, float)
-        Shortest and longest mixed phase [s]. Phases shorter than the window of (2.4), 100 s, blur into each other.
+        Shortest and longest mixed phase [s]. Phases shorter than the window of (2.4), 100 s, blur
+        into each other.
     robot : Pioneer, optional
         The robot, if not the calibrated one.
     course : Course, optional
@@ -324,7 +379,8 @@ def identification_session(
     ]
     if min(lengths) < deciding.SAMPLE_TIME or lengths[2] > lengths[3]:
         raise ValueError(
-            f"phases, (shortest, longest), must last at least {deciding.SAMPLE_TIME} s, got {min(lengths):g} s"
+            f"phases, (shortest, longest), must last at least {deciding.SAMPLE_TIME} s, got "
+            f"{min(lengths):g} s"
         )
     mixed = whole_number("mixed", mixed, least=0, most=MOST_PHASES)
     _steps(lengths[0] + lengths[1] + mixed * lengths[3], "all phases together")
@@ -335,14 +391,16 @@ def identification_session(
     return drive_modes(mode, operator, seed, robot, course, condition="identification")
 
 
-def who_drives(participant, operator, model) -> tuple[Operator, TscModel, tuple[float, float] | None]:
+def who_drives(
+    participant, operator, model
+) -> tuple[Operator, TscModel, tuple[float, float] | None]:
     """Return the operator, the model, and the printed thresholds of a printed participant."""
     remedy = "who drives? give participant=, 1 to 5 or 'pilot', or an Operator with model="
     someone = deciding.someone(participant, operator, remedy)
     if isinstance(someone, Teleoperator):
         raise ValueError(
-            "operator must be of class Operator, got Teleoperator, who flies a UAV (simulate_teleoperation); for the ground robot "
-            + MAKE_OPERATOR
+            "operator must be of class Operator, got Teleoperator, who flies a UAV "
+            "(simulate_teleoperation); for the ground robot " + MAKE_OPERATOR
         )
     if operator is not None or isinstance(someone, Operator):
         of_class("operator", someone, Operator, MAKE_OPERATOR)
@@ -356,15 +414,19 @@ def _steps(seconds: float, what: str) -> int:
     """Return how many samples so many seconds are, unless they are too many."""
     if seconds / deciding.SAMPLE_TIME > MOST_STEPS:
         raise ValueError(
-            f"{what} would take up to {seconds:.3g} s, more than the {MOST_STEPS * deciding.SAMPLE_TIME:.0f} s that one run may last; "
-            "split it into several runs"
+            f"{what} would take up to {seconds:.3g} s, more than the "
+            f"{MOST_STEPS * deciding.SAMPLE_TIME:.0f} s that one run may last; split it into "
+            "several runs"
         )
     return int(np.ceil(seconds / deciding.SAMPLE_TIME))
 
 
 def checked(operator, robot, course) -> tuple[Operator, Pioneer, Course]:
     """Return operator, robot and course, checked; the last two by default where they are None."""
-    robot, course = Pioneer() if robot is None else robot, default_course() if course is None else course
+    robot, course = (
+        Pioneer() if robot is None else robot,
+        default_course() if course is None else course,
+    )
     of_class("operator", operator, Operator, MAKE_OPERATOR)
     of_class("robot", robot, Pioneer)
     of_class("course", course, Course)
@@ -376,19 +438,27 @@ def longest(laps: int, course: Course) -> int:
     return _steps(laps * course.length / SLOWEST, f"{laps} laps of {course.length:.3g} m") + 1
 
 
-def driven(task, most, robot, course, operator, seed, schedule=None, correction=None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the log of at most `most` samples, and when laps ended; all that are wanted must be done by then."""
+def driven(
+    task, most, robot, course, operator, seed, schedule=None, correction=None
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the log of at most `most` samples, and when laps ended; all that are wanted must be done
+    by then.
+    """
     _, log = log_of(kernel.LOG, most)
     lap_times = np.empty(task.laps)
     streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
     modes = np.ones(1, np.int64) if schedule is None else schedule
     numbers, state = (course.numbers, robot.numbers, operator.numbers), np.zeros(1, kernel.STATE)
     room = kernel.scratch(log.size, course.numbers)
-    rows, done = kernel.drive(task, modes, *numbers, *streams, state, log, lap_times, correction, room)
+    rows, done = kernel.drive(
+        task, modes, *numbers, *streams, state, log, lap_times, correction, room
+    )
     if done < task.laps:
         raise ValueError(
-            f"only {done} of {task.laps} laps were done in {most * deciding.SAMPLE_TIME:.0f} s (an average of {SLOWEST} m/s would "
-            "do): this robot or operator does not keep to the course; check their parameters"
+            f"only {done} of {task.laps} laps were done in {most * deciding.SAMPLE_TIME:.0f} s "
+            f"(an average of {SLOWEST} m/s would do): this robot or operator does not keep to the "
+            "course; check their parameters"
         )
     return log[:rows], lap_times[:done]
 
@@ -396,12 +466,18 @@ def driven(task, most, robot, course, operator, seed, schedule=None, correction=
 def session_of(data, operator, condition, seed, **facts) -> Session:
     """Return a run as a session that says how it was made."""
     facts |= deciding.seed_facts(seed) | {"note": NOTE} | deciding.measured("(2.4), (2.7)")
-    return Session(data, Metadata(operator.participant, condition, "trustlab.testbeds.ground_robot", True, facts))
+    return Session(
+        data,
+        Metadata(operator.participant, condition, "trustlab.testbeds.ground_robot", True, facts),
+    )
 
 
-def plot_path(session: Session, course: Course, start: float = 0.0, stop: float | None = None, axes=None):
+def plot_path(
+    session: Session, course: Course, start: float = 0.0, stop: float | None = None, axes=None
+):
     """
-    Plot the desired path, the guide posts, and the robot's track under manual and autonomous control.
+    Plot the desired path, the guide posts, and the robot's track under manual and autonomous
+    control.
 
     Parameters
     ----------
@@ -431,7 +507,9 @@ def plot_path(session: Session, course: Course, start: float = 0.0, stop: float 
     stop = session.t[-1] if stop is None else finite_number("stop", stop)
     part = session.between(finite_number("start", start), stop)
     axes = axes_or_new(axes, figsize=(8.0, 5.6))
-    axes.plot(*course.posts.T, ls="", marker="o", ms=4, mfc="none", color="0.55", label="guide posts")
+    axes.plot(
+        *course.posts.T, ls="", marker="o", ms=4, mfc="none", color="0.55", label="guide posts"
+    )
     for manual, style, label in ((1, "-", "manual"), (0, ":", "autonomous")):
         here = part["mode"] == manual
         shown = here | np.r_[False, here[:-1]]
@@ -442,11 +520,14 @@ def plot_path(session: Session, course: Course, start: float = 0.0, stop: float 
     axes.plot(*course.path[:, :2].T, ls="--", lw=2.0, color="#d62728", label="desired")
     axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
     axes.set_title(session.label, fontsize="medium")
-    axes.legend(fontsize="small", ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.12), frameon=False)
+    axes.legend(
+        fontsize="small", ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.12), frameon=False
+    )
     return axes
 
 
-# TSC_l(0) and TSC_u(0) of the pilot operator, as printed in Section 2.5; Table 2.2 has no column for the pilot.
+# TSC_l(0) and TSC_u(0) of the pilot operator, as printed in Section 2.5; Table 2.2 has no column
+# for the pilot.
 PILOT_THRESHOLDS = ("0.02", "0.45")
 
 
@@ -462,7 +543,8 @@ def participant_label(participant: int | str) -> str:
     Raises
     ------
     ValueError
-        If there is no such participant; the error lists those there are, the nearest first where one is near.
+        If there is no such participant; the error lists those there are, the nearest first where
+        one is near.
     """
     known = list(published_models())
     if isinstance(participant, str):
@@ -476,8 +558,8 @@ def participant_label(participant: int | str) -> str:
         return label
     meant = did_you_mean(label, known)
     raise ValueError(
-        f"there is no participant {participant!r:.60} among the printed ones: {', '.join(known)}{meant}. For someone else give "
-        "an Operator as participant, with model="
+        f"there is no participant {participant!r:.60} among the printed ones: "
+        f"{', '.join(known)}{meant}. For someone else give an Operator as participant, with model="
     )
 
 
@@ -502,10 +584,11 @@ def published_operator(participant: int | str) -> Operator:
     """
     Return the simulated stand-in for a participant, made of what is printed of them.
 
-    Utilization and performance are those of Table 2.1, own thresholds (mean and SD) those of Table 2.3, and the shares
-    of suggestions followed those of Table 2.6. Of the pilot operator only the model is printed (Sections 2.2.2 and
-    2.2.3): own thresholds have the means printed as decision thresholds in Section 2.5, their spread and the
-    shares are the defaults of `Operator`. How the hand drives and reacts is not printed of anyone and is that of `Operator`.
+    Utilization and performance are those of Table 2.1, own thresholds (mean and SD) those of Table
+    2.3, and the shares of suggestions followed those of Table 2.6. Of the pilot operator only the
+    model is printed (Sections 2.2.2 and 2.2.3): own thresholds have the means printed as decision
+    thresholds in Section 2.5, their spread and the shares are the defaults of `Operator`. How the
+    hand drives and reacts is not printed of anyone and is that of `Operator`.
 
     Parameters
     ----------
@@ -522,7 +605,10 @@ def published_operator(participant: int | str) -> Operator:
     if label == "pilot":
         lower, upper = published_thresholds(label)
         return operator(label, model, lower=(lower, 0.1), upper=(upper, 0.1))
-    own, shares = published_table("2.3")[label].astype(float), published_table("2.6")[label].astype(float)
+    own, shares = (
+        published_table("2.3")[label].astype(float),
+        published_table("2.6")[label].astype(float),
+    )
     return operator(
         label,
         model,
@@ -547,6 +633,10 @@ def published_thresholds(participant: int | str) -> tuple[float, float]:
         If there is no such participant.
     """
     label = participant_label(participant)
-    printed = PILOT_THRESHOLDS if label == "pilot" else published_table("2.2").loc[["TSC_l", "TSC_u"], label]
+    printed = (
+        PILOT_THRESHOLDS
+        if label == "pilot"
+        else published_table("2.2").loc[["TSC_l", "TSC_u"], label]
+    )
     lower, upper = map(float, printed)
     return lower, upper

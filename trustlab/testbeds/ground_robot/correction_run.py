@@ -16,7 +16,8 @@ from trustlab.testbeds.ground_robot import conditions as bed
 from trustlab.testbeds.ground_robot.course import Course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 
-# What operators do about suggestions: scheme of the testbed, whether all are followed, whether own thresholds move.
+# What operators do about suggestions: scheme of the testbed, whether all are followed, whether own
+# thresholds move.
 HABITS = {
     "following": (TSC, True, False),
     "lagging": (TSC, True, False),
@@ -43,11 +44,12 @@ def run_correction(
     r0: float = 0.0,
 ) -> CorrectionRun:
     """
-    Drive tests in a row while the thresholds of the suggestions are corrected, Section 2.5, by the exact engine.
+    Drive tests in a row while the thresholds of the suggestions are corrected, Section 2.5, by the
+    exact engine.
 
-    TSC comes from performance as measured, (2.4) and (2.7) over 100 s. Thresholds are held until that window is full and
-    carried on from test to test. Measured performance outside the model's range is planned with as at its end; the
-    status says so.
+    TSC comes from performance as measured, (2.4) and (2.7) over 100 s. Thresholds are held until
+    that window is full and carried on from test to test. Measured performance outside the model's
+    range is planned with as at its end; the status says so.
 
     Parameters
     ----------
@@ -58,8 +60,9 @@ def run_correction(
     start : (float, float), optional
         TSC_l and TSC_u to begin with; for a printed participant the printed ones when not given.
     habit : {"following", "lagging", "free", "ignoring", "adopting"}
-        Follows all suggestions after a reaction; after the longer reaction `lag`; as many as the operator does in C2;
-        allocates by own thresholds whatever is suggested; or by own thresholds that move by the same corrections.
+        Follows all suggestions after a reaction; after the longer reaction `lag`; as many as the
+        operator does in C2; allocates by own thresholds whatever is suggested; or by own thresholds
+        that move by the same corrections.
     tests : int
         How many tests.
     laps : int
@@ -84,12 +87,14 @@ def run_correction(
     Returns
     -------
     CorrectionRun
-        With `.data`, `.table()`, `.plot()` and `.sessions`; latencies are NaN, as the loop is compiled as a whole.
+        With `.data`, `.table()`, `.plot()` and `.sessions`; latencies are NaN, as the loop is
+        compiled as a whole.
 
     Raises
     ------
     ValueError
-        If an argument is not understood or out of range, or laps are not finished at 0.15 m/s on average.
+        If an argument is not understood or out of range, or laps are not finished at 0.15 m/s on
+        average.
 
     Notes
     -----
@@ -102,22 +107,43 @@ def run_correction(
     if start is None and printed is None:
         raise ValueError("an Operator needs start=(TSC_l, TSC_u), the thresholds to begin with")
     start = threshold_pair("start", printed if start is None else start)
-    tests, laps = whole_number("tests", tests, most=100), whole_number("laps", laps, most=bed.MOST_LAPS)
+    tests, laps = (
+        whole_number("tests", tests, most=100),
+        whole_number("laps", laps, most=bed.MOST_LAPS),
+    )
     lag = not_negative("lag", lag)
     if habit == "lagging":
         operator = replace(operator, reaction_lag=lag)
-    most, now, parts, sessions = bed.longest(laps, course), start, [], []
+    most = bed.longest(laps, course)
+    now = start
+    parts = []
+    sessions = []
     for test, child in enumerate(spawned(seed, tests), start=1):
         limits = (operator.lower, operator.upper) if scheme == OWN else now
         if adopted:
             limits = (limits[0] + now[0] - start[0], limits[1] + now[1] - start[1])
         task = task_of(
-            scheme, bed.E_MAX, forced=forced, laps=laps, lower=limits[0], upper=limits[1], model=model, r0=r0
+            scheme,
+            bed.E_MAX,
+            forced=forced,
+            laps=laps,
+            lower=limits[0],
+            upper=limits[1],
+            model=model,
+            r0=r0,
         )
-        plan = loop_correction(model, now, corrector.target, corrector.c_b, corrector.horizon, most, adopted)
+        plan = loop_correction(
+            model, now, corrector.target, corrector.c_b, corrector.horizon, most, adopted
+        )
         log, _ = bed.driven(task, most, robot, course, operator, child, correction=plan)
         data = framed(log)
-        facts = {"laps": laps, "habit": habit, "test": test, "TSC_ld": target[0], "TSC_ud": target[1]}
+        facts = {
+            "laps": laps,
+            "habit": habit,
+            "test": test,
+            "TSC_ld": target[0],
+            "TSC_ud": target[1],
+        }
         sessions.append(bed.session_of(data, operator, f"correction, {habit}", child, **facts))
         parts.append(_rows(test, data, plan.log[: len(data)], plan.thresholds))
         now = tuple(plan.thresholds.tolist())
@@ -135,7 +161,9 @@ def _rows(test, data, log, end) -> pd.DataFrame:
         frame[name] = np.diff(np.r_[log[side], last])
     cost, bound = log["cost"], log["bound"]
     frame["cost"], frame["cost_lower_bound"] = cost, bound
-    names = np.where(log["clipped"], "NEAREST", np.where(cost - bound > 1e-12 * cost, "BOUNDED", "OPTIMAL"))
+    names = np.where(
+        log["clipped"], "NEAREST", np.where(cost - bound > 1e-12 * cost, "BOUNDED", "OPTIMAL")
+    )
     frame["status"] = np.where(np.isnan(cost), "SETTLING", names)
     frame["latency"] = np.nan
     frame.insert(0, "test", test)

@@ -10,7 +10,16 @@ from trustlab.models.checks import finite_array, finite_number, positive, set_ch
 from trustlab.models.compiled import njit
 from trustlab.teleoperation.records import signal
 
-CORNERS = ((0.0, 0.0), (13.0, 0.0), (13.0, 8.5), (8.75, 8.5), (8.75, 4.75), (4.25, 4.75), (4.25, 8.5), (0.0, 8.5))
+CORNERS = (
+    (0.0, 0.0),
+    (13.0, 0.0),
+    (13.0, 8.5),
+    (8.75, 8.5),
+    (8.75, 4.75),
+    (4.25, 4.75),
+    (4.25, 8.5),
+    (0.0, 8.5),
+)
 
 
 # How far from the origin a corner may lie [m].
@@ -21,8 +30,9 @@ class CourseNumbers(NamedTuple):
     """
     A `Course` for compiled loops, with tables that spare them most of the search.
 
-    Cell (i, j) of a grid over the course, i · shape_y + j, lists the pieces of the path that may be nearest to a point in it:
-    pieces[first[cell] : first[cell + 1]], in order. begins[m] is a piece at or before arc length m times `stretch`.
+    Cell (i, j) of a grid over the course, i · shape_y + j, lists the pieces of the path that may be
+    nearest to a point in it: pieces[first[cell] : first[cell + 1]], in order. begins[m] is a piece
+    at or before arc length m times `stretch`.
     """
 
     path: np.ndarray
@@ -40,9 +50,16 @@ class CourseNumbers(NamedTuple):
 
 @njit(_nrt=False)
 def piece_distance(x, y, path, i):
-    """Return the squared distance of a point from a piece of a polyline, the point nearest to it, and its arc length."""
-    ax, ay, s = path[i, 0], path[i, 1], path[i, 2]
-    ux, uy, length = path[i + 1, 0] - ax, path[i + 1, 1] - ay, path[i + 1, 2] - s
+    """
+    Return the squared distance of a point from a piece of a polyline, the point nearest to it, and
+    its arc length.
+    """
+    ax = path[i, 0]
+    ay = path[i, 1]
+    s = path[i, 2]
+    ux = path[i + 1, 0] - ax
+    uy = path[i + 1, 1] - ay
+    length = path[i + 1, 2] - s
     along, whole = (x - ax) * ux + (y - ay) * uy, length * length
     share = 0.0 if along <= 0.0 else 1.0
     if 0.0 < along < whole:  # a division takes longer than all the rest, and few pieces need it
@@ -53,33 +70,53 @@ def piece_distance(x, y, path, i):
 
 @njit(_nrt=False)
 def nearest_point(x, y, path):
-    """Return the nearest point of a closed polyline, its arc length and its distance: x, y, s, e."""
-    best, best_x, best_y, best_s = np.inf, 0.0, 0.0, 0.0
+    """
+    Return the nearest point of a closed polyline, its arc length and its distance: x, y, s, e.
+    """
+    best = np.inf
+    best_x = 0.0
+    best_y = 0.0
+    best_s = 0.0
     for i in range(path.shape[0] - 1):
         square, px, py, s = piece_distance(x, y, path, i)
         if square < best:
-            best, best_x, best_y, best_s = square, px, py, s
+            best = square
+            best_x = px
+            best_y = py
+            best_s = s
     return best_x, best_y, best_s, np.sqrt(best)
 
 
 @njit(_nrt=False)
 def nearest_of(x, y, course):
     """Return the same as `nearest_point`, from the pieces listed for the point's cell alone."""
-    i, j = int(np.floor((x - course.low_x) / course.cell)), int(np.floor((y - course.low_y) / course.cell))
+    i, j = (
+        int(np.floor((x - course.low_x) / course.cell)),
+        int(np.floor((y - course.low_y) / course.cell)),
+    )
     if not (0 <= i < course.shape_x and 0 <= j < course.shape_y):
         return nearest_point(x, y, course.path)
     here = i * course.shape_y + j
-    best, best_x, best_y, best_s = np.inf, 0.0, 0.0, 0.0
+    best = np.inf
+    best_x = 0.0
+    best_y = 0.0
+    best_s = 0.0
     for place in range(course.first[here], course.first[here + 1]):
         square, px, py, s = piece_distance(x, y, course.path, course.pieces[place])
         if square < best:
-            best, best_x, best_y, best_s = square, px, py, s
+            best = square
+            best_x = px
+            best_y = py
+            best_s = s
     return best_x, best_y, best_s, np.sqrt(best)
 
 
 @njit(_nrt=False)
 def mark_near_pieces(path, low_x, low_y, cell, shape_y, away, near):
-    """Mark in each row of `near`, one per cell, the pieces no farther from its middle than the nearest, and its diagonal."""
+    """
+    Mark in each row of `near`, one per cell, the pieces no farther from its middle than the
+    nearest, and its diagonal.
+    """
     for here in range(near.shape[0]):
         x, y = low_x + (here // shape_y + 0.5) * cell, low_y + (here % shape_y + 0.5) * cell
         least = np.inf
@@ -92,7 +129,10 @@ def mark_near_pieces(path, low_x, low_y, cell, shape_y, away, near):
 
 @njit(_nrt=False)
 def point_at(s, i, path):
-    """Return the point at arc length `s` on piece i of a polyline, and the unit tangent there: x, y, tx, ty."""
+    """
+    Return the point at arc length `s` on piece i of a polyline, and the unit tangent there: x, y,
+    tx, ty.
+    """
     step = path[i + 1, 2] - path[i, 2]
     tx, ty = (path[i + 1, 0] - path[i, 0]) / step, (path[i + 1, 1] - path[i, 1]) / step
     return path[i, 0] + (s - path[i, 2]) * tx, path[i, 1] + (s - path[i, 2]) * ty, tx, ty
@@ -100,7 +140,10 @@ def point_at(s, i, path):
 
 @njit(_nrt=False)
 def path_point(s, path):
-    """Return the point of a closed polyline at arc length `s` and the unit tangent there: x, y, tx, ty."""
+    """
+    Return the point of a closed polyline at arc length `s` and the unit tangent there: x, y, tx,
+    ty.
+    """
     last = path.shape[0] - 1
     length = path[last, 2]
     s = s - np.floor(s / length) * length
@@ -112,7 +155,9 @@ def path_point(s, path):
 
 @njit(_nrt=False)
 def point_ahead(s, course):
-    """Return the same as `path_point`, searching from the piece listed for the stretch of the path."""
+    """
+    Return the same as `path_point`, searching from the piece listed for the stretch of the path.
+    """
     path = course.path
     last = path.shape[0] - 1
     length = path[last, 2]
@@ -123,17 +168,22 @@ def point_ahead(s, course):
     return point_at(s, i, path)
 
 
-# Cells of a course's grid, cells times pieces of the path, and how far beyond the path the grid reaches [m].
-MOST_CELLS, MOST_TRIED, MARGIN = 20_000, 10_000_000, 2.0
+# Cells of a course's grid, cells times pieces of the path, and how far beyond the path the grid
+# reaches [m].
+MOST_CELLS = 20_000
+MOST_TRIED = 10_000_000
+MARGIN = 2.0
 
 
 @dataclass(frozen=True)
 class Course:
     """
-    A closed course of straights and bends: a polygon with rounded corners, between two rows of guide posts.
+    A closed course of straights and bends: a polygon with rounded corners, between two rows of
+    guide posts.
 
-    A lap of the default course takes about as long as the window of (2.4), so that straights and bends weigh alike
-    in every window. Posts guide and do not block: a robot that strays passes between or through them.
+    A lap of the default course takes about as long as the window of (2.4), so that straights and
+    bends weigh alike in every window. Posts guide and do not block: a robot that strays passes
+    between or through them.
 
     Parameters
     ----------
@@ -151,7 +201,8 @@ class Course:
     Raises
     ------
     ValueError
-        If a corner is not two finite numbers, a length is not positive, or a side is too short for its bends.
+        If a corner is not two finite numbers, a length is not positive, or a side is too short for
+        its bends.
     """
 
     corners: tuple[tuple[float, float], ...] = CORNERS
@@ -165,14 +216,17 @@ class Course:
     def __post_init__(self):
         corners = signal("corners", self.corners, columns=2, least=3)
         if np.abs(corners).max() > FARTHEST:
-            raise ValueError(f"corners must lie within {FARTHEST:g} m of the origin, got {np.abs(corners).max():g}")
+            raise ValueError(
+                f"corners must lie within {FARTHEST:g} m of the origin, got "
+                f"{np.abs(corners).max():g}"
+            )
         set_checked(self, positive, "radius", "post_spacing", "half_width", "resolution")
         around = float(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum())
         for name, most in (("resolution", 100_000), ("post_spacing", 10_000)):
             if around / getattr(self, name) > most:
                 raise ValueError(
-                    f"{name} = {getattr(self, name):g} m is too fine for a course of about {around:.4g} m; it must be at "
-                    f"least {around / most:.3g} m"
+                    f"{name} = {getattr(self, name):g} m is too fine for a course of about "
+                    f"{around:.4g} m; it must be at least {around / most:.3g} m"
                 )
         object.__setattr__(self, "corners", tuple(map(tuple, corners.tolist())))
         object.__setattr__(self, "_path", self._rounded(corners))
@@ -182,7 +236,9 @@ class Course:
         ahead = np.roll(corners, -1, axis=0) - corners
         side = np.hypot(*ahead.T)
         if (side == 0.0).any():
-            raise ValueError(f"corner {int(np.argmax(side == 0.0))} of the course is there twice in a row")
+            raise ValueError(
+                f"corner {int(np.argmax(side == 0.0))} of the course is there twice in a row"
+            )
         into = np.roll(ahead / side[:, None], 1, axis=0)
         out = ahead / side[:, None]
         turn = np.arctan2(into[:, 0] * out[:, 1] - into[:, 1] * out[:, 0], (into * out).sum(axis=1))
@@ -191,8 +247,9 @@ class Course:
         if (needed > side).any():
             i = int(np.argmax(needed > side))
             raise ValueError(
-                f"the side from corner {i} is {side[i]:.3g} m long, but its bends of radius {self.radius:g} m take "
-                f"{needed[i]:.3g} m; use a smaller radius or corners farther apart"
+                f"the side from corner {i} is {side[i]:.3g} m long, but its bends of radius "
+                f"{self.radius:g} m take {needed[i]:.3g} m; use a smaller radius or corners "
+                "farther apart"
             )
         pieces = []
         for corner, u, angle, back in zip(corners, into, turn, cut, strict=True):
@@ -216,7 +273,10 @@ class Course:
         rows = []
         for i in range(count):
             x, y, tx, ty = path_point((i + 0.5) * self.length / count, self._path)
-            rows += [(x - side * self.half_width * ty, y + side * self.half_width * tx) for side in (1.0, -1.0)]
+            rows += [
+                (x - side * self.half_width * ty, y + side * self.half_width * tx)
+                for side in (1.0, -1.0)
+            ]
         return np.array(rows)
 
     @cached_property
@@ -231,14 +291,22 @@ class Course:
         mark_near_pieces(path, *low, cell, shape_y, np.empty(len(path) - 1), near)
         first, pieces = np.append(0, np.cumsum(near.sum(axis=1))), np.nonzero(near)[1]
         stretch = self.length / (2 * len(path))
-        begins = np.searchsorted(path[:, 2], stretch * np.arange(2 * len(path)) * (1.0 - 1e-12), side="right") - 1
+        begins = (
+            np.searchsorted(
+                path[:, 2], stretch * np.arange(2 * len(path)) * (1.0 - 1e-12), side="right"
+            )
+            - 1
+        )
         low_x, low_y = map(float, low)
         tables = first, pieces, np.maximum(begins, 0), stretch
         return CourseNumbers(path, self._posts, low_x, low_y, cell, shape_x, shape_y, *tables)
 
     @property
     def path(self) -> np.ndarray:
-        """The path as a closed polyline, shape (N, 3): x, y and arc length s [m]; the last row is the first point."""
+        """
+        The path as a closed polyline, shape (N, 3): x, y and arc length s [m]; the last row is the
+        first point.
+        """
         return self._path.copy()
 
     @property
@@ -270,7 +338,9 @@ class Course:
         ValueError
             If a position is not finite, or x and y differ in length.
         """
-        one, other = ([finite_number(n, v)] if np.isscalar(v) else v for n, v in (("x", x), ("y", y)))
+        one, other = (
+            [finite_number(n, v)] if np.isscalar(v) else v for n, v in (("x", x), ("y", y))
+        )
         one = finite_array("x", one)
         points = np.column_stack([one, finite_array("y", other, length=one.size)])
         return np.array([nearest_point(px, py, self._path)[3] for px, py in points])

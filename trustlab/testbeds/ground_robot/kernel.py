@@ -1,12 +1,15 @@
 """
-The loop that drives the ground robot: one step of operator, allocation and robot every tenth of a second.
+The loop that drives the ground robot: one step of operator, allocation and robot every tenth of a
+second.
 
-`drive` is a plain loop over the parts of a step, which share one record of STATE and fill one record of LOG. Those that hold no
-operator (`place`, `locate`, `perform`, `enter` and `roll`) are the steps of live drives as well: they get their bits from
-+, −, ×, ÷ and √ alone. Who decides when is in trustlab/testbeds/deciding.py.
+`drive` is a plain loop over the parts of a step, which share one record of STATE and fill one
+record of LOG. Those that hold no operator (`place`, `locate`, `perform`, `enter` and `roll`) are
+the steps of live drives as well: they get their bits from +, −, ×, ÷ and √ alone. Who decides when
+is in trustlab/testbeds/deciding.py.
 
-No reference is counted in the loop nor in what it calls with arrays (_nrt=False): the counts are atomic and would take a third
-of its time. It allocates nothing, and its caller keeps what it is given.
+No reference is counted in the loop nor in what it calls with arrays (_nrt=False): the counts are
+atomic and would take a third of its time. It allocates nothing, and its caller keeps what it is
+given.
 """
 
 from typing import NamedTuple
@@ -42,8 +45,8 @@ SHAKING = 0.25
 # What is logged of each sample.
 LOG = record(
     numbers=(
-        "mode suggested_mode robot_x robot_y yaw reference_x reference_y path_error step_distance v_command w_command r "
-        "p_r p_h tsc"
+        "mode suggested_mode robot_x robot_y yaw reference_x reference_y path_error "
+        "step_distance v_command w_command r p_r p_h tsc"
     )
 )
 
@@ -77,7 +80,9 @@ def rates_of(person, robot, dt):
 
 @njit
 def limited(command, now, largest, step):
-    """Return the speed that follows `now`, at most `step` away from it and at most `largest` in size."""
+    """
+    Return the speed that follows `now`, at most `step` away from it and at most `largest` in size.
+    """
     change = min(max(command - now, -step), step)
     return min(max(now + change, -largest), largest)
 
@@ -85,9 +90,11 @@ def limited(command, now, largest, step):
 @njit(inline="always")
 def operate(task, person, robot, rates, before, arc, course, state, hand):
     """
-    Move the operator's hand: it acts on where the robot was a delay ago (`before`, a row of the log, at arc length `arc`).
+    Move the operator's hand: it acts on where the robot was a delay ago (`before`, a row of the
+    log, at arc length `arc`).
 
-    Skill follows utilization, (2.5)-(2.6); wander about the path and shaking of the hand are coloured noise.
+    Skill follows utilization, (2.5)-(2.6); wander about the path and shaking of the hand are
+    coloured noise.
     """
     skill = skill_now(task, person, state)
     speed, spread, activity = driving_style(skill, person.robot_floor, person.robot_gain)
@@ -101,14 +108,19 @@ def operate(task, person, robot, rates, before, arc, course, state, hand):
         v_want, w_want = joystick(bearing, speed, person.steering_gain, person.easing)
         state.v_hand += rates.grip * (v_want - state.v_hand)
         w_want += person.noise * activity * state.shaking
-        state.w_hand += rates.grip * (w_want * (1.0 if state.mode == 1 else person.idle_share) - state.w_hand)
+        state.w_hand += rates.grip * (
+            w_want * (1.0 if state.mode == 1 else person.idle_share) - state.w_hand
+        )
     state.v_hand = min(max(state.v_hand, 0.0), robot.max_speed)
     state.w_hand = min(max(state.w_hand, -robot.max_turn_rate), robot.max_turn_rate)
 
 
 @njit(inline="always")
 def correct(correction, task, k, t, state):
-    """Move the thresholds of the suggestions by one step of (2.40), and the operator's own ones with them if adopted."""
+    """
+    Move the thresholds of the suggestions by one step of (2.40), and the operator's own ones with
+    them if adopted.
+    """
     corrected_l, corrected_u = correction.thresholds[LOWER], correction.thresholds[UPPER]
     if task.scheme == TSC:
         state.lower, state.upper = corrected_l, corrected_u
@@ -128,14 +140,23 @@ def correct(correction, task, k, t, state):
 def place(course, robot, dt, state):
     """Put the robot on the path, rolling."""
     state.x, state.y, tx, ty = point_ahead(0.0, course)
-    state.yaw, state.v, state.v_hand = direction(ty, tx), robot.cruise_speed, robot.cruise_speed
-    state.est_x, state.est_y, state.moved = state.x, state.y, state.v * dt
+    state.yaw = direction(ty, tx)
+    state.v = robot.cruise_speed
+    state.v_hand = robot.cruise_speed
+    state.est_x = state.x
+    state.est_y = state.y
+    state.moved = state.v * dt
 
 
 @njit(inline="always")
 def locate(course, k, row, state):
-    """Log where the robot is beside the path, and move progress along the course on; return whether this ends a lap."""
-    row.robot_x, row.robot_y, row.yaw = state.x, state.y, state.yaw
+    """
+    Log where the robot is beside the path, and move progress along the course on; return whether
+    this ends a lap.
+    """
+    row.robot_x = state.x
+    row.robot_y = state.y
+    row.yaw = state.yaw
     row.reference_x, row.reference_y, arc, row.path_error = nearest_of(state.x, state.y, course)
     lap, ahead = course.path[-1, 2], arc - state.arc if k > 0 else 0.0
     state.arc, state.progress = arc, state.progress + (ahead - lap * np.floor(ahead / lap + 0.5))
@@ -157,14 +178,23 @@ def perform(task, k, z_r, z_h, row, state):
 @njit(inline="always")
 def enter(row, state):
     """Log all that is not logged yet of this sample."""
-    row.mode, row.suggested_mode, row.step_distance = state.mode, state.suggested, state.moved
-    row.v_command, row.w_command, row.r = state.v_hand, state.w_hand, state.r
-    row.p_r, row.p_h, row.tsc = state.p_r, state.p_h, state.tsc
+    row.mode = state.mode
+    row.suggested_mode = state.suggested
+    row.step_distance = state.moved
+    row.v_command = state.v_hand
+    row.w_command = state.w_hand
+    row.r = state.r
+    row.p_r = state.p_r
+    row.p_h = state.p_h
+    row.tsc = state.tsc
 
 
 @njit(inline="always")
 def roll(robot, anchor, dt, course, found, state, sensing):
-    """Let the robot scan, follow the hand or its own controller, and move; its odometry drifts with distance."""
+    """
+    Let the robot scan, follow the hand or its own controller, and move; its odometry drifts with
+    distance.
+    """
     off_x, off_y, turn, seen = scan(course.posts, robot, state, sensing, found)
     if state.mode == 1:
         v_want, w_want = state.v_hand, state.w_hand
@@ -178,7 +208,9 @@ def roll(robot, anchor, dt, course, found, state, sensing):
         bearing = direction(py - state.est_y, px - state.est_x) - (state.yaw + state.heading_error)
         v_want, w_want = robot.search_speed, robot.steering_gain * wrapped(bearing)
         if seen > 0:
-            v_want = max(robot.cruise_speed - robot.speed_gain * np.sqrt(off_x * off_x + off_y * off_y), 0.0)
+            v_want = max(
+                robot.cruise_speed - robot.speed_gain * np.sqrt(off_x * off_x + off_y * off_y), 0.0
+            )
             share = min(robot.position_gain * seen, 1.0)
             state.est_x -= share * off_x
             state.est_y -= share * off_y
@@ -186,9 +218,14 @@ def roll(robot, anchor, dt, course, found, state, sensing):
     state.v = max(limited(v_want, state.v, robot.max_speed, robot.max_acceleration * dt), 0.0)
     state.w = limited(w_want, state.w, robot.max_turn_rate, robot.max_turn_acceleration * dt)
     # a unicycle over one sample, by the heading at its middle
-    old_x, old_y, middle, step = state.x, state.y, state.yaw + 0.5 * state.w * dt, state.v * dt
+    old_x = state.x
+    old_y = state.y
+    middle = state.yaw + 0.5 * state.w * dt
+    step = state.v * dt
     cos, sin = cos_sin(middle)
-    state.x, state.y, state.yaw = old_x + step * cos, old_y + step * sin, wrapped(state.yaw + state.w * dt)
+    state.x = old_x + step * cos
+    state.y = old_y + step * sin
+    state.yaw = wrapped(state.yaw + state.w * dt)
     state.moved = np.sqrt((state.x - old_x) ** 2 + (state.y - old_y) ** 2)
     cos, sin = cos_sin(middle + state.heading_error)
     state.est_x += step * cos
@@ -198,7 +235,10 @@ def roll(robot, anchor, dt, course, found, state, sensing):
 
 
 class Scratch(NamedTuple):
-    """What the compiled loop needs to remember of each sample, and room for the posts that a scan finds."""
+    """
+    What the compiled loop needs to remember of each sample, and room for the posts that a scan
+    finds.
+    """
 
     arc: np.ndarray
     z_r: np.ndarray
@@ -208,17 +248,35 @@ class Scratch(NamedTuple):
 
 def scratch(size, course):
     """Return room for so many samples on a course."""
-    return Scratch(np.empty(size), np.empty(size), np.empty(size), np.empty((course.posts.shape[0], 4)))
+    return Scratch(
+        np.empty(size), np.empty(size), np.empty(size), np.empty((course.posts.shape[0], 4))
+    )
 
 
 @njit(_nrt=False)
-def drive(task, schedule, course, robot, person, sensing, hand, mind, states, log, lap_times, correction, kept):
+def drive(
+    task,
+    schedule,
+    course,
+    robot,
+    person,
+    sensing,
+    hand,
+    mind,
+    states,
+    log,
+    lap_times,
+    correction,
+    kept,
+):
     """
-    Fill the records of `log`, the times at which laps end and the correction's log; return rows and laps done.
+    Fill the records of `log`, the times at which laps end and the correction's log; return rows and
+    laps done.
 
-    course: the numbers of a `Course`. robot, person: numbers of a `Pioneer` and an `Operator`. sensing, hand, mind: generators
-    of their noise. schedule, shape (N,): modes, used by the scheme SCHEDULE alone. states, shape (1,): a record of STATE.
-    correction: a `LoopCorrection`, or None, which leaves the engine out of what is compiled.
+    course: the numbers of a `Course`. robot, person: numbers of a `Pioneer` and an `Operator`.
+    sensing, hand, mind: generators of their noise. schedule, shape (N,): modes, used by the scheme
+    SCHEDULE alone. states, shape (1,): a record of STATE. correction: a `LoopCorrection`, or None,
+    which leaves the engine out of what is compiled.
     """
     dt, state = task.sample_time, states[0]
     delay, (arc, z_r, z_h, found) = round(person.delay / dt), kept
@@ -233,7 +291,17 @@ def drive(task, schedule, course, robot, person, sensing, hand, mind, states, lo
         arc[k] = state.arc
         seen = max(k - delay, 0)
         # at first nothing has been seen yet
-        operate(task, person, robot, rates, log[seen], arc[seen] if k >= delay else -1.0, course, state, hand)
+        operate(
+            task,
+            person,
+            robot,
+            rates,
+            log[seen],
+            arc[seen] if k >= delay else -1.0,
+            course,
+            state,
+            hand,
+        )
         perform(task, k, z_r, z_h, row, state)
         if correction is not None:
             correct(correction, task, k, t, state)

@@ -14,11 +14,16 @@ from trustlab.models.portable import cos_sin, direction, wrapped
 @njit(_nrt=False)
 def scan(posts, robot, state, sensing, offsets):
     """
-    Compare posts seen with where the estimate has them: mean offset dx, dy, turn of the pattern, number seen.
+    Compare posts seen with where the estimate has them: mean offset dx, dy, turn of the pattern,
+    number seen.
 
     While the operator drives, nothing is compared, but the noise is drawn all the same.
     """
-    mean_x, mean_y, mean_px, mean_py, seen = 0.0, 0.0, 0.0, 0.0, 0
+    mean_x = 0.0
+    mean_y = 0.0
+    mean_px = 0.0
+    mean_py = 0.0
+    seen = 0
     cos, sin = cos_sin(state.yaw)
     half = 0.5 * robot.field_of_view
     edge = cos_sin(half)[0] if half < np.pi else -2.0
@@ -27,7 +32,8 @@ def scan(posts, robot, state, sensing, offsets):
         if abs(dx) > 1.001 * robot.scan_range or abs(dy) > 1.001 * robot.scan_range:
             continue
         distance = np.sqrt(dx * dx + dy * dy)
-        # How far ahead a post stands tells whether it is in view without an angle, but for the very edge of the view.
+        # How far ahead a post stands tells whether it is in view without an angle, but for the very
+        # edge of the view.
         inside = cos * dx + sin * dy - edge * distance
         if distance > robot.scan_range or inside < -1e-9 * distance:
             continue
@@ -35,10 +41,14 @@ def scan(posts, robot, state, sensing, offsets):
             continue
         if sensing.random() > robot.detection:
             continue
-        far, aside = robot.range_noise * sensing.standard_normal(), robot.bearing_noise * sensing.standard_normal()
+        far, aside = (
+            robot.range_noise * sensing.standard_normal(),
+            robot.bearing_noise * sensing.standard_normal(),
+        )
         if state.mode == 1:
             continue
-        # Where the estimate has the post: what was seen, turned by the errors of bearing and of the estimated heading.
+        # Where the estimate has the post: what was seen, turned by the errors of bearing and of the
+        # estimated heading.
         turned_x, turned_y = cos_sin(state.heading_error + aside)
         longer = 1.0 + far / max(distance, 1e-9)
         offsets[seen, 0], offsets[seen, 1] = posts[i, 0], posts[i, 1]
@@ -49,7 +59,10 @@ def scan(posts, robot, state, sensing, offsets):
         seen += 1
     if seen == 0:
         return 0.0, 0.0, 0.0, 0
-    mean_x, mean_y, mean_px, mean_py = mean_x / seen, mean_y / seen, mean_px / seen, mean_py / seen
+    mean_x = mean_x / seen
+    mean_y = mean_y / seen
+    mean_px = mean_px / seen
+    mean_py = mean_py / seen
     cross, dot = 0.0, 0.0
     for i in range(seen):
         ax, ay = offsets[i, 0] - mean_px, offsets[i, 1] - mean_py
@@ -70,13 +83,15 @@ SHARES = ("detection", "position_gain", "heading_gain")
 @dataclass(frozen=True)
 class Pioneer:
     """
-    A Pioneer-like robot (a unicycle) that finds its way by a laser scanner, guide posts and odometry.
+    A Pioneer-like robot (a unicycle) that finds its way by a laser scanner, guide posts and
+    odometry.
 
-    The autonomous controller is two proportional laws, on heading, w = steering_gain · (angle to the path point
-    look_ahead ahead), and on speed, v = cruise_speed − speed_gain · (how far posts stand from where they are
-    expected). Both work from an estimate of the pose that odometry carries on with a heading that is a little off, so
-    that it drifts with distance, and that every post seen pulls back by a small share of the mismatch. While the
-    operator drives between the posts the estimate is anchored anew.
+    The autonomous controller is two proportional laws, on heading, w = steering_gain · (angle to
+    the path point look_ahead ahead), and on speed, v = cruise_speed − speed_gain · (how far posts
+    stand from where they are expected). Both work from an estimate of the pose that odometry
+    carries on with a heading that is a little off, so that it drifts with distance, and that every
+    post seen pulls back by a small share of the mismatch. While the operator drives between the
+    posts the estimate is anchored anew.
 
     Parameters
     ----------
@@ -91,12 +106,13 @@ class Pioneer:
     range_noise, bearing_noise : float
         Standard deviations of measured range [m] and bearing [rad].
     heading_drift : float
-        How much the odometry's heading goes wrong per metre [rad/m], positive to the left (wheels of unequal size).
+        How much the odometry's heading goes wrong per metre [rad/m], positive to the left (wheels
+        of unequal size).
     heading_noise : float
         Its random part [rad/√m].
     position_gain, heading_gain : float
-        Share of the mismatch in place, and in direction, by which a scan corrects the estimate for every post seen
-        (for every post but one).
+        Share of the mismatch in place, and in direction, by which a scan corrects the estimate for
+        every post seen (for every post but one).
     anchoring_time : float
         Time constant with which the estimate is anchored while the operator drives [s].
     look_ahead : float
@@ -115,8 +131,9 @@ class Pioneer:
 
     Notes
     -----
-    A simulated stand-in for the robot of the Stage testbed (Fig. 2.1). The defaults are calibrated so that
-    performance (2.4), left alone for long, has the size of Remark 7; they are not measurements of a robot.
+    A simulated stand-in for the robot of the Stage testbed (Fig. 2.1). The defaults are calibrated
+    so that performance (2.4), left alone for long, has the size of Remark 7; they are not
+    measurements of a robot.
     """
 
     max_speed: float = 0.7

@@ -1,4 +1,7 @@
-"""The loop of the UAV that follows a leader: one step of operator, allocation, autopilot and vehicle every tenth of a second."""
+"""
+The loop of the UAV that follows a leader: one step of operator, allocation, autopilot and vehicle
+every tenth of a second.
+"""
 
 from typing import NamedTuple
 
@@ -12,12 +15,13 @@ from trustlab.testbeds.deciding import COUNTS, FLAGS, NUMBERS, allocate, begin, 
 # What is logged of each sample.
 LOG = record(
     numbers=(
-        "mode suggested_mode robot_x robot_y reference_x reference_y path_error u_h_x u_h_y u_i_x u_i_y r p_r p_h tsc"
+        "mode suggested_mode robot_x robot_y reference_x reference_y path_error u_h_x u_h_y "
+        "u_i_x u_i_y r p_r p_h tsc"
     )
 )
 
-# Of the vehicle velocity and acceleration, of the hand what it has made of what it saw, where it wanders and how it shakes;
-# drift: how far beside the leader the autopilot believes it to be.
+# Of the vehicle velocity and acceleration, of the hand what it has made of what it saw, where it
+# wanders and how it shakes; drift: how far beside the leader the autopilot believes it to be.
 MOVING = "x y v_x v_y a_x a_y hand_x hand_y wander_x wander_y shake_x shake_y drift_x drift_y"
 # What a step reads and leaves.
 STATE = record(numbers=f"{MOVING} {NUMBERS}", counts=COUNTS, flags=FLAGS)
@@ -25,12 +29,17 @@ STATE = record(numbers=f"{MOVING} {NUMBERS}", counts=COUNTS, flags=FLAGS)
 # Means of |x| + |y| and of √(x² + y²) for x and y normal with unit variance.
 MEAN_1, MEAN_2 = 2.0 * np.sqrt(2.0 / np.pi), np.sqrt(np.pi / 2.0)
 
-# By how much the delays of eye, hand and vehicle stretch the distance from the leader; found by simulating.
+# By how much the delays of eye, hand and vehicle stretch the distance from the leader; found by
+# simulating.
 STRETCH = 1.2
 
 
-# The testbed's constants for the compiled loop, and the vehicle's exact matrices over one sample, the same on x and y.
-FLIGHT = record(numbers="u_max gain wander_time shake_time drift drift_time anchoring_time v_v v_a v_u a_v a_a a_u")
+# The testbed's constants for the compiled loop, and the vehicle's exact matrices over one sample,
+# the same on x and y.
+FLIGHT = record(
+    numbers="u_max gain wander_time shake_time drift drift_time anchoring_time v_v v_a v_u a_v "
+    "a_a a_u"
+)
 
 
 class Rates(NamedTuple):
@@ -46,14 +55,18 @@ class Rates(NamedTuple):
 @njit
 def imperfection(performance, person, flight, e_max):
     """
-    Return the standard deviations per axis of wander [m] and shaking [m/s] of a hand that performs so well.
+    Return the standard deviations per axis of wander [m] and shaking [m/s] of a hand that performs
+    so well.
 
-    A command u_i + gain · wander + shaking has the quality `performance` (mean 1-norm of the deviation), and flies, the
-    vehicle taken as an integrator and delays by STRETCH, at the mean distance e_max (1 − (robot_floor + robot_gain · performance)) from the leader;
-    both as far as one of them can be met with the other.
+    A command u_i + gain · wander + shaking has the quality `performance` (mean 1-norm of the
+    deviation), and flies, the vehicle taken as an integrator and delays by STRETCH, at the mean
+    distance e_max (1 − (robot_floor + robot_gain · performance)) from the leader; both as far as
+    one of them can be met with the other.
     """
     command = ((1.0 - performance) * flight.u_max / MEAN_1) ** 2
-    error = (e_max * (1.0 - person.robot_floor - person.robot_gain * performance) / (STRETCH * MEAN_2)) ** 2
+    error = (
+        e_max * (1.0 - person.robot_floor - person.robot_gain * performance) / (STRETCH * MEAN_2)
+    ) ** 2
     slow, fast = flight.gain * flight.wander_time, flight.gain * flight.shake_time
     by_wander, by_shaking = slow / (1.0 + slow), fast / (1.0 + fast) / flight.gain**2
     wander = (error - by_shaking * command) / (by_wander - by_shaking * flight.gain**2)
@@ -70,11 +83,17 @@ def noise(before, keep, rng):
 
 @njit
 def operate(task, person, flight, rates, seen, row, state, hand):
-    """Move the operator's hand: it acts on the ideal command of a delay ago (`seen`, a row of the log)."""
+    """
+    Move the operator's hand: it acts on the ideal command of a delay ago (`seen`, a row of the
+    log).
+    """
     wander, shaking = imperfection(skill_now(task, person, state), person, flight, task.e_max)
     state.wander_x = noise(state.wander_x, rates.wander, hand)
     state.wander_y = noise(state.wander_y, rates.wander, hand)
-    state.shake_x, state.shake_y = noise(state.shake_x, rates.shake, hand), noise(state.shake_y, rates.shake, hand)
+    state.shake_x, state.shake_y = (
+        noise(state.shake_x, rates.shake, hand),
+        noise(state.shake_y, rates.shake, hand),
+    )
     state.hand_x = seen.u_i_x + rates.hand * (state.hand_x - seen.u_i_x)
     state.hand_y = seen.u_i_y + rates.hand * (state.hand_y - seen.u_i_y)
     row.u_h_x = state.hand_x + flight.gain * wander * state.wander_x + shaking * state.shake_x
@@ -83,7 +102,10 @@ def operate(task, person, flight, rates, seen, row, state, hand):
 
 @njit
 def detect(flight, rates, state, sensing):
-    """Let the autopilot's belief of where the leader is drift away, or be anchored anew while the operator flies."""
+    """
+    Let the autopilot's belief of where the leader is drift away, or be anchored anew while the
+    operator flies.
+    """
     if state.mode == 1:
         state.drift_x, state.drift_y = rates.anchor * state.drift_x, rates.anchor * state.drift_y
         return
@@ -95,7 +117,10 @@ def detect(flight, rates, state, sensing):
 @njit
 def moved(flight, v, a, u):
     """Return velocity and acceleration on one axis one sample later, the command held."""
-    return flight.v_v * v + flight.v_a * a + flight.v_u * u, flight.a_v * v + flight.a_a * a + flight.a_u * u
+    return (
+        flight.v_v * v + flight.v_a * a + flight.v_u * u,
+        flight.a_v * v + flight.a_a * a + flight.a_u * u,
+    )
 
 
 @njit
@@ -110,12 +135,15 @@ def fly(flight, dt, row, state):
 
 
 @njit(_nrt=False)
-def follow(task, schedule, flight, position, velocity, person, sensing, hand, mind, states, log, z_r, z_h):
+def follow(
+    task, schedule, flight, position, velocity, person, sensing, hand, mind, states, log, z_r, z_h
+):
     """
     Fill the records of `log` behind a leader at `position` with `velocity`, both of shape (N, 3).
 
-    schedule, shape (N,): modes, used by the scheme SCHEDULE alone. person: numbers of an `Operator`. sensing, hand, mind: generators
-    of noise. states, shape (1,): a record of STATE. z_r, z_h, shape (N,): room for momentary performance.
+    schedule, shape (N,): modes, used by the scheme SCHEDULE alone. person: numbers of an
+    `Operator`. sensing, hand, mind: generators of noise. states, shape (1,): a record of STATE.
+    z_r, z_h, shape (N,): room for momentary performance.
     """
     dt, state = task.sample_time, states[0]
     delay = round(person.delay / dt)
@@ -126,23 +154,36 @@ def follow(task, schedule, flight, position, velocity, person, sensing, hand, mi
         np.exp(-dt / flight.drift_time),
         np.exp(-dt / flight.anchoring_time),
     )
-    state.x, state.y, state.v_x, state.v_y = position[0, 0], position[0, 1], velocity[0, 0], velocity[0, 1]
+    state.x = position[0, 0]
+    state.y = position[0, 1]
+    state.v_x = velocity[0, 0]
+    state.v_y = velocity[0, 1]
     state.hand_x, state.hand_y = state.v_x, state.v_y
     state.wander_x, state.wander_y = hand.standard_normal(), hand.standard_normal()
     begin(task, person, state, mind)
     for k in range(log.size):
         t, row = k * dt, log[k]
-        row.robot_x, row.robot_y, row.reference_x, row.reference_y = state.x, state.y, position[k, 0], position[k, 1]
+        row.robot_x = state.x
+        row.robot_y = state.y
+        row.reference_x = position[k, 0]
+        row.reference_y = position[k, 1]
         off_x, off_y = row.reference_x - state.x, row.reference_y - state.y
         row.path_error = np.sqrt(off_x * off_x + off_y * off_y)
-        row.u_i_x, row.u_i_y = velocity[k, 0] + flight.gain * off_x, velocity[k, 1] + flight.gain * off_y
+        row.u_i_x, row.u_i_y = (
+            velocity[k, 0] + flight.gain * off_x,
+            velocity[k, 1] + flight.gain * off_y,
+        )
         operate(task, person, flight, rates, log[max(k - delay, 0)], row, state, hand)
         z_r[k] = 1.0 - row.path_error / task.e_max
         z_h[k] = 1.0 - (abs(row.u_i_x - row.u_h_x) + abs(row.u_i_y - row.u_h_y)) / flight.u_max
         measure(task, k, z_r, z_h, state)
         allocate(task, person, schedule[k], t, state, mind)
-        row.mode, row.suggested_mode, row.r = state.mode, state.suggested, state.r
-        row.p_r, row.p_h, row.tsc = state.p_r, state.p_h, state.tsc
+        row.mode = state.mode
+        row.suggested_mode = state.suggested
+        row.r = state.r
+        row.p_r = state.p_r
+        row.p_h = state.p_h
+        row.tsc = state.tsc
         detect(flight, rates, state, sensing)
         fly(flight, dt, row, state)
         state.r = min(max(next_utilization(state.r, state.mode, person.a), 0.0), 1.0)
