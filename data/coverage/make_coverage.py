@@ -20,7 +20,7 @@ os.environ.setdefault(
     "OPENBLAS_NUM_THREADS", "1"
 )  # the matrices are small: threads would take more time, not less
 from trustlab.identification import tsc
-from trustlab.models.compiled import _digest
+from trustlab.models.digest import source_digest
 
 HERE = Path(__file__).resolve().parent
 FITS = HERE / "fits.csv"
@@ -44,7 +44,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=200)
     given = parser.parse_args()
     made = settings()
-    source = _digest(Path(tsc.__file__))
+    source = source_digest(tsc.__file__)
     planned = [
         (name, i)
         for i in range(200)

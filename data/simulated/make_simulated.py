@@ -13,7 +13,7 @@ import pandas as pd
 
 import trustlab as tl
 from trustlab.allocation import bound_failures
-from trustlab.models.compiled import _digest
+from trustlab.models.digest import PACKAGE, source_digest
 from trustlab.reproduction import read_calibration
 from trustlab.testbeds import compare_guidance
 
@@ -77,7 +77,7 @@ if __name__ == "__main__":
             about = {
                 "seed": SEED,
                 "origin": make.__doc__.strip(),
-                "source_digest": _digest(Path(tl.__file__).parent / source),
+                "source_digest": source_digest(PACKAGE / source),
             }
             (HERE / f"{make.__name__}.json").write_text(
                 json.dumps(about, indent=1) + "\n", encoding="utf-8"

@@ -1,7 +1,4 @@
-"""
-The house stays small and readable: lines of code, files in a folder, length of functions, slots,
-circles, repeats.
-"""
+"""The house stays readable: tokens by room, density, width, length of functions, names, repeats."""
 
 import ast
 import functools
@@ -11,12 +8,36 @@ import tokenize
 from collections import Counter, defaultdict
 from pathlib import Path
 
-import networkx as nx
 import pytest
 
-PACKAGE = Path(__file__).parents[2] / "trustlab"
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "trustlab"
 FILES = sorted(PACKAGE.rglob("*.py"))
-MOST_LINES = 24_500
+# Code tokens by room: comments, docstrings and layout are not counted. A limit is raised with what
+# a room takes on, and lowered with what it loses; it is no reason to pack.
+MOST_TOKENS = {
+    "allocation": 40000,
+    "campaign": 13000,
+    "identification": 29000,
+    "live": 25000,
+    "models": 8000,
+    "operators": 3500,
+    "publishing": 12000,
+    "reproduction": 40500,
+    "sessions": 30000,
+    "studies": 51500,
+    "teleoperation": 29500,
+    "testbeds": 29000,
+    "trustlab": 500,
+}
+MOST_TOKENS_A_LINE = 9.5
+WIDTH = 100
+MOST_PARAMETERS = 10
+MOST_PRONOUNS = 0.05
+PRONOUNS = re.compile(
+    "(ones?|others?|own|given|found|kept|held|wanted|what|who|whose|which|both|them|they|theirs"
+    "|ours|mine|it|this|that|these|those)"
+)
 SLOT = re.compile(r"\b(?:c|row|log|state|out)\[(?:\w+, *)?\d+\]")
 pytestmark = pytest.mark.xdist_group("layout")  # one worker reads all files, once
 SILENT = {
@@ -32,10 +53,8 @@ SILENT = {
 def docstring_lines(tree):
     lines = set()
     for node in ast.walk(tree):
-        if (
-            isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
-            and node.body
-        ):
+        documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+        if isinstance(node, documented) and node.body:
             first = node.body[0]
             if isinstance(first, ast.Expr) and isinstance(getattr(first.value, "value", None), str):
                 lines.update(range(first.lineno, first.end_lineno + 1))
@@ -43,13 +62,20 @@ def docstring_lines(tree):
 
 
 @functools.cache
+def code_tokens(source):
+    """The tokens that are code."""
+    prose = docstring_lines(ast.parse(source))
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    return [t for t in tokens if t.type not in SILENT and t.start[0] not in prose]
+
+
+@functools.cache
 def code_lines(source):
     """The numbers of the lines that hold code."""
     lines = set()
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type not in SILENT:
-            lines.update(range(token.start[0], token.end[0] + 1))
-    return lines - docstring_lines(ast.parse(source))
+    for token in code_tokens(source):
+        lines.update(range(token.start[0], token.end[0] + 1))
+    return lines
 
 
 def functions(tree):
@@ -59,9 +85,7 @@ def functions(tree):
 
 
 def compiled(node):
-    return any(
-        re.search("njit|vectorize", ast.unparse(decorator)) for decorator in node.decorator_list
-    )
+    return any(re.search("njit|vectorize", ast.unparse(d)) for d in node.decorator_list)
 
 
 def long_functions(source, most):
@@ -75,45 +99,55 @@ def long_functions(source, most):
     return {name: n for name, n in length.items() if n > most}
 
 
+def many_parameters(source, most):
+    """Functions and methods that a user may call with more than `most` parameters."""
+    counts = {}
+
+    def visit(body):
+        for node in body:
+            public = not node.name.startswith("_") or node.name == "__init__"
+            if isinstance(node, ast.ClassDef) and public:
+                visit([n for n in node.body if isinstance(n, ast.FunctionDef | ast.ClassDef)])
+            elif isinstance(node, ast.FunctionDef) and public and not compiled(node):
+                args = node.args
+                names = {a.arg for a in args.posonlyargs + args.args + args.kwonlyargs}
+                counts[node.name] = len(names - {"self", "cls"})
+
+    visit([n for n in ast.parse(source).body if isinstance(n, ast.FunctionDef | ast.ClassDef)])
+    return {name: n for name, n in counts.items() if n > most}
+
+
+def bindings(source):
+    """The names that a file stores, and those of its arguments."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+        elif isinstance(node, ast.arg) and node.arg not in ("self", "cls"):
+            yield node.arg
+
+
+def pronouns(source):
+    return [name for name in bindings(source) if PRONOUNS.fullmatch(name.strip("_"))]
+
+
+def wide_tuples(source):
+    """Assignments of three or more names to as many values: each wants a line of its own."""
+    lines = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple):
+            targets = node.targets[0]
+            if isinstance(targets, ast.Tuple) and len(targets.elts) > 2:
+                lines.append(node.lineno)
+    return lines
+
+
 def slots(source):
     """Numbered slots, as in c[7] or row[39]: every place where a reader has to count."""
     lines = source.splitlines()
-    return [found for line in sorted(code_lines(source)) for found in SLOT.findall(lines[line - 1])]
+    return [match for line in sorted(code_lines(source)) for match in SLOT.findall(lines[line - 1])]
 
 
-def imports(source):
-    """
-    Modules of trustlab that are imported anywhere in a file but for type checking, functions
-    included.
-    """
-    tree = ast.parse(source)
-    only_types = {
-        inner
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-        for inner in ast.walk(node)
-    }
-    for node in ast.walk(tree):
-        if node in only_types:
-            continue
-        if isinstance(node, ast.ImportFrom) and node.module.startswith("trustlab"):
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names if alias.name.startswith("trustlab"))
-
-
-def circles(sources):
-    """Groups of modules that import each other, directly or by way of others."""
-    graph = nx.DiGraph()
-    for name, source in sources.items():
-        graph.add_edges_from(
-            (name, other) for other in imports(source) if other in sources and other != name
-        )
-    return [sorted(group) for group in nx.strongly_connected_components(graph) if len(group) > 1]
-
-
-def repeats(sources, lines=6):
+def repeats(sources, lines=8):
     """Runs of `lines` lines of code that stand in two places, to the letter but for indentation."""
     places = defaultdict(set)
     for name, source in sources.items():
@@ -122,7 +156,7 @@ def repeats(sources, lines=6):
         telling = [
             (n, line)
             for n, line in numbered
-            if re.search(r"\w", line) and not re.match(r"(from|import) |\"?\w+\"?,$", line)
+            if len(line) > 24 and not re.match(r"(from|import) |\"?\w+\"?,$", line)
         ]
         for i in range(len(telling) - lines + 1):
             run = telling[i : i + lines]
@@ -135,54 +169,81 @@ def module(path):
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+def room(path):
+    parts = path.relative_to(PACKAGE).parts
+    return parts[0] if len(parts) > 1 else "trustlab"
+
+
 @functools.cache
 def sources():
     return {module(path): path.read_text() for path in FILES}
 
 
-def test_lines_of_code():
-    rooms = {
-        name: source for name, source in sources().items() if not name.startswith("trustlab.live")
-    }
-    assert sum(len(code_lines(source)) for source in rooms.values()) <= MOST_LINES
+def over(measure, limit):
+    """What each file shows of a measure that takes its source and a limit."""
+    return {name: worst for name, text in sources().items() if (worst := measure(text, limit))}
 
 
-def test_a_file_holds_one_idea():
-    assert {
-        name: n for name, source in sources().items() if (n := len(code_lines(source))) > 400
-    } == {}
-    assert {
-        name: found for name, source in sources().items() if (found := long_functions(source, 60))
-    } == {}
+def test_rooms_keep_their_size():
+    tokens = Counter()
+    for path in FILES:
+        tokens[room(path)] += len(code_tokens(path.read_text()))
+    assert {name: n for name, n in tokens.items() if n > MOST_TOKENS[name]} == {}
+
+
+def test_lines_breathe():
+    tokens = sum(len(code_tokens(text)) for text in sources().values())
+    lines = sum(len(code_lines(text)) for text in sources().values())
+    assert tokens / lines <= MOST_TOKENS_A_LINE
+    assert {name: rows for name, text in sources().items() if (rows := wide_tuples(text))} == {}
+
+
+def test_no_line_is_wider_than_a_page():
+    wide = [
+        f"{path.relative_to(ROOT)}:{n}"
+        for path in [*FILES, *PACKAGE.rglob("*.js")]
+        for n, line in enumerate(path.read_text().splitlines(), 1)
+        if len(line) > WIDTH
+    ]
+    assert wide == []
+
+
+def test_functions_are_short():
+    assert over(long_functions, 65) == {}
+
+
+def test_public_functions_take_few_parameters():
+    assert over(many_parameters, MOST_PARAMETERS) == {}
+
+
+def test_names_are_nouns():
+    names = [name for text in sources().values() for name in bindings(text)]
+    vague = [name for text in sources().values() for name in pronouns(text)]
+    assert len(vague) / len(names) <= MOST_PRONOUNS, Counter(vague).most_common()
 
 
 def test_no_folder_shows_more_than_16_files():
-    assert {
-        folder: n for folder, n in Counter(path.parent for path in FILES).items() if n > 16
-    } == {}
+    assert {f: n for f, n in Counter(path.parent for path in FILES).items() if n > 16} == {}
 
 
 def test_no_numbered_slots():
-    assert {name: found for name, source in sources().items() if (found := slots(source))} == {}
+    assert {name: match for name, source in sources().items() if (match := slots(source))} == {}
 
 
-def test_no_circle_of_imports():
-    assert circles(sources()) == []
-
-
-def test_no_six_lines_stand_twice():
+def test_no_eight_lines_stand_twice():
     assert repeats(sources()) == []
 
 
 def test_the_checks_see_what_they_should():
-    lines = "\n".join(f"    x = f({i})" for i in range(7))
+    lines = "\n".join(f"    variable_of_some_length = f({i})" for i in range(9))
     source = f"def f(x):\n    '''Do it.'''\n{lines}\n"
-    assert long_functions(source, 7) == {"f": 8}
-    assert long_functions("@numba.njit\n" + source, 7) == {}
+    assert long_functions(source, 9) == {"f": 10}
+    assert long_functions("@numba.njit\n" + source, 9) == {}
     assert slots("a = c[7] + row[k, 39] + c[k]\n# c[3]\n") == ["c[7]", "row[k, 39]"]
-    assert circles(
-        {"trustlab.a": "import trustlab.b", "trustlab.b": "from trustlab.a import f"}
-    ) == [["trustlab.a", "trustlab.b"]]
-    assert circles({"trustlab.a": "import trustlab.b", "trustlab.b": ""}) == []
     assert repeats({"a": source, "b": source}) != []
     assert repeats({"a": source}) == []
+    assert many_parameters("def f(a, b, *, c): pass\ndef _g(a, b, c): pass", 2) == {"f": 3}
+    assert many_parameters("class A:\n    def __init__(self, a, b): pass", 1) == {"__init__": 2}
+    assert pronouns("def f(one, other_one):\n    own, x = what.held = 1, 2\n") == ["one", "own"]
+    assert wide_tuples("a, b, c = 1, 2, 3\na, b = 1, 2\na, b, c = f()\n") == [1]
+    assert len(code_tokens("'''Prose.'''\nx = 1  # a comment\n")) == 3

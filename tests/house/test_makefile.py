@@ -22,7 +22,10 @@ if os.name != "posix" or shutil.which("make") is None:
 # What each tool must not be given: options of GNU alone, and GNU's extensions of regular
 # expressions and awk.
 GNU = {
-    "find": r"^-(printf|fprintf|regextype|readable|writable|executable|daystart|xtype|files0-from)$|^--",
+    "find": (
+        r"^-(printf|fprintf|regextype|readable|writable|executable|daystart|xtype|files0-from)$"
+        r"|^--"
+    ),
     "sed": r"^--|^-[a-zA-Z]*[rsuz]|^-i$|\\[+?|wbsS<>tU]|\b[0-9]~[0-9]|/[gpI]*I$",
     "expand": r"^--|^-i",
     "xargs": r"^--|^-[a-zA-Z]*[rda]$",
@@ -43,7 +46,8 @@ for given in sys.argv[1:]:
     if re.search({refused!r}, given):
         sys.exit("{name}: illegal option or expression: " + given)
 if {name!r} == "find" and (len(sys.argv) < 2 or sys.argv[1].startswith("-")):
-    sys.exit("usage: find [-H | -L | -P] path ... [expression]")  # GNU alone takes the current folder for granted
+    # GNU alone takes the current folder for granted.
+    sys.exit("usage: find [-H | -L | -P] path ... [expression]")
 os.execv({real!r}, [{name!r}, *sys.argv[1:]])
 """
 

@@ -6,11 +6,15 @@ from pathlib import Path
 
 import pytest
 
+# Of a cell, with lines of 100 columns that the formatter lays out.
+MOST_LINES = 60
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 QUOTED = re.compile(r"“[^”]*”|```.*?```|`[^`]*`", re.S)
 DECIMAL = re.compile(r"(?<![\w.()\-])\d+\.\d+(?![\w.)])")
 EQUATION = re.compile(
-    r"\(\d\.\d+\)(?:[-–]\(\d\.\d+\))?|(?:Fig|Figs|Table|Tables|Section|Sections|Chapter|Algorithm)\.?\s+[\d.]+(?:(?:, | and |[-–])[\d.]+)*"
+    r"\(\d\.\d+\)(?:[-–]\(\d\.\d+\))?"
+    r"|(?:Fig|Figs|Table|Tables|Section|Sections|Chapter|Algorithm)\.?\s+"
+    r"[\d.]+(?:(?:, | and |[-–])[\d.]+)*"
 )
 
 
@@ -50,7 +54,7 @@ def test_no_decimal_literals_in_prose(path):
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_code_cells_are_short(path):
     cells = ["".join(cell["source"]) for cell in load(path) if cell["cell_type"] == "code"]
-    assert [source for source in cells if len(source.splitlines()) > 25] == []
+    assert [source for source in cells if len(source.splitlines()) > MOST_LINES] == []
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

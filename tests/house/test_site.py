@@ -19,8 +19,9 @@ from tests.publishing.test_reading import serious
 
 ELSEWHERE = ("http:", "https:", "mailto:", "data:", "javascript:")
 MOST_BYTES = 2.5e6
-CUT = """[...document.querySelectorAll("pre, .formula")].filter((one) => one.scrollWidth > one.clientWidth)
-    .map((one) => one.textContent.slice(0, 80))"""
+CUT = """[...document.querySelectorAll("pre, .formula")]
+    .filter((box) => box.scrollWidth > box.clientWidth)
+    .map((box) => box.textContent.slice(0, 80))"""
 
 
 def build(folder, *options):

@@ -12,10 +12,8 @@ from __future__ import annotations
 
 import atexit
 import functools
-import hashlib
 import multiprocessing
 import os
-import re
 import shutil
 import sys
 import tempfile
@@ -30,13 +28,7 @@ from typing import Any
 import numba
 from numba.core import event
 
-PACKAGE = Path(__file__).resolve().parents[1]
-# Every import statement of the package, inside functions as well: "from trustlab.a.b import c, d"
-# or "import trustlab.a".
-IMPORT = re.compile(
-    r"^[ \t]*(?:from (trustlab[\w.]*) import \(?([^)#]*?)\)?|import (trustlab[\w.]+))[ \t]*$", re.M
-)
-
+from trustlab.models.digest import PACKAGE, digest, source_digest
 
 NOTICE = (
     "trustlab is compiling what this call needs. It happens once; later calls and sessions "
@@ -127,52 +119,12 @@ def _cache_folder(path: Path) -> Path | None:
     if not path.is_file():  # a package in a zip archive has no files: compile in every process
         return None
     name = ".".join(path.resolve().relative_to(PACKAGE).with_suffix("").parts)
-    folder = _cache_root() / f"{name}-{_digest(path.resolve())}"
+    sources = source_digest(path.resolve())
+    folder = _cache_root() / f"{name}-{digest(numba.__version__, sources)}"
     if not folder.is_dir():
         for old in folder.parent.glob(f"{name}-*"):
             shutil.rmtree(old, ignore_errors=True)
     return folder
-
-
-def _digest(path: Path) -> str:
-    """
-    Return a digest of a module, of all modules of the package that it imports, and of numba's
-    version.
-    """
-    found, waiting = set(), [path]
-    while waiting:
-        one = waiting.pop()
-        if one not in found:
-            found.add(one)
-            waiting += _imported(one)
-    digest = hashlib.sha256(numba.__version__.encode())
-    for one in sorted(found):
-        digest.update(f"{one.relative_to(PACKAGE)}\0".encode() + _source(one))
-    return digest.hexdigest()[:16]
-
-
-@functools.cache
-def _source(path: Path) -> bytes:
-    return path.read_bytes()
-
-
-@functools.cache
-def _imported(path: Path) -> list[Path]:
-    """Return the files of the package that a file imports from."""
-    modules = []
-    for origin, names, module in IMPORT.findall(_source(path).decode()):
-        modules += (
-            [module]
-            if module
-            else [origin, *(f"{origin}.{name.strip()}" for name in names.split(","))]
-        )
-    bases = {PACKAGE.joinpath(*module.split(".")[1:]) for module in modules}
-    return [
-        file
-        for base in bases
-        for file in (base.with_suffix(".py"), base / "__init__.py")
-        if file.is_file()
-    ]
 
 
 @functools.cache
@@ -190,10 +142,10 @@ def _cache_root() -> Path:
         home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     # In the user's folder several installations meet: each has a place of its own, else they would
     # sweep each other's.
-    own = hashlib.sha256(str(PACKAGE).encode()).hexdigest()[:12]
+    installation = digest(str(PACKAGE))[:12]
     candidates = [
         PACKAGE / "__pycache__" / "compiled",
-        Path(os.path.expanduser(home)) / "trustlab" / own,
+        Path(os.path.expanduser(home)) / "trustlab" / installation,
     ]
     for root in ([Path(named)] if named else []) + candidates:
         if _writable(root):

@@ -279,9 +279,10 @@ ASIDE = (
 READ = [item.name for item in fields(Operator) if item.name not in ASIDE]
 
 
-class OperatorNumbers(
-    namedtuple("OperatorNumbers", ["a", "beta", "p_min", "p_max", *READ, "skill"])
-):  # type: ignore[misc]
+NUMBERS = ["a", "beta", "p_min", "p_max", *READ, "skill"]
+
+
+class OperatorNumbers(namedtuple("OperatorNumbers", NUMBERS)):  # type: ignore[misc]
     """
     An `Operator` as plain numbers for compiled loops; the names are the operator's and its human
     model's.

@@ -28,7 +28,7 @@ from scipy.spatial import KDTree
 from trustlab.campaign.run import run_campaign, where_to_run
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import between, in_order, one_of, whole_number
-from trustlab.models.compiled import _digest
+from trustlab.models.digest import source_digest as digest_of
 from trustlab.models.html import as_html
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.reproduction import effects_simulated
@@ -521,7 +521,7 @@ def source_digest() -> str:
     Return a digest of all source that simulated effects come from: that of a written calibration
     differs after a change.
     """
-    return _digest(Path(effects_simulated.__file__).resolve())
+    return digest_of(effects_simulated.__file__)
 
 
 def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:

@@ -1,0 +1,82 @@
+"""Digests: of content, and of a module's source together with the modules that it imports."""
+
+import functools
+import hashlib
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[1]
+# An import statement on one line, or up to the closing bracket: "from a.b import c, d", "import a".
+IMPORT = re.compile(
+    r"^[ \t]*(?:from[ \t]+(\.*[\w.]*)[ \t]+import[ \t]+(?:\(([^)]*)\)|([^\n#;]*))"
+    r"|import[ \t]+([\w., \t]+))",
+    re.M,
+)
+
+
+def digest(*parts: str | bytes) -> str:
+    """Return 32 hexadecimal digits that change with every byte and with the order of the parts."""
+    state = hashlib.sha256()
+    for part in parts:
+        data = part.encode("utf-8", "backslashreplace") if isinstance(part, str) else part
+        state.update(f"{len(data)}:".encode() + data)
+    return state.hexdigest()[:32]
+
+
+def source_digest(*files: str | Path, root: Path = PACKAGE) -> str:
+    """Return a digest of files of the package at `root` and of all that they import from it."""
+    modules = sorted(imported_files(map(Path, files), root))
+    names = [path.relative_to(root).as_posix() for path in modules]
+    return digest(*names, *map(_source, modules))
+
+
+def imported_files(files: Iterable[Path], root: Path) -> set[Path]:
+    """Return files of the package at `root`, with all that they import from it, however far."""
+    closure: set[Path] = set()
+    waiting = list(files)
+    while waiting:
+        path = waiting.pop()
+        if path not in closure:
+            closure.add(path)
+            waiting += _imports(path, root)
+    return closure
+
+
+@functools.cache
+def _source(path: Path) -> bytes:
+    return path.read_bytes()
+
+
+@functools.cache
+def _imports(path: Path, root: Path) -> list[Path]:
+    """Return the files of a package that the import statements of one of its files name."""
+    folder = path.relative_to(root).parent.parts
+    modules: list[tuple[str, ...]] = []
+    for origin, bracketed, listed, plain in IMPORT.findall(_source(path).decode()):
+        if plain:
+            modules += [_place(name.split()[0], (), root.name) for name in plain.split(",")]
+            continue
+        place = _place(origin, folder, root.name)
+        # What is imported from a package may be a module of it.
+        modules += [place, *((*place, name) for name in re.findall(r"\w+", bracketed or listed))]
+    bases = [root.joinpath(*place) for place in modules]
+    candidates = [base.with_suffix(".py") for base in bases]
+    candidates += [base / "__init__.py" for base in bases]
+    return [file for file in candidates if file.is_file()]
+
+
+def _place(module: str, folder: tuple[str, ...], package: str) -> tuple[str, ...]:
+    """Return the path of a module below its package; one of another package has no file there."""
+    name = module.lstrip(".")
+    level = len(module) - len(name)
+    parts = tuple(name.split(".")) if name else ()
+    if level:
+        return (*folder[: len(folder) + 1 - level], *parts)
+    return parts[1:] if parts[0] == package else ("..", *parts)
+
+
+def forget_sources() -> None:
+    """Read files again the next time: they may have been edited."""
+    _source.cache_clear()
+    _imports.cache_clear()

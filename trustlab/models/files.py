@@ -1,0 +1,29 @@
+"""Files that are there whole or not at all."""
+
+import contextlib
+import os
+from pathlib import Path
+
+# Part of the name of a file that is being written; what a killed process leaves has it too.
+PARTIAL = ".partial-"
+
+
+def write_atomically(path: str | os.PathLike, content: bytes | str) -> None:
+    """
+    Write a file so that readers find it complete or as it was before, whenever the process stops.
+
+    The content is on the disk when this returns. Text is encoded as UTF-8.
+    """
+    path = Path(path)
+    data = content.encode() if isinstance(content, str) else content
+    partial = path.with_name(f"{path.name}{PARTIAL}{os.getpid()}")
+    try:
+        with partial.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            partial.unlink()
+        raise
