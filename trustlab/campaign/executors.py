@@ -1,9 +1,9 @@
-"""Where chunks run: in this process, in others, or on any `concurrent.futures` executor."""
+"""Where chunks run: in this process, in processes that loky keeps, or on the user's executor."""
 
 import functools
 import os
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from concurrent.futures import Executor, Future
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any
@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from trustlab.campaign.errors import CampaignError
-from trustlab.campaign.worker import exit_with_parent, pickled, pickled_task, run_chunk, run_pickled
+from trustlab.campaign.worker import exit_with_parent, pickled, run_chunk, run_pickled, running_task
+from trustlab.models.digest import forget_sources, package_of, source_digest
 
 # Seconds after which idle processes end.
 IDLE = 300
@@ -21,155 +22,120 @@ THREADS = [f"{library}_NUM_THREADS" for library in ("OMP", "OPENBLAS", "MKL", "N
 
 class Workers:
     """
-    Workers behind an executor; `make` returns it, and a new one when the death of a process has
-    broken it.
+    Workers behind an executor that the user brought; it stays open.
+
+    `slots` is how many chunks are sent at a time: two for each worker, so that none waits.
     """
 
-    # Exceptions of a future whose worker died.
-    deaths: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
-
     def __init__(
-        self,
-        task: Callable,
-        seed: np.random.SeedSequence,
-        name: str,
-        make: Callable[[], Executor],
-        count: int = 1,
+        self, task: Callable, seed: np.random.SeedSequence, executor: Any, count: int | None = None
     ):
-        self.task = pickled_task(task)
+        if not isinstance(executor, Executor):
+            raise ValueError(
+                f"executor must be a concurrent.futures.Executor, got {executor!r:.60}; on Dask "
+                "give client.get_executor()"
+            )
+        self.name = type(executor).__name__
+        self.executor: Any = executor
+        # Executors of the standard library, loky and mpi4py know their workers; others may not.
+        self.count = count or getattr(executor, "_max_workers", None) or os.cpu_count() or 1
+        self.slots = 2 * self.count
+        self.task = pickled("task", task)
         self.seed = seed
-        self.name = name
-        self.make, self.count = make, count
-        self.executor: Any = make()
-
-    @property
-    def slots(self) -> int:
-        """
-        How many chunks are under way at most: two for each worker, so that none waits for the next.
-        """
-        return 2 * self.count
 
     def submit(self, first: int, parameters: list[dict]) -> Future:
         """Send a chunk, of which `first` is the index of the first run."""
         data = pickled("parameters", (self.task, self.seed, first, parameters))
         try:
             return self.executor.submit(run_pickled, data)
-        except (
-            RuntimeError
-        ) as error:  # broken by the death of a process, or shut down by someone else
-            self.executor, broken = self.make(), self.executor
-            if self.executor is broken:
-                if not isinstance(error, BrokenExecutor):
-                    raise
-                raise CampaignError(
-                    f"{type(broken).__name__} takes no more work ({error}); runs {first} to "
-                    f"{first + len(parameters) - 1} were lost with it or still to be sent. "
-                    "Finished chunks are safe where `out` was given: call again with a new "
-                    "executor, or give a function that makes one, so that the campaign goes on "
-                    "by itself"
-                ) from error
+        except RuntimeError as error:  # broken by the death of a process, or shut down
+            self.renew(error, first, first + len(parameters) - 1)
             return self.executor.submit(run_pickled, data)
 
-    def watch(self) -> None:
-        """
-        Raise where no answer can be expected any more; called every few seconds while nothing
-        arrives.
-        """
+    def renew(self, error: RuntimeError, first: int, last: int) -> None:
+        """Replace an executor that takes no more work, or raise."""
+        raise CampaignError(
+            f"{self.name} takes no more work ({error}); runs {first} to {last} were lost with it "
+            "or still to be sent. Finished chunks are safe where `out` was given: call again with "
+            "a new executor"
+        ) from error
 
-    def failed(self, error: Exception) -> CampaignError:
-        """Return what to raise for an error that no run raised."""
-        return CampaignError(
-            f"a worker of {self.name} could not run a chunk: {type(error).__name__}: {error}; "
-            "workers need the same versions of trustlab and its libraries as this process"
-        )
-
-    def close(self, left: list[Future]) -> None:
-        """
-        Release what was taken; `left` are the chunks under way where the campaign was broken off.
-        """
-        for future in left:
+    def close(self, pending: list[Future]) -> None:
+        """Cancel chunks that are under way when a campaign is broken off."""
+        for future in pending:
             future.cancel()
 
 
-class InProcess(Workers):
-    """
-    No other workers: each chunk runs in this process when it is submitted, and nothing is pickled.
-    """
-
-    name = "serial"
-    slots = 1
-    count = 1
+class Serial(Workers):
+    """No workers: each chunk runs in this process when it is submitted; nothing is pickled."""
 
     def __init__(self, task: Callable, seed: np.random.SeedSequence):
-        self.function, self.seed = task, seed
+        self.name = "serial"
+        self.count = 1
+        self.slots = 1
+        self.function = task
+        self.seed = seed
 
     def submit(self, first: int, parameters: list[dict]) -> Future:
-        """
-        Run a chunk. Errors of runs are results; what escapes, such as KeyboardInterrupt, ends the
-        campaign.
-        """
+        """Run a chunk; what is no error of a run, such as KeyboardInterrupt, ends the campaign."""
         future: Future = Future()
         future.set_result(run_chunk(self.function, self.seed, first, parameters))
         return future
 
 
-class _Loky(Workers):
-    """Processes of this machine."""
+class Processes(Workers):
+    """Processes of this machine, which loky keeps for the next campaign."""
 
-    def close(self, left: list[Future]) -> None:
-        """Keep the processes for the next campaign, or kill them where they are still at work."""
-        if left:
+    def __init__(self, task: Callable, seed: np.random.SeedSequence, count: int):
+        import loky
+
+        # Linear algebra in every process takes its share of the cores, unless the user decides.
+        share = str(max(1, loky.cpu_count() // count))
+        options = {
+            "timeout": IDLE,
+            "env": {name: os.environ.get(name, share) for name in THREADS},
+            "initializer": exit_with_parent,
+            # With other sources loky starts new processes, which import them again.
+            "initargs": (_lifeline()[0], _sources(task)),
+        }
+        self.make = functools.partial(loky.get_reusable_executor, count, **options)
+        super().__init__(task, seed, self.make(), count)
+        self.name = "loky"
+
+    def renew(self, error: RuntimeError, first: int, last: int) -> None:
+        """Start new processes after one has died."""
+        self.executor = self.make()
+
+    def close(self, pending: list[Future]) -> None:
+        """Keep the processes for the next campaign; kill them if they are still at work."""
+        if pending:
             self.executor.shutdown(wait=False, kill_workers=True)
 
 
 @functools.cache
 def _lifeline() -> tuple[Connection, Connection]:
-    """
-    Return a pipe, made once for a process: whoever reads from it sees when this process is gone.
-    """
+    """Return a pipe made once for a process: its readers see when this process is gone."""
     return Pipe(duplex=False)
 
 
-def loky_workers(task: Callable, seed: np.random.SeedSequence, count: int) -> Workers:
-    """Return processes of this machine: loky's reusable executor."""
-    import loky
-
-    # Linear algebra in every process takes its share of the cores, unless the user has said
-    # otherwise.
-    share = str(max(1, loky.cpu_count() // count))
-    options = {
-        "timeout": IDLE,
-        "env": {name: os.environ.get(name, share) for name in THREADS},
-        "initializer": exit_with_parent,
-        "initargs": _lifeline()[:1],
-    }
-    return _Loky(task, seed, "loky", lambda: loky.get_reusable_executor(count, **options), count)
+def _sources(task: Callable) -> str:
+    """Return a digest of a task's module and of what that imports from its package."""
+    package = package_of(getattr(task, "__module__", ""))
+    if package is None:
+        return ""
+    forget_sources()
+    return source_digest(package.file, root=package.root)
 
 
-class _Made(Workers):
-    """Workers of an executor that the user's function made for this campaign alone."""
-
-    def close(self, left: list[Future]) -> None:
-        """Shut the executor down."""
-        self.executor.shutdown(wait=not left, cancel_futures=True)
-
-
-def brought_workers(
-    task: Callable, seed: np.random.SeedSequence, executor: object, count: int | None
+def workers_for(
+    task: Callable, seed: np.random.SeedSequence, n_jobs: int, executor: object
 ) -> Workers:
-    """
-    Return the workers of an executor that the user brings, or of a function that makes executors.
-    """
-    workers = None
-    if isinstance(executor, Executor):
-        workers = Workers(task, seed, type(executor).__name__, lambda: executor)
-    elif callable(executor):
-        workers = _Made(task, seed, getattr(executor, "__name__", "executor"), executor)
-    if workers is None or not isinstance(workers.executor, Executor):
-        raise ValueError(
-            f"executor must be a concurrent.futures.Executor, or make one, got {executor!r:.60}"
-        )
-    # Executors of the standard library, loky and mpi4py know how many workers they have; others may
-    # not.
-    workers.count = count or getattr(workers.executor, "_max_workers", None) or os.cpu_count() or 1
-    return workers
+    """Return where chunks run."""
+    if executor is not None:
+        return Workers(task, seed, executor, n_jobs if n_jobs > 0 else None)
+    if n_jobs < 0:
+        import loky
+
+        # The cores are taken already where this is part of a run of another campaign.
+        n_jobs = 1 if running_task() else max(1, loky.cpu_count() + 1 + n_jobs)
+    return Serial(task, seed) if n_jobs == 1 else Processes(task, seed, n_jobs)

@@ -1,47 +1,65 @@
-"""A campaign on disk: what it is, and one Parquet file per finished chunk."""
+"""
+A campaign on disk: what it is, and one file per finished chunk.
+
+The name of a chunk says which runs it holds, digests of their parameters and of its content: so a
+campaign that grew finds what it can use, and damage is seen, before anything is read.
+"""
 
 import contextlib
-import hashlib
+import gzip
 import json
 import os
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
-import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from trustlab.campaign.errors import CampaignError
 from trustlab.campaign.identity import differences, parameter_texts, versions
-from trustlab.campaign.table import assembled
+from trustlab.campaign.table import assembled, decoded, encoded
+from trustlab.campaign.worker import Outcome
+from trustlab.models.digest import digest
+from trustlab.models.files import PARTIAL, write_atomically
 
-FORMAT = 1
+FORMAT = 2
 MANIFEST = "campaign.json"
 CHUNKS = "chunks"
 LOCK = ".lock"
-CHUNK = re.compile(r"runs-(\d+)-(\d+)-([0-9a-f]{32})\.parquet")
-PARTIAL = ".partial-"
-ENTRIES = {
-    "format": int,
-    "runs": int,
-    "parameters": str,
-    "names": list,
-    "task": dict,
-    "seed": str,
-    "versions": dict,
-}
-OWN = {MANIFEST, CHUNKS, LOCK}
+WRITTEN = {MANIFEST, CHUNKS, LOCK}
+CHUNK = re.compile(r"runs-(\d+)-(\d+)-([0-9a-f]{32})-([0-9a-f]{32})\.json\.gz")
 REMEDY = "restore it, use another folder, or fresh=True to remove what is there"
 
 
+class Chunk(NamedTuple):
+    """A file with the outcomes of runs `first` to `last` − 1."""
+
+    first: int
+    last: int
+    parameters: str
+    content: str
+    path: Path
+
+    def read(self) -> tuple[list[dict], list[Outcome]]:
+        """Return parameters, as far as a file keeps them, and outcomes."""
+        try:
+            data = gzip.decompress(self.path.read_bytes())
+        except (OSError, EOFError, ValueError) as error:
+            raise self._damaged(str(error)) from error
+        if digest(data) != self.content:
+            raise self._damaged("its content does not have the digest in its name")
+        return decoded(data)
+
+    def _damaged(self, reason: str) -> CampaignError:
+        return CampaignError(
+            f"{self.path} is damaged: {reason}; delete it, and its runs are repeated"
+        )
+
+
 class Folder:
-    """
-    The files of one campaign, opened by one process at a time; `spans` are first run, end and file
-    of each chunk.
-    """
+    """The files of one campaign, open in one process at a time; `chunks` in the order of runs."""
 
     def __init__(
         self,
@@ -52,121 +70,115 @@ class Folder:
         other_versions: Sequence[str],
     ):
         self.path = folder_path(path)
+        self.names: list[str] = identity["names"]
         with contextlib.ExitStack() as stack, writing_in(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-            stack.enter_context(_held(self.path))
+            stack.enter_context(_locked(self.path))
             if fresh:
                 self._clear()
-            if (self.path / MANIFEST).exists():
-                self._check_same(identity, parameters)
-                self._check_versions(other_versions)
-            else:
-                self._create(identity, parameters)
-            for leftover in self.path.rglob(
-                f"*{PARTIAL}*"
-            ):  # what was being written when a process ended
+            # What was being written when a process ended.
+            for leftover in self.path.rglob(f"*{PARTIAL}*"):
                 leftover.unlink(missing_ok=True)
-            self.spans = _spans(self.path, len(parameters))
+            self._open(identity, parameters, other_versions)
             self.close = stack.pop_all().close  # until then, other processes are kept out
 
-    def _create(self, identity: dict, parameters: Sequence[Mapping]) -> None:
-        """Write the manifest; chunks that are there without one are never trusted."""
-        _refuse_foreign(self.path)
-        chunks = self.path / CHUNKS
-        chunks.mkdir(exist_ok=True)
-        if any(chunks.glob("*.parquet")):
+    def _open(self, identity: dict, parameters: Sequence[Mapping], accepted: Sequence[str]) -> None:
+        """Begin a campaign, or check that the one in the folder is the same, perhaps shorter."""
+        refuse(self.path, "other files", {f.name for f in self.path.iterdir()} - WRITTEN)
+        (self.path / CHUNKS).mkdir(exist_ok=True)
+        self.chunks = _chunks(self.path)
+        content = {"format": FORMAT, "runs": len(parameters), **identity, "versions": versions()}
+        if (self.path / MANIFEST).exists():
+            manifest = _manifest(self.path)
+            self._check_same(manifest, identity, parameters)
+            content["versions"] = self._merged_versions(manifest["versions"], accepted)
+            if content == manifest:
+                return
+        elif self.chunks:
             raise CampaignError(
-                f"{self.path} is half a campaign: {len(list(chunks.glob('*.parquet')))} chunks, "
-                f"but {MANIFEST}, which says of what, is missing; {REMEDY}"
+                f"{self.path} is half a campaign: {len(self.chunks)} chunks, but {MANIFEST}, "
+                f"which says of what, is missing; {REMEDY}"
             )
-        digest = _digest_of(parameters, identity["names"])
-        content = {"format": FORMAT, "runs": len(parameters), "parameters": digest, **identity}
-        self._write_manifest(content | {"versions": versions()})
+        text = json.dumps(content, indent=1)
+        write_atomically(self.path / MANIFEST, text)
 
-    def _write_manifest(self, content: dict) -> None:
-        text = json.dumps(content, indent=1, ensure_ascii=False)
-        write_whole(self.path / MANIFEST, text.encode("utf-8", "backslashreplace"))
-
-    def _check_versions(self, accepted: Sequence[str]) -> None:
-        """
-        Raise if results of other versions would be mixed with those of the folder, unless the user
-        accepts it.
-        """
-        content = _manifest(self.path)
-        before = content["versions"]
-        changed = {name: now for name, now in versions().items() if before.get(name) != now}
-        refused = [name for name in changed if name not in accepted]
-        if refused:
-            said = "; ".join(
-                f"{name} was {before.get(name, 'not recorded')}, is {changed[name]}"
-                for name in refused
-            )
-            raise CampaignError(
-                f"{self.path} was begun with other versions, which may give other numbers: "
-                f"{said}. Go on with those, or use another folder, fresh=True to remove what is "
-                f"there, or other_versions={refused} to have both in one table"
-            )
-        for name, now in changed.items():
-            known = before.get(name, "not recorded").split(", ")
-            before[name] = ", ".join(dict.fromkeys([*known, now]))
-        if changed:
-            self._write_manifest(content)
-
-    def _check_same(self, identity: dict, parameters: Sequence[Mapping]) -> None:
+    def _check_same(self, manifest: dict, identity: dict, parameters: Sequence[Mapping]) -> None:
         """Raise if the folder holds another campaign, and say what changed."""
-        before, names = _manifest(self.path), identity["names"]
-        changed = [
-            f"the task changed: {text}" for text in differences(before["task"], identity["task"])
-        ]
-        if before["seed"] != identity["seed"]:
-            changed.append(f"seed was {before['seed']}, is {identity['seed']}")
-        if before["names"] != names:
-            changed.append(f"parameters were {', '.join(before['names'])}, are {', '.join(names)}")
-        if _digest_of(parameters, names) != before["parameters"]:
-            runs, now = before["runs"], len(parameters)
-            found = (
-                f"{runs:,} runs then, {now:,} now"
-                if runs != now
-                else "runs have other values, or another order"
-            )
-            changed.append(f"parameters changed: {found}")
-        if changed:
+        changes = [f"the task changed: {t}" for t in differences(manifest["task"], identity["task"])]
+        if manifest["seed"] != identity["seed"]:
+            changes.append(f"seed was {manifest['seed']}, is {identity['seed']}")
+        if manifest["names"] != self.names:
+            before, after = ", ".join(manifest["names"]), ", ".join(self.names)
+            changes.append(f"parameters were {before}, are {after}")
+        else:
+            changes += self._changed_parameters(parameters)
+        if changes:
             raise CampaignError(
-                f"{self.path} holds another campaign: {'; '.join(changed)}. Use another folder "
+                f"{self.path} holds another campaign: {'; '.join(changes)}. Use another folder "
                 "for this one, or fresh=True to remove what is there"
             )
 
+    def _changed_parameters(self, parameters: Sequence[Mapping]) -> list[str]:
+        """Say which stored runs have other parameters now; new runs come after all others."""
+        for chunk in self.chunks:
+            runs = f"runs {chunk.first} to {chunk.last - 1}"
+            if chunk.last > len(parameters):
+                return [f"it has {runs}, of {len(parameters):,} runs now"]
+            if _digest_of(parameters[chunk.first : chunk.last], self.names) != chunk.parameters:
+                return [
+                    f"parameters changed: {runs} have other values, or another order (a campaign "
+                    "may grow: runs that are added come last, as does a value that is added to the "
+                    "first axis of a grid)"
+                ]
+        return []
+
+    def _merged_versions(self, before: dict, accepted: Sequence[str]) -> dict:
+        """Return the versions of all runs; raise if the user has not accepted a mixture."""
+        merged = {}
+        refused = []
+        for name, version in versions().items():
+            known = before.get(name, "not recorded").split(", ")
+            merged[name] = ", ".join(dict.fromkeys([*known, version]))
+            if known != [version] and name not in accepted:
+                refused.append(name)
+        if refused:
+            changes = [
+                f"{name} was {before.get(name, 'not recorded')}, is {versions()[name]}"
+                for name in refused
+            ]
+            raise CampaignError(
+                f"{self.path} was begun with other versions, which may give other numbers: "
+                f"{'; '.join(changes)}. Go on with those, or use another folder, fresh=True to "
+                f"remove what is there, or other_versions={refused} to have both in one table"
+            )
+        return merged
+
     def _clear(self) -> None:
-        """
-        Remove a campaign, chunks first, so that a kill leaves a folder that is refused rather than
-        trusted.
-        """
-        _refuse_foreign(self.path)
+        """Remove a campaign, chunks first: after a kill the folder is refused, not trusted."""
+        refuse(self.path, "other files", {f.name for f in self.path.iterdir()} - WRITTEN)
         for file in (self.path / CHUNKS).glob("*"):
             if CHUNK.fullmatch(file.name) or PARTIAL in file.name:
                 file.unlink()
         (self.path / MANIFEST).unlink(missing_ok=True)
 
-    def add(self, table: pa.Table) -> None:
-        """Write a finished chunk under a name that holds its digest, complete or not at all."""
-        first = table["run"][0].as_py()
-        last = first + len(table)
-        sink = pa.BufferOutputStream()
-        pq.write_table(table, sink, compression="zstd")
-        data = sink.getvalue().to_pybytes()
-        path = self.path / CHUNKS / f"runs-{first:010d}-{last:010d}-{_digest(data)}.parquet"
-        safe = (
+    def store(
+        self, first: int, parameters: Sequence[Mapping], outcomes: Sequence[Outcome]
+    ) -> None:
+        """Write a finished chunk, complete or not at all."""
+        data = encoded(parameters, outcomes)
+        last = first + len(outcomes)
+        digests = f"{_digest_of(parameters, self.names)}-{digest(data)}"
+        path = self.path / CHUNKS / f"runs-{first:010d}-{last:010d}-{digests}.json.gz"
+        remedy = (
             "finished chunks before it are safe: make room or restore access, and call again "
             "with the same arguments"
         )
-        with writing_in(path.parent, safe):
-            write_whole(path, data)
-        self.spans.append((first, last, path))
+        with writing_in(path.parent, remedy):
+            write_atomically(path, gzip.compress(data, compresslevel=1, mtime=0))
 
-    def __iter__(self) -> Iterator[pa.Table]:
-        """Read the finished chunks one after the other."""
-        for _, _, path in self.spans:
-            yield _read_chunk(path)
+    def outcomes(self) -> list[Outcome]:
+        """Read the outcomes of all runs, in their order."""
+        return [outcome for chunk in _chunks(self.path) for outcome in chunk.read()[1]]
 
 
 def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
@@ -196,8 +208,9 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
     >>> import trustlab as tl
     >>> def task(upper, seed):
     ...     return {"double": 2 * upper}
+    >>> runs = tl.parameter_grid(upper=[0.2, 0.3])
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     run = tl.run_campaign(task, [{"upper": 0.2}, {"upper": 0.3}], seed=0, n_jobs=1, out=folder)
+    ...     run = tl.run_campaign(task, runs, seed=0, n_jobs=1, out=folder)
     ...     table = tl.read_campaign(folder)
     >>> table.equals(run)
     True
@@ -206,44 +219,24 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
     if not (path / MANIFEST).is_file():
         raise CampaignError(f"{path} holds no campaign: {MANIFEST} is not there")
     manifest = _manifest(path)
-    chunks = [_read_chunk(file) for _, _, file in _spans(path, manifest["runs"])]
-    if chunks:
-        table = assembled(chunks, manifest["names"], None)
-    else:
-        table = pd.DataFrame(columns=["run", *manifest["names"], "failed", "error", "traceback"])
+    runs: list[int] = []
+    parameters: list[dict] = []
+    outcomes: list[Outcome] = []
+    for chunk in _chunks(path):
+        values, results = chunk.read()
+        runs += range(chunk.first, chunk.last)
+        parameters += values
+        outcomes += results
+    columns = {name: [values[name] for values in parameters] for name in manifest["names"]}
+    table = assembled(runs, outcomes, columns)
     facts = {name: manifest[name] for name in ("runs", "versions")}
     table.attrs = facts | {"finished": len(table), "failed": int(table["failed"].sum())}
     return table
 
 
-def write_whole(path: Path, data: bytes) -> None:
-    """
-    Write a file so that it is there complete or not at all, whenever the process or the machine
-    stops.
-    """
-    partial = path.with_name(f"{path.name}{PARTIAL}{os.getpid()}")
-    try:
-        with partial.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            partial.unlink()
-        raise
-
-
 def _digest_of(parameters: Sequence[Mapping], names: list[str]) -> str:
-    """Return a digest that is the same for equal parameters of all runs, in their order."""
-    digest = hashlib.sha256()
-    for text in parameter_texts(parameters, names):
-        digest.update(text.encode("utf-8", "backslashreplace") + b"\n")
-    return digest.hexdigest()
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()[:32]
+    """Return a digest that is the same for equal parameters of runs, in their order."""
+    return digest(*parameter_texts(parameters, names))
 
 
 def folder_path(path: object) -> Path:
@@ -269,16 +262,15 @@ def writing_in(
         ) from error
 
 
-def refuse(folder: Path, what: str, names: set[str]) -> None:
+def refuse(folder: Path, kind: str, names: set[str]) -> None:
     """Raise if there are names of files that a folder must not hold."""
+    names = {name for name in names if PARTIAL not in name}
     if names:
-        raise CampaignError(
-            f"{folder} holds {what}, such as {min(names)}; give a new or empty folder"
-        )
+        raise CampaignError(f"{folder} holds {kind}, such as {min(names)}; give a new or empty folder")
 
 
 @contextlib.contextmanager
-def _held(folder: Path) -> Iterator[None]:
+def _locked(folder: Path) -> Iterator[None]:
     """Keep other processes out of a folder; the system lets them in however this process ends."""
     with (folder / LOCK).open("a") as file:
         try:
@@ -299,67 +291,41 @@ def _held(folder: Path) -> Iterator[None]:
         yield
 
 
-def _refuse_foreign(folder: Path) -> None:
-    """Raise if a folder holds files of others."""
-    refuse(folder, "other files", {f.name for f in folder.iterdir() if PARTIAL not in f.name} - OWN)
-
-
 def _manifest(folder: Path) -> dict:
     """Read what campaign a folder holds."""
     path = folder / MANIFEST
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        wrong = [name for name, kind in ENTRIES.items() if not isinstance(content[name], kind)]
-        texts = [*content["names"], *content["task"].values(), *content["versions"].values()]
-        if wrong or not all(isinstance(text, str) for text in texts):
-            raise ValueError(
-                f"{', '.join(wrong) or 'names, task or versions'} is of no kind that a campaign "
-                "writes"
-            )
+        form = content["format"]
+        complete = {"runs", "names", "task", "seed", "versions"} <= content.keys()
     except (OSError, LookupError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise CampaignError(
             f"{path} cannot be read ({type(error).__name__}: {error}); {REMEDY}"
         ) from error
-    if content["format"] != FORMAT:
+    if form != FORMAT or not complete:
         raise CampaignError(
-            f"{path} has format {content['format']}, this version reads {FORMAT}; use the version "
+            f"{path} has format {form}, this version reads {FORMAT}; use the version "
             "of trustlab that wrote it, or another folder"
         )
     return content
 
 
-def _spans(folder: Path, runs: int) -> list[tuple[int, int, Path]]:
-    """Return first run, end and file of each chunk, in order."""
-    spans = []
-    for file in (folder / CHUNKS).glob("*.parquet"):
+def _chunks(folder: Path) -> list[Chunk]:
+    """Return the chunks of a campaign, in the order of runs; no two may hold the same run."""
+    chunks = []
+    for file in (folder / CHUNKS).iterdir():
         match = CHUNK.fullmatch(file.name)
-        if not match:
+        if match:
+            chunks.append(Chunk(int(match[1]), int(match[2]), match[3], match[4], file))
+        elif PARTIAL not in file.name:
             raise CampaignError(f"{file} is no chunk of a campaign; remove it from the folder")
-        spans.append((int(match[1]), int(match[2]), file))
-    spans.sort()
+    chunks.sort()
     end = 0
-    for first, last, file in spans:
-        if not end <= first < last <= runs:
+    for chunk in chunks:
+        if not end <= chunk.first < chunk.last:
             raise CampaignError(
-                f"{file} holds runs {first} to {last - 1}, which other chunks hold too or the "
-                f"campaign of {runs} runs does not have; remove it, and its runs are repeated"
+                f"{chunk.path} holds runs {chunk.first} to {chunk.last - 1}, which other chunks "
+                "hold too; remove it, and its runs are repeated"
             )
-        end = last
-    return spans
-
-
-def _read_chunk(path: Path) -> pa.Table:
-    first, last, digest = CHUNK.fullmatch(path.name).groups()
-    try:
-        data = path.read_bytes()
-        if _digest(data) != digest:
-            raise ValueError("its content does not have the digest in its name")
-        table = pq.read_table(pa.BufferReader(data))
-        table.select(["failed", "error", "traceback", "returned"])  # KeyError where one is missing
-        if not np.array_equal(table["run"].to_numpy(), np.arange(int(first), int(last))):
-            raise ValueError("it holds other runs than its name says")
-    except (OSError, ValueError, KeyError, pa.ArrowException) as error:
-        raise CampaignError(
-            f"{path} is damaged: {error}; delete it, and its runs are repeated"
-        ) from error
-    return table
+        end = chunk.last
+    return chunks

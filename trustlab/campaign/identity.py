@@ -2,7 +2,6 @@
 
 import ast
 import functools
-import hashlib
 import inspect
 import io
 import json
@@ -12,7 +11,6 @@ import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from importlib import metadata
-from importlib.util import find_spec, resolve_name
 from pathlib import Path
 from types import CodeType, FunctionType, MethodType
 from typing import Any
@@ -20,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from trustlab import __version__
-from trustlab.campaign.worker import code_digest
+from trustlab.models.digest import digest, forget_sources, imported_files, package_of
 
 PLAIN = (bool, int, float, str, bytes, type(None))
 
@@ -36,7 +34,8 @@ def task_identity(task: Callable) -> dict[str, str]:
     objects that are not plain. Lambdas, wrappers, and functions without source text are known by
     their compiled code, which changes with Python's version too.
     """
-    _package_modules.cache_clear()  # files may have been edited since the last campaign
+    forget_sources()  # files may have been edited since the last campaign
+    _code_digest.cache_clear()
     return _Identity(task).parts
 
 
@@ -50,36 +49,20 @@ def versions() -> dict[str, str]:
     }
 
 
-@functools.cache
 def _package_modules(module: str) -> dict[str, str]:
-    """
-    Return a digest of each other module of the same package that a module imports, directly or not.
-    """
-    package = module.partition(".")[0]
-    digests: dict[str, str] = {}
-    waiting = [module]
-    while waiting:
-        name = waiting.pop()
-        if name in digests or name.partition(".")[0] != package:
-            continue
-        try:
-            spec = find_spec(name)
-            tree = ast.parse(Path(spec.origin).read_bytes())
-        except (ImportError, AttributeError, TypeError, ValueError, OSError):
-            continue  # a name inside a module, a module without a file, or one without source text
-        digests[name] = hashlib.sha256(
-            ast.unparse(tree).encode("utf-8", "backslashreplace")
-        ).hexdigest()[:32]
-        waiting.append(name.rpartition(".")[0])  # packages are imported before what is in them
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Import):
-                waiting += [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                parent = name if spec.submodule_search_locations else spec.parent
-                origin = resolve_name("." * node.level + (node.module or ""), parent)
-                waiting += [origin, *(f"{origin}.{alias.name}" for alias in node.names)]
-    digests.pop(module, None)  # of the task's own module only what it uses counts
-    return digests
+    """Return a digest of each other module of its package that a module imports, however far."""
+    place = package_of(module)
+    if place is None:
+        return {}
+    files = imported_files([place.file], place.root) - {place.file}
+    names = {file.relative_to(place.root).as_posix(): file for file in sorted(files)}
+    return {f"module {place.root.name}/{name}": _code_digest(file) for name, file in names.items()}
+
+
+@functools.cache
+def _code_digest(file: Path) -> str:
+    """Return a digest of a module's source, comments and layout apart."""
+    return digest(ast.unparse(ast.parse(file.read_bytes())))
 
 
 class _Identity:
@@ -114,15 +97,12 @@ class _Identity:
             self.parts[f"source of {_name(thing)}"] = source
 
     def _add_function(self, function: FunctionType) -> None:
-        if any(function is other for other in self.seen):
+        if any(function is known for known in self.seen):
             return
         self.seen.append(function)
-        self.parts |= {
-            f"module {name}": digest
-            for name, digest in _package_modules(function.__module__ or "").items()
-        }
+        self.parts |= _package_modules(function.__module__ or "")
         name = _name(function)
-        same = sum(_name(other) == name for other in self.seen)
+        same = sum(_name(known) == name for known in self.seen)
         if same > 1:  # made by the same lines, with other values closed over
             name = f"{name} (number {same})"
         # Of a wrapper, inspect would show the source of what it wraps; a lambda's source is a line
@@ -130,9 +110,10 @@ class _Identity:
         wrapper = hasattr(function, "__wrapped__")
         name = f"the wrapper of {name}" if wrapper else name
         source = "" if wrapper or function.__name__ == "<lambda>" else _source(function)
-        self.parts[f"{'source' if source else 'code'} of {name}"] = source or code_digest(
-            function.__code__
-        )
+        if source:
+            self.parts[f"source of {name}"] = source
+        else:
+            self.parts[f"code of {name}"] = digest(code_text(function.__code__))
         if function.__defaults__ or function.__kwdefaults__:
             self.parts[f"defaults of {name}"] = value_text(
                 (function.__defaults__, function.__kwdefaults__)
@@ -160,7 +141,18 @@ class _Identity:
 
 
 def _name(function: object) -> str:
-    return f"{getattr(function, '__module__', '?')}.{getattr(function, '__qualname__', type(function).__qualname__)}"
+    name = getattr(function, "__qualname__", type(function).__qualname__)
+    return f"{getattr(function, '__module__', '?')}.{name}"
+
+
+def code_text(code: CodeType) -> str:
+    """Return a text of compiled code that does not depend on where its source stands."""
+    head = (code.co_code, code.co_names, code.co_varnames, code.co_freevars, code.co_flags)
+    constants = [
+        code_text(constant) if isinstance(constant, CodeType) else value_text(constant)
+        for constant in code.co_consts
+    ]
+    return repr((head, constants))
 
 
 def _global_names(code: CodeType) -> set[str]:
@@ -205,20 +197,19 @@ def value_text(value: object) -> str:
     if short and type(value) is dict:
         return "{" + ", ".join(f"{value_text(k)}: {value_text(v)}" for k, v in value.items()) + "}"
     if isinstance(value, FunctionType | functools.partial | MethodType):
-        digest = hashlib.sha256(json.dumps(_Identity(value).parts).encode()).hexdigest()[:32]
-        return f"{_name(value)} {digest}"
+        return f"{_name(value)} {digest(json.dumps(_Identity(value).parts))}"
     try:
-        digest = _pickle_digest(value)
+        content = _pickle_digest(value)
     except Exception:  # pickling runs the value's own code, which may raise anything
         attributes = getattr(value, "__dict__", None)
-        digest = value_text(attributes) if attributes else "of which no digest can be taken"
+        content = value_text(attributes) if attributes else "of which no digest can be taken"
     try:
         shown = repr(value)
     except Exception:  # so may its repr
         shown = ""
     # A repr that holds an address or a set differs between processes.
     plain = shown and len(shown) <= 80 and not any(sign in shown for sign in (" at 0x", "{", "\n"))
-    return f"{shown if plain else type(value).__qualname__} {digest}"
+    return f"{shown if plain else type(value).__qualname__} {content}"
 
 
 def seed_text(seed: np.random.SeedSequence) -> str:
@@ -247,7 +238,7 @@ def _pickle_digest(value: object) -> str:
     pickler = _Pickler(buffer, protocol=4)
     pickler.fast = True  # without memo; values that contain themselves are refused
     pickler.dump(value)
-    return hashlib.sha256(buffer.getvalue()).hexdigest()[:32]
+    return digest(buffer.getvalue())
 
 
 def parameter_texts(parameters: Sequence[Mapping], names: list[str]) -> Iterator[str]:

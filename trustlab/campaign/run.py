@@ -14,13 +14,10 @@ import numpy as np
 
 from trustlab.campaign.errors import CampaignWarning
 from trustlab.campaign.parameters import checked_names
-from trustlab.campaign.worker import running_task
 from trustlab.models.checks import flag, one_of, warn, whole_number
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from trustlab.campaign.executors import Workers
 
 
 def run_campaign(
@@ -30,8 +27,7 @@ def run_campaign(
     seed: int | np.random.SeedSequence = 0,
     n_jobs: int = -1,
     out: str | os.PathLike | None = None,
-    cluster: object = None,
-    executor: Executor | Callable[[], Executor] | None = None,
+    executor: Executor | None = None,
     progress: bool | None = None,
     fresh: bool = False,
     other_versions: Sequence[str] = (),
@@ -61,14 +57,12 @@ def run_campaign(
     out : str or os.PathLike, optional
         A folder to which finished chunks are written at once. A call with the same arguments goes
         on where a killed one stopped; at most the chunks under way are lost. Memory then holds no
-        results until the table is read at the end.
-    cluster : distributed.Client, distributed cluster or str, optional
-        A Dask cluster, or the address of its scheduler, instead of processes of this machine.
-    executor : concurrent.futures.Executor or callable, optional
-        Any executor instead: ThreadPoolExecutor, ProcessPoolExecutor, or an adapter such as
-        `mpi4py.futures.MPIPoolExecutor` or `executorlib.SlurmClusterExecutor`; it stays open. A
-        function without arguments that makes an executor is called again when the death of a
-        process has broken the executor, so that the campaign goes on; what it makes is shut down.
+        results until the table is read at the end. The campaign may grow: with runs added at the
+        end of `parameters` (or values at the end of a grid's first axis), only these are run.
+    executor : concurrent.futures.Executor, optional
+        Any executor instead of processes of this machine: `client.get_executor()` of a Dask client,
+        `mpi4py.futures.MPIPoolExecutor`, `executorlib.SlurmClusterExecutor`, a ThreadPoolExecutor;
+        it stays open.
     progress : bool, optional
         Whether to show runs done, rate and time left on stderr; by default where it is a terminal.
         In a notebook: True.
@@ -91,8 +85,8 @@ def run_campaign(
     ------
     CampaignError
         If the folder cannot be used, or holds a campaign with another task, parameters, seed or
-        versions (it says what changed); if the task cannot be sent to workers; if a cluster cannot
-        be reached, or an executor is broken.
+        versions (it says what changed); if the task cannot be sent to workers; if an executor is
+        broken.
     ValueError
         If an argument is not of its kind.
 
@@ -120,47 +114,58 @@ def run_campaign(
     names = _checked_task(task, parameters)
     if not isinstance(seed, np.random.SeedSequence):
         seed = np.random.SeedSequence(whole_number("seed", seed, least=0))
-    quiet = (
-        None if progress is None else not flag("progress", progress)
-    )  # tqdm takes None as "only on a terminal"
     if flag("fresh", fresh) and out is None:
         raise ValueError("fresh=True removes a campaign from a folder, but `out` is not given")
     for name in other_versions:
         one_of("other_versions", name, ("trustlab", "Python", "numpy", "numba"))
-    _check_where(n_jobs, cluster, executor)
-    began = perf_counter()
+    _check_jobs(n_jobs)
+    start = perf_counter()
     with contextlib.ExitStack() as stack:
-        tables: Any = []
-        add, spans = tables.append, []
+        storage: Any = Memory()
         if out is not None:
             from trustlab.campaign.folder import Folder
             from trustlab.campaign.identity import seed_text, task_identity
 
             identity = {"task": task_identity(task), "seed": seed_text(seed), "names": names}
-            folder = stack.enter_context(
-                contextlib.closing(Folder(out, identity, parameters, fresh, other_versions))
-            )
-            tables = folder
-            add = folder.add
-            spans = folder.spans
-        gaps = _gaps(spans, len(parameters))
+            storage = Folder(out, identity, parameters, fresh, other_versions)
+            stack.enter_context(contextlib.closing(storage))
+        gaps = _gaps([chunk[:2] for chunk in storage.chunks], len(parameters))
         resumed = len(parameters) - sum(last - first for first, last in gaps)
-        where, busy = "none", 0.0
+        facts = {"executor": "none", "seconds_in_runs": 0.0}
         if gaps:
             from tqdm import tqdm
 
             from trustlab.campaign.dispatch import Dispatcher
+            from trustlab.campaign.executors import workers_for
 
-            workers = _workers(task, seed, n_jobs, cluster, executor)
-            where = workers.name
+            workers = workers_for(task, seed, int(n_jobs), executor)
+            # tqdm takes None as "only on a terminal".
+            quiet = None if progress is None else not flag("progress", progress)
             with tqdm(total=len(parameters), initial=resumed, unit="run", disable=quiet) as bar:
-                busy = Dispatcher(workers, parameters, add, bar).run(gaps)
+                seconds = Dispatcher(workers, parameters, storage.store, bar).run(gaps)
+            facts = {"executor": workers.name, "seconds_in_runs": seconds}
         from trustlab.campaign.table import assembled
 
         columns = {name: [values[name] for values in parameters] for name in names}
-        table = assembled(tables, names, columns)
-    times = {"seconds": perf_counter() - began, "seconds_in_runs": busy}
-    return _summed(table, resumed, times | {"executor": where})
+        table = assembled(range(len(parameters)), storage.outcomes(), columns)
+    return _described(table, resumed, {"seconds": perf_counter() - start} | facts)
+
+
+class Memory:
+    """The outcomes of a campaign without a folder."""
+
+    chunks: tuple = ()
+
+    def __init__(self) -> None:
+        self.stored: dict[int, list] = {}
+
+    def store(self, first: int, parameters: object, outcomes: list) -> None:
+        """Keep the outcomes of consecutive runs."""
+        self.stored[first] = outcomes
+
+    def outcomes(self) -> list:
+        """Return the outcomes of all runs, in their order."""
+        return [outcome for _, chunk in sorted(self.stored.items()) for outcome in chunk]
 
 
 def _checked_task(task: object, parameters: Any) -> list[str]:
@@ -189,66 +194,34 @@ def _checked_task(task: object, parameters: Any) -> list[str]:
     return names
 
 
-def _check_where(n_jobs: object, cluster: object, executor: object) -> None:
-    """Raise unless exactly one place is given where chunks are to run."""
-    if (
-        isinstance(n_jobs, bool | np.bool_)
-        or not isinstance(n_jobs, int | np.integer)
-        or n_jobs == 0
-    ):
+def _check_jobs(n_jobs: object) -> None:
+    whole = isinstance(n_jobs, int | np.integer) and not isinstance(n_jobs, bool)
+    if not whole or n_jobs == 0:
         raise ValueError(
             "n_jobs must be a whole number of processes: 1 for this, -1 for all cores, got "
             f"{n_jobs!r}"
         )
-    if cluster is not None and executor is not None:
-        raise ValueError("give cluster or executor, not both: each says where to run")
-    if cluster is not None and n_jobs != -1:
-        raise ValueError(
-            f"give n_jobs or cluster, not both: a cluster has its own workers, got n_jobs={n_jobs}"
-        )
 
 
-def where_to_run(n_jobs: int | None, cluster: object, executor: object) -> dict:
-    """
-    Return these arguments of `run_campaign` for a function that runs in this process unless told
-    otherwise.
-    """
+def where_to_run(n_jobs: int | None, executor: object) -> dict:
+    """Return these arguments of `run_campaign`: by default this process, or all of the executor."""
     if n_jobs is None:
-        n_jobs = 1 if cluster is None and executor is None else -1
-    return {"n_jobs": n_jobs, "cluster": cluster, "executor": executor}
-
-
-def _workers(
-    task: Callable, seed: np.random.SeedSequence, n_jobs: int, cluster: object, executor: Any
-) -> Workers:
-    """Return where chunks run."""
-    from trustlab.campaign.executors import InProcess, brought_workers, loky_workers
-
-    if cluster is not None:
-        from trustlab.campaign.dask_cluster import DaskWorkers
-
-        return DaskWorkers(task, seed, cluster)
-    if executor is not None:
-        return brought_workers(task, seed, executor, int(n_jobs) if n_jobs > 0 else None)
-    if n_jobs < 0:
-        # The cores are taken already where this is part of a run of another campaign.
-        import loky
-
-        n_jobs = 1 if running_task() else max(1, loky.cpu_count() + 1 + n_jobs)
-    return InProcess(task, seed) if n_jobs == 1 else loky_workers(task, seed, int(n_jobs))
+        n_jobs = 1 if executor is None else -1
+    return {"n_jobs": n_jobs, "executor": executor}
 
 
 def _gaps(spans: list[tuple], runs: int) -> list[tuple[int, int]]:
     """Return first and end of what is still to be run."""
-    gaps, end = [], 0
-    for first, last, _ in spans:
+    gaps = []
+    end = 0
+    for first, last in spans:
         if first > end:
             gaps.append((end, first))
         end = last
     return [*gaps, (end, runs)] if end < runs else gaps
 
 
-def _summed(table: pd.DataFrame, resumed: int, facts: dict) -> pd.DataFrame:
+def _described(table: pd.DataFrame, resumed: int, facts: dict) -> pd.DataFrame:
     """Add to a table what its campaign was, and warn of failed runs."""
     failed = int(table["failed"].sum())
     words = f"{len(table):,} runs, {failed:,} failed"

@@ -4,7 +4,9 @@ import functools
 import hashlib
 import re
 from collections.abc import Iterable
+from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # An import statement on one line, or up to the closing bracket: "from a.b import c, d", "import a".
@@ -60,9 +62,12 @@ def _imports(path: Path, root: Path) -> list[Path]:
         place = _place(origin, folder, root.name)
         # What is imported from a package may be a module of it.
         modules += [place, *((*place, name) for name in re.findall(r"\w+", bracketed or listed))]
-    bases = [root.joinpath(*place) for place in modules]
-    candidates = [base.with_suffix(".py") for base in bases]
-    candidates += [base / "__init__.py" for base in bases]
+    candidates = []
+    for place in modules:
+        candidates.append(root.joinpath(*place).with_suffix(".py"))
+        # A module's packages are imported before it.
+        folders = [root.joinpath(*place[:depth]) for depth in range(len(place) + 1)]
+        candidates += [folder / "__init__.py" for folder in folders]
     return [file for file in candidates if file.is_file()]
 
 
@@ -80,3 +85,23 @@ def forget_sources() -> None:
     """Read files again the next time: they may have been edited."""
     _source.cache_clear()
     _imports.cache_clear()
+
+
+class PackageModule(NamedTuple):
+    """The file of a module, and the folder of the package at the top that it belongs to."""
+
+    file: Path
+    root: Path
+
+
+def package_of(module: str) -> PackageModule | None:
+    """Return where a module stands; None if it has no file, as the cells of a notebook."""
+    try:
+        spec = find_spec(module)
+        file = Path(spec.origin)
+    except (ImportError, AttributeError, TypeError, ValueError):
+        return None
+    if not file.is_file():
+        return None
+    depth = module.count(".") + (file.name == "__init__.py")
+    return PackageModule(file, file.parents[depth - 1] if depth else file.parent)
