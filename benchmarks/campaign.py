@@ -99,7 +99,7 @@ def rows() -> Iterator[Row]:
             ) as cluster,
             Client(cluster, set_as_default=False) as client,
         ):
-            tl.run_campaign(burn, grid(20), cluster=client)
+            tl.run_campaign(burn, grid(20), executor=client.get_executor())
 
             def mapped() -> None:
                 xs = [values["x"] for values in grid()]
@@ -112,7 +112,7 @@ def rows() -> Iterator[Row]:
                 "Client.map alone, nothing kept",
                 mapped,
                 "",
-                cluster=client,
+                executor=client.get_executor(),
             )
 
 

@@ -1,6 +1,7 @@
 """What counts as another task, and what does not."""
 
 import functools
+import importlib
 import json
 import linecache
 import os
@@ -13,8 +14,7 @@ from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
 from trustlab.campaign import CampaignError
-from trustlab.campaign.identity import differences, task_identity, value_text
-from trustlab.campaign.worker import code_digest, pickled_task, unpickled_task
+from trustlab.campaign.identity import code_text, differences, task_identity, value_text
 
 
 def define(source, name="task", file="<notebook cell 1>"):
@@ -191,38 +191,19 @@ def test_equal_objects_have_equal_texts_in_every_process():
 MODULE = "def task(seed):\n    return {{'y': {value}}}\n"
 
 
-def test_a_worker_that_imported_an_earlier_version_imports_it_again(tmp_path, monkeypatch):
-    """The process that sends has the new code; a worker's `sys.modules` has the old."""
-    import importlib
-
+def test_processes_that_imported_an_earlier_version_of_a_task_are_not_used(tmp_path, monkeypatch):
+    """loky keeps processes for the next campaign. Oracle: the task called in this process."""
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
     file = tmp_path / "campaign_task_of_a_test.py"
-
-    def write(value, stamp):
+    for value in (1, 2):
         file.write_text(MODULE.format(value=value))
-        os.utime(file, (stamp, stamp))
-
-    write(1, 1_000_000)
-    module = importlib.import_module("campaign_task_of_a_test")
-    old = module.task
-    write(2, 2_000_000)
-    importlib.reload(module)
-    sent = pickled_task(module.task)
-    module.task = old  # what a worker still has
-    assert unpickled_task(*sent)(None) == {"y": 2}
-    write(3, 3_000_000)  # edited again, not imported by the sender
-    module.task = old
-    unpickled_task.cache_clear()
-    with pytest.raises(
-        CampaignError, match=r"workers find other code for campaign_task_of_a_test.task"
-    ):
-        unpickled_task(*sent)
-    del sys.modules["campaign_task_of_a_test"]
-    file.unlink()
-    importlib.invalidate_caches()
-    unpickled_task.cache_clear()
-    with pytest.raises(CampaignError, match="cannot be loaded in a worker: ModuleNotFoundError"):
-        unpickled_task(*sent)
+        os.utime(file, (value * 1_000_000, value * 1_000_000))
+        importlib.invalidate_caches()
+        sys.modules.pop("campaign_task_of_a_test", None)
+        module = importlib.import_module("campaign_task_of_a_test")
+        table = tl.run_campaign(module.task, [{}, {}], n_jobs=2)
+        assert list(table["y"]) == [module.task(None)["y"]] * 2 == [value] * 2
 
 
 def test_edits_of_other_modules_of_the_tasks_package_are_seen(tmp_path):
@@ -258,13 +239,14 @@ def test_edits_of_other_modules_of_the_tasks_package_are_seen(tmp_path):
 
     before = identity()
     assert {key for key in before if key.startswith("module")} == {
-        f"module labmodels{name}" for name in ("", ".plant", ".deep.gains", ".constants", ".deep")
+        f"module labmodels/{name}.py"
+        for name in ("__init__", "plant", "deep/gains", "constants", "deep/__init__")
     }
     changed = {
         "deep/gains.py": files["deep/gains.py"].replace("2", "3"),
         "other.py": "UNRELATED = 2\n",
     }
-    assert differences(before, identity(**changed)) == ["module labmodels.deep.gains changed"]
+    assert differences(before, identity(**changed)) == ["module labmodels/deep/gains.py changed"]
     commented = {
         "constants.py": files["constants.py"] + "# a comment\n",
         "task.py": files["task.py"] + "\nX = 1\n",
@@ -274,5 +256,5 @@ def test_edits_of_other_modules_of_the_tasks_package_are_seen(tmp_path):
 
 def test_code_is_the_same_wherever_it_stands():
     a, b = define(BASE), define("\n\n\n" + BASE, file="<notebook cell 2>")
-    assert code_digest(a.__code__) == code_digest(b.__code__)
-    assert code_digest(a.__code__) != code_digest(recursive.__code__)
+    assert code_text(a.__code__) == code_text(b.__code__)
+    assert code_text(a.__code__) != code_text(recursive.__code__)

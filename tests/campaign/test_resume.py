@@ -65,7 +65,7 @@ def alive(session):
 def main():
     warnings.simplefilter("ignore")
     # Each driver is a fork of this process, which has imported everything already.
-    import loky, pyarrow.parquet, tqdm
+    import loky, tqdm
     import trustlab.campaign.dispatch, trustlab.campaign.folder
     rng, whole, killed, half_way = random.Random(kills), None, 0, 0
     for campaign in range(kills):
@@ -111,7 +111,7 @@ if __name__ == "__main__":
 
 
 def chunks(folder):
-    return sorted((Path(folder) / "chunks").glob("*.parquet"))
+    return sorted((Path(folder) / "chunks").glob("*.json.gz"))
 
 
 @pytest.mark.skipif(os.name != "posix", reason="forks")
@@ -164,6 +164,15 @@ def test_a_finished_campaign_is_read_and_not_run_again(tmp_path):
     assert second.attrs["resumed"] == 30
     assert second.attrs["executor"] == "none"
     pd.testing.assert_frame_equal(first, second)
+
+
+@pytest.mark.parametrize("longer", [tl.parameter_grid(x=range(45)), [*RUNS, {"x": 7}, {"x": 99}]])
+def test_a_campaign_that_grows_runs_only_what_is_new(tmp_path, longer):
+    go(tmp_path)
+    grown = go(tmp_path, runs=longer)
+    assert grown.attrs["resumed"] == 30
+    pd.testing.assert_frame_equal(grown, tl.run_campaign(plain(), longer, n_jobs=1))
+    assert tl.read_campaign(tmp_path).attrs["runs"] == len(longer)
 
 
 def test_gaps_in_the_middle_are_filled(tmp_path):
@@ -232,14 +241,10 @@ def test_another_task_is_refused_with_what_changed(tmp_path):
     [
         (
             tl.parameter_grid(x=[*range(12), 50, *range(13, 30)]),
-            "parameters changed: runs have other values",
+            r"runs \d+ to \d+ have other values",
         ),
-        (tl.parameter_grid(x=range(29)), "30 runs then, 29 now"),
-        (tl.parameter_grid(x=range(31)), "30 runs then, 31 now"),
-        (
-            tl.parameter_grid(x=[float(i) for i in range(30)]),
-            "parameters changed: runs have other values",
-        ),
+        (tl.parameter_grid(x=range(29)), r"it has runs \d+ to 29, of 29 runs now"),
+        (tl.parameter_grid(x=[float(i) for i in range(30)]), r"runs 0 to \d+ have other values"),
         (tl.parameter_grid(x=range(30), z=[1]), "parameters were x, are x, z"),
     ],
 )
@@ -293,9 +298,9 @@ def test_parameters_of_any_kind_are_told_apart(tmp_path, operators):
     assert list(go(tmp_path, task, [dict(values) for values in runs])["b"]) == [
         m.robot.b for m in table["model"]
     ]
-    with pytest.raises(CampaignError, match="parameters changed: runs have other values"):
+    with pytest.raises(CampaignError, match=r"parameters changed: runs \d to \d have other values"):
         go(tmp_path, task, [runs[0], {"model": operators["2"], "f": plain()}])
-    with pytest.raises(CampaignError, match="parameters changed: runs have other values"):
+    with pytest.raises(CampaignError, match=r"parameters changed: runs \d to \d have other values"):
         go(tmp_path, task, [{"model": model, "f": plain(scale=3)}, runs[1]])
     assert "TscModel" in tl.read_campaign(tmp_path)["model"][0]
 
@@ -306,7 +311,7 @@ def test_damaged_and_foreign_folders_are_refused(tmp_path):
     victim = chunks(folder)[-1]
     data = victim.read_bytes()
     victim.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
-    with pytest.raises(CampaignError, match=rf"{victim.name} is damaged: its content.*delete it"):
+    with pytest.raises(CampaignError, match=rf"{victim.name} is damaged: .*delete it"):
         go(folder)
     victim.unlink()
     go(folder)
@@ -315,10 +320,10 @@ def test_damaged_and_foreign_folders_are_refused(tmp_path):
     with pytest.raises(CampaignError, match="which other chunks hold too"):
         go(folder)
     extra.unlink()
-    (folder / "chunks" / "notes.parquet").write_bytes(b"")
+    (folder / "chunks" / "notes.txt").write_bytes(b"")
     with pytest.raises(CampaignError, match="no chunk of a campaign"):
         go(folder)
-    (folder / "chunks" / "notes.parquet").unlink()
+    (folder / "chunks" / "notes.txt").unlink()
     manifest = (folder / "campaign.json").read_text()
     (folder / "campaign.json").write_text(manifest[: len(manifest) // 2])
     with pytest.raises(CampaignError, match=r"campaign.json cannot be read"):
@@ -326,17 +331,7 @@ def test_damaged_and_foreign_folders_are_refused(tmp_path):
     (folder / "campaign.json").write_text(json.dumps(json.loads(manifest) | {"format": 99}))
     with pytest.raises(CampaignError, match="has format 99"):
         go(folder)
-    forged = [
-        {"runs": "30"},
-        {"names": [1]},
-        {"names": "x"},
-        {"task": []},
-        {"task": {"a": 1}},
-        {"seed": {}},
-        {"versions": {"numpy": 2}},
-    ]
-    texts = [json.dumps(json.loads(manifest) | one) for one in forged]
-    for text in [*texts, "[]", "5", "[" * 100_000, "\ud800"]:
+    for text in ["[]", "5", "[" * 100_000, "\ud800"]:
         (folder / "campaign.json").write_bytes(text.encode("utf-8", "surrogatepass"))
         for use in (go, tl.read_campaign):
             with pytest.raises(CampaignError, match=r"campaign.json cannot be read .*restore it"):
@@ -379,7 +374,7 @@ def test_an_unwritable_folder_is_refused(tmp_path):
 def test_a_full_disk_loses_nothing_that_was_written(tmp_path, monkeypatch):
     import trustlab.campaign.folder as folder
 
-    write, calls = folder.write_whole, []
+    write, calls = folder.write_atomically, []
 
     def full(path, data):
         calls.append(path)
@@ -387,7 +382,7 @@ def test_a_full_disk_loses_nothing_that_was_written(tmp_path, monkeypatch):
             raise OSError(28, "No space left on device")
         write(path, data)
 
-    monkeypatch.setattr(folder, "write_whole", full)
+    monkeypatch.setattr(folder, "write_atomically", full)
     with pytest.raises(
         CampaignError, match=r"No space left on device; finished chunks before it are safe"
     ):
@@ -399,12 +394,12 @@ def test_a_full_disk_loses_nothing_that_was_written(tmp_path, monkeypatch):
 def test_a_disk_that_is_full_from_the_start_is_a_sentence(tmp_path, monkeypatch):
     import trustlab.campaign.folder as folder
 
-    def full(path, data, write=folder.write_whole):
+    def full(path, data, write=folder.write_atomically):
         if path.name == "campaign.json":
             raise OSError(28, "No space left on device")
         write(path, data)
 
-    monkeypatch.setattr(folder, "write_whole", full)
+    monkeypatch.setattr(folder, "write_atomically", full)
     with pytest.raises(
         CampaignError,
         match=r"cannot write in .*: No space left on device; choose a folder that has room",
@@ -412,26 +407,6 @@ def test_a_disk_that_is_full_from_the_start_is_a_sentence(tmp_path, monkeypatch)
         go(tmp_path)
     monkeypatch.undo()
     assert len(go(tmp_path)) == 30
-
-
-def test_folders_are_locked_on_windows(tmp_path, monkeypatch):
-    """A stand-in for Windows' msvcrt, which fails with another error than POSIX does."""
-
-    class Msvcrt:
-        LK_NBLCK, held = 2, set()
-
-        def locking(self, descriptor, mode, length):
-            assert (mode, length) == (2, 1)
-            place = os.fstat(descriptor).st_ino
-            if place in self.held:
-                raise PermissionError(13, "Permission denied")
-            self.held.add(place)
-
-    monkeypatch.setattr(sys, "platform", "win32")
-    monkeypatch.setitem(sys.modules, "msvcrt", Msvcrt())
-    assert len(go(tmp_path)) == 30
-    with pytest.raises(CampaignError, match="another process is running a campaign"):
-        go(tmp_path)  # nothing lets go here; Windows does so when the file is closed
 
 
 def test_two_processes_cannot_share_a_folder(tmp_path):
@@ -493,7 +468,7 @@ def test_memory_does_not_grow_with_the_number_of_runs(tmp_path, monkeypatch):
             seen.append(tracemalloc.get_traced_memory()[1])
             raise InterruptedError
 
-        monkeypatch.setattr("trustlab.campaign.table.assembled", stop)
+        monkeypatch.setattr("trustlab.campaign.folder.Folder.outcomes", stop)
         monkeypatch.setattr("trustlab.campaign.dispatch.MOST_RUNS", 100)
         tracemalloc.start()
         try:

@@ -13,12 +13,6 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 USES = {
     "read a bag": ("ros", "rosbags.highlevel", "tl.read_session('run.bag')"),
     "write a bag": ("ros", "rosbags", "tl.write_session(session, 'new.mcap')"),
-    "run on a cluster": (
-        "cluster",
-        "distributed",
-        "tl.run_campaign(lambda x, seed: {'y': x}, [{'x': 1}], cluster='tcp://127.0.0.1:1', "
-        "seed=0)",
-    ),
     "publish": ("reports", "papermill", "tl.publishing.publish()"),
     "convert a formula": ("reports", "latex2mathml.converter", "tl.publishing.to_mathml('a')"),
 }

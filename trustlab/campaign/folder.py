@@ -6,11 +6,11 @@ campaign that grew finds what it can use, and damage is seen, before anything is
 """
 
 import contextlib
+import fcntl
 import gzip
 import json
 import os
 import re
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -104,7 +104,9 @@ class Folder:
 
     def _check_same(self, manifest: dict, identity: dict, parameters: Sequence[Mapping]) -> None:
         """Raise if the folder holds another campaign, and say what changed."""
-        changes = [f"the task changed: {t}" for t in differences(manifest["task"], identity["task"])]
+        changes = [
+            f"the task changed: {t}" for t in differences(manifest["task"], identity["task"])
+        ]
         if manifest["seed"] != identity["seed"]:
             changes.append(f"seed was {manifest['seed']}, is {identity['seed']}")
         if manifest["names"] != self.names:
@@ -161,9 +163,7 @@ class Folder:
                 file.unlink()
         (self.path / MANIFEST).unlink(missing_ok=True)
 
-    def store(
-        self, first: int, parameters: Sequence[Mapping], outcomes: Sequence[Outcome]
-    ) -> None:
+    def store(self, first: int, parameters: Sequence[Mapping], outcomes: Sequence[Outcome]) -> None:
         """Write a finished chunk, complete or not at all."""
         data = encoded(parameters, outcomes)
         last = first + len(outcomes)
@@ -266,7 +266,9 @@ def refuse(folder: Path, kind: str, names: set[str]) -> None:
     """Raise if there are names of files that a folder must not hold."""
     names = {name for name in names if PARTIAL not in name}
     if names:
-        raise CampaignError(f"{folder} holds {kind}, such as {min(names)}; give a new or empty folder")
+        raise CampaignError(
+            f"{folder} holds {kind}, such as {min(names)}; give a new or empty folder"
+        )
 
 
 @contextlib.contextmanager
@@ -274,15 +276,8 @@ def _locked(folder: Path) -> Iterator[None]:
     """Keep other processes out of a folder; the system lets them in however this process ends."""
     with (folder / LOCK).open("a") as file:
         try:
-            if sys.platform == "win32":
-                import msvcrt
-
-                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-            else:
-                import fcntl
-
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except (BlockingIOError, PermissionError):  # the second on Windows
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
             raise CampaignError(
                 f"another process is running a campaign in {folder}; wait, or use another"
             ) from None

@@ -136,7 +136,7 @@ def sobol_indices(
     resamples : int
         Resamples of the bootstrap.
     **campaign : object
-        n_jobs, out, cluster, executor, progress, fresh and other_versions, as in `run_campaign`.
+        n_jobs, out, executor, progress, fresh and other_versions, as in `run_campaign`.
 
     Returns
     -------

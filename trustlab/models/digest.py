@@ -54,16 +54,20 @@ def _source(path: Path) -> bytes:
 def _imports(path: Path, root: Path) -> list[Path]:
     """Return the files of a package that the import statements of one of its files name."""
     folder = path.relative_to(root).parent.parts
-    modules: list[tuple[str, ...]] = []
+    modules: list[tuple[str, ...] | None] = []
     for origin, bracketed, listed, plain in IMPORT.findall(_source(path).decode()):
         if plain:
             modules += [_place(name.split()[0], (), root.name) for name in plain.split(",")]
             continue
         place = _place(origin, folder, root.name)
         # What is imported from a package may be a module of it.
-        modules += [place, *((*place, name) for name in re.findall(r"\w+", bracketed or listed))]
+        if place is not None:
+            names = re.findall(r"\w+", bracketed or listed)
+            modules += [place, *((*place, name) for name in names)]
     candidates = []
     for place in modules:
+        if place is None:
+            continue
         candidates.append(root.joinpath(*place).with_suffix(".py"))
         # A module's packages are imported before it.
         folders = [root.joinpath(*place[:depth]) for depth in range(len(place) + 1)]
@@ -71,14 +75,14 @@ def _imports(path: Path, root: Path) -> list[Path]:
     return [file for file in candidates if file.is_file()]
 
 
-def _place(module: str, folder: tuple[str, ...], package: str) -> tuple[str, ...]:
-    """Return the path of a module below its package; one of another package has no file there."""
+def _place(module: str, folder: tuple[str, ...], package: str) -> tuple[str, ...] | None:
+    """Return the path of a module below its package; None if it is of another package."""
     name = module.lstrip(".")
     level = len(module) - len(name)
     parts = tuple(name.split(".")) if name else ()
     if level:
         return (*folder[: len(folder) + 1 - level], *parts)
-    return parts[1:] if parts[0] == package else ("..", *parts)
+    return parts[1:] if parts[0] == package else None
 
 
 def forget_sources() -> None:

@@ -231,7 +231,7 @@ class Calibration:
         )
         runs = [{"study": self.study, "n": self.settings["n"]} | row for row in drawn]
         done = run_campaign(
-            simulated_study, runs, seed=seed, progress=False, **where_to_run(n_jobs, None, None)
+            simulated_study, runs, seed=seed, progress=False, **where_to_run(n_jobs, None)
         )
         rows = []
         for effect in self.observed:
@@ -344,7 +344,6 @@ def calibrate(
     accepted: float = 0.15,
     out: str | os.PathLike | None = None,
     n_jobs: int | None = None,
-    cluster: Any = None,
     executor: Any = None,
     progress: bool | None = None,
 ) -> Calibration:
@@ -370,7 +369,7 @@ def calibrate(
     out : path-like, optional
         A folder for the finished simulations; a call with the same arguments goes on where a killed
         one stopped.
-    n_jobs, cluster, executor, progress : int, object, Executor, bool, optional
+    n_jobs, executor, progress : int, Executor, bool, optional
         As for `run_campaign`; no effect on results.
 
     Returns
@@ -414,7 +413,7 @@ def calibrate(
         )
     ids = [effect.id for effect in observed_effects(study)]
     runs = [{"study": study, "n": n} | draw for draw in prior_draws(ranges, simulations, seed)]
-    where = where_to_run(n_jobs, cluster, executor)
+    where = where_to_run(n_jobs, executor)
     done = run_campaign(simulated_study, runs, seed=seed, out=out, progress=progress, **where)
     whole = done[~done["failed"].to_numpy(bool)]
     ids = [

@@ -161,7 +161,7 @@ def _teleoperated(place: str, n: int, seed: int, n_jobs: int | None) -> pd.DataF
     study, schemes, points = TELEOPERATION[place]
     people = TeleoperatorPopulation(study).draw(n, seed).to_dict("records")
     fixed = {"study": study, "schemes": " ".join(schemes), "points": points, "answers": seed}
-    where = where_to_run(n_jobs, None, None)
+    where = where_to_run(n_jobs, None)
     done = run_campaign(
         teleoperate, [fixed | row for row in people], seed=seed, progress=False, **where
     )

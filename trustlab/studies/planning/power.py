@@ -245,7 +245,6 @@ def power_analysis(
     level: float = 0.95,
     seed: int = 0,
     n_jobs: int | None = None,
-    cluster: Any = None,
     executor: Any = None,
 ) -> PowerAnalysis:
     """
@@ -299,7 +298,7 @@ def power_analysis(
     seed : int
         Each cell has draws of its own, by its n and its population and not by its place in the
         grid.
-    n_jobs, cluster, executor : int, object, Executor, optional
+    n_jobs, executor : int, Executor, optional
         Where cells are simulated, as in `run_campaign`; by default in this process. They have no
         effect on results.
 
@@ -324,7 +323,7 @@ def power_analysis(
     """
     alpha, level = open_unit("alpha", alpha), open_unit("level", level)
     replicates = whole_number("replicates", replicates, least=LEAST_REPLICATES, most=10_000_000)
-    seed, where = whole_number("seed", seed, least=0), where_to_run(n_jobs, cluster, executor)
+    seed, where = whole_number("seed", seed, least=0), where_to_run(n_jobs, executor)
     sides = [x if isinstance(x, list) else [] if x is None else [x] for x in (within, between)]
     shares = one_of("family", family, ("normal", "binomial")) != "normal"
     idle: dict[str, Any] = (

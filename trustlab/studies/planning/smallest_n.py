@@ -100,7 +100,6 @@ def smallest_n(
     seed: int = 0,
     most: int = 2000,
     n_jobs: int | None = None,
-    cluster: Any = None,
     executor: Any = None,
 ) -> SmallestN:
     """
@@ -133,7 +132,7 @@ def smallest_n(
         Of the draws.
     most : int
         The largest n to try.
-    n_jobs, cluster, executor : int, object, Executor, optional
+    n_jobs, executor : int, Executor, optional
         Where studies are simulated, as in `run_campaign`; by default in this process. Several n are
         then simulated at the same time; the answer is the same.
 
@@ -175,7 +174,7 @@ def smallest_n(
     which = None if pair is None else int(np.flatnonzero(claims_mask([pair], population))[0])
     key = f"F {test}" if which is None else f"pair {which} {adjust}"
     expected = _closed_form(population, which, wanted, alpha, adjust)
-    where = where_to_run(n_jobs, cluster, executor)
+    where = where_to_run(n_jobs, executor)
 
     def simulated(sizes: list[int]) -> dict[int, int]:
         cells = [(population, n, np.random.SeedSequence(seed, spawn_key=(n,))) for n in sizes]

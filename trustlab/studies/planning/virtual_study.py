@@ -292,7 +292,6 @@ def virtual_study(
     duration: float | None = None,
     rest: float | None = None,
     n_jobs: int | None = None,
-    cluster: Any = None,
     executor: Any = None,
     out: str | os.PathLike | None = None,
     progress: bool | None = None,
@@ -339,7 +338,7 @@ def virtual_study(
         C1 to C5 only: pause between sessions [s], in which utilization decays by (2.5) from its
         value at the end of the session before. When it is left out, every session begins with the
         operator's r0, 0 unless assumed otherwise.
-    n_jobs, cluster, executor : int, object, Executor, optional
+    n_jobs, executor : int, Executor, optional
         Where participants are simulated, as in `run_campaign`; by default in this process. They
         have no effect on results.
     out : path-like, optional
@@ -401,7 +400,7 @@ def virtual_study(
         progress=progress,
         fresh=fresh,
         other_versions=other_versions,
-        **where_to_run(n_jobs, cluster, executor),
+        **where_to_run(n_jobs, executor),
     )
     failed = done["failed"].to_numpy(dtype=bool)
     if failed.all():
