@@ -320,8 +320,8 @@ def test_participants_run_on_any_executor():
     with ThreadPoolExecutor(2) as executor:
         there = tl.virtual_study(**arguments, executor=executor)
     pd.testing.assert_frame_equal(here.measures, there.measures, check_exact=True)
-    with pytest.raises(ValueError, match=r"cluster must be a distributed\.Client"):
-        tl.virtual_study(**arguments, cluster=5)
+    with pytest.raises(ValueError, match=r"executor must be a concurrent\.futures\.Executor"):
+        tl.virtual_study(**arguments, executor=5)
 
 
 # --- failures and folders -------------------------------------------------------------------------
