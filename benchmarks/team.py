@@ -11,7 +11,14 @@ import numpy as np
 
 import trustlab as tl
 from benchmarks.timing import Row, here, in_turns
-from trustlab.teleoperation import GivenSequence, Scattering, TeamOperator, TeamSettings
+from trustlab.teleoperation import (
+    GivenSequence,
+    Scattering,
+    TeamChannel,
+    TeamOperator,
+    TeamSettings,
+    TeamTrial,
+)
 from trustlab.testbeds.team_run import TeamRun
 
 TITLE = "Teleoperated team"
@@ -80,13 +87,9 @@ def one(robots: int, seconds: float) -> TeamRun:
         GivenSequence(every=5.0),
         (1.0, 2.0, 0.5),
         duration=seconds,
-        sample_time=T,
-        start=start,
-        delay=DELAY,
-        settings=TeamSettings(scattering=Scattering(2.0)),
         operator=TeamOperator(reach=1e9, guarded=False),
-        filters="corrected",
-        record_every=0.01 if seconds > SHORT else T,
+        settings=TeamSettings(scattering=Scattering(2.0), channel=TeamChannel(DELAY)),
+        trial=TeamTrial(T, record_every=0.01 if seconds > SHORT else T, start=start),
     )
 
 

@@ -39,6 +39,7 @@ from trustlab.studies.analysis.report import report
 from trustlab.studies.factors.formula_model import FormulaModel
 from trustlab.studies.planning.virtual_study import VirtualStudy
 from trustlab.studies.questionnaires.likert import ScaleScores
+from trustlab.teleoperation import TeamTrial
 from trustlab.testbeds.guidance_comparison import GuidanceComparison
 
 BROWSER = next(
@@ -167,7 +168,7 @@ class Policy:
 
 def team():
     graph = nx.relabel_nodes(nx.complete_graph(3), {i: f"{NAME} {i}" for i in range(3)})
-    return tl.simulate_team(graph, policy=Policy(), duration=6.0, sample_time=0.01)
+    return tl.simulate_team(graph, policy=Policy(), duration=6.0, trial=TeamTrial(0.01))
 
 
 def virtual_study():

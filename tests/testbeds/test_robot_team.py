@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
+from tests.teams import simulate_team
 from trustlab.models.trust import TrustModel
 from trustlab.teleoperation import (
     DivergenceError,
@@ -213,7 +214,7 @@ def test_kernel_against_a_dense_solver(kind, graph, scales):
     filters = {"none": "none", "two-port": corrected_filter(8.0, 1.5), "waves": WaveFilter(8.0)}[
         kind
     ]
-    run = tl.simulate_team(
+    run = simulate_team(
         graph,
         GivenSequence([2, 0, 3], times=[0.0, 2.0, 5.0]),
         goal,
@@ -261,7 +262,7 @@ def test_converges_with_the_order_of_the_midpoint_rule():
     """
     ends = []
     for T in (0.02, 0.01, 0.005, 0.0025):
-        run = tl.simulate_team(
+        run = simulate_team(
             nx.path_graph(4),
             GivenSequence([0]),
             seed=3,
@@ -282,7 +283,7 @@ def test_converges_with_the_order_of_the_midpoint_rule():
 def energies(seed, **change):
     graph, arguments = random_team(seed)
     arguments |= {"duration": 60.0, "sample_time": 0.01, "record_every": 0.01} | change
-    return tl.simulate_team(graph, **arguments)
+    return simulate_team(graph, **arguments)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -342,7 +343,7 @@ def test_theorem_6_in_random_teams(teams):
     """
     for seed in range(teams):
         graph, arguments = random_team(seed)
-        run = tl.simulate_team(graph, **arguments)
+        run = simulate_team(graph, **arguments)
         assert run.operator_passive, seed
         assert run.converged, (seed, run.distances[-1].max())
 
@@ -369,7 +370,7 @@ def test_free_team_meets_at_a_point_of_its_own():
         }
         for filters in ("corrected", "waves"):
             run, other = (
-                tl.simulate_team(graph, goal=goal, filters=filters, **shared)
+                simulate_team(graph, goal=goal, filters=filters, **shared)
                 for goal in ((1, 2, 0.5), (9, -9, 3))
             )
             assert run.synchronised
@@ -394,7 +395,7 @@ def test_without_filter_or_scaling_waves_ring():
         rng = np.random.default_rng(seed)
         own = tuple(Scattering(10 ** rng.uniform(-0.3, 0.6)) for _ in graph)
         bare, filtered = (
-            tl.simulate_team(
+            simulate_team(
                 graph,
                 **(arguments | {"settings": TeamSettings(scattering=own), "filters": filters}),
             )
@@ -414,7 +415,7 @@ def test_v_h_falls_although_the_hand_does_nothing():
     """
     graph, goal = nx.path_graph(3), np.array([1.0, 2.0, 0.5])
     start = np.vstack([goal, goal + 4.0, goal + 4.0])
-    run = tl.simulate_team(
+    run = simulate_team(
         graph,
         GivenSequence([0]),
         goal,
@@ -433,7 +434,7 @@ def test_a_spent_budget_leaves_the_team_where_it_is():
     4.b.
     """
     graph, arguments = random_team(3)
-    run = tl.simulate_team(
+    run = simulate_team(
         graph, operator=TeamOperator(push=40.0, reach=60.0, slow_down=False), **arguments
     )
     assert run.operator_passive
@@ -453,7 +454,7 @@ def test_free_team_under_switching_depends_on_its_start_alone():
         "seed": 5,
     }
     one, two, moved = (
-        tl.simulate_team(graph, goal=goal, start=k * start, **shared)
+        simulate_team(graph, goal=goal, start=k * start, **shared)
         for k, goal in ((1, (1, 2, 3)), (2, (1, 2, 3)), (1, (-8, 0, 0)))
     )
     assert one.synchronised
@@ -470,12 +471,12 @@ class TestGuardsRemoved:
         """
         shared = {"operator": ALONE, "delay": 0.5, "sample_time": 0.01, "duration": 200.0}
         with pytest.raises(DivergenceError, match="passive"):
-            tl.simulate_team(nx.path_graph(4), filters="printed", **shared)
+            simulate_team(nx.path_graph(4), filters="printed", **shared)
         for filters in ("corrected", "waves", "none"):
-            assert tl.simulate_team(nx.path_graph(4), filters=filters, **shared).synchronised
+            assert simulate_team(nx.path_graph(4), filters=filters, **shared).synchronised
 
     def test_printed_filter_raises_v_t(self):
-        run = tl.simulate_team(
+        run = simulate_team(
             nx.path_graph(4),
             filters="printed",
             delay=0.5,
@@ -505,7 +506,7 @@ class TestGuardsRemoved:
             "operator": TeamOperator(guarded=False),
         }
         right, wrong = (
-            tl.simulate_team(nx.path_graph(4), switch_scattering=switched, **shared)
+            simulate_team(nx.path_graph(4), switch_scattering=switched, **shared)
             for switched in (True, False)
         )
         assert right.converged
@@ -516,7 +517,7 @@ class TestGuardsRemoved:
 
     def test_disconnected_team_does_not_meet(self):
         graph = nx.Graph([("a", "b"), ("c", "d")])
-        run = tl.simulate_team(
+        run = simulate_team(
             graph,
             GivenSequence(["a", "b"]),
             sample_time=0.01,
@@ -531,10 +532,10 @@ class TestGuardsRemoved:
         """A hand that pushes hard on old pictures gives energy for ever; its budget stops it."""
         shared = {"delay": 1.0, "sample_time": 0.01, "duration": 200.0}
         eager = {"push": 40.0, "reach": 50.0, "slow_down": False}
-        active = tl.simulate_team(
+        active = simulate_team(
             nx.path_graph(4), operator=TeamOperator(guarded=False, **eager), **shared
         )
-        passive = tl.simulate_team(nx.path_graph(4), operator=TeamOperator(**eager), **shared)
+        passive = simulate_team(nx.path_graph(4), operator=TeamOperator(**eager), **shared)
         assert not active.operator_passive
         assert not active.converged
         assert active.data["v_h"].iloc[-1] < -100.0 * active.budget
@@ -551,7 +552,7 @@ def test_budget_of_eager_operators_is_kept():
     for seed in range(0, 40, 4):
         graph, arguments = random_team(seed)
         arguments |= {"duration": 200.0}
-        run = tl.simulate_team(
+        run = simulate_team(
             graph, operator=TeamOperator(push=40.0, reach=60.0, slow_down=False), **arguments
         )
         assert run.operator_passive, seed
@@ -560,7 +561,7 @@ def test_budget_of_eager_operators_is_kept():
 def test_same_seed_same_run_and_trust_drives_the_leader():
     graph = nx.cycle_graph(5)
     one, two, three = (
-        tl.simulate_team(graph, seed=s, duration=60.0, sample_time=0.01) for s in (4, 4, 5)
+        simulate_team(graph, seed=s, duration=60.0, sample_time=0.01) for s in (4, 4, 5)
     )
     assert one.data.equals(two.data)
     assert not one.data.equals(three.data)
@@ -575,7 +576,7 @@ def test_same_seed_same_run_and_trust_drives_the_leader():
 def test_beta_stays_within_the_leaders_bounds():
     ends = tuple(Scattering(1.0, beta_min=low, beta_max=2.0 * low) for low in (0.1, 1.0, 10.0))
     models = tuple(TrustModel(a, a) for a in (0.05, 0.2, 0.9))
-    run = tl.simulate_team(
+    run = simulate_team(
         nx.path_graph(3),
         "random",
         settings=TeamSettings(scattering=ends, robot_to_human=models),
@@ -587,11 +588,11 @@ def test_beta_stays_within_the_leaders_bounds():
 
 
 def test_goal_time_and_views(tmp_path):
-    run = tl.simulate_team(nx.complete_graph(3), sample_time=0.01, duration=200.0)
+    run = simulate_team(nx.complete_graph(3), sample_time=0.01, duration=200.0)
     assert run.converged
     after = run.t >= run.time_to_goal
     assert run.distances[after].max() < 1e-3 <= run.distances[~after][-1].max()
-    assert np.isnan(tl.simulate_team(nx.complete_graph(3), duration=2.0).time_to_goal)
+    assert np.isnan(simulate_team(nx.complete_graph(3), duration=2.0).time_to_goal)
     assert list(run.plot()[3].get_legend_handles_labels()[1])[-1].startswith("$V_T")
     page = run.animate()
     assert run.animate(tmp_path / "team.html") == tmp_path / "team.html"
@@ -619,7 +620,7 @@ def test_goal_time_and_views(tmp_path):
 
 
 def test_a_run_is_a_session(tmp_path):
-    run = tl.simulate_team(nx.path_graph(3), duration=5.0)
+    run = simulate_team(nx.path_graph(3), duration=5.0)
     session = run.session()
     assert session.metadata.synthetic
     tl.write_session(session, tmp_path / "team.csv")
@@ -631,8 +632,8 @@ def test_a_run_is_a_session(tmp_path):
 
 def test_matrix_and_named_graphs():
     graph = nx.path_graph(3)
-    one = tl.simulate_team(nx.to_numpy_array(graph), duration=5.0)
-    two = tl.simulate_team(nx.relabel_nodes(graph, {0: "a", 1: "b", 2: "c"}), duration=5.0)
+    one = simulate_team(nx.to_numpy_array(graph), duration=5.0)
+    two = simulate_team(nx.relabel_nodes(graph, {0: "a", 1: "b", 2: "c"}), duration=5.0)
     assert one.data.equals(two.data)
     assert two.robots == ("a", "b", "c")
     assert algebraic_connectivity(graph) == pytest.approx(1.0)
@@ -660,7 +661,7 @@ class TestBadInput:
     )
     def test_graph(self, graph, words):
         with pytest.raises(GraphError, match=words):
-            tl.simulate_team(graph)
+            simulate_team(graph)
 
     @pytest.mark.parametrize(
         ("change", "words"),
@@ -712,7 +713,7 @@ class TestBadInput:
     )
     def test_arguments(self, change, words):
         with pytest.raises(ValueError, match=words):
-            tl.simulate_team(nx.path_graph(3), **({"duration": 10.0} | change))
+            simulate_team(nx.path_graph(3), **({"duration": 10.0} | change))
 
     def test_settings(self):
         for change, words in (
@@ -761,9 +762,9 @@ class TestBadInput:
             (lambda count: np.arange(count) % 2, "less than min_dwell"),
         ):
             with pytest.raises(ValueError, match=words):
-                tl.simulate_team(nx.path_graph(3), Own(make), duration=10.0)
+                simulate_team(nx.path_graph(3), Own(make), duration=10.0)
         assert (
-            tl.simulate_team(
+            simulate_team(
                 nx.path_graph(3), Own(lambda count: np.ones(count, int)), duration=5.0
             ).facts["policy"]
             == "own"
@@ -772,6 +773,6 @@ class TestBadInput:
 
 def test_printed_filter_is_named_for_what_it_is():
     assert isinstance(printed_filter(1.0), TwoPortFilter)
-    run = tl.simulate_team(nx.path_graph(2), filters=printed_filter(3.0), duration=5.0)
+    run = simulate_team(nx.path_graph(2), filters=printed_filter(3.0), duration=5.0)
     assert run.facts["filter"] == "two-port that is not passive, 3 rad/s"
     assert run.facts["k12"] == run.facts["k21"] == 0.0

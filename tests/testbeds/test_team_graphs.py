@@ -7,11 +7,13 @@ import networkx as nx
 import numpy as np
 import pytest
 
-import trustlab as tl
+from tests.teams import simulate_team
 from trustlab.teleoperation import (
+    Delay,
     GivenSequence,
     GraphError,
     MostTrusted,
+    PartError,
     TeamOperator,
     TeamSettings,
     algebraic_connectivity,
@@ -38,9 +40,10 @@ def changing_team(seed):
             graph[one][other]["weight"] = rng.uniform(0.3, 3.0)
         return graph
 
-    return some(list("abcdef")), {
+    graphs = {0.0: some(list("abcdef"))}
+    graphs |= {rng.uniform(5, 30): some(list("abcdef")), 40.0: some(list("abdfg"))}
+    return graphs, {
         "policy": ("random", "most_trusted", "hysteresis")[seed % 3],
-        "changes": {rng.uniform(5, 30): some(list("abcdef")), 40.0: some(list("abdfg"))},
         "goal": rng.uniform(-5.0, 5.0, 3),
         "seed": seed,
         "sample_time": 0.02,
@@ -60,7 +63,7 @@ def test_energy_balances_through_changes(seed):
     without it never rises.
     """
     graph, arguments = changing_team(seed)
-    data = tl.simulate_team(graph, **arguments, duration=60.0, record_every=0.02).data
+    data = simulate_team(graph, **arguments, duration=60.0, record_every=0.02).data
     team = data["v_fs"] - data["supply_team"] + data["lost_team"] - data["supply_links"]
     error = data["v_e"] - data["supply_error"] + data["lost_error"]
     assert np.ptp(team) <= 1e-11 * max(data["v_fs"].max(), data["lost_team"].max())
@@ -77,7 +80,7 @@ def test_energy_balances_through_changes(seed):
 @pytest.mark.parametrize("seed", range(9))
 def test_robots_that_come_and_go_arrive(seed):
     graph, arguments = changing_team(seed)
-    run = tl.simulate_team(graph, **arguments, duration=600.0, record_every=0.1)
+    run = simulate_team(graph, **arguments, duration=600.0, record_every=0.1)
     assert run.robots == tuple("abcdefg")
     assert run.converged, run.farthest[-1]
     here = np.isfinite(run.positions[:, :, 0])
@@ -98,12 +101,11 @@ def test_links_of_no_weight_leave_the_team_to_itself():
     ring = nx.cycle_graph(5)
     cut = ring.copy()
     cut.remove_edges_from([(0, 1), (4, 0)])
-    run = tl.simulate_team(
-        ring,
+    run = simulate_team(
+        {0.0: ring, 10.0: cut},
         GivenSequence([2], times=[0.0]),
         duration=300.0,
         seed=3,
-        changes={10.0: cut},
         require_connected=False,
     )
     stays = np.ptp(run.positions[run.t >= 10.0], axis=0).max(axis=1)
@@ -116,7 +118,7 @@ class TestDirected:
     CHAIN = nx.DiGraph([(1, 0), (2, 1), (3, 2), (3, 0)])  # robot 0 sees nobody and is seen by all
 
     def test_a_spanning_tree_is_enough(self):
-        run = tl.simulate_team(
+        run = simulate_team(
             self.CHAIN, GivenSequence([0], times=[0.0]), duration=300.0, sample_time=0.01, seed=1
         )
         assert run.converged
@@ -131,7 +133,7 @@ class TestDirected:
             ValueError,
             match=r"at t = 0 s the policy picks robot 2, which not all others see.*who can: \[0\]",
         ):
-            tl.simulate_team(self.CHAIN, GivenSequence([2], times=[0.0]), duration=20.0)
+            simulate_team(self.CHAIN, GivenSequence([2], times=[0.0]), duration=20.0)
 
     def test_a_graph_in_both_directions_is_the_undirected_one(self):
         """
@@ -142,7 +144,7 @@ class TestDirected:
         almost = ring.copy()
         almost[0, 2] = 1e-13
         one, other = (
-            tl.simulate_team(graph, "sequence", duration=30.0, seed=2) for graph in (ring, almost)
+            simulate_team(graph, "sequence", duration=30.0, seed=2) for graph in (ring, almost)
         )
         np.testing.assert_allclose(one.positions, other.positions, rtol=0.0, atol=1e-9)
 
@@ -201,13 +203,13 @@ class TestLivePolicies:
         graph, arguments = changing_team(1)
         arguments |= {"duration": 50.0, "record_every": 0.02}
         policy = Patient()
-        live = tl.simulate_team(graph, **(arguments | {"policy": policy}))
-        known = tl.simulate_team(graph, **(arguments | {"policy": MostTrusted()}))
+        live = simulate_team(graph, **(arguments | {"policy": policy}))
+        known = simulate_team(graph, **(arguments | {"policy": MostTrusted()}))
         assert live.data.equals(known.data)
         np.testing.assert_array_equal(live.positions, known.positions)
         assert [count for _, count, _ in policy.seen] == list(range(1, 501))
         np.testing.assert_allclose([t for t, _, _ in policy.seen], 0.1 * np.arange(500), atol=1e-9)
-        tl.simulate_team(graph, **(arguments | {"policy": policy, "duration": 5.0}))
+        simulate_team(graph, **(arguments | {"policy": policy, "duration": 5.0}))
         assert policy.seen[500][1] == 1
 
     @pytest.mark.parametrize(
@@ -228,7 +230,18 @@ class TestLivePolicies:
         policy.leader = answer
         smaller = nx.path_graph(2)
         with pytest.raises(ValueError, match=words):
-            tl.simulate_team(nx.path_graph(3), policy, duration=10.0, changes={3.0: smaller})
+            simulate_team({0.0: nx.path_graph(3), 3.0: smaller}, policy, duration=10.0)
+
+    def test_a_policy_that_raises_is_named(self):
+        policy = Patient()
+        policy.leader = lambda now: {}["leader"] if now.t > 1.95 else 0
+        with pytest.raises(PartError, match=r"'patient' raised KeyError: 'leader', at t = 2 s"):
+            simulate_team(nx.path_graph(3), policy, duration=10.0)
+
+    def test_a_delay_that_raises_is_named(self):
+        delay = Delay(lambda t: 1 / 0, 0.5, "my delay")
+        with pytest.raises(ValueError, match="my delay raised ZeroDivisionError: division by zero"):
+            simulate_team(nx.path_graph(3), delay=delay, duration=10.0)
 
 
 class TestLargeTeams:
@@ -236,16 +249,16 @@ class TestLargeTeams:
     def test_a_thousand_robots_in_200_s(self, graph):
         scaled, still = scaled_settings(graph), TeamSettings()
         arguments = {"duration": 200.0, "sample_time": 0.02, "record_every": 2.0, "seed": 0}
-        assert tl.simulate_team(graph, settings=scaled, **arguments).farthest[-1] < 1e-3
+        assert simulate_team(graph, settings=scaled, **arguments).farthest[-1] < 1e-3
         assert (
-            tl.simulate_team(graph, settings=still, **arguments).farthest[-1] > 1.0
+            simulate_team(graph, settings=still, **arguments).farthest[-1] > 1.0
         )  # the gains as printed
 
     @pytest.mark.parametrize(
         "graph", [nx.cycle_graph(100), nx.path_graph(4), nx.complete_graph(20), nx.star_graph(30)]
     )
     def test_scaled_gains_keep_the_guarantees(self, graph):
-        run = tl.simulate_team(
+        run = simulate_team(
             graph,
             "random",
             settings=scaled_settings(graph),
@@ -269,30 +282,46 @@ class TestBadChanges:
     RING = nx.cycle_graph(4)
 
     @pytest.mark.parametrize(
-        ("changes", "words"),
+        ("graph", "words"),
         [
             ([(3.0, RING)], "dict from time"),
-            ({0.0: RING}, "after 0"),
-            ({"soon": RING}, "a time in changes"),
+            ({}, "must be 0"),
+            ({3.0: RING}, "must be 0 and others after 0"),
+            ({0.0: RING, -1.0: RING}, "must be 0 and others after 0"),
+            ({0.0: RING, "soon": RING}, "a time of the graph"),
             (
-                {3.0: nx.Graph([(0, 1), (2, 3)])},
+                {0.0: RING, 3.0: nx.Graph([(0, 1), (2, 3)])},
                 r"from t = 3 s on: the graph is not connected.*\{0, 1\}; \{2, 3\}",
             ),
-            ({3.0: np.zeros((2, 3))}, "from t = 3 s on: graph must be"),
+            ({0.0: RING, 3.0: np.zeros((2, 3))}, "from t = 3 s on: graph must be"),
         ],
     )
-    def test_changes(self, changes, words):
+    def test_changes(self, graph, words):
         with pytest.raises(ValueError, match=words):
-            tl.simulate_team(self.RING, duration=10.0, changes=changes)
+            simulate_team(graph, duration=10.0)
+
+    def test_a_change_is_dated_by_the_decision_from_which_it_holds(self):
+        """Oracle: the first sample that the other graph moved, by the links that a robot lost."""
+        ring, alone = nx.cycle_graph(4), nx.Graph([(0, 1), (1, 2)])
+        alone.add_node(3)
+        run = simulate_team(
+            {0.0: ring, 7.05: alone, 50.0: ring},
+            GivenSequence([0], times=[0.0]),
+            duration=10.0,
+            sample_time=0.01,
+            require_connected=False,
+        )
+        assert [since for since, _ in run.changes] == [7.1]
+        still = np.abs(np.diff(run.positions[:, 3], axis=0)).max(axis=1) < 1e-12
+        np.testing.assert_array_equal(still, run.t[1:] > 7.105)
 
     def test_who_left_does_not_lead(self):
         with pytest.raises(
             ValueError, match="at t = 10 s the policy picks robot 3, which is not in the team then"
         ):
-            tl.simulate_team(
-                self.RING,
+            simulate_team(
+                {0.0: self.RING, 10.0: nx.cycle_graph(3)},
                 GivenSequence([3], times=[0.0]),
                 duration=20.0,
-                changes={10.0: nx.cycle_graph(3)},
                 operator=TeamOperator(),
             )

@@ -45,7 +45,12 @@ from .team.leader_policies import (
     MostTrusted as MostTrusted,
     RandomLeaders as RandomLeaders,
 )
-from .team.settings import TeamOperator as TeamOperator, TeamSettings as TeamSettings
+from .team.settings import (
+    TeamChannel as TeamChannel,
+    TeamOperator as TeamOperator,
+    TeamSettings as TeamSettings,
+    TeamTrial as TeamTrial,
+)
 from .transparency import (
     Tuning as Tuning,
     dominance as dominance,

@@ -265,7 +265,7 @@ def channel_run(
     >>> import trustlab as tl
     >>> scattering = tl.Scattering(b=2.0, alpha_min=0.2, alpha_max=1.0, beta_min=0.05, beta_max=0.5)
     >>> velocity, force = np.random.default_rng(0).normal(size=(2, 500, 3))
-    >>> run = tl.channel_run(velocity, force, scattering, sample_time=0.01, delay_1=0.1, delay_2=0.1)
+    >>> run = tl.channel_run(velocity, force, scattering, 0.01, delay_1=0.1, delay_2=0.1)
     >>> bool(run.energy.min() > -1e-9)
     True
     """

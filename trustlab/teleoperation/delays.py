@@ -56,7 +56,12 @@ class Delay:
             grows faster than `max_rate`; the time is named.
         """
         t = sample_time * np.arange(count)
-        values = np.asarray(self.function(t), dtype=float)
+        try:
+            values = np.asarray(self.function(t), dtype=float)
+        except ValueError:
+            raise
+        except Exception as error:
+            raise ValueError(f"{self.title} raised {type(error).__name__}: {error}") from error
         if values.shape != t.shape:
             raise ValueError(
                 f"{self.title}: {count} delays were asked for, got shape {values.shape}"

@@ -3,7 +3,6 @@ A team of robots led to a goal by one operator through whichever of them leads: 
 simulated task.
 """
 
-from collections.abc import Mapping
 from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
@@ -11,26 +10,11 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import (
-    between,
-    finite_array,
-    finite_number,
-    flag,
-    of_class,
-    one_of,
-    positive,
-    spawned,
-)
+from trustlab.models.checks import between, finite_array, of_class, spawned
 from trustlab.models.trust import trust_run
-from trustlab.teleoperation.delays import Delay, delays_in_samples
-from trustlab.teleoperation.filters import (
-    TwoPortFilter,
-    WaveFilter,
-    corrected_filter,
-    passivity_margin,
-    printed_filter,
-)
-from trustlab.teleoperation.loop.settings import DivergenceError
+from trustlab.teleoperation.delays import delays_in_samples
+from trustlab.teleoperation.filters import WaveFilter, passivity_margin
+from trustlab.teleoperation.loop.settings import DivergenceError, PartError
 from trustlab.teleoperation.ports.ledger import READ_OUTS, accounts
 from trustlab.teleoperation.records import filled, log_of, robot_numbers, signal
 from trustlab.teleoperation.team import kernel
@@ -42,12 +26,15 @@ from trustlab.teleoperation.team.leader_policies import (
     is_live,
     policy_named,
 )
-from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings
+from trustlab.teleoperation.team.settings import (
+    TeamChannel,
+    TeamOperator,
+    TeamSettings,
+    TeamTrial,
+)
 from trustlab.testbeds.team_run import TeamRun
 
 NOTE = "simulated team and operator"
-FILTERS = ("none", "corrected", "waves", "printed")
-CUTOFF = 10.0
 DECISION = 0.1
 # Numbers that a run may record.
 LARGEST = 200_000_000
@@ -59,23 +46,9 @@ def simulate_team(
     goal=(1.0, 2.0, 0.5),
     seed: int | np.random.SeedSequence = 0,
     duration: float = 300.0,
-    sample_time: float = 1e-3,
-    settings: TeamSettings | None = None,
     operator: TeamOperator | None = None,
-    delay: float | Delay = 0.2,
-    delay_back: float | Delay | None = None,
-    vision_delay: float | None = None,
-    min_dwell: float | None = None,
-    filters: str | TwoPortFilter | WaveFilter = "corrected",
-    start: np.ndarray | None = None,
-    inner: np.ndarray | None = None,
-    read_out: str = "ledger",
-    tolerance: float = 1e-3,
-    record_every: float | None = None,
-    push: np.ndarray | None = None,
-    switch_scattering: bool = True,
-    require_connected: bool = True,
-    changes: Mapping | None = None,
+    settings: TeamSettings | None = None,
+    trial: TeamTrial | None = None,
 ) -> TeamRun:
     """
     Simulate robots on a graph, (4.19)-(4.24), whose leader an operator steers to a goal.
@@ -89,12 +62,15 @@ def simulate_team(
 
     Parameters
     ----------
-    graph : networkx.Graph, networkx.DiGraph or array_like, shape (N, N)
+    graph : networkx.Graph, networkx.DiGraph, array_like, shape (N, N), or dict
         Who sees whom, edges from who sees to who is seen, `weight` a_ij: connected, or with a
         spanning tree if directed; without self-loops. The leader must be seen by all others,
-        directly or through others.
+        directly or through others. A graph that changes is a dict from time [s] to graph, with one
+        at 0; each holds from the next decision on. Links are lost or appear, robots leave (in no
+        edge and not among the nodes any more) or join (nodes that were not there before). Use
+        networkx graphs for that, whose robots have names.
     policy : {"most_trusted", "hysteresis", "sequence", "random"}, LivePolicy or LeaderPolicy
-        Who leads; decided every 0.1 s, or every sample where samples are longer. One of your own is
+        Who leads; decided every 0.1 s, or every sample where samples are longer. Your own policy is
         any object with a `title` and either a method `leader(now)`, called at every decision while
         the run goes on with a `Decision` (time, trust, positions, who is present, a memory of its
         own), which returns the number of the leader; or a method `leaders(trust, robots, step,
@@ -108,45 +84,12 @@ def simulate_team(
         Streams for the start, the robots' performance and the policy are spawned from it.
     duration : float
         Length [s]; large teams move slowly, for one robot is driven and all are moved.
-    sample_time : float
-        Step of the midpoint rule [s].
-    settings : TeamSettings, optional
-        Device, channel and trust.
     operator : TeamOperator, optional
         Who holds the device; TeamOperator(push=0, drag=0) leaves the team alone (Remark 13).
-    delay, delay_back : float or Delay
-        Delay to the robots and back [s], at least one sample; the same both ways when `delay_back`
-        is not given.
-    vision_delay : float, optional
-        How old the operator's picture is [s]; the greatest delay when not given.
-    min_dwell : float, optional
-        τ_min [s], greater than the delay; 5 T, at least 5 s, when not given.
-    filters : {"corrected", "waves", "printed", "none"}, TwoPortFilter or WaveFilter
-        F1 and F2 of Fig. 4.1. By name with a cutoff of 10 rad/s, and the mean b for the corrected
-        gains.
-    start : array_like, shape (N, 3), optional
-        Where robots begin [m]; drawn within 5 m of the origin when not given.
-    inner : array_like, shape (N, 3), optional
-        ζ at the start; zero when not given.
-    read_out : {"ledger", "interpolated", "hold"}
-        How delayed waves are read, see `channel_run`.
-    tolerance : float
-        Distance to the goal that counts as arrived [m].
-    record_every : float, optional
-        Time between recorded rows [s], a multiple of `sample_time`; 0.01 s or one sample, the
-        longer, when not given.
-    push : array_like, shape (K, 3), optional
-        Force [N] added to the hand's in every sample; V_h counts it, the operator's budget does not
-        foresee it.
-    switch_scattering : bool
-        Whether the operator's end of the channel is switched with the leader, (4.7); False to see
-        what that is for.
-    require_connected : bool
-        Refuse a graph in several parts, or without a spanning tree.
-    changes : dict, optional
-        Time [s] → the graph from the next decision on: links that are lost or appear, robots that
-        leave (in no edge and not among the nodes any more) or join (nodes that were not there
-        before). Use networkx graphs for that, whose robots have names.
+    settings : TeamSettings, optional
+        Device, scattering, trust and gains, the channel with its delays and filters, and τ_min.
+    trial : TeamTrial, optional
+        Time steps, start, a force added to the hand's, and what is recorded.
 
     Returns
     -------
@@ -158,6 +101,8 @@ def simulate_team(
     ------
     ValueError
         If an argument is not understood, before anything runs.
+    PartError
+        If a policy of your own raises an error: policy and time are named.
     DivergenceError
         If the run grows without bound; time and block are named.
 
@@ -165,51 +110,61 @@ def simulate_team(
     --------
     >>> import networkx as nx
     >>> import trustlab as tl
-    >>> run = tl.simulate_team(nx.cycle_graph(4), policy="most_trusted", goal=(1.0, 2.0, 0.5), seed=0)
+    >>> ring = nx.cycle_graph(4)
+    >>> run = tl.simulate_team(ring, policy="most_trusted", goal=(1.0, 2.0, 0.5), seed=0)
     >>> run.converged, round(run.time_to_goal)
     (True, 71)
     """
-    names, graphs = graphs_in_time(graph, changes, flag("require_connected", require_connected))
     policy = policy_named(policy)
-    settings = TeamSettings() if settings is None else of_class("settings", settings, TeamSettings)
     operator = TeamOperator() if operator is None else of_class("operator", operator, TeamOperator)
-    one_of("read_out", read_out, READ_OUTS)
-    goal, tolerance = finite_array("goal", goal, length=3), positive("tolerance", tolerance)
-    count, every, T = _samples(duration, sample_time, record_every, len(names))
+    settings = TeamSettings() if settings is None else of_class("settings", settings, TeamSettings)
+    trial = TeamTrial() if trial is None else of_class("trial", trial, TeamTrial)
+    names, graphs = graphs_in_time(graph, trial.require_connected)
+    goal = finite_array("goal", goal, length=3)
+    count = _samples(duration, trial, len(names))
     ends = settings.per_robot("scattering", len(names))
+    channel, T = settings.channel, trial.sample_time
     rate = max(end.max_delay_rate for end in ends)
-    both = {"delay": delay, "delay_back": delay if delay_back is None else delay_back}
-    delays = delays_in_samples(both, rate, read_out, count, T)
-    greatest = float(delays.max() * T)
-    vision, dwell = _vision(vision_delay, greatest, T), _dwell(min_dwell, greatest)
+    delays = delays_in_samples(channel.delays, rate, channel.read_out, count, T)
+    times = _times(settings, float(delays.max() * T), T)
     streams = [np.random.default_rng(child) for child in spawned(seed, 3)]
-    q0, zeta0, pushed = _given(start, inner, push, len(names), count, streams[0])
+    start, inner, pushed = _start(trial, len(names), count, streams[0])
+    distance = start - goal
     plan = _plan(graphs, settings, len(names), duration, count, T, streams[1])
-    budget = operator.budget * (1.0 + 0.5 * float(np.sum((q0 - goal) ** 2) + np.sum(zeta0**2)))
-    title, filtering = _filters(filters, float(np.mean([end.b for end in ends])))
-    numbers = _numbers(
-        settings, operator, filtering, T, rate, read_out, vision, budget, q0 - goal, tolerance
+    budget = operator.budget * (1.0 + 0.5 * float(np.sum(distance**2) + np.sum(inner**2)))
+    title, filtering = _filters(channel, float(np.mean([end.b for end in ends])))
+    numbers = filled(
+        kernel.NUMBERS,
+        **_numbers(settings, operator),
+        **filtering,
+        sample_time=T,
+        gain=float(np.sqrt(1.0 - rate)),
+        push=operator.stiffness(times["vision_delay"]),
+        budget=budget,
+        reserve=operator.reserve * budget,
+        vision=round(times["vision_delay"] / T),
+        error_range=max(float(np.linalg.norm(distance, axis=1).max()), trial.tolerance),
     )
-    memory = _memory(delays, pushed, q0 - goal, zeta0)
-    leading = Leading(policy, graphs, names, plan, dwell, streams[2])
-    live = leading if is_live(policy) else None
-    if live is None:
-        memory.samples["lead"] = leading.ahead()[plan.decision]
-    switched = flag("switch_scattering", switch_scattering)
-    robots = _robots(settings, ends, T)
-    table, log, modes = _fly(
-        numbers, robots, memory, graphs, plan, settings, live, switched, goal, every
-    )
-    rows = len(modes)
-    log["leader"] += goal
-    t = np.round(T * every * np.arange(rows), 9)
-    facts = _facts(policy, title, numbers, seed, read_out, greatest, vision, dwell)
-    data = pd.DataFrame(table, index=pd.Index(t, name="t"), columns=list(kernel.COLUMNS))
-    positions = modes.transpose(0, 2, 1) + goal
+    leading = Leading(policy, graphs, names, plan, times["min_dwell"], streams[2])
+    team = Team(numbers, _robots(settings, ends, T), graphs, plan, settings, goal, leading)
+    data, coordinates = team.run(_memory(delays, pushed, distance, inner), trial.samples_per_row)
+    t = data.index.to_numpy()
     trust = plan.trust[_intervals(t, plan.step, len(plan.trust))]
-    later = tuple((graph.since, graph.adjacency) for graph in graphs[1:])
+    facts = {"policy": policy.title, "filter": title}
+    facts |= {name: numbers[name].item() for name in ("k12", "k21")}
+    facts |= {"seed": str(seed), "read_out": channel.read_out} | times
+    facts |= {name: numbers[name].item() for name in ("sample_time", "push")} | {"note": NOTE}
     return TeamRun(
-        names, graphs[0].adjacency, goal, data, positions, trust, budget, tolerance, facts, later
+        names,
+        graphs[0].adjacency,
+        goal,
+        data,
+        coordinates.transpose(0, 2, 1) + goal,
+        trust,
+        budget,
+        trial.tolerance,
+        facts,
+        tuple((round(T * first, 9), graphs[number].adjacency) for first, number in plan.changes),
     )
 
 
@@ -221,55 +176,20 @@ class Plan(NamedTuple):
     graph: np.ndarray  # number of the graph at each decision, shape (M,)
     trust: np.ndarray  # human-to-robot, (4.1), at each decision, shape (M, N)
 
+    @property
+    def changes(self) -> list[tuple[int, int]]:
+        """From which sample on another graph holds, and its number."""
+        numbers = self.graph[self.decision]
+        return [(k, numbers[k]) for k in np.flatnonzero(np.diff(numbers)) + 1]
 
-def _fly(
-    numbers,
-    robots,
-    memory,
-    graphs: list[TeamGraph],
-    plan: Plan,
-    settings,
-    live,
-    switched: bool,
-    goal,
-    every: int,
-):
-    """
-    Run the kernel from change to change of the graph, with a live policy from decision to decision;
-    return what is logged.
-    """
-    T = numbers["sample_time"].item()
-    count = len(plan.decision)
-    size = len(robots)
-    rows = -(-count // every)
-    table, log = log_of(kernel.LOG, rows)
-    modes, states = np.empty((rows, 3, size)), np.zeros(1, kernel.STATE)
-    row = states.view(float)[: table.shape[1]]
-    team = None
-    now = None
-    leads = memory.samples["lead"]
-    for first, last in _spans(plan, live is not None):
-        graph = graphs[plan.graph[plan.decision[first]]]
-        if graph is not now:
-            formation, now = formation_on(graph, settings.coupling, 0.5 * T), graph
-            team = _regroup(team, formation, settings, memory, states[0])
-        if live is not None:
-            where = partial(_positions, team, memory, goal)
-            leads[first:last] = live.choose(plan.decision[first], first * T, where)
-        memory.samples["head"][first:last] = leads[first:last] if switched else leads[0]
-        done, block = kernel.run_team(
-            numbers, team, robots, memory, first, last, every, states, row, table, modes
-        )
-        if block >= 0:
-            raise DivergenceError(
-                f"the team diverged at t = {(done - 1) * T:g} s in the {kernel.BLOCKS[block]}; "
-                "push less, switch the scattering with the leader, or use a filter that is "
-                "passive"
-            )
-        recorded = slice(-(-first // every), -(-last // every))
-        modes[recorded] = modes[recorded] @ team.vectors.T
-        modes[recorded, :, ~graph.present] = np.nan  # a robot that is not in the team is nowhere
-    return table, log, modes
+    def spans(self, live: bool) -> list[tuple[int, int]]:
+        """
+        Return from which sample to which the kernel runs at a stretch: to the next change of the
+        graph, or the next decision of a live policy.
+        """
+        until = self.decision if live else self.graph[self.decision]
+        stops = np.flatnonzero(np.diff(until)) + 1
+        return list(pairwise([0, *stops.tolist(), len(self.decision)]))
 
 
 def _plan(graphs: list[TeamGraph], settings, robots: int, duration, count, T, rng) -> Plan:
@@ -282,14 +202,87 @@ def _plan(graphs: list[TeamGraph], settings, robots: int, duration, count, T, rn
     return Plan(step, _intervals(np.arange(count) * T, step, most), graph, trust)
 
 
-def _spans(plan: Plan, live: bool) -> list[tuple[int, int]]:
-    """
-    Return from which sample to which the kernel runs at a stretch: to the next change of the graph,
-    or the next decision.
-    """
-    until = plan.decision if live else plan.graph[plan.decision]
-    stops = np.flatnonzero(np.diff(until)) + 1
-    return list(pairwise([0, *stops.tolist(), len(plan.decision)]))
+class Team(NamedTuple):
+    """A team as the kernel runs it from change to change of its graph."""
+
+    numbers: np.void
+    robots: np.ndarray
+    graphs: list[TeamGraph]
+    plan: Plan
+    settings: TeamSettings
+    goal: np.ndarray
+    leading: "Leading"
+
+    def run(self, memory: kernel.Memory, every: int) -> tuple[pd.DataFrame, np.ndarray]:
+        """
+        Return what is logged, a row every `every` samples, and where the robots are from the goal.
+        """
+        T, plan = self.numbers["sample_time"].item(), self.plan
+        rows = -(-len(plan.decision) // every)
+        table, log = log_of(kernel.LOG, rows)
+        distances, states = np.empty((rows, 3, len(self.robots))), np.zeros(1, kernel.STATE)
+        row = states.view(float)[: table.shape[1]]
+        formation = graph = None
+        leads, heads = memory.samples["lead"], memory.samples["head"]
+        live = is_live(self.leading.policy)
+        if not live:
+            leads[:] = self.leading.ahead()[plan.decision]
+        for first, last in plan.spans(live):
+            decision = plan.decision[first]
+            if self.graphs[plan.graph[decision]] is not graph:
+                graph = self.graphs[plan.graph[decision]]
+                formation = self._regroup(formation, graph, memory, states[0])
+            if live:
+                where = partial(_positions, formation, memory, self.goal)
+                leads[first:last] = self.leading.choose(decision, first * T, where)
+            switched = self.settings.channel.switch_scattering
+            heads[first:last] = leads[first:last] if switched else leads[0]
+            done, block = kernel.run_team(
+                self.numbers,
+                formation,
+                self.robots,
+                memory,
+                first,
+                last,
+                every,
+                states,
+                row,
+                table,
+                distances,
+            )
+            if block >= 0:
+                raise DivergenceError(
+                    f"the team diverged at t = {(done - 1) * T:g} s in the "
+                    f"{kernel.BLOCKS[block]}; push less, switch the scattering with the leader, "
+                    "or use a filter that is passive"
+                )
+            recorded = slice(-(-first // every), -(-last // every))
+            # one product of matrices, not one per row: NumPy takes forty times as long for these
+            flat = distances[recorded].reshape(-1, len(self.robots))
+            flat[:] = flat @ formation.vectors.T
+            distances[recorded, :, ~graph.present] = np.nan  # not in the team, nowhere
+        log["leader"] += self.goal
+        t = pd.Index(np.round(T * every * np.arange(rows), 9), name="t")
+        return pd.DataFrame(table, index=t, columns=list(kernel.COLUMNS)), distances
+
+    def _regroup(
+        self, before: kernel.Formation | None, graph: TeamGraph, memory, state
+    ) -> kernel.Formation:
+        """
+        Carry the robots over to the next graph's basis; what V_fs gains or loses by the links is
+        booked as their supply.
+        """
+        h = 0.5 * self.numbers["sample_time"].item()
+        after = formation_on(graph, self.settings.coupling, h)
+        if before is not None:
+            stored, _ = kernel.storages(before, memory.w, memory.z)
+        for coordinates in (memory.w, memory.z):
+            places = coordinates if before is None else coordinates @ before.vectors.T
+            coordinates[:] = places @ after.vectors
+        if before is not None:
+            gained = kernel.storages(after, memory.w, memory.z)[0] - stored
+            state["supply_links"] += self.settings.force_gain / self.settings.lead_gain * gained
+        return after
 
 
 def _memory(delays, pushed, distance, zeta) -> kernel.Memory:
@@ -299,9 +292,16 @@ def _memory(delays, pushed, distance, zeta) -> kernel.Memory:
     """
     samples, arrives = np.zeros(len(pushed), kernel.SAMPLE), np.ones((2, len(pushed)), bool)
     samples["pushed"] = pushed
-    (u_l, u_r), w, z = np.zeros((2, len(pushed), 3)), distance.T.copy(), zeta.T.copy()
     return kernel.Memory(
-        samples, delays, arrives, accounts(), u_l, u_r, w, z, np.full(len(distance), 0.5)
+        samples,
+        delays,
+        arrives,
+        accounts(),
+        np.zeros((len(pushed), 3)),
+        np.zeros((len(pushed), 3)),
+        distance.T.copy(),
+        zeta.T.copy(),
+        np.full(len(distance), 0.5),
     )
 
 
@@ -310,63 +310,33 @@ def _positions(team: kernel.Formation, memory: kernel.Memory, goal: np.ndarray) 
     return (memory.w @ team.vectors.T).T + goal
 
 
-def _regroup(
-    before: kernel.Formation | None, team: kernel.Formation, settings, memory, state
-) -> kernel.Formation:
-    """
-    Carry the robots over to the next graph's basis; what V_fs gains or loses by the links is booked
-    as their supply.
-    """
-    if before is not None:
-        held, _ = kernel.storages(before, memory.w, memory.z)
-    for modes in (memory.w, memory.z):
-        positions = modes if before is None else modes @ before.vectors.T
-        modes[:] = positions @ team.vectors
-    if before is not None:
-        gained = kernel.storages(team, memory.w, memory.z)[0] - held
-        state["supply_links"] += settings.force_gain / settings.lead_gain * gained
-    return team
-
-
-def _facts(policy, title, numbers, seed, read_out, delay, vision, dwell) -> dict:
-    """Return how a run was made."""
-    facts = {"policy": policy.title, "filter": title} | {
-        name: numbers[name].item() for name in ("k12", "k21")
-    }
-    facts |= {
-        "seed": str(seed),
-        "read_out": read_out,
-        "delay": delay,
-        "vision_delay": vision,
-        "min_dwell": dwell,
-    }
-    return facts | {name: numbers[name].item() for name in ("sample_time", "push")} | {"note": NOTE}
-
-
-def _given(
-    start, inner, push, robots: int, count: int, rng
+def _start(
+    trial: TeamTrial, robots: int, count: int, rng
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """
-    Return where the robots begin, ζ at the start, and the force added to the hand's, drawn or zero
-    where not given.
-    """
-    drawn, none = rng.uniform(-5.0, 5.0, (robots, 3)), np.zeros((robots, 3))
+    """Return where the robots begin, drawn by default, ζ at the start, and the force added."""
+    start = rng.uniform(-5.0, 5.0, (robots, 3)) if trial.start is None else trial.start
+    inner = np.zeros((robots, 3)) if trial.inner is None else trial.inner
+    push = np.zeros((count, 3)) if trial.push is None else trial.push
     return (
-        signal("start", drawn if start is None else start, robots, 3),
-        signal("inner", none if inner is None else inner, robots, 3),
-        signal("push", np.zeros((count, 3)) if push is None else push, count, 3),
+        signal("start", start, robots, 3),
+        signal("inner", inner, robots, 3),
+        signal("push", push, count, 3),
     )
 
 
-def _vision(vision_delay, delay: float, T: float) -> float:
-    """
-    Return how old the operator's picture is [s]: at least one sample, the greatest delay when not
-    given.
-    """
-    vision = delay if vision_delay is None else finite_number("vision_delay", vision_delay)
+def _times(settings: TeamSettings, delay: float, T: float) -> dict[str, float]:
+    """Return the greatest delay, how old the operator's picture is, and τ_min [s]."""
+    vision, dwell = settings.channel.vision_delay, settings.min_dwell
+    vision = delay if vision is None else vision
     if not T * (1.0 - 1e-9) <= vision <= 1e4:
         raise ValueError(f"vision_delay must be at least one sample, {T:g} s, got {vision}")
-    return vision
+    dwell = max(5.0 * delay, 5.0) if dwell is None else dwell
+    if not dwell > delay:
+        raise ValueError(
+            f"min_dwell = {dwell:g} s must be greater than the delay, {delay:g} s: waves of one "
+            "leader would arrive at the one after the next (Section 4.2 asks for τ_min ≫ T)"
+        )
+    return {"delay": delay, "vision_delay": vision, "min_dwell": dwell}
 
 
 def _intervals(t: np.ndarray, decision: float, most: int) -> np.ndarray:
@@ -377,59 +347,24 @@ def _intervals(t: np.ndarray, decision: float, most: int) -> np.ndarray:
     return np.minimum((t / decision + 1e-9).astype(np.int64), most - 1)
 
 
-def _samples(duration, sample_time, record_every, robots: int) -> tuple[int, int, float]:
-    """
-    Return the number of samples, how many of them a recorded row stands for, and the sample time,
-    checked.
-    """
-    T = between("sample_time", positive("sample_time", sample_time), 0.0, 0.1)
-    duration = between("duration", duration, 10.0 * T, 1e5)
-    count = round(duration / T)
-    record = max(T, 0.01) if record_every is None else positive("record_every", record_every)
-    every = round(record / T)
-    if every < 1 or abs(every * T - record) > 1e-6 * record:
-        raise ValueError(
-            f"record_every must be a multiple of sample_time = {T:g} s, got {record:g}"
-        )
-    rows = -(-count // every)
+def _samples(duration, trial: TeamTrial, robots: int) -> int:
+    """Return the number of samples, checked."""
+    count = round(between("duration", duration, 10.0 * trial.sample_time, 1e5) / trial.sample_time)
+    rows = -(-count // trial.samples_per_row)
     if max(rows * (3 * robots + len(kernel.COLUMNS)), 16 * count) > LARGEST:
         raise ValueError(
             f"{count} samples and {rows} rows for {robots} robots are too many; shorten duration, "
             "or raise sample_time or record_every"
         )
-    return count, every, T
+    return count
 
 
-def _dwell(min_dwell, delay: float) -> float:
-    """Return τ_min [s], which must be greater than the delay."""
-    dwell = max(5.0 * delay, 5.0) if min_dwell is None else finite_number("min_dwell", min_dwell)
-    if not dwell > delay:
-        raise ValueError(
-            f"min_dwell = {dwell:g} s must be greater than the delay, {delay:g} s: waves of one "
-            "leader would arrive at the one after the next (Section 4.2 asks for τ_min ≫ T)"
-        )
-    return dwell
-
-
-def _numbers(
-    settings, operator, filtering, T, rate, read_out, vision, budget, distance, tolerance
-) -> np.void:
-    """Return device, filters and operator as the compiled loop takes them."""
-    own = ("mass", "damping", "stiffness", "weight", "steepness", "lead_gain", "force_gain")
-    return filled(
-        kernel.NUMBERS,
-        **{name: getattr(settings, name) for name in own},
-        **{name: getattr(operator, name) for name in ("reach", "drag", "guarded")},
-        **filtering,
-        sample_time=T,
-        gain=float(np.sqrt(1.0 - rate)),
-        read_out=READ_OUTS[read_out],
-        push=operator.stiffness(vision),
-        budget=budget,
-        reserve=operator.reserve * budget,
-        vision=round(vision / T),
-        error_range=max(float(np.linalg.norm(distance, axis=1).max()), tolerance),
-    )
+def _numbers(settings: TeamSettings, operator: TeamOperator) -> dict:
+    """Return the settings of device and operator that the kernel takes as they are."""
+    names = ("mass", "damping", "stiffness", "weight", "steepness", "lead_gain", "force_gain")
+    numbers = {name: getattr(settings, name) for name in names}
+    numbers |= {name: getattr(operator, name) for name in ("reach", "drag", "guarded")}
+    return numbers | {"read_out": READ_OUTS[settings.channel.read_out]}
 
 
 def _robots(settings, ends, T: float) -> np.ndarray:
@@ -491,7 +426,10 @@ class Leading:
         plan = self.plan
         present = np.array([graph.present for graph in self.graphs])[plan.graph]
         trust = np.where(present, plan.trust, -np.inf)
-        leaders = self.policy.leaders(trust, self.names, plan.step, self.dwell, self.rng)
+        try:
+            leaders = self.policy.leaders(trust, self.names, plan.step, self.dwell, self.rng)
+        except Exception as error:
+            raise self._raised(error) from error
         chosen = robot_numbers(
             "the policy's answer, one leader per decision,", leaders, len(trust), len(self.names)
         )
@@ -515,12 +453,20 @@ class Leading:
             self.memory,
             where,
         )
-        answer = self.policy.leader(now)
+        try:
+            answer = self.policy.leader(now)
+        except Exception as error:
+            raise self._raised(error, f", at t = {t:g} s") from error
         number = robot_numbers(
             f"the policy's answer at t = {t:g} s", [answer], 1, len(self.names)
         ).item()
         self._lead(number, t, graph)
         return number
+
+    def _raised(self, error: Exception, when: str = "") -> PartError:
+        """Return the error of a policy that raised one."""
+        raised = f"raised {type(error).__name__}: {error}"
+        return PartError(f"the leader policy {self.policy.title!r} {raised}{when}")
 
     def _lead(self, leader, t, graph: TeamGraph) -> None:
         """
@@ -549,24 +495,15 @@ class Leading:
         self.leader, self.since = leader, t
 
 
-def _filters(filters, impedance: float) -> tuple[str, dict]:
-    """
-    Return what the filters F1 and F2 of Fig. 4.1 are, and their numbers, from what a user names or
-    gives.
-    """
-    if isinstance(filters, str) and filters in FILTERS:
-        if filters == "none":
-            return "no filter", {"filtering": kernel.NO_FILTER, "cutoff": 1.0}
-        named = {"waves": WaveFilter(CUTOFF), "printed": printed_filter(CUTOFF)}
-        filters = named.get(filters) or corrected_filter(CUTOFF, impedance)
+def _filters(channel: TeamChannel, impedance: float) -> tuple[str, dict]:
+    """Return what the filters F1 and F2 of Fig. 4.1 are, and their numbers."""
+    filters = channel.filter_at(impedance)
+    if filters is None:
+        return "no filter", {"filtering": kernel.NO_FILTER, "cutoff": 1.0}
+    cutoff = filters.cutoff
     if isinstance(filters, WaveFilter):
-        return f"waves, {filters.cutoff:g} rad/s", {
-            "filtering": kernel.WAVES,
-            "cutoff": filters.cutoff,
-        }
-    if not isinstance(filters, TwoPortFilter):
-        one_of("filters", filters, FILTERS, also="a TwoPortFilter or a WaveFilter")
-    numbers = {name: getattr(filters, name) for name in ("cutoff", "k12", "k21")}
-    margin = passivity_margin([filters.cutoff], [1.0, filters.cutoff], filters.k12, filters.k21)
+        return f"waves, {cutoff:g} rad/s", {"filtering": kernel.WAVES, "cutoff": cutoff}
+    margin = passivity_margin([cutoff], [1.0, cutoff], filters.k12, filters.k21)
     kind = "two-port" if margin.is_passive else "two-port that is not passive"
-    return f"{kind}, {filters.cutoff:g} rad/s", numbers | {"filtering": kernel.TWO_PORT}
+    numbers = {"cutoff": cutoff, "k12": filters.k12, "k21": filters.k21}
+    return f"{kind}, {cutoff:g} rad/s", numbers | {"filtering": kernel.TWO_PORT}

@@ -168,7 +168,9 @@ def animated_svg(run, until: float | None = None, lasting: float = 20.0) -> str:
     ]
     robots = [
         f'<circle cx="{x[0, i]:.1f}" cy="{y[0, i]:.1f}" r="6" stroke="#fff" fill="{colours[0, i]}">'
-        f"{_moving(lasting, cx=x[:, i], cy=y[:, i])}{_animation('fill', colours[:, i], lasting, DISCRETE)}{_shown(seen[:, i], lasting)}</circle>"
+        f"{_moving(lasting, cx=x[:, i], cy=y[:, i])}"
+        f"{_animation('fill', colours[:, i], lasting, DISCRETE)}"
+        f"{_shown(seen[:, i], lasting)}</circle>"
         for i in range(len(run.robots))
     ]
     return Template(PICTURE.read_text(encoding="utf-8")).substitute(

@@ -70,7 +70,8 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
     Examples
     --------
     >>> import trustlab as tl
-    >>> runs = [tl.simulate_teleoperation(scheme, seed=0, duration=10.0) for scheme in ("M", "TMIG")]
+    >>> schemes = ("M", "TMIG")
+    >>> runs = [tl.simulate_teleoperation(scheme, seed=0, duration=10.0) for scheme in schemes]
     >>> tl.teleoperation_measures(runs)[["scheme", "alpha", "energy_port_min"]].round(2)
       scheme  alpha  energy_port_min
     0      M   1.00             -0.0

@@ -90,15 +90,15 @@ def _matrix(graph) -> tuple[tuple, np.ndarray]:
         except (TypeError, ValueError):
             raise GraphError("an edge of the graph has a weight that is not a number") from None
     try:
-        given = np.asarray(graph)
-        if given.dtype.kind not in "biuf" or given.ndim != 2 or given.shape[0] != given.shape[1]:
+        matrix = np.asarray(graph)
+        if matrix.dtype.kind not in "biuf" or matrix.ndim != 2 or len(set(matrix.shape)) > 1:
             raise TypeError
     except (TypeError, ValueError):
-        told = type(graph).__name__
         raise GraphError(
-            f"graph must be a networkx.Graph or a square matrix of weights, got {told}"
+            "graph must be a networkx.Graph, a square matrix of weights, or a dict from time to "
+            f"graph, got {type(graph).__name__}"
         ) from None
-    return tuple(range(len(given))), given.astype(float)
+    return tuple(range(len(matrix))), matrix.astype(float)
 
 
 def roots(adjacency: np.ndarray) -> np.ndarray:
@@ -125,10 +125,10 @@ def _check_connected(names: tuple, matrix: np.ndarray) -> None:
     count, label = connected_components(matrix, directed=True, connection="weak")
     if count > 1:
         parts = [[repr(names[i]) for i in np.flatnonzero(label == part)] for part in range(count)]
-        told = "; ".join("{" + ", ".join(part) + "}" for part in parts)
+        listed = "; ".join("{" + ", ".join(part) + "}" for part in parts)
         raise GraphError(
-            f"the graph is not connected, it has {count} parts: {told}; robots of different parts "
-            "never meet: add edges, or pass require_connected=False to see it"
+            f"the graph is not connected, it has {count} parts: {listed}; robots of "
+            "different parts never meet: add edges, or pass require_connected=False to see it"
         )
     if not roots(matrix).any():
         raise GraphError(
@@ -138,44 +138,38 @@ def _check_connected(names: tuple, matrix: np.ndarray) -> None:
         )
 
 
-def graphs_in_time(
-    graph, changes: Mapping | None, require_connected: bool
-) -> tuple[tuple, list[TeamGraph]]:
+def graphs_in_time(graph, require_connected: bool) -> tuple[tuple, list[TeamGraph]]:
     """
     Return the names of all robots that are ever in the team, and the graph from 0 and from each
     change on.
+
+    A graph that changes is a dict from time [s] to graph.
     """
-    if changes is not None and not isinstance(changes, Mapping):
-        raise ValueError(
-            f"changes must be a dict from time [s] to graph, got {type(changes).__name__}"
-        )
-    given = {0.0: graph}
-    for t, later in (changes or {}).items():
-        t = finite_number("a time in changes", t)
-        if t <= 0.0 or t in given:
-            raise ValueError(f"times in changes must be after 0 and each given once, got {t:g} s")
-        given[t] = later
+    graphs = graph if isinstance(graph, Mapping) else {0.0: graph}
+    times = [finite_number("a time of the graph", t) for t in graphs]
+    if 0.0 not in times or min(times) < 0.0:
+        raise ValueError(f"times of the graph must be 0 and others after 0, got {times}")
     parts = []
-    for t in sorted(given):
+    for t, later in sorted(zip(times, graphs.values(), strict=True), key=lambda pair: pair[0]):
         try:
-            parts.append((t, *team_graph(given[t], require_connected)))
+            parts.append((t, *team_graph(later, require_connected)))
         except GraphError as error:
             if t == 0.0:
                 raise
             raise GraphError(f"the graph from t = {t:g} s on: {error}") from None
-    names = tuple(dict.fromkeys(name for _, some, _ in parts for name in some))
+    names = tuple(dict.fromkeys(name for _, members, _ in parts for name in members))
     return names, [_on_all(names, *part, require_connected) for part in parts]
 
 
 def _on_all(
-    names: tuple, t: float, some: tuple, adjacency: np.ndarray, connected: bool
+    names: tuple, t: float, members: tuple, adjacency: np.ndarray, connected: bool
 ) -> TeamGraph:
     """
     Return a graph of some robots as one of all: those that are absent see nobody and are seen by
     nobody.
     """
     place = {name: i for i, name in enumerate(names)}
-    at = np.array([place[name] for name in some])
+    at = np.array([place[name] for name in members])
     whole = np.zeros((len(names), len(names)))
     present, may_lead = np.zeros((2, len(names)), bool)
     whole[np.ix_(at, at)], present[at] = adjacency, True
@@ -260,7 +254,7 @@ def formation_on(graph: TeamGraph, coupling: float, h: float) -> Formation:
         values, vectors = np.linalg.eigh(L)
         # the least eigenvalue is 0; rounding may make it negative, which would let the mean drift
         values, vectors = np.maximum(values, 0.0), np.ascontiguousarray(vectors)
-        # (I + hL + h²L²) of the midpoint rule is diagonal in the modes
+        # (I + hL + h²L²) of the midpoint rule is diagonal in the eigenbasis
         solve = 1.0 / (1.0 + h * values + h * h * values**2)
         stiffness = h * (vectors**2 * (values * solve)).sum(axis=1)
         return Formation(False, values, vectors, solve, none, none, none, none, none, stiffness)

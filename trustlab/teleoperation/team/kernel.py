@@ -2,8 +2,7 @@
 The teleoperated team (Fig. 4.1), compiled: O(N) per step in the Laplacian's eigenbasis, O(N²) on a
 directed graph.
 
-`run_team` holds what needs arrays: the team's modes, and whatever is looked up in the past. The
-operator's end and the robots' end of the channel are one compiled function each, on a record of
+`run_team` takes one sample after another; a sample is a row of named steps, each on one record of
 STATE. All that a run remembers stands in `Memory` and STATE, so that a run may pause at any sample:
 the graph and the leader change between two calls.
 """
@@ -37,19 +36,21 @@ COLUMNS = columns_of(LOG)
 
 # The state proper beside the device's place, which the log has: its velocity before the sample and
 # in its middle, and what the filters F1 (near) and F2 (far), or the filters of waves, hold.
-KEPT = (
+CARRIED = (
     "device_velocity middle near_velocity near_force far_velocity far_force filtered_l filtered_r"
 )
 # Looked up or worked out before each end is solved: error as the operator sees it, added force,
 # waves, force at rest.
 ARRIVED = "error pushed v_l v_r open_force"
-# The operator's end, affine in what is still unknown: r_m = yielded + mobility · push, f_m = held +
-# resistance · r_m.
-SIGNALS = "u_l u_r yielded mobility held resistance channel_force wanted"
-WITHIN = record(
-    vectors=f"{KEPT} {ARRIVED} {SIGNALS}",
-    numbers="seen_power near_power far_power hand_power device_power device_loss",
+# The operator's end, affine in what is still unknown: r_m = yielded + mobility · push, f_m = offset
+# + resistance · r_m.
+SIGNALS = "u_l u_r yielded mobility offset resistance channel_force aim"
+# Powers of this sample [W], and what is dissipated in it.
+POWERS = (
+    "seen_power near_power far_power hand_power device_power team_power error_power filter_power "
+    "device_loss team_loss error_loss"
 )
+WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=POWERS)
 # What both ends read and leave; it begins with the row of the log, so that energies since the start
 # stand there alone.
 STATE = np.dtype([*LOG.descr, *WITHIN.descr])
@@ -74,10 +75,10 @@ class Formation(NamedTuple):
     The robots on their graph, for one step of the midpoint rule: q = (I + hL + h²LᵀL)⁻¹ (q₀ + hLᵀζ₀
     + h g D r_s).
 
-    Undirected graphs are diagonal in the modes of L: `values` and `vectors`, shapes (N,) and (N,
-    N), and `solve`, shape (N,). A directed graph has no such basis: `laplacian`, `solved` = (I + hL
-    + h²LᵀL)⁻¹ and `inner` = h · solved · Lᵀ, shape (N, N), and `felt`, `felt_inner` = L times
-    these, from which the leader's force at rest is one row; `vectors` is then the identity.
+    Undirected graphs are diagonal in the eigenbasis of L: `values` and `vectors`, shapes (N,) and
+    (N, N), and `solve`, shape (N,). A directed graph has no such basis: `laplacian`, `solved` =
+    (I + hL + h²LᵀL)⁻¹ and `inner` = h · solved · Lᵀ, shape (N, N), and `felt`, `felt_inner` = L
+    times these, from which the leader's force at rest is one row; `vectors` is then the identity.
     """
 
     directed: bool
@@ -96,7 +97,7 @@ class Formation(NamedTuple):
 # the channel is set (the same, unless that end fails to switch); force added to the hand's,
 # velocity sent to the leader, and its distance to the goal; dissipation and storage of the error
 # system.
-SAMPLE = record(vectors="pushed sent seen", numbers="lost held", counts="lead head")
+SAMPLE = record(vectors="pushed sent seen", numbers="lost stored", counts="lead head")
 
 
 class Memory(NamedTuple):
@@ -105,7 +106,8 @@ class Memory(NamedTuple):
 
     samples, shape (K,): records of SAMPLE. delays, arrives, shape (2, K): in samples, and whether
     waves arrive. accounts: `ledger.accounts()`. waves u_l, u_r, shape (K, 3). w, z, shape (3, N):
-    modes of the robots' distance to the goal and of ζ. trust, shape (N,): in the operator, (4.2).
+    the robots' distance to the goal and ζ in the eigenbasis. trust, shape (N,): in the operator,
+    (4.2).
     """
 
     samples: np.ndarray
@@ -132,6 +134,14 @@ class FilterStep(NamedTuple):
     pole: float  # ω_c T/2
 
 
+class Rig(NamedTuple):
+    """Device and filters as every step of a run takes them."""
+
+    device: haptic.Device
+    filters: FilterStep  # at the two ports
+    low_pass: FilterStep  # of waves
+
+
 @njit(error_model="numpy", forceinline=True)
 def push_share(budget, power, pull, stir, square, drag):
     """
@@ -151,62 +161,105 @@ def push_share(budget, power, pull, stir, square, drag):
 
 
 @njit(error_model="numpy", forceinline=True)
-def operator_side(n, device, filters, end, spendable, state):
+def rig_of(n):
+    """Return device and filters under the midpoint rule."""
+    device = haptic.held_device(n.mass, n.damping, n.stiffness, n.weight, 0.0, 0.0, n.sample_time)
+    pole = 0.5 * n.sample_time * n.cutoff
+    low_pass = FilterStep(1.0 / (1.0 + pole), pole / (1.0 + pole), n.k12, n.k21, pole)
+    no_filter = FilterStep(0.0, 1.0, 0.0, 0.0, 0.0)
+    return Rig(device, low_pass if n.filtering == TWO_PORT else no_filter, low_pass)
+
+
+@njit(error_model="numpy", forceinline=True)
+def store(n, team, rig, w, z, state):
+    """Set the storages at the start of the sample; the leader's port reaches the team g times."""
+    state.v_hd = state.v_filter = 0.0
+    state.v_fs, state.v_e = storages(team, w, z)
+    state.v_fs *= n.force_gain / n.lead_gain  # (4.23)
+    state.v_e /= n.lead_gain  # (4.29)
+    for i in range(3):
+        # (3.9)
+        state.v_hd += haptic.device_storage(rig.device, state.device[i], state.device_velocity[i])
+        if n.filtering == TWO_PORT:
+            velocities = state.near_velocity[i] ** 2 + state.far_velocity[i] ** 2
+            forces = state.near_force[i] ** 2 + state.far_force[i] ** 2
+            state.v_filter += (n.k21 * velocities + n.k12 * forces) / n.cutoff
+
+
+@njit(error_model="numpy", forceinline=True)
+def look(n, k, now, past, state):
+    """
+    Set what the operator sees, the leader of `vision` samples ago and what it was told to do;
+    return the operator's performance as the robots judge it.
+    """
+    in_sight = k >= n.vision
+    state.seen_power = square = 0.0
+    for i in range(3):
+        state.error[i] = -past.seen[i] if in_sight else 0.0
+        state.pushed[i] = now.pushed[i]
+        square += state.error[i] ** 2
+        if in_sight:
+            state.seen_power += past.sent[i] * state.error[i]
+    if in_sight and n.push > 0.0:
+        return max(1.0 - np.sqrt(square) / n.error_range, 0.0)
+    return 0.0
+
+
+@njit(error_model="numpy", forceinline=True)
+def share_force(n, robots, lead, trust, performance, state):
+    """Set β by the leader's trust in the operator, and step the trust of all."""
+    leader = robots[lead]
+    state.number = lead
+    state.trust_rh = leader.t_min + (leader.t_max - leader.t_min) * trust[lead]
+    share = min(max(trust[lead], 0.0), 1.0)
+    # (3.5)
+    state.beta = logistic_scale(leader.beta_min, leader.beta_max, n.steepness, 0.5, share)
+    for i in range(trust.size):
+        trust[i] = trust_step(trust[i], performance, robots[i].decay, robots[i].gain)  # (4.2)
+
+
+@njit(error_model="numpy", forceinline=True)
+def receive(n, m, k, low_pass, state):
+    """Set the waves that arrive at both ends, (3.13), filtered where waves are."""
+    T, kind = n.sample_time, n.read_out
+    read_wave(m.u_l, m.arrives[0], k, m.delays[0, k], n.gain, kind, T, m.accounts[0], state.v_r)
+    read_wave(m.u_r, m.arrives[1], k, m.delays[1, k], n.gain, kind, T, m.accounts[1], state.v_l)
+    if n.filtering == WAVES:
+        filter_wave(low_pass, state.v_r, state.filtered_r)
+        filter_wave(low_pass, state.v_l, state.filtered_l)
+
+
+@njit(error_model="numpy", forceinline=True)
+def operator_side(n, rig, end, spendable, state):
     """
     Solve the operator's end of the channel with filter, device and hand, in closed form, and the
     device's velocity.
 
     `spendable` is what V_h leaves above the reserve [J].
     """
-    distance = np.sqrt(state.error[0] ** 2 + state.error[1] ** 2 + state.error[2] ** 2)
-    wanted = n.push * distance
-    stiffness = n.push * min(1.0, n.reach / wanted) if wanted > 0.0 else 0.0
-    admittance = device.lever / device.inertia
+    device, filters = rig.device, rig.filters
     loaded = 1.0 + state.beta * end.b * filters.k12
-    pull = stir = square = 0.0
-    for i in range(3):
-        # the channel's force at its port, given what the filter holds of the velocity: force = held
-        # + resistance r_m
-        velocity = filters.decay * state.near_velocity[i]
-        state.channel_force[i] = (
-            state.beta * (end.b * velocity + end.arriving * state.v_l[i]) / loaded
-        )
-        state.held[i] = filters.decay * state.near_force[i] + filters.gate * state.channel_force[i]
-        state.resistance[i] = filters.k21 + filters.gate * (
-            state.beta * end.b * filters.gate / loaded
-        )
-        under = 1.0 + admittance * (state.resistance[i] + n.drag)
-        state.wanted[i] = stiffness * state.error[i]
-        state.mobility[i] = admittance / under
-        free = haptic.free_output(device, state.device[i], state.device_velocity[i], 0.0)
-        state.yielded[i] = (
-            free - admittance * state.held[i] + admittance * state.pushed[i]
-        ) / under
-        pull += state.wanted[i] * state.yielded[i] * (1.0 - 2.0 * n.drag * state.mobility[i])
-        stir += state.mobility[i] * state.wanted[i] ** 2 * (1.0 - n.drag * state.mobility[i])
-        square += state.yielded[i] ** 2
-    state.push = 1.0
-    if n.guarded:
-        most = spendable / n.sample_time + state.seen_power
-        state.push = push_share(spendable, most, pull, stir, square, n.drag)
+    reach_out(n, rig, end, loaded, spendable, state)
     state.hand_power = state.device_power = state.device_loss = state.near_power = 0.0
     for i in range(3):
-        state.r_m[i] = state.yielded[i] + state.mobility[i] * state.push * state.wanted[i]
-        state.f_m[i] = state.held[i] + state.resistance[i] * state.r_m[i]
-        state.f_h[i] = state.push * state.wanted[i] - n.drag * state.r_m[i] + state.pushed[i]
+        state.r_m[i] = state.yielded[i] + state.mobility[i] * state.push * state.aim[i]
+        state.f_m[i] = state.offset[i] + state.resistance[i] * state.r_m[i]
+        state.f_h[i] = state.push * state.aim[i] - n.drag * state.r_m[i] + state.pushed[i]
+        # the filter's far side, (4.16)-(4.17)
         force = state.channel_force[i] + state.beta * end.b * filters.gate / loaded * state.r_m[i]
         velocity = (
             filters.decay * state.near_velocity[i]
             + filters.gate * state.r_m[i]
             - filters.k12 * force
         )
-        state.u_l[i] = waves.operator_wave(end, velocity, state.v_l[i])
+        state.u_l[i] = waves.operator_wave(end, velocity, state.v_l[i])  # (3.22), (4.3)
         x, v = state.device[i], state.device_velocity[i]
-        state.middle[i] = v_middle = haptic.midpoint_velocity(
-            device, x, v, state.f_h[i], state.f_m[i]
-        )
+        # (4.6)
+        v_middle = haptic.midpoint_velocity(device, x, v, state.f_h[i], state.f_m[i])
+        state.middle[i] = v_middle
         state.hand_power += state.r_m[i] * state.f_h[i]
         state.device_power += state.r_m[i] * (state.f_h[i] - state.f_m[i])
+        # (3.10)
         state.device_loss += haptic.device_loss(
             device, x + 0.5 * n.sample_time * v_middle, v_middle
         )
@@ -216,9 +269,48 @@ def operator_side(n, device, filters, end, spendable, state):
 
 
 @njit(error_model="numpy", forceinline=True)
-def passed(filters, u, held):
+def reach_out(n, rig, end, loaded, spendable, state):
+    """Set what the hand aims at, how device, filter and channel yield, and the share pushed."""
+    device, filters = rig.device, rig.filters
+    distance = np.sqrt(state.error[0] ** 2 + state.error[1] ** 2 + state.error[2] ** 2)
+    pushing = n.push * distance
+    stiffness = n.push * min(1.0, n.reach / pushing) if pushing > 0.0 else 0.0
+    admittance = device.lever / device.inertia
+    pull = stir = square = 0.0
+    for i in range(3):
+        # the channel's force at its port, for the velocity that the filter holds: force = offset +
+        # resistance r_m
+        velocity = filters.decay * state.near_velocity[i]
+        # (3.22), (4.3)
+        state.channel_force[i] = (
+            state.beta * (end.b * velocity + end.arriving * state.v_l[i]) / loaded
+        )
+        state.offset[i] = (
+            filters.decay * state.near_force[i] + filters.gate * state.channel_force[i]
+        )
+        state.resistance[i] = filters.k21 + filters.gate * (
+            state.beta * end.b * filters.gate / loaded
+        )
+        under = 1.0 + admittance * (state.resistance[i] + n.drag)
+        state.aim[i] = stiffness * state.error[i]
+        state.mobility[i] = admittance / under
+        free = haptic.free_output(device, state.device[i], state.device_velocity[i], 0.0)
+        state.yielded[i] = (
+            free - admittance * state.offset[i] + admittance * state.pushed[i]
+        ) / under
+        pull += state.aim[i] * state.yielded[i] * (1.0 - 2.0 * n.drag * state.mobility[i])
+        stir += state.mobility[i] * state.aim[i] ** 2 * (1.0 - n.drag * state.mobility[i])
+        square += state.yielded[i] ** 2
+    state.push = 1.0
+    if n.guarded:
+        most = spendable / n.sample_time + state.seen_power
+        state.push = push_share(spendable, most, pull, stir, square, n.drag)  # (4.30)
+
+
+@njit(error_model="numpy", forceinline=True)
+def passed(filters, u, level):
     """Return by how much a low-pass filter's state changes over a sample."""
-    return 2.0 * filters.pole * (u - held) / (1.0 + filters.pole)
+    return 2.0 * filters.pole * (u - level) / (1.0 + filters.pole)
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -232,29 +324,30 @@ def robot_side(filters, end, stiffness, state):
     state.far_power = 0.0
     under = 1.0 + filters.k12 * stiffness
     for i in range(3):
-        held = (filters.decay * state.far_velocity[i] - filters.k12 * state.open_force[i]) / under
+        # the leader behind the filter, (4.16)-(4.17): r_s = offset + share · velocity
+        offset = (filters.decay * state.far_velocity[i] - filters.k12 * state.open_force[i]) / under
         share = filters.gate / under
         force = filters.decay * state.far_force[i] + filters.gate * (
-            state.open_force[i] + stiffness * held
+            state.open_force[i] + stiffness * offset
         )
         resistance = filters.k21 + filters.gate * stiffness * share
         free = end.arriving * state.v_r[i] / end.b
-        velocity = (free - force / end.b) / (1.0 + resistance / end.b)
+        velocity = (free - force / end.b) / (1.0 + resistance / end.b)  # (3.22), α = 1
         force += resistance * velocity
-        state.r_s[i] = held + share * velocity
-        state.f_s[i] = state.open_force[i] + stiffness * state.r_s[i]
-        state.u_r[i] = waves.robot_wave(end, force, state.v_r[i])
+        state.r_s[i] = offset + share * velocity
+        state.f_s[i] = state.open_force[i] + stiffness * state.r_s[i]  # (4.24)
+        state.u_r[i] = waves.robot_wave(end, force, state.v_r[i])  # (3.22)
         state.far_power += velocity * force
         state.far_velocity[i] += passed(filters, velocity, state.far_velocity[i])
         state.far_force[i] += passed(filters, state.f_s[i], state.far_force[i])
 
 
 @njit(error_model="numpy", forceinline=True)
-def filter_wave(filters, wave, held):
-    """Filter a wave in place; `held` is the filter's state."""
+def filter_wave(filters, wave, level):
+    """Filter a wave in place; `level` is the filter's state."""
     for i in range(3):
-        middle = filters.decay * held[i] + filters.gate * wave[i]
-        held[i], wave[i] = 2.0 * middle - held[i], middle
+        middle = filters.decay * level[i] + filters.gate * wave[i]
+        level[i], wave[i] = 2.0 * middle - level[i], middle
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -267,9 +360,9 @@ def storages(team, w, z):
     for i in range(3):
         for j in range(w.shape[1]):
             square = w[i, j] ** 2 + z[i, j] ** 2
-            v_e += 0.5 * square
+            v_e += 0.5 * square  # (4.29)
             if not team.directed:
-                v_fs += 0.5 * team.values[j] * square
+                v_fs += 0.5 * team.values[j] * square  # (4.23)
     return np.nan if team.directed else v_fs, v_e
 
 
@@ -290,20 +383,21 @@ def force_at_rest(team, lead, h, w, z, i):
 
 
 @njit(error_model="numpy", forceinline=True)
-def move_modes(team, lead, h, drive, w, z, i):
+def move_undirected(team, lead, h, drive, w, z, i):
     """
-    Step the modes on axis i, the leader driven at `drive`; return its position at the midpoint,
-    ‖Lq‖² and qᵀLq.
+    Step (4.22) on axis i in the eigenbasis, the leader driven at `drive`; return its position at
+    the midpoint, ‖Lq‖² and qᵀLq.
     """
     at = team_loss = error_loss = 0.0
     for j in range(w.shape[1]):
         value = team.values[j]
+        # (4.22): q̇ = Lᵀζ − L q + D r_s, ζ̇ = −L q
         q = team.solve[j] * (w[i, j] + h * (value * z[i, j] + team.vectors[lead, j] * drive))
         w[i, j] = 2.0 * q - w[i, j]
         z[i, j] -= 2.0 * h * value * q
         at += team.vectors[lead, j] * q
-        team_loss += (value * q) ** 2
-        error_loss += value * q * q
+        team_loss += (value * q) ** 2  # (4.25)
+        error_loss += value * q * q  # (4.33)
     return at, team_loss, error_loss
 
 
@@ -318,130 +412,105 @@ def move_directed(team, lead, h, drive, w, z, i):
     return q[lead], np.dot(pulled, pulled), np.dot(q, pulled)
 
 
+@njit(error_model="numpy", forceinline=True)
+def move(n, team, lead, h, w, z, state):
+    """Step the team under the leader's velocity; set powers and losses of its two ports."""
+    state.team_power = state.error_power = state.filter_power = 0.0
+    state.team_loss = state.error_loss = 0.0
+    for i in range(3):
+        drive = n.lead_gain * state.r_s[i]
+        if team.directed:
+            state.leader[i], pulled, bent = move_directed(team, lead, h, drive, w, z, i)
+        else:
+            state.leader[i], pulled, bent = move_undirected(team, lead, h, drive, w, z, i)
+        state.team_loss += n.force_gain / n.lead_gain * pulled
+        state.error_loss += bent / n.lead_gain
+        state.team_power += state.r_s[i] * state.f_s[i]
+        state.error_power += state.r_s[i] * state.leader[i]
+        state.filter_power += state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i]
+
+
+@njit(error_model="numpy", forceinline=True)
+def remember(m, k, now, state):
+    """Keep what later samples look up."""
+    now.stored, now.lost = state.v_e, state.error_loss
+    for i in range(3):
+        m.u_l[k, i], m.u_r[k, i] = state.u_l[i], state.u_r[i]
+        now.sent[i], now.seen[i] = state.r_s[i], state.leader[i]
+
+
+@njit(error_model="numpy", forceinline=True)
+def book(n, seen_loss, state):
+    """Step the device, and book the energy of every port; `seen_loss` is that of the picture."""
+    T = n.sample_time
+    for i in range(3):
+        state.device[i] += T * state.middle[i]
+        state.device_velocity[i] = 2.0 * state.middle[i] - state.device_velocity[i]
+    state.v_h += T * (state.seen_power - state.hand_power)  # (4.30)
+    state.v_ch += T * (state.near_power - state.far_power)  # (4.15)
+    state.supply_team += T * state.team_power
+    state.supply_error += T * state.error_power
+    state.supply_hand += T * state.hand_power
+    state.supply_device += T * state.device_power
+    state.supply_filter += T * (state.filter_power - state.near_power + state.far_power)
+    state.lost_device += T * state.device_loss
+    state.lost_team += T * state.team_loss
+    state.lost_error += T * state.error_loss
+    state.lost_error_delayed += T * seen_loss
+
+
+@njit(error_model="numpy", forceinline=True)
+def diverged(state):
+    """Return the block whose storage grew without bound, −1: none; "not <" counts NaN as such."""
+    if not state.v_hd < 1e12:
+        return 0
+    if not abs(state.v_ch) < 1e12:
+        return 1
+    return -1 if state.v_e < 1e12 else 2
+
+
 @njit(error_model="numpy")
-def run_team(n, team, robots, memory, first, last, every, states, row, table, modes):
+def run_team(n, team, robots, memory, first, last, every, states, row, table, coordinates):
     """
-    Run the team from sample `first` to before `last`, with a row of `table` and of `modes` every
-    `every` samples.
+    Run the team from sample `first` to before `last`, with a row of `table` and of `coordinates`
+    every `every` samples.
 
     n: a record of NUMBERS. team: a Formation. robots, shape (N,): records of ROBOT. states, shape
-    (1,): a record of STATE, of which `row` is the part that is logged. modes, shape (rows, 3, N):
-    of the distance to the goal. Returns the samples done and the block that diverged (−1: none).
+    (1,): a record of STATE, of which `row` is the part that is logged. coordinates, shape (rows, 3,
+    N): of the distance to the goal. Returns the samples done and the block that diverged (−1:
+    none).
     """
-    m, T = memory, n.sample_time
-    w = m.w
-    z = m.z
-    size = memory.trust.size
-    h = 0.5 * T
-    g = n.lead_gain
-    felt = n.force_gain
-    state = states[0]
-    device = haptic.held_device(n.mass, n.damping, n.stiffness, n.weight, 0.0, 0.0, T)
-    pole = h * n.cutoff
-    low_pass = FilterStep(1.0 / (1.0 + pole), pole / (1.0 + pole), n.k12, n.k21, pole)
-    port = n.filtering == TWO_PORT
-    filters = low_pass if port else FilterStep(0.0, 1.0, 0.0, 0.0, 0.0)
+    m, state, rig = memory, states[0], rig_of(n)
+    w, z = m.w, m.z
+    h = 0.5 * n.sample_time
     for k in range(first, last):
-        now, late = m.samples[k], k - n.vision
-        past = m.samples[max(late, 0)]
-        lead = now.lead
-        recorded = k % every == 0
-        # storage at the start of this sample; energy that enters by the leader's port appears in
-        # the team g and g/felt times
-        state.v_hd = state.v_filter = 0.0
-        state.v_fs, state.v_e = storages(team, w, z)
-        state.v_fs *= felt / g
-        state.v_e /= g
+        now, past = m.samples[k], m.samples[max(k - n.vision, 0)]
+        lead, head = now.lead, robots[now.head]
+        store(n, team, rig, w, z, state)
+        performance = look(n, k, now, past, state)
+        share_force(n, robots, lead, m.trust, performance, state)
+        receive(n, m, k, rig.low_pass, state)
+        near_end = waves.operator_end(head.b, head.beta_min, head.beta_max)  # (4.7)
+        operator_side(n, rig, near_end, state.v_h + n.budget - n.reserve, state)
         for i in range(3):
-            state.v_hd += haptic.device_storage(device, state.device[i], state.device_velocity[i])
-            if port:
-                velocities = state.near_velocity[i] ** 2 + state.far_velocity[i] ** 2
-                forces = state.near_force[i] ** 2 + state.far_force[i] ** 2
-                state.v_filter += (n.k21 * velocities + n.k12 * forces) / n.cutoff
-        now.held = state.v_e
-        # what the operator sees: the leader of `vision` samples ago, and what it was told to do
-        state.seen_power = square = 0.0
-        for i in range(3):
-            state.error[i] = -past.seen[i] if late >= 0 else 0.0
-            state.pushed[i] = now.pushed[i]
-            square += state.error[i] ** 2
-            if late >= 0:
-                state.seen_power += past.sent[i] * state.error[i]
-        good = (
-            max(1.0 - np.sqrt(square) / n.error_range, 0.0) if late >= 0 and n.push > 0.0 else 0.0
-        )
-        # the leader's trust in the operator sets β; the trust of all follows how near the goal the
-        # leader is
-        leader, told = robots[lead], m.trust[lead]
-        share = min(max(told, 0.0), 1.0)
-        state.beta = logistic_scale(leader.beta_min, leader.beta_max, n.steepness, 0.5, share)
-        for i in range(size):
-            m.trust[i] = trust_step(m.trust[i], good, robots[i].decay, robots[i].gain)
-        read_wave(
-            m.u_l, m.arrives[0], k, m.delays[0, k], n.gain, n.read_out, T, m.accounts[0], state.v_r
-        )
-        read_wave(
-            m.u_r, m.arrives[1], k, m.delays[1, k], n.gain, n.read_out, T, m.accounts[1], state.v_l
-        )
-        if n.filtering == WAVES:
-            filter_wave(low_pass, state.v_r, state.filtered_r)
-            filter_wave(low_pass, state.v_l, state.filtered_l)
-        head = robots[now.head]
-        near_end = waves.operator_end(head.b, head.beta_min, head.beta_max)
-        operator_side(n, device, filters, near_end, state.v_h + n.budget - n.reserve, state)
-        for i in range(3):
-            state.open_force[i] = felt * force_at_rest(team, lead, h, w, z, i)
-        robot_side(
-            filters, waves.robot_end(leader.b, 1.0, 1.0), felt * g * team.stiffness[lead], state
-        )
-        if recorded:
+            state.open_force[i] = n.force_gain * force_at_rest(team, lead, h, w, z, i)
+        far_end = waves.robot_end(robots[lead].b, 1.0, 1.0)
+        stiffness = n.force_gain * n.lead_gain * team.stiffness[lead]
+        robot_side(rig.filters, far_end, stiffness, state)
+        if k % every == 0:
             for i in range(3):
-                for j in range(size):
-                    modes[k // every, i, j] = w[i, j]
-        supplied = away = filtered = team_loss = error_loss = 0.0
-        for i in range(3):
-            if team.directed:
-                state.leader[i], pulled, bent = move_directed(
-                    team, lead, h, g * state.r_s[i], w, z, i
-                )
-            else:
-                state.leader[i], pulled, bent = move_modes(team, lead, h, g * state.r_s[i], w, z, i)
-            team_loss += felt / g * pulled
-            error_loss += bent / g
-            supplied += state.r_s[i] * state.f_s[i]
-            away += state.r_s[i] * state.leader[i]
-            filtered += state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i]
-            m.u_l[k, i], m.u_r[k, i] = state.u_l[i], state.u_r[i]
-            now.sent[i], now.seen[i] = state.r_s[i], state.leader[i]
-        now.lost = error_loss
-        if recorded:
-            state.number = lead
-            state.trust_rh = leader.t_min + (leader.t_max - leader.t_min) * told
-            state.v_e_delayed = past.held
+                for j in range(m.trust.size):
+                    coordinates[k // every, i, j] = w[i, j]
+        move(n, team, lead, h, w, z, state)
+        remember(m, k, now, state)
+        if k % every == 0:
+            state.v_e_delayed = past.stored
             stored = state.v_h + n.budget + state.v_hd + state.v_ch + state.v_fs
-            state.v_t = stored + state.v_e_delayed + state.v_filter
+            state.v_t = stored + state.v_e_delayed + state.v_filter  # (4.32)
             for i in range(row.size):
                 table[k // every, i] = row[i]
-        for i in range(3):
-            state.device[i] += T * state.middle[i]
-            state.device_velocity[i] = 2.0 * state.middle[i] - state.device_velocity[i]
-        state.v_h += T * (state.seen_power - state.hand_power)
-        state.v_ch += T * (state.near_power - state.far_power)
-        state.supply_team += T * supplied
-        state.supply_error += T * away
-        state.supply_hand += T * state.hand_power
-        state.supply_device += T * state.device_power
-        state.supply_filter += T * (filtered - state.near_power + state.far_power)
-        state.lost_device += T * state.device_loss
-        state.lost_team += T * team_loss
-        state.lost_error += T * error_loss
-        if late >= 0:
-            state.lost_error_delayed += T * past.lost
-        # written as "not <", so that NaN counts as diverged
-        if not state.v_hd < 1e12:
-            return k + 1, 0
-        if not abs(state.v_ch) < 1e12:
-            return k + 1, 1
-        if not state.v_e < 1e12:
-            return k + 1, 2
+        book(n, past.lost if k >= n.vision else 0.0, state)
+        block = diverged(state)
+        if block >= 0:
+            return k + 1, block
     return last, -1

@@ -1,4 +1,7 @@
-"""A team of robots under one operator: its blocks, and the simulated operator of (4.30)."""
+"""
+Settings of a team under one operator: its blocks, its channel, how a run is made, and the simulated
+operator of (4.30).
+"""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -6,16 +9,153 @@ from typing import Any
 import numpy as np
 
 from trustlab.models.checks import (
+    between,
     finite_number,
     flag,
     not_negative,
     of_class,
+    one_of,
     positive,
     set_checked,
 )
 from trustlab.models.trust import TrustModel
+from trustlab.teleoperation.filters import (
+    TwoPortFilter,
+    WaveFilter,
+    corrected_filter,
+    printed_filter,
+)
 from trustlab.teleoperation.ports.device import HapticDevice
+from trustlab.teleoperation.ports.ledger import READ_OUTS
 from trustlab.teleoperation.ports.waves import Scattering
+
+# Filters by name, and their cutoff [rad/s].
+FILTERS = ("none", "corrected", "waves", "printed")
+CUTOFF = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class TeamChannel:
+    """
+    The channel between the operator and the team, beside its scattering.
+
+    Parameters
+    ----------
+    delay, delay_back : float, callable or Delay
+        Delay to the robots and back [s], at least one sample; the same both ways when `delay_back`
+        is not given.
+    vision_delay : float, optional
+        How old the operator's picture is [s]; the greatest delay when not given.
+    filters : {"corrected", "waves", "printed", "none"}, TwoPortFilter or WaveFilter
+        F1 and F2 of Fig. 4.1. By name with a cutoff of 10 rad/s, and the mean b for the corrected
+        gains.
+    read_out : {"ledger", "interpolated", "hold"}
+        How delayed waves are read, see `channel_run`.
+    switch_scattering : bool
+        Whether the operator's end is switched with the leader, (4.7); False shows what that is for.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood.
+    """
+
+    delay: Any = 0.2
+    delay_back: Any = None
+    vision_delay: float | None = None
+    filters: str | TwoPortFilter | WaveFilter = "corrected"
+    read_out: str = "ledger"
+    switch_scattering: bool = True
+
+    def __post_init__(self):
+        one_of("read_out", self.read_out, READ_OUTS)
+        set_checked(self, flag, "switch_scattering")
+        if self.vision_delay is not None:
+            set_checked(self, finite_number, "vision_delay")
+        if not isinstance(self.filters, TwoPortFilter | WaveFilter):
+            one_of("filters", self.filters, FILTERS, also="a TwoPortFilter or a WaveFilter")
+
+    @property
+    def delays(self) -> dict[str, Any]:
+        """Delays both ways by the name of the argument."""
+        back = self.delay if self.delay_back is None else self.delay_back
+        return {"delay": self.delay, "delay_back": back}
+
+    def filter_at(self, impedance: float) -> TwoPortFilter | WaveFilter | None:
+        """
+        Return the filter; None where there is none.
+
+        Parameters
+        ----------
+        impedance : float
+            b [N s/m], for the corrected gains.
+        """
+        if not isinstance(self.filters, str):
+            return self.filters
+        return {
+            "none": None,
+            "corrected": corrected_filter(CUTOFF, impedance),
+            "waves": WaveFilter(CUTOFF),
+            "printed": printed_filter(CUTOFF),
+        }[self.filters]
+
+
+@dataclass(frozen=True, eq=False)
+class TeamTrial:
+    """
+    How a run of a team is made: its time steps, its start, and what is recorded.
+
+    Parameters
+    ----------
+    sample_time : float
+        Step of the midpoint rule [s].
+    record_every : float, optional
+        Time between recorded rows [s], a multiple of `sample_time`; 0.01 s or one sample, the
+        longer, when not given.
+    tolerance : float
+        Distance to the goal that counts as arrived [m].
+    start : array_like, shape (N, 3), optional
+        Where robots begin [m]; drawn within 5 m of the origin when not given.
+    inner : array_like, shape (N, 3), optional
+        ζ at the start; zero when not given.
+    push : array_like, shape (K, 3), optional
+        Force [N] added to the hand's in every sample; V_h counts it, the operator's budget does not
+        foresee it.
+    require_connected : bool
+        Refuse a graph in several parts, or without a spanning tree.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood.
+    """
+
+    sample_time: float = 1e-3
+    record_every: float | None = None
+    tolerance: float = 1e-3
+    start: np.ndarray | None = None
+    inner: np.ndarray | None = None
+    push: np.ndarray | None = None
+    require_connected: bool = True
+
+    def __post_init__(self):
+        set_checked(self, positive, "sample_time", "tolerance")
+        between("sample_time", self.sample_time, 0.0, 0.1)
+        set_checked(self, flag, "require_connected")
+        if self.record_every is not None:
+            set_checked(self, positive, "record_every")
+
+    @property
+    def samples_per_row(self) -> int:
+        """How many samples a recorded row stands for."""
+        T = self.sample_time
+        interval = max(T, 0.01) if self.record_every is None else self.record_every
+        every = round(interval / T)
+        if every < 1 or abs(every * T - interval) > 1e-6 * interval:
+            raise ValueError(
+                f"record_every must be a multiple of sample_time = {T:g} s, got {interval:g}"
+            )
+        return every
 
 
 def _trust(rate: float, ratio: float = 1.0) -> TrustModel:
@@ -37,10 +177,10 @@ class TeamSettings:
     ours.
 
     What limits a large team is (4.22): a velocity r_s of the leader moves the mean of N robots by
-    r_s/N only, and what the leader knows spreads by the slow modes of L. Three gains answer to
-    that: ζ̇ = −c L q, q̇ = c Lᵀζ − c L q + g D r_s and f_s = φ c DᵀL q, with the coupling c, the
-    leader's gain g and the force's gain φ. For any positive three the port stays passive, with V_fs
-    φ/g and V_e/g as storages, so that Lemmas 6 and 7 and Theorem 6 hold as before. See
+    r_s/N only, and what the leader knows spreads along the slow eigenvectors of L. Three gains
+    answer to that: ζ̇ = −c L q, q̇ = c Lᵀζ − c L q + g D r_s and f_s = φ c DᵀL q, with the coupling
+    c, the leader's gain g and the force's gain φ. For any positive three the port stays passive,
+    with V_fs φ/g and V_e/g as storages, so that Lemmas 6 and 7 and Theorem 6 hold as before. See
     `scaled_settings`.
 
     Parameters
@@ -64,6 +204,11 @@ class TeamSettings:
         printed.
     coupling : float
         c, by which every a_ij is multiplied; 1 as printed.
+    channel : TeamChannel
+        Delays, filters and how delayed waves are read.
+    min_dwell : float, optional
+        τ_min [s], how long every leader leads at least, greater than the delay; 5 T, at least 5 s,
+        when not given.
 
     Raises
     ------
@@ -87,36 +232,31 @@ class TeamSettings:
     lead_gain: float = 1.0
     force_gain: float = 1.0
     coupling: float = 1.0
+    channel: TeamChannel = field(default_factory=TeamChannel)
+    min_dwell: float | None = None
 
     def __post_init__(self):
+        of_class("channel", self.channel, TeamChannel)
+        if self.min_dwell is not None:
+            set_checked(self, finite_number, "min_dwell")
         set_checked(self, finite_number, "mass", "damping", "stiffness", "weight", "steepness")
         set_checked(self, positive, "performance_time", "lead_gain", "force_gain", "coupling")
         if not self.steepness >= 10.0:
             raise ValueError(f"steepness must be at least 10 (3.5), got {self.steepness}")
         for name, kind in PER_ROBOT.items():
-            given = getattr(self, name)
-            many = (given,) if isinstance(given, kind) else given
-            if isinstance(many, str) or not np.iterable(many):
+            value = getattr(self, name)
+            entries = (value,) if isinstance(value, kind) else value
+            if isinstance(entries, str) or not np.iterable(entries):
                 raise ValueError(
-                    f"{name} must be a {kind.__name__} or a sequence of them, got {given!r}"
+                    f"{name} must be a {kind.__name__} or a sequence of them, got {value!r}"
                 )
-            many = tuple(many)
-            for place, one in enumerate(many):
-                of_class(f"{name}[{place}]", one, kind)
-                if kind is TrustModel and (one.p_min, one.p_max) != (0.0, 1.0):
-                    raise ValueError(
-                        f"{name}[{place}]: performance lies between 0 and 1 here, set p_min=0, "
-                        "p_max=1"
-                    )
-                if kind is Scattering and (one.alpha_min, one.alpha_max) != (1.0, 1.0):
-                    raise ValueError(
-                        f"{name}[{place}]: α is 1 in Chapter 4, got [{one.alpha_min}, "
-                        f"{one.alpha_max}]"
-                    )
-            if not many:
+            entries = tuple(entries)
+            if not entries:
                 raise ValueError(f"{name} is empty")
-            if not isinstance(given, kind):
-                object.__setattr__(self, name, many)
+            for place, entry in enumerate(entries):
+                _check_entry(f"{name}[{place}]", entry, kind)
+            if not isinstance(value, kind):
+                object.__setattr__(self, name, entries)
         self.device()
 
     def device(self) -> HapticDevice:
@@ -139,12 +279,21 @@ class TeamSettings:
         ValueError
             If there are entries for another number of robots.
         """
-        given = getattr(self, name)
-        if not isinstance(given, tuple):
-            return (given,) * count
-        if len(given) != count:
-            raise ValueError(f"{name} has {len(given)} entries for {count} robots")
-        return given
+        value = getattr(self, name)
+        if not isinstance(value, tuple):
+            return (value,) * count
+        if len(value) != count:
+            raise ValueError(f"{name} has {len(value)} entries for {count} robots")
+        return value
+
+
+def _check_entry(name: str, entry, kind: type) -> None:
+    """Refuse a robot's setting of another class, or one that Chapter 4 does not have."""
+    of_class(name, entry, kind)
+    if kind is TrustModel and (entry.p_min, entry.p_max) != (0.0, 1.0):
+        raise ValueError(f"{name}: performance lies between 0 and 1 here, set p_min=0, p_max=1")
+    if kind is Scattering and (entry.alpha_min, entry.alpha_max) != (1.0, 1.0):
+        raise ValueError(f"{name}: α is 1 in Chapter 4, got [{entry.alpha_min}, {entry.alpha_max}]")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,22 @@
+"""Simulated teams for tests: every option by its name, whichever settings it belongs to."""
+
+from dataclasses import fields, replace
+
+import trustlab as tl
+from trustlab.teleoperation import TeamChannel, TeamSettings, TeamTrial
+
+
+def picked(kind, options):
+    """The options that a class of settings has, taken out of `options`."""
+    return {item.name: options.pop(item.name) for item in fields(kind) if item.name in options}
+
+
+def simulate_team(graph, policy="most_trusted", goal=(1.0, 2.0, 0.5), seed=0, **options):
+    settings = options.pop("settings", TeamSettings())
+    channel, trial = picked(TeamChannel, options), picked(TeamTrial, options)
+    if isinstance(settings, TeamSettings):
+        changed = {"channel": TeamChannel(**channel)} | picked(TeamSettings, options)
+        settings = replace(settings, **changed)
+    return tl.simulate_team(
+        graph, policy, goal, seed, settings=settings, trial=TeamTrial(**trial), **options
+    )
