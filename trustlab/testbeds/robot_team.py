@@ -150,7 +150,7 @@ def simulate_team(
     data, coordinates = team.run(_memory(delays, pushed, distance, inner), trial.samples_per_row)
     t = data.index.to_numpy()
     trust = plan.trust[_intervals(t, plan.step, len(plan.trust))]
-    facts = {"policy": policy.title, "filter": title}
+    facts: dict = {"policy": policy.title, "filter": title}
     facts |= {name: numbers[name].item() for name in ("k12", "k21")}
     facts |= {"seed": str(seed), "read_out": channel.read_out} | times
     facts |= {name: numbers[name].item() for name in ("sample_time", "push")} | {"note": NOTE}
@@ -180,7 +180,7 @@ class Plan(NamedTuple):
     def changes(self) -> list[tuple[int, int]]:
         """From which sample on another graph holds, and its number."""
         numbers = self.graph[self.decision]
-        return [(k, numbers[k]) for k in np.flatnonzero(np.diff(numbers)) + 1]
+        return [(int(k), int(numbers[k])) for k in np.flatnonzero(np.diff(numbers)) + 1]
 
     def spans(self, live: bool) -> list[tuple[int, int]]:
         """

@@ -92,12 +92,12 @@ class TeamChannel:
         """
         if not isinstance(self.filters, str):
             return self.filters
-        return {
-            "none": None,
+        named: dict[str, TwoPortFilter | WaveFilter] = {
             "corrected": corrected_filter(CUTOFF, impedance),
             "waves": WaveFilter(CUTOFF),
             "printed": printed_filter(CUTOFF),
-        }[self.filters]
+        }
+        return named.get(self.filters)
 
 
 @dataclass(frozen=True, eq=False)
