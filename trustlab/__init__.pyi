@@ -102,6 +102,7 @@ from .studies import (
     cronbach_alpha as cronbach_alpha,
     design_balance as design_balance,
     equivalence as equivalence,
+    formula_model as formula_model,
     latin_square_design as latin_square_design,
     mixed_model as mixed_model,
     order_effects as order_effects,

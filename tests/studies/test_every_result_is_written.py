@@ -35,12 +35,14 @@ ORDERED = DESIGN.orders().assign(error=RNG.standard_normal(36))
 # Every class of trustlab.studies with a table, and every function that returns one.
 RESULTS = {
     "RepeatedMeasures": lambda: tl.repeated_measures(ONE, **COLUMNS),
-    "FactorialMeasures": lambda: tl.repeated_measures(LONG, "error", ["scheme", "task"], "who"),
+    "RepeatedMeasures of several factors": lambda: tl.repeated_measures(
+        LONG, "error", ["scheme", "task"], "who"
+    ),
     "RepeatedMeasuresBatch": lambda: studies.repeated_measures_batch(
         RNG.standard_normal((4, 9, 3))
     ),
     "MixedModel": lambda: tl.mixed_model(ONE, **COLUMNS),
-    "FormulaModel": lambda: tl.mixed_model("error ~ scheme", LONG, groups="who"),
+    "FormulaModel": lambda: tl.formula_model("error ~ scheme", LONG, groups="who"),
     "PairedTTest": lambda: studies.paired_t_test(PAIR, **COLUMNS),
     "OrderEffects": lambda: tl.order_effects(
         ORDERED, "error", "condition", "position", subject="participant"

@@ -1,11 +1,14 @@
 from .analysis.apa import apa_number as apa_number, apa_p as apa_p, apa_table as apa_table
 from .analysis.batch import (
-    PartialEtaInterval as PartialEtaInterval,
     RepeatedMeasuresBatch as RepeatedMeasuresBatch,
     bonferroni as bonferroni,
+    factorial_batch as factorial_batch,
     holm as holm,
-    partial_eta_interval as partial_eta_interval,
     repeated_measures_batch as repeated_measures_batch,
+)
+from .analysis.descriptives import (
+    PartialEtaInterval as PartialEtaInterval,
+    partial_eta_interval as partial_eta_interval,
 )
 from .analysis.mixed_model import MixedModel as MixedModel, mixed_model as mixed_model
 from .analysis.paired_t_test import PairedTTest as PairedTTest, paired_t_test as paired_t_test
@@ -29,9 +32,7 @@ from .evidence import (
     intraclass_correlation as intraclass_correlation,
     simultaneous_intervals as simultaneous_intervals,
 )
-from .factors.effects import factorial_batch as factorial_batch
-from .factors.factorial import FactorialMeasures as FactorialMeasures
-from .factors.formula_model import FormulaModel as FormulaModel
+from .factors.formula_model import FormulaModel as FormulaModel, formula_model as formula_model
 from .factors.order_effects import OrderEffects as OrderEffects, order_effects as order_effects
 from .planning.closed_form_power import (
     clopper_pearson as clopper_pearson,

@@ -15,7 +15,7 @@ from statsmodels.stats.anova import AnovaRM
 from statsmodels.stats.multitest import multipletests
 
 import trustlab as tl
-from trustlab.studies.analysis import batch as engine
+from trustlab.studies.analysis import anova as engine
 from trustlab.studies.analysis.batch import bonferroni, holm
 from trustlab.studies.analysis.sphericity import (
     greenhouse_geisser,

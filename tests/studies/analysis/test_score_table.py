@@ -44,7 +44,8 @@ def test_the_table_itself_is_fine():
 TABLES = {
     "duplicate cell": (
         pd.concat([table(), table().iloc[[4, 4]]]),
-        r"1 cell\(s\) with more than one row: subject 'P2', condition 'C2' has 3 rows \(4, 4, 4\); average the trials",
+        r"1 cell\(s\) with more than one row: subject 'P2', condition 'C2' has 3 rows "
+        r"\(4, 4, 4\); average the trials",
     ),
     "duplicate cell, one without score": (
         pd.concat([table(), table().iloc[[4]].assign(score=np.nan)]),

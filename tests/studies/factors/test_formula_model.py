@@ -37,7 +37,7 @@ def trials(seed=0, n=8, effect=0.0):
 @pytest.mark.parametrize("name", SETS)
 def test_agrees_with_lme4(name):
     wanted = SETS[name]
-    found = tl.mixed_model(
+    found = tl.formula_model(
         wanted["formula"],
         pd.DataFrame(wanted["data"]),
         groups=wanted["groups"],
@@ -58,7 +58,7 @@ def test_agrees_with_lme4(name):
 
 def test_the_unit_of_the_score_does_not_matter():
     one, other = (
-        tl.mixed_model("error ~ mode", f, groups="who")
+        tl.formula_model("error ~ mode", f, groups="who")
         for f in (trials(), trials().assign(error=lambda f: 1e6 * f["error"]))
     )
     np.testing.assert_allclose(other.table()["chi2"], one.table()["chi2"], rtol=1e-6)
@@ -70,12 +70,12 @@ def test_the_unit_of_the_score_does_not_matter():
 def test_bootstrap():
     """Same seed, same p; an effect is found; the p is a share of draws."""
     first, again = (
-        tl.mixed_model("error ~ mode", trials(effect=1.5), groups="who", bootstrap=19, seed=3)
+        tl.formula_model("error ~ mode", trials(effect=1.5), groups="who", bootstrap=19, seed=3)
         for _ in range(2)
     )
     pd.testing.assert_frame_equal(first.table(), again.table())
     assert first.table()["p_bootstrap"].item() == pytest.approx(0.05)
-    none = tl.mixed_model("error ~ mode", trials(1), groups="who", bootstrap=19, seed=3).table()
+    none = tl.formula_model("error ~ mode", trials(1), groups="who", bootstrap=19, seed=3).table()
     assert none["p_bootstrap"].item() > 0.05
     assert "19 simulated data sets" in first._repr_html_()
 
@@ -84,7 +84,7 @@ def test_bootstrap():
 def test_origin_is_said(kind):
     frame = trials()
     frame.attrs[kind] = True
-    found = tl.mixed_model("error ~ trial", data=frame, groups="who")
+    found = tl.formula_model("error ~ trial", data=frame, groups="who")
     assert (
         found.origin
         == found.table().attrs["origin"]
@@ -118,9 +118,9 @@ def test_origin_is_said(kind):
 def test_bad_models_are_refused(change, arguments, message):
     options = {"formula": "error ~ mode", "groups": "who"} | arguments
     with pytest.raises(ValueError, match=message):
-        tl.mixed_model(options.pop("formula"), change(trials()), **options)
+        tl.formula_model(options.pop("formula"), change(trials()), **options)
 
 
 def test_an_unknown_reference_level_is_refused_with_the_formula():
     with pytest.raises(ValueError, match=r"formula .*'Z'.*is not among the provided levels"):
-        tl.mixed_model("error ~ C(mode, contr.treatment('Z'))", trials(), groups="who")
+        tl.formula_model("error ~ C(mode, contr.treatment('Z'))", trials(), groups="who")

@@ -27,7 +27,7 @@ def fitted(name, **more):
         "trials": wanted["trials"] or None,
         "points": wanted["points"],
     }
-    return tl.mixed_model(
+    return tl.formula_model(
         wanted["formula"], pd.DataFrame(wanted["data"]), family="binomial", **arguments | more
     )
 
@@ -102,7 +102,7 @@ def test_without_random_effects_it_is_logistic_regression():
     import statsmodels.api as sm
 
     frame = followed(1, sd=0.0, effect=-0.8).assign(who=lambda f: np.arange(len(f)) % 4)
-    found = tl.mixed_model(
+    found = tl.formula_model(
         "followed ~ condition", frame, groups="who", family="binomial", trials="suggestions"
     )
     assert found.singular
@@ -120,7 +120,7 @@ def test_order_of_rows_and_coding_of_outcomes():
         frac=1.0, random_state=0
     )
     one, other = (
-        tl.mixed_model(
+        tl.formula_model(
             "followed ~ condition", f, groups="who", family="binomial", trials="suggestions"
         )
         for f in (frame, turned)
@@ -134,7 +134,7 @@ def test_order_of_rows_and_coding_of_outcomes():
 def test_bootstrap_and_draws():
     frame = followed(2, effect=-1.5)
     first, again = (
-        tl.mixed_model(
+        tl.formula_model(
             "followed ~ condition",
             frame,
             groups="who",
@@ -164,19 +164,19 @@ def test_bad_input_names_what_is_wrong():
     frame = followed()
     give = {"groups": "who", "family": "binomial", "trials": "suggestions"}
     with pytest.raises(ValueError, match="row 3: 14 of 12 is no number of successes"):
-        tl.mixed_model(
+        tl.formula_model(
             "followed ~ condition",
             frame.assign(followed=frame["followed"].where(frame.index != 3, 14)),
             **give,
         )
     with pytest.raises(ValueError, match='trials="…" names the column'):
-        tl.mixed_model("followed ~ condition", frame, groups="who", family="binomial")
+        tl.formula_model("followed ~ condition", frame, groups="who", family="binomial")
     with pytest.raises(ValueError, match="random intercepts only"):
-        tl.mixed_model("followed ~ condition", frame, random="1 + condition", **give)
+        tl.formula_model("followed ~ condition", frame, random="1 + condition", **give)
     with pytest.raises(ValueError, match="trials are of counts"):
-        tl.mixed_model("followed ~ condition", frame, groups="who", trials="suggestions")
+        tl.formula_model("followed ~ condition", frame, groups="who", trials="suggestions")
     with pytest.raises(ValueError, match="family must be one of 'normal', 'binomial'"):
-        tl.mixed_model("followed ~ condition", frame, groups="who", family="poisson")
+        tl.formula_model("followed ~ condition", frame, groups="who", family="poisson")
     never = frame.assign(followed=frame["followed"].where(frame["condition"] == "C2", 0))
     with pytest.raises(ValueError, match="separates successes from failures"):
-        tl.mixed_model("followed ~ condition", never, **give)
+        tl.formula_model("followed ~ condition", never, **give)

@@ -251,7 +251,7 @@ def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
 def test_draws_do_not_depend_on_how_many_are_in_memory(monkeypatch):
     arguments = {"n": 10, "replicates": 300, "seed": 5, "claims": [(1, 3)]}
     whole = tl.power_analysis([0, 0, 1], graded_covariance(3), **arguments)
-    monkeypatch.setattr("trustlab.studies.analysis.batch._CHUNK", 500)
+    monkeypatch.setattr("trustlab.studies.analysis.anova._CHUNK", 500)
     for name in ("table", "pairs", "claims"):
         pd.testing.assert_frame_equal(
             getattr(tl.power_analysis([0, 0, 1], graded_covariance(3), **arguments), name)(),

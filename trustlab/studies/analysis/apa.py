@@ -108,9 +108,8 @@ def _omnibus(result) -> str:
         f"[{_share(result.eta2_partial_low)}, {_share(result.eta2_partial_high)}], ηG² = "
         f"{_share(result.eta2_generalized)}"
     )
-    of_what = (
-        "" if str(result.within).lower() in ("condition", "conditions") else f" of {result.within}"
-    )
+    within = str(result.scores.within)
+    of_what = "" if within.lower() in ("condition", "conditions") else f" of {within}"
     return (
         f"A one-way repeated-measures ANOVA (N = {result.n}) showed that {result.dv} {verb} "
         f"significantly between the {result.k} conditions{of_what}, {statistic}."
@@ -231,5 +230,5 @@ def apa_effects(result) -> str:
     return (
         f"{_origin(result.scores)}A {' × '.join(map(str, factors))} {kind} ANOVA of "
         f"{result.scores.dv} (N = {len(result.scores.subjects)}, correction: "
-        f"{result.correction}): {'; '.join(sentences)}.{_left_out(result, 'cells')}"
+        f"{result.correction_rule}): {'; '.join(sentences)}.{_left_out(result, 'cells')}"
     )

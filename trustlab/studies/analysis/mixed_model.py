@@ -5,7 +5,7 @@ cells.
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -76,69 +76,39 @@ class MixedModel:
 
 
 def mixed_model(
-    frame: pd.DataFrame | str,
-    dv: Any = None,
-    within: Hashable = None,
-    subject: Hashable = None,
+    frame: pd.DataFrame,
+    dv: Hashable,
+    within: Hashable,
+    subject: Hashable,
     *,
     order: Sequence | None = None,
-    data: pd.DataFrame | None = None,
-    groups: Hashable = None,
-    random: str = "1",
-    bootstrap: int = 0,
-    seed: int = 0,
-    family: str = "normal",
-    trials: str | None = None,
-    points: int = 15,
-) -> Any:
+) -> MixedModel:
     """
-    Fit a random intercept per subject to a long table, or a mixed model by formula; cells may be
-    missing.
+    Fit a random intercept per subject to a long table; cells may be missing.
 
     Parameters
     ----------
-    frame : pandas.DataFrame or str
-        One row per subject and condition, where a missing cell is an absent row or a missing score;
-        or a formula such as "error ~ autonomy * trial", followed by its table: ``mixed_model("error
-        ~ autonomy", table, groups="subject")``.
+    frame : pandas.DataFrame
+        One row per subject and condition; a missing cell is an absent row or a missing score.
     dv, within, subject : hashable
-        Columns with the score, the condition and the subject; without a formula.
+        Columns with the score, the condition and the subject.
     order : sequence, optional
-        Conditions in the order wanted; without a formula.
-    data : pandas.DataFrame, optional
-        The table of a formula, one row per trial; rows with missing values are refused.
-    groups : hashable
-        With a formula: the column whose groups have random effects.
-    random : str
-        With a formula: the random effects of a group, "1" for intercepts, "1 + trial" for
-        intercepts and correlated slopes.
-    bootstrap : int
-        With a formula: data sets simulated to test each term. No kept Python library has
-        Satterthwaite's or Kenward and Roger's degrees of freedom; the likelihood ratio's own p is
-        asymptotic and too small with few groups.
-    seed : int
-        Of the bootstrap.
-    family : {"normal", "binomial"}
-        With a formula: "binomial" is a logistic model with random intercepts of successes (0 and 1,
-        or counts), by maximum likelihood; no kept Python library has one.
-    trials : str, optional
-        Of a binomial family: the column with how many trials a row has; 1 each when left out.
-    points : int
-        Of a binomial family: nodes of the adaptive Gauss–Hermite quadrature; 1 is Laplace's
-        approximation, the default of lme4.
+        The order of the conditions.
 
     Returns
     -------
-    MixedModel or FormulaModel
-        The latter with a formula.
+    MixedModel
 
     Raises
     ------
     ValueError
         If the table is refused (see `trustlab.studies.analysis.score_table.read_scores`), fewer
         than three subjects have a score, a condition has fewer than two, or nothing is left to
-        estimate the error from; with a formula, if it does not fit the table, its effects are not
-        estimable, a value is missing or no maximum of the likelihood is found.
+        estimate the error from.
+
+    See Also
+    --------
+    formula_model : Trials, covariates, random slopes and counts of successes.
 
     Examples
     --------
@@ -149,11 +119,6 @@ def mixed_model(
           F  df1  df2   icc
     0  5.89    4  140  0.78
     """
-    if isinstance(frame, str):
-        from trustlab.studies.factors.formula_model import formula_model
-
-        table = dv if data is None and isinstance(dv, pd.DataFrame) else data
-        return formula_model(frame, table, groups, random, bootstrap, seed, family, trials, points)
     return fit_mixed_model(read_scores(frame, dv, within, subject, order=order))
 
 

@@ -12,7 +12,8 @@ import pandas as pd
 
 from trustlab.models.checks import open_unit
 from trustlab.models.html import as_html
-from trustlab.studies.analysis.batch import analyse_table, describe, t_half_width
+from trustlab.studies.analysis.batch import analyse_table
+from trustlab.studies.analysis.descriptives import describe, t_half_width
 from trustlab.studies.analysis.rank_tests import normality_of_differences, wilcoxon
 from trustlab.studies.analysis.score_table import (
     ScoreTable,
@@ -169,8 +170,9 @@ def paired_t_test(
     --------
     >>> import pandas as pd
     >>> import trustlab as tl
-    >>> values = {"subject": [1, 1, 2, 2, 3, 3], "mode": ["A", "B"] * 3, "error": [1.0, 1.4, 1.1, 1.9, 0.8, 1.0]}
-    >>> test = tl.paired_t_test(pd.DataFrame(values), dv="error", within="mode", subject="subject")
+    >>> values = {"subject": [1, 1, 2, 2, 3, 3], "mode": ["A", "B"] * 3}
+    >>> frame = pd.DataFrame(values).assign(error=[1.0, 1.4, 1.1, 1.9, 0.8, 1.0])
+    >>> test = tl.paired_t_test(frame, dv="error", within="mode", subject="subject")
     >>> test.table()[["mean_difference", "t", "df", "p"]].round(3)
        mean_difference      t  df      p
     0           -0.467 -2.646   2  0.118

@@ -6,6 +6,7 @@ import textwrap
 
 import numpy as np
 import pandas as pd
+from scipy.special import stdtrit
 
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import one_of
@@ -107,6 +108,29 @@ def plot_conditions(result, kind: str = "means", interval: str = "between", axes
         "paired": f"subjects; means, 95 % intervals {interval} subjects",
     }[kind]
     axes.set_title(_title(result.origin, f"{what} (N = {result.n})", axes), fontsize="small")
+    return axes
+
+
+def plot_cells(result, axes=None):
+    """
+    Draw the cell means of several factors: the first along the axis, a line per other cell.
+    """
+    axes = axes_or_new(axes, figsize=(6.0, 3.8))
+    first, *others = result.within
+    lines = [*result.between, *others]
+    table = result.descriptives()
+    groups = table.groupby(lines, sort=False) if lines else [((), table)]
+    for i, (cell, rows) in enumerate(groups):
+        reach = stdtrit(rows["n"] - 1, 0.975) * rows["se"]
+        places = np.arange(len(rows)) + 0.06 * i
+        label = ", ".join(map(str, cell)) or None
+        axes.errorbar(places, rows["mean"], reach, fmt="o-", capsize=4, lw=1.3, label=label)
+    levels = result.within[first]
+    axes.set_xticks(range(len(levels)), [str(level) for level in levels])
+    axes.set(xlabel=str(first), ylabel=str(result.dv))
+    title = f"means, 95 % intervals between subjects (N = {result.n})"
+    axes.set_title(f"{result.origin}: {title}" if result.origin else title, fontsize="small")
+    axes.legend(fontsize="small", title=", ".join(map(str, lines)))
     return axes
 
 

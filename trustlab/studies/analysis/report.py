@@ -17,7 +17,6 @@ from trustlab.models.checks import one_of, shown
 from trustlab.models.extras import extra
 from trustlab.studies.analysis.apa import apa_table
 from trustlab.studies.analysis.repeated_measures import RepeatedMeasures, repeated_measures
-from trustlab.studies.factors.factorial import FactorialMeasures
 
 # What LaTeX would read as a command, and signs that it lacks as letters.
 _LATEX = str.maketrans(
@@ -112,7 +111,7 @@ class StudyReport:
     @property
     def drawn(self) -> bool:
         """Whether there is a figure: that of an analysis of variance."""
-        return isinstance(self.result, RepeatedMeasures | FactorialMeasures)
+        return isinstance(self.result, RepeatedMeasures)
 
     def write(self, path: str | os.PathLike, digits: int = 2) -> Path:
         """
@@ -186,7 +185,7 @@ def report(
     (36, 5)
     """
     result = frame if dv is None else repeated_measures(frame, dv, within, subject, **options)
-    if isinstance(result, RepeatedMeasures | FactorialMeasures):
+    if isinstance(result, RepeatedMeasures):
         return _section(result)
     if not isinstance(result, pd.DataFrame) and not hasattr(result, "table"):
         raise ValueError(
@@ -201,24 +200,20 @@ def report(
     )
 
 
-def _section(result: RepeatedMeasures | FactorialMeasures) -> StudyReport:
+def _section(result: RepeatedMeasures) -> StudyReport:
     """Return the Results section of an analysis of variance."""
-    factors: list[Hashable]
-    if isinstance(result, RepeatedMeasures):
-        tests, factors = result.table().assign(effect=str(result.within)), ["condition"]
+    if result.design.one_way:
+        factors: list[Hashable] = ["condition"]
         pairs = {"Pairwise comparisons": result.pairs()}
     else:
-        tests, factors = result.table(), [*result.between, *result.within]
-        pairs = {
-            f"Pairwise comparisons of {x}": result.pairs(x)
-            for x in (*result.within, *result.between)
-        }
+        factors = [*result.within, *result.between]
+        pairs = {f"Pairwise comparisons of {name}": result.pairs(name) for name in factors}
     moments = result.descriptives().astype(
         dict.fromkeys(factors, str)
     )  # levels that are numbers are not rounded
     own = [name for name in moments if name in factors or name in _MOMENTS]
     tables = {"Descriptive statistics": moments[own].rename(columns=_MOMENTS)}
-    tables |= {"Analysis of variance": tests[list(_TESTS)].rename(columns=_TESTS)}
+    tables |= {"Analysis of variance": result.table()[list(_TESTS)].rename(columns=_TESTS)}
     tables |= {title: table[list(_PAIRS)] for title, table in pairs.items()}
     return StudyReport(result, " ".join([result.apa(), *result.notes]), tables, result.origin)
 

@@ -104,19 +104,65 @@ def formula_model(
     formula: str,
     data: pd.DataFrame,
     groups: Hashable,
-    random: str,
-    bootstrap: int,
-    seed: int,
-    family: str,
-    trials: str | None,
-    points: int,
+    *,
+    random: str = "1",
+    bootstrap: int = 0,
+    seed: int = 0,
+    family: str = "normal",
+    trials: str | None = None,
+    points: int = 15,
 ) -> FormulaModel:
-    """Fit a mixed model by formula; the arguments are those of `mixed_model`."""
+    """
+    Fit a mixed model by formula: trials, covariates, random slopes, or counts of successes.
+
+    Parameters
+    ----------
+    formula : str
+        Score and fixed effects, such as "error ~ autonomy * trial".
+    data : pandas.DataFrame
+        One row per trial; rows with missing values are refused.
+    groups : hashable
+        The column whose groups (subjects) have random effects.
+    random : str
+        The random effects of a group, "1" for intercepts, "1 + trial" for intercepts and correlated
+        slopes.
+    bootstrap : int
+        Data sets simulated to test each term. No maintained Python library has Satterthwaite's or
+        Kenward and Roger's degrees of freedom; the likelihood ratio's own p is asymptotic and too
+        small with few groups.
+    seed : int
+        Of the bootstrap.
+    family : {"normal", "binomial"}
+        "binomial" is a logistic model with random intercepts of successes (0 and 1, or counts), by
+        maximum likelihood.
+    trials : str, optional
+        Of a binomial family: the column with how many trials a row has; 1 each when left out.
+    points : int
+        Of a binomial family: nodes of the adaptive Gauss–Hermite quadrature; 1 is Laplace's
+        approximation, the default of lme4.
+
+    Returns
+    -------
+    FormulaModel
+
+    Raises
+    ------
+    ValueError
+        If the formula does not fit the table, its effects are not estimable, a value is missing or
+        no maximum of the likelihood is found.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> model = tl.formula_model("value ~ condition", frame, groups="subject")
+    >>> model.table()[["term", "df"]]
+            term  df
+    0  condition   4
+    """
     of_class("formula", formula, str)
     of_class("random", random, str, 'such as "1" (intercepts) or "1 + trial" (and slopes)')
-    frame = of_class(
-        "data", data, pd.DataFrame, "give the table after the formula, or as data="
-    ).reset_index(drop=True)
+    frame = of_class("data", data, pd.DataFrame, "with a row per trial").reset_index(drop=True)
     if formula.count("~") != 1:
         raise ValueError(f"formula must be “score ~ terms”, got {formula!r}")
     bootstrap = whole_number("bootstrap", bootstrap, least=0, most=100_000)

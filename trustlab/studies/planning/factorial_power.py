@@ -15,17 +15,17 @@ from numpy.random import SeedSequence
 from scipy import special
 
 from trustlab.models.checks import array_between, not_negative, whole_number
-from trustlab.studies.analysis.batch import chunks
-from trustlab.studies.analysis.repeated_measures import repeated_measures
-from trustlab.studies.analysis.sphericity import CORRECTIONS, greenhouse_geisser
-from trustlab.studies.factors.effects import (
+from trustlab.studies.analysis.anova import (
     BetweenDesign,
     between_design,
+    chunks,
     effect_tests,
+    regress,
     subsets,
-    tested,
     within_contrasts,
 )
+from trustlab.studies.analysis.repeated_measures import repeated_measures
+from trustlab.studies.analysis.sphericity import CORRECTIONS, greenhouse_geisser
 from trustlab.studies.factors.logistic_model import Logistic
 from trustlab.studies.planning.closed_form_power import clopper_pearson
 from trustlab.studies.planning.covariances import checked_covariance
@@ -63,11 +63,12 @@ class NormalCells:
         Yield effect, test, population partial η² and power in closed form, which needs sphericity.
         """
         groups, design, sizes = self._design(n)
+        regression = regress(self.mean[groups][None], design)
         for names, (block, columns) in product(subsets(list(sizes)), design.blocks.items()):
             contrasts = within_contrasts(sizes, names)
             d, variances = contrasts.shape[1], contrasts.T @ self.covariance @ contrasts
             rows = np.eye(design.matrix.shape[1])[columns]
-            ss, _ = tested((self.mean[groups] @ contrasts)[None], design, rows)
+            ss = regression.hypothesis(contrasts, rows)
             strength = float(ss[0]) * d / np.trace(variances)
             df1, df2 = d * len(columns), d * design.df_error
             power = 1.0 - special.ncfdtr(df1, df2, strength, special.fdtri(df1, df2, 1.0 - alpha))
@@ -90,12 +91,10 @@ class NormalCells:
         root = np.linalg.cholesky(self.covariance).T
         for part in chunks(replicates, len(groups) * len(root)):
             shape = (len(part), len(groups), len(root))
-            tests = effect_tests(
-                rng.standard_normal(shape) @ root + self.mean[groups], sizes, design
-            )
-            for test, column in zip(CORRECTIONS, ("p", "p_gg", "p_hf"), strict=True):
-                hits = (tests[column] < alpha).groupby(level="effect").sum()
-                found.update({f"{effect}/{test}": int(count) for effect, count in hits.items()})
+            scores = rng.standard_normal(shape) @ root + self.mean[groups]
+            for effect, statistics in effect_tests(regress(scores, design), sizes).items():
+                for test, column in zip(CORRECTIONS, ("p", "p_gg", "p_hf"), strict=True):
+                    found[f"{effect}/{test}"] += int((statistics[column] < alpha).sum())
         return dict(found)
 
 
@@ -147,7 +146,9 @@ def population_of(
     if data is not None:
         pilot = repeated_measures(data, dv, within, subject, between=between, order=order)
         matrix = checked_covariance("covariance of data", pilot.residual_covariance())
-        means = np.array([pilot.scores.values[who].mean(axis=0) for _, who in pilot.members()])
+        means = np.array(
+            [pilot.scores.values[who].mean(axis=0) for _, who in pilot.design.members()]
+        )
         own = {str(name): levels for name, levels in pilot.within.items()}
         groups = {str(name): levels for name, levels in pilot.between.items()}
         origin = f"simulated studies, from {pilot.origin}" if pilot.origin else "simulated studies"

@@ -17,7 +17,8 @@ from trustlab.campaign.run import where_to_run
 from trustlab.models.axes import axes_or_new
 from trustlab.models.checks import did_you_mean, one_of, open_unit, whole_number
 from trustlab.models.html import as_html
-from trustlab.studies.analysis.batch import chunks, repeated_measures_batch
+from trustlab.studies.analysis.anova import chunks
+from trustlab.studies.analysis.batch import repeated_measures_batch
 from trustlab.studies.analysis.sphericity import CORRECTIONS
 from trustlab.studies.planning.closed_form_power import (
     clopper_pearson,

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
-from trustlab.studies.factors.factorial import aligned
+from trustlab.studies.analysis.contrasts import aligned
 
 SETS = json.loads((Path(__file__).parents[1] / "reference" / "aligned_ranks.json").read_text())[
     "sets"
@@ -134,10 +134,8 @@ def test_other_effects_are_gone():
     frame = two_way()
     shifted = frame.assign(v=frame["v"] + 50.0 * (frame["y"] == "b") + 9.0 * (frame["x"] == "low"))
     for own, more in ((frame, shifted),):
-        ranks = [
-            aligned(tl.repeated_measures(f, "v", ["x", "y"], "who"), ("x", "y")).scores.values
-            for f in (own, more)
-        ]
+        results = [tl.repeated_measures(f, "v", ["x", "y"], "who") for f in (own, more)]
+        ranks = [aligned(x.scores, x.design, ("x", "y")).values for x in results]
         np.testing.assert_array_equal(*ranks)
 
 
@@ -155,6 +153,14 @@ def test_own_error_is_pooled_error_where_all_contrasts_are_one():
         )
 
 
+def test_ranks_of_one_factor_need_no_alignment():
+    """Oracle: the ANOVA of the ranks of all scores (Conover and Iman, 1981)."""
+    frame = two_way()[lambda f: f["y"] == "a"]
+    ranked = frame.assign(v=frame["v"].rank())
+    tests = tl.repeated_measures(frame, "v", "x", "who").aligned_ranks()
+    np.testing.assert_allclose(tests["F"], tl.repeated_measures(ranked, "v", "x", "who").F)
+
+
 def test_faults_are_named():
     frame = two_way().assign(age=lambda f: f["who"] * 1.0)
     result = tl.repeated_measures(frame, "v", ["x", "y"], "who", covariate="age")
@@ -165,9 +171,6 @@ def test_faults_are_named():
         plain.aligned_ranks("residual")
     with pytest.raises(ValueError, match="method must be one of 't', 'aligned_ranks'"):
         plain.pairs("x", method="wilcoxon")
-    one_factor = tl.repeated_measures(frame[frame["y"] == "a"], "v", ["x"], "who")
-    with pytest.raises(ValueError, match=r"more factors are needed, .*; of one, \.friedman\(\)"):
-        one_factor.aligned_ranks()
     with pytest.raises(ValueError, match="'z' is not a factor"):
         plain.pairs("z", method="aligned_ranks")
 

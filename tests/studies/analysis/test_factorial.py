@@ -192,7 +192,7 @@ def test_batch_and_table_agree_and_pieces_do_not_matter(monkeypatch):
     array = np.stack([frame["v"].to_numpy().reshape(10, 2, 3) for frame in frames])
     groups = (np.arange(10) >= 5).astype(int)
     batch = factorial_batch(array, groups=groups)
-    monkeypatch.setattr("trustlab.studies.analysis.batch._CHUNK", 120)
+    monkeypatch.setattr("trustlab.studies.analysis.anova._CHUNK", 120)
     pd.testing.assert_frame_equal(factorial_batch(array, groups=groups), batch)
     for s, frame in enumerate(frames):
         own = run(frame, between="side").table()
