@@ -18,7 +18,8 @@ RUN = """
 import numba, trustlab as tl
 robot = tl.RobotModel(a=0.996, p_min=0.24, p_max=0.39, p_h_max=0.46)
 tsc = tl.TscModel(robot, tl.HumanModel(a=0.9991, beta=0.74, p_min=0.39, p_max=0.46))
-print(repr(float(tl.simulate_allocation(tsc, 0.0, 0.35, steps=5000)["r"].mean())), numba.config.CACHE_DIR or "-")
+run = tl.simulate_allocation(tsc, 0.0, 0.35, steps=5000)
+print(repr(float(run["r"].mean())), numba.config.CACHE_DIR or "-")
 """
 
 

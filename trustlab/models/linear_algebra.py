@@ -1,0 +1,180 @@
+"""
+Linear algebra of small matrices in a fixed order of operations: the same bits on every machine.
+
+BLAS and LAPACK choose their kernels by the processor, so that the last bits of a product or a
+factor differ between machines. That is enough to turn a search, an acceptance or a switch another
+way. What decides such a branch is computed here, one operation after the other. All functions take
+stacks of matrices; sizes are meant to be small (k ≤ 10 or so), where this is as fast as LAPACK.
+"""
+
+import numpy as np
+
+from trustlab.models.compiled import njit
+
+# Sweeps after which Jacobi's rotations give up; ten suffice for every matrix of double precision.
+SWEEPS = 60
+
+
+@njit
+def products(a, b):
+    """Return a @ b for stacks of matrices, shapes (B, m, k) and (B, k, n)."""
+    count, rows, inner = a.shape
+    columns = b.shape[2]
+    out = np.zeros((count, rows, columns))
+    for c in range(count):
+        for i in range(rows):
+            for k in range(inner):
+                for j in range(columns):
+                    out[c, i, j] += a[c, i, k] * b[c, k, j]
+    return out
+
+
+@njit
+def cholesky_factors(a):
+    """
+    Return lower factors L with L Lᵀ = a, shape (B, k, k), and whether each matrix has one.
+
+    The factor of a matrix that is not positive definite is NaN.
+    """
+    count, size, _ = a.shape
+    factor = np.zeros((count, size, size))
+    exists = np.ones(count, dtype=np.bool_)
+    for c in range(count):
+        for j in range(size):
+            pivot = a[c, j, j]
+            for k in range(j):
+                pivot -= factor[c, j, k] * factor[c, j, k]
+            if not pivot > 0.0:
+                exists[c] = False
+                factor[c] = np.nan
+                break
+            root = np.sqrt(pivot)
+            factor[c, j, j] = root
+            for i in range(j + 1, size):
+                entry = a[c, i, j]
+                for k in range(j):
+                    entry -= factor[c, i, k] * factor[c, j, k]
+                factor[c, i, j] = entry / root
+    return factor, exists
+
+
+@njit
+def solutions(a, b):
+    """
+    Return x with a x = b by Gaussian elimination with partial pivoting, shapes (B, k, k), (B, k).
+
+    The solution of a singular system is NaN.
+    """
+    count, size, _ = a.shape
+    out = np.empty((count, size))
+    for c in range(count):
+        matrix = a[c].copy()
+        right = b[c].copy()
+        regular = True
+        for j in range(size):
+            pivot = j
+            for i in range(j + 1, size):
+                if abs(matrix[i, j]) > abs(matrix[pivot, j]):
+                    pivot = i
+            if not abs(matrix[pivot, j]) > 0.0:
+                regular = False
+                break
+            if pivot != j:
+                for k in range(size):
+                    matrix[j, k], matrix[pivot, k] = matrix[pivot, k], matrix[j, k]
+                right[j], right[pivot] = right[pivot], right[j]
+            for i in range(j + 1, size):
+                ratio = matrix[i, j] / matrix[j, j]
+                for k in range(j, size):
+                    matrix[i, k] -= ratio * matrix[j, k]
+                right[i] -= ratio * right[j]
+        if not regular:
+            out[c] = np.nan
+            continue
+        for i in range(size - 1, -1, -1):
+            for k in range(i + 1, size):
+                right[i] -= matrix[i, k] * right[k]
+            right[i] /= matrix[i, i]
+        out[c] = right
+    return out
+
+
+@njit
+def inverses(a):
+    """Return the inverses of a stack of matrices, shape (B, k, k); NaN where one is singular."""
+    count, size, _ = a.shape
+    out = np.empty((count, size, size))
+    column = np.zeros((count, size))
+    for j in range(size):
+        column[:] = 0.0
+        column[:, j] = 1.0
+        out[:, :, j] = solutions(a, column)
+    return out
+
+
+@njit
+def symmetric_eigen(a):
+    """
+    Return eigenvalues, ascending, and eigenvectors in columns of symmetric matrices (B, k, k).
+
+    Jacobi's cyclic rotations (Golub and Van Loan, Matrix Computations, 2013, Section 8.5). The
+    first entry of each vector that is not near zero is positive.
+    """
+    count, size, _ = a.shape
+    values = np.empty((count, size))
+    vectors = np.empty((count, size, size))
+    for c in range(count):
+        matrix = a[c].copy()
+        basis = np.eye(size)
+        for _ in range(SWEEPS):
+            if not _rotate_once_round(matrix, basis):
+                break
+        order = np.argsort(np.diag(matrix).copy(), kind="mergesort")
+        for j in range(size):
+            values[c, j] = matrix[order[j], order[j]]
+            vectors[c, :, j] = _with_positive_start(basis[:, order[j]])
+    return values, vectors
+
+
+@njit
+def _rotate_once_round(matrix, basis):
+    """Annihilate every off-diagonal entry in turn, in place; return whether any was not zero."""
+    size = len(matrix)
+    rotated = False
+    for p in range(size - 1):
+        for q in range(p + 1, size):
+            entry = matrix[p, q]
+            scale = abs(matrix[p, p]) + abs(matrix[q, q])
+            if abs(entry) <= 1e-18 * scale or entry == 0.0:
+                continue
+            rotated = True
+            slope = (matrix[q, q] - matrix[p, p]) / (2.0 * entry)
+            tangent = 1.0 / (abs(slope) + np.sqrt(1.0 + slope * slope))
+            if slope < 0.0:
+                tangent = -tangent
+            cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
+            sine = tangent * cosine
+            for k in range(size):
+                first, second = matrix[k, p], matrix[k, q]
+                matrix[k, p] = cosine * first - sine * second
+                matrix[k, q] = sine * first + cosine * second
+            for k in range(size):
+                first, second = matrix[p, k], matrix[q, k]
+                matrix[p, k] = cosine * first - sine * second
+                matrix[q, k] = sine * first + cosine * second
+            for k in range(size):
+                first, second = basis[k, p], basis[k, q]
+                basis[k, p] = cosine * first - sine * second
+                basis[k, q] = sine * first + cosine * second
+            matrix[p, q] = 0.0
+            matrix[q, p] = 0.0
+    return rotated
+
+
+@njit
+def _with_positive_start(vector):
+    """Return a vector or its opposite, so that its first entry above 1e-8 is positive."""
+    for k in range(len(vector)):
+        if abs(vector[k]) > 1e-8:
+            return vector.copy() if vector[k] > 0.0 else -vector
+    return vector.copy()
