@@ -153,7 +153,7 @@ def test_pages_in_a_browser(site):
 
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
-        pytest.skip("needs Chromium")
+        pytest.skip("needs Chromium: apt-get install chromium")
     found = []
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium)

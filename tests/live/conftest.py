@@ -23,7 +23,7 @@ def chromium():
     """Playwright's Chromium; skipped with a line where there is none."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine: nobody drives")
+        pytest.skip("needs Chromium: apt-get install chromium")
     with sync_api.sync_playwright() as playwright:
         yield playwright.chromium
 

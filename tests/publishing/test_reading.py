@@ -37,7 +37,7 @@ PAPER = 718  # width of A4 within margins of 1 cm [px]
 def browser():
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if BROWSER is None:
-        pytest.skip("no Chromium on this machine: nothing walks the pages")
+        pytest.skip("needs Chromium: apt-get install chromium")
     with sync_api.sync_playwright() as playwright:
         chromium = playwright.chromium.launch(
             executable_path=BROWSER, args=["--no-sandbox", "--disable-gpu"]

@@ -163,10 +163,7 @@ def test_tracking_error_refuses():
 def test_real_tracking_error_is_the_published_one():
     folder = tl.sessions.external_data("autonomy_cl_trust")
     if folder is None:
-        pytest.skip(
-            "autonomy_cl_trust is not here: put it in data/external or name its parent in "
-            "TRUSTLAB_DATA"
-        )
+        pytest.skip("needs the sessions of AutonomyCLTrust (docs/reports.md): TRUSTLAB_DATA=folder")
     sessions = tl.read_sessions(folder, recipe="autonomy_cl_trust")
     theirs = pd.read_csv(folder / "measures" / "traj_err_all_levels.csv")
     both = tl.sessions.tracking_error(sessions).merge(

@@ -19,7 +19,7 @@ DATA = (
     / "autonomy_cl_trust"
 )
 pytestmark = pytest.mark.skipif(
-    not DATA.is_dir(), reason=f"the real sessions are not here: no folder {DATA}"
+    not DATA.is_dir(), reason="needs the sessions of AutonomyCLTrust (docs/reports.md): TRUSTLAB_DATA=folder"
 )
 
 

@@ -22,7 +22,7 @@ from trustlab.live.study.server import StudyServer
 def signed(tmp_path_factory):
     """Certificate and key for the name localhost."""
     if shutil.which("openssl") is None:
-        pytest.skip("no openssl on this machine: no certificate is signed")
+        pytest.skip("needs openssl: apt-get install openssl")
     folder = tmp_path_factory.mktemp("tls")
     certificate, key = folder / "cert.pem", folder / "key.pem"
     curve = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2"]

@@ -581,7 +581,7 @@ REAL = {  # file, column: F, W, p of W, Greenhouse–Geisser ε, generalized η�
 
 @pytest.mark.skipif(
     external_data("autonomy_cl_trust") is None,
-    reason="the real measures are not here (TRUSTLAB_DATA)",
+    reason="needs the sessions of AutonomyCLTrust (docs/reports.md): TRUSTLAB_DATA=folder",
 )
 @pytest.mark.parametrize("measure", REAL, ids=lambda measure: measure[0])
 def test_real_measures(measure):
