@@ -456,15 +456,12 @@ def random_recipe(rng: np.random.Generator, topics: list[str], unit: str = "s") 
         tables["header"] |= some(
             rng, 0.97, keys=([{"kind": "kind"}], [{"kind": "share"}, {"trial": "kind"}, {}])
         )
-        pairs = [{"csv": "tsv"}, {"mat": "h5", "h5": "mat"}, {"csv": "csv"}]
-        tables["supersedes"] = {"field": mostly(rng, ["kind"], ["x"]), "pairs": one_of(rng, pairs)}
         tables["header"] = tables["header"] if rng.random() < 0.7 else None
-        tables["supersedes"] = tables["supersedes"] if rng.random() < 0.3 else None
     if rng.random() < 0.3:
         origin = {"from": (["participant"], ["trial", "none"])}
         tables["metadata"] = {
             "participant": some(rng, 0.95, value=([3], [True, 1e308, "x"])),
-            "block": some(rng, 0.95, **origin, bins=([[1, 2]], [[2, 1], []]))
+            "block": some(rng, 0.95, **origin, map=([{"3": 1}], [{"1": "x"}, {}]))
             | some(rng, 0.03, default=([0], ["x"])),
         }
     text = f'kind = "{"bag" if topics else "table"}"\n' + "performance_window = 100\n" * int(

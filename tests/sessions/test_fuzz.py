@@ -298,8 +298,8 @@ mode = { column = "who", map = { MANUAL = 1, AUTO = 0 } }
 robot_x = { column = "x", unit = "mm", scale = 2.0 }
 step_distance = { travelled = "robot", axes = ["x"] }
 [metadata]
-participant = { from = "who", map = { 25 = 8 }, keep = true }
-block = { from = "trial", bins = [5, 10] }
+participant = { from = "who" }
+training = { from = "trial", map = { 1 = true }, default = false }
 """
 WORDS = st.sampled_from(re.split(r"[\s={}]+", RECIPE.strip())) | st.sampled_from(
     [

@@ -448,17 +448,6 @@ def test_no_warnings_and_no_shadowed_names(tmp_path, session):
     assert tl.sessions.recipe.__doc__.startswith("\nRecipes:")
 
 
-def test_old_names_work_and_say_the_new_one():
-    with pytest.warns(
-        DeprecationWarning, match=r"is now trustlab\.sessions\.recipe\.Recipe"
-    ) as caught:
-        assert tl.sessions.recipes.Recipe is tl.sessions.Recipe
-    assert caught[0].filename == __file__
-    with pytest.warns(DeprecationWarning, match=r"is now trustlab\.sessions\.recipe\.Recipe"):
-        from trustlab.sessions.recipes import Recipe
-    assert Recipe is tl.sessions.Recipe
-
-
 def test_what_is_written_says_what_it_is(tmp_path, session):
     write_session(session, tmp_path / "a.csv")
     assert (

@@ -93,12 +93,9 @@ def test_the_replaced_participant_and_others(tmp_path):
         header = tmp_path / name / f"{source}_header.csv"
         header.parent.chmod(0o755)
         header.rename(header.with_name(f"{name}_header.csv"))
-    with pytest.warns(UserWarning, match="folder 8 were superseded by those of folder 25"):
-        found = read_sessions(tmp_path, recipe="autonomy_cl_trust")
-    assert [s.metadata.participant for s in found] == [8] * 30 + [24] * 30
-    assert all("part25" in s.metadata.source for s in found[:30])
-    # Without its replacement participant 8 stands.
-    shutil.rmtree(tmp_path / "part25")
+    with pytest.raises(SessionError, match=r"part8.*'participant' \(from folder\): '8' is not in"):
+        read_sessions(tmp_path, recipe="autonomy_cl_trust")
+    shutil.rmtree(tmp_path / "part8")
     assert [
         s.metadata.participant for s in read_sessions(tmp_path, recipe="autonomy_cl_trust")
     ] == [8] * 30 + [24] * 30

@@ -29,10 +29,6 @@ pattern = "p{who:int}/run{trial:int}.csv"
 file = "p{who}/runs.csv"
 keys = { trial = "run" }
 
-[supersedes]
-field = "who"
-pairs = { 8 = 25 }
-
 [table]
 delimiter = ";"
 decimal = ","
@@ -56,11 +52,11 @@ path_error = { distance = ["robot", "reference"], axes = ["x", "y"] }
 step_distance = { travelled = "robot", axes = ["x"] }
 
 [metadata]
-participant = { from = "who", map = { 25 = 8 }, keep = true }
+participant = { from = "who" }
+group = { from = "who", map = { 1 = "A", 2 = "B" } }
 condition = { from = "header.level" }
 trial = { from = "trial" }
-block = { from = "trial", bins = [1, 2] }
-training = { from = "block", map = { 0 = true }, default = false }
+training = { from = "trial", map = { 1 = true }, default = false }
 site = { value = "north" }
 synthetic = { value = true }
 """
@@ -108,7 +104,7 @@ def test_every_rule(tmp_path):
     assert dict(metadata.more) == {
         "start_time": 5.0,
         "trial": 3,
-        "block": 2,
+        "group": "B",
         "training": False,
         "site": "north",
     }
@@ -122,19 +118,17 @@ def test_every_rule(tmp_path):
 
 @pytest.mark.parametrize("place", [".", "raw"])
 def test_a_folder(tmp_path, place):
-    recipe = lay(tmp_path, people=(10, 9, 25, 8))
-    with pytest.warns(UserWarning, match=r"who 8 were superseded by those of who 25.*left out"):
-        sessions = read_sessions(tmp_path / place, recipe=recipe)
+    recipe = lay(tmp_path, LAB.replace('2 = "B"', '10 = "B", 9 = "B", 8 = "B"'), people=(10, 9, 8))
+    sessions = read_sessions(tmp_path / place, recipe=recipe)
     found = [(each.metadata.participant, each.metadata.more["trial"]) for each in sessions]
     assert found == [(who, trial) for who in (8, 9, 10) for trial in (1, 2, 3)]
-    assert all("p25" in each.metadata.source for each in sessions[:3])
 
 
 def test_one_folder_by_itself(tmp_path, monkeypatch, recwarn):
-    recipe = lay(tmp_path, people=(8, 9))
-    monkeypatch.chdir(tmp_path / "raw" / "p8")
-    assert [each.metadata.participant for each in read_sessions(".", recipe=recipe)] == [8, 8, 8]
-    assert read_session("run1.csv", recipe=recipe).metadata.more["block"] == 0
+    recipe = lay(tmp_path, people=(1, 2))
+    monkeypatch.chdir(tmp_path / "raw" / "p1")
+    assert [each.metadata.participant for each in read_sessions(".", recipe=recipe)] == [1, 1, 1]
+    assert read_session("run1.csv", recipe=recipe).metadata.more["training"]
     assert not recwarn.list
 
 
@@ -286,12 +280,12 @@ def test_the_same_session_twice(tmp_path):
 
 
 def test_metadata_maps_without_a_way_out(tmp_path):
-    recipe = lay(tmp_path, LAB.replace(", keep = true", ""))
+    recipe = lay(tmp_path, LAB.replace('2 = "B"', '25 = "B"'))
     fails(
         lambda: read_session(tmp_path / "raw/p2/run1.csv", recipe=recipe),
-        "'participant' (from who)",
+        "'group' (from who)",
         "'2'",
-        "known: 25",
+        "known: 1, 25",
     )
 
 
@@ -338,8 +332,8 @@ def test_metadata_maps_without_a_way_out(tmp_path):
             'from = "whom"',
             ["participant", "nothing is called 'whom'", "did you mean 'who'"],
         ),
-        ('from = "block"', 'from = "traning"', ["training", "nothing is called"]),
-        ("bins = [1, 2]", "bins = [2, 1]", ["block", "rising"]),
+        ('from = "trial", map', 'from = "traning", map', ["training", "nothing is called"]),
+        ("default = false }", "bins = [1] }", ["training", "unknown key 'bins'"]),
         ('value = "north"', 'value = "north", from = "who"', ["site", "either from or value"]),
         (
             "default = false",
@@ -358,7 +352,7 @@ def test_metadata_maps_without_a_way_out(tmp_path):
             ["[files]", "type of field 'who'", "'integer'", "did you mean 'int'"],
         ),
         ("{who:int}", "{who:int", ["brace"]),
-        ('field = "who"', 'field = "whom"', ["[supersedes]", "who"]),
+        ("[table]", "[supersedes]", ["unknown key 'supersedes'"]),
         ('delimiter = ";"', 'delimiter = ";;"', ["delimiter"]),
         ('decimal = ","', 'decimal = ";"', ["decimal"]),
         ("skip_lines = 1", "skip_lines = -1", ["skip_lines"]),

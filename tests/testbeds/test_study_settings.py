@@ -52,9 +52,6 @@ def test_each_trust_follows_its_own_model_in_its_own_units():
 
 
 def test_old_names_warn_and_work():
-    run = tl.simulate_teleoperation("TMIG", duration=2.0)
-    with pytest.warns(DeprecationWarning, match='"alpha"'):
-        np.testing.assert_array_equal(run["mode"], run["alpha"])
     with pytest.warns(DeprecationWarning, match=r"TrustModel\.decay"):
         assert TrustModel(0.2, 0.2).keep(0.1) == TrustModel(0.2, 0.2).decay(0.1)
     lap = tl.run_condition("C1", participant=2, laps=2)

@@ -57,18 +57,15 @@ name their unit, and resampling is asked for by name.
     first takes the second's
 
     [metadata]                      # participant, condition, synthetic or any other name = from or
-    value participant = { from = "folder", map = { 25 = 8 }, keep = true }    # keep: values not in
-    the map stay as they are training = { from = "block", map = { 0 = true }, default = false }  #
-    default: for values not in the map block = { from = "trial", bins = [5, 10, 15] }
-    # how many of these limits lie below the value site = { value = "north wing" }
+    value participant = { from = "folder" }
+    group = { from = "participant", map = { 1 = "A", 2 = "A", 3 = "B" } }
+    training = { from = "trial", map = { 1 = true, 2 = true }, default = false }
+                                        # default: for values that are not in the map
+    site = { value = "north wing" }
 
     [header]                        # a table beside the sessions with one row for each file =
     "part{folder}/part{folder}_header.csv"       # from the folder that files.pattern starts in keys
     = { trial = "trial_number" }                   # path field = the column that names it
-
-    [supersedes]                    # for read_sessions: sessions replaced by others, left out with
-    a warning field = "folder" pairs = { 8 = 25 }              # those of folder 8 are left out
-    where there are any of folder 25
 
 A column's value is (scale · raw + offset) in its unit; `absolute` takes its absolute value before
 any resampling, so that a signed deviation becomes a distance. `map` turns texts or codes into
@@ -112,12 +109,18 @@ from trustlab.sessions.errors import (
     source_named,
 )
 from trustlab.sessions.patterns import FieldPath, PathPattern
-from trustlab.sessions.resampling import METHODS, STATES
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY, to_si
 
 Rule = TypeVar("Rule")
 
 _SHIPPED = Path(__file__).parent / "recipes"
+
+# Ways to resample, by name.
+METHODS = ("previous", "linear", "nearest")
+
+# Columns that name a state; "linear" holds their previous value, as the log never was in half a
+# state.
+STATES = ("mode", "suggested_mode")
 
 # How a number is written in a table.
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
@@ -460,28 +463,20 @@ def _column_rule(name: str, table: object) -> ColumnRule:
 
 @dataclass(frozen=True, kw_only=True)
 class MetadataRule:
-    """
-    Where one entry of the metadata comes from; a tuple of `bins` counts the limits below the value.
-    """
+    """Where one entry of the metadata comes from."""
 
     origin: str | None = key(text, None, spelt="from")
     value: object = key(plain, None)
     map: Mapping[str, object] | None = key(value_map, None)
     default: object = key(plain, None)
-    keep: bool = key(switch, False)
-    bins: tuple[float, ...] | None = key(_list_of(finite_number, "rising numbers"), None)
 
     def __post_init__(self):
         if (self.origin is None) == (self.value is None):
             raise ValueError("needs either from or value")
-        if self.map is None and (self.default is not None or self.keep):
-            raise ValueError("default and keep go with a map")
-        if self.bins is not None and (
-            self.map is not None or list(self.bins) != sorted(set(self.bins))
-        ):
-            raise ValueError("bins must be rising numbers, and go without a map")
-        if self.value is not None and (self.map is not None or self.bins is not None):
-            raise ValueError("value is a constant, which takes no map and no bins")
+        if self.map is None and self.default is not None:
+            raise ValueError("default goes with a map")
+        if self.value is not None and self.map is not None:
+            raise ValueError("value is a constant, which takes no map")
 
 
 def _metadata_rule(name: str, table: object) -> MetadataRule:
@@ -594,17 +589,6 @@ class Messages:
     folder: str = key(text, hint="the folder of the .msg files")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Supersedes:
-    """Values of a path field whose sessions are left out, and the values that replace them."""
-
-    field: str = key(text, hint="the path field that tells the sessions apart")
-    pairs: Mapping[str, str] = key(
-        partial(value_map, check=lambda _, value: plain_key(plain(_, value))),
-        hint="the values left out, and what replaces them",
-    )
-
-
 def _nested(rule: type) -> Callable:
     return lambda name, value: parse(rule, value, f"[{name}]")
 
@@ -643,8 +627,6 @@ class Recipe:
         Length of the moving mean that the columns p_r and p_h are [s]; 0 if they are no means.
     header : HeaderRule, optional
         The table with one row per session.
-    supersedes : Supersedes, optional
-        Values of a path field whose sessions are replaced by those of another value.
     splitting : Splitting, optional
         The gap at which a log is split into several sessions.
     messages : Messages, optional
@@ -670,7 +652,6 @@ class Recipe:
     metadata: Mapping[str, MetadataRule] | None = key(partial(_each, rule=_metadata_rule), None)
     performance_window: float | None = key(not_negative, None)
     header: HeaderRule | None = key(_nested(HeaderRule), None)
-    supersedes: Supersedes | None = key(_nested(Supersedes), None)
     splitting: Splitting | None = key(_nested(Splitting), None)
     messages: Messages | None = key(_nested(Messages), None)
     source: str = "recipe"
@@ -768,10 +749,10 @@ class Recipe:
 
     def _check_path_fields(self) -> None:
         known = list(self.pattern.fields) if self.pattern else []
-        used = [("[supersedes] field", self.supersedes.field)] if self.supersedes else []
-        if self.header:
-            used += [("[header] keys", name) for name in self.header.keys]
-            used += [("[header] file", name) for name in self.header.file.fields]
+        if self.header is None:
+            return
+        used = [("[header] keys", name) for name in self.header.keys]
+        used += [("[header] file", name) for name in self.header.file.fields]
         for where, name in used:
             if name not in known:
                 hint = alternatives(name, known, "its fields") if known else "; add [files] pattern"

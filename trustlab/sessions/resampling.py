@@ -2,30 +2,18 @@
 Raw logs, as readers take them from files, and how their streams come to one uniform time axis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trustlab.models.checks import warn
 from trustlab.sessions.errors import RecipeError, SessionError
 from trustlab.sessions.metadata import Metadata
-
-if TYPE_CHECKING:
-    from trustlab.sessions.recipe import ColumnRule, Resampling
+from trustlab.sessions.recipe import STATES, ColumnRule, Resampling
 
 # The longest log that is read or made by resampling (five and a half hours at 1 kHz).
 MAX_SAMPLES = 20_000_000
-
-# Ways to resample, by name.
-METHODS = ("previous", "linear", "nearest")
-
-# Columns that name a state; "linear" holds their previous value, as the log never was in half a
-# state.
-STATES = ("mode", "suggested_mode")
 
 
 @dataclass

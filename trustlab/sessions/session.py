@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, warn_renamed
+from trustlab.models.checks import did_you_mean
 from trustlab.models.html import as_html
 from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.metadata import Metadata
@@ -107,9 +107,6 @@ class Session:
             )
         if name == "t":
             return self.t
-        if name == "mode" and "mode" not in self.data and "alpha" in self.data:
-            warn_renamed('the column "mode" of a teleoperation run', '"alpha"')
-            name = "alpha"
         self.require(name)
         return self.data[name].to_numpy()
 

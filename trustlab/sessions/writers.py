@@ -1,7 +1,6 @@
 """Write sessions: CSV, Parquet, ROS 1 and ROS 2 bags that read back the same."""
 
 import os
-import platform
 import shutil
 import sqlite3
 import tempfile
@@ -11,6 +10,7 @@ import numpy as np
 
 from trustlab.models.checks import of_class, one_of
 from trustlab.models.extras import extra
+from trustlab.models.files import write_atomically
 from trustlab.sessions.errors import SessionError, alternatives, source_named
 from trustlab.sessions.metadata import metadata_to_json
 from trustlab.sessions.readers.bags import PREFIX, check_sqlite_path
@@ -75,21 +75,8 @@ def write_session(session: Session, path: str | os.PathLike, format: str | None 
                 )
         one_of("format", format, FORMATS)
         _check_target(path, format)
-        write = {"csv": _write_csv, "parquet": _write_parquet}.get(format, _write_bag)
         try:
-            # Written beside its place and moved there at the end, so that neither a failure nor the
-            # end of this process leaves anything half made.
-            _sweep(path.parent)
-            own = f"{TEMPORARY}{platform.node()}-{os.getpid()}-"
-            with tempfile.TemporaryDirectory(
-                prefix=own, dir=path.parent, ignore_cleanup_errors=True
-            ) as folder:
-                if path.is_dir():
-                    _replace(
-                        path, write(session, Path(folder) / f"{path.name}-{folder[-8:]}", format)
-                    )
-                else:
-                    os.replace(write(session, Path(folder) / path.name, format), path)
+            _write(session, path, format)
         except (OSError, sqlite3.Error) as error:
             raise SessionError(
                 f"cannot be written ({getattr(error, 'strerror', None) or error})"
@@ -97,28 +84,35 @@ def write_session(session: Session, path: str | os.PathLike, format: str | None 
     return path
 
 
-def _sweep(folder: Path) -> None:
-    """Remove the temporary folders of writers of this machine whose process has ended."""
-    own = f"{TEMPORARY}{platform.node()}-"
-    for left in folder.glob(f"{own}*") if os.name == "posix" else ():
-        try:
-            os.kill(int(left.name.removeprefix(own).partition("-")[0]), 0)
-        except ProcessLookupError:
-            shutil.rmtree(left, ignore_errors=True)
-        except (ValueError, OSError):  # not a process of ours, or not a folder of ours
-            pass
+def _write(session: Session, path: Path, format: str) -> None:
+    """Make the file or folder beside its place, and move it there when it is complete."""
+    if format == "csv":
+        write_atomically(path, _csv(session))
+    elif format == "parquet":
+        write_atomically(path, _parquet(session))
+    else:
+        with tempfile.TemporaryDirectory(
+            prefix=TEMPORARY, dir=path.parent, ignore_cleanup_errors=True
+        ) as folder:
+            # A recording names its database after itself; the new one must not have the old name.
+            name = f"{path.name}-{folder[-8:]}" if path.is_dir() else path.name
+            bag = _write_bag(session, Path(folder) / name, format)
+            if path.is_dir():
+                _replace(path, bag)
+            else:
+                os.replace(bag, path)
 
 
-def _replace(path: Path, made: Path) -> None:
+def _replace(path: Path, bag: Path) -> None:
     """
     Put a rosbag2 recording in the place of another: until metadata.yaml is replaced, it names the
     old database.
     """
-    new = sorted(made.iterdir(), key=lambda file: file.name == "metadata.yaml")
-    for file in new:
+    files = sorted(bag.iterdir(), key=lambda file: file.name == "metadata.yaml")
+    for file in files:
         os.replace(file, path / file.name)
     for old in path.iterdir():
-        if old.name not in {file.name for file in new}:
+        if old.name not in {file.name for file in files}:
             shutil.rmtree(old) if old.is_dir() else old.unlink()
 
 
@@ -138,22 +132,20 @@ def _check_target(path: Path, format: str) -> None:
         )
 
 
-def _write_csv(session: Session, place: Path, format: str) -> Path:
-    table = session.table().to_csv(
-        index=False, lineterminator="\n"
-    )  # written by repr, which reads back bit for bit
-    place.write_bytes(f"{COMMENT}{metadata_to_json(session.metadata, session)}\n{table}".encode())
-    return place
+def _csv(session: Session) -> str:
+    table = session.table().to_csv(index=False, lineterminator="\n")  # repr: bit for bit
+    return f"{COMMENT}{metadata_to_json(session.metadata, session)}\n{table}"
 
 
-def _write_parquet(session: Session, place: Path, format: str) -> Path:
+def _parquet(session: Session) -> bytes:
     import pyarrow as pa
     import pyarrow.parquet
 
     table = pa.table({name: np.ascontiguousarray(session[name]) for name in session})
     table = table.replace_schema_metadata({"trustlab": metadata_to_json(session.metadata, session)})
-    pyarrow.parquet.write_table(table, place)
-    return place
+    content = pa.BufferOutputStream()
+    pyarrow.parquet.write_table(table, content)
+    return content.getvalue().to_pybytes()
 
 
 def _write_bag(session: Session, place: Path, format: str) -> Path:

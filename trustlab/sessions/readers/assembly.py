@@ -15,6 +15,7 @@ from trustlab.sessions.errors import RecipeError, SessionError, source_named
 from trustlab.sessions.metadata import Metadata, digest
 from trustlab.sessions.readers.index import SessionIndex
 from trustlab.sessions.recipe import (
+    STATES,
     Constant,
     MetadataColumn,
     MetadataRule,
@@ -23,7 +24,7 @@ from trustlab.sessions.recipe import (
     mapped,
     plain_key,
 )
-from trustlab.sessions.resampling import STATES, RawLog, Stream, require_common_times, resample
+from trustlab.sessions.resampling import RawLog, Stream, require_common_times, resample
 from trustlab.sessions.session import Session, check_column, check_rising, check_time, keep_table
 
 Place = Callable[[int], str]
@@ -151,15 +152,10 @@ def recipe_values(
 def _derived(rule: MetadataRule, values: Mapping[str, object], where: str) -> object:
     """Return an entry of the metadata that comes from a value known already."""
     value = _known(rule.origin, values, where)
-    if rule.bins is not None:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise SessionError(f"{where}: {value!r} is not a number")
-        return sum(value > limit for limit in rule.bins)
     if rule.map is None:
         return value
-    unlisted = value if rule.keep else rule.default
-    if plain_key(value) not in rule.map and unlisted is not None:
-        return unlisted
+    if rule.default is not None and plain_key(value) not in rule.map:
+        return rule.default
     return mapped(rule.map, value, where)
 
 

@@ -5,6 +5,7 @@ streaming layer (XDF).
 
 import dataclasses
 import math
+import struct
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,7 +21,7 @@ from trustlab.models.extras import extra
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, damage_named, listed
 from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.patterns import Selector
-from trustlab.sessions.readers.unpacking import Budget, bags_within
+from trustlab.sessions.readers.limits import Budget
 from trustlab.sessions.recipe import Recipe, TopicField, mapped
 from trustlab.sessions.resampling import MAX_SAMPLES, RawLog, Stream
 
@@ -136,18 +137,69 @@ def _open(path: Path, budget: Budget) -> Iterator[Any]:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
 
-    for database in [path] if path.suffix == ".db3" else sorted(path.glob("*.db3")):
-        check_sqlite_path(path)
-        _check_sqlite_size(database)
-    with bags_within(budget):
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        if file.suffix == ".db3":
+            check_sqlite_path(path)
+            _check_sqlite_size(file)
+        else:
+            _check_file_size(file, budget)
+    with _guard():
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    try:
         with _guard():
-            reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-            reader.open()
-        try:
-            yield reader
-        finally:
-            with _guard():
-                reader.close()
+            _check_block_sizes(reader.readers[0], path, budget)
+        yield reader
+    finally:
+        with _guard():
+            reader.close()
+
+
+# The header of an MCAP record: its kind and length, and of a chunk its times and unpacked size.
+_MCAP_RECORD = struct.Struct("<BQQQQ")
+_MCAP_CHUNK = 6
+_MCAP_KINDS = range(1, 16)
+
+
+def _check_file_size(path: Path, budget: Budget) -> None:
+    """Raise for an .mcap or a compressed .db3 file that unpacks to too much."""
+    with _guard(), path.open("rb") as file:
+        if path.suffix == ".zstd":
+            from rosbags.rosbag2.reader import zstd
+
+            # Such a file need not state its size, and is unpacked to disk: count it piece by piece.
+            with zstd.open(file, "rb") as unpacked:
+                while piece := unpacked.read(2**20):
+                    budget.take(len(piece))
+        elif path.suffix == ".mcap":
+            position = 8
+            while True:
+                file.seek(position)
+                head = file.read(_MCAP_RECORD.size)
+                if len(head) < _MCAP_RECORD.size or head[0] not in _MCAP_KINDS:
+                    return  # the end, or damage, which rosbags describes
+                kind, length, _, _, size = _MCAP_RECORD.unpack(head)
+                if kind == _MCAP_CHUNK:
+                    budget.take(size)
+                position += 9 + length
+
+
+def _check_block_sizes(reader, path: Path, budget: Budget) -> None:
+    """Raise where a chunk of a ROS 1 bag, or a compressed message, unpacks to too much."""
+    if path.is_dir():
+        from rosbags.rosbag2.reader import zstd
+
+        packed = reader.storage.storages if reader.compression_mode == "message" else ()
+        for storage in packed:
+            for _, _, data in storage.messages(storage.connections):
+                budget.check(zstd.get_frame_info(data).decompressed_size or 0)
+    elif path.suffix == ".bag":
+        from rosbags.rosbag1.reader import Header, RecordType
+
+        with path.open("rb") as file:
+            for chunk in reader.chunk_infos:
+                file.seek(chunk.pos)
+                budget.check(Header.read(file, RecordType.CHUNK).get_uint32("size"))
 
 
 def _check_sqlite_size(database: Path) -> None:

@@ -26,7 +26,7 @@ from trustlab.sessions.readers.tables import (
     select_columns,
     table_stream,
 )
-from trustlab.sessions.readers.unpacking import Budget
+from trustlab.sessions.readers.limits import Budget
 from trustlab.sessions.recipe import NUMBER, Recipe, TableRule
 from trustlab.sessions.resampling import RawLog
 

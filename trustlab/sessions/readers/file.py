@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, warn, whole_number
+from trustlab.models.checks import of_class, one_of, whole_number
+from trustlab.models.files import PARTIAL
 from trustlab.sessions.errors import (
     RecipeError,
     SessionError,
@@ -24,15 +25,14 @@ from trustlab.sessions.readers.assembly import assemble_session, parts_of, recip
 from trustlab.sessions.readers.bags import read_bag, read_topics
 from trustlab.sessions.readers.csv_files import read_csv
 from trustlab.sessions.readers.index import SessionIndex
+from trustlab.sessions.readers.limits import budget_of
 from trustlab.sessions.readers.tables import frame_log, read_arrays, read_feather, read_parquet
-from trustlab.sessions.readers.unpacking import budget_of
 from trustlab.sessions.recipe import (
     Recipe,
     TableRule,
     asked_resampling,
     load_recipe,
     parse,
-    plain_key,
 )
 from trustlab.sessions.resampling import RawLog, Stream
 from trustlab.sessions.session import Session
@@ -390,11 +390,6 @@ def read_sessions(
     ValueError
         If another argument is not valid, or applies to none of the files.
 
-    Warns
-    -----
-    UserWarning
-        For sessions that the recipe declares superseded by others; they are left out.
-
     Examples
     --------
     >>> import trustlab as tl
@@ -455,13 +450,6 @@ def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[s
     """
     sessions = _find(folder, recipe.pattern)
     headers = _find(folder, index.pattern) if index else {}
-    if recipe.supersedes:
-        gone = _superseded(folder, recipe, sessions)
-        kept = lambda item: plain_key(item[1].fields.get(recipe.supersedes.field)) not in gone  # noqa: E731
-        sessions, headers = (
-            dict(filter(kept, sessions.items())),
-            dict(filter(kept, headers.items())),
-        )
     if not sessions and not headers:
         raise SessionError(
             f"no file in it fits the recipe's pattern {recipe.pattern.text!r}", folder
@@ -480,24 +468,6 @@ def _matching(folder: str, recipe: Recipe, index: SessionIndex | None) -> list[s
     return sorted(sessions, key=natural_key)
 
 
-def _superseded(folder: str, recipe: Recipe, sessions: dict[str, PathMatch]) -> set[str]:
-    """
-    Return the values of the path field whose sessions are left out, as those that replace them are
-    there.
-    """
-    name = recipe.supersedes.field
-    present = {plain_key(match.fields[name]) for match in sessions.values()}
-    gone = {
-        old: new
-        for old, new in recipe.supersedes.pairs.items()
-        if old in present and new in present
-    }
-    for old, new in gone.items():
-        what = f"the sessions of {name} {old} were superseded by those of {name} {new}"
-        warn(f"{folder}: {what} (recipe {recipe.name!r}) and are left out")
-    return set(gone)
-
-
 def _find(folder: str, pattern: PathPattern) -> dict[str, PathMatch]:
     """Return the files and rosbag2 folders at any depth of a folder whose paths fit a pattern."""
     found: dict[str, PathMatch] = {}
@@ -510,6 +480,8 @@ def _find(folder: str, pattern: PathPattern) -> dict[str, PathMatch]:
             name for name in folders if name not in bags
         ]  # what is inside a bag is not searched
         for name in sorted([*bags, *files]):
+            if PARTIAL in name:
+                continue
             path = os.path.join(here, name)
             match = pattern.match(path)
             if match is not None:

@@ -20,7 +20,7 @@ from trustlab.models.extras import extra
 from trustlab.sessions.errors import SessionError, damage_named, listed
 from trustlab.sessions.metadata import metadata_from_json
 from trustlab.sessions.readers.assembly import fill_blanks
-from trustlab.sessions.readers.unpacking import Budget, feather_size
+from trustlab.sessions.readers.limits import Budget
 from trustlab.sessions.recipe import NUMBER, Recipe, TableColumn, TableTime, looked_up
 from trustlab.sessions.resampling import RawLog, Stream
 from trustlab.sessions.vocabulary import VOCABULARY, to_si
@@ -238,8 +238,8 @@ def read_parquet(
         rows = file.metadata.num_rows
 
         def load(names: list[str]) -> Any:
-            budget.take(8 * max(rows, 0) * len(names))  # what it claims, before what it holds
-            return _joined(file.iter_batches(columns=names, use_threads=False), Budget(budget.most))
+            budget.check(8 * max(rows, 0) * len(names))  # what it states, before what it holds
+            return _joined(file.iter_batches(columns=names, use_threads=False), budget)
 
         return arrow_log(str(path), schema, rows, load, recipe, wanted)
 
@@ -249,20 +249,21 @@ def read_feather(
 ) -> RawLog:
     """Return the log in a Feather (Arrow IPC) file."""
     import pyarrow as pa
+    from pyarrow import dataset
 
     with _guard("Feather"), pa.memory_map(str(path)) as source:
-        Budget(budget.most).take(feather_size(source.read_buffer()))
-        file = pa.ipc.open_file(source)
-        batches = file.num_record_batches
+        file = dataset.dataset(str(path), format="ipc")
+        rows = file.count_rows()  # as its headers state; nothing is unpacked for it
 
         def load(names: list[str]) -> Any:
+            budget.check(8 * max(rows, 0) * len(names))
             fields = pa.ipc.IpcReadOptions(
                 included_fields=[file.schema.get_field_index(name) for name in names]
             )
             part = pa.ipc.open_file(source, options=fields)
-            return _joined(map(part.get_batch, range(batches)), budget)
+            return _joined(map(part.get_batch, range(part.num_record_batches)), budget)
 
-        return arrow_log(str(path), file.schema, batches, load, recipe, wanted)
+        return arrow_log(str(path), file.schema, rows, load, recipe, wanted)
 
 
 def frame_log(frame, recipe: Recipe | None, wanted: Sequence[str] | None) -> RawLog:
