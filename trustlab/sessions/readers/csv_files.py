@@ -18,6 +18,7 @@ import numpy as np
 
 from trustlab.sessions.errors import SessionError, damage_named
 from trustlab.sessions.metadata import metadata_from_json
+from trustlab.sessions.readers.limits import Budget
 from trustlab.sessions.readers.tables import (
     BLANKS,
     SourceColumn,
@@ -26,7 +27,6 @@ from trustlab.sessions.readers.tables import (
     select_columns,
     table_stream,
 )
-from trustlab.sessions.readers.limits import Budget
 from trustlab.sessions.recipe import NUMBER, Recipe, TableRule
 from trustlab.sessions.resampling import RawLog
 
