@@ -12,9 +12,9 @@ import numpy as np
 import pandas as pd
 
 import trustlab as tl
-from trustlab.identification.fitting import estimate_runs, found_table, weak_parameters
+from trustlab.identification.fitting import estimate_runs, estimate_table, weak_parameters
 from trustlab.identification.output_error import Problem
-from trustlab.identification.runs import HowLogged, read_runs
+from trustlab.identification.runs import LogSettings, read_runs
 from trustlab.identification.tsc import TSC
 from trustlab.sessions.metrics import window_mean
 
@@ -244,10 +244,10 @@ def before(session: tl.Session) -> tuple[bool, pd.DataFrame]:
     Fit without windows, outliers and diagnosis but of weak parameters, with errors that allow for
     autocorrelation.
     """
-    runs = read_runs(session, "mode", "p_h", "p_r", how=HowLogged(window=0.0, stamp_error=0.0))
-    found = estimate_runs(TSC, runs, TSC.limits(), "hac", robust=False)
-    table = found_table(found)[0]
-    success = found.search.converged and not weak_parameters(found, table)
+    runs = read_runs(session, "mode", "p_h", "p_r", log=LogSettings(window=0.0, stamp_error=0.0))
+    estimate = estimate_runs(TSC, runs, TSC.limits(), "hac", robust=False)
+    table = estimate_table(estimate)[0]
+    success = estimate.search.converged and not weak_parameters(estimate, table)
     return success, table.assign(ci_high=table["value"] + 1.96 * table["stderr"])
 
 

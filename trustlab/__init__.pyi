@@ -44,6 +44,7 @@ from .campaign import (
 from .identification import (
     IdentificationError as IdentificationError,
     LinearForm as LinearForm,
+    LogSettings as LogSettings,
     Parameter as Parameter,
     Structure as Structure,
     arx as arx,

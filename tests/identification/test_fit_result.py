@@ -25,7 +25,7 @@ def test_table_has_fixed_columns_and_named_rows(session):
     for table in (
         robot,
         human,
-        tl.fit_robot(session, method="arx").table(),
+        tl.fit_robot(session, method="regression").table(),
         tl.fit_tsc(session).table(),
     ):
         assert list(table.columns) == ["value", "stderr", "ci_low", "ci_high", "status"]
@@ -111,18 +111,6 @@ def test_logged_utilization_serves_least_squares(operators, make_session, switch
     assert fit.model.a == pytest.approx(model.human.a, rel=1e-9)
     assert fit.model.beta == pytest.approx(model.human.beta, rel=1e-6)
     assert fit.model.p_max == pytest.approx(model.human.p_max, rel=1e-9)
-
-
-def test_the_old_name_of_the_regression_warns(operators, make_session, switching):
-    """It fits no ARX model."""
-    model = operators["3"]
-    session = make_session(model, switching).with_columns(r=model.human.simulate(switching, 0.3)[0])
-    with pytest.warns(
-        DeprecationWarning,
-        match=r'fit_human\(method="arx"\) is now fit_human\(method="regression"\)',
-    ):
-        old = tl.fit_human(session, method="arx")
-    assert old.model == tl.fit_human(session, method="regression").model
 
 
 def test_plots_and_html_say_that_data_are_synthetic(session):

@@ -85,7 +85,7 @@ def test_p_max_is_doubted_with_the_operator_it_refers_to(operators, make_session
     # Half a minute each way: utilization hardly moves, and the greatest performance is anyone's
     # guess.
     session = make_session(operators["pilot"], np.repeat([1.0, 0.0], 300), noise=0.006)
-    for method in ("output_error", "arx"):
+    for method in ("output_error", "regression"):
         fit = tl.fit_robot(session, method=method)
         assert not fit.success
         assert "give p_h_max" in fit.message
@@ -167,7 +167,7 @@ def test_least_squares_refuses_what_it_has_no_use_for_and_doubts_what_explains_n
     r, _ = model.human.simulate(switching, 0.3)
     rng = np.random.default_rng(0)
     logged = session.with_columns(r=np.clip(r + 0.02 * rng.standard_normal(r.size), 0.0, 1.0))
-    for fit, method in ((tl.fit_robot, "arx"), (tl.fit_human, "regression")):
+    for fit, method in ((tl.fit_robot, "regression"), (tl.fit_human, "regression")):
         with pytest.raises(ValueError, match="choose its noise"):
             fit(logged, method=method, noise="hac")
         with pytest.raises(ValueError, match="method must be"):

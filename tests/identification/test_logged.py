@@ -240,7 +240,7 @@ def test_a_structure_of_ones_own_has_a_window_for_free():
 
 
 def test_regressions_doubt_windowed_columns(operators):
-    fit = tl.fit_robot(windowed(30.0, 0), method="arx", p_h_max=0.4602)
+    fit = tl.fit_robot(windowed(30.0, 0), method="regression", p_h_max=0.4602)
     assert not fit.success
     assert "means over a window" in fit.message
 

@@ -66,7 +66,9 @@ def test_exact_data_give_the_parameters_back(operators, make_session, switching,
         for key, value in expected.items():
             assert found[key] == pytest.approx(value, rel=1e-6), key
         assert np.min(fit.fit_percent) > 99.99
-    assert tl.fit_robot(session, method="arx").model.a == pytest.approx(model.robot.a, rel=1e-9)
+    assert tl.fit_robot(session, method="regression").model.a == pytest.approx(
+        model.robot.a, rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -160,7 +162,7 @@ def test_arx_is_biased_and_does_not_know_it(operators, make_session, switching):
     """
     model = operators["pilot"]
     rows = [
-        tl.fit_robot(session, method="arx", p_h_max=model.robot.p_h_max).table().loc["a"]
+        tl.fit_robot(session, method="regression", p_h_max=model.robot.p_h_max).table().loc["a"]
         for session in noisy(make_session, model, switching, 20)
     ]
     assert not any(row["ci_low"] <= model.robot.a <= row["ci_high"] for row in rows)

@@ -277,7 +277,7 @@ def test_any_structure_with_a_linear_form_can_be_regressed(operators, make_sessi
     model = operators["pilot"]
     session = make_session(model, switching, noise=0.001)
     own = tl.fit(robot_structure(model.robot.p_h_max), session, method="regression")
-    named = tl.fit_robot(session, method="arx", p_h_max=model.robot.p_h_max)
+    named = tl.fit_robot(session, method="regression", p_h_max=model.robot.p_h_max)
     pd.testing.assert_frame_equal(own.parameters, named.parameters.loc[["a", "p_min", "p_max"]])
     with pytest.raises(ValueError, match="'two rates' has no linear form"):
         tl.fit(MINE, session, method="regression")

@@ -53,8 +53,6 @@ def test_time_constants_of_both_models_share_one_definition():
         np.exp(-1.0), rel=1e-6
     )
     assert robot.time_constant == human.time_constant
-    with pytest.warns(DeprecationWarning, match=r"tau is now HumanModel\.time_constant .* 1/b"):
-        assert human.tau == pytest.approx(1 / 0.0009)
 
 
 @pytest.mark.parametrize(

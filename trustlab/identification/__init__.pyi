@@ -3,6 +3,7 @@ from .fitting import fit as fit
 from .human import fit_human as fit_human
 from .regression import ArxResult as ArxResult, arx as arx
 from .robot import fit_robot as fit_robot
+from .runs import LogSettings as LogSettings
 from .structure import (
     IdentificationError as IdentificationError,
     LinearForm as LinearForm,

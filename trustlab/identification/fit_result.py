@@ -1,10 +1,7 @@
-"""
-What a fit returns: the model, its uncertainty, and how well it explains the data, in tables and
-plots.
-"""
+"""The result of a fit: the model, its uncertainty and its residuals, in tables and plots."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -55,11 +52,12 @@ class RunFit:
 
     def only(self, output: str) -> "RunFit":
         """Return the run with one of its outputs."""
-        own = (
-            {output: every[output]}
-            for every in (self.measured, self.fitted, self.prediction_errors)
+        return replace(
+            self,
+            measured={output: self.measured[output]},
+            fitted={output: self.fitted[output]},
+            prediction_errors={output: self.prediction_errors[output]},
         )
-        return RunFit(self.label, self.synthetic, self.t, self.inputs, *own)
 
     def residual(self, output: str) -> np.ndarray:
         """Return measured minus fitted."""
@@ -77,7 +75,7 @@ class FitResult:
         The identified model. It does not know of `success`: what takes the model alone, such as
         `limit_cycle`, `run_condition` and `Operator`, cannot warn; `choose_thresholds` takes the
         fit, and warns where `success` is False.
-    method : {"output_error", "arx", "regression"}
+    method : {"output_error", "regression"}
         How it was identified.
     parameters : pandas.DataFrame
         Index `parameter`; columns value, stderr, status (estimated, weak, fixed, given, derived, at
@@ -155,18 +153,14 @@ class FitResult:
 
     @property
     def fit_percent(self) -> float | pd.Series:
-        """
-        100(1 − ‖y − ŷ‖/‖y − ȳ‖) of the simulated output; a Series by output for a model with
-        several.
-        """
+        """100(1 − ‖y − ŷ‖/‖y − ȳ‖) of the simulated output; a Series if there are several."""
         percent = {}
         for name in self.outputs:
             y = np.concatenate([run.measured[name] for run in self.runs])
             error = np.concatenate(self.residuals(name))
             spread = np.linalg.norm(y - y.mean())
-            percent[name] = (
-                100.0 * (1.0 - np.linalg.norm(error) / spread) if spread > 0.0 else np.nan
-            )
+            share = np.linalg.norm(error) / spread if spread > 0.0 else np.nan
+            percent[name] = 100.0 * (1.0 - share)
         return float(percent[name]) if len(percent) == 1 else pd.Series(percent, name="fit_percent")
 
     def residuals(self, output: str | None = None) -> list[np.ndarray]:
@@ -178,20 +172,19 @@ class FitResult:
         output : str, optional
             Which output; the first when not given.
         """
-        name = self.outputs[0] if output is None else one_of("output", output, self.outputs)
+        name = self._output(output)
         return [run.residual(name) for run in self.runs]
+
+    def _output(self, name: str | None) -> str:
+        """Return a checked name of an output, by default the first."""
+        return self.outputs[0] if name is None else one_of("output", name, self.outputs)
 
     def _errors_for(self, lags: int, output: str | None) -> list[np.ndarray]:
         """Return the prediction errors of an output whose runs are all longer than `lags`."""
-        name = self.outputs[0] if output is None else one_of("output", output, self.outputs)
-        residuals = [run.prediction_errors[name] for run in self.runs]
-        whole_number(
-            "lags (below the length of the shortest run)",
-            lags,
-            1,
-            min(r.size for r in residuals) - 1,
-        )
-        return residuals
+        errors = [run.prediction_errors[self._output(output)] for run in self.runs]
+        shortest = min(error.size for error in errors)
+        whole_number("lags (below the length of the shortest run)", lags, 1, shortest - 1)
+        return errors
 
     def residual_correlations(self, lags: int = 25, output: str | None = None) -> pd.DataFrame:
         """
@@ -260,27 +253,31 @@ class FitResult:
         """
         import matplotlib.pyplot as plt
 
-        shown = self.runs[: max(1, most)]
-        rows, columns = len(self.outputs), len(shown)
-        layout: dict = {"squeeze": False, "sharey": "row", "sharex": "col", "layout": "constrained"}
+        runs = self.runs[: max(1, most)]
+        rows, columns = len(self.outputs), len(runs)
         figure, axes = plt.subplots(
-            rows, columns, figsize=(max(6.5, 3.0 * columns), 0.8 + 2.4 * rows), **layout
+            rows,
+            columns,
+            figsize=(max(6.5, 3.0 * columns), 0.8 + 2.4 * rows),
+            squeeze=False,
+            sharey="row",
+            sharex="col",
+            layout="constrained",
         )
         for row, name in zip(axes, self.outputs, strict=True):
-            for panel, run in zip(row, shown, strict=True):
+            row[0].set_ylabel(LABELS.get(name, name))
+            for panel, run in zip(row, runs, strict=True):
                 panel.plot(run.t, run.measured[name], lw=0.8, color="0.55", label="measured")
                 panel.plot(run.t, run.fitted[name], lw=1.6, ls="--", color="C1", label="fitted")
                 if "mode" in run.inputs:
                     shade_manual(panel, run.t, run.mode)
-        for panel, name in zip(axes[:, 0], self.outputs, strict=True):
-            panel.set_ylabel(LABELS.get(name, name))
-        for panel, run in zip(axes[0], shown, strict=True):
+        for panel, run in zip(axes[0], runs, strict=True):
             panel.set_title(run.label, fontsize="small")
         plt.setp(axes[-1], xlabel="time [s]")
-        shaded = "manual phases shaded" if "mode" in shown[0].inputs else None
+        shaded = "manual phases shaded" if "mode" in runs[0].inputs else None
         axes[0, 0].legend(fontsize="small", loc="best", title=shaded, title_fontsize="small")
-        if len(shown) < len(self.runs):
-            figure.suptitle(f"{len(shown)} of {len(self.runs)} runs", fontsize="small")
+        if len(runs) < len(self.runs):
+            figure.suptitle(f"{len(runs)} of {len(self.runs)} runs", fontsize="small")
         return axes
 
     def plot_residuals(self, lags: int = 25):
@@ -329,11 +326,8 @@ class FitResult:
 
     def _repr_html_(self) -> str:
         fit = self.fit_percent
-        percent = (
-            f"{fit:.2f} %"
-            if isinstance(fit, float)
-            else ", ".join(f"{k} {v:.2f} %" for k, v in fit.items())
-        )
+        parts = [("", fit)] if isinstance(fit, float) else [(f"{k} ", v) for k, v in fit.items()]
+        percent = ", ".join(f"{name}{value:.2f} %" for name, value in parts)
         origin = " Synthetic data." if self.synthetic else ""
         samples = sum(run.t.size for run in self.runs)
         words = f"{len(self.runs)} run(s), {samples} samples, fit {percent}.{origin} {self.message}"
@@ -343,13 +337,10 @@ class FitResult:
 def gradient(
     function: Callable, names: Iterable[str], values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return a function of a dictionary of values, and its derivatives by complex steps, exact to
-    rounding.
-    """
+    """Return a function of a dictionary of values, and its derivatives by complex steps."""
     at = dict(zip(names, values.tolist(), strict=True))
     # f(x + ih) = f(x) + ih f'(x) + O(h²) involves no difference of like numbers, so h may be as
-    # small as one likes.
+    # small as one likes, and the derivative is exact to rounding.
     step = 1e-100
     slopes = [
         np.imag(function(at | {name: value + 1j * step})) / step for name, value in at.items()
@@ -368,20 +359,32 @@ def parameter_table(
     Return a table of parameters, derived rows included, and the covariance of the estimated ones.
     """
     names, status = list(names), list(status)
-    kept = np.flatnonzero(np.array(status) == "estimated")
+    free = np.flatnonzero(np.array(status) == "estimated")
     stderr = np.full(values.size, np.nan)
-    stderr[kept] = np.sqrt(np.diag(covariance)[kept])
+    stderr[free] = np.sqrt(np.diag(covariance)[free])
     rows = [*zip(values.tolist(), stderr.tolist(), status, strict=True)]
-    known = np.nan_to_num(covariance)
+    covariance = np.nan_to_num(covariance)
     for function in derived.values():
         value, slope = gradient(function, names, values)
         # NaN where nothing that the row depends on was estimated.
-        error = float(np.sqrt(slope @ known @ slope)) if slope[kept].any() else np.nan
+        error = float(np.sqrt(slope @ covariance @ slope)) if slope[free].any() else np.nan
         rows.append((float(value), error, "derived"))
     index = pd.Index([*names, *derived], name="parameter")
     table = pd.DataFrame(rows, index=index, columns=["value", "stderr", "status"])
-    labels = index[kept]
-    return table, pd.DataFrame(known[np.ix_(kept, kept)], index=labels, columns=labels.rename(None))
+    labels = index[free]
+    block = covariance[np.ix_(free, free)]
+    return table, pd.DataFrame(block, index=labels, columns=labels.rename(None))
+
+
+def state_table(
+    structure: Structure, runs: list[Run], values: np.ndarray, stderrs: np.ndarray
+) -> pd.DataFrame:
+    """Return the table of initial states; values and standard errors have shape (runs, states)."""
+    table = pd.DataFrame(index=pd.Index([run.label for run in runs], name="run"))
+    for j, parameter in enumerate(structure.initial):
+        table[parameter.name] = values[:, j]
+        table[f"{parameter.name}_stderr"] = stderrs[:, j]
+    return table
 
 
 def run_fits(
@@ -391,24 +394,17 @@ def run_fits(
     errors: list[list[np.ndarray]] | None = None,
 ) -> list[RunFit]:
     """
-    Put every run beside its fitted outputs and prediction errors, which are given by output, then
-    by run.
+    Put every run beside its fitted outputs, by run, and its prediction errors, by output and run;
+    without these, measured less fitted stands in.
     """
-    errors = errors or [
-        [run[name] - own[j] for run, own in zip(runs, fitted, strict=True)]
-        for j, name in enumerate(structure.outputs)
-    ]
-    return [
-        RunFit(
-            run.label,
-            run.synthetic,
-            run.t,
-            inputs={name: run[name] for name in structure.inputs},
-            measured={name: run[name] for name in structure.outputs},
-            fitted={
-                name: values.copy() for name, values in zip(structure.outputs, own, strict=True)
-            },
-            prediction_errors={name: errors[j][i] for j, name in enumerate(structure.outputs)},
-        )
-        for i, (run, own) in enumerate(zip(runs, fitted, strict=True))
-    ]
+    results = []
+    for i, run in enumerate(runs):
+        measured = {name: run[name] for name in structure.outputs}
+        simulated = {name: fitted[i][j].copy() for j, name in enumerate(structure.outputs)}
+        if errors is None:
+            left = {name: measured[name] - simulated[name] for name in structure.outputs}
+        else:
+            left = {name: errors[j][i] for j, name in enumerate(structure.outputs)}
+        inputs = {name: run[name] for name in structure.inputs}
+        results.append(RunFit(run.label, run.synthetic, run.t, inputs, measured, simulated, left))
+    return results

@@ -1,36 +1,40 @@
 """
-From sessions and a structure to a FitResult: what the data can identify, the estimate, and what to
-say of it.
+Fit a structure to sessions: read them, search from starting values, report.
+
+`fit_tsc`, `fit_human` and a user's own structure go through `fit`; the likelihood that is maximised
+is in `output_error.py`, the warnings in `diagnosis.py`.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.identification.diagnosis import doubted
-from trustlab.identification.fit_result import FitResult, parameter_table, run_fits
+from trustlab.identification.diagnosis import doubts, remarks, search_remark
+from trustlab.identification.fit_result import FitResult, parameter_table, run_fits, state_table
 from trustlab.identification.logged import as_logged, averaged, undo_window, window_means
 from trustlab.identification.output_error import (
     NOISES,
-    NOT_WHITE,
     SHALLOW,
     Estimate,
     Problem,
     Valley,
-    estimate,
+    fit_problem,
     settle,
 )
 from trustlab.identification.regression import regress
-from trustlab.identification.runs import HowLogged, Run, joined, read_runs
+from trustlab.identification.runs import LogSettings, Run, joined, log_settings, read_runs
 from trustlab.identification.structure import IdentificationError, Parameter, Structure
-from trustlab.models.checks import of_class, one_of, positive
+from trustlab.models.checks import of_class, one_of
 from trustlab.sessions.session import Session
 
 HALF_WIDTH = float(special.ndtri(0.975))
 """Standard errors from the middle of a 95 % interval to its end."""
+
+METHODS = ("output_error", "regression")
 
 RIVAL = 10.0
 """
@@ -46,16 +50,11 @@ def fit(
     bounds: Mapping[str, tuple] | None = None,
     noise: str = "auto",
     guess: Mapping[str, float] | None = None,
-    *,
-    window: float | None = None,
-    step: float | None = None,
-    mode_delay: bool = False,
-    stamp_error: float | None = None,
-    robust: bool = True,
+    log: LogSettings | None = None,
+    **settings: Any,
 ) -> FitResult:
     """
-    Identify any structure from sessions: parameters are shared, initial states are each session's
-    own.
+    Identify any structure from sessions, which share the parameters but not the initial states.
 
     Parameters
     ----------
@@ -80,25 +79,10 @@ def fit(
         on to the next where a Ljung–Box test at 0.001 rejects it.
     guess : mapping, optional
         Starting values by name, in place of the structure's own.
-    window : float, optional
-        Length W [s] of the moving window over which the outputs were averaged, as
-        `with_performance` does; 0 if they were not averaged. By default what each session's
-        metadata say.
-    step : float, optional
-        Time step of the model [s], to which its rates refer, if it is shorter than the log's sample
-        time; a sample must hold a whole number of steps.
-    mode_delay : bool
-        Whether to estimate the delay between the logged time of a change of mode and its effect
-        [s], as a further parameter `mode_delay`.
-    stamp_error : float, optional
-        Standard deviation of the errors in the logged times of switches [s], independent from
-        switch to switch; they widen the intervals, and so does an error that all share, as far as
-        the residuals allow for one. By default what the session's metadata say (`stamp_error`);
-        else 0.29 samples, the error of a time that is rounded to a sample, and 0 for simulated
-        sessions that were not resampled.
-    robust : bool
-        Whether to leave out samples that lie far from the model, such as dropouts; the message says
-        how many.
+    log : LogSettings, optional
+        How the log shows the model: window, step, mode_delay, stamp_error, robust.
+    **settings : float or bool
+        Fields of `LogSettings` as keywords; they replace those of `log`.
 
     Returns
     -------
@@ -119,6 +103,7 @@ def fit(
     --------
     >>> import numpy as np
     >>> import pandas as pd
+    from scipy import special
     >>> import trustlab as tl
     >>> def simulate(run, rate, p_r0):
     ...     return 0.24 + (p_r0 - 0.24) * np.exp(-rate * np.arange(len(run["mode"])))
@@ -133,55 +118,26 @@ def fit(
     Name: rate, dtype: float64
     """
     of_class("structure", structure, Structure)
-    how = HowLogged(window, step, mode_delay, stamp_error, robust)
-    one_of("method", method, ("output_error", "regression"))
-    runs = read_runs(sessions, *structure.inputs, *structure.outputs, how=how)
+    log = log_settings(log, settings)
+    one_of("method", method, METHODS)
+    runs = read_runs(sessions, *structure.inputs, *structure.outputs, log=log)
     if method == "regression":
         check_data(structure, runs, structure.limits(fixed, bounds))
-        refuse_options(method, fixed, bounds, noise, how)
-        return regress(structure, runs, method)
-    return fit_runs(structure, runs, fixed, bounds, noise, guess, how)
-
-
-def fit_runs(
-    structure: Structure,
-    runs: list[Run],
-    fixed: Mapping | None,
-    bounds: Mapping | None,
-    noise: str,
-    guess: Mapping | None,
-    how: HowLogged,
-) -> FitResult:
-    """Identify a structure from runs that have been read, by the output-error method."""
-    structure = _with_log(structure, runs, how.step, how.mode_delay)
+        refuse_options(fixed, bounds, noise, log)
+        return regress(structure, runs)
+    structure = as_logged(structure, runs[0].sample_time, log)
     limits = structure.limits(fixed, bounds)
     check_data(structure, runs, limits)
-    return result(estimate_runs(structure, runs, limits, noise, guess, how.robust))
-
-
-def _with_log(
-    structure: Structure, runs: list[Run], step: float | None, mode_delay: bool
-) -> Structure:
-    """Return the structure as these logs show it."""
-    ratio = 1.0 if step is None else runs[0].sample_time / positive("step", step)
-    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
-        raise ValueError(
-            f"step = {step:g} s does not divide the log's sample time, {runs[0].sample_time:g} s"
-        )
-    return (
-        structure
-        if step is None and not mode_delay
-        else as_logged(structure, round(ratio), mode_delay)
-    )
+    return result(estimate_runs(structure, runs, limits, noise, guess, log.robust))
 
 
 def refuse_options(
-    method: str, fixed: Mapping | None, bounds: Mapping | None, noise: str, how: HowLogged
+    fixed: Mapping | None, bounds: Mapping | None, noise: str, log: LogSettings
 ) -> None:
     """Refuse the options that only the output-error method has a use for."""
-    if fixed or bounds or noise != "auto" or how.step or how.mode_delay:
+    if fixed or bounds or noise != "auto" or log.step or log.mode_delay:
         raise ValueError(
-            f'method "{method}" is plain least squares; to fix or bound a parameter, or choose '
+            'method "regression" is plain least squares; to fix or bound a parameter, or choose '
             'its noise, use "output_error"'
         )
 
@@ -190,24 +146,29 @@ def check_data(structure: Structure, runs: list[Run], limits: Mapping) -> None:
     """Refuse data that cannot identify the structure, before any search."""
     if structure.check is not None:
         structure.check(runs, limits)
-    shared = {one.name for one in structure.parameters}
+    shared = structure.names[: len(structure.parameters)]
+    moved = {
+        output: [structure.names[j] for j in structure.columns_of(output)]
+        for output in structure.outputs
+    }
     for output in structure.outputs:
         values = joined(runs, output)
         if np.ptp(values) > 0.0:
             continue
-        others = [other for other in structure.outputs if other != output]
-        elsewhere = {structure.names[j] for other in others for j in structure.columns_of(other)}
-        lost = [
-            structure.names[j] for j in structure.columns_of(output) if structure.names[j] in shared
-        ]
+        elsewhere = {name for name in structure.outputs if name != output}
+        visible = {parameter for name in elsewhere for parameter in moved[name]}
+        lost = [name for name in moved[output] if name in shared]
         # What another output shows as well is not lost, if there is anything that only this one
         # shows.
-        lost = [name for name in lost if name not in elsewhere] or lost
+        lost = [name for name in lost if name not in visible] or lost
         raise IdentificationError(
             f"{output} never moves (it is {values[0]:g} throughout), so {' and '.join(lost)} "
             "cannot be identified; record a session in which performance is measured",
             tuple(lost),
         )
+
+
+# --- the search -----------------------------------------------------------------------------------
 
 
 def estimate_runs(
@@ -218,11 +179,12 @@ def estimate_runs(
     guess: Mapping | None = None,
     robust: bool = True,
 ) -> Estimate:
-    """Make the initial guess and run the output-error method."""
+    """Search from every starting value, and return the deepest valley as an estimate."""
     one_of("noise", noise, NOISES)
     if guess is not None:
         structure.check_names(guess, "guess")
-    windowed, views = any(run.window > 1 for run in runs), {False: runs}
+    windowed = any(run.window > 1 for run in runs)
+    views = {False: runs}
     if windowed:
         # Noise may be in what the window averages, or come on top of the means: the likelihoods of
         # both decide. Means of a linear model are what the means of its inputs give, but for the
@@ -238,258 +200,161 @@ def estimate_runs(
             begun.append((problem, problem.vector(start)))
     if len(begun) == 1:
         problem, at = begun[0]
-        return estimate(problem, at, limits, noise, robust)
+        return fit_problem(problem, at, limits, noise, robust)
     valleys = [settle(problem, at, limits, robust, rough=True) for problem, at in begun]
-    lowest = min(valleys, key=lambda one: one.deviance)
     if windowed:  # what the structure guesses from averages may miss a valley
-        valleys += list(_elsewhere(lowest, limits))
-        lowest = min(valleys, key=lambda one: one.deviance)
-    rivals = tuple(one for one in valleys if one.deviance < lowest.deviance + RIVAL)
-    for one in rivals:
-        one.inverse()  # raises where values that explain the data as well leave a parameter open
-    return replace(estimate(lowest.problem, lowest.theta, limits, noise, robust), rivals=rivals)
+        valleys += list(_elsewhere(_deepest(valleys), limits))
+    lowest = _deepest(valleys)
+    rivals = tuple(valley for valley in valleys if valley.deviance < lowest.deviance + RIVAL)
+    for valley in rivals:
+        # Raises where values that explain the data as well leave a parameter open.
+        valley.inverse_information()
+    estimate = fit_problem(lowest.problem, lowest.theta, limits, noise, robust)
+    return replace(estimate, rivals=rivals)
+
+
+def _deepest(valleys: list[Valley]) -> Valley:
+    return min(valleys, key=lambda valley: valley.deviance)
 
 
 def _elsewhere(valley: Valley, limits: Mapping) -> Iterator[Valley]:
     """
-    Yield what the search finds with bounded initial states held at other places, and when they are
-    let go there.
+    Search with bounded initial states held at other places, and go on from there with them free.
     """
-    problem = (
-        valley.problem
-    )  # with the outliers left out that this valley shows, so that deviances can be compared
-    bounded = [
-        one.name for one in problem.structure.initial if 0.0 < np.ptp(limits[one.name]) < np.inf
-    ]
+    # With the outliers left out that this valley shows, so that deviances can be compared.
+    problem = valley.problem
+    names = problem.structure.names[problem.shared :]
+    bounded = [name for name in names if 0.0 < np.ptp(limits[name]) < np.inf]
     for share in (0.1, 0.3, 0.5, 0.8) if bounded else ():
         at = {name: limits[name][0] + share * np.ptp(limits[name]) for name in bounded}
         start = valley.theta.copy()
-        for j, parameter in enumerate(problem.structure.initial):
-            start[problem.shared + j :: problem.own] = at.get(
-                parameter.name, start[problem.shared + j :: problem.own]
-            )
-        held = settle(
-            problem,
-            start,
-            {**limits, **{name: (own, own) for name, own in at.items()}},
-            False,
-            rough=True,
-        )
-        yield held
-        if held.deviance < valley.deviance + SHALLOW:
-            yield settle(problem, held.theta, limits, False, rough=True)
+        for j, name in enumerate(names):
+            if name in at:
+                start[problem.shared + j :: problem.states] = at[name]
+        fixed = {name: (value, value) for name, value in at.items()}
+        constrained = settle(problem, start, {**limits, **fixed}, False, rough=True)
+        yield constrained
+        if constrained.deviance < valley.deviance + SHALLOW:
+            yield settle(problem, constrained.theta, limits, False, rough=True)
 
 
 def _starts(
     structure: Structure, runs: list[Run], limits: Mapping, guess: Mapping | None
 ) -> list[dict]:
-    """
-    Return the starting values that the structure guesses from runs, with the user's own and what
-    either leaves open.
-    """
-    guessed = structure.guess(runs, limits) if structure.guess is not None else {}
-    several = guessed if isinstance(guessed, list) else [guessed]
-    return [_completed(structure, limits, one, guess) for one in several]
+    """Return starting values for every name: the user's, else the structure's, else a default."""
+    guesses = {} if structure.guess is None else structure.guess(runs, limits)
+    starts = []
+    for values in guesses if isinstance(guesses, list) else [guesses]:
+        start = {**values, **(guess or {})}
+        for parameter in structure.unknowns:
+            if start.get(parameter.name) is None:
+                start[parameter.name] = _default(parameter, *limits[parameter.name])
+        starts.append(start)
+    return starts
 
 
-def _completed(
-    structure: Structure, limits: Mapping, guessed: Mapping, guess: Mapping | None
-) -> dict:
-    """
-    Return a starting value for every name: the user's, the structure's, the parameter's own, or the
-    middle of its bounds.
-    """
-    start = {**guessed, **(guess or {})}
-    for parameter in (*structure.parameters, *structure.initial):
-        low, high = limits[parameter.name]
-        value = start.get(parameter.name, parameter.guess)
-        if value is None:
-            if not np.isfinite(high - low):
-                raise ValueError(
-                    f"{parameter.name} needs a guess, or bounds on both sides: "
-                    f"guess={{{parameter.name!r}: …}}"
-                )
-            value = 0.5 * (low + high)
-        start[parameter.name] = value
-    return start
+def _default(parameter: Parameter, low: float, high: float) -> float:
+    """Return a parameter's own starting value, or the middle of its bounds."""
+    if parameter.guess is not None:
+        return parameter.guess
+    if not np.isfinite(high - low):
+        raise ValueError(
+            f"{parameter.name} needs a guess, or bounds on both sides: "
+            f"guess={{{parameter.name!r}: …}}"
+        )
+    return 0.5 * (low + high)
 
 
-def found_table(found: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """
-    Return the table of the shared parameters, derived rows included, and the covariance of the
-    estimated ones.
-    """
-    structure, size = found.problem.structure, found.problem.shared
-    covariance = found.covariance[:size, :size]
+# --- the report -----------------------------------------------------------------------------------
+
+
+def estimate_table(estimate: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the table of the shared parameters, and the covariance of the estimated ones."""
+    structure, size = estimate.problem.structure, estimate.problem.shared
     return parameter_table(
         structure.names[:size],
-        found.theta[:size],
-        covariance,
-        found.status[:size],
+        estimate.theta[:size],
+        estimate.covariance[:size, :size],
+        estimate.status[:size],
         structure.derived,
     )
 
 
-def weak_parameters(found: Estimate, table: pd.DataFrame) -> list[Parameter]:
-    """
-    Return the shared parameters that a bound holds, or whose 95 % interval is too wide to be of
-    use.
-    """
-    values, stderrs, statuses = (
-        table[column].to_dict() for column in ("value", "stderr", "status")
-    )
-    weak = []
-    for parameter in found.problem.structure.parameters:
-        status = statuses[parameter.name]
-        wide = HALF_WIDTH * stderrs[parameter.name] > parameter.useful_half_width(values)
-        if status == "at bound" or (status == "estimated" and wide):
-            weak.append(parameter)
-    return weak
-
-
-def result(found: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame] | None = None) -> FitResult:
-    """
-    Put an estimate and its tables into a FitResult; weakly determined parameters are marked here.
-    """
-    problem = found.problem
-    structure, shared = problem.structure, problem.shared
-    table, covariance = found_table(found) if tables is None else tables
-    weak, sentences = weak_parameters(found, table), [_of_the_search(found)]
-    for parameter in weak:
-        value, stderr, status = (
-            table[column][parameter.name] for column in ("value", "stderr", "status")
-        )
-        if status == "at bound":
-            sentences.append(
-                f"{parameter.name} is at its bound, {value:.6g}: the fit is better beyond it, or "
-                "these data do not determine it."
-            )
-        else:
-            table.loc[parameter.name, "status"] = "weak"
-            sentences.append(
-                f"{parameter.name} is weakly determined by these data ({value:.4g} ± "
-                f"{HALF_WIDTH * stderr:.2g}); {parameter.hint}, or fix it."
-            )
-    doubts = list(doubted(found))
-    sentences += [
-        *_of_the_initial_states(found),
-        *_of_the_runs(problem),
-        *_of_the_noise(found),
-        *doubts,
-    ]
+def result(
+    estimate: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame] | None = None
+) -> FitResult:
+    """Put an estimate and its tables into a FitResult; weak parameters are marked here."""
+    problem = estimate.problem
+    structure = problem.structure
+    table, covariance = estimate_table(estimate) if tables is None else tables
+    weak = weak_parameters(estimate, table)
+    reasons = list(doubts(estimate))
+    sentences = [search_remark(estimate), *_mark(weak, table), *remarks(estimate), *reasons]
     # NaN for what was fixed; rows of what a bound holds are NaN already.
-    stderr = np.sqrt(np.where(found.fixed, np.nan, np.diag(found.covariance)))
-    states = {}
-    for j, parameter in enumerate(structure.initial):
-        where = slice(shared + j, None, problem.own)
-        states[parameter.name], states[f"{parameter.name}_stderr"] = (
-            found.theta[where],
-            stderr[where],
-        )
-    values = dict(zip(structure.names, found.theta[:shared].tolist(), strict=False))
-    try:
-        model = values if structure.model is None else structure.model(**values)
-    except IdentificationError as error:
-        # What is wrong with the data may be why no model comes of them.
-        lost = tuple(each.name for each in weak)
-        lacking = (
-            f"these data do not determine {', '.join(lost)}; hold some of them with fixed={{…}}: "
-            if weak
-            else ""
-        )
-        why = " ".join([f"{lacking}{error}{'.' if doubts else ''}", *doubts])
-        raise IdentificationError(why, lost or error.parameters) from error
+    stderr = np.sqrt(np.where(estimate.fixed, np.nan, np.diag(estimate.covariance)))
+    shape = (len(problem.runs), problem.states)
+    states, state_errors = (v[problem.shared :].reshape(shape) for v in (estimate.theta, stderr))
     return FitResult(
-        model=model,
+        model=_model(estimate, weak, reasons),
         method="output_error",
         parameters=table,
         covariance=covariance,
-        initial_states=pd.DataFrame(
-            states, index=pd.Index([run.label for run in problem.runs], name="run")
-        ),
+        initial_states=state_table(structure, problem.runs, states, state_errors),
         runs=run_fits(structure, problem.runs, problem.fitted(), problem.residuals()),
-        noise=found.noise,
-        sigma=dict(zip(structure.outputs, found.sigma.tolist(), strict=True)),
-        cost=0.5 * float(found.normal.squares.sum()),
-        success=bool(found.search.converged and not weak and not doubts),
+        noise=estimate.noise,
+        sigma=dict(zip(structure.outputs, estimate.sigma.tolist(), strict=True)),
+        cost=0.5 * float(estimate.normal.squares.sum()),
+        success=bool(estimate.search.converged and not weak and not reasons),
         message=" ".join(sentences),
-        degrees_of_freedom=found.degrees_of_freedom,
+        degrees_of_freedom=estimate.degrees_of_freedom,
     )
 
 
-def _of_the_search(found: Estimate) -> str:
-    if found.search.converged:
-        return f"Converged in {found.search.iterations} evaluations."
-    return (
-        f"Stopped after {found.search.iterations} evaluations without reaching a minimum; do "
-        "not use the numbers."
-    )
-
-
-def _of_the_initial_states(found: Estimate) -> Iterator[str]:
-    """Say which initial states lie at an end that has a meaning."""
-    problem = found.problem
-    for j, parameter in enumerate(problem.structure.initial):
-        where = slice(problem.shared + j, None, problem.own)
-        for bound, meaning in parameter.ends.items():
-            held = int((found.search.at_bound[where] & (found.theta[where] == bound)).sum())
-            if held:
-                yield (
-                    f"{parameter.name} = {bound:g}, {meaning}, in {held} of {len(problem.runs)} "
-                    "run(s)."
-                )
-
-
-def _of_the_runs(problem: Problem) -> Iterator[str]:
-    """Say what a reader should know of the data themselves."""
-    people = {run.participant for run in problem.runs}
-    if len(people) > 1:
-        yield (
-            f"{len(people)} participants share one set of parameters; fit them one by one "
-            "unless that is meant."
-        )
-    windows = sorted({run.window * run.sample_time for run in problem.runs if run.window > 1})
-    if windows:
-        where = "in the values that are averaged" if problem.unwindow else "in the means"
-        spans = " and ".join(f"{window:g} s" for window in windows)
-        yield (
-            f"The outputs are fitted as means over a moving window of {spans}, with noise {where}."
-        )
-    for j, name in enumerate(problem.structure.outputs):
-        lost = [
-            (run.t[own][0], own.sum())
-            for run, own in zip(problem.runs, problem.missing[j], strict=True)
-            if own.any()
-        ]
-        if lost:
+def _mark(weak: list[Parameter], table: pd.DataFrame) -> Iterator[str]:
+    """Mark weak parameters in the table and say what would help."""
+    for parameter in weak:
+        name = parameter.name
+        value, stderr = table["value"][name], table["stderr"][name]
+        if table["status"][name] == "at bound":
             yield (
-                f"{sum(count for _, count in lost)} samples of {name} are far from the model all "
-                f"of a sudden, the first at {lost[0][0]:g} s (dropouts?); they are left out, "
-                "robust=False keeps them."
+                f"{name} is at its bound, {value:.6g}: the fit is better beyond it, or "
+                "these data do not determine it."
+            )
+        else:
+            table.loc[name, "status"] = "weak"
+            yield (
+                f"{name} is weakly determined by these data ({value:.4g} ± "
+                f"{HALF_WIDTH * stderr:.2g}); {parameter.hint}, or fix it."
             )
 
 
-def _of_the_noise(found: Estimate) -> Iterator[str]:
-    """Say what the standard errors allow for."""
-    white = found.simple_p >= NOT_WHITE
-    test = f"Residuals are not white (Ljung–Box p = {found.simple_p:.2g})"
-    if found.noise == "correlated":
-        step = found.problem.runs[0].sample_time
-        parts = [
-            f"{name} has {100.0 * share:.3g} % of its noise correlated over "
-            f"{-step / np.log(kept):.3g} s"
-            for name, (share, kept) in zip(
-                found.problem.structure.outputs, found.problem.noise, strict=True
+def _model(estimate: Estimate, weak: list[Parameter], reasons: list[str]) -> Any:
+    """Return the structure's model; an error names the weak parameters and the doubts."""
+    structure, shared = estimate.problem.structure, estimate.problem.shared
+    values = dict(zip(structure.names, estimate.theta[:shared].tolist(), strict=False))
+    if structure.model is None:
+        return values
+    try:
+        return structure.model(**values)
+    except IdentificationError as error:
+        # What is wrong with the data may be why no model comes of them.
+        lost = tuple(parameter.name for parameter in weak)
+        text = f"{error}{'.' if reasons else ''}"
+        if weak:
+            text = (
+                f"these data do not determine {', '.join(lost)}; hold some of them with "
+                f"fixed={{…}}: {text}"
             )
-            if share > 0.0 and kept > 0.0
-        ]
-        left = ", and standard errors for what correlation is left" if found.sandwiched else ""
-        yield (
-            f"{'The fit allows' if white else f'{test}: the fit allows'} for correlated noise "
-            f"({'; '.join(parts)}){left}."
-        )
-    elif found.noise == "hac":
-        begin = "Standard errors" if white else f"{test}: standard errors"
-        yield f"{begin} allow for autocorrelation."
-    elif not white:
-        yield f'{test}: these standard errors are too small; use noise="auto".'
+        raise IdentificationError(" ".join([text, *reasons]), lost or error.parameters) from error
+
+
+def weak_parameters(estimate: Estimate, table: pd.DataFrame) -> list[Parameter]:
+    """Return the shared parameters at a bound, or with a 95 % interval too wide to be of use."""
+    values = table["value"].to_dict()
+    weak = []
+    for parameter in estimate.problem.structure.parameters:
+        stderr, status = table.loc[parameter.name, ["stderr", "status"]]
+        wide = HALF_WIDTH * stderr > parameter.useful_half_width(values)
+        if status == "at bound" or (status == "estimated" and wide):
+            weak.append(parameter)
+    return weak

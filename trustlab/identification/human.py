@@ -1,7 +1,4 @@
-"""
-Identification of human utilization and performance, (2.5)-(2.6): structure, sensitivities, initial
-guess, `fit_human`.
-"""
+"""The operator's model, (2.5)-(2.6): `fit_human`, structure, sensitivities, initial guess."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -11,8 +8,16 @@ import numpy as np
 from trustlab.identification.fit_result import FitResult
 from trustlab.identification.fitting import fit, refuse_options
 from trustlab.identification.output_error import SHALLOW, Problem
-from trustlab.identification.regression import regression, simulated_result
-from trustlab.identification.runs import HowLogged, Run, as_columns, block_means, joined, read_runs
+from trustlab.identification.regression import LeastSquares, regression, simulated_result
+from trustlab.identification.runs import (
+    LogSettings,
+    Run,
+    as_columns,
+    block_means,
+    joined,
+    log_settings,
+    read_runs,
+)
 from trustlab.identification.structure import (
     MODEL_STEP,
     UNIT_MARGIN,
@@ -21,9 +26,13 @@ from trustlab.identification.structure import (
     Parameter,
     Structure,
 )
-from trustlab.models.checks import warn_renamed
 from trustlab.models.compiled import njit
-from trustlab.models.human import HumanModel, performance_curve
+from trustlab.models.human import (
+    HumanModel,
+    next_utilization,
+    performance_curve,
+    yerkes_dodson,
+)
 from trustlab.sessions.session import Session
 
 EDGE = 1e-9
@@ -39,11 +48,12 @@ def fit_human(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple] | None = None,
     noise: str = "auto",
-    **logged: Any,
+    log: LogSettings | None = None,
+    **settings: Any,
 ) -> FitResult:
     """
-    Identify the human model (2.5)-(2.6) from sessions: a, beta, p_min, p_max, and r at the start of
-    every session.
+    Identify the human model (2.5)-(2.6) from sessions: a, beta, p_min, p_max, and each session's
+    initial utilization.
 
     Parameters
     ----------
@@ -59,8 +69,10 @@ def fit_human(
         Bounds (low, high) by name; None leaves a side open.
     noise : {"auto", "white", "correlated", "hac"}
         What the standard errors allow for; see `fit`.
-    **logged : float or bool
-        window, step, mode_delay, stamp_error, robust: how the log shows the model; see `fit`.
+    log : LogSettings, optional
+        How the log shows the model: window, step, mode_delay, stamp_error, robust.
+    **settings : float or bool
+        Fields of `LogSettings` as keywords; they replace those of `log`.
 
     Returns
     -------
@@ -83,14 +95,11 @@ def fit_human(
     >>> round(fit.model.beta, 2), fit.success
     (0.74, True)
     """
-    if method == "arx":
-        warn_renamed('fit_human(method="arx")', 'fit_human(method="regression")')
-        method = "regression"
     if method == "regression":
-        how = HowLogged(**logged)
-        refuse_options(method, fixed, bounds, noise, how)
-        return _fit_at_logged_utilization(sessions, how)
-    return fit(HUMAN, sessions, method, fixed, bounds, noise, **logged)
+        log = log_settings(log, settings)
+        refuse_options(fixed, bounds, noise, log)
+        return _fit_at_logged_utilization(sessions, log)
+    return fit(HUMAN, sessions, method, fixed, bounds, noise, log=log, **settings)
 
 
 # --- the structure --------------------------------------------------------------------------------
@@ -99,18 +108,12 @@ def fit_human(
 @njit(inline="always")
 def performance_slopes(r, beta):
     """Return the Yerkes–Dodson shape of (2.6) and its derivatives by r and β."""
-    if r <= 0.0 or r >= 1.0:
-        shape, by_beta = 0.0, 0.0
-    else:
-        log_r, log_q = np.log(r / beta), np.log((1.0 - r) / (1.0 - beta))
-        shape = np.exp(beta * log_r + (1.0 - beta) * log_q)
-        by_beta = shape * (log_r - log_q)
-        if EDGE < r < 1.0 - EDGE:
-            return shape, shape * (beta / r - (1.0 - beta) / (1.0 - r)), by_beta
+    shape = yerkes_dodson(r, beta)
+    by_beta = 0.0
+    if 0.0 < r < 1.0:
+        by_beta = shape * (np.log(r / beta) - np.log((1.0 - r) / (1.0 - beta)))
     inside = min(max(r, EDGE), 1.0 - EDGE)
-    steep = np.exp(
-        beta * np.log(inside / beta) + (1.0 - beta) * np.log((1.0 - inside) / (1.0 - beta))
-    )
+    steep = shape if inside == r else yerkes_dodson(inside, beta)
     return shape, steep * (beta / inside - (1.0 - beta) / (1.0 - inside)), by_beta
 
 
@@ -121,11 +124,11 @@ SLOPES = np.dtype([(name, float) for name in ("a", "beta", "p_min", "p_max", "r0
 def _simulate_with_slopes(mode, a, beta, p_min, p_max, r0, p_h, by):
     """Run (2.5)-(2.6) and their derivatives by every parameter, into `p_h` and the records `by`."""
     r = r0
-    r_a = 0.0
-    r_0 = 1.0  # utilization, and its derivatives by a and r0
+    r_a = 0.0  # ∂r/∂a
+    r_0 = 1.0  # ∂r/∂r0
     span = p_max - p_min
     for k in range(mode.size):
-        shape, slope, by_beta = performance_slopes(r, beta)
+        shape, slope, by_beta = performance_slopes(r, beta)  # (2.6)
         p_h[k] = p_min + span * shape
         row = by[k]
         row.a = span * slope * r_a
@@ -133,17 +136,15 @@ def _simulate_with_slopes(mode, a, beta, p_min, p_max, r0, p_h, by):
         row.p_min = 1.0 - shape
         row.p_max = shape
         row.r0 = span * slope * r_0
-        # (2.5) differentiated by a: ∂r(k+1) = a ∂r(k) + r(k) − M(k); by r0: the homogeneous part
-        # alone.
+        # (2.5) differentiated by a: ∂r(k+1) = a ∂r(k) + r(k) − M(k).
         r_a = a * r_a + r - mode[k]
+        # (2.5) differentiated by r0: ∂r(k+1) = a ∂r(k).
         r_0 = a * r_0
-        r = a * r + (1.0 - a) * mode[k]
+        r = next_utilization(r, mode[k], a)  # (2.5)
 
 
 def simulate_human(run: Run, *parameters: float) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return P_h and the records of its derivatives by a, beta, p_min, p_max and r0, shape (N,) each.
-    """
+    """Return P_h and its derivatives by a, beta, p_min, p_max and r0 as records, shape (N,)."""
     p_h, by = run.scratch("P_h"), run.scratch("of P_h", SLOPES)
     _simulate_with_slopes(run["mode"], *parameters, p_h, by)
     return p_h, by
@@ -162,10 +163,12 @@ def rate_parameter(prefix: str = "") -> Parameter:
 
 def range_parameters(prefix: str = "") -> tuple[Parameter, Parameter]:
     """Return p_min and p_max, each judged by the distance between them."""
-    span, hint = (f"{prefix}p_min", f"{prefix}p_max"), "record a phase long enough to"
-    low = Parameter(f"{prefix}p_min", span=span, hint=f"{hint} settle at the least performance")
-    high = Parameter(f"{prefix}p_max", span=span, hint=f"{hint} come near the greatest performance")
-    return low, high
+    span = (f"{prefix}p_min", f"{prefix}p_max")
+    begin = "record a phase long enough to"
+    return (
+        Parameter(span[0], span=span, hint=f"{begin} settle at the least performance"),
+        Parameter(span[1], span=span, hint=f"{begin} come near the greatest performance"),
+    )
 
 
 def human_parameters(prefix: str = "") -> tuple[Parameter, ...]:
@@ -232,7 +235,8 @@ def _search_grid(mode, p_h, starts, rates, betas, rests, out):
     and the end.
     """
     total = np.sum(p_h**2)
-    log_r, log_q = np.empty(p_h.size), np.empty(p_h.size)  # of (2.6), shared by all beta
+    log_r = np.empty(p_h.size)  # ln r and ln(1 − r) of (2.6), shared by all beta
+    log_q = np.empty(p_h.size)
     number = 0
     for a in rates:
         for rest in rests:
@@ -245,8 +249,8 @@ def _search_grid(mode, p_h, starts, rates, betas, rests, out):
                     log_q[k] = np.log(1.0 - middle) if inside else -np.inf
                     r += (1.0 - a) * (mode[k] - r)
             for beta in betas:
-                # P_h = p_min (1 − shape) + p_max shape is linear in p_min and p_max: they are
-                # solved for.
+                # P_h = p_min (1 − shape) + p_max shape, (2.6), is linear in p_min and p_max: they
+                # are solved for.
                 s11 = s12 = s22 = t1 = t2 = 0.0
                 top = beta * np.log(beta) + (1.0 - beta) * np.log(1.0 - beta)
                 for k in range(starts[0], starts[-1]):
@@ -305,21 +309,27 @@ def human_guess(
     # The likelihood of (2.6) has several valleys (a slow operator beyond the best utilization looks
     # like a quick one below it): the best points of different rates and initial utilizations are
     # refined, and valleys as deep kept.
-    refined = sorted(
-        (_refined(means, point, limits, length) for point in _best_apart(grid, rates)),
-        key=lambda one: one[0],
+    points = [_refined(means, point, limits, length) for point in _best_apart(grid, rates)]
+    floor = 1e-12 * float(p_h @ p_h)
+    deep: list[tuple[float, ...]] = []
+    for point in sorted(points, key=lambda point: point[0]):
+        if not deep or _another_valley(point, deep, p_h.size, floor):
+            deep.append(point)
+    guesses = []
+    for _, rate, *others in deep:
+        values = (undo_blocks(rate, length), *others)
+        guesses.append(dict(zip(HUMAN.names, values, strict=True)))
+    return guesses
+
+
+def _another_valley(point: tuple, deep: list[tuple], samples: int, floor: float) -> bool:
+    """Return whether a point is nearly as deep as the best, and apart from all `deep` ones."""
+    squares, _, beta, *_ = point
+    if samples * np.log((squares + floor) / (deep[0][0] + floor)) >= SHALLOW:
+        return False
+    return not any(
+        abs(squares / valley[0] - 1.0) < 1e-4 and abs(beta - valley[2]) < 0.01 for valley in deep
     )
-    floor, kept = 1e-12 * float(p_h @ p_h), []
-    for squares, *at in refined:
-        deep = p_h.size * np.log((squares + floor) / (refined[0][0] + floor)) < SHALLOW
-        if deep and not any(
-            abs(squares / other - 1.0) < 1e-4 and abs(at[1] - beta) < 0.01
-            for other, _, beta, *_ in kept
-        ):
-            kept.append((squares, *at))
-    return [
-        dict(zip(HUMAN.names, (undo_blocks(a, length), *rest), strict=True)) for _, a, *rest in kept
-    ]
 
 
 def _best_apart(grid: np.ndarray, rates: np.ndarray, most: int = 6) -> list[np.void]:
@@ -339,16 +349,15 @@ def _refined(means: list[Run], point: np.void, limits: Mapping, length: int) -> 
     guess = {name: float(point[name]) for name in HUMAN.names}
     problem = Problem(HUMAN, means, guess)
     rate = [min(max(bound**length, UNIT_MARGIN), 1.0 - UNIT_MARGIN) for bound in limits["a"]]
-    wide = {**limits, "a": rate, "p_min": (-np.inf, np.inf), "p_max": (-np.inf, np.inf)}
-    low, high = (
-        problem.vector({name: wide[name][side] for name in HUMAN.names}) for side in (0, 1)
-    )
+    free = (-np.inf, np.inf)
+    wide = {"a": rate, "beta": limits["beta"], "p_min": free, "p_max": free, "r0": limits["r0"]}
+    low, high = problem.ends(wide)
     start = np.clip(problem.vector(guess), low, high)
-    found = problem.search(start, low, high, tolerance=1e-2, max_iterations=25)
-    a, beta, p_min, p_max, *states = problem.from_search(found.x)
+    minimum = problem.search(start, low, high, tolerance=1e-2, max_iterations=25)
+    a, beta, p_min, p_max, *states = problem.from_search(minimum.x)
     if not p_max > p_min:
         return tuple(map(float, point.tolist()))
-    return (found.normal.squares.sum(), a, beta, p_min, p_max, np.median(states))
+    return (minimum.normal.squares.sum(), a, beta, p_min, p_max, np.median(states))
 
 
 HUMAN = Structure(
@@ -367,12 +376,12 @@ HUMAN = Structure(
 # --- least squares at the logged utilization ------------------------------------------------------
 
 
-def _fit_at_logged_utilization(sessions, how: HowLogged) -> FitResult:
+def _fit_at_logged_utilization(sessions: Any, log: LogSettings) -> FitResult:
     """Fit (2.5) to the logged utilization and (2.6) to performance against it."""
-    from scipy import linalg, optimize
+    from scipy import linalg
 
     try:
-        runs = read_runs(sessions, "mode", "p_h", "r", how=how)
+        runs = read_runs(sessions, "mode", "p_h", "r", log=log)
     except ValueError as error:
         raise IdentificationError(
             'method "regression" needs the logged utilization, column r, because (2.6) is not '
@@ -384,36 +393,41 @@ def _fit_at_logged_utilization(sessions, how: HowLogged) -> FitResult:
     design = np.concatenate([run["r"][:-1] - run["mode"][:-1] for run in runs])[None, :]
     target = np.concatenate([run["r"][1:] - run["mode"][:-1] for run in runs])
     rate = regression(design, target, ("a",))
-
-    # (2.6) is linear in p_min and p_max: a search over beta alone, the other two by regression at
-    # each.
-    r, p_h = joined(runs, "r"), joined(runs, "p_h")
-
-    def at_beta(beta):
-        shape = performance_curve(r, beta, 0.0, 1.0)
-        return shape, regression(np.stack([1.0 - shape, shape]), p_h, ("p_min", "p_max"))
-
-    def squares(beta):
-        residuals = at_beta(beta)[1].residuals
-        return float(residuals @ residuals)
-
-    inside, precision = (1e-4, 1.0 - 1e-4), {"xatol": 1e-10}
-    beta = float(
-        optimize.minimize_scalar(squares, bounds=inside, method="bounded", options=precision).x
-    )
-    shape, at_best = at_beta(beta)
-    p_min, p_max = at_best.values
-    # Regressing the residuals on the derivatives by all three moves nothing, but yields their joint
-    # covariance.
-    step = 1e-6 * min(beta, 1.0 - beta)
-    above, below = (performance_curve(r, beta + sign * step, p_min, p_max) for sign in (1.0, -1.0))
-    slopes = np.stack([(above - below) / (2.0 * step), 1.0 - shape, shape])
-    curve = regression(slopes, at_best.residuals, ("beta", "p_min", "p_max"))
-    found = curve._replace(
-        values=np.r_[rate.values, beta, p_min, p_max],
+    curve = _fit_curve(joined(runs, "r"), joined(runs, "p_h"))
+    estimate = curve._replace(
+        values=np.r_[rate.values, curve.values],
         covariance=linalg.block_diag(rate.covariance, curve.covariance),
-        residuals=at_best.residuals,
     )
     initial = [(float(run["r"][0]),) for run in runs]
     caution = "Least squares at the logged utilization: noise in column r biases a and beta."
-    return simulated_result(HUMAN, runs, found, initial, "regression", caution)
+    return simulated_result(HUMAN, runs, estimate, initial, caution)
+
+
+def _fit_curve(r: np.ndarray, p_h: np.ndarray) -> LeastSquares:
+    """Fit beta, p_min and p_max of (2.6) to performance against utilization."""
+    from scipy import optimize
+
+    # (2.6) is linear in p_min and p_max: a search over beta alone, the other two by regression at
+    # each.
+    def at(beta: float) -> LeastSquares:
+        shape = performance_curve(r, beta, 0.0, 1.0)
+        return regression(np.stack([1.0 - shape, shape]), p_h, ("p_min", "p_max"))
+
+    def squares(beta: float) -> float:
+        residuals = at(beta).residuals
+        return float(residuals @ residuals)
+
+    search = optimize.minimize_scalar(
+        squares, bounds=(1e-4, 1.0 - 1e-4), method="bounded", options={"xatol": 1e-10}
+    )
+    beta = float(search.x)
+    best = at(beta)
+    # Regressing the residuals on the derivatives by all three moves nothing, but yields their joint
+    # covariance.
+    step = 1e-6 * min(beta, 1.0 - beta)
+    above = performance_curve(r, beta + step, *best.values)
+    below = performance_curve(r, beta - step, *best.values)
+    shape = performance_curve(r, beta, 0.0, 1.0)
+    slopes = np.stack([(above - below) / (2.0 * step), 1.0 - shape, shape])
+    joint = regression(slopes, best.residuals, ("beta", "p_min", "p_max"))
+    return joint._replace(values=np.r_[beta, best.values], residuals=best.residuals)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trustlab.identification.runs import Run
+from trustlab.identification.runs import LogSettings, Run
 from trustlab.identification.structure import Parameter, Structure
 
 # Time [s] by which the mode acts later than the log says; negative where it is stamped late.
@@ -16,10 +16,7 @@ DELAY = Parameter("mode_delay", guess=0.0)
 
 
 def counts(size: int, window: int) -> np.ndarray:
-    """
-    Return the number of samples in the window that ends at each sample: of what there is at the
-    start.
-    """
+    """Return each window's sample count; windows at the start are shorter."""
     return np.minimum(np.arange(1.0, size + 1.0), window)
 
 
@@ -33,62 +30,59 @@ def window_means(values: np.ndarray, window: int) -> np.ndarray:
 def undo_window(means: np.ndarray, window: int) -> np.ndarray:
     """Return the values that `window_means` was made of."""
     sums = means * _down(counts(len(means), window), means)
-    # What the window gained over a sample is the new value less the one that left it: z(k) = Δs(k)
-    # + z(k − W).
+    # Each sample the window gains the new value and loses the oldest: z(k) = Δs(k) + z(k − W).
     gained = np.diff(sums, axis=0, prepend=0.0 * sums[:1])
-    padded = np.concatenate([gained, np.zeros((-len(means) % window, *means.shape[1:]))])
-    return (
-        padded.reshape(-1, window, *means.shape[1:])
-        .cumsum(axis=0)
-        .reshape(padded.shape)[: len(means)]
-    )
+    columns = means.shape[1:]
+    padded = np.concatenate([gained, np.zeros((-len(means) % window, *columns))])
+    values = padded.reshape(-1, window, *columns).cumsum(axis=0).reshape(padded.shape)
+    return values[: len(means)]
 
 
 def _down(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return weights of the rows in the shape that multiplies the columns of `values`."""
     return weights.reshape(-1, *[1] * (values.ndim - 1))
 
 
-def as_logged(structure: Structure, ratio: int, delayed: bool) -> Structure:
+def as_logged(structure: Structure, sample_time: float, log: LogSettings) -> Structure:
     """
-    Return a structure as the log shows it: with `ratio` model steps per sample and, if `delayed`, a
-    mode delay to estimate.
+    Return a structure as the log shows it: several model steps per sample, a mode delay to
+    estimate, or both.
 
     Between samples the inputs keep the last value logged.
     """
+    if log.step is None and not log.mode_delay:
+        return structure
+    ratio = 1 if log.step is None else _steps_per_sample(sample_time, log.step)
+    delayed = log.mode_delay
 
     def sensitivities(run: Run, mode_delay: float = 0.0, **values):
         fine = refined(run, ratio)
-        outputs, jacobians = structure.predict(late(fine, mode_delay) if delayed else fine, values)
+        outputs, jacobians = structure.predict(late(fine, mode_delay), values)
         if delayed:
             step = 0.5 * fine.sample_time
-            after, before = (
-                structure.predict(late(fine, mode_delay + by), values)[0] for by in (step, -step)
-            )
-            slopes = [
-                (one - other) / (2.0 * step) for one, other in zip(after, before, strict=True)
-            ]
+            after, _ = structure.predict(late(fine, mode_delay + step), values)
+            before, _ = structure.predict(late(fine, mode_delay - step), values)
+            slopes = [(a - b) / (2.0 * step) for a, b in zip(after, before, strict=True)]
             jacobians = [np.column_stack(pair) for pair in zip(jacobians, slopes, strict=True)]
-        return [one[::ratio] for one in outputs], [one[::ratio] for one in jacobians]
+        return [y[::ratio] for y in outputs], [by[::ratio] for by in jacobians]
 
     def guess(runs: list[Run], limits: Mapping) -> Mapping | list[Mapping]:
-        return (
-            {}
-            if structure.guess is None
-            else structure.guess([refined(run, ratio) for run in runs], limits)
-        )
+        if structure.guess is None:
+            return {}
+        return structure.guess([refined(run, ratio) for run in runs], limits)
 
     def model(mode_delay: float = 0.0, **values):
         return values if structure.model is None else structure.model(**values)
 
-    moving = {
-        name: [structure.names[j] for j in structure.columns_of(name)] for name in structure.outputs
-    }
+    added = (DELAY,) if delayed else ()
+    affecting = {}
+    for output in structure.outputs:
+        names = [structure.names[j] for j in structure.columns_of(output)]
+        affecting[output] = [*names, *(parameter.name for parameter in added)]
     return replace(
         structure,
-        parameters=(*structure.parameters, DELAY) if delayed else structure.parameters,
-        affected_by={
-            name: (*own, "mode_delay") if delayed else own for name, own in moving.items()
-        },
+        parameters=(*structure.parameters, *added),
+        affected_by=affecting,
         sensitivities=sensitivities,
         guess=guess,
         model=model,
@@ -97,28 +91,33 @@ def as_logged(structure: Structure, ratio: int, delayed: bool) -> Structure:
     )
 
 
+def _steps_per_sample(sample_time: float, step: float) -> int:
+    """Return the whole number of steps in a sample."""
+    ratio = sample_time / step
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+        raise ValueError(
+            f"step = {step:g} s does not divide the log's sample time, {sample_time:g} s"
+        )
+    return round(ratio)
+
+
 def refined(run: Run, ratio: int) -> Run:
     """Return a run with `ratio` samples for each, all columns held."""
     if ratio == 1:
         return run
     columns = {name: np.repeat(values, ratio) for name, values in run.columns.items()}
     t = run.t[0] + run.sample_time / ratio * np.arange(run.size * ratio)
-    return replace(run, t=t, columns=columns, kept={})
+    return replace(run, t=t, columns=columns)
 
 
 def late(run: Run, delay: float) -> Run:
-    """
-    Return a run whose mode acts later by `delay` [s]; a part of a sample is a share of the mode
-    over that sample.
-    """
+    """Return a run whose mode acts later by `delay` [s]; part of a sample becomes a share of it."""
     if delay == 0.0 or "mode" not in run.columns:
         return run
     at = np.arange(run.size, dtype=float)
-    moved = np.interp(at - delay / run.sample_time, at, run["mode"])
-    return replace(run, columns={**run.columns, "mode": moved}, kept={})
+    return run.changed({"mode": np.interp(at - delay / run.sample_time, at, run["mode"])})
 
 
 def averaged(run: Run, names: Iterable[str], change: Callable) -> Run:
     """Return a run without a window, some of its columns changed by `change(values, window)`."""
-    changed = {name: change(run[name], run.window) for name in names}
-    return replace(run, columns={**run.columns, **changed}, window=1, kept={})
+    return run.changed({name: change(run[name], run.window) for name in names}, window=1)

@@ -1,7 +1,4 @@
-"""
-Linear regression with covariance: ARX models, the dissertation's own method (Section 2.2.2), and
-structures with a linear form.
-"""
+"""Linear regression with covariance: ARX models (Section 2.2.2) and linear structures."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -14,6 +11,7 @@ from trustlab.identification.fit_result import (
     gradient,
     parameter_table,
     run_fits,
+    state_table,
     with_intervals,
 )
 from trustlab.identification.runs import Run
@@ -97,10 +95,7 @@ class ArxResult:
 
 
 class LeastSquares(NamedTuple):
-    """
-    Estimates of a regression, their covariance, what it leaves unexplained, and equations less
-    coefficients.
-    """
+    """Estimates of a regression with covariance, residuals, and equations less coefficients."""
 
     values: np.ndarray
     covariance: np.ndarray
@@ -201,13 +196,16 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
     >>> tl.arx(y, u).table()["value"].round(6).to_dict()
     {'a1': -0.9, 'b1': 0.5}
     """
-    several = isinstance(y, (list, tuple)) and len(y) > 0 and np.ndim(y[0]) == 1
-    if several and len(y) != len(u):
-        raise ValueError(
-            f"y has {len(y)} runs and u has {len(u)}; give one input array for every run"
-        )
-    na, parts = whole_number("na", na, least=0), []
-    for y_run, u_run in zip(y, u, strict=True) if several else [(y, u)]:
+    pairs = [(y, u)]
+    if isinstance(y, (list, tuple)) and len(y) > 0 and np.ndim(y[0]) == 1:
+        if len(y) != len(u):
+            raise ValueError(
+                f"y has {len(y)} runs and u has {len(u)}; give one input array for every run"
+            )
+        pairs = list(zip(y, u, strict=True))
+    na = whole_number("na", na, least=0)
+    parts = []
+    for y_run, u_run in pairs:
         y_run = np.ascontiguousarray(y_run, dtype=float)
         u_run = np.asarray(u_run, dtype=float)
         u_run = u_run[:, None] if u_run.ndim == 1 else u_run
@@ -218,14 +216,12 @@ def arx(y, u, na: int = 1, nb=1, nk=1, intercept: bool = False) -> ArxResult:
         if not (np.isfinite(y_run).all() and np.isfinite(u_run).all()):
             raise ValueError("y and u must be finite; a sample is NaN or infinite")
         inputs = u_run.shape[1]
-        lags, delays = _per_input("nb", nb, inputs, least=1), _per_input("nk", nk, inputs, least=0)
+        lags = _per_input("nb", nb, inputs, least=1)
+        delays = _per_input("nk", nk, inputs, least=0)
         parts.append(equations(y_run, u_run, na, lags, delays, intercept))
-    design, target = _stacked(parts)
     names = _names(na, lags, intercept)
-    found = regression(design, target, names)
-    return ArxResult(
-        names, found.values, found.covariance, found.residuals, na, lags, delays, bool(intercept)
-    )
+    values, covariance, residuals, _ = regression(*_stacked(parts), names)
+    return ArxResult(names, values, covariance, residuals, na, lags, delays, bool(intercept))
 
 
 def equations(
@@ -254,13 +250,11 @@ def _names(na: int, nb: tuple[int, ...], intercept: bool) -> tuple[str, ...]:
     """
     Return the names of the coefficients: a1, …, b1, … (input, then lag, for several inputs), c.
     """
-    of_y = [f"a{lag}" for lag in range(1, na + 1)]
-    of_u = [
-        f"b{lag + 1}" if len(nb) == 1 else f"b{i + 1}_{lag + 1}"
-        for i in range(len(nb))
-        for lag in range(nb[i])
-    ]
-    return (*of_y, *of_u, *(("c",) if intercept else ()))
+    names = [f"a{lag}" for lag in range(1, na + 1)]
+    for i, lags in enumerate(nb, start=1):
+        prefix = "b" if len(nb) == 1 else f"b{i}_"
+        names += [f"{prefix}{lag}" for lag in range(1, lags + 1)]
+    return (*names, "c") if intercept else tuple(names)
 
 
 def _per_input(name: str, value, inputs: int, least: int) -> tuple[int, ...]:
@@ -268,19 +262,18 @@ def _per_input(name: str, value, inputs: int, least: int) -> tuple[int, ...]:
     values = (value,) * inputs if np.ndim(value) == 0 else tuple(value)
     if len(values) != inputs:
         raise ValueError(f"{name} names {len(values)} inputs, u has {inputs}")
-    return tuple(whole_number(name, one, least=least) for one in values)
+    return tuple(whole_number(name, order, least=least) for order in values)
 
 
 def _stacked(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """Join the equations of all runs."""
     if len(parts) == 1:
         return parts[0]
-    return np.concatenate([design for design, _ in parts], axis=1), np.concatenate(
-        [y for _, y in parts]
-    )
+    designs, targets = zip(*parts, strict=True)
+    return np.concatenate(designs, axis=1), np.concatenate(targets)
 
 
-def regress(structure: Structure, runs: list[Run], method: str) -> FitResult:
+def regress(structure: Structure, runs: list[Run]) -> FitResult:
     """Fit a structure's linear form and turn the coefficients into its parameters."""
     form = structure.linear
     if form is None:
@@ -288,9 +281,9 @@ def regress(structure: Structure, runs: list[Run], method: str) -> FitResult:
             f'structure {structure.name!r} has no linear form; use method="output_error"'
         )
     design, target = _stacked([form.equations(run) for run in runs])
-    found = regression(design, target, form.coefficients)
+    estimate = regression(design, target, form.coefficients)
     values, slopes = gradient(
-        lambda at: form.parameters(*at.values()), form.coefficients, found.values
+        lambda at: form.parameters(*at.values()), form.coefficients, estimate.values
     )
     for parameter, value in zip(structure.parameters, values, strict=True):
         if not parameter.low <= value <= parameter.high:
@@ -299,59 +292,49 @@ def regress(structure: Structure, runs: list[Run], method: str) -> FitResult:
                 f"{parameter.high:g}); use output_error",
                 (parameter.name,),
             )
-    found = found._replace(values=values, covariance=slopes @ found.covariance @ slopes.T)
-    return simulated_result(
-        structure, runs, found, [form.initial(run) for run in runs], method, form.caution
-    )
+    covariance = slopes @ estimate.covariance @ slopes.T
+    estimate = estimate._replace(values=values, covariance=covariance)
+    initial = [form.initial(run) for run in runs]
+    return simulated_result(structure, runs, estimate, initial, form.caution)
 
 
 def simulated_result(
     structure: Structure,
     runs: list[Run],
-    found: LeastSquares,
+    estimate: LeastSquares,
     initial: list,
-    method: str,
     caution: str,
 ) -> FitResult:
-    """
-    Simulate every run with the estimates of a regression, from its initial states, and put all into
-    a FitResult.
-    """
-    names, values = structure.names, found.values
-    parameters = dict(zip(names, values.tolist(), strict=False))
-    model = structure.model(**parameters) if structure.model is not None else parameters
-    table, table_covariance = parameter_table(
-        names[: values.size],
-        values,
-        found.covariance,
-        ["estimated"] * values.size,
-        structure.derived,
+    """Simulate every run with a regression's estimates from its initial states; return the fit."""
+    names = structure.names[: estimate.values.size]
+    values = dict(zip(names, estimate.values.tolist(), strict=True))
+    statuses = ["estimated"] * len(names)
+    table, covariance = parameter_table(
+        names, estimate.values, estimate.covariance, statuses, structure.derived
     )
-    predicted = [
-        structure.predict(run, dict(zip(names, (*values, *states), strict=True)))[0]
-        for run, states in zip(runs, initial, strict=True)
-    ]
+    predicted = []
+    for run, states in zip(runs, initial, strict=True):
+        start = dict(zip(structure.names, (*estimate.values, *states), strict=True))
+        predicted.append(structure.predict(run, start)[0])
     fits = run_fits(structure, runs, predicted)
-    states: dict = {}
-    for one, column in zip(structure.initial, zip(*initial, strict=True), strict=True):
-        states[one.name], states[f"{one.name}_stderr"] = column, np.nan
-    sigma = float(np.sqrt(found.residuals @ found.residuals / max(found.degrees_of_freedom, 1)))
+    states = np.array(initial, dtype=float).reshape(len(runs), -1)
+    degrees_of_freedom = estimate.degrees_of_freedom
+    squares = estimate.residuals @ estimate.residuals
+    sigma = float(np.sqrt(squares / max(degrees_of_freedom, 1)))
+    simulated = sum(np.sum(run.residual(name) ** 2) for run in fits for name in structure.outputs)
     fit = FitResult(
-        model=model,
-        method=method,
+        model=values if structure.model is None else structure.model(**values),
+        method="regression",
         parameters=table,
-        covariance=table_covariance,
-        initial_states=pd.DataFrame(
-            states, index=pd.Index([run.label for run in runs], name="run")
-        ),
+        covariance=covariance,
+        initial_states=state_table(structure, runs, states, np.full(states.shape, np.nan)),
         runs=fits,
         noise="white",
         sigma=dict.fromkeys(structure.outputs, sigma),
-        cost=0.5
-        * float(sum(np.sum(run.residual(name) ** 2) for run in fits for name in structure.outputs)),
+        cost=0.5 * float(simulated),
         success=True,
         message=caution,
-        degrees_of_freedom=float(found.degrees_of_freedom),
+        degrees_of_freedom=float(degrees_of_freedom),
     )
     if any(run.window > 1 for run in runs):
         doubt = (

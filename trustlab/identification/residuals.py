@@ -1,6 +1,6 @@
 """
-What a model leaves unexplained: outliers, correlations, whiteness, and what allows for
-autocorrelated noise: a Kalman filter, a sandwich.
+Residuals: outliers, correlations, whiteness, and two ways to allow for autocorrelated noise, a
+Kalman filter and a sandwich.
 """
 
 from typing import NamedTuple
@@ -121,22 +121,17 @@ def sandwich(bread: np.ndarray, meat: np.ndarray | None, samples: float) -> np.n
 
 
 class Noise(NamedTuple):
-    """
-    AR(1) noise under white noise: its share of the variance and its correlation from one sample to
-    the next.
-    """
+    """AR(1) noise under white noise: share of the variance, correlation of successive samples."""
 
     share: float = 0.0
-    kept: float = 0.0
+    memory: float = 0.0
 
 
 @njit
-def _filter(values, missing, share, kept, errors):
-    """
-    Write the Kalman filter's prediction errors down the columns, scaled to one variance; return Σ
-    ln of the scales squared.
-    """
-    rest, drive = 1.0 - share, share * (1.0 - kept * kept)
+def _filter(values, missing, share, memory, errors):
+    """Write the Kalman filter's prediction errors, scaled to one variance; return Σ ln scale²."""
+    white = 1.0 - share
+    drive = share * (1.0 - memory * memory)
     state = np.zeros(values.shape[1])
     variance = share
     logs = 0.0
@@ -144,27 +139,24 @@ def _filter(values, missing, share, kept, errors):
         if missing[k]:
             # Nothing was measured: the state is only predicted.
             errors[k] = 0.0
-            state *= kept
-            variance = kept * kept * variance + drive
+            state *= memory
+            variance = memory * memory * variance + drive
             continue
-        total = variance + rest
-        scale, gain = 1.0 / np.sqrt(total), kept * variance / total
+        total = variance + white
+        scale, gain = 1.0 / np.sqrt(total), memory * variance / total
         logs += np.log(total)
         for j in range(values.shape[1]):
             error = values[k, j] - state[j]
             errors[k, j] = scale * error
-            state[j] = kept * state[j] + gain * error
-        variance = kept * kept * variance * rest / total + drive
+            state[j] = memory * state[j] + gain * error
+        variance = memory * memory * variance * white / total + drive
     return logs
 
 
 def prediction_errors(
     values: np.ndarray, missing: np.ndarray, noise: Noise
 ) -> tuple[np.ndarray, float]:
-    """
-    Return columns, shape (N, p), whitened by the Kalman filter of a noise model, and the log
-    determinant of its covariance.
-    """
+    """Return columns, shape (N, p), whitened by a Kalman filter, and the log-determinant."""
     errors = np.empty(values.shape)
     return errors, _filter(values, missing, *noise, errors)
 
@@ -173,58 +165,53 @@ def fit_noise(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], samples: f
     """
     Return the noise model of greatest restricted likelihood.
 
-    A part is one run: residual and derivatives side by side, shape (N, 1 + p); what is missing; and
-    where the columns stand among those of all runs. Restricted (Patterson & Thompson 1971,
-    *Biometrika* 58, 545-554): the parameters are solved for at every noise model, and what they
-    take from the residuals is allowed for.
+    A part is one run: residual and derivatives side by side, shape (N, 1 + p); which samples are
+    missing; and the places of the columns among those of all runs. Restricted (Patterson & Thompson
+    1971, *Biometrika* 58, 545-554): the parameters are solved for at every noise model, and what
+    they take from the residuals is allowed for.
     """
     from scipy import optimize
 
-    size = 1 + max(int(where.max()) for *_, where in parts)
-
-    def lack(at):
-        noise = _noise(at)
-        gram, logs = np.zeros((size, size)), 0.0
-        for values, missing, where in parts:
-            errors, own = prediction_errors(values, missing, noise)
-            gram[np.ix_(where, where)] += errors.T @ errors
-            logs += own
-        scale = np.sqrt(np.maximum(np.diag(gram)[1:], 1e-300))
-        roots, vectors = np.linalg.eigh(gram[1:, 1:] / np.outer(scale, scale))
-        known = roots > 1e-10
-        along = (gram[0, 1:] / scale) @ vectors[:, known]
-        squares = max(gram[0, 0] - along @ (along / roots[known]), 1e-300)
-        return (
-            (samples - known.sum()) * np.log(squares)
-            + logs
-            + np.log(roots[known]).sum()
-            + 2.0 * np.log(scale).sum()
-        )
+    def deviance(at):
+        return _restricted_deviance(parts, samples, _noise(at))
 
     starts = [
-        (-np.log1p(-kept), logit) for kept in (0.3, 0.9, 0.99, 0.999) for logit in (-3.0, 0.0, 3.0)
+        (-np.log1p(-memory), log_odds)
+        for memory in (0.3, 0.9, 0.99, 0.999)
+        for log_odds in (-3.0, 0.0, 3.0)
     ]
-    best = np.array(min(starts, key=lack))
+    best = np.array(min(starts, key=deviance))
     simplex = best + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.5]])
     options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.02, "maxfev": 80}
-    found = optimize.minimize(lack, best, method="Nelder-Mead", options=options)
-    return _noise(found.x)
+    return _noise(optimize.minimize(deviance, best, method="Nelder-Mead", options=options).x)
+
+
+def _restricted_deviance(parts: list[tuple], samples: float, noise: Noise) -> float:
+    """Return minus twice the restricted log-likelihood, but for a constant."""
+    size = 1 + max(int(places.max()) for *_, places in parts)
+    gram = np.zeros((size, size))
+    log_determinant = 0.0
+    for values, missing, places in parts:
+        errors, part = prediction_errors(values, missing, noise)
+        gram[np.ix_(places, places)] += errors.T @ errors
+        log_determinant += part
+    scale = np.sqrt(np.maximum(np.diag(gram)[1:], 1e-300))
+    roots, vectors = np.linalg.eigh(gram[1:, 1:] / np.outer(scale, scale))
+    regular = roots > 1e-10
+    along = (gram[0, 1:] / scale) @ vectors[:, regular]
+    squares = max(gram[0, 0] - along @ (along / roots[regular]), 1e-300)
+    value = (samples - regular.sum()) * np.log(squares) + log_determinant
+    return value + np.log(roots[regular]).sum() + 2.0 * np.log(scale).sum()
 
 
 def _noise(at) -> Noise:
-    """
-    Return the noise model at coordinates without bounds: −ln(1 − kept) and the log odds of the
-    share.
-    """
+    """Return the noise model at unbounded coordinates: −ln(1 − memory), log odds of the share."""
     share = 1.0 / (1.0 + np.exp(-np.clip(at[1], -12.0, 12.0)))
     return Noise(float(share), float(np.clip(-np.expm1(-at[0]), 0.0, 1.0 - 1e-6)))
 
 
 def outliers(error: np.ndarray, scale: float) -> np.ndarray:
-    """
-    Return which residuals are far off, in stretches that begin or end with a jump, as dropouts do
-    and a wrong model does not.
-    """
+    """Return which residuals are far off and begin or end with a jump, as dropouts do."""
     from scipy import ndimage
 
     far = np.abs(error) > FAR * scale
@@ -238,10 +225,7 @@ def outliers(error: np.ndarray, scale: float) -> np.ndarray:
 
 
 def robust_deviation(errors: list[np.ndarray]) -> float:
-    """
-    Return the standard deviation that the median of the absolute residuals implies for Gaussian
-    ones.
-    """
-    whole = np.abs(np.concatenate(errors))
+    """Return the standard deviation of Gaussian residuals with this median of absolute values."""
+    sizes = np.abs(np.concatenate(errors))
     # A few thousand samples tell it to a few per cent.
-    return 1.4826 * float(np.median(whole[:: 1 + whole.size // 4000]))
+    return 1.4826 * float(np.median(sizes[:: 1 + sizes.size // 4000]))

@@ -1,4 +1,9 @@
-"""Identification of robot performance, (2.3): `fit_robot` and its errors."""
+"""
+`fit_robot`: the robot's model (2.3) alone, and the errors that come with the operator's P_h.
+
+The measured P_h drives the simulated robot, unless the log hides it: with a window, a finer step or
+a delay of the mode the fitted operator drives it, as in `fit_tsc`.
+"""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -9,22 +14,24 @@ import pandas as pd
 
 from trustlab.identification.fit_result import FitResult, parameter_table
 from trustlab.identification.fitting import (
+    METHODS,
     check_data,
     estimate_runs,
-    fit_runs,
-    found_table,
+    estimate_table,
     refuse_options,
     result,
     weak_parameters,
 )
 from trustlab.identification.human import HUMAN
+from trustlab.identification.logged import as_logged
 from trustlab.identification.output_error import Estimate
 from trustlab.identification.regression import regress
 from trustlab.identification.robot_structure import robot_structure
-from trustlab.identification.runs import HowLogged, Run, joined, read_runs
+from trustlab.identification.runs import LogSettings, Run, joined, log_settings, read_runs
 from trustlab.identification.structure import IdentificationError
 from trustlab.identification.tsc import TSC
 from trustlab.models.checks import one_of, positive
+from trustlab.models.robot import gain_of_human_performance
 from trustlab.sessions.session import Session
 
 
@@ -35,20 +42,21 @@ def fit_robot(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple] | None = None,
     noise: str = "auto",
-    **logged: Any,
+    log: LogSettings | None = None,
+    **settings: Any,
 ) -> FitResult:
     """
-    Identify the robot model (2.3) from sessions: a, p_min, p_max, and P_r at the start of every
-    session.
+    Identify the robot model (2.3) from sessions: a, p_min, p_max, and each session's initial
+    performance.
 
     Parameters
     ----------
     sessions : Session or iterable of Session
         Runs with columns mode, p_h and p_r; parameters are shared, initial performances are not.
-    method : {"output_error", "arx"}
-        "output_error" minimises Σ (p_r − P_r(k))² of the simulated model. "arx" is the
-        dissertation's least squares on P_r(k + 1) = a P_r(k) + b M(k) P_h(k) + c: quick, and biased
-        when p_r is measured with noise.
+    method : {"output_error", "regression"}
+        "output_error" minimises Σ (p_r − P_r(k))² of the simulated model. "regression" is the
+        dissertation's least squares (an ARX model) on P_r(k + 1) = a P_r(k) + b M(k) P_h(k) + c:
+        quick, and biased when p_r is measured with noise.
     p_h_max : float, optional
         Greatest human performance, to which p_max refers in (2.3). By default it is identified from
         the same sessions (`fit_human`), and its uncertainty is part of that of p_max.
@@ -59,10 +67,12 @@ def fit_robot(
     noise : {"auto", "white", "correlated", "hac"}
         What the standard errors allow for; see `fit`. White noise on the input p_h is always
         allowed for; its variance is estimated from first differences.
-    **logged : float or bool
-        window, step, mode_delay, stamp_error, robust: how the log shows the model; see `fit`.
-        With a window, a finer step or a delay the measured P_h is not what drives
-        the robot: the fitted operator takes its place, as in `fit_tsc`.
+    log : LogSettings, optional
+        How the log shows the model: window, step, mode_delay, stamp_error, robust. With a window, a
+        finer step or a delay the measured P_h is not what drives the robot: the fitted operator
+        takes its place, as in `fit_tsc`.
+    **settings : float or bool
+        Fields of `LogSettings` as keywords; they replace those of `log`.
 
     Returns
     -------
@@ -85,104 +95,82 @@ def fit_robot(
     >>> round(fit.model.a, 3), fit.success
     (0.996, True)
     """
-    how = HowLogged(**logged)
-    if one_of("method", method, ("output_error", "arx")) == "arx":
-        refuse_options(method, fixed, bounds, noise, how)
-    for given in (fixed, bounds):
-        if isinstance(given, Mapping) and "p_h_max" in given:
+    log = log_settings(log, settings)
+    if one_of("method", method, METHODS) == "regression":
+        refuse_options(fixed, bounds, noise, log)
+    for values in (fixed, bounds):
+        if isinstance(values, Mapping) and "p_h_max" in values:
             raise ValueError(
                 "p_h_max is not a parameter of the search; give it as fit_robot(..., p_h_max=...)"
             )
-    runs, any_operator = read_runs(sessions, "mode", "p_h", "p_r", how=how), robot_structure(1.0)
-    if method == "output_error" and (
-        how.step or how.mode_delay or any(run.window > 1 for run in runs)
-    ):
-        return _driven_by_the_operator(runs, p_h_max, fixed, bounds, noise, how)
-    limits = any_operator.limits(fixed, bounds)
-    check_data(any_operator, runs, limits)
-    if p_h_max is not None:
-        operator, best = None, _given_best(runs, p_h_max)
-    else:
-        operator = _fit_operator(runs)
-        best = _parameter(operator, "p_max")
+    runs = read_runs(sessions, "mode", "p_h", "p_r", log=log)
+    structure = robot_structure(1.0)  # its limits and checks hold for any p_h_max
+    limits = structure.limits(fixed, bounds)
+    hidden = log.step or log.mode_delay or any(run.window > 1 for run in runs)
+    if method == "output_error" and hidden:
+        return _fit_with_operator(runs, p_h_max, limits, noise, log)
+    check_data(structure, runs, limits)
+    operator = _fit_operator(runs) if p_h_max is None else None
+    best = _checked_best(runs, p_h_max) if operator is None else _parameter(operator, "p_max")
     structure = robot_structure(best)
-    if method == "arx":
-        fit = regress(structure, runs, method)
+    if method == "regression":
+        fit = regress(structure, runs)
         values, covariance = fit.parameters["value"].to_numpy(), fit.covariance.to_numpy()
-        tables = _tables_with_best(values, ["estimated"] * 3, covariance, best, operator)
+        tables = _tables(values, ["estimated"] * 3, covariance, best, operator)
         fit = replace(fit, parameters=tables[0], covariance=tables[1])
     else:
-        found = estimate_runs(structure, runs, limits, noise, robust=how.robust)
-        covariance, shared = np.nan_to_num(found.covariance), np.zeros(found.theta.size)
-        # Robust errors see the noise of P_h already: filtered by (2.3), it is part of the
-        # residuals' autocorrelation.
-        if found.noise == "white" and found.free.size:
-            direct, shared = _input_noise(found, best, operator)
-            covariance = covariance + direct
-        shift = _shift_by_best(found, best)
-        tables = _tables_with_best(
-            found.theta[:3],
-            found.status[:3],
-            covariance[:3, :3],
-            best,
-            operator,
-            shared[:3],
-            shift[:3],
-        )
-        fit = result(found, tables)
+        estimate = estimate_runs(structure, runs, limits, noise, robust=log.robust)
+        fit = result(estimate, _tables_of(estimate, best, operator))
     return fit if operator is None else _flag_weak_operator(fit, operator)
 
 
-def _driven_by_the_operator(
-    runs: list[Run],
-    p_h_max: float | None,
-    fixed: Mapping | None,
-    bounds: Mapping | None,
-    noise: str,
-    how: HowLogged,
+ROWS = {
+    "robot_a": "a",
+    "robot_p_min": "p_min",
+    "robot_p_max": "p_max",
+    "human_p_max": "p_h_max",
+    "robot_b": "b",
+    "mode_delay": "mode_delay",
+}
+"""Rows of the joint fit that belong to the robot, and their names here."""
+
+
+def _fit_with_operator(
+    runs: list[Run], p_h_max: float | None, limits: Mapping, noise: str, log: LogSettings
 ) -> FitResult:
     """Fit operator and robot together and return what belongs to the robot."""
-    robot_structure(1.0).limits(fixed, bounds)  # refuses names and values in the robot's own words
-    held, bounded = (
-        {
-            name if name == "p_r0" else f"robot_{name}": value
-            for name, value in (given or {}).items()
-        }
-        for given in (fixed, bounds)
-    )
+    structure = as_logged(TSC, runs[0].sample_time, log)
+    names = {name: joint for joint, name in ROWS.items()}
+    joint_limits = structure.limits()
+    joint_limits |= {names.get(name, name): pair for name, pair in limits.items()}
     if p_h_max is not None:
-        held["human_p_max"] = _given_best(runs, p_h_max)
-    whole = fit_runs(TSC, runs, held, bounded, noise, None, how)
-    rows = {
-        "robot_a": "a",
-        "robot_p_min": "p_min",
-        "robot_p_max": "p_max",
-        "human_p_max": "p_h_max",
-        "robot_b": "b",
-    }
-    names = rows | ({"mode_delay": "mode_delay"} if "mode_delay" in whole.parameters.index else {})
-    parameters = whole.parameters.loc[list(names)].rename(names)
-    parameters.loc["p_h_max", "status"] = (
-        "given" if p_h_max is not None else parameters.loc["p_h_max", "status"]
-    )
-    kept = [name for name in names if name in whole.covariance.index]
+        best = _checked_best(runs, p_h_max)
+        joint_limits["human_p_max"] = (best, best)
+    check_data(structure, runs, joint_limits)
+    joint = result(estimate_runs(structure, runs, joint_limits, noise, robust=log.robust))
+    parameters = joint.parameters.rename(ROWS)
+    parameters = parameters.loc[[name for name in ROWS.values() if name in parameters.index]]
+    if p_h_max is not None:
+        parameters.loc["p_h_max", "status"] = "given"
+    covariance = joint.covariance.rename(index=ROWS, columns=ROWS)
+    free = [name for name in parameters.index if name in covariance.index]
     return replace(
-        whole,
-        model=whole.model.robot,  # type: ignore[attr-defined]
+        joint,
+        model=joint.model.robot,  # type: ignore[attr-defined]
         parameters=parameters,
-        covariance=whole.covariance.loc[kept, kept].rename(index=names, columns=names),
-        initial_states=whole.initial_states[["p_r0", "p_r0_stderr"]],
-        runs=[run.only("p_r") for run in whole.runs],
-        sigma={"p_r": whole.sigma["p_r"]},
-        cost=0.5 * float(sum(np.sum(run.residual("p_r") ** 2) for run in whole.runs)),
+        covariance=covariance.loc[free, free],
+        initial_states=joint.initial_states[["p_r0", "p_r0_stderr"]],
+        runs=[run.only("p_r") for run in joint.runs],
+        sigma={"p_r": joint.sigma["p_r"]},
+        cost=0.5 * float(sum(np.sum(run.residual("p_r") ** 2) for run in joint.runs)),
     )
 
 
 # --- the operator's greatest performance, and the errors that come of it --------------------------
 
 
-def _given_best(runs: list[Run], p_h_max: float) -> float:
-    """Check a given greatest human performance against the data."""
+def _checked_best(runs: list[Run], p_h_max: float) -> float:
+    """Check the user's greatest human performance against the data."""
     best, middle = positive("p_h_max", p_h_max), float(np.median(joined(runs, "p_h")))
     if best < middle:
         raise ValueError(
@@ -214,9 +202,32 @@ def _fit_operator(runs: list[Run]) -> Estimate:
     return operator
 
 
-def _parameter(found: Estimate, name: str) -> float:
+def _parameter(estimate: Estimate, name: str) -> float:
     """Return one estimate."""
-    return float(found.theta[found.problem.names.index(name)])
+    return float(estimate.theta[estimate.problem.names.index(name)])
+
+
+def _tables_of(
+    estimate: Estimate, best: float, operator: Estimate | None
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the tables of a fit, with the errors that come of the measured P_h."""
+    covariance = np.nan_to_num(estimate.covariance)
+    shared = np.zeros(estimate.theta.size)
+    # Robust errors see the noise of P_h already: filtered by (2.3), it is part of the residuals'
+    # autocorrelation.
+    if estimate.noise == "white" and estimate.free.size:
+        direct, shared = _input_noise(estimate, best, operator)
+        covariance = covariance + direct
+    shift = _shift_by_best(estimate, best)
+    return _tables(
+        estimate.theta[:3],
+        estimate.status[:3],
+        covariance[:3, :3],
+        best,
+        operator,
+        shared[:3],
+        shift[:3],
+    )
 
 
 def _input_influence(mode: np.ndarray, a: float, b: float, jacobian: np.ndarray) -> np.ndarray:
@@ -232,7 +243,7 @@ def _input_influence(mode: np.ndarray, a: float, b: float, jacobian: np.ndarray)
 
 
 def _input_noise(
-    found: Estimate, best: float, operator: Estimate | None
+    estimate: Estimate, best: float, operator: Estimate | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return what noise of the measured P_h adds to the covariance, and the covariance that it shares
@@ -243,30 +254,26 @@ def _input_noise(
     white with variance σ², adds σ² (JᵀJ)⁻¹ JᵀL LᵀJ (JᵀJ)⁻¹. p̂_h,max = p_h,max + gᵀe_h comes from
     the same samples of P_h, so that its covariance with θ̂ is −σ² (JᵀJ)⁻¹ JᵀL g.
     """
-    problem = found.problem
-    free = found.free
-    size = found.theta.size
+    problem, free = estimate.problem, estimate.free
     # The first difference of a signal that moves slowly under white noise has variance 2σ².
-    variance = 0.5 * float(
-        np.mean(np.concatenate([np.diff(run["p_h"]) for run in problem.runs]) ** 2)
-    )
+    steps = np.concatenate([np.diff(run["p_h"]) for run in problem.runs])
+    variance = 0.5 * float(np.mean(steps**2))
+    g = [np.zeros(run.size) for run in problem.runs]
     if operator is not None:
         variance = min(variance, float(operator.sigma[0]) ** 2)
-    g = (
-        _best_by_samples(operator)
-        if operator is not None
-        else [np.zeros(run.size) for run in problem.runs]
-    )
-    a, p_min, p_max = found.theta[:3]
-    b = (1.0 - a) * (p_max - p_min) / best
-    spread, mixed = np.zeros((size, size)), np.zeros(size)  # JᵀL LᵀJ and JᵀL g
-    for i, run in enumerate(problem.runs):
-        where = problem.where[i]
-        influence = _input_influence(run["mode"], a, b, problem.latest[i][1][0])
-        spread[np.ix_(where, where)] += influence.T @ influence
-        mixed[where] += influence.T @ g[i]
+        g = _best_by_samples(operator)
+    a, p_min, p_max = estimate.theta[:3]
+    b = gain_of_human_performance(a, p_min, p_max, best)
+    size = estimate.theta.size
+    spread = np.zeros((size, size))  # JᵀL LᵀJ
+    mixed = np.zeros(size)  # JᵀL g
+    for i, (run, places) in enumerate(zip(problem.runs, problem.places, strict=True)):
+        _, (jacobian,) = problem.simulations[i]
+        influence = _input_influence(run["mode"], a, b, jacobian)
+        spread[np.ix_(places, places)] += influence.T @ influence
+        mixed[places] += influence.T @ g[i]
     # `inverse` is (w JᵀJ)⁻¹ with w = n/Σ e²: times w it is (JᵀJ)⁻¹.
-    solve = found.inverse * problem.weights(found.normal.squares)[0]
+    solve = estimate.inverse * problem.weights(estimate.normal.squares)[0]
     direct, shared = np.zeros((size, size)), np.zeros(size)
     direct[np.ix_(free, free)] = variance * solve @ spread[np.ix_(free, free)] @ solve.T
     shared[free] = -variance * solve @ mixed[free]
@@ -285,30 +292,30 @@ def _best_by_samples(operator: Estimate) -> list[np.ndarray]:
         weight = problem.weights(operator.normal.squares)[0]
         solve[operator.free] = operator.inverse[list(operator.free).index(row)] * weight
     return [
-        jacobians[0] @ solve[where]
-        for (_, jacobians), where in zip(problem.latest, problem.where, strict=True)
+        jacobians[0] @ solve[places]
+        for (_, jacobians), places in zip(problem.simulations, problem.places, strict=True)
     ]
 
 
-def _shift_by_best(found: Estimate, best: float) -> np.ndarray:
+def _shift_by_best(estimate: Estimate, best: float) -> np.ndarray:
     """Return the derivative of all estimates by the p_h,max that they are made with."""
     # P_r depends on p_h,max through (p_max − p_min)/p_h,max alone, so ∂P_r/∂p_h,max = −gain
     # ∂P_r/∂p_max, and least squares answers with gain (JᵀJ)⁻¹ Jᵀ ∂P_r/∂p_max: p_max alone follows
     # where it is free, the others give way where it is not.
-    gain = (_parameter(found, "p_max") - _parameter(found, "p_min")) / best
-    shift = np.zeros(found.theta.size)
-    by_p_max = found.normal.matrix[found.free, found.problem.names.index("p_max")]
-    shift[found.free] = gain * found.inverse @ by_p_max
+    gain = (_parameter(estimate, "p_max") - _parameter(estimate, "p_min")) / best
+    shift = np.zeros(estimate.theta.size)
+    by_p_max = estimate.normal.matrix[estimate.free, estimate.problem.names.index("p_max")]
+    shift[estimate.free] = gain * estimate.inverse @ by_p_max
     return shift
 
 
-def _tables_with_best(
+def _tables(
     values: np.ndarray,
     status: list[str],
     covariance: np.ndarray,
     best: float,
     operator: Estimate | None,
-    shared: np.ndarray | None = None,
+    shared: np.ndarray | float = 0.0,
     shift: np.ndarray | None = None,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """
@@ -319,7 +326,7 @@ def _tables_with_best(
     total = np.zeros((4, 4))
     total[:3, :3] = covariance
     total[3, 3] = 0.0 if operator is None else operator.covariance[row, row]
-    total[:3, 3] = total[3, :3] = 0.0 if shared is None else shared
+    total[:3, 3] = total[3, :3] = shared
     # The estimates were made with p̂_h,max in place of p_h,max: its error is added to each as far
     # as it shifts them. Of a regression it shifts p_max alone, by the gain.
     _, p_min, p_max = values
@@ -330,16 +337,13 @@ def _tables_with_best(
         np.r_[values, best],
         through @ total @ through.T,
         [*status, "given" if operator is None else "estimated"],
-        {"b": lambda at: (1.0 - at["a"]) * (at["p_max"] - at["p_min"]) / at["p_h_max"]},
+        {"b": lambda at: gain_of_human_performance(**at)},
     )
 
 
 def _flag_weak_operator(fit: FitResult, operator: Estimate) -> FitResult:
-    """
-    Mark p_max as weak where the operator's model, which p_h_max comes from, is weakly determined
-    itself.
-    """
-    names = [parameter.name for parameter in weak_parameters(operator, found_table(operator)[0])]
+    """Mark p_max weak if the operator fit that supplies p_h_max is weak."""
+    names = [parameter.name for parameter in weak_parameters(operator, estimate_table(operator)[0])]
     if operator.search.converged and not names:
         return fit
     parameters = fit.parameters.copy()

@@ -1,6 +1,4 @@
-"""
-The structure of robot performance, (2.3): parameters, sensitivities, linear form, initial guess.
-"""
+"""The robot's model, (2.3): parameters, sensitivities, linear form, initial guess."""
 
 from collections.abc import Mapping
 
@@ -30,19 +28,16 @@ SLOPES = np.dtype([(name, float) for name in ("a", "p_min", "p_max", "p_r0")])
 
 @njit
 def _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by):
-    """
-    Run (2.3) under a given P_h, and its derivatives by every parameter, into `p_r` and the records
-    `by`.
-    """
-    now = p_r0
+    """Run (2.3) under a known P_h and its derivatives, into `p_r` and the records `by`."""
+    performance = p_r0
     by_a = 0.0
     by_min = 0.0
     by_max = 0.0
     by_0 = 1.0
     gain = (p_max - p_min) / p_h_max
-    rest = 1.0 - a
+    b = 1.0 - a
     for k in range(mode.size):
-        p_r[k] = now
+        p_r[k] = performance
         row = by[k]
         row.a = by_a
         row.p_min = by_min
@@ -52,18 +47,15 @@ def _simulate_with_slopes(mode, p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by):
         # parameter in turn.
         drive = mode[k] * p_h[k]
         share = drive / p_h_max
-        by_a = a * by_a + now - p_min - gain * drive
-        by_min = a * by_min + rest * (1.0 - share)
-        by_max = a * by_max + rest * share
+        by_a = a * by_a + performance - p_min - gain * drive
+        by_min = a * by_min + b * (1.0 - share)
+        by_max = a * by_max + b * share
         by_0 = a * by_0
-        now = a * now + rest * (p_min + gain * drive)
+        performance = a * performance + b * (p_min + gain * drive)
 
 
 def simulate_robot(run: Run, p_h: np.ndarray, p_h_max: float, a, p_min, p_max, p_r0):
-    """
-    Return P_r under a given P_h and the records of its derivatives by a, p_min, p_max and P_r at
-    the start.
-    """
+    """Return P_r under a known P_h and its derivatives by a, p_min, p_max and p_r0 as records."""
     p_r, by = run.scratch("P_r"), run.scratch("of P_r", SLOPES)
     _simulate_with_slopes(run["mode"], p_h, a, p_min, p_max, p_h_max, p_r0, p_r, by)
     return p_r, by
@@ -75,10 +67,7 @@ def robot_parameters(prefix: str = "") -> tuple[Parameter, ...]:
 
 
 def robot_structure(p_h_max: float) -> Structure:
-    """
-    Return the structure of (2.3), driven by the measured P_h, for a known greatest human
-    performance.
-    """
+    """Return the structure of (2.3), driven by the measured P_h, for a known p_h_max."""
 
     def sensitivities(run, a, p_min, p_max, p_r0):
         p_r, by = simulate_robot(run, run["p_h"], p_h_max, a, p_min, p_max, p_r0)
@@ -132,10 +121,10 @@ def check_excitation(
 ) -> None:
     """Refuse data in which nothing separates the least from the greatest robot performance."""
     modes = joined(runs, "mode")
-    held = {name for name in (low, high) if limits[name][0] == limits[name][1]}
+    fixed = {name for name in (low, high) if limits[name][0] == limits[name][1]}
     # A mode that never changes leaves one steady state: under manual control either limit fixes the
     # other, but an autonomous robot says nothing of p_max.
-    if np.ptp(modes) > 0.0 or (held and (modes[0] > 0.0 or high in held)):
+    if np.ptp(modes) > 0.0 or (fixed and (modes[0] > 0.0 or high in fixed)):
         return
     lost = (high,) if modes[0] == 0.0 else (low, high)
     raise IdentificationError(

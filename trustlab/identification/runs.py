@@ -1,26 +1,87 @@
-"""What identification reads from sessions: columns as arrays, checked once."""
+"""What identification reads from sessions: columns as arrays, and how the log shows the model."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from trustlab.identification.structure import IdentificationError
-from trustlab.models.checks import not_negative, of_class, warn
+from trustlab.models.checks import flag, not_negative, of_class, positive, warn
 from trustlab.sessions.session import Session
 
 HOW_TO_GET = (
-    "pass a session or a list of them; read a file with trustlab.read_session(path), or make one of a table: "
-    'trustlab.Session(frame.set_index("t"))'
+    "pass a session or a list of them; read a file with trustlab.read_session(path), or make one "
+    'of a table: trustlab.Session(frame.set_index("t"))'
 )
+
+
+@dataclass(frozen=True)
+class LogSettings:
+    """
+    How a log shows the model: averaging, time step, errors of the time stamps, outliers.
+
+    Every fit takes these settings as keywords, or a `LogSettings` as `log`.
+
+    Parameters
+    ----------
+    window : float, optional
+        Length W [s] of the moving window over which the outputs were averaged, as
+        `with_performance` does; 0 if they were not averaged. By default each session's metadata
+        decide.
+    step : float, optional
+        Time step of the model [s], to which its rates refer, if it is shorter than the log's sample
+        time; a sample must hold a whole number of steps.
+    mode_delay : bool
+        Whether to estimate the delay between the logged time of a change of mode and its effect
+        [s], as a further parameter `mode_delay`.
+    stamp_error : float, optional
+        Standard deviation of the errors in the logged times of switches [s], independent from
+        switch to switch. They widen the intervals, and so does an error that all switches share, as
+        far as the residuals allow for one. By default the session's metadata decide
+        (`stamp_error`); else 0.29 samples, the error of a time that is rounded to a sample, and 0
+        for simulated sessions that were not resampled.
+    robust : bool
+        Whether to leave out samples that lie far from the model, such as dropouts; the message
+        counts them.
+
+    Raises
+    ------
+    ValueError
+        If a value is not understood.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> session = tl.read_session("data/sessions/pilot.csv")
+    >>> log = tl.LogSettings(window=0.0, stamp_error=0.05)
+    >>> tl.fit_human(session, log=log).success
+    True
+    """
+
+    window: float | None = None
+    step: float | None = None
+    mode_delay: bool = False
+    stamp_error: float | None = None
+    robust: bool = True
+
+    def __post_init__(self):
+        checks = {"window": not_negative, "step": positive, "stamp_error": not_negative}
+        for name, check in checks.items():
+            if getattr(self, name) is not None:
+                check(name, getattr(self, name))
+        flag("mode_delay", self.mode_delay)
+        flag("robust", self.robust)
+
+
+def log_settings(log: LogSettings | None, changes: Mapping[str, Any]) -> LogSettings:
+    """Return a user's settings of the log: an object, keywords, or an object changed by them."""
+    return replace(LogSettings() if log is None else of_class("log", log, LogSettings), **changes)
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """
-    One session, or block means of one: columns of shape (N,) by name, and what messages say of it.
-    """
+    """One session as arrays: columns of shape (N,) by name, and facts that messages need."""
 
     label: str
     t: np.ndarray
@@ -29,7 +90,7 @@ class Run:
     participant: object = None
     window: int = 1
     stamp_error: float = 0.0
-    kept: dict[tuple, np.ndarray] = field(default_factory=dict)
+    buffers: dict[tuple, np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.columns[name]
@@ -44,112 +105,105 @@ class Run:
         """Time between samples [s]."""
         return float(self.t[-1] - self.t[0]) / (self.size - 1)
 
-    def scratch(self, what: str, kind: np.dtype | type = float) -> np.ndarray:
+    def changed(self, columns: Mapping[str, np.ndarray], **fields: Any) -> "Run":
+        """Return the run with some columns, and perhaps fields, changed."""
+        return replace(self, columns={**self.columns, **columns}, **fields)
+
+    def scratch(self, name: str, dtype: np.dtype | type = float) -> np.ndarray:
         """Return an array of shape (N,) to simulate into, the same at every call."""
         # The system hands out memory page by page: fresh arrays would take longer than the
         # simulation that fills them.
-        if (what, kind) not in self.kept:
-            self.kept[what, kind] = np.empty(self.size, kind)
-        return self.kept[what, kind]
-
-
-class HowLogged(NamedTuple):
-    """
-    How a log shows a model, as the user states it: see `fit`; None for what each session says.
-    """
-
-    window: float | None = None
-    step: float | None = None
-    mode_delay: bool = False
-    stamp_error: float | None = None
-    robust: bool = True
+        if (name, dtype) not in self.buffers:
+            self.buffers[name, dtype] = np.empty(self.size, dtype)
+        return self.buffers[name, dtype]
 
 
 def read_runs(
-    sessions: Session | Iterable[Session], *needed: str, how: HowLogged | None = None
+    sessions: Session | Iterable[Session], *columns: str, log: LogSettings | None = None
 ) -> list[Run]:
     """
     Take the columns that a fit needs out of one or several sessions with the same sample time.
 
-    What `how` leaves open each session says: the window, 0 for none; and how exact its stamps of
-    mode are.
+    Where `log` leaves the window or the error of the stamps open, each session's metadata decide.
     """
-    how = how or HowLogged()
-    # A table, a mapping or a path can be iterated over too, but what comes out says nothing of the
-    # mistake.
-    several = isinstance(sessions, Iterable) and not isinstance(
-        sessions, (Session, str, bytes, Mapping)
-    )
-    given: list = list(sessions) if several and not hasattr(sessions, "columns") else [sessions]
-    if not given:
-        raise IdentificationError("no session was given; pass one or a list of them")
-    for session in given:
+    log = log or LogSettings()
+    sessions = _as_list(sessions)
+    for session in sessions:
         of_class("sessions", session, Session, HOW_TO_GET)
-        session.require(*needed)
-        if abs(session.sample_time - given[0].sample_time) > 1e-6 * given[0].sample_time:
+        session.require(*columns)
+        if abs(session.sample_time - sessions[0].sample_time) > 1e-6 * sessions[0].sample_time:
             raise IdentificationError(
-                f"the parameters belong to one sample time, but {given[0].label} has "
-                f"{given[0].sample_time:g} s and {session.label} has {session.sample_time:g} s; "
+                f"the parameters belong to one sample time, but {sessions[0].label} has "
+                f"{sessions[0].sample_time:g} s and {session.label} has {session.sample_time:g} s; "
                 "resample by name when reading"
             )
+    windows = _windows(sessions, log.window, columns)
     return [
         Run(
             session.label,
             session.t,
-            {name: session[name].copy() for name in needed},
+            {name: session[name].copy() for name in columns},
             session.metadata.synthetic,
             session.metadata.participant,
-            own,
-            _stamp_error(session, how.stamp_error),
+            window,
+            _stamp_error(session, log.stamp_error),
         )
-        for session, own in zip(given, _windows(given, how.window, needed), strict=True)
+        for session, window in zip(sessions, windows, strict=True)
     ]
 
 
-def _stamp_error(session: Session, given: float | None) -> float:
+def _as_list(sessions: Any) -> list:
+    """Return one or several sessions as a list."""
+    # A table, a mapping or a path can be iterated over too, but what comes out says nothing of the
+    # mistake.
+    single = (
+        not isinstance(sessions, Iterable)
+        or isinstance(sessions, (Session, str, bytes, Mapping))
+        or hasattr(sessions, "columns")
+    )
+    if single:
+        return [sessions]
+    sessions = list(sessions)
+    if not sessions:
+        raise IdentificationError("no session was given; pass one or a list of them")
+    return sessions
+
+
+def _stamp_error(session: Session, stated: float | None) -> float:
     """Return the standard deviation of the mode's time stamps [s]."""
-    known = session.metadata.more
-    given = known.get("stamp_error") if given is None else given
-    if given is not None:
-        return not_negative("stamp_error", given)
+    metadata = session.metadata
+    error = metadata.more.get("stamp_error") if stated is None else stated
+    if error is not None:
+        return not_negative("stamp_error", error)
     # People switch at any time between two samples, simulations on one.
-    exact = session.metadata.synthetic and "resampled" not in known
+    exact = metadata.synthetic and "resampled" not in metadata.more
     return 0.0 if exact else session.sample_time / np.sqrt(12.0)
 
 
-def _windows(sessions: list[Session], window: float | None, needed: tuple[str, ...]) -> list[int]:
-    """
-    Return the window of each session's performance columns in samples, 1 for none; warn where
-    nothing is said of it.
-    """
-    stated = [
-        session.metadata.more.get("performance_window") if window is None else window
+def _windows(sessions: list[Session], stated: float | None, columns: tuple[str, ...]) -> list[int]:
+    """Return each session's window in samples, 1 for none; warn where none is stated."""
+    windows = [
+        session.metadata.more.get("performance_window") if stated is None else stated
         for session in sessions
     ]
-    unsaid = [
-        s
-        for s, own in zip(sessions, stated, strict=True)
-        if own is None and not s.metadata.synthetic
-    ]
-    if unsaid and {"p_r", "p_h"} & set(needed):
+    pairs = list(zip(sessions, windows, strict=True))
+    unstated = [s for s, window in pairs if window is None and not s.metadata.synthetic]
+    if unstated and {"p_r", "p_h"} & set(columns):
         warn(
-            f"{unsaid[0].label}: nothing says whether p_r and p_h are means over a moving window, "
-            "as (2.4) and (2.7) are, and a fit that takes means for the values themselves is "
-            "wrong: state window=… [s], or window=0 if they are no means (in a recipe: "
+            f"{unstated[0].label}: nothing says whether p_r and p_h are means over a moving "
+            "window, as (2.4) and (2.7) are, and a fit that takes means for the values themselves "
+            "is wrong: state window=… [s], or window=0 if they are no means (in a recipe: "
             "performance_window = …; Session.with_performance notes its own)"
         )
-    for session, own in zip(sessions, stated, strict=True):
-        if own and session.metadata.more.get("performance_cut"):
+    for session, window in pairs:
+        if window and session.metadata.more.get("performance_cut"):
             raise IdentificationError(
                 f"{session.label} was cut after its performance was averaged, so that its first "
                 "means hold what is no longer there; cut the log first, then call "
                 "with_performance"
             )
-    widths = [not_negative("window", own or 0.0) for own in stated]
-    return [
-        max(1, round(own / session.sample_time))
-        for own, session in zip(widths, sessions, strict=True)
-    ]
+    seconds = [not_negative("window", window or 0.0) for window in windows]
+    return [max(1, round(w / s.sample_time)) for w, s in zip(seconds, sessions, strict=True)]
 
 
 def joined(runs: list[Run], name: str) -> np.ndarray:
@@ -167,7 +221,8 @@ def block_means(runs: list[Run], budget: int = 500) -> tuple[list[Run], int]:
     Return block means of all columns and the block length; about `budget` blocks in all, at least
     eight per run.
     """
-    total, shortest = sum(run.size for run in runs), min(run.size for run in runs)
+    total = sum(run.size for run in runs)
+    shortest = min(run.size for run in runs)
     length = max(1, min(total // budget, shortest // 8))
     means = []
     for run in runs:

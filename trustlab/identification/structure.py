@@ -1,7 +1,4 @@
-"""
-A model structure: its parameters with bounds, its simulation, its sensitivities; and the error when
-data do not identify it.
-"""
+"""A model structure: its parameters, simulation and sensitivities; the error of identification."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,10 +12,9 @@ from trustlab.models.checks import between, did_you_mean, finite_number, one_of,
 # How close to 0 and 1 a parameter of (0, 1) may come during the search.
 UNIT_MARGIN = 1e-9
 
-# Relative step of central differences: truncation (∝ step²) and rounding (∝ 1/step) are then about
-# equal.
+# Relative step of central differences: errors of truncation (∝ step²) and rounding (∝ 1/step) are
+# about equal.
 DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
-
 
 # Step [s] of the dissertation's models.
 MODEL_STEP = 0.1
@@ -52,10 +48,7 @@ class IdentificationError(ValueError):
 
 
 class Coordinate(NamedTuple):
-    """
-    The coordinate in which a parameter is searched, as functions; and the widest interval that is
-    still of use.
-    """
+    """The coordinate in which a parameter is searched, and the widest interval of use."""
 
     to: Callable
     back: Callable
@@ -186,8 +179,9 @@ class Parameter:
 @dataclass(frozen=True, eq=False)
 class LinearForm:
     """
-    The one-step equations of a structure that is linear in some coefficients, for `fit(...,
-    method="regression")`.
+    The one-step equations of a structure that is linear in some coefficients.
+
+    `fit(..., method="regression")` solves them.
 
     Parameters
     ----------
@@ -205,12 +199,13 @@ class LinearForm:
 
     Examples
     --------
+    >>> import numpy as np
     >>> import trustlab as tl
     >>> form = tl.LinearForm(
     ...     coefficients=("c", "d"),
-    ...     equations=lambda run: (run.columns["p_r"][:-1, None] ** [1, 0], run.columns["p_r"][1:]),
-    ...     parameters=lambda c: {"a": c["c"], "p_min": c["d"] / (1 - c["c"])},
-    ...     initial=lambda run: {"p_r0": run.columns["p_r"][0]},
+    ...     equations=lambda run: (np.stack([run["p_r"][:-1], run["mode"][:-1]]), run["p_r"][1:]),
+    ...     parameters=lambda c, d: (c, d / (1 - c)),
+    ...     initial=lambda run: (run["p_r"][0],),
     ... )
     >>> form.coefficients
     ('c', 'd')
@@ -228,8 +223,7 @@ class LinearForm:
 @dataclass(frozen=True, eq=False)
 class Structure:
     """
-    A model structure that `fit` can identify: what is unknown, what is measured, and how one
-    follows from the other.
+    A model structure that `fit` can identify: the unknowns, the outputs, and their simulation.
 
     Parameters
     ----------
@@ -307,16 +301,15 @@ class Structure:
     how_to_get = "build one with trustlab.Structure(name, parameters=…, outputs=…, simulate=…)"
 
     def __post_init__(self):
-        for what in ("outputs", "inputs"):
-            given = getattr(self, what)
-            object.__setattr__(self, what, (given,) if isinstance(given, str) else tuple(given))
-        for what in ("parameters", "initial"):
-            given = tuple(getattr(self, what))
-            if not all(isinstance(one, Parameter) for one in given):
+        for name in ("outputs", "inputs", "parameters", "initial"):
+            value = getattr(self, name)
+            value = (value,) if isinstance(value, str) else tuple(value)
+            object.__setattr__(self, name, value)
+        for name in ("parameters", "initial"):
+            if not all(isinstance(parameter, Parameter) for parameter in getattr(self, name)):
                 raise ValueError(
-                    f"{what} of {self.name!r} must be a sequence of trustlab.Parameter"
+                    f"{name} of {self.name!r} must be a sequence of trustlab.Parameter"
                 )
-            object.__setattr__(self, what, given)
         if not self.parameters or not self.outputs:
             raise ValueError(f"structure {self.name!r} needs at least one parameter and one output")
         if not callable(self.simulate) and not callable(self.sensitivities):
@@ -328,9 +321,14 @@ class Structure:
             )
 
     @cached_property
+    def unknowns(self) -> tuple[Parameter, ...]:
+        """The parameters, then the initial states."""
+        return (*self.parameters, *self.initial)
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters, then of the initial states."""
-        return tuple(one.name for one in (*self.parameters, *self.initial))
+        return tuple(parameter.name for parameter in self.unknowns)
 
     def columns_of(self, output: str) -> list[int]:
         """
@@ -360,25 +358,25 @@ class Structure:
         if self.sensitivities is not None:
             return self.sensitivities(run, **values)
         outputs = self._simulated(run, values)
-        jacobians = [np.empty((run.size, len(self.columns_of(name)))) for name in self.outputs]
-        for number, parameter in enumerate((*self.parameters, *self.initial)):
-            ends = _around(parameter, values[parameter.name])
-            below, above = (self._simulated(run, {**values, parameter.name: end}) for end in ends)
-            for j, output in enumerate(self.outputs):
-                columns = self.columns_of(output)
-                if number in columns:
-                    slope = (above[j] - below[j]) / (ends[1] - ends[0])
-                    jacobians[j][:, columns.index(number)] = slope
+        columns = [self.columns_of(name) for name in self.outputs]
+        jacobians = [np.empty((run.size, len(numbers))) for numbers in columns]
+        for number, parameter in enumerate(self.unknowns):
+            low, high = _around(parameter, values[parameter.name])
+            below = self._simulated(run, {**values, parameter.name: low})
+            above = self._simulated(run, {**values, parameter.name: high})
+            for j, numbers in enumerate(columns):
+                if number in numbers:
+                    slope = (above[j] - below[j]) / (high - low)
+                    jacobians[j][:, numbers.index(number)] = slope
         return outputs, jacobians
 
     def _simulated(self, run, values: Mapping[str, float]) -> list[np.ndarray]:
         """Simulate by the user's function and check what it returns."""
-        found = self.simulate(run, **values)
-        outputs = [
-            np.array(one, dtype=float) for one in (found if isinstance(found, tuple) else (found,))
-        ]
-        self._check_shapes("simulate", outputs, [(run.size,)] * len(self.outputs))
-        return outputs
+        outputs = self.simulate(run, **values)
+        outputs = outputs if isinstance(outputs, tuple) else (outputs,)
+        arrays = [np.array(output, dtype=float) for output in outputs]
+        self._check_shapes("simulate", arrays, [(run.size,)] * len(self.outputs))
+        return arrays
 
     def check_sensitivities(
         self, run: Any, outputs: Sequence[np.ndarray], jacobians: Sequence[np.ndarray]
@@ -398,16 +396,15 @@ class Structure:
         shapes = [(run.size, len(self.columns_of(name))) for name in self.outputs]
         self._check_shapes("the derivatives of sensitivities", jacobians, shapes)
 
-    def _check_shapes(self, what: str, found: Sequence[np.ndarray], wanted: list[tuple]) -> None:
-        """
-        Refuse what a user's function returns unless there is one array of the right shape for each
-        output.
-        """
-        shapes = [one.shape for one in found]
-        if shapes != wanted:
+    def _check_shapes(
+        self, function: str, arrays: Sequence[np.ndarray], expected: list[tuple]
+    ) -> None:
+        """Refuse what a user's function returns unless each output has an array of its shape."""
+        shapes = [array.shape for array in arrays]
+        if shapes != expected:
             raise ValueError(
-                f"{what} of structure {self.name!r} must return {' and '.join(self.outputs)} in "
-                f"the shapes {wanted}, got {shapes}"
+                f"{function} of structure {self.name!r} must return {' and '.join(self.outputs)} "
+                f"in the shapes {expected}, got {shapes}"
             )
 
     def limits(
@@ -428,17 +425,18 @@ class Structure:
         ValueError
             If a name or a value is not possible.
         """
-        fixed, bounds = {} if fixed is None else fixed, {} if bounds is None else bounds
-        for what, given in (("fixed", fixed), ("bounds", bounds)):
-            if not isinstance(given, Mapping):
+        fixed = {} if fixed is None else fixed
+        bounds = {} if bounds is None else bounds
+        for argument, values in (("fixed", fixed), ("bounds", bounds)):
+            if not isinstance(values, Mapping):
                 raise ValueError(
-                    f"{what} must be a dictionary by parameter, {{'a': ...}}, got {given!r}"
+                    f"{argument} must be a dictionary by parameter, {{'a': ...}}, got {values!r}"
                 )
-            self.check_names(given, what)
+            self.check_names(values, argument)
         for name in set(fixed) & set(bounds):
             raise ValueError(f"{name} is both fixed and bounded; give one of them")
-        out = {}
-        for parameter in (*self.parameters, *self.initial):
+        limits = {}
+        for parameter in self.unknowns:
             name = parameter.name
             low, high = parameter.low, parameter.high
             if name in bounds:
@@ -448,63 +446,63 @@ class Structure:
                 if not low <= value <= high:
                     raise ValueError(f"{name} is fixed at {value}, outside ({low:.3g}, {high:.9g})")
                 low = high = value
-            out[name] = (low, high)
-        for low_name, high_name in {one.span for one in self.parameters if one.span}:
-            least, most = fixed.get(low_name), fixed.get(high_name)
-            if least is not None and most is not None and not least < most:
-                raise ValueError(f"{low_name} is fixed at {least}, not below {high_name} at {most}")
-        return out
+            limits[name] = (low, high)
+        for span in {parameter.span for parameter in self.parameters if parameter.span}:
+            least, greatest = (fixed.get(name) for name in span)
+            if least is not None and greatest is not None and not least < greatest:
+                raise ValueError(
+                    f"{span[0]} is fixed at {least}, not below {span[1]} at {greatest}"
+                )
+        return limits
 
-    def check_names(self, given: Mapping, what: str) -> None:
+    def check_names(self, values: Mapping, argument: str) -> None:
         """
         Refuse a name that is no parameter, and suggest the one that was meant.
 
         Parameters
         ----------
-        given : mapping
+        values : mapping
             Values by name.
-        what : str
+        argument : str
             The argument, for the error.
         """
-        for name in given:
+        for name in values:
             if name not in self.names:
                 # "a" is meant for human_a or robot_a where a structure has both.
-                prefixed = [own for own in self.names if own.endswith(f"_{name}")]
-                hint = f"; did you mean {' or '.join(map(repr, prefixed))}?" if prefixed else ""
+                longer = [known for known in self.names if known.endswith(f"_{name}")]
+                hint = f"; did you mean {' or '.join(map(repr, longer))}?" if longer else ""
                 raise ValueError(
-                    f"{what} names {name!r}, which is no parameter here ({', '.join(self.names)})"
-                    f"{hint or did_you_mean(name, self.names)}"
+                    f"{argument} names {name!r}, which is no parameter here "
+                    f"({', '.join(self.names)}){hint or did_you_mean(name, self.names)}"
                 )
 
 
 def _narrowed(parameter: Parameter, pair: tuple) -> tuple[float, float]:
     """Return the user's bounds within those of the parameter."""
     name = parameter.name
-    low = parameter.low
-    high = parameter.high
     if not isinstance(pair, (tuple, list)) or len(pair) != 2:
         raise ValueError(
             f"bounds of {name} must be a pair (low, high), None for an open side, got {pair!r}"
         )
-    own_low = low if pair[0] is None else finite_number(f"lower bound of {name}", pair[0])
-    own_high = high if pair[1] is None else finite_number(f"upper bound of {name}", pair[1])
-    if not own_low < own_high:
+    low, high = pair
+    low = parameter.low if low is None else finite_number(f"lower bound of {name}", low)
+    high = parameter.high if high is None else finite_number(f"upper bound of {name}", high)
+    if not low < high:
         raise ValueError(f"bounds of {name} must be (low, high) with low < high, got {pair}")
-    if own_high <= low or own_low >= high:
-        raise ValueError(f"bounds of {name}, {pair}, lie outside [{low:g}, {high:g}]")
-    return max(low, own_low), min(high, own_high)
+    if high <= parameter.low or low >= parameter.high:
+        raise ValueError(
+            f"bounds of {name}, {pair}, lie outside [{parameter.low:g}, {parameter.high:g}]"
+        )
+    return max(parameter.low, low), min(parameter.high, high)
 
 
 def _around(parameter: Parameter, value: float) -> tuple[float, float]:
-    """
-    Return two values, one on each side, for central differences; at a bound one of them is the
-    value itself.
-    """
+    """Return a value on each side, for central differences; at a bound, the value itself."""
     coordinate = COORDINATES["plain" if callable(parameter.search) else parameter.search]
     x = coordinate.to(value)
     width = coordinate.to(parameter.high) - coordinate.to(parameter.low)
     # A parameter near 0 has no scale of its own: a thousandth of its range, or of 1, takes its
     # place.
     step = DIFFERENCE * max(abs(x), 1e-3 * min(width, 1.0))
-    ends = (coordinate.back(x - step), coordinate.back(x + step))
-    return max(ends[0], parameter.low), min(ends[1], parameter.high)
+    low, high = coordinate.back(x - step), coordinate.back(x + step)
+    return max(low, parameter.low), min(high, parameter.high)

@@ -1,7 +1,4 @@
-"""
-Continuous-time transfer functions of order 1 and 2 from a logged command and velocity, as (A.1) was
-found.
-"""
+"""Continuous-time transfer functions of order 1 and 2 from logs, as (A.1) was identified."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -90,7 +87,8 @@ def fit_transfer_function(
     >>> from scipy import signal
     >>> import trustlab as tl
     >>> command = np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], 20), 50)
-    >>> _, velocity, _ = signal.lsim(([0.985], [1.0, 0.4952]), command, 0.01 * np.arange(1000), interp=False)
+    >>> t = 0.01 * np.arange(1000)
+    >>> _, velocity, _ = signal.lsim(([0.985], [1.0, 0.4952]), command, t, interp=False)
     >>> fit = tl.fit_transfer_function(command, velocity, sample_time=0.01, order=1)
     >>> round(fit.model.gain, 3), round(fit.model.denominator[0], 3)
     (0.985, 0.495)
@@ -110,10 +108,7 @@ def fit_transfer_function(
 
 
 def transfer_structure(order: int, sample_time: float) -> Structure:
-    """
-    Return the structure: gain and denominator shared, velocity (and acceleration) at the start of
-    each run its own.
-    """
+    """Return the structure: shared gain and denominator, each run's own initial states."""
     denominator = ("d_0",) if order == 1 else ("d_1", "d_0")
     states = ("velocity_0", "acceleration_0")[:order]
 

@@ -1,6 +1,7 @@
 """
-Identification of robot and operator together, (2.3), (2.5) and (2.6): structure, sensitivities,
-`fit_tsc`.
+Robot and operator identified together, (2.3), (2.5) and (2.6): `fit_tsc`, structure, sensitivities.
+
+`fitting.py` says how any structure is fitted, `output_error.py` which likelihood is maximised.
 """
 
 from collections.abc import Iterable, Mapping
@@ -24,9 +25,10 @@ from trustlab.identification.robot_structure import (
     robot_parameters,
     simulate_robot,
 )
-from trustlab.identification.runs import Run, as_columns
+from trustlab.identification.runs import LogSettings, Run, as_columns
 from trustlab.identification.structure import MODEL_STEP, IdentificationError, Parameter, Structure
 from trustlab.models.compiled import njit
+from trustlab.models.robot import gain_of_human_performance
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
 
@@ -36,7 +38,8 @@ def fit_tsc(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple] | None = None,
     noise: str = "auto",
-    **logged: Any,
+    log: LogSettings | None = None,
+    **settings: Any,
 ) -> FitResult:
     """
     Identify robot (2.3) and operator (2.5)-(2.6) together: one likelihood, the robot driven by the
@@ -53,8 +56,10 @@ def fit_tsc(
         Bounds (low, high) by name; None leaves a side open.
     noise : {"auto", "white", "correlated", "hac"}
         What the standard errors allow for; see `fit`.
-    **logged : float or bool
-        window, step, mode_delay, stamp_error, robust: how the log shows the model; see `fit`.
+    log : LogSettings, optional
+        How the log shows the model: window, step, mode_delay, stamp_error, robust.
+    **settings : float or bool
+        Fields of `LogSettings` as keywords; they replace those of `log`.
 
     Returns
     -------
@@ -78,12 +83,11 @@ def fit_tsc(
     >>> round(tsc.robot.a, 3), round(tsc.human.beta, 2)
     (0.996, 0.74)
     """
-    return fit(TSC, sessions, fixed=fixed, bounds=bounds, noise=noise, **logged)
+    return fit(TSC, sessions, fixed=fixed, bounds=bounds, noise=noise, log=log, **settings)
 
 
 OPERATOR = ("human_a", "human_beta", "human_p_min", "human_p_max", "r0")
 ROBOT = ("robot_a", "robot_p_min", "robot_p_max", "p_r0")
-
 
 RANGES = ("human_p_min", "human_p_max", "robot_p_min", "robot_p_max")
 
@@ -93,8 +97,10 @@ SLOPES = np.dtype([(name, float) for name in (*OPERATOR, *ROBOT)])
 @njit
 def _through_operator(mode, p_h, by_h, by_r, p_h_max, a, gain, out):
     """
-    Write the derivatives of P_r into the records `out`: by the operator's parameters from those of
-    P_h, by the robot's as they are.
+    Write the derivatives of P_r into the records `out`.
+
+    Those by the robot's parameters, `by_r`, are copied; those by the operator's follow from the
+    derivatives of P_h, `by_h`, as (2.3) passes them on.
     """
     by_a = 0.0
     by_beta = 0.0
@@ -138,8 +144,9 @@ def _sensitivities(
     p_r0,
 ):
     """
-    Return P_h and P_r with their derivatives, shapes (N, 5) and (N, 9): the simulated operator
-    drives the robot.
+    Return P_h and P_r with their derivatives, shapes (N, 5) and (N, 9).
+
+    The simulated operator drives the robot: P_h depends on OPERATOR, P_r on OPERATOR and ROBOT.
     """
     p_h, by_human = simulate_human(run, human_a, human_beta, human_p_min, human_p_max, r0)
     p_r, by_robot = simulate_robot(run, p_h, human_p_max, robot_a, robot_p_min, robot_p_max, p_r0)
@@ -149,8 +156,8 @@ def _sensitivities(
     return [p_h, p_r], [as_columns(by_human), as_columns(by)]
 
 
-def _own(values: Mapping, prefix: str) -> dict:
-    """Return what belongs to one of the two models, by its own names."""
+def _without_prefix(values: Mapping, prefix: str) -> dict:
+    """Return the values of one of the two models by their names in that model alone."""
     return {
         name.removeprefix(prefix): value
         for name, value in values.items()
@@ -161,8 +168,8 @@ def _own(values: Mapping, prefix: str) -> dict:
 def _guess(runs: list[Run], limits: Mapping) -> list[dict]:
     """Return starting values: the operator's first, then the robot's under the measured P_h."""
     starts = []
-    for human in human_guess(runs, _own(limits, "human_") | {"r0": limits["r0"]}):
-        robot = robot_guess(runs, _own(limits, "robot_"), human["p_max"])
+    for human in human_guess(runs, _without_prefix(limits, "human_") | {"r0": limits["r0"]}):
+        robot = robot_guess(runs, _without_prefix(limits, "robot_"), human["p_max"])
         start = {"r0": human.pop("r0"), "p_r0": robot.pop("p_r0")}
         start |= {f"human_{name}": value for name, value in human.items()}
         starts.append(start | {f"robot_{name}": value for name, value in robot.items()})
@@ -170,8 +177,8 @@ def _guess(runs: list[Run], limits: Mapping) -> list[dict]:
 
 
 def _build(**values) -> TscModel:
-    operator = build_human(**_own(values, "human_"))
-    robot = build_robot(**_own(values, "robot_"), p_h_max=operator.p_max)
+    operator = build_human(**_without_prefix(values, "human_"))
+    robot = build_robot(**_without_prefix(values, "robot_"), p_h_max=operator.p_max)
     try:
         return TscModel(robot, operator)
     except ValueError as error:
@@ -191,8 +198,8 @@ TSC = Structure(
     model=_build,
     derived={
         "human_b": lambda at: 1.0 - at["human_a"],
-        "robot_b": lambda at: (
-            (1.0 - at["robot_a"]) * (at["robot_p_max"] - at["robot_p_min"]) / at["human_p_max"]
+        "robot_b": lambda at: gain_of_human_performance(
+            at["robot_a"], at["robot_p_min"], at["robot_p_max"], at["human_p_max"]
         ),
     },
     check=lambda runs, limits: check_excitation(runs, limits, "robot_p_min", "robot_p_max"),

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import between, in_order, mode_array, open_unit, warn_renamed
+from trustlab.models.checks import between, in_order, mode_array, open_unit
 from trustlab.models.compiled import njit
 
 
@@ -34,10 +34,8 @@ def performance_range(low, high, beta, p_min, p_max):
     """Return the least and greatest P_h of (2.6) over utilizations in [low, high]."""
     # (2.6) is concave with its maximum at β: the minimum is at an end, and so is the maximum unless
     # β lies between.
-    at_low, at_high = (
-        performance_at(low, beta, p_min, p_max),
-        performance_at(high, beta, p_min, p_max),
-    )
+    at_low = performance_at(low, beta, p_min, p_max)
+    at_high = performance_at(high, beta, p_min, p_max)
     return min(at_low, at_high), p_max if low <= beta <= high else max(at_low, at_high)
 
 
@@ -114,18 +112,11 @@ class HumanModel:
         return 1.0 - self.a
 
     @property
-    def tau(self) -> float:
-        """τ = 1/b_r of (2.5): an old name, see `time_constant`."""
-        warn_renamed(
-            "HumanModel.tau", "HumanModel.time_constant (−1/ln a; τ of (2.5) itself is 1/b)"
-        )
-        return 1.0 / (1.0 - self.a)
-
-    @property
     def time_constant(self) -> float:
         """
-        −1/ln a, in samples: after this many, 1/e of a deviation is left; τ of (2.5), 1/b, is half a
-        sample more.
+        −1/ln a, in samples: after this many, 1/e of a deviation is left.
+
+        τ of (2.5), 1/b, is half a sample more.
         """
         return -1.0 / np.log(self.a)
 

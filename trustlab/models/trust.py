@@ -12,7 +12,6 @@ from trustlab.models.checks import (
     finite_number,
     in_order,
     positive,
-    warn_renamed,
 )
 from trustlab.models.compiled import njit
 
@@ -130,18 +129,6 @@ class TrustModel:
             If `sample_time` is not positive.
         """
         return math.exp(-self.a * positive("sample_time", sample_time) / (self.t_max - self.t_min))
-
-    def keep(self, sample_time: float) -> float:
-        """
-        Return `decay(sample_time)`; the old name.
-
-        Parameters
-        ----------
-        sample_time : float
-            T [s], positive.
-        """
-        warn_renamed("TrustModel.keep", "TrustModel.decay")
-        return self.decay(sample_time)
 
     def steady_state(self, performance: float) -> float:
         """

@@ -94,8 +94,8 @@ class TransferFunction:
         a, b = self.matrices()
         block = np.zeros((self.order + 1, self.order + 1))
         block[:-1, :-1], block[:-1, -1] = a, b
-        whole = expm(block * sample_time)
-        return whole[:-1, :-1], whole[:-1, -1]
+        exponential = expm(block * sample_time)
+        return exponential[:-1, :-1], exponential[:-1, -1]
 
 
 def three_axes(vehicle) -> tuple[TransferFunction, ...]:
@@ -112,8 +112,8 @@ def three_axes(vehicle) -> tuple[TransferFunction, ...]:
     ValueError
         If it is anything else.
     """
-    given = isinstance(vehicle, (tuple, list)) and len(vehicle) == 3
-    if given and all(isinstance(axis, TransferFunction) for axis in vehicle):
+    three = isinstance(vehicle, (tuple, list)) and len(vehicle) == 3
+    if three and all(isinstance(axis, TransferFunction) for axis in vehicle):
         return tuple(vehicle)
     raise ValueError(
         f"a vehicle needs three transfer functions, for x, y and z, got {type(vehicle).__name__} "
