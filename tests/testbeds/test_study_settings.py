@@ -52,8 +52,6 @@ def test_each_trust_follows_its_own_model_in_its_own_units():
 
 
 def test_old_names_warn_and_work():
-    with pytest.warns(DeprecationWarning, match=r"TrustModel\.decay"):
-        assert TrustModel(0.2, 0.2).keep(0.1) == TrustModel(0.2, 0.2).decay(0.1)
     lap = tl.run_condition("C1", participant=2, laps=2)
     with pytest.warns(DeprecationWarning, match=r"measures\(\) is now measures"):
         assert lap.measures() == lap.measures

@@ -265,12 +265,13 @@ class FitResult:
             layout="constrained",
         )
         for row, name in zip(axes, self.outputs, strict=True):
-            row[0].set_ylabel(LABELS.get(name, name))
             for panel, run in zip(row, runs, strict=True):
                 panel.plot(run.t, run.measured[name], lw=0.8, color="0.55", label="measured")
                 panel.plot(run.t, run.fitted[name], lw=1.6, ls="--", color="C1", label="fitted")
                 if "mode" in run.inputs:
                     shade_manual(panel, run.t, run.mode)
+        for panel, name in zip(axes[:, 0], self.outputs, strict=True):
+            panel.set_ylabel(LABELS.get(name, name))
         for panel, run in zip(axes[0], runs, strict=True):
             panel.set_title(run.label, fontsize="small")
         plt.setp(axes[-1], xlabel="time [s]")

@@ -103,7 +103,6 @@ def fit(
     --------
     >>> import numpy as np
     >>> import pandas as pd
-    from scipy import special
     >>> import trustlab as tl
     >>> def simulate(run, rate, p_r0):
     ...     return 0.24 + (p_r0 - 0.24) * np.exp(-rate * np.arange(len(run["mode"])))
