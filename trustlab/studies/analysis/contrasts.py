@@ -56,15 +56,11 @@ def simple_effects(
     """
     regression = regress(scores.values[None], design.regressors)
     rows = []
-    for level, fixed, mean in design.slices(factor, at):
+    for level, weights, means in design.marginals(factor, at):
         if factor in design.within:
-            basis = orthonormal_contrasts(len(design.levels(factor)))
-            contrasts = design.weights({factor: basis}, fixed)
-            hypothesis = mean[None]
+            contrasts, hypothesis = weights @ orthonormal_contrasts(len(means)), means[:1]
         else:
-            contrasts = design.weights({}, fixed)
-            means = [design.mean_row({factor: label}) for label in design.levels(factor)]
-            hypothesis = np.diff(means, axis=0)
+            contrasts, hypothesis = weights[:, :1], np.diff(means, axis=0)
         ss = float(regression.hypothesis(contrasts, hypothesis)[0])
         covariance = regression.covariance(contrasts)[0]
         error = float(np.trace(covariance))
@@ -89,21 +85,15 @@ def factor_pairs(
     another.
     """
     levels = design.levels(factor)
-    everywhere = [(np.nan, {}, design.mean_row({}))]
+    paired = factor in design.within
     tables = []
-    for level, fixed, mean in everywhere if at is None else design.slices(factor, at):
+    for level, weights, means in design.marginals(factor, at):
         rows = []
         for i, j in combinations(range(len(levels)), 2):
-            if factor in design.within:
-                difference = np.zeros((len(levels), 1))
-                difference[[i, j], 0] = 1.0, -1.0
-                weights = design.weights({factor: difference}, fixed)
-                row = mean
-            else:
-                weights = design.weights({}, fixed)
-                row = design.mean_row({factor: levels[i]}) - design.mean_row({factor: levels[j]})
-            estimate = _estimate(scores, design, weights, row, error)
-            if factor not in design.within:
+            cells = weights[:, i] - weights[:, j] if paired else weights[:, i]
+            row = means[i] if paired else means[i] - means[j]
+            estimate = _estimate(scores, design, cells, row, error)
+            if not paired:
                 estimate = (*estimate[:-1], np.nan)  # d_z is of differences within subjects
             rows.append((level, levels[i], levels[j], *estimate))
         table = pd.DataFrame(rows, columns=["level", "a", "b", *ESTIMATE, "d_z"])
@@ -122,8 +112,8 @@ def _estimate(
     coefficients.
     """
     regression = regress(scores.values[None], design.regressors)
-    mean = float(row @ regression.coefficients[0] @ weights[:, 0])
-    variance = float(regression.covariance(weights)[0, 0, 0])
+    mean = float(row @ regression.coefficients[0] @ weights)
+    variance = float(regression.covariance(weights[:, None])[0, 0, 0])
     df = float(design.regressors.df_error)
     if error == "pooled":
         common = weights.sum() ** 2 / weights.size

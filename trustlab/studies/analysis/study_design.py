@@ -2,7 +2,6 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
 from itertools import product
 from typing import Any
 
@@ -77,61 +76,44 @@ class StudyDesign:
             combinations.append((levels, mask))
         return combinations
 
-    def slices(
-        self, factor: Hashable, at: Hashable
-    ) -> list[tuple[Hashable, dict[Hashable, Hashable], np.ndarray]]:
+    def marginal(self, fixed: Mapping[Hashable, Hashable]) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return each level of `at` with what it fixes: the level of a within-subject factor, or a row
-        of the between-subject design.
+        Return the weights of the cells, and the row of the between-subject design, of a mean at
+        fixed levels of some factors, unweighted over the others.
         """
-        self.levels(factor)
-        levels = self.levels(at)
+        cells = [_fits(dict(zip(self.within, cell, strict=True)), fixed) for cell in self.cells]
+        rows = [
+            self.regressors.matrix[mask][0]
+            for levels, mask in self.members()
+            if _fits(dict(zip(self.between, levels, strict=True)), fixed)
+        ]
+        row = np.mean(rows, axis=0)
+        if self.covariate is not None:
+            row[self.regressors.blocks[str(self.covariate)]] = 0.0  # its mean
+        return np.array(cells) / sum(cells), row
+
+    def marginals(
+        self, factor: Hashable, at: Hashable = None
+    ) -> list[tuple[Hashable, np.ndarray, np.ndarray]]:
+        """
+        Return the cell weights (cells, k) and design rows (k, columns) of the means of a factor's k
+        levels, with each level of `at`; over all cells, with NaN, where `at` is None.
+        """
+        labels = self.levels(factor)
         if factor == at:
             raise ValueError(f"factor and at are both {factor!r}; name two factors")
-        if at in self.within:
-            return [(level, {at: level}, self.mean_row({})) for level in levels]
-        if factor in self.between:
-            raise ValueError(
-                f"{factor!r} and {at!r} are both between subjects; select the rows of a group "
-                "instead"
-            )
-        return [(level, {}, self.mean_row({at: level})) for level in levels]
+        tables = []
+        for level in (np.nan,) if at is None else self.levels(at):
+            fixed = {} if at is None else {at: level}
+            means = [self.marginal(fixed | {factor: label}) for label in labels]
+            weights, rows = (np.array(part) for part in zip(*means, strict=True))
+            tables.append((level, weights.T, rows))
+        return tables
 
-    def weights(
-        self, contrasts: Mapping[Hashable, np.ndarray], fixed: Mapping[Hashable, Hashable]
-    ) -> np.ndarray:
-        """
-        Return weights of the cells: contrasts of some factors, fixed levels of others, the mean
-        over the rest.
-        """
-        parts = []
-        for name, levels in self.within.items():
-            if name in contrasts:
-                parts.append(contrasts[name])
-            elif name in fixed:
-                parts.append(np.eye(len(levels))[:, [levels.index(fixed[name])]])
-            else:
-                parts.append(np.full((len(levels), 1), 1.0 / len(levels)))
-        return reduce(np.kron, parts)
 
-    def mean_row(self, fixed: Mapping[Hashable, Hashable]) -> np.ndarray:
-        """
-        Return the between-subject design's row of a mean: fixed levels of some factors, unweighted
-        over the others.
-        """
-        coded = {}
-        for name, levels in self.between.items():
-            k = len(levels)
-            rows = np.vstack([np.eye(k - 1), -np.ones(k - 1)])
-            coded[str(name)] = rows[levels.index(fixed[name])] if name in fixed else np.zeros(k - 1)
-        row = np.zeros(self.regressors.matrix.shape[1])
-        for block, columns in self.regressors.blocks.items():
-            names = [name for name in coded if name in block.split(" × ")]
-            if block and not names:
-                continue  # a covariate: its mean is 0
-            parts = (coded[name] for name in names)
-            row[columns] = reduce(np.multiply.outer, parts, np.ones(1)).ravel()
-        return row
+def _fits(levels: Mapping[Hashable, Hashable], fixed: Mapping[Hashable, Hashable]) -> bool:
+    """Return whether a cell or group has the fixed levels of its factors."""
+    return all(fixed.get(name, level) == level for name, level in levels.items())
 
 
 def read_design(
